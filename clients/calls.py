@@ -32,6 +32,7 @@ BINARY, GLB = "application/octet-stream", "model/gltf-binary"
 DEFAULT_URL = "http://127.0.0.1:8000"
 DEFAULT_FPS = 30.0
 DRAPE = "/drape"
+AVATAR_SUFFIXES = (".glb", ".vrm")
 STREAMED: Options = {"streamed": True}  # so that the answer may be of any length
 
 
@@ -130,6 +131,25 @@ def _says_itself(entry: Any) -> bool:
     return isinstance(entry, dict) or entry == "standard"
 
 
+def upload_avatar(path: Path, name: str | None) -> Call[dict[str, Any]]:
+    """Sends a character; the answer is the job."""
+    if path.suffix.lower() not in AVATAR_SUFFIXES:
+        expected, got = f"one of {', '.join(AVATAR_SUFFIXES)}", path.suffix or "no suffix"
+        raise InputError(path.name, expected=expected, got=got, cure="Export the character so.")
+    params = {"name": (name or path.stem) + path.suffix.lower()}
+    headers = {"Content-Type": BINARY}
+    return Call("POST", "/avatars", httpx.Response.json, params=params, content=_content(path), headers=headers)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            str(path), expected="a file that can be read", got=str(error.strerror), cure="Check the path."
+        ) from error
+
+
 def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) -> Call[dict[str, Any]]:
     """Sends a garment file; the answer is the job."""
     if path.suffix.lower() not in MESH_SUFFIXES:
@@ -139,12 +159,7 @@ def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) ->
             got=path.suffix or "no suffix",
             cure="Export the mesh so.",
         )
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            str(path), expected="a file that can be read", got=str(error.strerror), cure="Check the path."
-        ) from error
+    content = _content(path)
     params = {"name": (name or path.stem) + path.suffix.lower()}
     if avatar is None:
         # The service cannot see the folder that the file lies in.
@@ -167,10 +182,16 @@ def draped(
     accept: str = BINARY,
     more: Options = STREAMED,
 ) -> Call[Answer]:
-    """A drape; ``options`` by the names of ``drape.wire.options.DrapeOptions``, ``more`` by those of the service."""
+    """A drape; ``options`` by the names of ``drape.wire.options.DrapeOptions`` and the ``avatar`` that wears it,
+    ``more`` by those of the service."""
     clip, about = motion_of(motion, body)
-    asked = {**about, **worn(garment), **options_document(options), **more}
+    wearer = {"avatar": options["avatar"]} if options.get("avatar") is not None else {}
+    asked = {**about, **worn(garment), **wearer, **options_document(_without(options, "avatar")), **more}
     return Call("POST", DRAPE, read, headers={"Accept": accept}, json=asked, clip=clip)
+
+
+def _without(options: Options, name: str) -> Options:
+    return {key: value for key, value in options.items() if key != name}
 
 
 def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:

@@ -1,9 +1,10 @@
-"""``python -m clients.cli health | garments | upload | drape``: the service from the shell.
+"""``python -m clients.cli health | garments | upload | avatars | drape``: the service from the shell.
 
 python -m clients.cli drape --garment tshirt --motion walk --out out.glb
 python -m clients.cli drape --garment trousers tshirt --motion walk --out outfit.glb
 python -m clients.cli drape --garment tshirt --motion walk --out walk.usda
 python -m clients.cli drape --garment shirt.obj --avatar '{"gender": 1.0}' --motion clip.bvh --out out.npy
+python -m clients.cli drape --garment tshirt --on me.vrm --motion walk --out out.glb
 """
 
 from __future__ import annotations
@@ -74,6 +75,11 @@ def _parser() -> argparse.ArgumentParser:
     upload.add_argument("--name", help="name of the garment; the file's by default")
     upload.set_defaults(run=_upload)
 
+    avatars = commands.add_parser("avatars", parents=[shared], help="characters that wear garments: list, add, remove")
+    avatars.add_argument("--add", type=Path, metavar="FILE", help="take a character in, GLB or VRM")
+    avatars.add_argument("--remove", metavar="ID", help="remove one")
+    avatars.set_defaults(run=_avatars)
+
     drape = commands.add_parser("drape", parents=[shared], help="drape a garment over a clip")
     drape.add_argument(
         "--garment",
@@ -92,6 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     drape.add_argument("--as-recorded", action="store_true", help="for a file: leave its translations as they are")
     drape.add_argument("--fps", type=float, default=30.0, help="frames per second of the result (30)")
+    drape.add_argument("--on", metavar="AVATAR", help="the character that wears it: an id, or a GLB or VRM file")
     drape.add_argument("--betas", help="body shape, comma-separated")
     drape.add_argument("--body", action="store_true", help="include the body in the GLB")
     drape.add_argument("--float32", action="store_true", help="the GLB in float32, twice as large")
@@ -142,6 +149,17 @@ def _upload(client: DrapeClient, options: argparse.Namespace) -> None:
     print(client.upload_garment(options.file, options.avatar, name=options.name, progress=_progress()))
 
 
+def _avatars(client: DrapeClient, options: argparse.Namespace) -> None:
+    if options.add is not None:
+        print(client.upload_avatar(options.add, progress=_progress()))
+    elif options.remove is not None:
+        client.remove_avatar(options.remove)
+    else:
+        for avatar in client.avatars():
+            fit, kind = avatar["fit"]["median_mm"], f"VRM {avatar['vrm']}" if avatar["vrm"] else "GLB"
+            print(f"{avatar['id']:<28} {avatar['height_m']:.2f} m, fits to {fit:.1f} mm, {kind}")
+
+
 def _progress() -> Callable[[dict[str, Any]], None]:
     """Says on standard error where an upload is, whenever that changes. Ctrl-C cancels it."""
     said = ""
@@ -167,8 +185,9 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
             "--out", expected="an existing folder", got=str(options.out.parent), cure="Make the folder first."
         )
     betas = _numbers(options.betas)
-    clip = _clip(client, options, betas).resampled(options.fps)
-    choices = {name: getattr(options, name) for name in _options()}
+    avatar = None if options.on is None else client.avatar(options.on).id
+    clip = _clip(client, options, betas, avatar).resampled(options.fps)
+    choices: dict[str, Any] = {name: getattr(options, name) for name in _options()} | {"avatar": avatar}
     if choices["fabric"] is not None and len(choices["fabric"]) == 1:
         (choices["fabric"],) = choices["fabric"]
     worn: list[str] = []
@@ -219,15 +238,15 @@ def _npy_head(points: int, frames: int) -> bytes:
     return buffer.getvalue()
 
 
-def _clip(client: DrapeClient, options: argparse.Namespace, betas: np.ndarray | None) -> MotionClip:
+def _clip(client: DrapeClient, options: argparse.Namespace, betas: np.ndarray | None, avatar: str | None) -> MotionClip:
     motion = options.motion
     if Path(motion).suffix.lower() not in MOTION_SUFFIXES:
-        return client.motion(motion, betas)
+        return client.motion(motion, betas, avatar)
     if not Path(motion).is_file():
         cure = "Check the path."
         raise InputError("--motion", expected="a file or a sample clip's name", got=motion, cure=cure)
     clip = read_motion(Path(motion))
-    return clip if options.as_recorded else client.placed(clip, betas)
+    return clip if options.as_recorded else client.placed(clip, betas, avatar)
 
 
 def _numbers(text: str | None) -> np.ndarray | None:

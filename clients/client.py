@@ -12,11 +12,13 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from functools import wraps
+from pathlib import Path
 from typing import Any, Concatenate, ParamSpec
 
 import httpx
 
-from clients.calls import DEFAULT_URL, Answer, Call, key_headers
+from clients.avatar import Avatar
+from clients.calls import AVATAR_SUFFIXES, DEFAULT_URL, Answer, Call, key_headers
 from clients.methods import Methods, Pause, Steps
 from clients.refusals import unreachable
 from drape.errors import DrapeError
@@ -92,6 +94,11 @@ class DrapeClient:
         """Closes the connections."""
         self._http.close()
 
+    def avatar(self, source: str | Path) -> Avatar:
+        """A character of the service by its id, or the one in a GLB or VRM file, which is uploaded."""
+        is_file = Path(source).suffix.lower() in AVATAR_SUFFIXES
+        return Avatar(self, self.upload_avatar(source) if is_file else str(source))
+
     def _run(self, steps: Call[Answer] | Steps[Answer]) -> Answer:
         if isinstance(steps, Call):
             return self._send(steps)
@@ -129,6 +136,9 @@ class DrapeClient:
     preview = _waiting(Methods.preview)
     jet_layout = _waiting(Methods.jet_layout)
     upload_garment = _waiting(Methods.upload_garment)
+    upload_avatar = _waiting(Methods.upload_avatar)
+    avatars = _waiting(Methods.avatars)
+    remove_avatar = _waiting(Methods.remove_avatar)
     drape = _waiting(Methods.drape)
     drape_at_root = _waiting(Methods.drape_at_root)
     drape_outfit = _waiting(Methods.drape_outfit)
@@ -136,6 +146,7 @@ class DrapeClient:
     drape_jets = _waiting(Methods.drape_jets)
     drape_glb = _waiting(Methods.drape_glb)
     posed_body = _waiting(Methods.posed_body)
+    posed_avatar = _waiting(Methods.posed_avatar)
 
 
 class AsyncDrapeClient:
@@ -194,6 +205,9 @@ class AsyncDrapeClient:
     preview = _awaited(Methods.preview)
     jet_layout = _awaited(Methods.jet_layout)
     upload_garment = _awaited(Methods.upload_garment)
+    upload_avatar = _awaited(Methods.upload_avatar)
+    avatars = _awaited(Methods.avatars)
+    remove_avatar = _awaited(Methods.remove_avatar)
     drape = _awaited(Methods.drape)
     drape_at_root = _awaited(Methods.drape_at_root)
     drape_outfit = _awaited(Methods.drape_outfit)
@@ -201,6 +215,7 @@ class AsyncDrapeClient:
     drape_jets = _awaited(Methods.drape_jets)
     drape_glb = _awaited(Methods.drape_glb)
     posed_body = _awaited(Methods.posed_body)
+    posed_avatar = _awaited(Methods.posed_avatar)
 
 
 __all__ = ["AsyncDrapeClient", "DrapeClient", "DrapeError"]

@@ -56,6 +56,14 @@ class Methods:
         """The tiers that a drape may name, the least first, with what was measured of each."""
         return fetched("tiers")
 
+    def avatars(self) -> Call[list[dict[str, Any]]]:
+        """The characters that can wear garments: joints, fit, height."""
+        return fetched("avatars")
+
+    def remove_avatar(self, avatar: str) -> Call[bytes]:
+        """Removes a character from the service."""
+        return Call("DELETE", path_of("avatars", avatar), calls.read_bytes)
+
     def fabrics(self) -> Call[list[dict[str, Any]]]:
         """The fabrics that a drape may name, with their numbers."""
         return fetched("fabrics")
@@ -68,12 +76,16 @@ class Methods:
         """The sample clips of the service."""
         return fetched("motions")
 
-    def motion(self, name: str, betas: np.ndarray | None = None) -> Call[MotionClip]:
-        """One sample clip, placed on the ground for the service's body in the shape ``betas``."""
-        return fetched("motions", name, read=calls.read_clip, betas=betas)
+    def motion(self, name: str, betas: np.ndarray | None = None, avatar: str | None = None) -> Call[MotionClip]:
+        """One sample clip, placed on the ground for the service's body in the shape ``betas``, or for an avatar."""
+        more = {} if avatar is None else {"avatar": avatar}
+        return fetched("motions", name, read=calls.read_clip, betas=betas, **more)
 
-    def placed(self, clip: MotionClip, betas: np.ndarray | None = None) -> Steps[MotionClip]:
-        """A clip from a file, placed on the ground for the service's body in the shape ``betas``."""
+    def placed(self, clip: MotionClip, betas: np.ndarray | None = None, avatar: str | None = None) -> Steps[MotionClip]:
+        """A clip from a file, placed on the ground for the service's body in the shape ``betas``, or for an avatar."""
+        if avatar is not None:
+            found = yield fetched("avatars", avatar)
+            return calls.placed(clip, found | {"joints": found["rest_joints"]})
         name = (yield self.bodies())[0]["id"]
         return calls.placed(clip, (yield fetched("bodies", name, betas=betas)))
 
@@ -131,18 +143,27 @@ class Methods:
 
         ``progress`` is told the job as often as it is asked for; what it raises ends the upload too.
         """
-        job = yield calls.upload(Path(path), avatar, name)
-        deadline = time.monotonic() + wait_s
-        while (garment := finished(job)) is None:
-            check_deadline(job, deadline, wait_s)
-            try:
-                progress(job)
-                yield Pause(POLL_S)
-            except BaseException:
-                yield Call("DELETE", path_of("jobs", job["id"]), calls.read_bytes)
-                raise
-            job = yield fetched("jobs", job["id"])
-        return garment
+        return (yield from _made(calls.upload(Path(path), avatar, name), "garment", wait_s, progress))
+
+    def upload_avatar(
+        self,
+        path: str | Path,
+        *,
+        name: str | None = None,
+        wait_s: float = 600.0,
+        progress: Progress = lambda job: None,
+    ) -> Steps[str]:
+        """Uploads a character, GLB or VRM, waits for its job and returns the new avatar's id: ``avatar`` of a drape.
+
+        ``progress`` as in ``upload_garment``.
+        """
+        return (yield from _made(calls.upload_avatar(Path(path), name), "avatar", wait_s, progress))
+
+    def posed_avatar(self, avatar: str, motion: Motion, *, trans: np.ndarray | None = None) -> Steps[np.ndarray]:
+        """World vertices [m] (F, V, 3) float32 of a character's own surface."""
+        clip, about = calls.motion_of(motion, Body(trans))
+        path, accept = path_of("avatars", avatar, "posed"), {"Accept": BINARY}
+        return self._whole(Call("POST", path, calls.read_vertices, headers=accept, json=about, clip=clip))
 
     def drape(
         self,
@@ -155,7 +176,8 @@ class Methods:
     ) -> Steps[np.ndarray]:
         """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad].
 
-        ``options`` are those of ``drape.wire.options.DrapeOptions``; the service's own where left out.
+        ``options`` are those of ``drape.wire.options.DrapeOptions``, the service's own where left out, and ``avatar``:
+        the id of a character that wears it, here and in the methods below.
         """
         return self._whole(draped(calls.read_vertices, garment, motion, Body(trans, betas), options))
 
@@ -298,15 +320,34 @@ def _listed(garment: str | Sequence[str]) -> Sequence[str]:
     return [garment] if isinstance(garment, str) else garment
 
 
-def finished(job: dict[str, Any]) -> str | None:
-    """The garment of a job that is done, None while it goes on; raises its refusal where it failed or was cancelled."""
+def _made(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress: Progress) -> Steps[str]:
+    """The id of the ``kind`` of thing that the upload ``sent`` becomes."""
+    job = yield sent
+    deadline = time.monotonic() + wait_s
+    while (made := finished(job, kind)) is None:
+        check_deadline(job, deadline, wait_s)
+        try:
+            progress(job)
+            yield Pause(POLL_S)
+        except BaseException:
+            yield Call("DELETE", path_of("jobs", job["id"]), calls.read_bytes)
+            raise
+        job = yield fetched("jobs", job["id"])
+    return made
+
+
+def finished(job: dict[str, Any], kind: str = "garment") -> str | None:
+    """The garment, or the avatar, of a job that is done, None while it goes on.
+
+    Raises its refusal where it failed or was cancelled.
+    """
     if job["state"] == "failed":
         raise problem_error(job["problem"])
     if job["state"] == "cancelled":
         raise Unavailable(
             f"upload {job['name']}", expected="its end", got="one that was cancelled", cure="Upload again."
         )
-    return job["garment"] if job["state"] == "done" else None
+    return job[kind] if job["state"] == "done" else None
 
 
 def check_deadline(job: dict[str, Any], deadline: float, wait_s: float) -> None:

@@ -8,7 +8,9 @@ import hashlib
 import numpy as np
 import scipy.sparse
 
-from drape.avatar.body_fit import PARTS, BodyFit, faces_beside, parts_of
+from drape.avatar.body_fit import BodyFit
+from drape.avatar.covering import covering
+from drape.avatar.parts import PARTS, faces_beside, parts_of
 from drape.avatar.t_pose import TPose
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
@@ -29,6 +31,7 @@ def avatar_body(fit: BodyFit, pose: TPose, body: BodyModel, *, name: str) -> Bod
     place = body.joints_template[0] - joints[0]
     vertices, joints = fit.vertices + place, joints + place
     weights = _weights(fit, pose, body)
+    vertices = covering(vertices, weights, joints, pose, pose.vertices + place, body)
     regressor = _regressor(vertices, joints, body)
     digest = hashlib.sha256()
     for array in (vertices, weights, joints):

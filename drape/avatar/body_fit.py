@@ -15,41 +15,28 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-import scipy.sparse.linalg
 
+from drape.avatar.parts import PARTS, faces_beside, parts_of, plain_part
 from drape.avatar.t_pose import TPose
 from drape.body.model import BodyModel
 from drape.body.skeleton import BONE_ENDS, JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point, on_border
+from drape.geometry.symmetric import symmetric_factor
 
 STIFFNESS = (3e4, 1e4, 3e3, 1e3, 300.0, 100.0, 30.0, 10.0)
 REACH_M = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05)  # how far a point may be that draws, in those rounds
 FACING = 0.4  # the least cosine between the normals of what draws and what is drawn
-COVER_ROUNDS, COVER_M = 4, 0.03  # rounds that bring the skin out to what stands out of it, by this at most in each
-PARTS = {
-    "trunk": ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar"),
-    "neck": ("neck",),
-    "head": ("head",),
-    **{f"{side}_{part}": tuple(f"{side}_{joint}" for joint in joints)
-       for side in ("left", "right") for part, joints in (("upper_arm", ("shoulder",)), ("forearm", ("elbow",)),
-       ("palm", ("wrist", "hand")), ("thigh", ("hip",)), ("shin", ("knee",)), ("sole", ("ankle", "foot")))},
-}  # fmt: skip
 NECK = JOINT_NAMES.index("neck")
-CHAINS = (("upper_arm", "forearm", "palm"), ("thigh", "shin", "sole"))
 TRUST = {"neck": 0.5, "head": 0.0, "palm": 0.0, "sole": 0.3}  # hair, fingers and shoes are no body: they follow
-LIMBS = ("trunk", "upper_arm", "forearm", "thigh", "shin")  # where the fit is measured: what garments lie on
 
 
 @dataclass(frozen=True, eq=False)
 class BodyFit:
-    """``vertices`` [m] (Vb, 3) of the standard body on the character in T-pose, its ``joints`` [m] (24, 3), and how far
-    the character's trunk and limbs are from it [mm]: median and 95th percentile."""
+    """``vertices`` [m] (Vb, 3) of the standard body on the character in T-pose, and its ``joints`` [m] (24, 3)."""
 
     vertices: np.ndarray
     joints: np.ndarray
-    median_mm: float
-    p95_mm: float
 
 
 def fit_to(pose: TPose, body: BodyModel) -> BodyFit:
@@ -64,12 +51,8 @@ def fit_to(pose: TPose, body: BodyModel) -> BodyFit:
     for stiffness, reach in zip(STIFFNESS, REACH_M, strict=True):
         near, trust = _drawn_to(vertices, own, body, pose, targets, normals, reach)
         system = scipy.sparse.diags(trust + 1e-5) + stiffness * square
-        vertices = vertices + _factor(system).solve(trust[:, None] * (near - vertices))
-    counted = _measured(pose)
-    for _ in range(COVER_ROUNDS):
-        vertices = _covering(vertices, body, pose, counted, square)
-    distance = 1e3 * closest_point(pose.vertices[counted], vertices, body.faces).distance
-    return BodyFit(vertices, joints, float(np.median(distance)), float(np.quantile(distance, 0.95)))
+        vertices = vertices + symmetric_factor(system).solve(trust[:, None] * (near - vertices))
+    return BodyFit(vertices, joints)
 
 
 def target_joints(found: np.ndarray, template: np.ndarray) -> np.ndarray:
@@ -115,39 +98,6 @@ def target_joints(found: np.ndarray, template: np.ndarray) -> np.ndarray:
     return joints
 
 
-def parts_of(weights: np.ndarray) -> np.ndarray:
-    """Which of ``PARTS`` each row of ``weights`` (V, 24) belongs to most."""
-    index = {name: joint for joint, name in enumerate(JOINT_NAMES)}
-    return np.argmax([weights[:, [index[name] for name in names]].sum(axis=1) for names in PARTS.values()], axis=0)
-
-
-def _plain(part: str) -> str:
-    return part.removeprefix("left_").removeprefix("right_")
-
-
-def _beside(part: str) -> set[str]:
-    """``part`` and those that join it."""
-    found, plain = {part}, _plain(part)
-    side = part.removesuffix(plain)
-    for chain in CHAINS:
-        if plain in chain:
-            place = chain.index(plain)
-            found |= {side + other for other in chain[max(0, place - 1) : place + 2]}
-            found |= {"trunk"} if place == 0 else set()
-    if part in ("trunk", "neck", "head"):
-        found |= {"neck"} | {"trunk": {f"{s}_{chain[0]}" for s in ("left", "right") for chain in CHAINS}}.get(
-            part, set()
-        )
-        found |= {"trunk", "head"} if part == "neck" else set()
-    return found
-
-
-def faces_beside(part: str, corners: np.ndarray) -> np.ndarray:
-    """The character's faces (n,) of ``part`` and of those that join it; ``corners`` (F, 3) are the corners' parts."""
-    names = list(PARTS)
-    return np.flatnonzero(np.isin(corners, [names.index(one) for one in _beside(part)]).all(axis=1))
-
-
 def _scaled(body: BodyModel, joints: np.ndarray) -> np.ndarray:
     """The skin of ``body`` with each bone moved and scaled on to ``joints``."""
     rest, scales = body.joints_template, np.ones(JOINT_COUNT)
@@ -167,7 +117,7 @@ def _drawn_to(vertices, own, body, pose, targets, normals, reach):  # type: igno
     near, trust = vertices.copy(), np.zeros(len(vertices))
     facing = meshes.vertex_normals(vertices, body.faces)
     for number, (part, faces) in enumerate(targets.items()):
-        rows, weight = np.flatnonzero(own == number), TRUST.get(_plain(part), 1.0)
+        rows, weight = np.flatnonzero(own == number), TRUST.get(plain_part(part), 1.0)
         if not len(rows) or len(faces) < 8 or weight == 0.0:
             continue
         found = closest_point(vertices[rows], pose.vertices, pose.faces[faces])
@@ -176,35 +126,3 @@ def _drawn_to(vertices, own, body, pose, targets, normals, reach):  # type: igno
         near[rows] = found.point
         trust[rows] = weight * (agree & close & ~on_border(found, pose.faces[faces]))
     return near, trust
-
-
-def _factor(system: scipy.sparse.spmatrix) -> scipy.sparse.linalg.SuperLU:
-    """The factor of a symmetric positive matrix, ordered as such: a third of the time."""
-    options = {"SymmetricMode": True}
-    csc = scipy.sparse.csc_matrix(system)
-    return scipy.sparse.linalg.splu(csc, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-
-
-def _measured(pose: TPose) -> np.ndarray:
-    """The character's vertices (n,) of trunk and limbs."""
-    wanted = [number for number, part in enumerate(PARTS) if _plain(part) in LIMBS]
-    return np.intersect1d(np.flatnonzero(np.isin(parts_of(pose.weights), wanted)), pose.faces)
-
-
-def _covering(
-    vertices: np.ndarray, body: BodyModel, pose: TPose, counted: np.ndarray, square: scipy.sparse.csr_matrix
-) -> np.ndarray:
-    """``vertices`` brought out to those of the character, ``counted``, that stand out of them and face the same way:
-    what garments lie on must hold everything that is seen."""
-    found = closest_point(pose.vertices[counted], vertices, body.faces)
-    skin, theirs = meshes.vertex_normals(vertices, body.faces), meshes.vertex_normals(pose.vertices, pose.faces)
-    corners = body.faces[found.face]
-    facing = np.einsum("vk,vkc->vc", found.barycentric, skin[corners])
-    above = np.einsum("vc,vc->v", facing, pose.vertices[counted] - found.point)
-    agree = np.einsum("vc,vc->v", facing, theirs[counted]) > FACING
-    out = np.where(agree & (parts_of(body.weights)[corners[:, 0]] == parts_of(pose.weights)[counted]), above, 0.0)
-    height = np.zeros(len(vertices))
-    np.maximum.at(height, corners.reshape(-1), np.repeat(np.clip(out, 0.0, COVER_M), 3))
-    trust = np.where(height > 0.0, 1.0, 0.05)
-    system = scipy.sparse.diags(trust) + 0.5 * square
-    return vertices + _factor(system).solve(trust * height)[:, None] * skin

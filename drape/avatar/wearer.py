@@ -20,6 +20,7 @@ import scipy.sparse
 from drape.avatar.avatar_body import avatar_body
 from drape.avatar.body_fit import fit_to
 from drape.avatar.character import read_character
+from drape.avatar.parts import counted_vertices
 from drape.avatar.t_pose import TPose, rig_of, t_posed
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
@@ -27,6 +28,7 @@ from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import ArtifactError, BodyError, MotionError, refusing
 from drape.files.atomic import whole_file
 from drape.files.packed import UNREADABLE, packed, read_packed
+from drape.geometry.closest import closest_point
 from drape.geometry.skinning import skin_points
 from drape.motion.rig_poses import Rig, rig_to_poses
 
@@ -117,17 +119,19 @@ def read_wearer(
     pose = t_posed(character, rig)
     _check_limbs(pose, rig, name)
     begins("fit")
-    fit = fit_to(pose, body)
-    if fit.median_mm > FIT_LIMIT_MM:
+    made = avatar_body(fit_to(pose, body), pose, body, name=name)
+    root = JOINT_NAMES.index("pelvis")
+    surface = pose.vertices + made.joints_template[root] - pose.joints[root]
+    distance = 1e3 * closest_point(surface[counted_vertices(pose)], made.v_template, made.faces).distance
+    median_mm, p95_mm = float(np.median(distance)), float(np.quantile(distance, 0.95))
+    if median_mm > FIT_LIMIT_MM:
         cure = "Send a character with a body under its clothes, in a T- or A-pose."
-        got = f"{fit.median_mm:.0f} mm"
+        got = f"{median_mm:.0f} mm"
         raise BodyError(name, expected=f"a body that ours fits to {FIT_LIMIT_MM:g} mm", got=got, cure=cure)
-    made = avatar_body(fit, pose, body, name=name)
-    place = made.v_template[0] - fit.vertices[0]
     digest = hashlib.sha256(json.dumps([FORMAT_VERSION, body.digest, dict(told or {})]).encode() + payload).hexdigest()
     return Wearer(
-        name, digest, made, rig, character.names, pose.vertices + place, pose.faces, pose.weights, pose.scale,
-        pose.height_m, fit.median_mm, fit.p95_mm, character.vrm,
+        name, digest, made, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
+        pose.height_m, median_mm, p95_mm, character.vrm,
     )  # fmt: skip
 
 

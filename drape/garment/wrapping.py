@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from drape.garment.cache import Garment
 from drape.garment.fine import corner_weights
 from drape.geometry import meshes
+from drape.geometry.symmetric import symmetric_factor
 
 STEPS, RELAXATION = 4, 1.5  # jeans of 886 vertices in a fast squat show 0.04 % skin in place of 4 (relaxation 1: 0.13)
 
@@ -31,8 +31,8 @@ class Wrapping:
         self._count = garment.vertex_count
         self._gather = sp.csr_matrix(self._weights.T)
         # Every delivered vertex is a fine one too, so the matrix is at least the identity.
-        product = sp.csc_matrix(self._gather @ self._weights)
-        self._factor = splu(product, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        product = self._gather @ self._weights
+        self._factor = symmetric_factor(product)
         self._faces = garment.fine_faces.astype(np.int64)
         self._table = meshes.face_table(self._faces, len(garment.vertices))
 

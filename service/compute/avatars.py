@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from drape.avatar.wearer import Wearer, load_wearer
 from drape.body.model import BodyModel
 from drape.errors import NotFound
@@ -179,6 +181,8 @@ def _facts(wearer: Wearer) -> dict[str, Any]:
         "nodes": list(wearer.nodes),
         "fit": {"median_mm": round(wearer.median_mm, 2), "p95_mm": round(wearer.p95_mm, 2)},
         "height_m": round(wearer.height_m, 4),
+        "rest_joints": np.round(wearer.body.joints_template, 6).tolist(),
+        "floor_m": round(float(wearer.body.v_template[:, 1].min()), 6),
         "scale": wearer.scale,
         "vrm": wearer.vrm or None,
         "vertices": len(wearer.vertices),

@@ -252,6 +252,8 @@ class AvatarInfo(BaseModel):
     nodes: list[str] = Field(description="All nodes of its file, parents first: the order of rig_poses.")
     fit: dict[str, float] = Field(description="How far its trunk and limbs are from the body that stands for it [mm].")
     height_m: float
+    rest_joints: list[list[float]] = Field(description="Of the body that stands for it [m], as BodyDocument has them.")
+    floor_m: float = Field(description="The height of its soles.")
     scale: float = Field(description="Metres per unit of its file.")
     vrm: str | None = Field(description="The version of VRM, where it is one.")
     vertices: int = Field(description="Of its own surface.")

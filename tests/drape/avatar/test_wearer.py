@@ -45,7 +45,7 @@ def test_a_character_in_an_a_pose_comes_to_the_t_pose(body: BodyModel):
 
 
 def test_our_body_in_another_shape_is_found(worn: Wearer, body: BodyModel):
-    assert worn.median_mm < 2.0 and worn.p95_mm < 6.0
+    assert worn.median_mm < 2.5 and worn.p95_mm < 10.0
     assert worn.scale == 0.01 and worn.vrm == "0"
     assert worn.height_m == pytest.approx(np.ptp(body.rest_vertices(BETAS)[:, 1]), abs=0.02)
     lengths = [np.linalg.norm(np.diff(joints[LIMBS[:3]], axis=0), axis=1) for joints in (

@@ -1,0 +1,37 @@
+"""A character that wears garments, in a line: ``client.avatar("me.vrm").wear("tshirt").play("walk")``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clients.calls import Motion
+
+if TYPE_CHECKING:
+    from clients.client import DrapeClient
+
+
+@dataclass(frozen=True)
+class Avatar:
+    """The character ``id`` of a service, and the garments that it wears, the innermost first, with their options."""
+
+    client: DrapeClient
+    id: str
+    garments: tuple[str, ...] = ()
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def wear(self, *garments: str, **options: Any) -> Avatar:
+        """The same character in ``garments``; ``options`` are those of ``drape.wire.options.DrapeOptions``."""
+        return Avatar(self.client, self.id, garments, options)
+
+    def play(self, motion: str | Motion, *, trans: np.ndarray | None = None) -> list[np.ndarray]:
+        """World vertices [m] (F, V, 3) of each garment over a clip, poses (F, 24, 3) [rad], or a sample clip's name."""
+        clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
+        return self.client.drape_outfit(self.garments, clip, trans=trans, avatar=self.id, **self.options)
+
+    def surface(self, motion: str | Motion, *, trans: np.ndarray | None = None) -> np.ndarray:
+        """World vertices [m] (F, V, 3) of its own surface in the same frames."""
+        clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
+        return self.client.posed_avatar(self.id, clip, trans=trans)

@@ -1,0 +1,73 @@
+"""The body of a character brought out to all that stands out of it, in its T-pose and where joints bend.
+
+What garments lie on must hold everything that is seen. In each of ``POSES`` the character's vertices that stand out of
+the posed skin, of the same part and facing the same way, tell by how much the skin is short there; it goes out by that
+along its normal in T-pose, smoothly, in rounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import scipy.sparse
+
+from drape.avatar.parts import counted_vertices, parts_of
+from drape.avatar.t_pose import TPose
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from drape.geometry import mesh_graphs, meshes, rigid, skinning
+from drape.geometry.closest import closest_point
+from drape.geometry.rotations import rotvec_to_matrix
+from drape.geometry.symmetric import symmetric_factor
+
+ROUNDS, MOST_M, MARGIN_M = 3, 0.03, 0.001  # a round brings the skin out by so much at most, and by a margin more
+FACING = 0.4  # the least cosine between normals of what stands out and of the skin below it
+SMOOTHING, PLAIN = 0.5, 0.05  # stiffness of the way out, and how much skin that is not short resists it
+REST: dict[str, tuple[float, float, float]] = {}
+ARMS_DOWN = {"left_shoulder": (0, 0, -70), "right_shoulder": (0, 0, 70)}
+SQUAT = {
+    **ARMS_DOWN, "left_hip": (-95, 0, 8), "right_hip": (-95, 0, -8), "left_knee": (105, 0, 0),
+    "right_knee": (105, 0, 0), "spine1": (20, 0, 0),
+}  # fmt: skip
+STRIDE = {
+    "left_shoulder": (0, 30, -60), "right_shoulder": (0, 30, 60), "left_elbow": (0, -60, 0), "right_elbow": (0, 60, 0),
+    "left_hip": (-40, 0, 0), "right_hip": (25, 0, 0), "right_knee": (45, 0, 0),
+}  # fmt: skip
+POSES = (REST, ARMS_DOWN, SQUAT, STRIDE)
+
+
+def covering(
+    vertices: np.ndarray, weights: np.ndarray, joints: np.ndarray, pose: TPose, surface: np.ndarray, body: BodyModel
+) -> np.ndarray:
+    """``vertices`` [m] (Vb, 3) of a skin with ``weights`` (Vb, 24) on ``joints`` [m] (24, 3), brought out to
+    ``surface`` [m] (V, 3), that of the character in ``pose`` in the same frame."""
+    counted, own, theirs = counted_vertices(pose), parts_of(body.weights), parts_of(pose.weights)
+    umbrella = mesh_graphs.umbrella_laplacian(body.faces, len(vertices))
+    square = scipy.sparse.csr_matrix(umbrella.T @ umbrella)
+    turned = [rotvec_to_matrix(_rotvecs(one))[None] for one in POSES]
+    bones = [rigid.bone_transforms(one, joints[None], PARENTS) for one in turned]
+    posed = [skinning.skin_points(surface[None], pose.weights, *one)[0] for one in bones]
+    for _ in range(ROUNDS):
+        height = np.zeros(len(vertices))
+        for move, seen in zip(bones, posed, strict=True):
+            skin = skinning.skin_points(vertices[None], weights, *move)[0]
+            found = closest_point(seen[counted], skin, body.faces)
+            corners = body.faces[found.face]
+            facing = np.einsum("vk,vkc->vc", found.barycentric, meshes.vertex_normals(skin, body.faces)[corners])
+            above = np.einsum("vc,vc->v", facing, seen[counted] - found.point)
+            agree = np.einsum("vc,vc->v", facing, meshes.vertex_normals(seen, pose.faces)[counted]) > FACING
+            short = np.where(agree & (own[corners[:, 0]] == theirs[counted]) & (above > 0.0), above + MARGIN_M, 0.0)
+            np.maximum.at(height, corners.reshape(-1), np.repeat(np.minimum(short, MOST_M), 3))
+        trust = np.where(height > 0.0, 1.0, PLAIN)
+        way = symmetric_factor(scipy.sparse.diags(trust) + SMOOTHING * square).solve(trust * height)
+        vertices = vertices + way[:, None] * meshes.vertex_normals(vertices, body.faces)
+    return vertices
+
+
+def _rotvecs(angles_deg: Mapping[str, tuple[float, float, float]]) -> np.ndarray:
+    """Rotation vectors [rad] (24, 3) of joints by name."""
+    found = np.zeros((JOINT_COUNT, 3))
+    for name, angles in angles_deg.items():
+        found[JOINT_NAMES.index(name)] = np.radians(angles)
+    return found

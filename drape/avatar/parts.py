@@ -1,0 +1,58 @@
+"""Parts of a body by whose bones move them: where a character's skin and ours are compared."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.avatar.t_pose import TPose
+from drape.body.skeleton import JOINT_NAMES
+
+PARTS = {
+    "trunk": ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar"),
+    "neck": ("neck",),
+    "head": ("head",),
+    **{f"{side}_{part}": tuple(f"{side}_{joint}" for joint in joints)
+       for side in ("left", "right") for part, joints in (("upper_arm", ("shoulder",)), ("forearm", ("elbow",)),
+       ("palm", ("wrist", "hand")), ("thigh", ("hip",)), ("shin", ("knee",)), ("sole", ("ankle", "foot")))},
+}  # fmt: skip
+CHAINS = (("upper_arm", "forearm", "palm"), ("thigh", "shin", "sole"))
+LIMBS = ("trunk", "upper_arm", "forearm", "thigh", "shin")  # where the fit is measured: what garments lie on
+
+
+def parts_of(weights: np.ndarray) -> np.ndarray:
+    """Which of ``PARTS`` each row of ``weights`` (V, 24) belongs to most."""
+    index = {name: joint for joint, name in enumerate(JOINT_NAMES)}
+    return np.argmax([weights[:, [index[name] for name in names]].sum(axis=1) for names in PARTS.values()], axis=0)
+
+
+def plain_part(part: str) -> str:
+    return part.removeprefix("left_").removeprefix("right_")
+
+
+def _beside(part: str) -> set[str]:
+    """``part`` and those that join it."""
+    found, plain = {part}, plain_part(part)
+    side = part.removesuffix(plain)
+    for chain in CHAINS:
+        if plain in chain:
+            place = chain.index(plain)
+            found |= {side + other for other in chain[max(0, place - 1) : place + 2]}
+            found |= {"trunk"} if place == 0 else set()
+    if part in ("trunk", "neck", "head"):
+        found |= {"neck"} | {"trunk": {f"{s}_{chain[0]}" for s in ("left", "right") for chain in CHAINS}}.get(
+            part, set()
+        )
+        found |= {"trunk", "head"} if part == "neck" else set()
+    return found
+
+
+def faces_beside(part: str, corners: np.ndarray) -> np.ndarray:
+    """The character's faces (n,) of ``part`` and of those that join it; ``corners`` (F, 3) are the corners' parts."""
+    names = list(PARTS)
+    return np.flatnonzero(np.isin(corners, [names.index(one) for one in _beside(part)]).all(axis=1))
+
+
+def counted_vertices(pose: TPose) -> np.ndarray:
+    """The character's vertices (n,) of trunk and limbs."""
+    wanted = [number for number, part in enumerate(PARTS) if plain_part(part) in LIMBS]
+    return np.intersect1d(np.flatnonzero(np.isin(parts_of(pose.weights), wanted)), pose.faces)

@@ -1,0 +1,82 @@
+"""Characters of users through the Python client and the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from clients.cli import main
+from clients.client import DrapeClient
+from drape.body.model import BodyModel
+from drape.errors import InputError, NotFound
+from tests.fixtures.characters import ARMS_DOWN_RAD, character
+
+
+BETAS = np.array([-1.0, *np.zeros(9)])  # a smaller body
+
+
+@pytest.fixture(scope="module")
+def file(body: BodyModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A character in a file."""
+    path = tmp_path_factory.mktemp("characters") / "ada.vrm"
+    path.write_bytes(character(body, betas=BETAS, vrm="1", arms_rad=ARMS_DOWN_RAD))
+    return path
+
+
+@pytest.fixture(scope="module")
+def client(live: str) -> Iterator[DrapeClient]:
+    with DrapeClient(live) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def ada(client: DrapeClient, file: Path) -> Iterator[str]:
+    """The character's id, while it is in the service."""
+    yield (name := client.avatar(file).id)
+    client.remove_avatar(name)
+
+
+def test_a_character_wears_and_plays_in_a_line(client: DrapeClient, ada: str):
+    (cloth,) = client.avatar(ada).wear("tube", folds=0).play("walk")
+    clip = client.motion("walk", avatar=ada)
+    assert_array_equal(cloth, client.drape("tube", clip, avatar=ada, folds=0))
+    surface = client.avatar(ada).surface(clip)
+    assert len(cloth) == len(surface) == clip.frame_count
+    assert (np.abs(cloth.mean(axis=1) - surface.mean(axis=1)) < 0.5).all()
+
+
+def test_a_clip_of_a_file_is_placed_for_it(client: DrapeClient, ada: str):
+    clip = client.motion("walk")
+    ours, theirs = client.placed(clip), client.placed(clip, avatar=ada)
+    assert not np.allclose(ours.trans, theirs.trans, atol=0.01)
+    assert ada in [avatar["id"] for avatar in client.avatars()]
+
+
+def test_other_files_and_unknown_ones_are_refused(client: DrapeClient, tmp_path: Path):
+    with pytest.raises(InputError, match=r"\.glb, \.vrm"):
+        client.upload_avatar(tmp_path / "me.fbx")
+    with pytest.raises(InputError, match="can be read"):
+        client.upload_avatar(tmp_path / "me.vrm")
+    with pytest.raises(NotFound, match="avatar"):
+        client.avatar("nobody").wear("tube").play("walk")
+
+
+def test_the_command_line_adds_wears_lists_and_removes(
+    live: str, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    named = file.with_name("bob.vrm")
+    named.write_bytes(file.read_bytes())
+    assert main(["avatars", "--url", live, "--add", str(named)]) == 0
+    name = capsys.readouterr().out.strip()
+    out = tmp_path / "out.glb"
+    asked = ["--garment", "tube", "--on", name, "--motion", "walk", "--fps", "5", "--out", str(out)]
+    assert main(["drape", "--url", live, *asked]) == 0 and out.stat().st_size > 1000
+    assert main(["avatars", "--url", live]) == 0
+    assert name in capsys.readouterr().out
+    assert main(["avatars", "--url", live, "--remove", name]) == 0
+    assert main(["avatars", "--url", live]) == 0
+    assert name not in capsys.readouterr().out
