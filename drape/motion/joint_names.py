@@ -22,7 +22,7 @@ _SCHEMES = {
         "hip": ("upleg", "thigh"),
         "knee": ("leg", "shin", "lowleg"),
         "ankle": ("foot",),
-        "foot": ("toebase", "toe"),
+        "foot": ("toebase", "toe", "toes"),
         "collar": ("shoulder", "clavicle"),
         "shoulder": ("arm", "uparm"),
         "elbow": ("forearm", "lowarm"),
