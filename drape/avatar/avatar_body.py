@@ -8,7 +8,7 @@ import hashlib
 import numpy as np
 import scipy.sparse
 
-from drape.avatar.body_fit import BodyFit
+from drape.avatar.body_fit import FEW_FACES, BodyFit
 from drape.avatar.covering import covering
 from drape.avatar.parts import PARTS, faces_beside, parts_of
 from drape.avatar.t_pose import TPose
@@ -54,7 +54,7 @@ def _weights(fit: BodyFit, pose: TPose, body: BodyModel) -> np.ndarray:
     weights, trust = body.weights.copy(), np.zeros((body.vertex_count, 1))
     for number, part in enumerate(PARTS):
         rows, faces = np.flatnonzero(own == number), faces_beside(part, theirs)
-        if not len(rows) or len(faces) < 8:
+        if not len(rows) or len(faces) < FEW_FACES:
             continue
         found = closest_point(fit.vertices[rows], pose.vertices, pose.faces[faces])
         corners = pose.faces[faces][found.face]

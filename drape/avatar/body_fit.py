@@ -27,7 +27,16 @@ from drape.geometry.symmetric import symmetric_factor
 STIFFNESS = (3e4, 1e4, 3e3, 1e3, 300.0, 100.0, 30.0, 10.0)
 REACH_M = (0.25, 0.2, 0.15, 0.12, 0.1, 0.08, 0.06, 0.05)  # how far a point may be that draws, in those rounds
 FACING = 0.4  # the least cosine between the normals of what draws and what is drawn
-NECK = JOINT_NAMES.index("neck")
+FEW_FACES = 8  # a part of fewer is none
+NECK, HEAD = JOINT_NAMES.index("neck"), JOINT_NAMES.index("head")
+SHOULDERS, COLLARS, HANDS = (
+    [JOINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right")] for joint in ("shoulder", "collar", "hand")
+)
+LIMB_JOINTS = tuple(
+    [JOINT_NAMES.index(f"{side}_{joint}") for joint in limb]
+    for side in ("left", "right")
+    for limb in (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist", "hand"))
+)
 TRUST = {"neck": 0.5, "head": 0.0, "palm": 0.0, "sole": 0.3}  # hair, fingers and shoes are no body: they follow
 
 
@@ -43,86 +52,92 @@ def fit_to(pose: TPose, body: BodyModel) -> BodyFit:
     """``body`` on the character in ``pose``."""
     joints = target_joints(pose.joints, body.joints_template)
     vertices = _scaled(body, joints)
-    own, theirs = parts_of(body.weights), parts_of(pose.weights)[pose.faces]
-    normals = meshes.face_normals(pose.vertices, pose.faces)
-    targets = {part: faces_beside(part, theirs) for part in PARTS}
-    laplacian = mesh_graphs.umbrella_laplacian(body.faces, len(vertices))
-    square = scipy.sparse.csr_matrix(laplacian.T @ laplacian)
-    for stiffness, reach in zip(STIFFNESS, REACH_M, strict=True):
-        near, trust = _drawn_to(vertices, own, body, pose, targets, normals, reach)
+    target = _Target(pose, body)
+    umbrella = mesh_graphs.umbrella_laplacian(body.faces, len(vertices))
+    square = scipy.sparse.csr_matrix(umbrella.T @ umbrella)
+    for stiffness, reach_m in zip(STIFFNESS, REACH_M, strict=True):
+        near, trust = target.near(vertices, reach_m)
         system = scipy.sparse.diags(trust + 1e-5) + stiffness * square
         vertices = vertices + symmetric_factor(system).solve(trust[:, None] * (near - vertices))
     return BodyFit(vertices, joints)
+
+
+class _Target:
+    """The character's surface, in parts, to which the skin of ``body`` is drawn."""
+
+    def __init__(self, pose: TPose, body: BodyModel) -> None:
+        self._pose, self._body, self._own = pose, body, parts_of(body.weights)
+        self._normals = meshes.face_normals(pose.vertices, pose.faces)
+        corners = parts_of(pose.weights)[pose.faces]
+        self._faces = [faces_beside(part, corners) for part in PARTS]
+        self._weights = [TRUST.get(plain_part(part), 1.0) for part in PARTS]
+
+    def near(self, vertices: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
+        """The point [m] (Vb, 3) that draws each of the skin's ``vertices``, and the trust (Vb,) in it: 0 where none
+        within ``reach_m`` faces the same way."""
+        near, trust = vertices.copy(), np.zeros(len(vertices))
+        facing = meshes.vertex_normals(vertices, self._body.faces)
+        for part, (faces, weight) in enumerate(zip(self._faces, self._weights, strict=True)):
+            rows, surface = np.flatnonzero(self._own == part), self._pose.faces[faces]
+            if not len(rows) or len(faces) < FEW_FACES or weight == 0.0:
+                continue
+            found = closest_point(vertices[rows], self._pose.vertices, surface)
+            agree = np.einsum("vc,vc->v", facing[rows], self._normals[faces][found.face]) > FACING
+            near[rows] = found.point
+            trust[rows] = weight * (agree & (found.distance < reach_m) & ~on_border(found, surface))
+        return near, trust
 
 
 def target_joints(found: np.ndarray, template: np.ndarray) -> np.ndarray:
     """The body's joints [m] (24, 3) on a character whose joints are ``found`` (24, 3), NaN where it has none.
 
     Rigs agree on hips, knees, ankles, shoulders, elbows, wrists and neck. The spine and the collars lie between them
-    as those of ``template`` do: every rig has them elsewhere.
+    as those of ``template`` do, because every rig has them elsewhere. Limbs that end early go on as long as before.
     """
-    index = {name: joint for joint, name in enumerate(JOINT_NAMES)}
-    rows = {name: template[joint] for name, joint in index.items()}
-    there = {name: found[joint] for name, joint in index.items() if np.isfinite(found[joint]).all()}
-    hips, shoulders = (
-        [0.5 * (side["left_" + name] + side["right_" + name]) for side in (rows, there)] for name in ("hip", "shoulder")
-    )
-    trunk = np.linalg.norm(shoulders[1] - hips[1]) / np.linalg.norm(shoulders[0] - hips[0])
-    lean = shoulders[1] - hips[1] - trunk * (shoulders[0] - hips[0])
-    joints = np.zeros((JOINT_COUNT, 3))
-    for joint in range(JOINT_COUNT):
-        way = template[joint] - hips[0]
-        share = np.clip(way[1] / (shoulders[0] - hips[0])[1], 0.0, 1.2)
-        joints[joint] = hips[1] + trunk * way + share * lean
-    wide = abs(there["left_shoulder"][0] - there["right_shoulder"][0]) / abs(
-        rows["left_shoulder"][0] - rows["right_shoulder"][0]
-    )
-    for side in ("left", "right"):
-        joint = index[f"{side}_collar"]
-        joints[joint, 0] = shoulders[1][0] + wide * (template[joint, 0] - shoulders[0][0])
-    limbs = ("hip", "knee", "ankle", "foot", "shoulder", "elbow", "wrist")
-    for name in ("neck", *(f"{side}_{limb}" for side in ("left", "right") for limb in limbs)):
-        if name in there:
-            joints[index[name]] = there[name]
-    head = index["head"]  # rigs begin it anywhere between nape and ears: never so low that the chin lies on the chest
-    joints[head] = joints[NECK] + trunk * (template[head] - template[NECK])
-    joints[head, 1] = max(joints[head, 1], there.get("head", joints[head])[1])
-    for side in ("left", "right"):
-        fore = np.linalg.norm(there[f"{side}_wrist"] - there[f"{side}_elbow"])
-        ours = np.linalg.norm(rows[f"{side}_wrist"] - rows[f"{side}_elbow"])
-        hand, wrist = index[f"{side}_hand"], index[f"{side}_wrist"]
-        joints[hand] = joints[wrist] + fore / ours * (template[hand] - template[wrist])
-        if f"{side}_foot" not in there:
-            foot, ankle = index[f"{side}_foot"], index[f"{side}_ankle"]
-            joints[foot] = joints[ankle] + trunk * (template[foot] - template[ankle])
+    there: np.ndarray = np.asarray(np.isfinite(found).all(axis=1))
+    hips, shoulders = (_middles(found, template, joint) for joint in ("hip", "shoulder"))
+    size = float(np.linalg.norm(shoulders[1] - hips[1]) / np.linalg.norm(shoulders[0] - hips[0]))
+    lean = shoulders[1] - hips[1] - size * (shoulders[0] - hips[0])
+    share = np.clip((template - hips[0])[:, 1] / (shoulders[0] - hips[0])[1], 0.0, 1.2)
+    joints = hips[1] + size * (template - hips[0]) + share[:, None] * lean
+    wide = np.diff(found[SHOULDERS, 0]) / np.diff(template[SHOULDERS, 0])
+    joints[COLLARS, 0] = shoulders[1][0] + wide * (template[COLLARS, 0] - shoulders[0][0])
+    if there[NECK]:
+        joints[NECK] = found[NECK]
+    # Rigs begin the head anywhere between nape and ears: never so low that the chin lies on the chest.
+    joints[HEAD] = joints[NECK] + size * (template[HEAD] - template[NECK])
+    if there[HEAD]:
+        joints[HEAD, 1] = max(joints[HEAD, 1], found[HEAD, 1])
+    for limb in LIMB_JOINTS:
+        scale = size
+        for joint in limb:
+            parent = PARENTS[joint]
+            if there[joint] and joint not in HANDS:
+                joints[joint] = found[joint]
+                if parent in limb:
+                    own = np.linalg.norm(template[joint] - template[parent])
+                    scale = float(np.linalg.norm(joints[joint] - joints[parent]) / own)
+            else:
+                joints[joint] = joints[parent] + scale * (template[joint] - template[parent])
     return joints
+
+
+def _middles(found: np.ndarray, template: np.ndarray, joint: str) -> list[np.ndarray]:
+    """The point between the left and the right ``joint`` in ``template``, and in ``found``."""
+    pair = [JOINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right")]
+    return [rows[pair].mean(axis=0) for rows in (template, found)]
 
 
 def _scaled(body: BodyModel, joints: np.ndarray) -> np.ndarray:
     """The skin of ``body`` with each bone moved and scaled on to ``joints``."""
     rest, scales = body.joints_template, np.ones(JOINT_COUNT)
-    trunk = np.linalg.norm(joints[NECK] - joints[0]) / np.linalg.norm(rest[NECK] - rest[0])
+    size = np.linalg.norm(joints[NECK] - joints[0]) / np.linalg.norm(rest[NECK] - rest[0])
     moved = np.zeros_like(body.v_template)
     for joint, end in enumerate(BONE_ENDS):
-        scales[joint] = scales[PARENTS[joint]] if PARENTS[joint] >= 0 else trunk
+        scales[joint] = scales[PARENTS[joint]] if PARENTS[joint] >= 0 else size
         if JOINT_NAMES[joint] in PARTS["trunk"] + PARTS["neck"] + PARTS["head"]:
-            scales[joint] = trunk
+            scales[joint] = size
         elif end >= 0:
             scales[joint] = np.linalg.norm(joints[end] - joints[joint]) / np.linalg.norm(rest[end] - rest[joint])
         moved += body.weights[:, joint, None] * (joints[joint] + scales[joint] * (body.v_template - rest[joint]))
     return moved
-
-
-def _drawn_to(vertices, own, body, pose, targets, normals, reach):  # type: ignore[no-untyped-def]
-    near, trust = vertices.copy(), np.zeros(len(vertices))
-    facing = meshes.vertex_normals(vertices, body.faces)
-    for number, (part, faces) in enumerate(targets.items()):
-        rows, weight = np.flatnonzero(own == number), TRUST.get(plain_part(part), 1.0)
-        if not len(rows) or len(faces) < 8 or weight == 0.0:
-            continue
-        found = closest_point(vertices[rows], pose.vertices, pose.faces[faces])
-        agree = np.einsum("vc,vc->v", facing[rows], normals[faces][found.face]) > FACING
-        close = found.distance < reach
-        near[rows] = found.point
-        trust[rows] = weight * (agree & close & ~on_border(found, pose.faces[faces]))
-    return near, trust

@@ -26,6 +26,7 @@ def parts_of(weights: np.ndarray) -> np.ndarray:
 
 
 def plain_part(part: str) -> str:
+    """The name of ``part`` without its side."""
     return part.removeprefix("left_").removeprefix("right_")
 
 
@@ -38,12 +39,9 @@ def _beside(part: str) -> set[str]:
             place = chain.index(plain)
             found |= {side + other for other in chain[max(0, place - 1) : place + 2]}
             found |= {"trunk"} if place == 0 else set()
-    if part in ("trunk", "neck", "head"):
-        found |= {"neck"} | {"trunk": {f"{s}_{chain[0]}" for s in ("left", "right") for chain in CHAINS}}.get(
-            part, set()
-        )
-        found |= {"trunk", "head"} if part == "neck" else set()
-    return found
+    if part == "trunk":
+        found |= {"neck", *(f"{side}_{chain[0]}" for side in ("left", "right") for chain in CHAINS)}
+    return found | {"neck": {"trunk", "head"}, "head": {"neck"}}.get(part, set())
 
 
 def faces_beside(part: str, corners: np.ndarray) -> np.ndarray:

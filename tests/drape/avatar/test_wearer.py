@@ -148,6 +148,8 @@ def test_joints_that_a_rig_lacks_lie_as_ours_do(body: BodyModel):
     for name in ("spine1", "spine2", "spine3", "left_collar", "right_collar", "head", "left_foot", "right_foot"):
         found[JOINT_NAMES.index(name)] = np.nan
     assert_allclose(target_joints(found, template), template, atol=1e-9)
+    found[[JOINT_NAMES.index(f"{side}_wrist") for side in ("left", "right")]] = np.nan
+    assert_allclose(target_joints(found, template), template, atol=1e-9)
     assert_allclose(target_joints(1.3 * found + 0.2, template), 1.3 * template + 0.2, atol=1e-9)
 
 
