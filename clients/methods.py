@@ -126,9 +126,13 @@ class Methods:
         """A PNG of a garment at rest on its body, ``size`` pixels along each side, 64 to 1,024."""
         return fetched("garments", garment, "preview.png", read=calls.read_bytes, accept="image/png", size=str(size))
 
-    def jet_layout(self, garment: str, resolution: Resolution = "delivered") -> Call[JetLayout]:
-        """The layout that makes vertices of a garment's jets, on its own mesh or a finer one; constant per garment."""
-        return fetched("garments", garment, "jets", read=calls.read_layout, accept=BINARY, resolution=resolution)
+    def jet_layout(
+        self, garment: str, resolution: Resolution = "delivered", avatar: str | None = None
+    ) -> Call[JetLayout]:
+        """The layout that makes vertices of a garment's jets, on its own mesh or a finer one; constant per garment and
+        per ``avatar`` that it is cut for."""
+        asked: dict[str, str] = {"resolution": resolution} | ({} if avatar is None else {"avatar": avatar})
+        return Call("GET", path_of("garments", garment, "jets"), calls.read_layout, asked, {"Accept": BINARY})
 
     def upload_garment(
         self,

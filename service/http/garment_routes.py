@@ -82,10 +82,15 @@ async def garment_mesh(
     responses=responses(InputError, NotFound, NotAcceptable, TooLarge, kinds=(BINARY,)),
 )
 async def garment_jets(
-    garment_id: str, request: Request, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
+    garment_id: str,
+    request: Request,
+    state: StateHere,
+    client: ClientHere,
+    resolution: Resolution = "delivered",
+    avatar: Annotated[str | None, Query(max_length=120, description="The character that it is cut for.")] = None,
 ) -> Response:
     """A LAYOUT message (docs/reference/wire.md), with which a client makes vertices of the garment's jets."""
-    entry = await state.garment(garment_id, client)
+    (entry,) = (await state.scene(garment_id, None, client, avatar=avatar)).layers
     entry = entry.fine if resolution == "fine" else entry
     kind = choose(request.headers.get("accept"), (BINARY,))
     headers = {"X-Drape-Vertices": str(entry.vertex_count), "X-Drape-Patches": str(entry.patch_count)}

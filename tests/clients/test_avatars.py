@@ -13,8 +13,8 @@ from clients.cli import main
 from clients.client import DrapeClient
 from drape.body.model import BodyModel
 from drape.errors import InputError, NotFound
+from tests.clients.node import answer_of
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
-
 
 BETAS = np.array([-1.0, *np.zeros(9)])  # a smaller body
 
@@ -80,3 +80,30 @@ def test_the_command_line_adds_wears_lists_and_removes(
     assert main(["avatars", "--url", live, "--remove", name]) == 0
     assert main(["avatars", "--url", live]) == 0
     assert name not in capsys.readouterr().out
+
+
+LIBRARY = """
+import { readFileSync } from "node:fs";
+import { connect } from "./core.js";
+const drape = await connect(input.url, { worker: null });
+const id = await drape.avatar(readFileSync(input.file), "eve.vrm");
+const layouts = [await drape.rest.jetLayout("tube", "delivered", id), await drape.rest.jetLayout("tube")];
+const ours = await drape.body();
+const theirs = await drape.body([], id);
+const [clip, other] = [await drape.motion("walk", [], id), await drape.motion("walk")];
+let refused = null;
+await drape.avatar(new Uint8Array(40), "broken.glb").catch((error) => (refused = error.expected));
+drape.close();
+const known = (await drape.avatars()).map((one) => one.id);
+console.log(JSON.stringify({ id, refused, known, joints: theirs.joints.length,
+  smaller: theirs.floor_m > ours.floor_m, placed: clip.trans[0][1] !== other.trans[0][1],
+  cut: Buffer.compare(...layouts.map((one) => Buffer.from(one))) !== 0 }));
+"""
+
+
+def test_the_web_library_sends_a_character(live: str, client: DrapeClient, file: Path, tmp_path: Path):
+    told = answer_of(LIBRARY, {"url": live, "file": str(file)}, tmp_path)
+    assert told["id"] in told["known"] and told["joints"] == 24
+    assert told["smaller"] and told["placed"] and told["cut"]
+    assert "GLB" in told["refused"]
+    client.remove_avatar(told["id"])

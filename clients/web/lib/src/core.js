@@ -6,6 +6,8 @@ import { Wearing } from "./wearing.js";
 export { DrapeError } from "./errors.js";
 export { clipSource } from "./sources.js";
 
+const POLL_MS = 200;
+
 export class Drape {
   // worker: a function that gives a Worker which imports "@drape/client/worker", or null for none; left out, our own.
   constructor(url, { key, ticket, worker } = {}) {
@@ -37,20 +39,38 @@ export class Drape {
     return this.rest.motions();
   }
 
-  // A clip with its numbers, on the ground for the body in the shape betas; fetched once.
-  motion(name, betas = []) {
-    const key = `${name} ${betas}`;
+  // A clip with its numbers, on the ground for the body in the shape betas or for an avatar; fetched once.
+  motion(name, betas = [], avatar = null) {
+    const key = `${name} ${avatar ?? betas}`;
     if (!this.motionsKept.has(key)) {
-      const fetched = this.rest.motion(name, betas);
+      const fetched = this.rest.motion(name, betas, avatar);
       fetched.catch(() => this.motionsKept.delete(key));
       this.motionsKept.set(key, fetched);
     }
     return this.motionsKept.get(key);
   }
 
-  // Rest joints [m] and height of the soles of the service's body.
-  body(betas = []) {
-    return this.rest.body(this.health.body, betas);
+  // Rest joints [m] and height of the soles of the service's body, or of an avatar.
+  async body(betas = [], avatar = null) {
+    if (avatar === null) return this.rest.body(this.health.body, betas);
+    const { rest_joints: joints, floor_m } = await this.rest.avatar(avatar);
+    return { joints, floor_m };
+  }
+
+  avatars() {
+    return this.rest.avatars();
+  }
+
+  // The id of the character in the bytes of a GLB or VRM, which wear() takes as its option avatar. Takes seconds.
+  async avatar(bytes, name = "avatar") {
+    let job = await this.rest.sendAvatar(bytes, name);
+    while (job.state === "queued" || job.state === "running") {
+      await new Promise((resolve) => setTimeout(resolve, POLL_MS));
+      job = await this.rest.job(job.id);
+    }
+    if (job.state === "done") return job.avatar;
+    const ended = { name: "avatar", expected: "a character", got: job.state, cure: "Send it again.", kind: "Unavailable" };
+    throw new DrapeError(job.problem ?? ended);
   }
 
   // The garment, or several over each other, the innermost first, as soon as the service has opened its stream.

@@ -3,6 +3,8 @@ import { DrapeError } from "./errors.js";
 
 const TICKET_S = 30; // for which a ticket is used again; the service takes it for 60 s
 
+const shapeOf = (betas, avatar) => (avatar === null ? `betas=${betas.join(",")}` : `avatar=${encodeURIComponent(avatar)}`);
+
 export class Rest {
   // base: the service's address. key: its text, or a function that says it. ticket: a function that promises a fresh
   // ticket, for pages that must not have the key.
@@ -85,8 +87,26 @@ export class Rest {
     return this.json("/motions");
   }
 
-  motion(id, betas = []) {
-    return this.json(`/motions/${encodeURIComponent(id)}?betas=${betas.join(",")}`);
+  motion(id, betas = [], avatar = null) {
+    return this.json(`/motions/${encodeURIComponent(id)}?${shapeOf(betas, avatar)}`);
+  }
+
+  avatars() {
+    return this.json("/avatars");
+  }
+
+  avatar(id) {
+    return this.json(`/avatars/${encodeURIComponent(id)}`);
+  }
+
+  // Sends a character, the bytes of a GLB or VRM; the answer is the job.
+  sendAvatar(bytes, name) {
+    const headers = { "Content-Type": "application/octet-stream" };
+    return this.json(`/avatars?name=${encodeURIComponent(name)}`, { method: "POST", body: bytes, headers });
+  }
+
+  job(id) {
+    return this.json(`/jobs/${encodeURIComponent(id)}`);
   }
 
   garmentMesh(id, resolution = "delivered") {
@@ -94,8 +114,9 @@ export class Rest {
     return this.json(path, { headers: { Accept: "application/json" } });
   }
 
-  jetLayout(id, resolution = "delivered") {
-    return this.#bytes(`/garments/${encodeURIComponent(id)}/jets?resolution=${resolution}`, "application/octet-stream");
+  jetLayout(id, resolution = "delivered", avatar = null) {
+    const path = `/garments/${encodeURIComponent(id)}/jets?resolution=${resolution}`;
+    return this.#bytes(avatar === null ? path : `${path}&avatar=${encodeURIComponent(avatar)}`, "application/octet-stream");
   }
 
   // Rest joints and height of the soles of a body in the shape betas.

@@ -42,9 +42,9 @@ export class RigSource {
     this.legM = lengthOf(LEG.map((joint) => this.#place(joint)));
   }
 
-  // Steps of the service's body are as much longer as its legs are.
-  async begin(drape, { betas } = {}) {
-    const { joints, floor_m } = await drape.body(betas);
+  // Steps of the body that is draped, the service's or an avatar's, are as much longer as its legs are.
+  async begin(drape, { betas, avatar } = {}) {
+    const { joints, floor_m } = await drape.body(betas, avatar);
     this.floorM = floor_m;
     this.scale = lengthOf(LEG.map((joint) => new Vector3(...joints[joint]))) / this.legM;
   }

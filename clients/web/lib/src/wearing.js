@@ -39,7 +39,7 @@ export class Wearing {
     const fetched = shown.map(async (id) => {
       const [mesh, layout] = await Promise.all([
         this.drape.rest.garmentMesh(id, resolution),
-        geometry === "jets" ? this.drape.rest.jetLayout(id, resolution) : null,
+        geometry === "jets" ? this.drape.rest.jetLayout(id, resolution, this.options.avatar) : null,
       ]);
       return { id, layout, ...topologyOf(mesh) };
     });
@@ -106,7 +106,7 @@ export class Wearing {
   async play(motion, choice) {
     this.stop();
     const { turn } = this;
-    const clip = typeof motion === "string" ? await this.drape.motion(motion, this.options.betas) : motion;
+    const clip = typeof motion === "string" ? await this.drape.motion(motion, this.options.betas, this.options.avatar) : motion;
     if (turn === this.turn) await this.follow(clipSource(clip, choice));
   }
 

@@ -46,6 +46,8 @@ export interface DrapeOptions {
 
 /** What stays as it is for as long as a garment is worn. */
 export interface WearOptions extends DrapeOptions {
+  /** The id of a character that wears it: see `Drape.avatar`. */
+  avatar?: string;
   geometry?: "vertices" | "jets";
   resolution?: "delivered" | "fine";
 }
@@ -165,14 +167,27 @@ export interface BodyInfo {
   floor_m: number;
 }
 
+/** A user's character that wears garments: which of its nodes is which joint, and how well our body fits it. */
+export interface AvatarInfo {
+  id: string;
+  joints: Record<string, string>;
+  fit: { median_mm: number; p95_mm: number };
+  height_m: number;
+  rest_joints: [number, number, number][];
+  floor_m: number;
+}
+
 export class Drape {
   readonly health: { model: string; body: string; layers: number; version: string };
   garments(): Promise<GarmentInfo[]>;
   fabrics(): Promise<FabricInfo[]>;
   tiers(): Promise<TierInfo[]>;
   motions(): Promise<MotionInfo[]>;
-  motion(name: string, betas?: number[]): Promise<Motion>;
-  body(betas?: number[]): Promise<BodyInfo>;
+  motion(name: string, betas?: number[], avatar?: string | null): Promise<Motion>;
+  body(betas?: number[], avatar?: string | null): Promise<BodyInfo>;
+  avatars(): Promise<AvatarInfo[]>;
+  /** Sends a character, the bytes of a GLB or VRM, and gives its id when garments can be cut for it; takes seconds. */
+  avatar(bytes: ArrayBuffer | Blob | Uint8Array<ArrayBuffer>, name?: string): Promise<string>;
   wear(garments: string | string[], options?: WearOptions): Promise<Wearing>;
   close(): void;
 }
