@@ -94,7 +94,7 @@ def test_a_good_file_becomes_a_garment_that_can_be_draped(
     seen: list[dict] = []
     job = finished(uploads, post(uploads, garment_obj(tube), name="My Tube.obj", avatar="standard"), seen)
     assert job["state"] == "done", job
-    stages = [list(SHARES).index(one["stage"]) for one in seen if one["stage"] is not None]
+    stages = [list(SHARES["garment"]).index(one["stage"]) for one in seen if one["stage"] is not None]
     assert stages == sorted(stages) and len(set(stages)) > 1
     shares = [one["share"] for one in [*seen, job]]
     assert shares == sorted(shares) and shares[-1] == 1.0
@@ -315,7 +315,7 @@ def test_a_garment_that_is_cancelled_as_it_is_stored_is_not_kept(
     (folder / "out").mkdir(parents=True)
     made = save_garment(tube, folder / "out")
 
-    async def as_taken_in(*_: object) -> dict[str, str]:
+    async def as_taken_in(*_: object, **__: object) -> dict[str, str]:
         return {"file": made.name}
 
     async def cancelled() -> None:
