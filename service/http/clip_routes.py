@@ -55,7 +55,8 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     With origin "root" positions count from each frame's root, and the roots follow them, float64 (frames, 3). The
     vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry "jets"
     the answer holds a JETS message per frame (docs/reference/wire.md), binary only. With streamed frames leave as they
-    are ready; with keep and past a clip comes in pieces that are the whole clip.
+    are ready; with keep and past a clip comes in pieces that are the whole clip. With rig_poses in place of poses an
+    avatar moves by its own rig (docs/guide/avatars.md).
     """
     state.check_slot()  # before anything is read
     asked, clip = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
@@ -150,6 +151,8 @@ async def _clip(
     Poses of an avatar's own rig become ours.
     """
     body, most, brief = state.runtime.body, state.runtime.settings.max_frames, state.sliced_thread.brief
+    asked: Any
+    wearer = None
     if content_type(request) == BINARY:
         sent = await request.body()
         text, poses, trans = unpack_clip(sent)
@@ -158,20 +161,17 @@ async def _clip(
     else:
         sent = await json_text(request)
         await check_marks(sent, state.sliced_thread, most_marks=clip_marks(most))
-        read = await brief(sent, validated, whole, await brief(sent, parsed, sent))
-        poses, trans = read.poses, read.trans
-        assert isinstance(read, options)
-        asked = read
-    avatar, rig_poses = getattr(asked, "avatar", None), getattr(asked, "rig_poses", None)  # of a garment's request
-    if avatar is not None:
-        wearer = await asyncio.to_thread(_wearer, avatar, state, client)
-        body = wearer.body
-        if rig_poses is not None:
-            check_rig_frames(poses, rig_poses, trans, most)
-            poses, trans = await asyncio.to_thread(wearer.from_rig, rig_poses, trans)
-    elif rig_poses is not None:
-        cure = "Name the avatar whose rig this is."
-        raise InputError("rig_poses", expected="an avatar", got="none", cure=cure)
+        document = await brief(sent, parsed, sent)
+        on_rig = options is schemas.ClipOptions and isinstance(document, dict) and "rig_poses" in document
+        asked = await brief(sent, validated, schemas.RigDrapeRequest if on_rig else whole, document)
+        poses, trans = asked.rig_poses if on_rig else asked.poses, asked.trans
+        if on_rig:
+            check_rig_frames(poses, trans, most)
+            wearer = await asyncio.to_thread(_wearer, asked.avatar, state, client)
+            poses, trans = await asyncio.to_thread(wearer.from_rig, poses, trans)
+    if wearer is None and options is schemas.ClipOptions and asked.avatar is not None:
+        wearer = await asyncio.to_thread(_wearer, asked.avatar, state, client)
+    body = body if wearer is None else wearer.body
     poses, trans = await brief(sent, partial(motion_arrays, poses, trans, max_frames=most))
     return asked, PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
 
@@ -181,16 +181,9 @@ def _wearer(avatar: str, state: State, client: Client) -> Wearer:
     return avatars.wearer(avatars.get(avatar, client.name).id)
 
 
-def check_rig_frames(
-    poses: Sequence[object] | np.ndarray,
-    rig_poses: Sequence[object],
-    trans: Sequence[object] | np.ndarray | None,
-    most: int,
-) -> None:
-    """Refuses poses of ours beside those of a rig, too many, and another number of places."""
+def check_rig_frames(rig_poses: Sequence[object], trans: Sequence[object] | None, most: int) -> None:
+    """Refuses too many poses of a rig, and another number of places."""
     frames = len(rig_poses)
-    if len(poses):
-        raise MotionError("poses", expected="poses or rig_poses", got="both", cure="Send one of the two.")
     if frames > most:
         raise TooLarge("rig_poses", expected=f"at most {most} frames", got=str(frames), cure="Send fewer.")
     if trans is not None and len(trans) != frames:

@@ -94,12 +94,14 @@ class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
 class DrapeRequest(ClipOptions, PosedRequest):
     """A garment, or several over each other, on a body in motion."""
 
-    poses: Annotated[list[PoseRows], FIRST_ONLY] = Field(default_factory=list)
-    rig_poses: Annotated[list[RigRows], Len(1), FIRST_ONLY] | None = Field(
-        default=None,
-        description="Instead of poses, of an avatar: the local rotation of each of its nodes, as x, y, z, w. trans is "
-        "then where the node of the pelvis is [m], at its rest place where it is left out, and the answer is in the "
-        "world of the rig.",
+
+class RigDrapeRequest(ClipOptions):
+    """The same on an avatar in poses of its own rig: the local rotation of each of its nodes, as x, y, z, w."""
+
+    avatar: Identifier = Field()  # which must be named here
+    rig_poses: Annotated[list[RigRows], Len(1), FIRST_ONLY]
+    trans: Annotated[list[Place], FIRST_ONLY] | None = Field(
+        default=None, description="Where the node of the pelvis is [m], per frame; at its rest place if left out."
     )
 
 
