@@ -25,6 +25,7 @@ from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth.fabric_table import fabric
 from drape.errors import Unavailable
 from drape.files.data import data_folder
+from drape.files.formats import AVATAR_SUFFIXES
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.garment.tailor import tailored
@@ -35,7 +36,6 @@ from drape.motion.rig_poses import poses_to_rig
 from service.stages.folds import SETTLE
 
 FPS, LOOKED_AT = 30.0, 8  # of the frames of a clip skin is counted in so many
-SUFFIXES = (".glb", ".vrm")
 COLUMNS = {
     "avatar": "s", "garment": "s", "clip": "s", "joints": "d", "fit_median_mm": ".1f", "fit_p95_mm": ".1f",
     "read_s": ".1f", "cut_s": ".1f", "retarget_deg": ".2f", "skin_pixels_pct": ".3f", "worst_pct": ".2f", "resets": "d",
@@ -46,7 +46,7 @@ def characters(given: tuple[str, ...]) -> list[Path]:
     """The files that were ``given``, or those in the folder of avatars in DRAPE_DATA."""
     folder = data_folder("avatars")
     paths = [Path(one) for one in given] or ([] if folder is None else sorted(folder.iterdir()))
-    found = [path for path in paths if path.suffix.lower() in SUFFIXES]
+    found = [path for path in paths if path.suffix.lower() in AVATAR_SUFFIXES]
     if not found:
         cure = "Name files: --avatars me.vrm, or set DRAPE_DATA."
         raise Unavailable("avatars", expected="GLB or VRM files", got="none", cure=cure)

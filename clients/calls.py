@@ -16,7 +16,7 @@ import numpy as np
 from clients.refusals import refusal
 from drape.errors import InputError, MotionError
 from drape.files.avatar_table import entry_for
-from drape.files.formats import MESH_SUFFIXES
+from drape.files.formats import AVATAR_SUFFIXES, MESH_SUFFIXES
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import placed_on_ground
 from drape.wire.clips import check_motion, pack_clip
@@ -32,7 +32,6 @@ BINARY, GLB = "application/octet-stream", "model/gltf-binary"
 DEFAULT_URL = "http://127.0.0.1:8000"
 DEFAULT_FPS = 30.0
 DRAPE = "/drape"
-AVATAR_SUFFIXES = (".glb", ".vrm")
 STREAMED: Options = {"streamed": True}  # so that the answer may be of any length
 
 

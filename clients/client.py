@@ -18,10 +18,11 @@ from typing import Any, Concatenate, ParamSpec
 import httpx
 
 from clients.avatar import Avatar
-from clients.calls import AVATAR_SUFFIXES, DEFAULT_URL, Answer, Call, key_headers
+from clients.calls import DEFAULT_URL, Answer, Call, key_headers
 from clients.methods import Methods, Pause, Steps
 from clients.refusals import unreachable
 from drape.errors import DrapeError
+from drape.files.formats import AVATAR_SUFFIXES
 
 # A clip of a thousand frames takes a while on a small machine; connecting does not.
 TIMEOUT = httpx.Timeout(300.0, connect=5.0)

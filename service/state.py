@@ -16,6 +16,7 @@ from service.errors import Busy, Draining
 from service.guard.keys import Client
 
 if TYPE_CHECKING:
+    from drape.avatar.wearer import Wearer
     from service.compute.drape_runtime import DrapeRuntime
     from service.compute.threads import SlicedThread
     from service.guard.access import Access
@@ -62,6 +63,11 @@ class State:
         worn_by = None if avatar is None else avatars.get(avatar, client.name).id
         scene = await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
         return scene if worn_by is None else await asyncio.to_thread(avatars.dress, worn_by, scene)
+
+    async def wearer(self, avatar: str, client: Client) -> Wearer:
+        """The wearer of an avatar that ``client`` may know of; read from the disk where it wears nothing yet."""
+        avatars = self.runtime.avatars
+        return await asyncio.to_thread(avatars.wearer, avatars.get(avatar, client.name).id)
 
     def watch(self) -> None:
         """Lets the metrics and the readiness look at what runs."""

@@ -14,7 +14,7 @@ from drape.avatar.parts import PARTS, faces_beside, parts_of
 from drape.avatar.t_pose import TPose
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
-from drape.geometry import mesh_graphs
+from drape.garment.skin import smoothing_matrix
 from drape.geometry.closest import closest_point
 
 SUPPORT = 200  # vertices of the skin that place a joint
@@ -61,10 +61,9 @@ def _weights(fit: BodyFit, pose: TPose, body: BodyModel) -> np.ndarray:
         weights[rows] = np.einsum("vk,vkj->vj", found.barycentric, pose.weights[corners])
         trust[rows, 0] = np.clip(2.0 - found.distance / TRUSTED_M, 0.0, 1.0)
     blended = trust * weights + (1.0 - trust) * body.weights
-    near = mesh_graphs.adjacency(body.faces, body.vertex_count)
-    mean = scipy.sparse.diags(1.0 / np.maximum(np.asarray(near.sum(axis=1)).reshape(-1), 1.0)) @ near
+    smooth = smoothing_matrix(body.faces, body.vertex_count)
     for _ in range(SMOOTHING_PASSES):
-        blended = 0.5 * (blended + mean @ blended)
+        blended = smooth @ blended
     blended = np.where(blended > 1e-3, blended, 0.0)
     return blended / blended.sum(axis=1, keepdims=True)
 

@@ -27,17 +27,15 @@ TRIANGLES = 4
 class Character:
     """Nodes and surface of a character.
 
-    ``names`` and ``parents`` (-1: none) of N nodes, parents before children; ``local`` (N, 4, 4) their rest transforms
-    relative to the parent, ``world`` (N, 4, 4) in the file's space; ``node`` (N,) their numbers in the file.
+    ``names`` and ``parents`` (-1: none) of N nodes, parents before children; ``world`` (N, 4, 4) their rest transforms
+    in the file's space.
     ``vertices`` (V, 3) at rest, ``faces`` (F, 3), ``weights`` (V, N), rows sum to one. ``humanoid``: VRM's bones and
     their places among the N; empty where the file is no VRM. ``vrm``: "0", "1" or "".
     """
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
-    local: np.ndarray
     world: np.ndarray
-    node: np.ndarray
     vertices: np.ndarray
     faces: np.ndarray
     weights: scipy.sparse.csr_matrix
@@ -55,11 +53,10 @@ def read_character(payload: bytes, *, label: str = "avatar") -> Character:
     file = GltfFile(payload, label=label)
     order, parents = _tree(file)
     place = {node: number for number, node in enumerate(order)}
-    local = np.stack([_transform(file, node) for node in order])
-    world = local.copy()
+    world = np.stack([_transform(file, node) for node in order])
     for number, parent in enumerate(parents):
         if parent >= 0:
-            world[number] = world[parent] @ local[number]
+            world[number] = world[parent] @ world[number]
     parts = [
         _part(file, file.item("nodes", node), place, world) for node in order if "skin" in file.item("nodes", node)
     ]
@@ -71,13 +68,13 @@ def read_character(payload: bytes, *, label: str = "avatar") -> Character:
             got="no mesh with a skin",
             cure="Export the character with its armature and its skin weights.",
         )
-    vertices, faces, weights = _joined([part for part in parts if part is not None], len(order))
+    vertices, faces, weights = _joined(parts, len(order))
     _check_size(vertices, faces, weights, label)
     humanoid, version = _vrm_bones(file, place)
     names = tuple(str(file.item("nodes", node).get("name", ""))[:120] for node in order)
     vertices, faces, weights = _welded(vertices, faces, weights)
     return Character(
-        names, parents, local, world, np.array(order), vertices, faces, weights, humanoid, version
+        names, parents, world, vertices, faces, weights, humanoid, version
     )  # fmt: skip
 
 

@@ -33,7 +33,6 @@ from drape.geometry.skinning import skin_points
 from drape.motion.rig_poses import Rig, rig_to_poses
 
 FORMAT_VERSION = 1
-STAGES = ("read", "map", "fit", "store")
 FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's
 LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # lengths of characters that drape
 
@@ -107,8 +106,8 @@ def read_wearer(
 ) -> Wearer:
     """The wearer in the bytes of a GLB or VRM file, for garments of ``body``, the standard one by default.
 
-    ``told`` as in ``rig_of``; ``begun`` gets each of ``STAGES`` as it begins. Raises ``MeshError``, ``MotionError``,
-    ``BodyError`` or ``NotFound`` for what is no person with a skeleton and a skin.
+    ``told`` as in ``rig_of``; ``begun`` gets each stage as it begins: read, map, fit. Raises ``MeshError``,
+    ``MotionError``, ``BodyError`` or ``NotFound`` for what is no person with a skeleton and a skin.
     """
     begins = begun or (lambda stage: None)
     begins("read")

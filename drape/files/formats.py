@@ -44,6 +44,7 @@ MESH_FORMATS: tuple[MeshFormat, ...] = (
     MeshFormat("stl", ("model/stl", "application/sla"), "ply_stl.read_stl", _is_stl),
 )
 MESH_NAMES: tuple[str, ...] = tuple(one.name for one in MESH_FORMATS)
+AVATAR_SUFFIXES = (".glb", ".vrm")
 MESH_SUFFIXES: tuple[str, ...] = tuple(one.suffix for one in MESH_FORMATS)
 MESH_CONTENT_TYPES: dict[str, str] = {kind: one.name for one in MESH_FORMATS for kind in one.content_types}
 

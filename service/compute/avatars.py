@@ -18,7 +18,7 @@ from drape.body.model import BodyModel
 from drape.errors import NotFound
 from drape.garment.tailor import tailored, tailored_digest
 from service.compute import garment_files
-from service.compute.body_stages import BodyStages
+from service.stages.body_stages import BodyStages
 from service.stages.scene import Entry, Outfit, Scene
 from service.stages.stage import Make, call_here
 
@@ -133,10 +133,6 @@ class Avatars:
         """The wearer of the avatar ``name``; from any thread."""
         return self._dressed(name).wearer
 
-    def dressed(self, name: str) -> BodyStages:
-        """The body of the avatar ``name`` and its stages."""
-        return self._dressed(name).stages
-
     def _dressed(self, name: str) -> _Dressed:
         with self._one:
             if name not in self._worn:
@@ -150,7 +146,7 @@ class Avatars:
     def dress(self, name: str, scene: Scene) -> Scene:
         """The garments of ``scene`` cut for the avatar ``name``; seconds for each that it never wore."""
         dressed = self._dressed(name)
-        layers = tuple(dressed.cut(layer, name) for layer in scene.layers)
+        layers = tuple(dressed.cut(layer) for layer in scene.layers)
         return Outfit(layers) if isinstance(scene, Outfit) else layers[0]
 
 
@@ -162,13 +158,13 @@ class _Dressed:
         self._cut: dict[str, Entry] = {}
         self._one = threading.Lock()
 
-    def cut(self, entry: Entry, avatar: str) -> Entry:
+    def cut(self, entry: Entry) -> Entry:
         """``entry`` for this avatar."""
         digest = tailored_digest(entry.garment, self.wearer.body)
         with self._one:
             if digest not in self._cut:
                 garment = self._make(tailored, entry.garment, self._standard, self.wearer.body)
-                self._cut[digest] = replace(entry, garment=garment, avatar=avatar)
+                self._cut[digest] = replace(entry, garment=garment, worn=self.stages)
             return self._cut[digest]
 
 

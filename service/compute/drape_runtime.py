@@ -16,7 +16,6 @@ from drape.body.model import BodyModel
 from drape.errors import DrapeError, InputError, NotFound
 from drape.wire.options import DrapeOptions
 from service.compute.avatars import Avatars
-from service.compute.body_stages import BodyStages
 from service.compute.constants_process import ConstantsProcess
 from service.compute.garments import Registry
 from service.compute.motions import Motions
@@ -27,6 +26,7 @@ from service.graphs.engine import Engine
 from service.graphs.onnx_runtime import Device
 from service.stages import make_stages
 from service.stages.batch import Batch, Memories, PoseInput, Quality
+from service.stages.body_stages import BodyStages
 from service.stages.encode import Idle, answer_again, idle_before, remember
 from service.stages.plan import Plan, make_plan
 from service.stages.stage import Stage, StageSetup, run, walk
@@ -93,8 +93,7 @@ class DrapeRuntime:
 
     def on(self, scene: Scene) -> BodyStages:
         """The body that wears ``scene``, and its stages."""
-        avatar = scene.layers[0].avatar
-        return self._worn if avatar is None else self.avatars.dressed(avatar)
+        return scene.layers[0].worn or self._worn
 
     def close(self) -> None:
         """Waits for the running chunk, and ends threads and processes."""

@@ -20,8 +20,8 @@ from drape.geometry.jets import JET_COUNT
 from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import check_layers
 from service.compute import garment_files
-from service.compute.body_stages import BodyStages
 from service.errors import TooLarge
+from service.stages.body_stages import BodyStages
 from service.stages.scene import UNCHANGED, About, Entry, Outfit, Scene, Source
 from service.stages.stage import Make, call_here
 

@@ -12,16 +12,16 @@ import numpy as np
 from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import Field
 
-from drape.avatar.wearer import Wearer
 from drape.errors import InputError, NotFound
+from drape.files.formats import AVATAR_SUFFIXES
 from service.compute.avatars import AvatarEntry
 from service.errors import Full, TooLarge, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, json_answer
-from service.http.garment_routes import KNOWN, LEAST, MOST, PNG, USUAL
+from service.http.garment_routes import KNOWN, LEAST, MOST, USUAL
 from service.http.json_body import document_of, json_text, validated
 from service.http.openapi import BYTES, body_schema, responses
-from service.http.pictures import picture
+from service.http.pictures import PNG, picture, preview
 from service.http.problems import check_query
 from service.http.upload_routes import job_info
 from service.state import ClientHere, StateHere
@@ -29,7 +29,6 @@ from service.state import ClientHere, StateHere
 router = APIRouter()
 PIECE_BYTES = 1 << 20
 KINDS = (BINARY, "model/gltf-binary", "model/vrm")
-SUFFIXES = ("glb", "vrm")
 
 
 class AvatarChange(schemas.Request):
@@ -57,7 +56,7 @@ async def add_avatar(
     check_query(request.query_params, ("name",))
     state.uploads.check_place(client)  # before anything is read
     stem, dot, suffix = (name or "").rpartition(".")
-    stem = stem if dot and suffix.lower() in SUFFIXES else name or ""
+    stem = stem if f"{dot}{suffix.lower()}" in AVATAR_SUFFIXES else name or ""
     if not stem:
         raise InputError("name", expected="the avatar's name", got="nothing", cure="Give ?name=me.vrm.")
     job = await state.uploads.submit(stem, "glb", request.stream(), None, client, kind="avatar")
@@ -106,9 +105,8 @@ async def delete_avatar(avatar_id: str, state: StateHere, client: ClientHere) ->
 @router.get("/avatars/{avatar_id}/mesh", response_model=schemas.MeshDocument, responses=responses(NotFound))
 async def avatar_mesh(avatar_id: str, state: StateHere, client: ClientHere) -> Response:
     """The character's own surface in T-pose [m], welded, in the place of our body."""
-    entry = state.runtime.avatars.get(avatar_id, client.name)
-    wearer = await asyncio.to_thread(state.runtime.avatars.wearer, entry.id)
-    document = {"id": entry.id, "vertices": wearer.vertices.astype(np.float32), "faces": wearer.faces, "uv": []}
+    wearer = await state.wearer(avatar_id, client)
+    document = {"id": avatar_id, "vertices": wearer.vertices.astype(np.float32), "faces": wearer.faces, "uv": []}
     document |= {"uv_faces": [], "materials": ["avatar"], "face_material": np.zeros(len(wearer.faces), int)}
     return json_answer(document, state.sliced_thread)
 
@@ -127,20 +125,13 @@ async def avatar_preview(
 ) -> Response:
     """A picture of the character in T-pose, from the front and a little from the side."""
     entry = state.runtime.avatars.get(avatar_id, client.name)
-    tag = f'"{entry.told["digest"][:16]}-{size}"'
-    headers = {"ETag": tag, "Cache-Control": "private, max-age=86400"}
-    if if_none_match is not None and {tag, "*"} & {one.strip().removeprefix("W/") for one in if_none_match.split(",")}:
-        return Response(status_code=304, headers=headers)
-    made = state.previews.get(entry.told["digest"], size)
-    if made is None:
-        wearer = await asyncio.to_thread(state.runtime.avatars.wearer, entry.id)
-        made = await asyncio.to_thread(state.runtime.constants_process.call, _pictured, wearer, size)
-        state.previews.keep(entry.told["digest"], size, made)
-    return Response(made, media_type=PNG, headers=headers)
 
+    async def made() -> bytes:
+        wearer = await state.wearer(avatar_id, client)
+        surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
+        return await asyncio.to_thread(state.runtime.constants_process.call, picture, surface, None, size)
 
-def _pictured(wearer: Wearer, size: int) -> bytes:
-    return picture((wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)), None, size)
+    return await preview(state.previews, entry.told["digest"], size, if_none_match, made)
 
 
 async def _pieces(file: Path) -> AsyncIterator[bytes]:

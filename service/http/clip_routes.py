@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from fastapi import APIRouter, Request, Response
 
-from drape.avatar.wearer import Wearer
 from drape.errors import BodyError, InputError, MotionError, NotFound
 from drape.export.usda import POINT_BYTES
 from drape.wire.clips import unpack_clip
@@ -131,13 +130,12 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
 )
 async def posed_avatar(avatar_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
     """The vertices of a character's own surface in poses of ours, as garments on it are draped."""
-    runtime = state.runtime
-    entry = runtime.avatars.get(avatar_id, client.name)
+    state.runtime.avatars.get(avatar_id, client.name)
     state.check_slot()
     asked, clip = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state, client)
     kind = choose(request.headers.get("accept"), (BINARY, JSON))
-    wearer = await asyncio.to_thread(runtime.avatars.wearer, entry.id)
-    _check_size(kind, len(clip.poses), len(wearer.vertices), runtime.settings)
+    wearer = await state.wearer(avatar_id, client)
+    _check_size(kind, len(clip.poses), len(wearer.vertices), state.runtime.settings)
     with state.access.using(client, "clips"), state.slot():
         posed = await asyncio.to_thread(wearer.posed, clip.poses, clip.trans)
         return await _vertices_answer(Placed(posed.astype(np.float32)), asked.fps, kind, state)
@@ -167,18 +165,13 @@ async def _clip(
         poses, trans = asked.rig_poses if on_rig else asked.poses, asked.trans
         if on_rig:
             check_rig_frames(poses, trans, most)
-            wearer = await asyncio.to_thread(_wearer, asked.avatar, state, client)
+            wearer = await state.wearer(asked.avatar, client)
             poses, trans = await asyncio.to_thread(wearer.from_rig, poses, trans)
     if wearer is None and options is schemas.ClipOptions and asked.avatar is not None:
-        wearer = await asyncio.to_thread(_wearer, asked.avatar, state, client)
+        wearer = await state.wearer(asked.avatar, client)
     body = body if wearer is None else wearer.body
     poses, trans = await brief(sent, partial(motion_arrays, poses, trans, max_frames=most))
     return asked, PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
-
-
-def _wearer(avatar: str, state: State, client: Client) -> Wearer:
-    avatars = state.runtime.avatars
-    return avatars.wearer(avatars.get(avatar, client.name).id)
 
 
 def check_rig_frames(rig_poses: Sequence[object], trans: Sequence[object] | None, most: int) -> None:

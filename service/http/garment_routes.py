@@ -17,7 +17,7 @@ from service.http.answers import BINARY, GLB, JSON, choose, file_answer, json_an
 from service.http.clip_files import rest_file
 from service.http.json_body import document_of, json_text, validated
 from service.http.openapi import Responses, body_schema, responses
-from service.http.pictures import picture
+from service.http.pictures import PNG, picture, preview
 from service.state import ClientHere, State, StateHere
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side
-PNG = "image/png"
 KNOWN: Responses = {304: {"description": "The picture that the client has is this one."}}
 
 
@@ -111,20 +110,14 @@ async def garment_preview(
 ) -> Response:
     """A picture of the delivered mesh at rest on the standard body, from the front and a little from the side."""
     garment, body = (await state.garment(garment_id, client)).garment, state.runtime.body
-    tag = f'"{garment.digest[:16]}-{size}"'
-    headers = {"ETag": tag, "Cache-Control": "private, max-age=86400"}
-    if if_none_match is not None and {tag, "*"} & {one.strip().removeprefix("W/") for one in if_none_match.split(",")}:
-        return Response(status_code=304, headers=headers)
-    made = state.previews.get(garment.digest, size)
-    if made is None:
+
+    async def made() -> bytes:
         cloth = garment.vertices[: garment.vertex_count].astype(np.float64)
-        faces = garment.faces.astype(np.int64)
-        skin = body.rest_vertices(np.zeros(body.shape_count))
-        made = await asyncio.to_thread(
-            state.runtime.constants_process.call, picture, (cloth, faces), (skin, body.faces.astype(np.int64)), size
-        )
-        state.previews.keep(garment.digest, size, made)
-    return Response(made, media_type=PNG, headers=headers)
+        worn = (cloth, garment.faces.astype(np.int64))
+        skin = (body.rest_vertices(np.zeros(body.shape_count)), body.faces.astype(np.int64))
+        return await asyncio.to_thread(state.runtime.constants_process.call, picture, worn, skin, size)
+
+    return await preview(state.previews, garment.digest, size, if_none_match, made)
 
 
 @router.patch(

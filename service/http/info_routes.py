@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -159,8 +158,7 @@ async def motion(
     """One sample clip with its poses [rad] and translations [m], for the body in the shape ``betas`` or an avatar."""
     runtime, body = state.runtime, state.runtime.body
     if avatar is not None:
-        entry = runtime.avatars.get(avatar, client.name)
-        body = (await asyncio.to_thread(runtime.avatars.wearer, entry.id)).body
+        body = (await state.wearer(avatar, client)).body
     clip = runtime.motions.placed(motion_id, body, queried_shape(betas, body))
     document = {"id": motion_id, "name": clip.name, "frames": clip.frame_count, "fps": clip.fps}
     document |= {"poses": np.round(clip.poses, 6), "trans": np.round(clip.trans, 6)}

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import io
 from collections import OrderedDict
+from collections.abc import Awaitable, Callable
 
 import numpy as np
+from fastapi import Response
 
 from drape.geometry.raster import SKIN, Surface, render
 
+PNG = "image/png"
 CLOTH = (0.80, 0.80, 0.82)  # undyed: shade alone tells folds
 LIGHT = np.array([0.62, 0.42, 0.66]) / np.linalg.norm([0.62, 0.42, 0.66])  # from the side
 AZIMUTH_DEG, MARGIN = 15.0, 1.08
@@ -32,6 +35,22 @@ class Previews:
         self._made[digest, size] = picture
         while len(self._made) > KEPT:
             self._made.popitem(last=False)
+
+
+async def preview(
+    previews: Previews, digest: str, size: int, known: str | None, make: Callable[[], Awaitable[bytes]]
+) -> Response:
+    """The answer with the picture of what has ``digest``, which ``make`` draws where it is not kept; 304 where the
+    client says that it is ``known``."""
+    tag = f'"{digest[:16]}-{size}"'
+    headers = {"ETag": tag, "Cache-Control": "private, max-age=86400"}
+    if known is not None and {tag, "*"} & {one.strip().removeprefix("W/") for one in known.split(",")}:
+        return Response(status_code=304, headers=headers)
+    made = previews.get(digest, size)
+    if made is None:
+        made = await make()
+        previews.keep(digest, size, made)
+    return Response(made, media_type=PNG, headers=headers)
 
 
 def picture(cloth: tuple[np.ndarray, np.ndarray], skin: tuple[np.ndarray, np.ndarray] | None, size: int) -> bytes:

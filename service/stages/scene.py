@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric
@@ -16,6 +16,9 @@ from drape.garment.fine import fine_garment
 from drape.wire.layout import JetLayout, pack_layout
 from drape.wire.options import DrapeOptions, FabricChoice
 from service.errors import TooLarge
+
+if TYPE_CHECKING:
+    from service.stages.body_stages import BodyStages
 
 PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
 Source = Literal["shipped", "user"]
@@ -34,8 +37,8 @@ UNCHANGED = About()
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A garment in service. ``owner`` is the key that uploaded it, if keys were asked for; ``avatar`` the one that it
-    was cut for, if it is not for the standard body."""
+    """A garment in service. ``owner`` is the key that uploaded it, if keys were asked for; ``worn``
+    the body that it was cut for and its stages, where that is not the standard one."""
 
     id: str
     garment: Garment
@@ -43,7 +46,7 @@ class Entry:
     path: Path | None = None
     owner: str | None = None
     about: About = UNCHANGED
-    avatar: str | None = None
+    worn: BodyStages | None = None
 
     @property
     def published(self) -> bool:
