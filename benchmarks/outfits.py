@@ -44,12 +44,12 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages.plan import Plan
 
-OUTFITS = ("trousers+tshirt", "trousers+longsleeve", "tank+longsleeve", "shorts+tshirt")
+OUTFITS = ("trousers+tshirt", "trousers+longsleeve", "tank+longsleeve", "shorts+tshirt", "dress+shirt")
 MOTIONS = ("walk", "squat")
 METHODS = ("alone", "over", "projected")
 NETWORK = "network"  # what jitter is against
 LOOKED_AT, QUICK_LOOKED_AT = 12, 2  # frames of a stream that are measured
-CROSSED = 2  # and whose crossings are counted
+CROSSED = 12  # and whose crossings are counted
 IN_EACH_OTHER_M = 0.02  # at most, of two garments at rest, where each was cut for the skin
 TARGET_PCT, TARGET_WORST_PCT = 0.05, 0.5
 COLUMNS = {

@@ -13,6 +13,7 @@ from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
 from drape.geometry.colliders import seen_from
+from drape.live.ceiling import ceiling_over, held_below, pressed
 from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, fold_constants
 from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold, warm_up
@@ -117,15 +118,16 @@ class Folds(Stage):
         layers, read, told = list(batch.layers), _read(plan), _Told.of(batch)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
+        lain = np.zeros(ground.shape[:2], ground.dtype)
+        ceilings = self._ceilings(batch, ground) if effort.cloth_contact else [None] * len(layers)
         for i, (key, sent, fabric) in enumerate(zip(plan.draped_keys, plan.keys, plan.fabrics, strict=True)):
             memories = batch.remembered((self.name, key))
-            covers = effort.cloth_contact and i + 1 < len(layers)
-            made = self._of(key, fabric)
-            layers[i], memories, reports, height = self._folded(
-                batch, i, made, efforts, memories, ground, covers=covers
-            )
+            made, ceiling = self._of(key, fabric), ceilings[i]
+            below = None if ceiling is None else ceiling - lain
+            layers[i], memories, reports, height = self._folded(batch, i, made, efforts, memories, ground, below)
             told.add(reports, len(made.sheet.place), seen=plan.visible[i])
-            ground = ground if height is None else raised(ground, height)
+            if height is not None:
+                ground, lain = raised(ground, height), lain + height
             batch = batch.remember((self.name, key), memories)
             if sent != key and read[i]:
                 layers[i] = self._wrapped(layers[i], sent)
@@ -139,25 +141,40 @@ class Folds(Stage):
         efforts: Sequence[FoldEffort],
         memories: Sequence[FoldMemory | None],
         ground: np.ndarray,
-        *,
-        covers: bool,
+        ceiling: np.ndarray | None,
     ) -> tuple[Layer, list[FoldMemory | None], list[FoldReport], np.ndarray | None]:
         """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the memories of the inputs after
-        it, a report of each frame, and, where it ``covers`` others' ground, how high [m] (F, S)."""
+        it, and a report of each frame; below a ``ceiling`` [m] (F, S), also how high [m] (F, S) it lies."""
         drape = batch.layers[i].vertices
         assert drape is not None
         vertices, reports, after = np.empty_like(drape), [], []
-        height = np.empty(ground.shape[:2], ground.dtype) if covers else None
+        height = None if ceiling is None else np.empty(ground.shape[:2], ground.dtype)
         for (one, rows), memory in zip(batch.rows(), memories, strict=True):
             for number, row in enumerate(range(rows.start, rows.stop)):
-                solid = seen_from(batch.plan.colliders, batch.root[row])
-                frame = Frame(drape[row], ground[row], float(one.times_s[number]), solid)
+                solid, below = seen_from(batch.plan.colliders, batch.root[row]), drape[row]
+                if ceiling is not None:
+                    below = pressed(below, made, ground[row], ceiling[row])
+                frame = Frame(below, ground[row], float(one.times_s[number]), solid)
                 vertices[row], memory, report = fold(made, memory, frame, efforts[row])
                 reports.append(report)
-                if height is not None:
-                    height[row] = heights_over(vertices[row], made.sheet, memory.touched.own, ground[row], made.graph)
+                if ceiling is not None and height is not None:
+                    own = memory.touched.own
+                    vertices[row] = held_below(vertices[row], made, own, ground[row], ceiling[row])
+                    height[row] = heights_over(vertices[row], made.sheet, own, ground[row], made.graph)
             after.append(memory)
         return replace(batch.layers[i], vertices=vertices), after, reports, height
+
+    def _ceilings(self, batch: Batch, skin: np.ndarray) -> list[np.ndarray | None]:
+        """How high [m] (F, S) over ``skin`` (F, S, 8) each layer may lie below the outer ones; None: as it will."""
+        made: list[np.ndarray | None] = [None]
+        parts = zip(batch.layers, batch.plan.draped_keys, batch.plan.fabrics, strict=True)
+        for layer, key, fabric in list(parts)[:0:-1]:
+            assert layer.vertices is not None
+            outer = self._of(key, fabric)
+            each = [ceiling_over(drape, outer, one) for drape, one in zip(layer.vertices, skin, strict=True)]
+            over = np.array(each, skin.dtype).reshape(skin.shape[:2])
+            made.append(over if made[-1] is None else np.minimum(over, made[-1]))
+        return made[::-1]
 
     def _wrapped(self, layer: Layer, key: str) -> Layer:
         """``layer`` as the delivered mesh of the garment ``key``, around the finer cloth."""

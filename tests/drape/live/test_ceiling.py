@@ -1,0 +1,121 @@
+"""An inner garment below an outer one: the ceiling over the skin, cloth pressed below it, and the cloth around."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import Material
+from drape.contact.samples import Samples, sample_table
+from drape.live.ceiling import FADE_M, GAP_M, HIGHEST_M, LEAST_M, ceiling_over, held_below, pressed
+from drape.live.fold_constants import FoldConstants, WornCloth
+from drape.live.skin_contact import nearest_at_rest, skin_graph
+from tests.drape.cloth.cloth_shapes import grid
+
+SIDE_M, SPACING_M = 0.3, 0.02
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def level(side: int, width_m: float, height_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """A square cloth of ``side`` times ``side`` vertices, ``height_m`` over the floor, from one edge on."""
+    flat, faces = grid(side, side)
+    x, y = (flat[:, :2] / flat[:, :2].max()).T
+    return np.stack([SIDE_M * y, np.full_like(x, height_m), width_m * x], axis=1), faces
+
+
+def floor() -> tuple[Samples, np.ndarray]:
+    """Samples of a level floor, and their table (S, 8)."""
+    along = SPACING_M * np.arange(round(SIDE_M / SPACING_M) + 1)
+    x, z = (each.ravel() for each in np.meshgrid(along, along))
+    point, normal = np.stack([x, np.zeros_like(x), z], axis=1), np.tile(UP, (len(x), 1))
+    none = scipy.sparse.csr_matrix((3 * len(point), 1))
+    table = np.asarray(sample_table(point, normal))
+    return Samples(none, point, normal, np.full(len(point), SPACING_M)), table
+
+
+def worn(vertices: np.ndarray, faces: np.ndarray) -> FoldConstants:
+    """Cloth on the floor."""
+    samples, _ = floor()
+    cloth = ClothMesh.from_rest(vertices, faces)
+    index = nearest_at_rest(vertices, samples)
+    dressed = WornCloth(cloth, Material(), np.zeros(len(vertices)), skin_graph(samples), index)
+    return FoldConstants.of(dressed, dtype=np.float64)
+
+
+INNER, OUTER = level(31, SIDE_M, 0.03), level(16, 0.5 * SIDE_M, 0.02)  # the outer one covers half of the inner one
+COVERED = INNER[0][:, 2] <= OUTER[0][:, 2].max() - SPACING_M
+_, SKIN = floor()
+
+
+def over(height_m: float = 0.02) -> np.ndarray:
+    """The ceiling below the outer cloth at ``height_m``."""
+    return ceiling_over(OUTER[0] + (height_m - 0.02) * UP, worn(*OUTER), SKIN)
+
+
+def test_the_ceiling_is_the_lowest_of_the_outer_cloth_over_a_sample():
+    ceiling, below = over(), SKIN[:, 2] < 0.5 * SIDE_M - 0.01
+    assert_allclose(ceiling[below], 0.02, atol=1e-9)
+    assert np.isinf(ceiling[SKIN[:, 2] > 0.5 * SIDE_M + 2.0 * SPACING_M]).all()
+    dented = OUTER[0].copy()
+    dented[np.argmin(np.linalg.norm(dented[:, [0, 2]] - [0.1, 0.06], axis=1)), 1] = 0.011
+    found = ceiling_over(dented, worn(*OUTER), SKIN)
+    assert found.min() == pytest.approx(0.011)
+    assert np.isinf(over(HIGHEST_M + 0.01)).all(), "what is farther out covers nothing"
+
+
+def test_a_hole_among_covered_samples_is_filled():
+    vertices, faces = OUTER
+    middle = np.linalg.norm(vertices[:, [0, 2]] - [0.1, 0.06], axis=1) < 0.75 * SPACING_M
+    kept = faces[~middle[faces].any(axis=1)]
+    holed, renumbered = vertices[~middle], np.cumsum(~middle) - 1
+    found = ceiling_over(holed, worn(holed, renumbered[kept]), SKIN)
+    assert_allclose(found[SKIN[:, 2] < 0.5 * SIDE_M - 0.01], 0.02, atol=1e-9)
+
+
+def test_covered_cloth_goes_below_the_ceiling_and_takes_the_cloth_around_along():
+    rest, faces = INNER
+    made = worn(rest, faces)
+    after = pressed(rest, made, SKIN, over())
+    assert_allclose(after[:, [0, 2]], rest[:, [0, 2]], atol=1e-12)
+    deep = COVERED & (rest[:, 2] < 0.5 * SIDE_M - 5.0 * SPACING_M)
+    assert_allclose(after[deep, 1], 0.02 - GAP_M, atol=5e-4)
+    beyond = rest[:, 2] - OUTER[0][:, 2].max()
+    free = (beyond > 0.02) & (beyond < FADE_M - 0.01)
+    along = (rest[:, 1] - after[:, 1])[free]
+    assert along.min() > 0.0 and along.max() < 0.01 + GAP_M
+    row = np.rint(beyond[free] / 0.01)
+    rows = [along[row == one].mean() for one in np.unique(row)]
+    assert (np.diff(rows) < 0.0).all(), "it fades with the distance"
+    by_row = [after[np.isclose(rest[:, 2], z), 1].mean() for z in np.unique(rest[:, 2])]
+    assert np.abs(np.diff(by_row)).max() < 0.003, "no step at the hem"
+
+
+def test_nothing_comes_nearer_to_what_lies_below_than_least():
+    after = pressed(INNER[0], worn(*INNER), SKIN, over(0.001))
+    assert after[:, 1].min() == pytest.approx(LEAST_M, abs=1e-9)
+
+
+def test_cloth_that_is_nowhere_too_high_is_not_touched():
+    made = worn(*INNER)
+    assert pressed(INNER[0], made, SKIN, over(0.05)) is INNER[0]
+    assert pressed(INNER[0], made, SKIN, np.full(len(SKIN), np.inf)) is INNER[0]
+
+
+def test_folds_above_the_ceiling_are_held_below_it_and_nothing_else_moves():
+    rest, faces = INNER
+    made = worn(rest, faces)
+    own = nearest_at_rest(rest, floor()[0])[made.sheet.vertex]
+    after = held_below(rest, made, own, SKIN, over())
+    assert_allclose(after[COVERED, 1], 0.02 - GAP_M, atol=1e-9)
+    uncovered = rest[:, 2] > OUTER[0][:, 2].max() + 3.0 * SPACING_M
+    assert_array_equal(after[uncovered], rest[uncovered])
+
+
+def test_numbers_that_are_none_press_nothing():
+    broken = INNER[0].copy()
+    broken[7] = np.nan
+    after = pressed(broken, worn(*INNER), SKIN, over(0.05))
+    assert np.isfinite(np.delete(after, 7, axis=0)).all()
