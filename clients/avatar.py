@@ -31,6 +31,12 @@ class Avatar:
         clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
         return self.client.drape_outfit(self.garments, clip, trans=trans, avatar=self.id, **self.options)
 
+    def glb(self, motion: str | Motion, *, trans: np.ndarray | None = None) -> bytes:
+        """A GLB of the garments over a clip on its own rig: the nodes of its file, skin weights and morphs, in the unit
+        of that file; at once, so that the service says how many frames that may be."""
+        clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
+        return self.client.drape_glb(self.garments, clip, trans=trans, rig=True, avatar=self.id, **self.options)
+
     def surface(self, motion: str | Motion, *, trans: np.ndarray | None = None) -> np.ndarray:
         """World vertices [m] (F, V, 3) of its own surface in the same frames."""
         clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion

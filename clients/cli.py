@@ -101,6 +101,7 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--on", metavar="AVATAR", help="the character that wears it: an id, or a GLB or VRM file")
     drape.add_argument("--betas", help="body shape, comma-separated")
     drape.add_argument("--body", action="store_true", help="include the body in the GLB")
+    drape.add_argument("--rig", action="store_true", help="with --on: the GLB on the character's own skeleton")
     drape.add_argument("--float32", action="store_true", help="the GLB in float32, twice as large")
     for name, field in _options().items():
         flag = "--" + name.replace("_", "-")
@@ -198,7 +199,7 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         worn.append(garment)
     if suffix == ".glb":
         garments = worn[0] if len(worn) == 1 else worn
-        more = {"body": options.body, "quantised": not options.float32}
+        more = {"body": options.body, "quantised": not options.float32, "rig": options.rig}
         write_atomic(options.out, [client.drape_glb(garments, clip, betas=betas, **more, **choices)])
     elif suffix == ".usda":
         layers = client.drape_outfit(worn, clip, betas=betas, **choices)

@@ -16,7 +16,7 @@ import numpy as np
 
 from clients import calls, pieces
 from clients.calls import BINARY, GLB, Answer, Body, Call, Motion, at_root, draped, fetched, path_of, sent
-from clients.meshes import check_without_body, glb_of, surface_of
+from clients.meshes import check_at_once, glb_of, surface_of
 from clients.refusals import problem_error
 from drape.errors import Unavailable
 from drape.motion.clip import MotionClip
@@ -254,21 +254,23 @@ class Methods:
         fps: float | None = None,
         body: bool = False,
         quantised: bool = True,
+        rig: bool = False,
         **options: Any,
     ) -> Steps[bytes]:
-        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``.
+        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``, or on the
+        nodes of the ``avatar``'s own file if ``rig``.
 
         ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise. A clip that comes in pieces is
-        written here, without the body (``InputError``).
+        written here, without body or rig (``InputError``).
         """
         shape = Body(trans, betas, fps)
-        more = {"body": body, "quantised": quantised}
+        more = {"body": body, "quantised": quantised} | ({"rig": True} if rig else {})
         call = draped(calls.read_bytes, garment, motion, shape, options, accept=GLB, more=more)
         assert call.clip is not None
         most = yield from self._at_once(len(call.clip.poses))
         if len(call.clip.poses) <= most:
             return (yield call)
-        check_without_body(call, most)
+        check_at_once(call, most)
         rooted = at_root(draped(calls.read_vertices, garment, motion, shape, options))
         vertices, roots = yield from self._whole(rooted)
         meshes = []

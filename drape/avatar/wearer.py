@@ -30,7 +30,7 @@ from drape.files.atomic import whole_file
 from drape.files.packed import UNREADABLE, packed, read_packed
 from drape.geometry.closest import closest_point
 from drape.geometry.skinning import skin_points
-from drape.motion.rig_poses import Rig, rig_to_poses
+from drape.motion.rig_poses import Rig, poses_to_rig, rig_to_poses
 
 FORMAT_VERSION = 1
 FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's
@@ -90,6 +90,11 @@ class Wearer:
         rest = self.scale * self.rig.rest_positions[self.rig.sources["pelvis"]]
         at = np.broadcast_to(rest, (len(poses), 3)) if places is None else np.asarray(places, dtype=np.float64)
         return poses, at - self.body.joints_template[0]
+
+    def to_rig(self, poses: np.ndarray, trans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The inverse of ``from_rig``: local quaternions (F, N, 4), xyzw, of its nodes and places [m] (F, 3) of the
+        pelvis's for our ``poses`` (F, 24, 3) [rad] and ``trans`` [m] (F, 3)."""
+        return poses_to_rig(self.rig, poses)[..., [1, 2, 3, 0]], trans + self.body.joints_template[0]
 
     def file_name(self) -> str:
         """The file that ``save_wearer`` writes."""

@@ -151,7 +151,7 @@ def poses_to_rig(rig: Rig, poses: np.ndarray) -> np.ndarray:
     turned = global_rotations(rotvec_to_matrix(poses), PARENTS)
     # Of several joints on one node the one farthest from the pelvis counts, since the arms hang on it.
     joint_of = {rig.sources[name]: joint for joint, name in enumerate(JOINT_NAMES) if name in rig.sources}
-    joint_of.setdefault(_carrier(rig), 0)
+    joint_of.setdefault(carrier(rig), 0)
     rest = quaternion_to_matrix(rig.rest_rotations)
     world = np.empty((len(poses), len(rig.names), 3, 3))
     for node, parent in enumerate(rig.parents):
@@ -172,7 +172,7 @@ def _up(rest: np.ndarray, sources: dict[str, int]) -> np.ndarray:
     return axis if trunk @ axis > np.cos(_LEANING_TRUNK) * np.linalg.norm(trunk) else trunk
 
 
-def _carrier(rig: Rig) -> int:
+def carrier(rig: Rig) -> int:
     """The node that carries both legs and trunk: the pelvis, or the one above it where a rig branches there."""
     below = rig.sources["spine1"]
     above_trunk = set()

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from fastapi.responses import StreamingResponse
 
+from drape.avatar.character import read_character
+from drape.avatar.file_skeleton import file_skeleton
+from drape.avatar.rig_file import Dressed, RigClip, rig_file
 from drape.body.model import BodyModel
 from drape.export import glb
 from drape.export.glb_body import add_body
@@ -17,8 +20,12 @@ from drape.export.root_motion import RootMotion
 from drape.export.usda import MovingGarment, usda_pieces
 from drape.garment.cache import Garment
 from service.http.answers import PC2, number_bytes
+from service.http.schemas import RigDrapeRequest
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from drape.avatar.wearer import Wearer
     from service.compute.threads import SlicedThread
     from service.http.schemas import ClipOptions, PosedOptions
     from service.stages.batch import PoseInput
@@ -51,6 +58,25 @@ def garment_file(
         add_body(file, model, clip.betas, clip.poses, clip.trans - point, asked.fps)
     if asked.origin == "root":
         file.place("root", point)
+    return file, file.head()
+
+
+def on_rig_file(
+    scene: Scene, placed: Placed, asked: ClipOptions, clip: PoseInput, wearer: Wearer, source: Path
+) -> tuple[GlbFile, bytes]:
+    """The file on the rig of ``wearer``, whose own file is ``source``, and what it begins with."""
+    payload = source.read_bytes()
+    ends = np.cumsum([worn.vertex_count for worn in scene.layers])[:-1]
+    layers = [
+        Dressed(worn.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)])
+        for i, (worn, own) in enumerate(zip(scene.layers, np.split(placed.vertices, ends, axis=1), strict=True))
+    ]
+    quaternions, places = wearer.to_rig(clip.poses, clip.trans)
+    if isinstance(asked, RigDrapeRequest):  # nodes that no joint of ours moves turn as they were told
+        quaternions = np.asarray(asked.rig_poses, dtype=np.float64)
+    moves = RigClip(quaternions, places, asked.fps)
+    character, skeleton = (read(payload, label=wearer.name) for read in (read_character, file_skeleton))
+    file = rig_file(layers, moves, wearer, character, skeleton, quantised=asked.quantised)
     return file, file.head()
 
 

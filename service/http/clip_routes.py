@@ -20,7 +20,7 @@ from service.errors import NotAcceptable, TooLarge, TooSlow
 from service.guard.limits import check_answer
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, PC2, USDA, binary_answer, choose, file_answer, json_answer
-from service.http.clip_files import body_file, export_answer, garment_file
+from service.http.clip_files import body_file, export_answer, garment_file, on_rig_file
 from service.http.clip_jobs import ClipJob, jets_response, plan_headers, quality_headers, streamed_answer
 from service.http.json_body import check_marks, clip_marks, content_type, document_of, json_text, parsed, validated
 from service.http.openapi import clip_schema, responses
@@ -60,6 +60,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     state.check_slot()  # before anything is read
     asked, clip = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
     kind = choose(request.headers.get("accept"), _offered(asked))
+    check_rig(asked, kind)
     scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar)
     plan = await state.runtime.plan_within(scene, asked, messages=asked.geometry == "jets")
     if asked.past is not None:
@@ -87,6 +88,11 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
     """The vertices of ``draped`` as ``kind``."""
     scene, asked = job.plan.shown, job.asked
     placed = await _of_array(draped.vertices, draped.placed, asked.origin)
+    if kind == GLB and asked.rig and asked.avatar is not None:
+        wearer = await state.wearer(asked.avatar, job.client)
+        source = state.runtime.avatars.get(asked.avatar, job.client.name).source
+        file = await asyncio.to_thread(on_rig_file, scene, placed, asked, job.clip, wearer, source)
+        return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind == GLB:
         file = await asyncio.to_thread(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
@@ -184,6 +190,21 @@ def check_rig_frames(rig_poses: Sequence[object], trans: Sequence[object] | None
         raise MotionError("trans", expected=f"{frames}, one a frame", got=str(len(trans)), cure=cure)
 
 
+def check_rig(asked: schemas.ClipOptions, kind: str) -> None:
+    """Refuses a file on a rig where there is none, and what such a file has no place for."""
+    if not asked.rig:
+        return
+    if kind != GLB:
+        raise InputError("rig", expected=f"Accept: {GLB}", got=kind, cure="Ask for a GLB, or leave rig out.")
+    if asked.avatar is None:
+        cure = "Name the avatar that wears it, or ask for body."
+        raise InputError("rig", expected="an avatar, which has a rig of its own", got="none", cure=cure)
+    if asked.body or asked.origin == "root":
+        got = "body" if asked.body else "origin root"
+        cure = "The character is your own file, and stands where its pelvis is."
+        raise InputError("rig", expected="garments alone, in the world of the rig", got=got, cure=cure)
+
+
 def check_clip_size(job: ClipJob, kind: str, settings: Settings) -> None:
     """Refuses (``TooLarge``) the clip of ``job`` where its answer as ``kind`` would be too large."""
     scene, frames = job.plan.shown, len(job.clip.poses)
@@ -191,11 +212,12 @@ def check_clip_size(job: ClipJob, kind: str, settings: Settings) -> None:
         patches = scene.patch_count
         check_answer(frames * message_bytes(patches), f"{frames} frames of {patches} patches", settings)
         return
-    _check_size(kind, frames, scene.vertex_count, settings, quantised=job.asked.quantised)
+    glb_bytes = 24 if not job.asked.quantised else 16 if job.asked.rig else 12
+    _check_size(kind, frames, scene.vertex_count, settings, glb_bytes=glb_bytes)
 
 
-def _check_size(kind: str, frames: int, vertices: int, settings: Settings, *, quantised: bool = False) -> None:
-    json_bytes, glb_bytes = 3 * NUMBER_TEXT_BYTES, 12 if quantised else 24
+def _check_size(kind: str, frames: int, vertices: int, settings: Settings, *, glb_bytes: int = 24) -> None:
+    json_bytes = 3 * NUMBER_TEXT_BYTES
     per_vertex = {BINARY: 12, PC2: 12, GLB: glb_bytes, JSON: json_bytes, USDA: POINT_BYTES}
     check_answer(frames * vertices * per_vertex[kind], f"{frames} frames of {vertices} vertices", settings)
 

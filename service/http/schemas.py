@@ -74,6 +74,11 @@ class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
     """All but the poses of a garment, or several over each other, on a body in motion."""
 
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
+    rig: bool = Field(
+        default=False,
+        description="In a GLB, of an avatar: the garments skinned to the nodes of its own file, with morphs, in the "
+        "unit of that file.",
+    )
     streamed: bool = Field(
         default=False,
         description="Of a binary answer: frames leave as they are ready, of any number of bytes; no header tells what "

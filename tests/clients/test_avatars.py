@@ -15,6 +15,7 @@ from drape.body.model import BodyModel
 from drape.errors import InputError, NotFound
 from tests.clients.node import answer_of
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.glb_reader import Reader
 
 BETAS = np.array([-1.0, *np.zeros(9)])  # a smaller body
 
@@ -49,6 +50,16 @@ def test_a_character_wears_and_plays_in_a_line(client: DrapeClient, ada: str):
     assert (np.abs(cloth.mean(axis=1) - surface.mean(axis=1)) < 0.5).all()
 
 
+def test_a_glb_comes_on_its_own_rig(client: DrapeClient, ada: str):
+    clip = client.motion("walk", avatar=ada).poses[:2]
+    dressed = client.avatar(ada).wear("tube", folds=0)
+    (cloth,) = dressed.play(clip)
+    shown = Reader(dressed.glb(clip)).skinned(2)[:, : cloth.shape[1]]
+    assert np.abs(shown - cloth).max() < 1e-6
+    with pytest.raises(InputError, match="rig: expected at most"):
+        client.drape_glb("tube", np.zeros((1300, 24, 3)), avatar=ada, rig=True)
+
+
 def test_a_clip_of_a_file_is_placed_for_it(client: DrapeClient, ada: str):
     clip = client.motion("walk")
     ours, theirs = client.placed(clip), client.placed(clip, avatar=ada)
@@ -75,6 +86,8 @@ def test_the_command_line_adds_wears_lists_and_removes(
     out = tmp_path / "out.glb"
     asked = ["--garment", "tube", "--on", name, "--motion", "walk", "--fps", "5", "--out", str(out)]
     assert main(["drape", "--url", live, *asked]) == 0 and out.stat().st_size > 1000
+    assert main(["drape", "--url", live, *asked, "--rig"]) == 0
+    assert "bone left_hip" in str(Reader(out.read_bytes()).json["nodes"])
     assert main(["avatars", "--url", live]) == 0
     assert name in capsys.readouterr().out
     assert main(["avatars", "--url", live, "--remove", name]) == 0

@@ -23,6 +23,7 @@ from service.compute import avatars as in_service
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.glb_reader import Reader
 from tests.fixtures.serving import files_in
 from tests.fixtures.streams import PROTOCOLS
 
@@ -105,6 +106,23 @@ def test_poses_of_its_own_rig_do_as_ours(api: httpx.Client, avatar: str, runtime
     assert_allclose(own, ours, atol=5e-3)
 
 
+def test_a_glb_on_its_own_rig_is_what_a_stream_shows(api: httpx.Client, avatar: str, runtime_of_api: DrapeRuntime):
+    wearer = runtime_of_api.avatars.wearer(avatar)
+    quaternions, places = wearer.to_rig(POSES, np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 2.0]]))
+    toe = wearer.nodes.index("bone left_foot")
+    quaternions[1, toe] = [0.0, np.sin(0.5), 0.0, np.cos(0.5)]  # what ours do not say is kept
+    asked = {"avatar": avatar, "rig_poses": quaternions.tolist(), "trans": places.tolist()}
+    shown, answer = draped(api, **asked), api.post(
+        "/drape", json={"garment": "tube", "rig": True, **asked}, headers={"Accept": "model/gltf-binary"}
+    )  # fmt: skip
+    file = Reader(answer.content)
+    found = file.skinned(2)[:, : shown.shape[1]] * wearer.scale
+    assert np.abs(found - shown).max() < 5e-6
+    names = [node.get("name") for node in file.json["nodes"]]
+    assert_allclose(file.channel(names.index("bone left_foot"), "rotation")[1][1], quaternions[1, toe], atol=1e-7)
+    assert_allclose(file.world(2)[:, names.index("bone pelvis"), :3, 3] * wearer.scale, places, atol=1e-6)
+
+
 @pytest.fixture(scope="module")
 def runtime_of_api(api: httpx.Client, settings: Settings, make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
     """A second service with the folder of the first, as after a new start."""
@@ -134,12 +152,27 @@ def test_a_clip_is_placed_for_its_legs(api: httpx.Client, avatar: str):
         ({"avatar": "me", "rig_poses": [[[0, 0, 0, 1]]], "trans": []}, "one a frame"),
         ({"avatar": "me", "rig_poses": [[[0, 0, 0, 1]]] * 41}, "at most 40 frames"),
         ({"rig_poses": [[[0, 0, 0, 1]]]}, "a value"),
+        ({"avatar": "me", "poses": POSES.tolist(), "rig": True}, "Accept: model/gltf-binary"),
         ({}, "a value"),
     ],
 )
 def test_a_drape_that_makes_no_sense_is_refused(api: httpx.Client, avatar: str, asked: dict, said: str):
     answer = api.post("/drape", json={"garment": "tube", **asked})
     assert answer.status_code in (400, 404, 413, 422) and said in answer.json()["expected"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({}, "a rig of its own"),
+        ({"avatar": "me", "body": True}, "alone"),
+        ({"avatar": "me", "origin": "root"}, "alone"),
+    ],
+)
+def test_a_rig_that_makes_no_sense_is_refused(api: httpx.Client, avatar: str, asked: dict, said: str):
+    body = {"garment": "tube", "poses": POSES.tolist(), "rig": True, **asked}
+    answer = api.post("/drape", json=body, headers={"Accept": "model/gltf-binary"})
+    assert answer.status_code == 400 and said in answer.json()["expected"]
 
 
 def test_a_file_that_is_no_character_leaves_nothing(api: httpx.Client, settings: Settings):
