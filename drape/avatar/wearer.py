@@ -20,8 +20,9 @@ import scipy.sparse
 from drape.avatar.avatar_body import avatar_body
 from drape.avatar.body_fit import fit_to
 from drape.avatar.character import read_character
+from drape.avatar.mapping import NAMES, mapped
 from drape.avatar.parts import counted_vertices
-from drape.avatar.t_pose import TPose, rig_of, t_posed
+from drape.avatar.t_pose import TPose, t_posed
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
@@ -46,7 +47,7 @@ class Wearer:
     ``body`` stands for it; ``rig`` has its nodes, called as VRM calls them in a VRM; ``nodes`` are their own names.
     ``vertices`` [m] (V, 3) of its surface in T-pose in the frame of ``body``, ``faces`` (F, 3), ``weights`` (V, 24) of
     the joints. ``scale``: metres per unit of its file. ``median_mm``, ``p95_mm``: how far its trunk and limbs are from
-    the body. ``vrm``: "0", "1" or "".
+    the body. ``vrm``: "0", "1" or "". ``found_by``, ``confidence`` and ``notes`` as in ``Mapped``.
     """
 
     name: str
@@ -62,6 +63,9 @@ class Wearer:
     median_mm: float
     p95_mm: float
     vrm: str = ""
+    found_by: str = NAMES
+    confidence: float = 1.0
+    notes: tuple[str, ...] = ()
 
     @property
     def joints(self) -> dict[str, str]:
@@ -111,7 +115,7 @@ def read_wearer(
 ) -> Wearer:
     """The wearer in the bytes of a GLB or VRM file, for garments of ``body``, the standard one by default.
 
-    ``told`` as in ``rig_of``; ``begun`` gets each stage as it begins: read, map, fit. Raises ``MeshError``,
+    ``told`` as in ``mapped``; ``begun`` gets each stage as it begins: read, map, fit. Raises ``MeshError``,
     ``MotionError``, ``BodyError`` or ``NotFound`` for what is no person with a skeleton and a skin.
     """
     begins = begun or (lambda stage: None)
@@ -119,7 +123,8 @@ def read_wearer(
     body = load_body() if body is None else body
     character = read_character(payload, label=name)
     begins("map")
-    rig = rig_of(character, body, told=told, label=name)
+    found = mapped(character, body, told=told, label=name)
+    rig = found.rig
     pose = t_posed(character, rig)
     _check_limbs(pose, rig, name)
     begins("fit")
@@ -129,13 +134,13 @@ def read_wearer(
     distance = 1e3 * closest_point(surface[counted_vertices(pose)], made.v_template, made.faces).distance
     median_mm, p95_mm = float(np.median(distance)), float(np.quantile(distance, 0.95))
     if median_mm > FIT_LIMIT_MM:
-        cure = "Send a character with a body under its clothes, in a T- or A-pose."
+        cure = " ".join([*(f"{note}." for note in found.notes), "Send a character with a body in a T- or A-pose."])
         got = f"{median_mm:.0f} mm"
         raise BodyError(name, expected=f"a body that ours fits to {FIT_LIMIT_MM:g} mm", got=got, cure=cure)
     digest = hashlib.sha256(json.dumps([FORMAT_VERSION, body.digest, dict(told or {})]).encode() + payload).hexdigest()
     return Wearer(
         name, digest, made, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
-        pose.height_m, median_mm, p95_mm, character.vrm,
+        pose.height_m, median_mm, p95_mm, character.vrm, found.by, found.confidence, found.notes,
     )  # fmt: skip
 
 
@@ -184,6 +189,7 @@ def save_wearer(wearer: Wearer, folder: Path) -> Path:
         "height_m": wearer.height_m, "median_mm": wearer.median_mm, "p95_mm": wearer.p95_mm, "vrm": wearer.vrm,
         "nodes": list(wearer.nodes), "rig_names": list(rig.names), "parents": list(rig.parents),
         "told": dict(rig.sources), "body_digest": body.digest, "standard_digest": body.standard_digest,
+        "found_by": wearer.found_by, "confidence": wearer.confidence, "notes": list(wearer.notes),
     }  # fmt: skip
     arrays = {
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
@@ -221,6 +227,7 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
             body.joints_template, header["name"], header["told"],
         )  # fmt: skip
         figures = [header[key] for key in ("scale", "height_m", "median_mm", "p95_mm", "vrm")]
+        figures += [header.get("found_by", NAMES), header.get("confidence", 1.0), tuple(header.get("notes", ()))]
         surface = [arrays[key] for key in _ARRAYS]
         return Wearer(header["name"], header["digest"], worn, rig, tuple(header["nodes"]), *surface, *figures)
     except UNREADABLE as error:
@@ -244,6 +251,9 @@ def main(arguments: list[str] | None = None) -> int:
     found = read_wearer(given.file.read_bytes(), name=wearer_name(given.file.stem))
     for joint, node in found.joints.items():
         print(f"{joint:15s} {node}")
+    print(f"joints by {found.found_by}, {100.0 * found.confidence:.0f} % sure")
+    for note in found.notes:
+        print(f"note: {note}")
     print(f"height {found.height_m:.2f} m; fit {found.median_mm:.1f} mm median, {found.p95_mm:.1f} mm at 95 %")
     if given.out is not None:
         print(f"stored {save_wearer(found, given.out)}")

@@ -28,7 +28,7 @@ from drape.geometry.rotations import (
     rotvec_to_matrix,
 )
 from drape.motion.alignment import joint_rotations, rest_alignment, rest_bone
-from drape.motion.joint_names import match_joints
+from drape.motion.joint_names import is_whole, match_joints
 from drape.motion.legs import SIDES
 from drape.motion.retarget import global_rotations, local_rotations
 from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
@@ -59,7 +59,7 @@ class Rig:
     quaternions wxyz and ``rest_translations`` (J, 3) offsets, both local, in any unit of
     length. Names are those that ``match_joints`` reads; other nodes keep their rest pose.
     ``t_pose_joints`` (24, 3) are the rest joints of the body that the SMPL poses are for.
-    ``told``: nodes of SMPL joints whatever they are called.
+    ``told``: nodes of SMPL joints whatever they are called; where it has all that a person needs no name is read.
     The rig's world is the poses' world: y up, whatever way the rig faces.
     Raises ``MotionError`` for arrays that do not fit, and for names of no person.
     """
@@ -93,6 +93,8 @@ class Rig:
     @cached_property
     def sources(self) -> dict[str, int]:
         """The node of each SMPL joint that the rig has."""
+        if is_whole(self.told):
+            return dict(self.told)
         return {**match_joints(self.names, self.parents, label=self.label), **self.told}
 
     @cached_property

@@ -256,6 +256,11 @@ class AvatarInfo(BaseModel):
     joints: dict[str, str] = Field(
         description="SMPL's joints and the nodes of the character's skeleton that are these."
     )
+    found_by: Literal["vrm", "names", "shape", "told"] = Field(
+        default="names", description="Whether VRM's bones, names, their places or PATCH told the joints."
+    )
+    confidence: float = Field(default=1.0, description="Of joints by their places: how like a person's these are.")
+    notes: list[str] = Field(default=[], description="What looks wrong with it, in words.")
     nodes: list[str] = Field(description="All nodes of its file, parents first: the order of rig_poses.")
     fit: dict[str, float] = Field(description="How far its trunk and limbs are from the body that stands for it [mm].")
     height_m: float

@@ -72,6 +72,7 @@ def test_an_avatar_is_told_of(api: httpx.Client, avatar: str):
     found = api.get(f"/avatars/{avatar}").json()
     assert found in api.get("/avatars").json()
     assert found["joints"]["left_knee"] == "bone left_knee" and "bone left_knee" in found["nodes"]
+    assert (found["found_by"], found["confidence"], found["notes"]) == ("vrm", 1.0, [])
     assert found["fit"]["median_mm"] < 2.5 and found["vrm"] == "0" and found["scale"] == 0.01
     mesh = api.get(f"/avatars/{avatar}/mesh").json()
     assert len(mesh["vertices"]) == found["vertices"]
