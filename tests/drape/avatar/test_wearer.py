@@ -170,6 +170,7 @@ def test_the_command_line_tells_and_stores(body: BodyModel, tmp_path: Path, caps
     path.write_bytes(character(body, scheme="unreal"))
     assert main([str(path), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "thigh_l" in said and "joints by names, 100 % sure" in said and "fit" in said and list(tmp_path.glob("me-*.npz"))
+    assert "thigh_l" in said and "fit" in said and list(tmp_path.glob("me-*.npz"))
+    assert "joints by names, 100 % sure" in said
     path.write_bytes(b"no character")
     assert main([str(path)]) == 2
