@@ -104,7 +104,7 @@ class _Reading:
 
     def _common(self, nodes: Sequence[int]) -> int:
         """The lowest node that holds all ``nodes``; -1 where they hang on several tops."""
-        lines = [self._line(int(node)) for node in nodes]
+        lines = [self._line(node) for node in nodes]
         return next((node for node in lines[0] if all(node in line for line in lines[1:])), -1)
 
     def _lengths(self, *nodes: int) -> list[float]:
@@ -137,7 +137,7 @@ class _Reading:
         low = self.owner[self.skin[:, 1] < self.floor + GROUND * self.height]
         nodes, counts = np.unique(low, return_counts=True)
         standing = nodes[counts >= FEW * counts.sum()]
-        fork = self._common(standing)
+        fork = self._common(standing.tolist())
         if fork < 0:
             raise self._refused("one skeleton", "several")
         tops = [child for child in self._children(fork) if self._below(child)[standing].any()]

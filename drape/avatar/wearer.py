@@ -11,7 +11,8 @@ import json
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ from drape.files.atomic import whole_file
 from drape.files.packed import UNREADABLE, packed, read_packed
 from drape.geometry.closest import closest_point
 from drape.geometry.skinning import skin_points
-from drape.motion.rig_poses import Rig, poses_to_rig, rig_to_poses
+from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_poses
 
 FORMAT_VERSION = 1
 FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's
@@ -89,11 +90,33 @@ class Wearer:
         ``places`` [m] (F, 3): where the node of the pelvis is, at rest where None. What is draped then lies in the
         world of the rig, in metres. Raises ``MotionError`` for what are no unit quaternions of its nodes.
         """
-        xyzw = _rotations(quaternions, len(self.nodes))
-        poses = rig_to_poses(self.rig, xyzw[..., [3, 0, 1, 2]])
+        xyzw = rotations(quaternions, len(self.nodes))
+        rows, rig = self._read_nodes
+        poses = rig_to_poses(rig, xyzw[:, rows][..., [3, 0, 1, 2]])
         rest = self.scale * self.rig.rest_positions[self.rig.sources["pelvis"]]
         at = np.broadcast_to(rest, (len(poses), 3)) if places is None else np.asarray(places, dtype=np.float64)
         return poses, at - self.body.joints_template[0]
+
+    @cached_property
+    def _read_nodes(self) -> tuple[np.ndarray, Rig]:
+        """The nodes (n,) that turn a joint of ours, and the rig of these alone: of a face's bones no joint hears."""
+        rig = self.rig
+        rows = np.zeros(len(self.nodes), dtype=bool)
+        for node in rig.sources.values():
+            while node >= 0 and not rows[node]:
+                rows[node] = True
+                node = rig.parents[node]
+        place = np.cumsum(rows) - 1
+        parents = [
+            -1 if above < 0 else int(place[above]) for above, read in zip(rig.parents, rows, strict=True) if read
+        ]
+        told = {joint: int(place[node]) for joint, node in rig.sources.items()}
+        names = [name for name, read in zip(rig.names, rows, strict=True) if read]
+        less = replace(
+            rig, names=names, parents=parents, told=told,
+            rest_rotations=rig.rest_rotations[rows], rest_translations=rig.rest_translations[rows],
+        )  # fmt: skip
+        return np.flatnonzero(rows), less
 
     def to_rig(self, poses: np.ndarray, trans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The inverse of ``from_rig``: local quaternions (F, N, 4), xyzw, of its nodes and places [m] (F, 3) of the
@@ -164,8 +187,8 @@ def _check_limbs(pose: TPose, rig: Rig, name: str) -> None:
             )
 
 
-def _rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndarray:
-    """``quaternions`` as (F, N, 4); refuses other numbers of nodes."""
+def rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndarray:
+    """``quaternions`` as (F, N, 4); refuses other numbers of nodes, and other lengths than one."""
     try:
         found = np.asarray(quaternions, dtype=np.float64)
     except ValueError:  # frames of different lengths
@@ -177,6 +200,10 @@ def _rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.nda
             got=f"shape {found.shape[1:]}" if found.ndim == 3 else "frames of different lengths",
             cure="GET /avatars/ID tells the nodes in their order.",
         )
+    lengths = np.linalg.norm(found, axis=-1)
+    if not (np.abs(lengths - 1.0) <= UNIT_TOLERANCE).all():  # which also catches NaN
+        got = f"lengths from {lengths.min():.4g} to {lengths.max():.4g}"
+        raise MotionError("rig_poses", expected="unit quaternions xyzw", got=got, cure="Send rotations without scale.")
     return found
 
 

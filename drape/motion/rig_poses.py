@@ -34,7 +34,7 @@ from drape.motion.retarget import global_rotations, local_rotations
 from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
 
 # A quaternion may be off unit length by float32's rounding and by a file's decimals.
-_UNIT_TOLERANCE = 1e-3
+UNIT_TOLERANCE = 1e-3
 
 # The bones that are measured, by the joints at their ends. Only limbs are: where a rig puts the joints of its trunk
 # tells how its bones lean, and not how the person stands. So do knees a little before the line from hip to ankle.
@@ -206,7 +206,7 @@ def _unit_quaternions(name: str, value: np.ndarray, shape: tuple[int | None, ...
     check_shape(name, array, shape, error=MotionError)
     check_finite(name, array, error=MotionError)
     lengths = np.linalg.norm(array, axis=-1, keepdims=True)
-    if np.abs(lengths - 1.0).max(initial=0.0) > _UNIT_TOLERANCE:
+    if np.abs(lengths - 1.0).max(initial=0.0) > UNIT_TOLERANCE:
         raise MotionError(
             name,
             expected="unit quaternions wxyz",

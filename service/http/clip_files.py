@@ -20,13 +20,13 @@ from drape.export.root_motion import RootMotion
 from drape.export.usda import MovingGarment, usda_pieces
 from drape.garment.cache import Garment
 from service.http.answers import PC2, number_bytes
-from service.http.schemas import RigDrapeRequest
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from drape.avatar.wearer import Wearer
     from service.compute.threads import SlicedThread
+    from service.http.clip_jobs import ClipJob
     from service.http.schemas import ClipOptions, PosedOptions
     from service.stages.batch import PoseInput
     from service.stages.placing import Placed
@@ -61,9 +61,7 @@ def garment_file(
     return file, file.head()
 
 
-def on_rig_file(
-    scene: Scene, placed: Placed, asked: ClipOptions, clip: PoseInput, wearer: Wearer, source: Path
-) -> tuple[GlbFile, bytes]:
+def on_rig_file(scene: Scene, placed: Placed, job: ClipJob, wearer: Wearer, source: Path) -> tuple[GlbFile, bytes]:
     """The file on the rig of ``wearer``, whose own file is ``source``, and what it begins with."""
     payload = source.read_bytes()
     ends = np.cumsum([worn.vertex_count for worn in scene.layers])[:-1]
@@ -71,12 +69,11 @@ def on_rig_file(
         Dressed(worn.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)])
         for i, (worn, own) in enumerate(zip(scene.layers, np.split(placed.vertices, ends, axis=1), strict=True))
     ]
-    quaternions, places = wearer.to_rig(clip.poses, clip.trans)
-    if isinstance(asked, RigDrapeRequest):  # nodes that no joint of ours moves turn as they were told
-        quaternions = np.asarray(asked.rig_poses, dtype=np.float64)
-    moves = RigClip(quaternions, places, asked.fps)
-    character, skeleton = (read(payload, label=wearer.name) for read in (read_character, file_skeleton))
-    file = rig_file(layers, moves, wearer, character, skeleton, quantised=asked.quantised)
+    quaternions, places = wearer.to_rig(job.clip.poses, job.clip.trans)
+    # Nodes that no joint of ours moves turn as they were told.
+    moves = RigClip(quaternions if job.turns is None else job.turns, places, job.asked.fps)
+    own = read_character(payload, label=wearer.name), file_skeleton(payload, label=wearer.name)
+    file = rig_file(layers, moves, wearer, *own, quantised=job.asked.quantised)
     return file, file.head()
 
 

@@ -245,6 +245,7 @@ class JobInfo(BaseModel):
     garment: str | None = None
     avatar: str | None = None
     problem: dict[str, Any] | None = None
+    notes: list[str] = Field(default=[], description="Of one that is done: what was left out or looks wrong, in words.")
 
 
 class AvatarInfo(BaseModel):

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
 
 from clients.cli import main
 from clients.client import DrapeClient
 from drape.body.model import BodyModel
-from drape.errors import InputError, NotFound
+from drape.errors import InputError, NotFound, Unavailable
 from tests.clients.node import answer_of
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
 from tests.fixtures.glb_reader import Reader
@@ -60,6 +62,31 @@ def test_a_glb_comes_on_its_own_rig(client: DrapeClient, ada: str):
         client.drape_glb("tube", np.zeros((1300, 24, 3)), avatar=ada, rig=True)
 
 
+def test_poses_of_its_own_rig_go_by_clip_and_by_stream(client: DrapeClient, ada: str):
+    dressed = client.avatar(ada).wear("tube", folds=0)
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (2, len(dressed.nodes), 1))
+    arms = [dressed.nodes.index(f"bone {side}_shoulder") for side in ("left", "right")]
+    turns[:, arms] = Rotation.from_rotvec([[0.0, 0.0, -0.3], [0.0, 0.0, 0.4]]).as_quat()
+    places = np.array([[0.0, 1.0, 0.0], [0.5, 1.0, 0.0]])
+    (cloth,) = dressed.play(turns, trans=places)
+    surface = dressed.surface(turns, trans=places)
+    assert np.abs(cloth.mean(axis=1) - surface.mean(axis=1)).max() < 0.5
+    assert_allclose(surface[1] - surface[0], np.broadcast_to([0.5, 0.0, 0.0], surface[0].shape), atol=1e-5)
+
+    async def streamed() -> tuple[np.ndarray, np.ndarray]:
+        async with await dressed.stream() as stream:
+            await stream.send_rig(turns[0], places[0])
+            first = (await stream.receive()).frame.vertices()
+            await stream.reopen("tube", folds=0)
+            with pytest.raises(Unavailable, match="poses of a rig"):
+                await stream.send_rig(turns[0], places[0])
+            return first, (await stream.reopen("tube", folds=0, avatar=ada))["nodes"]
+
+    first, nodes = asyncio.run(streamed())
+    assert nodes == len(dressed.nodes)
+    assert_allclose(first, cloth[0], atol=1e-4)
+
+
 def test_a_clip_of_a_file_is_placed_for_it(client: DrapeClient, ada: str):
     clip = client.motion("walk")
     ours, theirs = client.placed(clip), client.placed(clip, avatar=ada)
@@ -100,6 +127,14 @@ import { readFileSync } from "node:fs";
 import { connect } from "./core.js";
 const drape = await connect(input.url, { worker: null });
 const id = await drape.avatar(readFileSync(input.file), "eve.vrm");
+const tube = await drape.wear("tube", { avatar: id, folds: 0 });
+const turns = (await drape.rest.avatar(id)).nodes.map(() => [0, 0, 0, 1]);
+const shown = new Promise((done) => (tube.onFrame = () => done(tube.root)));
+const sent = tube.rigPose(turns, [0, 1, 0.5]);
+const at = await shown;
+let counted = null;
+try { tube.rigPose(turns.slice(1)); } catch (error) { counted = error.expected; }
+tube.close();
 const layouts = [await drape.rest.jetLayout("tube", "delivered", id), await drape.rest.jetLayout("tube")];
 const ours = await drape.body();
 const theirs = await drape.body([], id);
@@ -108,7 +143,7 @@ let refused = null;
 await drape.avatar(new Uint8Array(40), "broken.glb").catch((error) => (refused = error.expected));
 drape.close();
 const known = (await drape.avatars()).map((one) => one.id);
-console.log(JSON.stringify({ id, refused, known, joints: theirs.joints.length,
+console.log(JSON.stringify({ id, refused, sent, at, counted, known, joints: theirs.joints.length,
   smaller: theirs.floor_m > ours.floor_m, placed: clip.trans[0][1] !== other.trans[0][1],
   cut: Buffer.compare(...layouts.map((one) => Buffer.from(one))) !== 0 }));
 """
@@ -119,4 +154,6 @@ def test_the_web_library_sends_a_character(live: str, client: DrapeClient, file:
     assert told["id"] in told["known"] and told["joints"] == 24
     assert told["smaller"] and told["placed"] and told["cut"]
     assert "GLB" in told["refused"]
+    assert told["sent"] and told["counted"].endswith("one a node of the avatar")
+    assert_allclose(told["at"], [0.0, 1.0, 0.5], atol=1e-9)
     client.remove_avatar(told["id"])

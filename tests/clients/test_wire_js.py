@@ -12,11 +12,12 @@ from numpy.testing import assert_allclose
 
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions, wire_names
+from drape.wire.rig_poses import RigPose, pack_rig_pose
 from tests.architecture.repository import ROOT
 from tests.clients.node import answer_of
 
 SCRIPT = """
-import { packPose, packAck, unpackFrame, dequantise, SUBPROTOCOL } from "./wire.js";
+import { packPose, packRigPose, packAck, unpackFrame, dequantise, SUBPROTOCOL } from "./wire.js";
 const hex = (buffer) => Buffer.from(buffer).toString("hex");
 const bytes = Uint8Array.from(Buffer.from(input.frame, "hex"));
 const frame = unpackFrame(bytes.buffer);
@@ -29,6 +30,7 @@ let stale = "";
 try { unpackFrame(bytes.buffer); } catch (error) { stale = error.message; }
 console.log(JSON.stringify({
   pose: hex(packPose(input.pose)), ack: hex(packAck(input.ack)), header: frame.header, positions: [...positions],
+  rig: [{ ...input.rig, place: null }, input.rig].map((pose) => hex(packRigPose(pose))),
   protocol: SUBPROTOCOL, short, stale,
 }));
 """
@@ -51,7 +53,15 @@ def test_javascript_reads_and_writes_what_python_does(tmp_path, bits: int):
         "ack": 4_000_000_000,
         "pose": {"sequence": 8, "clientTimeS": 1.25, "trans": trans.tolist(), "pose": pose.ravel().tolist()},
     }
+    turns = generator.normal(size=(5, 4)).astype(np.float32)
+    document["rig"] = {
+        "sequence": 8,
+        "clientTimeS": 1.25,
+        "place": trans.tolist(),
+        "quaternions": turns.ravel().tolist(),
+    }
     got = answer_of(SCRIPT, document, tmp_path)
+    assert got["rig"] == [pack_rig_pose(RigPose(8, 1.25, place, turns)).hex() for place in (None, trans)]
     assert got["pose"] == wire.pack_pose(wire.Pose(8, 1.25, trans, pose)).hex()
     assert got["ack"] == wire.pack_ack(4_000_000_000).hex()
     assert got["protocol"] == wire.SUBPROTOCOL

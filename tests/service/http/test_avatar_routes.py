@@ -12,6 +12,7 @@ import httpx
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from drape.avatar.wearer import Wearer, read_wearer, save_wearer
@@ -19,6 +20,9 @@ from drape.body.model import BodyModel
 from drape.geometry.closest import signed_distance
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from drape.motion.rig_poses import poses_to_rig
+from drape.wire import messages as wire
+from drape.wire.clips import pack_clip
+from drape.wire.rig_poses import RigPose, pack_rig_pose
 from service.compute import avatars as in_service
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
@@ -52,7 +56,7 @@ def avatar(api: httpx.Client, body: BodyModel) -> str:
     """Our body in another shape and an A-pose, in centimetres, facing -z: its id in the service."""
     payload = character(body, betas=BETAS, vrm="0", arms_rad=ARMS_DOWN_RAD, scale=100.0, yaw_rad=np.pi)
     job = sent(api, payload, "Me.vrm")
-    assert (job["state"], job["garment"], job["share"]) == ("done", None, 1.0), job
+    assert (job["state"], job["garment"], job["share"], job["notes"]) == ("done", None, 1.0, []), job
     return job["avatar"]
 
 
@@ -131,11 +135,84 @@ def runtime_of_api(api: httpx.Client, settings: Settings, make_runtime: Callable
 
 
 def test_a_stream_shows_it(api: httpx.Client, avatar: str):
-    address = str(api.base_url).replace("http", "ws").rstrip("/") + "/stream"
-    with connect(address, subprotocols=PROTOCOLS) as socket:
+    with connect(stream_of(api), subprotocols=PROTOCOLS) as socket:
         socket.send(json.dumps({"type": "open", "garment": "tube", "avatar": avatar}))
         opened = json.loads(socket.recv(60.0))
         assert opened["type"] == "opened" and opened["body"] == "me"
+
+
+def test_a_stream_takes_poses_of_its_own_rig(api: httpx.Client, avatar: str, runtime_of_api: DrapeRuntime):
+    """They come to what our poses come to; a binary clip of them to what a JSON one comes to."""
+    wearer = runtime_of_api.avatars.wearer(avatar)
+    quaternions, places = wearer.to_rig(POSES, np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 2.0]]))
+    poses, trans = wearer.from_rig(quaternions.astype(np.float32), places)
+    with connect(stream_of(api), subprotocols=PROTOCOLS) as socket:
+        opening = json.dumps({"type": "open", "garment": "tube", "avatar": avatar, "folds": 0})
+        frames = []
+        for ours in (False, True):
+            socket.send(opening)  # again, so that no frame follows another
+            assert json.loads(socket.recv(60.0))["nodes"] == len(wearer.nodes)
+            pose = wire.Pose(1, 0.0, trans[1], poses[1])
+            socket.send(wire.pack_pose(pose) if ours else pack_rig_pose(RigPose(1, 0.0, places[1], quaternions[1])))
+            message = socket.recv(60.0)
+            assert isinstance(message, bytes)
+            frames.append(wire.unpack_frame(message))
+            socket.send(wire.pack_ack(1))
+    assert_allclose(frames[0].vertices(), frames[1].vertices(), atol=3e-5)
+    assert_allclose(frames[0].root, trans[1] + wearer.body.joints_template[0], atol=1e-9)
+    about = {"garment": "tube", "avatar": avatar, "folds": 0}
+    headers = NUMBERS | {"Content-Type": NUMBERS["Accept"]}
+
+    def sent(path: str, body: dict) -> httpx.Response:
+        return api.post(path, content=pack_clip(body, quaternions, places), headers=headers)
+
+    answer = sent("/drape", about)
+    clip = draped(api, **about, rig_poses=quaternions.tolist(), trans=places.tolist())
+    assert answer.content == clip.astype("<f4").tobytes()
+    surface = sent(f"/avatars/{avatar}/posed", {})
+    assert_allclose(np.frombuffer(surface.content, "<f4").reshape(2, -1, 3)[0], posed(api, avatar)[0], atol=1e-4)
+    for path, body in (("/drape", {"garment": "tube"}), ("/bodies/anny_default/posed", {})):
+        refused = sent(path, body)
+        assert (refused.status_code, refused.json()["name"]) == (400, "avatar"), refused.text
+
+
+def stream_of(api: httpx.Client) -> str:
+    return str(api.base_url).replace("http", "ws").rstrip("/") + "/stream"
+
+
+def bad_rig_pose(nodes: int, *, turn: float = 1.0, place: float = 0.0, kept: slice = slice(None)) -> bytes:
+    quaternions = np.tile([0.0, 0.0, 0.0, turn], (nodes, 1))
+    return pack_rig_pose(RigPose(1, 0.0, np.array([place, 0.0, 0.0]), quaternions))[kept]
+
+
+@pytest.mark.parametrize(
+    ("worn", "more", "changes", "code", "said"),
+    [
+        (True, 0, {"turn": np.nan}, 4400, "NaN or infinity in the quaternion of node 0"),
+        (True, 0, {"turn": 3e38}, 4422, "expected unit quaternions"),
+        (True, 0, {"turn": 0.0}, 4422, "lengths 0 of node 0"),
+        (True, 0, {"place": np.inf}, 4400, "its time or its place"),
+        (True, 0, {"place": 1e8}, 4422, "at most 1e+06 m"),
+        (True, 1, {}, 4400, "one a node of the avatar"),
+        (True, 3000, {}, 4400, "one a node of the avatar"),
+        (True, 0, {"kept": slice(0, -4)}, 4400, "bytes for"),
+        (True, 0, {"kept": slice(0, 20)}, 4400, "at least 48 bytes"),
+        (False, 0, {}, 4400, "expected a stream on an avatar"),
+    ],
+)
+def test_a_pose_of_a_rig_that_is_wrong_closes_with_a_sentence(
+    api: httpx.Client, avatar: str, worn: bool, more: int, changes: dict, code: int, said: str
+):
+    nodes = len(api.get(f"/avatars/{avatar}").json()["nodes"]) + more
+    with connect(stream_of(api), subprotocols=PROTOCOLS) as socket:
+        socket.send(json.dumps({"type": "open", "garment": "tube"} | ({"avatar": avatar} if worn else {})))
+        assert json.loads(socket.recv(60.0))["type"] == "opened"
+        socket.send(bad_rig_pose(nodes, **changes))
+        assert said in json.loads(socket.recv(60.0))["detail"]
+        with pytest.raises(ConnectionClosed) as closed:
+            socket.recv(60.0)
+    assert closed.value.rcvd is not None and closed.value.rcvd.code == code
+    assert api.get("/health").json()["status"] == "ok"
 
 
 def test_a_clip_is_placed_for_its_legs(api: httpx.Client, avatar: str):
