@@ -127,14 +127,6 @@ import { readFileSync } from "node:fs";
 import { connect } from "./core.js";
 const drape = await connect(input.url, { worker: null });
 const id = await drape.avatar(readFileSync(input.file), "eve.vrm");
-const tube = await drape.wear("tube", { avatar: id, folds: 0 });
-const turns = (await drape.rest.avatar(id)).nodes.map(() => [0, 0, 0, 1]);
-const shown = new Promise((done) => (tube.onFrame = () => done(tube.root)));
-const sent = tube.rigPose(turns, [0, 1, 0.5]);
-const at = await shown;
-let counted = null;
-try { tube.rigPose(turns.slice(1)); } catch (error) { counted = error.expected; }
-tube.close();
 const layouts = [await drape.rest.jetLayout("tube", "delivered", id), await drape.rest.jetLayout("tube")];
 const ours = await drape.body();
 const theirs = await drape.body([], id);
@@ -143,7 +135,7 @@ let refused = null;
 await drape.avatar(new Uint8Array(40), "broken.glb").catch((error) => (refused = error.expected));
 drape.close();
 const known = (await drape.avatars()).map((one) => one.id);
-console.log(JSON.stringify({ id, refused, sent, at, counted, known, joints: theirs.joints.length,
+console.log(JSON.stringify({ id, refused, known, joints: theirs.joints.length,
   smaller: theirs.floor_m > ours.floor_m, placed: clip.trans[0][1] !== other.trans[0][1],
   cut: Buffer.compare(...layouts.map((one) => Buffer.from(one))) !== 0 }));
 """
@@ -154,6 +146,4 @@ def test_the_web_library_sends_a_character(live: str, client: DrapeClient, file:
     assert told["id"] in told["known"] and told["joints"] == 24
     assert told["smaller"] and told["placed"] and told["cut"]
     assert "GLB" in told["refused"]
-    assert told["sent"] and told["counted"].endswith("one a node of the avatar")
-    assert_allclose(told["at"], [0.0, 1.0, 0.5], atol=1e-9)
     client.remove_avatar(told["id"])

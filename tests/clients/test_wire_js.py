@@ -73,6 +73,34 @@ def test_javascript_reads_and_writes_what_python_does(tmp_path, bits: int):
     assert "too short" in got["short"] and "reload" in got["stale"]
 
 
+RIG = """
+import { Wearing } from "./wearing.js";
+const wearing = new Wearing({ rest: { base: "http://localhost" }, worn: new Set() }, ["tube"], {});
+const { stream } = wearing;
+const sent = [], refused = [];
+Object.assign(stream, { ready: true, socket: { send: (bytes) => sent.push(Buffer.from(bytes).toString("hex")) } });
+const tried = (...pose) => {
+  try { return wearing.rigPose(...pose); } catch (error) { refused.push(error.expected); return error.kind; }
+};
+const told = [tried(input.turns)];
+stream.opened = { nodes: 5 };
+told.push(tried(input.turns, input.place), tried(input.turns.flat()), tried(input.turns.slice(1)));
+console.log(JSON.stringify({ sent, refused, told }));
+"""
+
+
+def test_the_library_sends_poses_of_a_rig_where_the_service_takes_them(tmp_path):
+    turns = np.random.default_rng(4).normal(size=(5, 4)).astype(np.float32)
+    place = [0.5, 1.0, -2.0]
+    got = answer_of(RIG, {"turns": turns.tolist(), "place": place}, tmp_path)
+    assert got["told"] == ["MotionError", True, True, "MotionError"]
+    assert got["refused"] == ["a garment that is worn by an avatar", "5 quaternions, one a node of the avatar"]
+    for number, (message, there) in enumerate(zip(got["sent"], (np.array(place), None), strict=True), 1):
+        wanted = pack_rig_pose(RigPose(number, 0.0, there, turns))
+        sent = bytes.fromhex(message)
+        assert sent[:16] + sent[24:] == wanted[:16] + wanted[24:]  # all but the time
+
+
 def test_controls_of_the_page_name_options_of_the_wire():
     page = (ROOT / "clients/web/src/index.html").read_text()
     named = set(re.findall(r'data-option="(\w+)"', page))
