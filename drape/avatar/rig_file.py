@@ -86,7 +86,8 @@ def rig_file(
         add_shape(file, layer.garment, corners, whole, len(layer.vertices), clip.fps, layer.colour)
     channels = [(nodes[node], "rotation", quaternion_keys(turns[1:, node])) for node in animated if node in nodes]
     top = carrier(wearer.rig)
-    channels.append((nodes[top], "translation", moves[1:, top].astype(np.float32)))
+    if top in nodes:  # what no skin hangs on is not written
+        channels.append((nodes[top], "translation", moves[1:, top].astype(np.float32)))
     file.animate(len(clip.quaternions), clip.fps, channels)
     return file
 
