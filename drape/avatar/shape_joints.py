@@ -190,8 +190,6 @@ class _Reading:
     def _arms(self, across: np.ndarray, middle: np.ndarray, legs: Sequence[int]) -> tuple[int, list[int], list[int]]:
         """The node where the arms part, the first node of each, and the one that moves the tip of its hand."""
         free = ~np.any([self._below(top)[self.owner] for top in legs], axis=0)
-        if not free.any():
-            raise self._refused("a trunk", "legs alone")
         out = np.where(free, (self.skin - middle) @ across, 0.0)
         tips = [int(self.owner[out.argmax()]), int(self.owner[out.argmin()])]
         chest = self._common(tips)

@@ -157,6 +157,20 @@ def column() -> dict:
     return {name: (above, (0.0, *place[1:])) for name, (above, place) in person().items()}
 
 
+def arms_below() -> dict:
+    """A person whose arms hang on a node between the knees, as its pelvis does."""
+    bones = {name: (above or "root", place) for name, (above, place) in person().items()}
+    for side in ("left", "right"):
+        bones[f"{side}_collar"] = ("root", bones[f"{side}_collar"][1])
+    return {"root": ("", (0.0, 0.4, 0.0)), **bones}
+
+
+def legs_alone() -> dict:
+    """Hips and what hangs on them."""
+    return {name: bone for name, bone in person().items() if name == "pelvis" or name.endswith(LEGS)}
+
+
+LEGS = ("hip", "knee", "ankle", "foot")
 ARMS = ("collar", "shoulder", "elbow", "wrist", "hand")
 FIGURES: dict[str, tuple[Callable[[], dict], str]] = {
     "four legs": (horse, "two legs"),
@@ -165,6 +179,8 @@ FIGURES: dict[str, tuple[Callable[[], dict], str]] = {
     "no arms": (lambda: person(without=ARMS), "two arms"),
     "arms of one bone": (lambda: person(without=ARMS[2:]), "shoulder, elbow and wrist"),
     "legs of one bone": (lambda: relinked(("knee", "foot")), "hip, knee and ankle"),
+    "arms below the hips": (arms_below, "arms above the legs"),
+    "legs alone": (legs_alone, "two arms"),
     "stumps": (stumps, "limbs of a person"),
     "one column": (
         lambda: {name: (above, (0.0, *place[1:])) for name, (above, place) in person().items()},
