@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.avatar.character import Character
-from drape.avatar.shape_joints import joints_by_shape
+from drape.avatar.shape_joints import hanging_on, joints_by_shape
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MotionError, NotFound, did_you_mean
@@ -75,13 +75,9 @@ def _feet_point_back(rig: Rig, character: Character) -> bool:
     ahead = rig.alignment[0][:, 2]
     owner = np.asarray(character.weights.argmax(axis=1)).reshape(-1)
     for side in ("left", "right"):
-        foot = np.zeros(len(rig.parents), dtype=bool)
-        foot[rig.sources[f"{side}_ankle"]] = True
-        for node, parent in enumerate(rig.parents):
-            foot[node] |= parent >= 0 and foot[parent]
-        sole = character.vertices[foot[owner]]
-        place = character.places[rig.sources[f"{side}_ankle"]]
-        if not len(sole) or (sole.mean(axis=0) - place) @ ahead >= 0.0:
+        ankle = rig.sources[f"{side}_ankle"]
+        sole = character.vertices[hanging_on(rig.parents, ankle)[owner]]
+        if not len(sole) or (sole.mean(axis=0) - character.places[ankle]) @ ahead >= 0.0:
             return False
     return True
 

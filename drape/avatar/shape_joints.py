@@ -50,6 +50,15 @@ def joints_by_shape(character: Character, *, label: str = "avatar") -> ShapeJoin
     return _Reading(character, label).joints()
 
 
+def hanging_on(parents: Sequence[int], node: int) -> np.ndarray:
+    """Which nodes (N,) are ``node`` or hang on it."""
+    found = np.zeros(len(parents), dtype=bool)
+    found[node] = True
+    for other in range(node + 1, len(parents)):
+        found[other] = parents[other] >= 0 and found[parents[other]]
+    return found
+
+
 class _Reading:
     """A character on the way to its joints: what each node moves, and whose branch it is in."""
 
@@ -113,11 +122,7 @@ class _Reading:
 
     def _below(self, node: int) -> np.ndarray:
         """Which nodes (N,) are ``node`` or hang on it."""
-        found = np.zeros(len(self.parents), dtype=bool)
-        found[node] = True
-        for other in range(node + 1, len(self.parents)):
-            found[other] = self.parents[other] >= 0 and found[self.parents[other]]
-        return found
+        return hanging_on(self.parents, node)
 
     def _children(self, node: int) -> list[int]:
         return [other for other, parent in enumerate(self.parents) if parent == node and self.lives[other]]
