@@ -46,7 +46,8 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """The frames of a request: ``poses`` (F, 24, 3) [rad] and ``trans`` (F, 3) [m], None for zeros.
+    """The frames of a request: ``poses`` (F, 24, 3) [rad], or quaternions (F, N, 4) of an avatar's own rig, and
+    ``trans`` (F, 3) [m], None for zeros.
 
     Refuses (``MotionError``) other shapes.
     """
@@ -209,7 +210,8 @@ def worn(garment: str | Sequence[str]) -> dict[str, Any]:
 
 
 def motion_of(motion: Motion, body: Body) -> tuple[Clip, dict[str, Any]]:
-    """The frames of a clip or of poses (F, 24, 3), and what JSON says of them; NaN is refused here."""
+    """The frames of a clip, of poses (F, 24, 3) or of quaternions (F, N, 4) of a rig, and what JSON says of them; NaN
+    is refused here."""
     fps, places = body.fps, body.trans
     poses = motion.poses if isinstance(motion, MotionClip) else motion
     if isinstance(motion, MotionClip):

@@ -16,6 +16,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -27,6 +28,7 @@ from clients.client import DrapeClient
 from clients.meshes import surface_of
 from drape.errors import DrapeError, InputError
 from drape.export.glb import GARMENT_COLOURS
+from drape.export.mdd import mdd_frames, mdd_head
 from drape.export.obj import obj_text
 from drape.export.pc2 import pc2_head, pc2_samples
 from drape.export.usda import MovingGarment, usda_pieces
@@ -36,7 +38,8 @@ from drape.motion.clip import MotionClip
 from drape.motion.readers import MOTION_SUFFIXES, read_motion
 from drape.wire.options import DrapeOptions
 
-OUT_SUFFIXES = (".glb", ".npy", ".pc2", ".usda")
+OUT_SUFFIXES = (".glb", ".npy", ".pc2", ".mdd", ".usda")
+CACHES = (".pc2", ".mdd")  # points without a mesh, which comes beside
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -94,13 +97,14 @@ def _parser() -> argparse.ArgumentParser:
         required=True,
         type=Path,
         help="out.glb (animated), out.npy (vertices [m], layer after layer),\n"
-        "out.pc2 (point cache, and out.obj with its mesh) or out.usda (scene)",
+        "out.pc2 or out.mdd (point caches, and out.obj with their mesh) or out.usda (scene)",
     )
     drape.add_argument("--as-recorded", action="store_true", help="for a file: leave its translations as they are")
     drape.add_argument("--fps", type=float, default=30.0, help="frames per second of the result (30)")
     drape.add_argument("--on", metavar="AVATAR", help="the character that wears it: an id, or a GLB or VRM file")
     drape.add_argument("--betas", help="body shape, comma-separated")
     drape.add_argument("--body", action="store_true", help="include the body in the GLB")
+    drape.add_argument("--rig", action="store_true", help="with --on: the GLB on the character's own skeleton")
     drape.add_argument("--float32", action="store_true", help="the GLB in float32, twice as large")
     for name, field in _options().items():
         flag = "--" + name.replace("_", "-")
@@ -198,7 +202,7 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         worn.append(garment)
     if suffix == ".glb":
         garments = worn[0] if len(worn) == 1 else worn
-        more = {"body": options.body, "quantised": not options.float32}
+        more = {"body": options.body, "quantised": not options.float32, "rig": options.rig}
         write_atomic(options.out, [client.drape_glb(garments, clip, betas=betas, **more, **choices)])
     elif suffix == ".usda":
         layers = client.drape_outfit(worn, clip, betas=betas, **choices)
@@ -207,10 +211,14 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         frames = client.drape_frames(worn, clip, betas=betas, **choices)
         first = next(frames)
         joined = (np.concatenate(layers, axis=1) for layers in itertools.chain([first], frames))
-        head = pc2_head if suffix == ".pc2" else _npy_head
+        head, packed = {
+            ".npy": (_npy_head, pc2_samples),
+            ".pc2": (pc2_head, pc2_samples),
+            ".mdd": (partial(mdd_head, fps=clip.fps), mdd_frames),
+        }[suffix]
         begun = head(sum(layer.shape[1] for layer in first), clip.frame_count)
-        write_atomic(options.out, itertools.chain([begun], (pc2_samples(part) for part in joined)))
-        if suffix == ".pc2":
+        write_atomic(options.out, itertools.chain([begun], (packed(part) for part in joined)))
+        if suffix in CACHES:
             meshes = [layer.surface for layer in _moving(client, worn, first, choices)]
             beside = options.out.with_suffix(".obj")
             write_atomic(beside, [obj_text(meshes, [layer[0] for layer in first]).encode()])

@@ -83,7 +83,12 @@ class DrapeClient:
     ) -> None:
         """``key``: an API key or a ticket, where the service has keys."""
         self._http = httpx.Client(base_url=url, timeout=TIMEOUT, headers=key_headers(key), transport=transport)
-        self._methods = Methods()
+        self._methods, self._key = Methods(), key
+
+    @property
+    def reached(self) -> dict[str, Any]:
+        """Address and key of the service, as ``DrapeStream.open`` takes them."""
+        return {"url": str(self._http.base_url), "key": self._key}
 
     def __enter__(self) -> DrapeClient:
         return self
@@ -139,6 +144,7 @@ class DrapeClient:
     upload_garment = _waiting(Methods.upload_garment)
     upload_avatar = _waiting(Methods.upload_avatar)
     avatars = _waiting(Methods.avatars)
+    about_avatar = _waiting(Methods.about_avatar)
     remove_avatar = _waiting(Methods.remove_avatar)
     drape = _waiting(Methods.drape)
     drape_at_root = _waiting(Methods.drape_at_root)
@@ -208,6 +214,7 @@ class AsyncDrapeClient:
     upload_garment = _awaited(Methods.upload_garment)
     upload_avatar = _awaited(Methods.upload_avatar)
     avatars = _awaited(Methods.avatars)
+    about_avatar = _awaited(Methods.about_avatar)
     remove_avatar = _awaited(Methods.remove_avatar)
     drape = _awaited(Methods.drape)
     drape_at_root = _awaited(Methods.drape_at_root)

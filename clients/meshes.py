@@ -33,13 +33,14 @@ def layers(meshes: Sequence[Surface], vertices: np.ndarray) -> list[np.ndarray]:
     return np.split(vertices, np.cumsum([mesh.vertex_count for mesh in meshes])[:-1], axis=1)
 
 
-def check_without_body(call: Call[bytes], most: int) -> None:
-    """Refuses a GLB with the body of a clip that comes in pieces: the service alone has the body."""
+def check_at_once(call: Call[bytes], most: int) -> None:
+    """Refuses a GLB with a body or on a rig of a clip that comes in pieces: the service alone has these."""
     assert call.clip is not None
-    if call.json["body"]:
-        frames = len(call.clip.poses)
-        cure = "Leave the body out, or ask for less at once."
-        raise InputError("body", expected=f"at most {most} frames with it", got=str(frames), cure=cure)
+    for name in ("body", "rig"):
+        if call.json.get(name):
+            frames = len(call.clip.poses)
+            cure = "Leave it out, or ask for less at once."
+            raise InputError(name, expected=f"at most {most} frames with it", got=str(frames), cure=cure)
 
 
 def glb_of(call: Call[bytes], meshes: Sequence[Surface], vertices: np.ndarray, roots: np.ndarray) -> bytes:

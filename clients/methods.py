@@ -16,10 +16,11 @@ import numpy as np
 
 from clients import calls, pieces
 from clients.calls import BINARY, GLB, Answer, Body, Call, Motion, at_root, draped, fetched, path_of, sent
-from clients.meshes import check_without_body, glb_of, surface_of
+from clients.meshes import check_at_once, glb_of, surface_of
 from clients.refusals import problem_error
 from drape.errors import Unavailable
 from drape.motion.clip import MotionClip
+from drape.wire.clips import frame_bytes
 from drape.wire.jets import JetFrame
 from drape.wire.layout import JetLayout
 from drape.wire.options import Resolution
@@ -42,7 +43,7 @@ class Methods:
     """All calls of a client. The service is asked once how many frames it takes at once."""
 
     def __init__(self) -> None:
-        self._most: int | None = None
+        self._health: dict[str, Any] | None = None
 
     def health(self) -> Call[dict[str, Any]]:
         """Whether the service works, and with what."""
@@ -59,6 +60,10 @@ class Methods:
     def avatars(self) -> Call[list[dict[str, Any]]]:
         """The characters that can wear garments: joints, fit, height."""
         return fetched("avatars")
+
+    def about_avatar(self, avatar: str) -> Call[dict[str, Any]]:
+        """What the service tells of one character: joints, how they were found, nodes, fit, height."""
+        return fetched("avatars", avatar)
 
     def remove_avatar(self, avatar: str) -> Call[bytes]:
         """Removes a character from the service."""
@@ -254,21 +259,23 @@ class Methods:
         fps: float | None = None,
         body: bool = False,
         quantised: bool = True,
+        rig: bool = False,
         **options: Any,
     ) -> Steps[bytes]:
-        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``.
+        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``, or on the
+        nodes of the ``avatar``'s own file if ``rig``.
 
         ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise. A clip that comes in pieces is
-        written here, without the body (``InputError``).
+        written here, without body or rig (``InputError``).
         """
         shape = Body(trans, betas, fps)
-        more = {"body": body, "quantised": quantised}
+        more = {"body": body, "quantised": quantised} | ({"rig": True} if rig else {})
         call = draped(calls.read_bytes, garment, motion, shape, options, accept=GLB, more=more)
         assert call.clip is not None
-        most = yield from self._at_once(len(call.clip.poses))
+        most = yield from self._at_once(call.clip.poses)
         if len(call.clip.poses) <= most:
             return (yield call)
-        check_without_body(call, most)
+        check_at_once(call, most)
         rooted = at_root(draped(calls.read_vertices, garment, motion, shape, options))
         vertices, roots = yield from self._whole(rooted)
         meshes = []
@@ -297,11 +304,11 @@ class Methods:
         The steps of one piece must be taken before the next piece is asked for.
         """
         assert call.clip is not None
-        frames, done, past = len(call.clip.poses), 0, None
+        poses, frames, done, past = call.clip.poses, len(call.clip.poses), 0, None
 
         def piece() -> Steps[Answer]:
             nonlocal done, past
-            most = yield from self._at_once(frames)
+            most = yield from self._at_once(poses)
             rows = slice(done, min(frames, done + (most if at_once is None else min(at_once, most))))
             answer, past = yield pieces.piece(call, rows, past)
             done = rows.stop
@@ -311,13 +318,14 @@ class Methods:
         while done < frames:
             yield piece()
 
-    def _at_once(self, frames: int) -> Steps[int]:
-        """The number of ``frames`` that the service takes at once; it is asked the first time that they are many."""
-        if frames <= pieces.UNASKED:
-            return max(1, frames)
-        if self._most is None:
-            self._most = pieces.most_frames((yield self.health()))
-        return self._most
+    def _at_once(self, poses: np.ndarray) -> Steps[int]:
+        """The number of ``poses`` that the service takes at once; it is asked the first time that they are many."""
+        if len(poses) <= pieces.UNASKED:
+            return max(1, len(poses))
+        health = self._health
+        if health is None:
+            health = self._health = yield self.health()
+        return pieces.most_frames(health, frame_bytes(poses))
 
 
 def _listed(garment: str | Sequence[str]) -> Sequence[str]:

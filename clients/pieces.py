@@ -10,7 +10,6 @@ import httpx
 import numpy as np
 
 from clients.calls import DRAPE, Call
-from drape.wire.clips import FRAME_BYTES
 
 Answer = TypeVar("Answer")
 OPTION_BYTES = 16384  # of a request, besides its frames
@@ -18,9 +17,9 @@ UNASKED = 60
 """A clip of no more frames is sent without asking the service how many it takes."""
 
 
-def most_frames(health: dict[str, Any]) -> int:
-    """The most frames of a request to a service with this ``health``."""
-    in_body = (int(health["max_body_bytes"]) - OPTION_BYTES) // FRAME_BYTES
+def most_frames(health: dict[str, Any], frame_bytes: int) -> int:
+    """The most frames of so many bytes of a request to a service with this ``health``."""
+    in_body = (int(health["max_body_bytes"]) - OPTION_BYTES) // frame_bytes
     return max(1, min(int(health["max_frames"]), in_body))
 
 

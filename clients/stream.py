@@ -9,6 +9,9 @@
         await stream.send(pose, trans)
         layout.vertices((await stream.receive_jets()).frame)  # layout: DrapeClient.jet_layout("tshirt")
 
+    async with await DrapeStream.open(url, "tshirt", avatar="me") as stream:
+        await stream.send_rig(quaternions, place)  # of the character's own nodes
+
 Frames answer the newest pose; poses that a newer one replaced are counted in ``frame.dropped``. A service that ends
 hands the stream over to its successor, with what the cloth remembers: frames go on, and poses that it had not answered
 are sent again. A body that stands still sends few poses: once the service has said that a pose changes nothing, the
@@ -36,6 +39,7 @@ from drape.errors import DrapeError, Unavailable
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, unpack_jets
 from drape.wire.options import options_document
+from drape.wire.rig_poses import RigPose, pack_rig_pose
 
 MESSAGE_LIMIT_BYTES = 16 * 2**20
 OPEN_S = 10.0
@@ -96,18 +100,19 @@ class DrapeStream:
         garment: str | Sequence[str] = "",
         *,
         betas: Sequence[float] | np.ndarray | None = None,
+        avatar: str | None = None,
         key: str | None = None,
         clock: Callable[[], float] = time.perf_counter,
         **options: Any,
     ) -> DrapeStream:
         """Connects and opens, with ``options`` of ``drape.wire.options.DrapeOptions``; raises the service's refusal.
 
-        ``key``: an API key or a ticket, where the service has keys. ``clock``: the time [s] of the motion, with which
-        poses are stamped and ages taken.
+        ``avatar``: the id of the character that wears it. ``key``: an API key or a ticket, where the service has keys.
+        ``clock``: the time [s] of the motion, with which poses are stamped and ages taken.
         """
         stream = cls(await _connected(url, key), url, key, clock)
         try:
-            await stream.reopen(garment, betas=betas, **options)
+            await stream.reopen(garment, betas=betas, avatar=avatar, **options)
         except BaseException:
             await stream.close()
             raise
@@ -130,16 +135,18 @@ class DrapeStream:
         garment: str | Sequence[str],
         *,
         betas: Sequence[float] | np.ndarray | None = None,
+        avatar: str | None = None,
         **options: Any,
     ) -> dict[str, Any]:
-        """Turns the stream to another garment, shape or ``options``; old frames are thrown away.
+        """Turns the stream to another garment, shape, ``avatar`` or ``options``; old frames are thrown away.
 
         Several garments are worn over each other, the innermost first; ``layers`` parts their vertices. With jets
         frames come from ``receive_jets``.
         """
         shape = None if betas is None else [float(beta) for beta in betas]
         about = {"betas": shape, "moves": True, "same": True, **options_document(options)}
-        self._request = {"type": "open", **worn(garment), **about}
+        wearer = {} if avatar is None else {"avatar": avatar}
+        self._request = {"type": "open", **worn(garment), **wearer, **about}
         self._unanswered.clear()
         self._held.clear()
         self._still = None
@@ -157,9 +164,27 @@ class DrapeStream:
 
     async def send(self, pose: np.ndarray, trans: np.ndarray | None = None) -> int:
         """Sends a pose (24, 3) [rad] with its root translation (3,) [m]; returns its sequence number."""
+        place = np.zeros(3) if trans is None else np.asarray(trans)
+        return await self._sent(
+            lambda sequence, now_s: wire.pack_pose(wire.Pose(sequence, now_s, place, np.asarray(pose)))
+        )
+
+    async def send_rig(self, quaternions: np.ndarray, place: np.ndarray | None = None) -> int:
+        """Sends a pose of the avatar's own rig: the local rotation (N, 4) of each of its nodes, x, y, z, w, and where
+        the node of its pelvis is (3,) [m], at rest where None; returns its sequence number.
+
+        Raises ``Unavailable`` where the stream is on no avatar, or the service is too old to take it.
+        """
+        if "nodes" not in self.about:
+            cure = "Open with an avatar, at a service of this release, or send poses of ours."
+            raise Unavailable("send_rig", expected="a stream that takes poses of a rig", got="another", cure=cure)
+        return await self._sent(lambda sequence, now_s: pack_rig_pose(RigPose(sequence, now_s, place, quaternions)))
+
+    async def _sent(self, packed: Callable[[int, float], bytes]) -> int:
+        """Sends the pose that is ``packed`` with its sequence number, which is returned, and its time."""
         self._sequence = sequence = (self._sequence + 1) & 0xFFFFFFFF
-        place, now_s = np.zeros(3) if trans is None else np.asarray(trans), self._clock()
-        message = wire.pack_pose(wire.Pose(sequence, now_s, place, np.asarray(pose)))
+        now_s = self._clock()
+        message = packed(sequence, now_s)
         before_s, self._asked_s = self._asked_s, now_s
         # The next pose, as much later as this one was after the one before, must not come too late either.
         if wire.posed(message) == self._still and CLOSEST_S < now_s - before_s < self._sent_s + HELD_S - now_s:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from drape.body.model import BodyModel
-from drape.errors import ArtifactError, NotFound
+from drape.errors import ArtifactError, NotFound, did_you_mean
 from drape.files.formats import MESH_SUFFIXES
 from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.motion.readers import MOTION_SUFFIXES
@@ -41,7 +41,8 @@ def find_files(names: Sequence[str], folder: Path, suffixes: tuple[str, ...], ki
             matches = [p for p in sorted(folder.iterdir()) if p.suffix in suffixes and short_name(p) == name]
         if not matches:
             known = sorted({short_name(p) for p in folder.iterdir() if p.suffix in suffixes})
-            raise NotFound(kind, expected=f"one of {known}, a file or a folder", got=name, cure="Check the name.")
+            cure = did_you_mean(name, known, "Check the name.")
+            raise NotFound(kind, expected=f"one of {known}, a file or a folder", got=name, cure=cure)
         found += matches
     return found
 

@@ -16,9 +16,10 @@ error and an exit status that scripts can tell (``refusing``).
 
 from __future__ import annotations
 
+import difflib
 import functools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import ParamSpec
 
 REFUSED_EXIT_CODE = 2
@@ -96,3 +97,10 @@ def ended(main: Callable[[], object]) -> int:
         return 0
 
     return refusing(run)()
+
+
+def did_you_mean(name: str, known: Iterable[str], cure: str) -> str:
+    """``cure``, after the name of ``known`` that ``name`` was likely meant to be, if one is near."""
+    by_lower = {one.lower(): one for one in known}
+    near = difflib.get_close_matches(name[:120].lower(), by_lower, n=1, cutoff=0.7)
+    return f"Did you mean {by_lower[near[0]]}? {cure}" if near else cure

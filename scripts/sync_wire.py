@@ -17,6 +17,7 @@ from drape.geometry import jets  # noqa: E402
 from drape.wire import jets as wire_jets  # noqa: E402
 from drape.wire import layout as jet_layout  # noqa: E402
 from drape.wire import messages as wire  # noqa: E402
+from drape.wire import rig_poses  # noqa: E402
 
 TARGET = ROOT / "clients/web/lib/src/wire.js"
 SIZES = {"u8": 1, "u16": 2, "u32": 4, "f32": 4, "f64": 8}
@@ -29,6 +30,7 @@ export const SUBPROTOCOL = "{subprotocol}";
 export const MAGIC = {magic};
 export const KIND = {{
   POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout}, CLIP: {clip}, STATE: {state}, SAME: {same},
+  RIG_POSE: {rig_pose},
 }};
 export const FLAG_PUSHED = {flag_pushed};
 export const FLAG_STEPPED = {flag_stepped};
@@ -37,7 +39,7 @@ export const FLAG_BYTES = {flag_bytes};
 // Suffixes of garment files, as the file chooser takes them.
 export const MESH_SUFFIXES = "{suffixes}";
 export const BYTES = {{
-  POSE: {pose_bytes}, ACK: {ack_bytes}, SAME: {same_bytes},
+  POSE: {pose_bytes}, ACK: {ack_bytes}, SAME: {same_bytes}, RIG_POSE_HEADER: {rig_pose_bytes},
   FRAME_HEADER: {frame_bytes}, JETS_HEADER: {jets_bytes}, LAYOUT_HEADER: {layout_bytes},
 }};
 
@@ -84,6 +86,16 @@ export function packPose({{ sequence, clientTimeS, trans, pose }}) {{
   const buffer = new ArrayBuffer(BYTES.POSE);
   const record = {{ ...prefix(KIND.POSE, sequence, 1), client_time_s: clientTimeS, trans, pose }};
   writeRecord(new DataView(buffer), LAYOUTS.POSE, record);
+  return buffer;
+}}
+
+// quaternions: x, y, z, w of each node of the avatar, one after the other; place: 3 numbers [m], or null for its rest.
+export function packRigPose({{ sequence, clientTimeS, place, quaternions }}) {{
+  const buffer = new ArrayBuffer(BYTES.RIG_POSE_HEADER + 4 * quaternions.length);
+  const head = {{ ...prefix(KIND.RIG_POSE, sequence, quaternions.length / 4), flags: place ? 1 : 0 }};
+  const record = {{ ...head, client_time_s: clientTimeS, trans: place ?? [0, 0, 0] }};
+  writeRecord(new DataView(buffer), LAYOUTS.RIG_POSE, record);
+  new Float32Array(buffer, BYTES.RIG_POSE_HEADER).set(quaternions);
   return buffer;
 }}
 
@@ -209,6 +221,7 @@ def generate() -> str:
         layout=wire.LAYOUT,
         state=wire.STATE,
         same=wire.SAME,
+        rig_pose=wire.RIG_POSE,
         jets_bytes=wire_jets.HEADER_BYTES,
         layout_bytes=jet_layout.HEADER_BYTES,
         jet_numbers=jets.FULL_COUNT,
@@ -227,6 +240,7 @@ def generate() -> str:
         pose_bytes=wire.POSE_BYTES,
         ack_bytes=wire.ACK_BYTES,
         same_bytes=wire.SAME_BYTES,
+        rig_pose_bytes=rig_poses.HEADER_BYTES,
         frame_bytes=wire.FRAME_HEADER_BYTES,
         layouts=layouts,
     )

@@ -51,9 +51,9 @@ class Character:
 def read_character(payload: bytes, *, label: str = "avatar") -> Character:
     """The character in the bytes of a GLB or VRM file; refuses (``MeshError``) what has no skinned surface."""
     file = GltfFile(payload, label=label)
-    order, parents = _tree(file)
+    order, parents = tree_of(file)
     place = {node: number for number, node in enumerate(order)}
-    world = np.stack([_transform(file, node) for node in order])
+    world = np.stack([transform_of(file, node) for node in order])
     for number, parent in enumerate(parents):
         if parent >= 0:
             world[number] = world[parent] @ world[number]
@@ -78,7 +78,7 @@ def read_character(payload: bytes, *, label: str = "avatar") -> Character:
     )  # fmt: skip
 
 
-def _tree(file: GltfFile) -> tuple[list[int], tuple[int, ...]]:
+def tree_of(file: GltfFile) -> tuple[list[int], tuple[int, ...]]:
     """The file's nodes, parents first, and the place of each one's parent among them."""
     count = len(file.listed("nodes"))
     parent = np.full(count, -1)
@@ -101,7 +101,7 @@ def _tree(file: GltfFile) -> tuple[list[int], tuple[int, ...]]:
     return order, tuple(place[int(parent[node])] if parent[node] >= 0 else -1 for node in order)
 
 
-def _transform(file: GltfFile, node: int) -> np.ndarray:
+def transform_of(file: GltfFile, node: int) -> np.ndarray:
     """The transform (4, 4) of a node relative to its parent."""
     held, found = file.item("nodes", node), np.eye(4)
     try:
@@ -127,7 +127,21 @@ Part = tuple[np.ndarray, np.ndarray, scipy.sparse.csr_matrix]
 
 def _part(file: GltfFile, node: dict[str, Any], place: dict[int, int], world: np.ndarray) -> Part | None:
     """Vertices, faces and weights over nodes of one skinned mesh; None where it has no triangles."""
-    skin, mesh = file.item("skins", node["skin"]), file.item("meshes", node.get("mesh"))
+    mesh = file.item("meshes", node.get("mesh"))
+    joints, binds = skin_of(file, node["skin"])
+    rows = np.array([place[joint] for joint in joints])
+    moves = world[rows] @ binds
+    found = [
+        _primitive(file, primitive, rows, moves, len(world))
+        for primitive in mesh.get("primitives", ())
+        if primitive.get("mode", TRIANGLES) == TRIANGLES and "JOINTS_0" in primitive.get("attributes", {})
+    ]
+    return _joined(found, len(world)) if found else None
+
+
+def skin_of(file: GltfFile, index: Any) -> tuple[list[int], np.ndarray]:
+    """The nodes of the joints of skin ``index`` in the file's order, and their inverse bind matrices (J, 4, 4)."""
+    skin = file.item("skins", index)
     joints = skin.get("joints", [])
     if not isinstance(joints, list) or not 0 < len(joints) <= MOST_JOINTS:
         raise MeshError(
@@ -138,7 +152,6 @@ def _part(file: GltfFile, node: dict[str, Any], place: dict[int, int], world: np
         )
     for joint in joints:
         file.item("nodes", joint)
-    rows = np.array([place[joint] for joint in joints])
     binds = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
     if "inverseBindMatrices" in skin:
         flat = file.array(skin["inverseBindMatrices"])
@@ -147,13 +160,7 @@ def _part(file: GltfFile, node: dict[str, Any], place: dict[int, int], world: np
             name, cure = f"{file.label}: inverseBindMatrices", "Export the character again."
             raise MeshError(name, expected=f"({len(joints)}, 16)", got=got, cure=cure)
         binds = flat.astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
-    moves = world[rows] @ binds
-    found = [
-        _primitive(file, primitive, rows, moves, len(world))
-        for primitive in mesh.get("primitives", ())
-        if primitive.get("mode", TRIANGLES) == TRIANGLES and "JOINTS_0" in primitive.get("attributes", {})
-    ]
-    return _joined(found, len(world)) if found else None
+    return joints, np.array(binds)
 
 
 def _primitive(file: GltfFile, primitive: dict[str, Any], rows: np.ndarray, moves: np.ndarray, nodes: int) -> Part:

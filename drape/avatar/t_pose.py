@@ -7,17 +7,13 @@ goes to sum_j w_j (A_j^T (x - p_j) + p'_j).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
 
 from drape.avatar.character import Character
-from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
-from drape.errors import NotFound
-from drape.geometry.rotations import matrix_to_quaternion
 from drape.motion.rig_poses import Rig
 
 HEIGHTS_M = (1.0, 2.3)  # of characters that are taken as they are
@@ -43,49 +39,6 @@ class TPose:
     def height_m(self) -> float:
         """From its lowest to its highest point [m]."""
         return float(np.ptp(self.vertices[:, 1]))
-
-
-def rig_of(
-    character: Character, body: BodyModel, *, told: Mapping[str, str] | None = None, label: str = "avatar"
-) -> Rig:
-    """The rig of ``character`` for poses of ``body``: its joints by VRM's bones where the file has them, else by names.
-
-    ``told``: SMPL's names of joints and the names of the nodes that are these, where names say it wrong. Raises
-    ``MotionError`` where the nodes are no person's, ``NotFound`` for a name that is not there.
-    """
-    names = list(character.names)
-    if character.humanoid:
-        bones = {place: bone for bone, place in character.humanoid.items()}
-        names = [bones.get(place, f"node {place}") for place in range(len(names))]
-    turns = np.array([_turn(each) for each in character.world[:, :3, :3]])
-    local, moves = turns.copy(), character.places.copy()
-    for node, parent in enumerate(character.parents):
-        if parent >= 0:
-            local[node] = turns[parent].T @ turns[node]
-            moves[node] = turns[parent].T @ (character.places[node] - character.places[parent])
-    return Rig(
-        names, character.parents, matrix_to_quaternion(local), moves, body.joints_template, label,
-        told=_places(character, told or {}, label),
-    )  # fmt: skip
-
-
-def _places(character: Character, told: Mapping[str, str], label: str) -> dict[str, int]:
-    """Places of the nodes that were ``told`` by name."""
-    for joint, name in told.items():
-        if joint not in JOINT_NAMES:
-            known = ", ".join(JOINT_NAMES)
-            raise NotFound(f"{label}: joint", expected=f"one of {known}", got=joint[:40], cure="Correct the name.")
-        if name not in character.names:
-            near = ", ".join(character.names[:40])
-            raise NotFound(f"{label}: {joint}", expected=f"a node: {near}", got=name[:60], cure="Correct the name.")
-    return {joint: character.names.index(name) for joint, name in told.items()}
-
-
-def _turn(matrix: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) nearest to ``matrix``, which may scale; a mirrored one keeps two of its axes."""
-    u, _, vt = np.linalg.svd(matrix)
-    u[:, -1] *= np.sign(np.linalg.det(u @ vt))
-    return u @ vt
 
 
 def t_posed(character: Character, rig: Rig) -> TPose:

@@ -11,7 +11,8 @@ import json
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +21,9 @@ import scipy.sparse
 from drape.avatar.avatar_body import avatar_body
 from drape.avatar.body_fit import fit_to
 from drape.avatar.character import read_character
+from drape.avatar.mapping import NAMES, mapped
 from drape.avatar.parts import counted_vertices
-from drape.avatar.t_pose import TPose, rig_of, t_posed
+from drape.avatar.t_pose import TPose, t_posed
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
@@ -30,7 +32,7 @@ from drape.files.atomic import whole_file
 from drape.files.packed import UNREADABLE, packed, read_packed
 from drape.geometry.closest import closest_point
 from drape.geometry.skinning import skin_points
-from drape.motion.rig_poses import Rig, rig_to_poses
+from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_poses
 
 FORMAT_VERSION = 1
 FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's
@@ -46,7 +48,7 @@ class Wearer:
     ``body`` stands for it; ``rig`` has its nodes, called as VRM calls them in a VRM; ``nodes`` are their own names.
     ``vertices`` [m] (V, 3) of its surface in T-pose in the frame of ``body``, ``faces`` (F, 3), ``weights`` (V, 24) of
     the joints. ``scale``: metres per unit of its file. ``median_mm``, ``p95_mm``: how far its trunk and limbs are from
-    the body. ``vrm``: "0", "1" or "".
+    the body. ``vrm``: "0", "1" or "". ``found_by``, ``confidence`` and ``notes`` as in ``Mapped``.
     """
 
     name: str
@@ -62,6 +64,9 @@ class Wearer:
     median_mm: float
     p95_mm: float
     vrm: str = ""
+    found_by: str = NAMES
+    confidence: float = 1.0
+    notes: tuple[str, ...] = ()
 
     @property
     def joints(self) -> dict[str, str]:
@@ -85,11 +90,38 @@ class Wearer:
         ``places`` [m] (F, 3): where the node of the pelvis is, at rest where None. What is draped then lies in the
         world of the rig, in metres. Raises ``MotionError`` for what are no unit quaternions of its nodes.
         """
-        xyzw = _rotations(quaternions, len(self.nodes))
-        poses = rig_to_poses(self.rig, xyzw[..., [3, 0, 1, 2]])
+        xyzw = rotations(quaternions, len(self.nodes))
+        rows, rig = self._read_nodes
+        poses = rig_to_poses(rig, xyzw[:, rows][..., [3, 0, 1, 2]])
         rest = self.scale * self.rig.rest_positions[self.rig.sources["pelvis"]]
         at = np.broadcast_to(rest, (len(poses), 3)) if places is None else np.asarray(places, dtype=np.float64)
         return poses, at - self.body.joints_template[0]
+
+    @cached_property
+    def _read_nodes(self) -> tuple[np.ndarray, Rig]:
+        """The nodes (n,) that turn a joint of ours, and the rig of these alone: of a face's bones no joint hears."""
+        rig = self.rig
+        rows = np.zeros(len(self.nodes), dtype=bool)
+        for node in rig.sources.values():
+            while node >= 0 and not rows[node]:
+                rows[node] = True
+                node = rig.parents[node]
+        place = np.cumsum(rows) - 1
+        parents = [
+            -1 if above < 0 else int(place[above]) for above, read in zip(rig.parents, rows, strict=True) if read
+        ]
+        told = {joint: int(place[node]) for joint, node in rig.sources.items()}
+        names = [name for name, read in zip(rig.names, rows, strict=True) if read]
+        less = replace(
+            rig, names=names, parents=parents, told=told,
+            rest_rotations=rig.rest_rotations[rows], rest_translations=rig.rest_translations[rows],
+        )  # fmt: skip
+        return np.flatnonzero(rows), less
+
+    def to_rig(self, poses: np.ndarray, trans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The inverse of ``from_rig``: local quaternions (F, N, 4), xyzw, of its nodes and places [m] (F, 3) of the
+        pelvis's for our ``poses`` (F, 24, 3) [rad] and ``trans`` [m] (F, 3)."""
+        return poses_to_rig(self.rig, poses)[..., [1, 2, 3, 0]], trans + self.body.joints_template[0]
 
     def file_name(self) -> str:
         """The file that ``save_wearer`` writes."""
@@ -106,7 +138,7 @@ def read_wearer(
 ) -> Wearer:
     """The wearer in the bytes of a GLB or VRM file, for garments of ``body``, the standard one by default.
 
-    ``told`` as in ``rig_of``; ``begun`` gets each stage as it begins: read, map, fit. Raises ``MeshError``,
+    ``told`` as in ``mapped``; ``begun`` gets each stage as it begins: read, map, fit. Raises ``MeshError``,
     ``MotionError``, ``BodyError`` or ``NotFound`` for what is no person with a skeleton and a skin.
     """
     begins = begun or (lambda stage: None)
@@ -114,7 +146,8 @@ def read_wearer(
     body = load_body() if body is None else body
     character = read_character(payload, label=name)
     begins("map")
-    rig = rig_of(character, body, told=told, label=name)
+    found = mapped(character, body, told=told, label=name)
+    rig = found.rig
     pose = t_posed(character, rig)
     _check_limbs(pose, rig, name)
     begins("fit")
@@ -124,13 +157,13 @@ def read_wearer(
     distance = 1e3 * closest_point(surface[counted_vertices(pose)], made.v_template, made.faces).distance
     median_mm, p95_mm = float(np.median(distance)), float(np.quantile(distance, 0.95))
     if median_mm > FIT_LIMIT_MM:
-        cure = "Send a character with a body under its clothes, in a T- or A-pose."
+        cure = " ".join([*(f"{note}." for note in found.notes), "Send a character with a body in a T- or A-pose."])
         got = f"{median_mm:.0f} mm"
         raise BodyError(name, expected=f"a body that ours fits to {FIT_LIMIT_MM:g} mm", got=got, cure=cure)
     digest = hashlib.sha256(json.dumps([FORMAT_VERSION, body.digest, dict(told or {})]).encode() + payload).hexdigest()
     return Wearer(
         name, digest, made, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
-        pose.height_m, median_mm, p95_mm, character.vrm,
+        pose.height_m, median_mm, p95_mm, character.vrm, found.by, found.confidence, found.notes,
     )  # fmt: skip
 
 
@@ -154,8 +187,8 @@ def _check_limbs(pose: TPose, rig: Rig, name: str) -> None:
             )
 
 
-def _rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndarray:
-    """``quaternions`` as (F, N, 4); refuses other numbers of nodes."""
+def rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndarray:
+    """``quaternions`` as (F, N, 4); refuses other numbers of nodes, and other lengths than one."""
     try:
         found = np.asarray(quaternions, dtype=np.float64)
     except ValueError:  # frames of different lengths
@@ -167,6 +200,10 @@ def _rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.nda
             got=f"shape {found.shape[1:]}" if found.ndim == 3 else "frames of different lengths",
             cure="GET /avatars/ID tells the nodes in their order.",
         )
+    lengths = np.linalg.norm(found, axis=-1)
+    if not (np.abs(lengths - 1.0) <= UNIT_TOLERANCE).all():  # which also catches NaN
+        got = f"lengths from {lengths.min():.4g} to {lengths.max():.4g}"
+        raise MotionError("rig_poses", expected="unit quaternions xyzw", got=got, cure="Send rotations without scale.")
     return found
 
 
@@ -179,6 +216,7 @@ def save_wearer(wearer: Wearer, folder: Path) -> Path:
         "height_m": wearer.height_m, "median_mm": wearer.median_mm, "p95_mm": wearer.p95_mm, "vrm": wearer.vrm,
         "nodes": list(wearer.nodes), "rig_names": list(rig.names), "parents": list(rig.parents),
         "told": dict(rig.sources), "body_digest": body.digest, "standard_digest": body.standard_digest,
+        "found_by": wearer.found_by, "confidence": wearer.confidence, "notes": list(wearer.notes),
     }  # fmt: skip
     arrays = {
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
@@ -216,6 +254,7 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
             body.joints_template, header["name"], header["told"],
         )  # fmt: skip
         figures = [header[key] for key in ("scale", "height_m", "median_mm", "p95_mm", "vrm")]
+        figures += [header.get("found_by", NAMES), header.get("confidence", 1.0), tuple(header.get("notes", ()))]
         surface = [arrays[key] for key in _ARRAYS]
         return Wearer(header["name"], header["digest"], worn, rig, tuple(header["nodes"]), *surface, *figures)
     except UNREADABLE as error:
@@ -239,6 +278,9 @@ def main(arguments: list[str] | None = None) -> int:
     found = read_wearer(given.file.read_bytes(), name=wearer_name(given.file.stem))
     for joint, node in found.joints.items():
         print(f"{joint:15s} {node}")
+    print(f"joints by {found.found_by}, {100.0 * found.confidence:.0f} % sure")
+    for note in found.notes:
+        print(f"note: {note}")
     print(f"height {found.height_m:.2f} m; fit {found.median_mm:.1f} mm median, {found.p95_mm:.1f} mm at 95 %")
     if given.out is not None:
         print(f"stored {save_wearer(found, given.out)}")

@@ -24,7 +24,7 @@ from dataclasses import fields
 
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_readings import FastReadings, KesReadings, from_fast, from_kes
-from drape.errors import InputError, NotFound
+from drape.errors import InputError, NotFound, did_you_mean
 
 STRETCH_SHARE = 0.25  # of the way from rest to a stretch of 1/6
 
@@ -121,12 +121,8 @@ def fabric(which: str | Mapping[str, float] | Fabric) -> Fabric:
             warnings.warn(f"fabric {which!r} is now {ALIASES[which]!r}", DeprecationWarning, stacklevel=2)
         name = ALIASES.get(which, which)
         if name not in FABRICS:
-            raise NotFound(
-                "fabric",
-                expected=f"one of {sorted(FABRICS)}",
-                got=which,
-                cure="Use one of these names, or give numbers or laboratory readings.",
-            )
+            cure = did_you_mean(name, FABRICS, "Use one of these names, or give numbers or laboratory readings.")
+            raise NotFound("fabric", expected=f"one of {sorted(FABRICS)}", got=which, cure=cure)
         return FABRICS[name]
     try:
         return Fabric(**{"name": "given", **which})

@@ -85,7 +85,19 @@ def add_garment(
         cure = "Give the root's motion of these frames."
         raise InputError("root motion", expected=f"{len(frames)} frames", got=str(len(root_motion)), cure=cure)
     made = _in_floats if root_motion is None else partial(_in_steps, root_motion=root_motion)
-    shape = made(file, garment, corners, frames)
+    add_shape(file, garment, corners, made(file, garment, corners, frames), len(frames), fps, colour)
+
+
+def add_shape(
+    file: GlbFile,
+    garment: Surface,
+    corners: Corners,
+    shape: Shape,
+    frames: int,
+    fps: float,
+    colour: tuple[float, float, float, float],
+) -> None:
+    """The garment with its materials in the ``shape`` of so many frames; the last of these are its targets."""
     base, moves = shape.parts[0], shape.parts[1:]
     if corners.uv is not None:
         base["TEXCOORD_0"] = file.array(corners.uv.astype(np.float32), target=VERTEX_BUFFER)
@@ -109,20 +121,20 @@ def add_garment(
     node = {path: values[0].tolist() for path, values in shape.motion.items()} | shape.node
     placed = file.node({"name": garment.name, "mesh": file.add("meshes", mesh), **node})
     if moves:
-        motion = {"weights": np.eye(len(frames), dtype=np.float32)[:, 1:].reshape(-1)} | shape.motion
-        file.animate(len(frames), fps, [(placed, path, values) for path, values in motion.items()])
+        motion = {"weights": np.eye(frames, dtype=np.float32)[:, frames - len(moves) :].reshape(-1)} | shape.motion
+        file.animate(frames, fps, [(placed, path, values) for path, values in motion.items()])
 
 
 @dataclass(frozen=True, eq=False)
-class _Shape:
-    """Accessors of the first frame and of the way from there to each later one; fields of the node, and its motion."""
+class Shape:
+    """Accessors of a mesh and of the way from it to each frame that has one; fields of the node, and its motion."""
 
     parts: list[dict[str, int]]
     node: dict[str, Any] = field(default_factory=dict)
     motion: dict[str, np.ndarray] = field(default_factory=dict)
 
 
-def _in_floats(file: GlbFile, garment: Surface, corners: Corners, frames: np.ndarray) -> _Shape:
+def _in_floats(file: GlbFile, garment: Surface, corners: Corners, frames: np.ndarray) -> Shape:
     """The clip in float32."""
     frames = frames.astype(np.float32)
     normals = vertex_normals(frames, garment.faces)[:, corners.source]
@@ -134,12 +146,12 @@ def _in_floats(file: GlbFile, garment: Surface, corners: Corners, frames: np.nda
         }
         for i in range(len(frames))
     ]
-    return _Shape(parts)
+    return Shape(parts)
 
 
 def _in_steps(
     file: GlbFile, garment: Surface, corners: Corners, frames: np.ndarray, *, root_motion: RootMotion
-) -> _Shape:
+) -> Shape:
     """The clip in steps, and the node that scales them to places and moves with the root."""
     file.quantised()
     centre, scale = _box(frames, root_motion)
@@ -152,7 +164,7 @@ def _in_steps(
     normals = file.quantised_rows(np.stack(turned).astype(np.int8))
     parts = [{"POSITION": p, "NORMAL": n} for p, n in zip(positions, normals, strict=True)]
     motion = {"translation": root_motion.places_of(centre).astype(np.float32), "rotation": keys(root_motion.turn)}
-    return _Shape(parts, {"scale": [scale] * 3}, motion)
+    return Shape(parts, {"scale": [scale] * 3}, motion)
 
 
 def _box(frames: np.ndarray, root_motion: RootMotion) -> tuple[np.ndarray, float]:
@@ -175,12 +187,15 @@ def _steps(
     first, table = np.zeros(0), meshes.face_table(faces, frames.shape[1])
     for frame, points in enumerate(frames):
         local = root_motion.towards_root(points, frame)
-        normals = vertex_normals(local, faces, table=table).astype(np.float64)
-        if frame:
-            normals = _way_of_normals(first, normals)
-        else:
-            first = np.rint(normals * NORMAL_STEPS) / NORMAL_STEPS
-        yield np.rint((local - centre) * (STEPS / scale)).astype(np.int32), np.rint(normals * NORMAL_STEPS)
+        normals = normal_steps(vertex_normals(local, faces, table=table).astype(np.float64), first if frame else None)
+        if not frame:
+            first = normals / NORMAL_STEPS
+        yield np.rint((local - centre) * (STEPS / scale)).astype(np.int32), normals
+
+
+def normal_steps(normals: np.ndarray, first: np.ndarray | None) -> np.ndarray:
+    """Unit ``normals`` (V, 3) in steps, or the way to them from ``first`` (V, 3)."""
+    return np.rint((normals if first is None else _way_of_normals(first, normals)) * NORMAL_STEPS)
 
 
 def _way_of_normals(first: np.ndarray, normals: np.ndarray) -> np.ndarray:

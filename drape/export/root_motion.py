@@ -38,7 +38,12 @@ def keys(turn: np.ndarray) -> np.ndarray:
     A quaternion and its negative turn alike, but players interpolate between them the long way round, so neighbours in
     time are on one side of the sphere.
     """
-    wxyz = np.array(rotvec_to_quaternion(np.asarray(turn, dtype=np.float64)))
+    return quaternion_keys(rotvec_to_quaternion(np.asarray(turn, dtype=np.float64)))
+
+
+def quaternion_keys(turns: np.ndarray) -> np.ndarray:
+    """The same of quaternions wxyz (F, ..., 4)."""
+    wxyz = np.array(turns)
     for frame in range(1, len(wxyz)):
         wxyz[frame] *= np.where((wxyz[frame] * wxyz[frame - 1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
     return np.roll(wxyz, -1, axis=-1).astype(np.float32)

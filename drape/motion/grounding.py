@@ -17,6 +17,7 @@ from drape.motion.t_pose import CANONICAL_FLOOR, CANONICAL_JOINTS, JOINT_INDEX
 # Heel behind the ankle and tip before the joint of the toes [m], for a foot of average size.
 HEEL_BEHIND = 0.045
 TIP_AHEAD = 0.065
+NOTED_M = 0.15  # from the ground: a jump lands, and a floor may have a step
 
 
 def placed_on_ground(clip: MotionClip, rest_joints: np.ndarray, *, floor: float) -> MotionClip:
@@ -54,6 +55,18 @@ def sole_heights(local_rotations: np.ndarray, rest_joints: np.ndarray, *, floor:
             offset = place - rest_joints[joint]
             heights[:, index, point] = (joints[:, joint] + rotations[:, joint] @ offset)[:, 1]
     return heights
+
+
+def floor_note(poses: np.ndarray, trans: np.ndarray, rest_joints: np.ndarray, *, floor: float) -> str:
+    """What is to be said where the soles of ``poses`` (F, 24, 3) [rad] at ``trans`` (F, 3) [m] never come near the
+    ground y = 0, or go far below it; empty where nothing is. ``rest_joints`` and ``floor`` as in
+    ``placed_on_ground``."""
+    heights = sole_heights(rotvec_to_matrix(poses), rest_joints, floor=floor).min(axis=(1, 2)) + trans[:, 1]
+    lowest = float(heights.min())
+    if abs(lowest) <= NOTED_M:
+        return ""
+    where = "above" if lowest > 0.0 else "below"
+    return f"feet: the lowest sole is {abs(lowest):.2f} m {where} the floor; place the clip for the body that moves"
 
 
 def _leg_length(joints: np.ndarray) -> float:

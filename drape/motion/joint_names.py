@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from drape.errors import MotionError
 
@@ -81,6 +81,8 @@ _SCHEMES = {
 _NECK = ("neck", "lowerneck", "neck01", "necklower", "necktwist01", "spine004", "首")
 _HEAD = ("head", "spine006", "頭")
 
+CURE = "Rename the joints, or export with one of these naming schemes: docs/guide/motion.md."
+
 _REQUIRED = ("hip", "knee", "ankle", "shoulder", "elbow")
 
 
@@ -99,20 +101,29 @@ def match_joints(names: Sequence[str], parents: Sequence[int], *, label: str) ->
     missing = _lacks(found)
     if missing:
         raise _too_few(label, f"no {', '.join(missing)} among {', '.join(names[:40])}")
-    left, right = (_ancestors(parents, found[f"{side}_hip"]) for side in ("left", "right"))
-    found["pelvis"] = next(joint for joint in left[1:] if joint in right[1:])
+    found = with_trunk(found, parents, label=label)
     trunk = _trunk(parents, found)
-    if not trunk:
-        raise _too_few(label, "no joint between the pelvis and the arms")
-    found |= {
+    return found | {
         joint: plain[word]
         for joint, words in (("neck", _NECK), ("head", _HEAD))
         for word in words[::-1]
         if word in plain and plain[word] not in trunk  # a trunk of four joints may end in "spine004"
     }
-    for k in (1, 2, 3):
-        found[f"spine{k}"] = trunk[-(-k * len(trunk) // 3) - 1]
-    return found
+
+
+def with_trunk(limbs: dict[str, int], parents: Sequence[int], *, label: str) -> dict[str, int]:
+    """``limbs``, joints with a side, and the pelvis and the spine that hold them; refused where there is no trunk."""
+    left, right = (_ancestors(parents, limbs[f"{side}_hip"]) for side in ("left", "right"))
+    found = {**limbs, "pelvis": next(joint for joint in left[1:] if joint in right[1:])}
+    trunk = _trunk(parents, found)
+    if not trunk:
+        raise _too_few(label, "no joint between the pelvis and the arms")
+    return found | {f"spine{k}": trunk[-(-k * len(trunk) // 3) - 1] for k in (1, 2, 3)}
+
+
+def is_whole(found: Mapping[str, int]) -> bool:
+    """Whether ``found`` has every joint that a person needs."""
+    return not _lacks(found) and {"pelvis", "spine1", "spine2", "spine3"} <= found.keys()
 
 
 def _plain(name: str) -> str:
@@ -134,7 +145,7 @@ def _limbs(plain: dict[str, int], scheme: dict[str, tuple[str, ...]]) -> dict[st
     return found
 
 
-def _lacks(found: dict[str, int]) -> list[str]:
+def _lacks(found: Mapping[str, int]) -> list[str]:
     """Required limb joints that are not among ``found``."""
     return [f"{side}_{joint}" for side, *_ in _SIDES for joint in _REQUIRED if f"{side}_{joint}" not in found]
 
@@ -162,5 +173,5 @@ def _too_few(label: str, got: str) -> MotionError:
         expected="a person's joints under MotionBuilder, Mixamo, CMU, LAFAN, Poser, SMPL, VRM, Unreal, Rigify, "
         "Character Creator, Biped, MakeHuman, Daz or MikuMikuDance names",
         got=got,
-        cure="Rename the joints, or export with one of these naming schemes.",
+        cure=CURE,
     )

@@ -40,6 +40,9 @@ In 23 recorded clips (CMU) the spine bends forward by 0.43 of the flexion, with 
 the pelvis's error there, from 16.9 to 8.8 degrees, and costs 1.7 in the sample clips, whose backs are straight.
 """
 
+BACKWARDS = 0.5
+"""Cosine beyond which a face looks backwards: nobody turns the head by two thirds of a half turn all the time."""
+
 # Measured on the shipped body in the T-pose: from the middle of the ears the nose lies ahead and 14.4 degrees below,
 # and from the heels (2, 3) the big toes lie ahead, inwards and below.
 _LOOKING = rotvec_to_matrix(np.radians([14.4, 0.0, 0.0]))
@@ -91,9 +94,28 @@ def landmark_poses(
     Points are in the axes of their ``layout`` (``LAYOUTS``), from any origin. A joint whose
     points are less visible than ``VISIBLE`` holds its last pose, at first the T-pose.
     ``rest_joints`` (24, 3) [m] are the posed body's: its bones are laid on the points.
-    Raises ``MotionError`` for other shapes, NaN, and seen points that make no skeleton.
+    Raises ``MotionError`` for other shapes, NaN, seen points that make no skeleton, and a person who looks backwards,
+    as one does whose left and right are swapped.
     """
-    return _read(KeyPoints.checked(points, visibility, layout_named(layout)), _rest(rest_joints), _Memory())
+    sample = KeyPoints.checked(points, visibility, layout_named(layout))
+    _check_sides(sample)
+    return _read(sample, _rest(rest_joints), _Memory())
+
+
+def _check_sides(points: KeyPoints) -> None:
+    """Refuses a clip whose nose lies behind the shoulders, in the mean of the frames that show both."""
+    seen = points.sees(*_HEAD, *_HIPS, *_SHOULDERS)
+    if not seen.any():
+        return
+    _, chest = _trunk_frames(points)
+    looking = points.with_middles(ears=_HEAD[:2]).lines(["ears"], ["nose"])[:, 0]
+    if _dot(chest[seen, :, 2], looking[seen]).mean() < -BACKWARDS:
+        raise MotionError(
+            "landmarks",
+            expected="a nose on the side that the shoulders face",
+            got="one behind them: left and right look swapped",
+            cure="Swap the points of left and right, as a mirrored picture needs, or name the layout.",
+        )
 
 
 class LandmarkPoses:

@@ -28,13 +28,13 @@ from drape.geometry.rotations import (
     rotvec_to_matrix,
 )
 from drape.motion.alignment import joint_rotations, rest_alignment, rest_bone
-from drape.motion.joint_names import match_joints
+from drape.motion.joint_names import is_whole, match_joints
 from drape.motion.legs import SIDES
 from drape.motion.retarget import global_rotations, local_rotations
 from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
 
 # A quaternion may be off unit length by float32's rounding and by a file's decimals.
-_UNIT_TOLERANCE = 1e-3
+UNIT_TOLERANCE = 1e-3
 
 # The bones that are measured, by the joints at their ends. Only limbs are: where a rig puts the joints of its trunk
 # tells how its bones lean, and not how the person stands. So do knees a little before the line from hip to ankle.
@@ -59,7 +59,7 @@ class Rig:
     quaternions wxyz and ``rest_translations`` (J, 3) offsets, both local, in any unit of
     length. Names are those that ``match_joints`` reads; other nodes keep their rest pose.
     ``t_pose_joints`` (24, 3) are the rest joints of the body that the SMPL poses are for.
-    ``told``: nodes of SMPL joints whatever they are called.
+    ``told``: nodes of SMPL joints whatever they are called; where it has all that a person needs no name is read.
     The rig's world is the poses' world: y up, whatever way the rig faces.
     Raises ``MotionError`` for arrays that do not fit, and for names of no person.
     """
@@ -93,6 +93,8 @@ class Rig:
     @cached_property
     def sources(self) -> dict[str, int]:
         """The node of each SMPL joint that the rig has."""
+        if is_whole(self.told):
+            return dict(self.told)
         return {**match_joints(self.names, self.parents, label=self.label), **self.told}
 
     @cached_property
@@ -151,7 +153,7 @@ def poses_to_rig(rig: Rig, poses: np.ndarray) -> np.ndarray:
     turned = global_rotations(rotvec_to_matrix(poses), PARENTS)
     # Of several joints on one node the one farthest from the pelvis counts, since the arms hang on it.
     joint_of = {rig.sources[name]: joint for joint, name in enumerate(JOINT_NAMES) if name in rig.sources}
-    joint_of.setdefault(_carrier(rig), 0)
+    joint_of.setdefault(carrier(rig), 0)
     rest = quaternion_to_matrix(rig.rest_rotations)
     world = np.empty((len(poses), len(rig.names), 3, 3))
     for node, parent in enumerate(rig.parents):
@@ -172,7 +174,7 @@ def _up(rest: np.ndarray, sources: dict[str, int]) -> np.ndarray:
     return axis if trunk @ axis > np.cos(_LEANING_TRUNK) * np.linalg.norm(trunk) else trunk
 
 
-def _carrier(rig: Rig) -> int:
+def carrier(rig: Rig) -> int:
     """The node that carries both legs and trunk: the pelvis, or the one above it where a rig branches there."""
     below = rig.sources["spine1"]
     above_trunk = set()
@@ -204,7 +206,7 @@ def _unit_quaternions(name: str, value: np.ndarray, shape: tuple[int | None, ...
     check_shape(name, array, shape, error=MotionError)
     check_finite(name, array, error=MotionError)
     lengths = np.linalg.norm(array, axis=-1, keepdims=True)
-    if np.abs(lengths - 1.0).max(initial=0.0) > _UNIT_TOLERANCE:
+    if np.abs(lengths - 1.0).max(initial=0.0) > UNIT_TOLERANCE:
         raise MotionError(
             name,
             expected="unit quaternions wxyz",

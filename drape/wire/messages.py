@@ -1,7 +1,8 @@
 """The binary messages of the stream, defined once; ``scripts/sync_wire.py`` writes the browser's copy.
 
 All numbers are little endian. Every message begins with the same 16 bytes (magic,
-version, kind, flags, sequence, count). The client sends POSE and ACK, the service FRAME.
+version, kind, flags, sequence, count). The client sends POSE and ACK, the service FRAME. A stream on an avatar takes
+RIG_POSE in place of POSE (``drape.wire.rig_poses``).
 Vertices travel as 16-bit steps inside the frame's own bounding box, relative to the
 root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets gets JETS in place of FRAME
 (``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). A request of REST may send its motion as a
@@ -23,7 +24,7 @@ from drape.geometry import jets
 WIRE_VERSION = 1
 SUBPROTOCOL = f"drape.v{WIRE_VERSION}"
 MAGIC = 0x45505244  # "DRPE" in file order
-POSE, ACK, FRAME, JETS, LAYOUT, CLIP, STATE, SAME = 1, 2, 3, 4, 5, 6, 7, 8
+POSE, ACK, FRAME, JETS, LAYOUT, CLIP, STATE, SAME, RIG_POSE = 1, 2, 3, 4, 5, 6, 7, 8, 9
 FLAG_PUSHED = 1  # the vertices were pushed out of the body
 FLAG_STEPPED = 2  # less was computed than the client asked for, as the service is under load
 FLAG_UNLIKE = 4  # the pose is unlike those that the network was trained on
@@ -81,7 +82,8 @@ LAYOUTS: dict[str, Layout] = {
         ("residence_us", "u32", 1),
     ),
     "LAYOUT": (*PREFIX, ("vertices", "u32", 1), ("charts", "u32", 1)),
-    "CLIP": (*PREFIX, ("text_bytes", "u32", 1), ("reserved", "u32", 1)),
+    "CLIP": (*PREFIX, ("text_bytes", "u32", 1), ("nodes", "u32", 1)),
+    "RIG_POSE": (*PREFIX, ("client_time_s", "f64", 1), ("trans", "f64", 3)),
 }
 _CODES = {"u8": "B", "u16": "H", "u32": "I", "f32": "f", "f64": "d"}
 
@@ -92,6 +94,7 @@ def record(layout: Layout) -> struct.Struct:
 
 
 _POSE, _ACK, _FRAME, _SAME = (record(LAYOUTS[name]) for name in ("POSE", "ACK", "FRAME", "SAME"))
+STAMP_BYTES = record((*PREFIX, ("client_time_s", "f64", 1))).size  # what comes before these
 POSE_BYTES, ACK_BYTES, FRAME_HEADER_BYTES, SAME_BYTES = _POSE.size, _ACK.size, _FRAME.size, _SAME.size
 
 
@@ -165,8 +168,8 @@ def pack_pose(pose: Pose) -> bytes:
 
 
 def posed(message: bytes) -> bytes:
-    """The bytes of pose and translation in a POSE ``message``: the same while the body stands still."""
-    return message[POSE_BYTES - 4 * 75 :]
+    """The bytes of translation and pose in a POSE or RIG_POSE ``message``: the same while the body stands still."""
+    return message[STAMP_BYTES:]
 
 
 def unpack_pose(message: bytes) -> Pose:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Len
 from pydantic import BaseModel, ConfigDict, Field
 
+from drape.errors import did_you_mean
 from drape.wire.colliders import COLLIDER_LIMIT, Collider
 
 # Every list stops at its first mistake: the answer tells one, and a million of them take seconds to write down.
@@ -180,7 +181,8 @@ def options_document(options: Mapping[str, Any]) -> dict[str, Any]:
     """
     unknown = options.keys() - DrapeOptions.model_fields.keys()
     if unknown:
-        known = ", ".join(DrapeOptions.model_fields)
-        raise TypeError(f"no such option: {', '.join(sorted(unknown))}; there are {known}")
+        known, first = ", ".join(DrapeOptions.model_fields), min(unknown)
+        hint = did_you_mean(first, DrapeOptions.model_fields, f"There are {known}.")
+        raise TypeError(f"no such option: {', '.join(sorted(unknown))}. {hint}")
     names = wire_names(DrapeOptions)
     return {names[name]: value for name, value in options.items() if value is not None}

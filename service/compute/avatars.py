@@ -15,7 +15,7 @@ import numpy as np
 
 from drape.avatar.wearer import Wearer, load_wearer
 from drape.body.model import BodyModel
-from drape.errors import NotFound
+from drape.errors import NotFound, did_you_mean
 from drape.garment.tailor import tailored, tailored_digest
 from service.compute import garment_files
 from service.stages.body_stages import BodyStages
@@ -83,8 +83,9 @@ class Avatars:
         """The avatar ``name``; refuses an unknown one, and one that ``viewer`` may not know of."""
         entry = self._entries.get(name)
         if entry is None or not entry.seen_by(viewer):
-            known = ", ".join(sorted(one.id for one in self.visible(viewer))[:20]) or "none yet"
-            cure = "GET /avatars lists them; POST /avatars adds one."
+            ids = sorted(one.id for one in self.visible(viewer))
+            known = ", ".join(ids[:20]) or "none yet"
+            cure = did_you_mean(name, ids, "GET /avatars lists them; POST /avatars adds one.")
             raise NotFound("avatar", expected=f"one of: {known}", got=name[:120], cure=cure)
         return entry
 
@@ -174,6 +175,9 @@ def _facts(wearer: Wearer) -> dict[str, Any]:
         "name": wearer.name,
         "digest": wearer.digest,
         "joints": wearer.joints,
+        "found_by": wearer.found_by,
+        "confidence": round(wearer.confidence, 3),
+        "notes": list(wearer.notes),
         "nodes": list(wearer.nodes),
         "fit": {"median_mm": round(wearer.median_mm, 2), "p95_mm": round(wearer.p95_mm, 2)},
         "height_m": round(wearer.height_m, 4),

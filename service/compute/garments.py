@@ -14,7 +14,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
-from drape.errors import ArtifactError, DrapeError, InputError, NotFound
+from drape.errors import ArtifactError, DrapeError, InputError, NotFound, did_you_mean
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
 from drape.geometry.jets import JET_COUNT
 from drape.graph.feeds import garment_feed
@@ -60,13 +60,10 @@ class Registry:
         """The garment with the id ``name``; refuses an unknown one, and one that ``viewer`` may not know of."""
         entry = self._entries.get(name)
         if entry is None or not entry.seen_by(viewer):
-            known = ", ".join(sorted(entry.id for entry in self.visible(viewer))[:20]) or "none yet"
-            raise NotFound(
-                "garment",
-                expected=f"one of: {known}",
-                got=name[:120],
-                cure="GET /garments lists them; POST /garments adds one.",
-            )
+            ids = sorted(entry.id for entry in self.visible(viewer))
+            known = ", ".join(ids[:20]) or "none yet"
+            cure = did_you_mean(name, ids, "GET /garments lists them; POST /garments adds one.")
+            raise NotFound("garment", expected=f"one of: {known}", got=name[:120], cure=cure)
         return entry
 
     def scene(self, garment: str | None, garments: Sequence[str] | None, viewer: str | None = None) -> Scene:

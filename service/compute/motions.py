@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from drape.body.model import BodyModel
-from drape.errors import NotFound
+from drape.errors import NotFound, did_you_mean
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import placed_on_ground
 from drape.motion.readers import read_motion
@@ -25,9 +25,8 @@ class Motions:
     def get(self, name: str) -> MotionClip:
         """The clip ``name``; refuses an unknown one."""
         if name not in self._clips:
-            raise NotFound(
-                "motion", expected=f"one of: {', '.join(self.ids())}", got=name, cure="GET /motions lists the clips."
-            )
+            cure = did_you_mean(name, self.ids(), "GET /motions lists the clips.")
+            raise NotFound("motion", expected=f"one of: {', '.join(self.ids())}", got=name, cure=cure)
         return self._clips[name]
 
     def placed(self, name: str, body: BodyModel, betas: np.ndarray) -> MotionClip:

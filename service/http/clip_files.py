@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from fastapi.responses import StreamingResponse
 
+from drape.avatar.character import read_character
+from drape.avatar.file_skeleton import file_skeleton
+from drape.avatar.rig_file import Dressed, RigClip, rig_file
 from drape.body.model import BodyModel
 from drape.export import glb
 from drape.export.glb_body import add_body
@@ -19,7 +22,11 @@ from drape.garment.cache import Garment
 from service.http.answers import PC2, number_bytes
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from drape.avatar.wearer import Wearer
     from service.compute.threads import SlicedThread
+    from service.http.clip_jobs import ClipJob
     from service.http.schemas import ClipOptions, PosedOptions
     from service.stages.batch import PoseInput
     from service.stages.placing import Placed
@@ -51,6 +58,22 @@ def garment_file(
         add_body(file, model, clip.betas, clip.poses, clip.trans - point, asked.fps)
     if asked.origin == "root":
         file.place("root", point)
+    return file, file.head()
+
+
+def on_rig_file(scene: Scene, placed: Placed, job: ClipJob, wearer: Wearer, source: Path) -> tuple[GlbFile, bytes]:
+    """The file on the rig of ``wearer``, whose own file is ``source``, and what it begins with."""
+    payload = source.read_bytes()
+    ends = np.cumsum([worn.vertex_count for worn in scene.layers])[:-1]
+    layers = [
+        Dressed(worn.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)])
+        for i, (worn, own) in enumerate(zip(scene.layers, np.split(placed.vertices, ends, axis=1), strict=True))
+    ]
+    quaternions, places = wearer.to_rig(job.clip.poses, job.clip.trans)
+    # Nodes that no joint of ours moves turn as they were told.
+    moves = RigClip(quaternions if job.turns is None else job.turns, places, job.asked.fps)
+    own = read_character(payload, label=wearer.name), file_skeleton(payload, label=wearer.name)
+    file = rig_file(layers, moves, wearer, *own, quantised=job.asked.quantised)
     return file, file.head()
 
 

@@ -9,12 +9,15 @@ from collections.abc import AsyncGenerator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 from fastapi import Response
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from drape.export.pc2 import HEAD_BYTES, pc2_head
+from drape.motion.grounding import floor_note
 from drape.wire.jets import message_bytes
+from service.compute.motions import floor_m
 from service.http.answers import PC2, messages_answer, number_bytes
 from service.http.continuations import Continuation
 from service.stages.batch import Batch, Memories, PoseInput
@@ -22,6 +25,7 @@ from service.stages.plan import Plan
 from service.stages.scene import Outfit, Scene, layer_list
 
 if TYPE_CHECKING:
+    from drape.body.model import BodyModel
     from service.compute.drape_runtime import DrapeRuntime
     from service.compute.threads import SlicedThread
     from service.guard.keys import Client
@@ -31,12 +35,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ClipJob:
-    """A clip of one client: the ``plan`` and the ``clip`` that ``asked`` came to."""
+    """A clip of one client: the ``plan`` and the ``clip`` that ``asked`` came to. ``turns`` (F, N, 4): the quaternions
+    of an avatar's own rig, xyzw, where these were sent."""
 
     plan: Plan
     clip: PoseInput
     asked: ClipOptions
     client: Client
+    turns: np.ndarray | None = None
 
     def remember(self, memories: Memories, state: State, token: str | None = None) -> dict[str, str]:
         """The header that names the end of the clip, which is kept with the ``memories`` of its last frame; empty where
@@ -76,6 +82,12 @@ def quality_headers(draped: Batch) -> dict[str, str]:
         "X-Drape-Unlike": str(int((draped.quality.novelty > 1.0).sum())),
         "X-Drape-Folds-Resets": str(int(draped.quality.folds_resets.sum())),
     }
+
+
+def floor_headers(clip: PoseInput, body: BodyModel) -> dict[str, str]:
+    """The header that says so where the feet of ``clip`` are not on the floor."""
+    note = floor_note(clip.poses, clip.trans, body.rest_joints(clip.betas), floor=floor_m(body, clip.betas))
+    return {"X-Drape-Note": note} if note else {}
 
 
 def jets_headers(frames: int, scene: Scene) -> dict[str, str]:

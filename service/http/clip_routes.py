@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sized
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from fastapi import APIRouter, Request, Response
 
+from drape.avatar.wearer import rotations
 from drape.errors import BodyError, InputError, MotionError, NotFound
 from drape.export.usda import POINT_BYTES
-from drape.wire.clips import unpack_clip
+from drape.wire.clips import of_rig, unpack_clip
 from drape.wire.jets import message_bytes
 from service.compute.threads import BRIEF_BYTES
 from service.errors import NotAcceptable, TooLarge, TooSlow
 from service.guard.limits import check_answer
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, PC2, USDA, binary_answer, choose, file_answer, json_answer
-from service.http.clip_files import body_file, export_answer, garment_file
-from service.http.clip_jobs import ClipJob, jets_response, plan_headers, quality_headers, streamed_answer
+from service.http.clip_files import body_file, export_answer, garment_file, on_rig_file
+from service.http.clip_jobs import ClipJob, floor_headers, jets_response, plan_headers, quality_headers, streamed_answer
 from service.http.json_body import check_marks, clip_marks, content_type, document_of, json_text, parsed, validated
 from service.http.openapi import clip_schema, responses
 from service.stages.batch import Batch, PoseInput, motion_arrays, shape_array
@@ -58,19 +59,21 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     avatar moves by its own rig (docs/guide/avatars.md).
     """
     state.check_slot()  # before anything is read
-    asked, clip = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
+    asked, clip, turns, told_where = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
     kind = choose(request.headers.get("accept"), _offered(asked))
+    check_rig(asked, kind)
     scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar)
     plan = await state.runtime.plan_within(scene, asked, messages=asked.geometry == "jets")
     if asked.past is not None:
         clip = state.continuations.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
-    job = ClipJob(plan, clip, asked, client)
+    job = ClipJob(plan, clip, asked, client, turns)
     if asked.streamed:
         return await streamed_answer(job, state, kind)
     check_clip_size(job, kind, state.runtime.settings)
     with state.access.using(client, "clips"), state.slot():
         draped = await state.runtime.drape(plan, clip)
         headers = quality_headers(draped) | plan_headers(plan, state.runtime) | job.remember(draped.memories[0], state)
+        headers |= await asyncio.to_thread(floor_headers, clip, state.runtime.on(scene).body) if told_where else {}
         if asked.geometry == "jets":
             return jets_response(draped, headers, state.sliced_thread)
         return await _clip_answer(job, draped, kind, headers, state)
@@ -87,6 +90,11 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
     """The vertices of ``draped`` as ``kind``."""
     scene, asked = job.plan.shown, job.asked
     placed = await _of_array(draped.vertices, draped.placed, asked.origin)
+    if kind == GLB and asked.rig and asked.avatar is not None:
+        wearer = await state.wearer(asked.avatar, job.client)
+        source = state.runtime.avatars.get(asked.avatar, job.client.name).source
+        file = await asyncio.to_thread(on_rig_file, scene, placed, job, wearer, source)
+        return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind == GLB:
         file = await asyncio.to_thread(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
@@ -107,7 +115,7 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
     runtime = state.runtime
     runtime.check_body_id(body_id)
     state.check_slot()
-    asked, clip = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state, client)
+    asked, clip, _, _ = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state, client)
     kind = choose(request.headers.get("accept"), KINDS)
     if kind == GLB:
         return file_answer(*await asyncio.to_thread(body_file, runtime.body, clip, asked), state.sliced_thread, {})
@@ -132,7 +140,8 @@ async def posed_avatar(avatar_id: str, request: Request, state: StateHere, clien
     """The vertices of a character's own surface in poses of ours, as garments on it are draped."""
     state.runtime.avatars.get(avatar_id, client.name)
     state.check_slot()
-    asked, clip = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state, client)
+    told = schemas.PosedRequest, schemas.PosedOptions
+    asked, clip, _, _ = await _clip(*told, request, state, client, avatar=avatar_id)
     kind = choose(request.headers.get("accept"), (BINARY, JSON))
     wearer = await state.wearer(avatar_id, client)
     _check_size(kind, len(clip.poses), len(wearer.vertices), state.runtime.settings)
@@ -142,20 +151,26 @@ async def posed_avatar(avatar_id: str, request: Request, state: StateHere, clien
 
 
 async def _clip(
-    whole: type[schemas.PosedRequest], options: type[Asked], request: Request, state: State, client: Client
-) -> tuple[Asked, PoseInput]:
+    whole: type[schemas.PosedRequest],
+    options: type[Asked],
+    request: Request,
+    state: State,
+    client: Client,
+    *,
+    avatar: str | None = None,
+) -> tuple[Asked, PoseInput, np.ndarray | None, bool]:
     """The body of ``request``, JSON as a ``whole`` or a CLIP message, and its checked motion.
 
-    Poses of an avatar's own rig become ours.
+    Poses of the own rig of the ``avatar``, or of that which the body names, become ours; these quaternions follow, and
+    whether the body says where the root is.
     """
-    body, most, brief = state.runtime.body, state.runtime.settings.max_frames, state.sliced_thread.brief
+    most, brief = state.runtime.settings.max_frames, state.sliced_thread.brief
     asked: Any
-    wearer = None
     if content_type(request) == BINARY:
         sent = await request.body()
         text, poses, trans = unpack_clip(sent)
         document = await brief(text, partial(document_of, text, otherwise="a clip whose last part is not JSON"))
-        asked = await brief(text, validated, options, document)
+        asked, on_rig = await brief(text, validated, options, document), of_rig(poses)
     else:
         sent = await json_text(request)
         await check_marks(sent, state.sliced_thread, most_marks=clip_marks(most))
@@ -163,18 +178,23 @@ async def _clip(
         on_rig = options is schemas.ClipOptions and isinstance(document, dict) and "rig_poses" in document
         asked = await brief(sent, validated, schemas.RigDrapeRequest if on_rig else whole, document)
         poses, trans = asked.rig_poses if on_rig else asked.poses, asked.trans
-        if on_rig:
-            check_rig_frames(poses, trans, most)
-            wearer = await state.wearer(asked.avatar, client)
-            poses, trans = await asyncio.to_thread(wearer.from_rig, poses, trans)
-    if wearer is None and options is schemas.ClipOptions and asked.avatar is not None:
-        wearer = await state.wearer(asked.avatar, client)
-    body = body if wearer is None else wearer.body
+    avatar = getattr(asked, "avatar", None) if avatar is None else avatar
+    wearer = None if avatar is None else await state.wearer(avatar, client)
+    turns, told_where = None, trans is not None
+    if on_rig:
+        if wearer is None:
+            cure = "Name the avatar whose nodes these are, or send poses of ours."
+            raise InputError("avatar", expected="the avatar whose rig is posed", got="none", cure=cure)
+        check_rig_frames(poses, trans, most)
+        turns = await asyncio.to_thread(rotations, poses, len(wearer.nodes))
+        poses, trans = await asyncio.to_thread(wearer.from_rig, turns, trans)
+    body = state.runtime.body if wearer is None else wearer.body
     poses, trans = await brief(sent, partial(motion_arrays, poses, trans, max_frames=most))
-    return asked, PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
+    clip = PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
+    return asked, clip, turns, told_where
 
 
-def check_rig_frames(rig_poses: Sequence[object], trans: Sequence[object] | None, most: int) -> None:
+def check_rig_frames(rig_poses: Sized, trans: Sized | None, most: int) -> None:
     """Refuses too many poses of a rig, and another number of places."""
     frames = len(rig_poses)
     if frames > most:
@@ -184,6 +204,21 @@ def check_rig_frames(rig_poses: Sequence[object], trans: Sequence[object] | None
         raise MotionError("trans", expected=f"{frames}, one a frame", got=str(len(trans)), cure=cure)
 
 
+def check_rig(asked: schemas.ClipOptions, kind: str) -> None:
+    """Refuses a file on a rig where there is none, and what such a file has no place for."""
+    if not asked.rig:
+        return
+    if kind != GLB:
+        raise InputError("rig", expected=f"Accept: {GLB}", got=kind, cure="Ask for a GLB, or leave rig out.")
+    if asked.avatar is None:
+        cure = "Name the avatar that wears it, or ask for body."
+        raise InputError("rig", expected="an avatar, which has a rig of its own", got="none", cure=cure)
+    if asked.body or asked.origin == "root":
+        got = "body" if asked.body else "origin root"
+        cure = "The character is your own file, and stands where its pelvis is."
+        raise InputError("rig", expected="garments alone, in the world of the rig", got=got, cure=cure)
+
+
 def check_clip_size(job: ClipJob, kind: str, settings: Settings) -> None:
     """Refuses (``TooLarge``) the clip of ``job`` where its answer as ``kind`` would be too large."""
     scene, frames = job.plan.shown, len(job.clip.poses)
@@ -191,11 +226,12 @@ def check_clip_size(job: ClipJob, kind: str, settings: Settings) -> None:
         patches = scene.patch_count
         check_answer(frames * message_bytes(patches), f"{frames} frames of {patches} patches", settings)
         return
-    _check_size(kind, frames, scene.vertex_count, settings, quantised=job.asked.quantised)
+    glb_bytes = 24 if not job.asked.quantised else 16 if job.asked.rig else 12
+    _check_size(kind, frames, scene.vertex_count, settings, glb_bytes=glb_bytes)
 
 
-def _check_size(kind: str, frames: int, vertices: int, settings: Settings, *, quantised: bool = False) -> None:
-    json_bytes, glb_bytes = 3 * NUMBER_TEXT_BYTES, 12 if quantised else 24
+def _check_size(kind: str, frames: int, vertices: int, settings: Settings, *, glb_bytes: int = 24) -> None:
+    json_bytes = 3 * NUMBER_TEXT_BYTES
     per_vertex = {BINARY: 12, PC2: 12, GLB: glb_bytes, JSON: json_bytes, USDA: POINT_BYTES}
     check_answer(frames * vertices * per_vertex[kind], f"{frames} frames of {vertices} vertices", settings)
 

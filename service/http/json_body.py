@@ -80,14 +80,14 @@ def parsed(text: bytes, *, otherwise: str = NO_JSON) -> Any:
 
 def validated(model: type[Asked], document: Any) -> Asked:
     """``document`` as a ``model``; refuses the first thing that is wrong with it."""
+    known = set(wire_names(model).values())
     if isinstance(document, dict):
-        known = set(wire_names(model).values())
         for unknown in [key for key in document if key not in known][1:]:
             del document[unknown]  # pydantic makes an error of each, and one is told
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        raise validation_refusal(error.errors(include_url=False)) from error
+        raise validation_refusal(error.errors(include_url=False), sorted(known)) from error
 
 
 async def json_text(request: Request) -> bytes:

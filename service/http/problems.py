@@ -11,7 +11,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
-from drape.errors import DrapeError, InputError, MotionError, NotFound
+from drape.errors import DrapeError, InputError, MotionError, NotFound, did_you_mean
 from service.errors import PROBLEM, problem, problem_response
 
 SHOWN = 60  # characters of what came
@@ -56,8 +56,8 @@ def install(app: FastAPI) -> None:
         return JSONResponse(document, status_code=error.status_code, media_type=PROBLEM, headers=error.headers)
 
 
-def validation_refusal(errors: Sequence[Any]) -> InputError:
-    """The refusal for the first of pydantic's ``errors``.
+def validation_refusal(errors: Sequence[Any], known: Iterable[str] = ()) -> InputError:
+    """The refusal for the first of pydantic's ``errors``; ``known`` are the fields that there are.
 
     A field that may be one of several kinds has a complaint of each kind; the one that came furthest is meant.
     """
@@ -72,7 +72,9 @@ def validation_refusal(errors: Sequence[Any]) -> InputError:
     if levels is None or first["type"] in ("missing", "extra_forbidden"):
         expected = {"missing": "a value", "extra_forbidden": "no such field"}.get(first["type"]) or _wanted(first)
         got = {"missing": "nothing", "extra_forbidden": "one"}.get(first["type"], _shown(first))
-        return InputError(name, expected=expected, got=got + more, cure="See /docs for the request's fields.")
+        cure = "See /docs for the request's fields."
+        cure = did_you_mean(field, known, cure) if first["type"] == "extra_forbidden" and len(location) == 1 else cure
+        return InputError(name, expected=expected, got=got + more, cure=cure)
     depth = sum(isinstance(part, int) for part in location[1:])
     expected = levels[min(depth, len(levels) - 1)]
     if first["type"] in ("too_long", "too_short"):
@@ -95,7 +97,8 @@ def check_query(names: Iterable[str], known: tuple[str, ...]) -> None:
     """Refuses a parameter that is not ``known``, as an unknown field of JSON is: a typing mistake is not ignored."""
     for name in names:
         if name not in known:
-            raise InputError(name, expected="no such parameter", got="one", cure=f"Known are {', '.join(known)}.")
+            cure = did_you_mean(name, known, f"Known are {', '.join(known)}.")
+            raise InputError(name, expected="no such parameter", got="one", cure=cure)
 
 
 def _without_kinds(location: list[int | str], complaint: str) -> list[int | str]:

@@ -74,6 +74,11 @@ class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
     """All but the poses of a garment, or several over each other, on a body in motion."""
 
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
+    rig: bool = Field(
+        default=False,
+        description="In a GLB, of an avatar: the garments skinned to the nodes of its own file, with morphs, in the "
+        "unit of that file.",
+    )
     streamed: bool = Field(
         default=False,
         description="Of a binary answer: frames leave as they are ready, of any number of bytes; no header tells what "
@@ -240,6 +245,7 @@ class JobInfo(BaseModel):
     garment: str | None = None
     avatar: str | None = None
     problem: dict[str, Any] | None = None
+    notes: list[str] = Field(default=[], description="Of one that is done: what was left out or looks wrong, in words.")
 
 
 class AvatarInfo(BaseModel):
@@ -251,6 +257,11 @@ class AvatarInfo(BaseModel):
     joints: dict[str, str] = Field(
         description="SMPL's joints and the nodes of the character's skeleton that are these."
     )
+    found_by: Literal["vrm", "names", "shape", "told"] = Field(
+        default="names", description="Whether VRM's bones, names, their places or PATCH told the joints."
+    )
+    confidence: float = Field(default=1.0, description="Of joints by their places: how like a person's these are.")
+    notes: list[str] = Field(default=[], description="What looks wrong with it, in words.")
     nodes: list[str] = Field(description="All nodes of its file, parents first: the order of rig_poses.")
     fit: dict[str, float] = Field(description="How far its trunk and limbs are from the body that stands for it [mm].")
     height_m: float

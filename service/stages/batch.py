@@ -20,6 +20,8 @@ Memories = Mapping[tuple[str, str], Any]  # by stage and owner; values are never
 ANGLE_LIMIT_RAD = 1000.0
 PLACE_LIMIT_M = 1e6
 BETA_LIMIT = 20.0
+# Angles of so many joints beyond two whole turns, and of none beyond what a rotation in degrees has, are degrees.
+DEGREES_JOINTS, DEGREES_BEYOND_RAD, MOST_DEGREES = 4, 4.0 * np.pi, 360.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +58,23 @@ class PoseInput:
 def check_poses(poses: np.ndarray, trans: np.ndarray) -> None:
     """Refuses rotation vectors (F, 24, 3) [rad] and translations (F, 3) [m] that are finite but senseless."""
     _check_limit("poses", poses, ANGLE_LIMIT_RAD, "rad", "Send rotation vectors in radians.")
+    _check_unit(poses)
+    check_places(trans)
+
+
+def _check_unit(poses: np.ndarray) -> None:
+    """Refuses poses (F, 24, 3) whose numbers are those of degrees: no joint of a person turns twice around, several do
+    so at once, and none by more than degrees go."""
+    angles = np.linalg.norm(poses, axis=-1).max(axis=0, initial=0.0)
+    turning = angles[angles > DEGREES_BEYOND_RAD]
+    if len(turning) >= DEGREES_JOINTS and angles.max() <= MOST_DEGREES:
+        got = f"up to {angles.max():.4g} on {len(turning)} joints: these look like degrees"
+        cure = "Send radians: multiply by pi / 180."
+        raise MotionError("poses", expected="rotation vectors in radians", got=got, cure=cure)
+
+
+def check_places(trans: np.ndarray) -> None:
+    """Refuses translations (F, 3) [m] that are finite but senseless."""
     _check_limit("trans", trans, PLACE_LIMIT_M, "m", "Send root translations in metres.")
 
 

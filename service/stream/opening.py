@@ -22,6 +22,7 @@ from service.stages.scene import Outfit, layer_list
 from service.state import State
 
 if TYPE_CHECKING:
+    from drape.avatar.wearer import Wearer
     from service.guard.keys import Client
     from service.replicas.handover import Incoming
     from service.settings import Settings
@@ -30,13 +31,15 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False)
 class Opening:
     """What a client asks of its stream: ``steps`` are the plan as each tier holds it, the least first. One that
-    ``moves`` can go on at another process, one that takes the ``same`` frame again need not get it twice."""
+    ``moves`` can go on at another process, one that takes the ``same`` frame again need not get it twice. ``wearer``:
+    the avatar, where it shows one, whose rig may send poses."""
 
     plan: Plan
     betas: np.ndarray
     steps: tuple[Plan, ...] = ()
     moves: bool = False
     same: bool = False
+    wearer: Wearer | None = None
 
 
 async def first_text(socket: WebSocket, pieces: Incoming, settings: Settings) -> str:
@@ -80,16 +83,19 @@ async def read_opening(text: str, state: State, client: Client) -> Opening:
     steps = runtime.steps(plan)
     for step in {plan, *steps}:
         await runtime.prepare(step)
-    return Opening(plan, betas, steps, asked.moves, asked.same)
+    wearer = None if asked.avatar is None else await state.wearer(asked.avatar, client)
+    return Opening(plan, betas, steps, asked.moves, asked.same, wearer)
 
 
-def opened(plan: Plan, state: State, **more: bool) -> str:
-    """The answer to an opening that got ``plan``."""
+def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str:
+    """The answer to an opening that got ``plan``, on ``wearer``."""
     scene, options = plan.shown, plan.options
     jets = options.geometry == "jets"
     worn = {"garments": layer_list(scene, patches=jets)} if isinstance(scene, Outfit) else {"garment": scene.id}
     if jets:  # an answer about vertices is what it was before there were jets
         worn |= {"geometry": "jets", "patches": scene.patch_count}
+    if wearer is not None:
+        worn |= {"nodes": len(wearer.nodes)}
     if options.resolution == "fine":
         worn |= {"resolution": "fine"}
     return json.dumps(

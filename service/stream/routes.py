@@ -18,9 +18,10 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from drape.errors import DrapeError, InputError
 from drape.wire import messages as wire
+from drape.wire.rig_poses import RigPose, unpack_rig_pose
 from service.errors import Draining, InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.guard.access import OFFER
-from service.stages.batch import Memories, check_poses
+from service.stages.batch import Memories, check_places, check_poses
 from service.stages.encode import shown_message
 from service.stages.plan import Plan
 from service.stages.stage import carried
@@ -30,6 +31,7 @@ from service.stream.opening import Opening, first_text, opened, read_opening, te
 if TYPE_CHECKING:
     from opentelemetry.trace import Link
 
+    from drape.avatar.wearer import Wearer
     from service.guard.keys import Client
     from service.watch.metrics import Metrics
 
@@ -41,9 +43,9 @@ log = logging.getLogger("drape.service")
 
 @dataclass(frozen=True, eq=False)
 class Waiting:
-    """A pose and the time [s] (monotonic) it came."""
+    """A pose, ours or one of the avatar's rig, and the time [s] (monotonic) it came."""
 
-    pose: wire.Pose
+    pose: wire.Pose | RigPose
     arrived_s: float
 
 
@@ -55,7 +57,7 @@ class Session:
     (``service.stages``). Of ``dropped`` poses those that are ``late`` waited for a worker alone. One that ``moves``
     can go on at another process; while it is ``leaving`` nothing is begun for it here. A client that takes ``same``
     need not get a frame again that it has: ``shown``, the message that was computed for it. ``link`` leads to its
-    request.
+    request. ``wearer``: the avatar that it shows.
     """
 
     plan: Plan
@@ -66,6 +68,7 @@ class Session:
     generation: int = 0
     moves: bool = False
     same: bool = False
+    wearer: Wearer | None = None
     shown: bytes | None = None
     link: Link | None = None
     leaving: bool = False
@@ -85,13 +88,13 @@ class Session:
         same_body = np.array_equal(asked.betas, self.betas)
         self.memories = carried(self.memories, self.plan, asked.plan) if same_body else {}
         self.plan, self.betas, self.steps = asked.plan, asked.betas, asked.steps
-        self.moves, self.same = asked.moves, asked.same
+        self.moves, self.same, self.wearer = asked.moves, asked.same, asked.wearer
         self.generation += 1
         self.last_heard_s = time.monotonic()
         self.waiting, self.outbox, self.shown = None, None, None
         self.under_way.clear()
 
-    def put(self, pose: wire.Pose) -> None:
+    def put(self, pose: wire.Pose | RigPose) -> None:
         """Puts a pose into the mailbox; one that waited there is dropped and counted."""
         self.last_heard_s = time.monotonic()
         self.late += self.due()
@@ -223,6 +226,7 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
             asked.steps,
             moves=asked.moves,
             same=asked.same,
+            wearer=asked.wearer,
             link=state.runtime.tracing.here(),
         )
         brought = state.handover.resume(pieces, session, client)
@@ -239,7 +243,7 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
     ]
     resumed = {"resumed": brought is not None} if pieces.messages else {}
     try:
-        await socket.send_text(opened(session.plan, state, **resumed))
+        await socket.send_text(opened(session.plan, state, session.wearer, **resumed))
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
@@ -259,7 +263,7 @@ async def _read(socket: WebSocket, session: Session, state: State, client: Clien
             _take(payload, session, state.runtime.metrics)
         else:
             session.reopen(await read_opening(text_of(message), state, client))
-            await socket.send_text(opened(session.plan, state))
+            await socket.send_text(opened(session.plan, state, session.wearer))
         state.streams.wake()
 
 
@@ -270,8 +274,15 @@ def _take(payload: bytes, session: Session, metrics: Metrics) -> None:
         if way_s is not None and math.isfinite(way_s):
             metrics.ack.observe(way_s)
         return
-    pose = wire.unpack_pose(payload)
-    check_poses(pose.pose[None], pose.trans[None])
+    if wire.message_kind(payload) == wire.RIG_POSE:
+        if session.wearer is None:
+            cure = 'Open with "avatar": ID, or send poses of ours.'
+            raise InputError("rig pose message", expected="a stream on an avatar", got="none", cure=cure)
+        pose = unpack_rig_pose(payload, len(session.wearer.nodes))
+        check_places(np.zeros((1, 3)) if pose.place is None else pose.place[None])
+    else:
+        pose = wire.unpack_pose(payload)
+        check_poses(pose.pose[None], pose.trans[None])
     metrics.poses.inc()
     metrics.poses_dropped.inc(session.waiting is not None)
     session.put(pose)

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drape.errors import DrapeError, NotFound
+from drape.wire.rig_poses import RigPose
 from service.errors import Busy
 from service.stages.batch import PoseInput
 
@@ -178,9 +179,14 @@ class Streams:
 
 def _pose_input(session: Session, waiting: Waiting) -> PoseInput:
     pose = waiting.pose
+    if isinstance(pose, RigPose):
+        assert session.wearer is not None  # another opening throws away what waits
+        poses, trans = session.wearer.from_rig(pose.quaternions[None], None if pose.place is None else pose.place[None])
+    else:
+        poses, trans = pose.pose[None], pose.trans[None]
     return PoseInput(
-        pose.pose[None],
-        pose.trans[None],
+        poses,
+        trans,
         session.betas,
         np.array([pose.client_time_s]),
         session.memories,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -25,6 +26,7 @@ class JobRecord:
     garment: str | None = None
     problem: dict[str, Any] | None = None
     avatar: str | None = None
+    notes: Sequence[str] = ()
 
     def write(self, root: Path) -> None:
         """Stores it under ``root``; of more than ``KEPT`` the oldest are removed."""

@@ -45,6 +45,7 @@ class Job:
     owner: str | None = None
     state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
     kind: Kind = "garment"
+    notes: tuple[str, ...] = ()  # what whoever sent it should know, where it is done
     made: str | None = None  # the id of the garment or the avatar, where it is done
     problem: dict[str, Any] | None = None
     stage: str | None = None  # of SHARES, while it runs
@@ -65,6 +66,14 @@ class Job:
     def ended(self) -> bool:
         """Whether nothing more happens to it."""
         return self.state not in ("queued", "running")
+
+
+WARNING = "warning: "  # begins those notes of an intake that whoever sent the file should know
+
+
+def warnings_of(notes: Iterable[str]) -> tuple[str, ...]:
+    """The warnings among the ``notes`` of an intake, without the word."""
+    return tuple(note.removeprefix(WARNING) for note in notes if note.startswith(WARNING))
 
 
 class Uploads:
@@ -157,7 +166,8 @@ class Uploads:
         if kept is None:
             return None
         kind: Kind = "garment" if kept.avatar is None else "avatar"
-        return Job(kept.id, kept.name, kept.owner, kept.state, kind, kept.garment or kept.avatar, kept.problem)
+        made = kept.garment or kept.avatar
+        return Job(kept.id, kept.name, kept.owner, kept.state, kind, tuple(kept.notes), made, kept.problem)
 
     async def cancel(self, job: Job) -> None:
         """Ends ``job`` and removes its files; one that has ended is forgotten, and its garment stays.
@@ -183,7 +193,8 @@ class Uploads:
         """Stores what became of ``job``, where every service that has the folder finds it."""
         assert job.state not in ("queued", "running")
         made = {job.kind: job.made}
-        record = JobRecord(job.id, job.name, job.owner, job.state, made.get("garment"), job.problem, made.get("avatar"))
+        told = made.get("garment"), job.problem, made.get("avatar"), job.notes
+        record = JobRecord(job.id, job.name, job.owner, job.state, *told)
         try:
             await asyncio.to_thread(record.write, self._root)
         except OSError as error:  # a full disk: it is known here as long as this service runs
@@ -257,6 +268,7 @@ class Uploads:
                 with self._runtime.tracing.work("upload", [job.link], job=job.id):
                     job.work = asyncio.create_task(self._run_intake(job, folder, accepted))
                     job.made = await job.work
+                    job.notes = self._notes(job)
                 job.state = "done"
             except asyncio.CancelledError:
                 task = asyncio.current_task()
@@ -273,6 +285,14 @@ class Uploads:
             # services always find one of both.
             await self._keep(job)
             shutil.rmtree(folder, ignore_errors=True)
+
+    def _notes(self, job: Job) -> tuple[str, ...]:
+        """What is otherwise than in the file that ``job`` brought, or looks wrong with it."""
+        assert job.made is not None
+        if job.kind == "avatar":
+            return tuple(self._runtime.avatars.get(job.made, job.owner).told["notes"])
+        noted = self._runtime.garments.get(job.made, job.owner).garment.manifest.get("notes", ())
+        return warnings_of(noted)
 
     async def _run_intake(self, job: Job, folder: Path, accepted: Accepted) -> str:
         """The id of the garment or avatar made from what was ``accepted`` and lies in ``folder``."""

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
 
 from clients.cli import main
 from clients.client import DrapeClient
 from drape.body.model import BodyModel
-from drape.errors import InputError, NotFound
+from drape.errors import InputError, NotFound, Unavailable
 from tests.clients.node import answer_of
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.glb_reader import Reader
 
 BETAS = np.array([-1.0, *np.zeros(9)])  # a smaller body
 
@@ -49,6 +52,41 @@ def test_a_character_wears_and_plays_in_a_line(client: DrapeClient, ada: str):
     assert (np.abs(cloth.mean(axis=1) - surface.mean(axis=1)) < 0.5).all()
 
 
+def test_a_glb_comes_on_its_own_rig(client: DrapeClient, ada: str):
+    clip = client.motion("walk", avatar=ada).poses[:2]
+    dressed = client.avatar(ada).wear("tube", folds=0)
+    (cloth,) = dressed.play(clip)
+    shown = Reader(dressed.glb(clip)).skinned(2)[:, : cloth.shape[1]]
+    assert np.abs(shown - cloth).max() < 1e-6
+    with pytest.raises(InputError, match="rig: expected at most"):
+        client.drape_glb("tube", np.zeros((1300, 24, 3)), avatar=ada, rig=True)
+
+
+def test_poses_of_its_own_rig_go_by_clip_and_by_stream(client: DrapeClient, ada: str):
+    dressed = client.avatar(ada).wear("tube", folds=0)
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (2, len(dressed.nodes), 1))
+    arms = [dressed.nodes.index(f"bone {side}_shoulder") for side in ("left", "right")]
+    turns[:, arms] = Rotation.from_rotvec([[0.0, 0.0, -0.3], [0.0, 0.0, 0.4]]).as_quat()
+    places = np.array([[0.0, 1.0, 0.0], [0.5, 1.0, 0.0]])
+    (cloth,) = dressed.play(turns, trans=places)
+    surface = dressed.surface(turns, trans=places)
+    assert np.abs(cloth.mean(axis=1) - surface.mean(axis=1)).max() < 0.5
+    assert_allclose(surface[1] - surface[0], np.broadcast_to([0.5, 0.0, 0.0], surface[0].shape), atol=1e-5)
+
+    async def streamed() -> tuple[np.ndarray, np.ndarray]:
+        async with await dressed.stream() as stream:
+            await stream.send_rig(turns[0], places[0])
+            first = (await stream.receive()).frame.vertices()
+            await stream.reopen("tube", folds=0)
+            with pytest.raises(Unavailable, match="poses of a rig"):
+                await stream.send_rig(turns[0], places[0])
+            return first, (await stream.reopen("tube", folds=0, avatar=ada))["nodes"]
+
+    first, nodes = asyncio.run(streamed())
+    assert nodes == len(dressed.nodes)
+    assert_allclose(first, cloth[0], atol=1e-4)
+
+
 def test_a_clip_of_a_file_is_placed_for_it(client: DrapeClient, ada: str):
     clip = client.motion("walk")
     ours, theirs = client.placed(clip), client.placed(clip, avatar=ada)
@@ -75,6 +113,8 @@ def test_the_command_line_adds_wears_lists_and_removes(
     out = tmp_path / "out.glb"
     asked = ["--garment", "tube", "--on", name, "--motion", "walk", "--fps", "5", "--out", str(out)]
     assert main(["drape", "--url", live, *asked]) == 0 and out.stat().st_size > 1000
+    assert main(["drape", "--url", live, *asked, "--rig"]) == 0
+    assert "bone left_hip" in str(Reader(out.read_bytes()).json["nodes"])
     assert main(["avatars", "--url", live]) == 0
     assert name in capsys.readouterr().out
     assert main(["avatars", "--url", live, "--remove", name]) == 0

@@ -18,7 +18,7 @@ from drape.errors import InputError, Unavailable
 from drape.garment.files.obj import read_obj
 from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
-from tests.fixtures.exports import read_pc2, read_usda
+from tests.fixtures.exports import read_mdd, read_pc2, read_usda
 
 
 def test_a_clip_becomes_a_glb(live: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -64,10 +64,13 @@ def test_cloth_lies_on_colliders_of_a_file(live: str, tmp_path: Path, capsys: py
 
 def test_point_caches_and_scenes_hold_what_arrays_do(live: str, tmp_path: Path):
     base = ["drape", "--url", live, "--garment", "tube", "--motion", "squat", "--fps", "5", "--out"]
-    for name in ("out.npy", "out.pc2", "out.usda"):
+    for name in ("out.npy", "out.pc2", "out.mdd", "out.usda"):
         assert main([*base, str(tmp_path / name)]) == 0
     expected = np.load(tmp_path / "out.npy")
     assert_allclose(read_pc2(tmp_path / "out.pc2"), expected, rtol=0, atol=0)
+    times, points = read_mdd((tmp_path / "out.mdd").read_bytes())
+    assert_allclose(points, expected, rtol=0, atol=0)
+    assert times[1] == np.float32(0.2)
     scene = read_usda((tmp_path / "out.usda").read_text())
     assert scene.head["timeCodesPerSecond"] == "5.0"
     assert_allclose(scene.meshes["tube"].points, expected, rtol=0, atol=0.51e-5)
@@ -90,7 +93,7 @@ def test_what_is_there_is_listed(live: str, capsys: pytest.CaptureFixture[str]):
         ({"--garment": "cape"}, "garment: expected one of: tube"),
         ({"--motion": "swim"}, "motion: expected one of"),
         ({"--motion": "absent.bvh"}, "--motion: expected a file"),
-        ({"--out": "out.fbx"}, "--out: expected a name ending in .glb, .npy, .pc2, .usda"),
+        ({"--out": "out.fbx"}, "--out: expected a name ending in .glb, .npy, .pc2, .mdd, .usda"),
         ({"--out": "absent/out.glb"}, "--out: expected an existing folder"),
         ({"--betas": "1,x"}, "--betas: expected comma-separated numbers"),
         ({"--fps": "0"}, "fps: expected a positive frame rate"),

@@ -239,7 +239,8 @@ def test_a_call_leaves_to_the_service_what_was_not_chosen():
 
 
 def test_an_option_that_there_is_not_is_a_mistake_of_the_program():
-    with DrapeClient("http://example") as client, pytest.raises(TypeError, match="no such option: pushout; there are"):
+    said = r"no such option: pushout\. Did you mean push_out\? There are"
+    with DrapeClient("http://example") as client, pytest.raises(TypeError, match=said):
         client.drape("tube", np.zeros((1, 24, 3)), pushout=False)
 
 

@@ -12,11 +12,12 @@ from numpy.testing import assert_allclose
 
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions, wire_names
+from drape.wire.rig_poses import RigPose, pack_rig_pose
 from tests.architecture.repository import ROOT
 from tests.clients.node import answer_of
 
 SCRIPT = """
-import { packPose, packAck, unpackFrame, dequantise, SUBPROTOCOL } from "./wire.js";
+import { packPose, packRigPose, packAck, unpackFrame, dequantise, SUBPROTOCOL } from "./wire.js";
 const hex = (buffer) => Buffer.from(buffer).toString("hex");
 const bytes = Uint8Array.from(Buffer.from(input.frame, "hex"));
 const frame = unpackFrame(bytes.buffer);
@@ -29,6 +30,7 @@ let stale = "";
 try { unpackFrame(bytes.buffer); } catch (error) { stale = error.message; }
 console.log(JSON.stringify({
   pose: hex(packPose(input.pose)), ack: hex(packAck(input.ack)), header: frame.header, positions: [...positions],
+  rig: [{ ...input.rig, place: null }, input.rig].map((pose) => hex(packRigPose(pose))),
   protocol: SUBPROTOCOL, short, stale,
 }));
 """
@@ -51,7 +53,15 @@ def test_javascript_reads_and_writes_what_python_does(tmp_path, bits: int):
         "ack": 4_000_000_000,
         "pose": {"sequence": 8, "clientTimeS": 1.25, "trans": trans.tolist(), "pose": pose.ravel().tolist()},
     }
+    turns = generator.normal(size=(5, 4)).astype(np.float32)
+    document["rig"] = {
+        "sequence": 8,
+        "clientTimeS": 1.25,
+        "place": trans.tolist(),
+        "quaternions": turns.ravel().tolist(),
+    }
     got = answer_of(SCRIPT, document, tmp_path)
+    assert got["rig"] == [pack_rig_pose(RigPose(8, 1.25, place, turns)).hex() for place in (None, trans)]
     assert got["pose"] == wire.pack_pose(wire.Pose(8, 1.25, trans, pose)).hex()
     assert got["ack"] == wire.pack_ack(4_000_000_000).hex()
     assert got["protocol"] == wire.SUBPROTOCOL
@@ -61,6 +71,34 @@ def test_javascript_reads_and_writes_what_python_does(tmp_path, bits: int):
     assert header["root"] == [1.0, 2.0, 3.0]
     assert_allclose(np.reshape(got["positions"], (-1, 3)), read.positions, rtol=0, atol=1e-6)
     assert "too short" in got["short"] and "reload" in got["stale"]
+
+
+RIG = """
+import { Wearing } from "./wearing.js";
+const wearing = new Wearing({ rest: { base: "http://localhost" }, worn: new Set() }, ["tube"], {});
+const { stream } = wearing;
+const sent = [], refused = [];
+Object.assign(stream, { ready: true, socket: { send: (bytes) => sent.push(Buffer.from(bytes).toString("hex")) } });
+const tried = (...pose) => {
+  try { return wearing.rigPose(...pose); } catch (error) { refused.push(error.expected); return error.kind; }
+};
+const told = [tried(input.turns)];
+stream.opened = { nodes: 5 };
+told.push(tried(input.turns, input.place), tried(input.turns.flat()), tried(input.turns.slice(1)));
+console.log(JSON.stringify({ sent, refused, told }));
+"""
+
+
+def test_the_library_sends_poses_of_a_rig_where_the_service_takes_them(tmp_path):
+    turns = np.random.default_rng(4).normal(size=(5, 4)).astype(np.float32)
+    place = [0.5, 1.0, -2.0]
+    got = answer_of(RIG, {"turns": turns.tolist(), "place": place}, tmp_path)
+    assert got["told"] == ["MotionError", True, True, "MotionError"]
+    assert got["refused"] == ["a garment that is worn by an avatar", "5 quaternions, one a node of the avatar"]
+    for number, (message, there) in enumerate(zip(got["sent"], (np.array(place), None), strict=True), 1):
+        wanted = pack_rig_pose(RigPose(number, 0.0, there, turns))
+        sent = bytes.fromhex(message)
+        assert sent[:16] + sent[24:] == wanted[:16] + wanted[24:]  # all but the time
 
 
 def test_controls_of_the_page_name_options_of_the_wire():

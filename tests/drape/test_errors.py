@@ -7,7 +7,7 @@ import pickle
 import pytest
 
 from drape import errors
-from drape.errors import DrapeError
+from drape.errors import DrapeError, did_you_mean
 
 PARTS = {"name": "patch count", "expected": "at most 3", "got": "4", "cure": "Ask for fewer."}
 CLASSES = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, DrapeError)]
@@ -40,3 +40,19 @@ def test_tree_is_the_one_that_is_drawn():
 def test_parts_are_named_not_counted():
     with pytest.raises(TypeError):
         DrapeError("patch count", "at most 3", "4", "Ask for fewer.")  # pyright: ignore[reportCallIssue]
+
+
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("tshrt", "tshirt"),
+        ("T-Shirt", "tshirt"),
+        ("Trousers", "trousers"),
+        ("cape", None),
+        ("", None),
+        ("x" * 999, None),
+    ],
+)
+def test_a_name_that_is_nearly_one_is_told(name: str, near: str | None):
+    cure = did_you_mean(name, ["tshirt", "trousers", "dress"], "Look.")
+    assert cure == (f"Did you mean {near}? Look." if near else "Look.")

@@ -92,6 +92,14 @@ class _GlbReader:
             raise self.fault("a mesh in the scene", "none")
         return self.join(parts)
 
+    def left_out(self) -> list[str]:
+        """What of the file is not taken over, for its notes."""
+        pictures = len(self.document.get("images", []))
+        if not pictures:
+            return []
+        count = "a picture is" if pictures == 1 else f"{pictures} pictures are"
+        return [f"warning: {count} left out: put the textures on again, materials keep their names and coordinates"]
+
     def primitive(self, primitive: dict[str, Any], placed: np.ndarray):
         if primitive.get("mode", 4) != 4:
             raise self.fault("triangles (mode 4)", f"mode {primitive['mode']}", "Triangulate the mesh.")
@@ -148,7 +156,7 @@ class _GlbReader:
         listed = self.document.get("materials", [])
         names = tuple(str(listed[i].get("name", f"material {i}")) if i >= 0 else "default" for i in used)
         material = np.concatenate([np.full(len(part[1]), used.index(part[3])) for part in parts]).astype(np.int64)
-        mesh = replace(mesh, material_names=names, face_material=material)
+        mesh = replace(mesh, material_names=names, face_material=material).noted(*self.left_out())
         if all(part[2] is None for part in parts):
             return mesh
         uv = np.concatenate([np.zeros((len(part[0]), 2)) if part[2] is None else part[2] for part in parts])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.avatar import wearer as wearers
 from drape.avatar.body_fit import target_joints
 from drape.avatar.character import read_character
-from drape.avatar.t_pose import rig_of, t_posed
+from drape.avatar.mapping import rig_of
+from drape.avatar.t_pose import t_posed
 from drape.avatar.wearer import Wearer, load_wearer, main, read_wearer, save_wearer, wearer_name
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
@@ -85,8 +87,11 @@ def test_other_numbers_of_quaternions_are_refused(worn: Wearer, sent: np.ndarray
 
 
 def test_it_is_stored_and_read_again(worn: Wearer, body: BodyModel, tmp_path: Path):
+    assert (worn.found_by, worn.confidence, worn.notes) == ("vrm", 1.0, ())
+    worn = replace(worn, found_by="shape", confidence=0.8, notes=("upside down",))
     path = save_wearer(worn, tmp_path)
     again = load_wearer(path, body)
+    assert (again.found_by, again.confidence, again.notes) == ("shape", 0.8, ("upside down",))
     assert path.name == worn.file_name() == again.file_name()
     assert (again.joints, again.nodes, again.scale, again.vrm) == (worn.joints, worn.nodes, worn.scale, worn.vrm)
     assert_array_equal(again.body.joints_template, worn.body.joints_template)
@@ -118,12 +123,14 @@ def test_a_joint_that_is_told_counts(body: BodyModel):
 
 
 def test_bones_of_no_person_are_refused(body: BodyModel):
-    def all_legs(document: dict) -> None:
-        for node in document["nodes"]:
+    def all_on_one(document: dict) -> None:
+        for number, node in enumerate(document["nodes"]):
             node["name"] = "leg"
+            if number < len(JOINT_NAMES):
+                node["children"] = list(range(1, len(JOINT_NAMES))) if number == 0 else []
 
     with pytest.raises(MotionError, match="a person's joints"):
-        read_wearer(character(body, change=all_legs), name="table", body=body)
+        read_wearer(character(body, change=all_on_one), name="table", body=body)
 
 
 def test_limbs_of_no_person_are_refused(body: BodyModel):
@@ -164,5 +171,6 @@ def test_the_command_line_tells_and_stores(body: BodyModel, tmp_path: Path, caps
     assert main([str(path), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "thigh_l" in said and "fit" in said and list(tmp_path.glob("me-*.npz"))
+    assert "joints by names, 100 % sure" in said
     path.write_bytes(b"no character")
     assert main([str(path)]) == 2

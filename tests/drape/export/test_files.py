@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
+from drape.export.mdd import mdd_frames, mdd_head
 from drape.export.obj import obj_text
 from drape.export.pc2 import HEAD_BYTES, pc2_head, pc2_samples
 from drape.export.usda import POINT_BYTES, MovingGarment, usda_pieces
 from drape.garment.cache import Garment
 from drape.garment.files.obj import read_obj
-from tests.fixtures.exports import read_pc2, read_usda
+from tests.fixtures.exports import read_mdd, read_pc2, read_usda
 
 
 def clip(tube: Garment, frames: int = 3) -> np.ndarray:
@@ -26,6 +27,14 @@ def test_a_point_cache_holds_the_bits(tube: Garment, tmp_path: Path):
     path.write_bytes(pc2_head(216, 3) + pc2_samples(frames[:2]) + pc2_samples(frames[2:]))
     assert HEAD_BYTES == 32
     assert_array_equal(read_pc2(path), frames)
+
+
+def test_an_mdd_cache_holds_the_bits_and_the_times(tube: Garment):
+    frames = clip(tube)
+    file = mdd_head(216, 3, 24.0) + mdd_frames(frames[:2]) + mdd_frames(frames[2:])
+    times, points = read_mdd(file)
+    assert_array_equal(times, (np.arange(3) / 24.0).astype(np.float32))
+    assert_array_equal(points, frames)
 
 
 def test_a_scene_holds_meshes_and_their_motion(tube: Garment):

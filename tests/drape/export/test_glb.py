@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
-import struct
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -28,10 +27,9 @@ from drape.garment.cache import Garment
 from drape.garment.files.glb import read_glb
 from drape.geometry import rigid
 from drape.geometry.rotations import quaternion_to_matrix
-from tests.architecture.repository import ROOT
+from tests.fixtures.glb_reader import PACKAGES, Reader, khronos_complaints
 from tests.fixtures.poses import random_motion
 
-PACKAGES = ROOT / "clients/web/node_modules"
 THREE = PACKAGES / "three"
 SHOW = """
 import { readFileSync } from "node:fs";
@@ -51,60 +49,6 @@ for (let frame = 0; frame < 5; frame++) {
 }
 console.log(JSON.stringify(places));
 """
-VALIDATE = """
-import { readFileSync } from "node:fs";
-import { createRequire } from "node:module";
-const { validateBytes } = createRequire(%s)("gltf-validator");
-const { issues } = await validateBytes(new Uint8Array(readFileSync(process.argv[2])), { maxIssues: 0 });
-console.log(JSON.stringify(issues.messages.filter((one) => one.severity < 2)));
-"""
-TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
-WIDTHS = {"SCALAR": (), "VEC2": (2,), "VEC3": (3,), "VEC4": (4,), "MAT4": (4, 4)}
-
-
-class Reader:
-    """The JSON part and the arrays of a GLB, checked on the way."""
-
-    def __init__(self, content: bytes) -> None:
-        magic, version, size = struct.unpack_from("<4sII", content)
-        assert (magic, version, size) == (b"glTF", 2, len(content))
-        length, kind = struct.unpack_from("<I4s", content, 12)
-        assert kind == b"JSON" and length % 4 == 0
-        self.json = json.loads(content[20 : 20 + length])
-        bin_length, kind = struct.unpack_from("<I4s", content, 20 + length)
-        assert kind == b"BIN\0" and bin_length % 4 == 0
-        self.binary = content[28 + length :]
-        assert len(self.binary) == bin_length == self.json["buffers"][0]["byteLength"]
-
-    def array(self, index: int) -> np.ndarray:
-        """The numbers of an accessor; normalized ones in [-1, 1]."""
-        accessor = self.json["accessors"][index]
-        view = self.json["bufferViews"][accessor["bufferView"]]
-        dtype = np.dtype(TYPES[accessor["componentType"]])
-        shape = (accessor["count"], *WIDTHS[accessor["type"]])
-        row = dtype.itemsize * int(np.prod(shape[1:]))
-        start, stride = accessor.get("byteOffset", 0), view.get("byteStride", row)
-        assert view["byteOffset"] % 4 == start % 4 == 0
-        assert stride == row or (row < stride <= 252 and stride % 4 == 0 and view["target"] == 34962)
-        assert start + stride * (shape[0] - 1) + row <= view["byteLength"]
-        strides = (stride, *(dtype.itemsize,) * (len(shape) - 1)) if len(shape) < 3 else None
-        array = np.ndarray(shape, dtype, self.binary, view["byteOffset"] + start, strides)
-        if "min" in accessor:
-            rows = array.reshape(len(array), -1)
-            assert_allclose(rows.min(0), accessor["min"], rtol=0, atol=0)
-            assert_allclose(rows.max(0), accessor["max"], rtol=0, atol=0)
-        if not accessor.get("normalized"):
-            return array
-        assert dtype in (np.int8, np.int16) and array.min() >= -np.iinfo(dtype).max
-        return array / np.iinfo(dtype).max
-
-    def channel(self, node: int, path: str) -> tuple[np.ndarray, np.ndarray]:
-        """Times [s] and values of one animated property."""
-        (animation,) = self.json["animations"]
-        (found,) = (c for c in animation["channels"] if c["target"] == {"node": node, "path": path})
-        sampler = animation["samplers"][found["sampler"]]
-        assert sampler["interpolation"] == "LINEAR"
-        return self.array(sampler["input"]), self.array(sampler["output"])
 
 
 def clip(tube: Garment, frames: int = 5) -> np.ndarray:
@@ -272,20 +216,8 @@ def test_three_js_shows_the_frames(tube: Garment, tmp_path: Path):
 @pytest.fixture(scope="module")
 def complaints(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bytes], list[dict[str, Any]]]:
     """Errors and warnings of the Khronos glTF validator on a file."""
-    node = shutil.which("node")
-    if node is None or not (PACKAGES / "gltf-validator").is_dir():
-        pytest.skip("No Node.js or no gltf-validator: make page.")
     folder = tmp_path_factory.mktemp("validator")
-    script = folder / "validate.mjs"
-    script.write_text(VALIDATE % json.dumps(f"{PACKAGES}/"))
-
-    def found(content: bytes) -> list[dict[str, Any]]:
-        (folder / "file.glb").write_bytes(content)
-        run = subprocess.run([node, script, folder / "file.glb"], capture_output=True, text=True, timeout=60)
-        assert run.returncode == 0, run.stderr
-        return json.loads(run.stdout)
-
-    return found
+    return lambda content: khronos_complaints(content, folder)
 
 
 @pytest.mark.parametrize("frames", [1, 5])

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from drape.errors import MotionError
 from drape.geometry.rotations import rotvec_to_matrix
-from drape.motion.grounding import placed_on_ground, sole_heights
+from drape.motion.grounding import floor_note, placed_on_ground, sole_heights
 from drape.motion.samples import SAMPLES, walk
 from drape.motion.t_pose import CANONICAL_FLOOR, CANONICAL_JOINTS
 
@@ -52,6 +52,13 @@ def test_shipped_body_stands_on_the_ground_in_the_sample_clips(name, body):
     frames = slice(0, None, 20)
     lowest = body.posed_vertices(placed.poses[frames], placed.trans[frames])[..., 1].min(axis=1)
     assert np.abs(lowest).max() < SKIN_TOLERANCE_M
+
+
+@pytest.mark.parametrize(("lift_m", "said"), [(0.0, ""), (0.1, ""), (0.5, "0.50 m above"), (-0.93, "0.93 m below")])
+def test_feet_that_are_not_on_the_floor_are_told(lift_m, said):
+    clip = placed_on_ground(walk(), CANONICAL_JOINTS, floor=CANONICAL_FLOOR)
+    note = floor_note(clip.poses, clip.trans + np.array([0.0, lift_m, 0.0]), CANONICAL_JOINTS, floor=CANONICAL_FLOOR)
+    assert said in note if said else note == ""
 
 
 @pytest.mark.parametrize("joints", [np.zeros((22, 3)), np.full((24, 3), np.nan)])

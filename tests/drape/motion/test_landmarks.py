@@ -213,6 +213,17 @@ def test_a_mirrored_person_is_the_mirrored_pose(points):
     assert_allclose(rotvec_to_matrix(landmark_poses(other)), rotvec_to_matrix(want), rtol=0.0, atol=EXACT)
 
 
+def test_left_and_right_that_are_swapped_are_told(points):
+    swapped = points.copy()
+    for name, index in LAYOUTS["mediapipe"].index.items():
+        side, _, rest = name.partition("_")
+        if side in ("left", "right"):
+            swapped[:, at("mediapipe", f"{'right' if side == 'left' else 'left'}_{rest}")] = points[:, index]
+    with pytest.raises(MotionError, match="left and right look swapped"):
+        landmark_poses(swapped)
+    landmark_poses(swapped, visibility=hidden(points, "nose"))
+
+
 def hidden(points, *names):
     visibility = np.ones(points.shape[:2])
     for name in names:

@@ -13,7 +13,7 @@ from numpy.testing import assert_array_equal
 
 from drape.errors import InputError, MotionError
 from drape.wire import messages as wire
-from drape.wire.clips import FRAME_BYTES, HEADER_BYTES, pack_clip, unpack_clip
+from drape.wire.clips import FRAME_BYTES, HEADER_BYTES, frame_bytes, of_rig, pack_clip, unpack_clip
 
 POSES, TRANS = np.linspace(-1.0, 1.0, 144).reshape(2, 24, 3), np.arange(6.0).reshape(2, 3)
 
@@ -31,6 +31,18 @@ def test_a_clip_survives_the_wire_exactly(poses, placed, name):
         assert_array_equal(places, trans)
 
 
+@given(count=st.integers(0, 4), nodes=st.integers(1, 7), placed=st.booleans())
+def test_a_clip_of_a_rig_survives_the_wire_exactly(count, nodes, placed):
+    turns = np.random.default_rng(count).normal(size=(count, nodes, 4))
+    trans = turns[:, 0, :3] if placed else None
+    message = pack_clip({"avatar": "me"}, turns, trans)
+    text, got, places = unpack_clip(message)
+    assert json.loads(text) == {"avatar": "me"} and of_rig(got)
+    assert_array_equal(got, turns)
+    assert (places is None) == (trans is None)
+    assert len(message) <= HEADER_BYTES + count * frame_bytes(turns) + len(text)
+
+
 def test_a_frame_has_six_hundred_bytes():
     message = pack_clip({}, POSES, TRANS)
     assert len(message) == HEADER_BYTES + 2 * FRAME_BYTES + len("{}") and FRAME_BYTES == 600
@@ -41,6 +53,7 @@ def test_a_frame_has_six_hundred_bytes():
     [
         (b"", "at least 24 bytes"),
         (pack_clip({}, POSES, TRANS)[:-1], "for 2 frames and 2 bytes of JSON"),
+        (pack_clip({}, np.zeros((2, 5, 4)), TRANS)[:-1], "for 2 frames of 5 nodes and 2 bytes of JSON"),
         (pack_clip({}, POSES, None) + b" ", "for 2 frames and 2 bytes of JSON"),
         (wire.pack_pose(wire.Pose(0, 0.0, TRANS[0], POSES[0])), "kind 6"),
     ],

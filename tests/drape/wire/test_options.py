@@ -18,8 +18,10 @@ def test_names_on_the_wire_are_the_aliases_and_only_what_was_chosen_is_said():
 
 def test_an_option_that_there_is_not_is_named_with_those_that_there_are():
     known = ", ".join(DrapeOptions.model_fields)
-    with pytest.raises(TypeError, match=f"no such option: speed; there are {known}"):
+    with pytest.raises(TypeError, match=f"no such option: speed. There are {known}"):
         options_document({"speed": 1})
+    with pytest.raises(TypeError, match=r"no such option: fold\. Did you mean folds\?"):
+        options_document({"fold": 1})
 
 
 def test_every_option_is_described_and_may_be_left_out():

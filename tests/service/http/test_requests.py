@@ -69,12 +69,28 @@ def drape(api: httpx.Client, **fields: object) -> httpx.Response:
         ({"garment": ""}, 400, ["garment: expected at least 1 character, got ''."]),
         ({"colour": "red"}, 400, ["colour: expected no such field"]),
         ({"motion": 0.5, "colour": "red"}, 400, ["colour: expected no such field"]),  # an alias is a known name
+        ({"fold": 1}, 400, ["fold: expected no such field, got one. Did you mean folds? See"]),
+        ({"garment": "tubes"}, 404, ["Did you mean tube? GET /garments"]),
+        ({"fabric": "Denin"}, 404, ["fabric: expected one of", "Did you mean denim?"]),
+        ({"poses": [[[30, 0, 0]] * 24]}, 422, ["poses: expected rotation vectors in radians", "look like degrees"]),
         ({"push_out": "maybe"}, 400, ["push_out: expected a valid boolean, unable"]),
         ({"poses": REST * 41}, 413, ["poses: expected at most 40 frames, got 41. Send the clip in pieces."]),
     ],
 )
 def test_what_is_wrong_is_named(api: httpx.Client, fields: dict, status: int, words: list[str]):
     refused(drape(api, **fields), status, *words)
+
+
+def test_feet_that_are_not_on_the_floor_are_noted(api: httpx.Client, body):
+    stands = [[0.0, -float(body.v_template[:, 1].min()), 0.0]]
+    for trans, said in (
+        (None, ""),
+        (stands, ""),
+        ([[0.0, 0.0, 0.0]], "below the floor"),
+        ([[0, 3, 0]], "above the floor"),
+    ):
+        answer = drape(api, **({} if trans is None else {"trans": trans}))
+        assert said in answer.headers.get("X-Drape-Note", "") and (said == "") == ("X-Drape-Note" not in answer.headers)
 
 
 def test_more_than_a_clip_can_hold_is_refused_before_it_is_parsed(api: httpx.Client, settings: Settings):

@@ -26,7 +26,8 @@ from service.settings import Settings
 from service.uploads import jobs
 from service.uploads.accepted import Accepted
 from service.uploads.avatars import upload_avatar
-from service.uploads.jobs import SHARES, Job, Uploads, run_sandbox
+from service.uploads.job_records import JobRecord, read_record
+from service.uploads.jobs import SHARES, Job, Uploads, run_sandbox, warnings_of
 from tests.fixtures.meshes import garment_obj, huge_count_glb
 from tests.fixtures.serving import files_in, served
 
@@ -87,13 +88,21 @@ def test_a_small_file_that_asks_for_gigabytes_is_refused(uploads: httpx.Client):
     assert uploads.get("/health").json()["status"] == "ok"
 
 
+def test_of_an_intakes_notes_the_warnings_are_told_and_kept(tmp_path: Path):
+    left_out = "a picture is left out"
+    assert warnings_of(["2 openings", f"warning: {left_out}"]) == (left_out,)
+    JobRecord("one", "shirt", None, "done", "shirt", notes=(left_out,)).write(tmp_path)
+    kept = read_record(tmp_path, "one")
+    assert kept is not None and list(kept.notes) == [left_out]
+
+
 @pytest.mark.slow
 def test_a_good_file_becomes_a_garment_that_can_be_draped(
     uploads: httpx.Client, upload_settings: Settings, tube: Garment
 ):
     seen: list[dict] = []
     job = finished(uploads, post(uploads, garment_obj(tube), name="My Tube.obj", avatar="standard"), seen)
-    assert job["state"] == "done", job
+    assert (job["state"], job["notes"]) == ("done", []), job
     stages = [list(SHARES["garment"]).index(one["stage"]) for one in seen if one["stage"] is not None]
     assert stages == sorted(stages) and len(set(stages)) > 1
     shares = [one["share"] for one in [*seen, job]]

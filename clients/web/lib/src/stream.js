@@ -1,7 +1,7 @@
 // The WebSocket: poses out, frames in, every frame acknowledged; comes back by itself after a lost connection, and goes
 // on at the successor of a service that ends, with what the cloth remembers.
 import { DrapeError } from "./errors.js";
-import { KIND, SUBPROTOCOL, headerOf, kindOf, packAck, packPose } from "./wire.js";
+import { KIND, SUBPROTOCOL, headerOf, kindOf, packAck, packPose, packRigPose } from "./wire.js";
 
 const FIRST_RETRY_S = 0.5;
 const LAST_RETRY_S = 8;
@@ -58,8 +58,9 @@ export class Stream {
     socket?.close();
   }
 
-  // Sends a pose if the stream is open, and says whether it is; pose: 72 numbers, trans: 3.
-  send(pose, trans) {
+  // Sends a pose if the stream is open, and says whether it is; pose: 72 numbers, trans: 3. Of an avatar's own rig: four
+  // numbers a node, x, y, z, w, and where its pelvis is, or no numbers for its rest.
+  send(pose, trans, rig = false) {
     if (!this.ready) return false;
     this.sequence = (this.sequence + 1) >>> 0;
     const clientTimeS = now();
@@ -70,14 +71,16 @@ export class Stream {
     if (this.still && inTime && sameNumbers(this.still, { pose, trans })) {
       const header = { ...this.shown.header, sequence: this.sequence, client_time_s: clientTimeS, residence_us: 0 };
       this.shown = { ...this.shown, header };
-      this.onFrame({ ...this.shown, pose, trans, bytes: 0, ageS: () => now() - clientTimeS });
+      this.onFrame({ ...this.shown, pose, trans, rig, bytes: 0, ageS: () => now() - clientTimeS });
       return true;
     }
     this.still = null;
     this.sentS = clientTimeS;
-    this.poses.set(this.sequence, { pose, trans });
+    this.poses.set(this.sequence, { pose, trans, rig });
     if (this.poses.size > KEPT_POSES) this.poses.delete(this.poses.keys().next().value);
-    this.socket.send(packPose({ sequence: this.sequence, clientTimeS, trans, pose }));
+    const stamp = { sequence: this.sequence, clientTimeS };
+    const placed = trans.length ? trans : null;
+    this.socket.send(rig ? packRigPose({ ...stamp, place: placed, quaternions: pose }) : packPose({ ...stamp, trans, pose }));
     return true;
   }
 
@@ -191,6 +194,7 @@ const copied = ({ pose, trans }) => ({ pose: Float32Array.from(pose), trans: Flo
 
 // Whether two poses are the same in the bytes that are sent.
 function sameNumbers(one, other) {
-  const equal = (numbers, others) => numbers.every((number, k) => number === Math.fround(others[k]));
+  const equal = (numbers, others) =>
+    numbers.length === others.length && numbers.every((number, k) => number === Math.fround(others[k]));
   return equal(one.pose, other.pose) && equal(one.trans, other.trans);
 }

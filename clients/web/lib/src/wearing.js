@@ -1,4 +1,5 @@
 // One garment, or several over each other, on one moving body: its stream, what decodes it, and where its poses come from.
+import { DrapeError } from "./errors.js";
 import { Decoding } from "./decoding.js";
 import { Stream } from "./stream.js";
 import { clipSource, everyPicture, flatPose } from "./sources.js";
@@ -84,6 +85,17 @@ export class Wearing {
   // Sends one pose, and says whether the stream took it: 24 rotation vectors [rad], translation of the root [m].
   pose(poses, trans = [0, 0, 0]) {
     return this.stream.send(flatPose(poses), trans);
+  }
+
+  // Sends one pose of the avatar's own rig: the local rotation of each of its nodes, x, y, z, w, in the order in which
+  // avatars() tells them, and where the node of its pelvis is [m]; at its rest place if left out.
+  rigPose(quaternions, place = []) {
+    const { nodes } = this.stream.opened ?? {};
+    const flat = Array.from(quaternions, (one) => (typeof one === "number" ? one : Array.from(one))).flat();
+    if (nodes && flat.length === 4 * nodes) return this.stream.send(flat, place, true);
+    const expected = nodes ? `${nodes} quaternions, one a node of the avatar` : "a garment that is worn by an avatar";
+    const words = { name: "rigPose", expected, got: `${flat.length} numbers`, kind: "MotionError" };
+    throw new DrapeError({ ...words, cure: "wear() takes avatar; avatars() tells its nodes in their order." });
   }
 
   // From now on poses come from source(timeS), or source.sample(timeS): { poses, trans }, or null for none this time.
@@ -172,9 +184,9 @@ export class Wearing {
 
   #show(frame) {
     if (this.state === "closed") return;
-    const { header, pose, bytes } = frame;
+    const { header, pose, rig, bytes } = frame;
     this.root = header.root;
-    this.bodyPose = pose;
+    if (!rig) this.bodyPose = pose;
     const { stats } = this;
     stats.frames += 1;
     stats.ageS = frame.ageS();

@@ -5,6 +5,7 @@ export const SUBPROTOCOL = "drape.v1";
 export const MAGIC = 0x45505244;
 export const KIND = {
   POSE: 1, ACK: 2, FRAME: 3, JETS: 4, LAYOUT: 5, CLIP: 6, STATE: 7, SAME: 8,
+  RIG_POSE: 9,
 };
 export const FLAG_PUSHED = 1;
 export const FLAG_STEPPED = 2;
@@ -13,7 +14,7 @@ export const FLAG_BYTES = 8;
 // Suffixes of garment files, as the file chooser takes them.
 export const MESH_SUFFIXES = ".obj,.glb,.ply,.stl";
 export const BYTES = {
-  POSE: 336, ACK: 16, SAME: 40,
+  POSE: 336, ACK: 16, SAME: 40, RIG_POSE_HEADER: 48,
   FRAME_HEADER: 96, JETS_HEADER: 460, LAYOUT_HEADER: 24,
 };
 
@@ -105,7 +106,17 @@ export const LAYOUTS = {
     sequence: [8, "u32", 1],
     count: [12, "u32", 1],
     text_bytes: [16, "u32", 1],
-    reserved: [20, "u32", 1],
+    nodes: [20, "u32", 1],
+  },
+  RIG_POSE: {
+    magic: [0, "u32", 1],
+    version: [4, "u8", 1],
+    kind: [5, "u8", 1],
+    flags: [6, "u16", 1],
+    sequence: [8, "u32", 1],
+    count: [12, "u32", 1],
+    client_time_s: [16, "f64", 1],
+    trans: [24, "f64", 3],
   },
 };
 
@@ -147,6 +158,16 @@ export function packPose({ sequence, clientTimeS, trans, pose }) {
   const buffer = new ArrayBuffer(BYTES.POSE);
   const record = { ...prefix(KIND.POSE, sequence, 1), client_time_s: clientTimeS, trans, pose };
   writeRecord(new DataView(buffer), LAYOUTS.POSE, record);
+  return buffer;
+}
+
+// quaternions: x, y, z, w of each node of the avatar, one after the other; place: 3 numbers [m], or null for its rest.
+export function packRigPose({ sequence, clientTimeS, place, quaternions }) {
+  const buffer = new ArrayBuffer(BYTES.RIG_POSE_HEADER + 4 * quaternions.length);
+  const head = { ...prefix(KIND.RIG_POSE, sequence, quaternions.length / 4), flags: place ? 1 : 0 };
+  const record = { ...head, client_time_s: clientTimeS, trans: place ?? [0, 0, 0] };
+  writeRecord(new DataView(buffer), LAYOUTS.RIG_POSE, record);
+  new Float32Array(buffer, BYTES.RIG_POSE_HEADER).set(quaternions);
   return buffer;
 }
 

@@ -64,6 +64,10 @@ export class Worn extends Group {
     return this.wearing.pose(poses, trans);
   }
 
+  rigPose(quaternions, place) {
+    return this.wearing.rigPose(quaternions, place);
+  }
+
   follow(source) {
     return this.wearing.follow(source);
   }
@@ -106,7 +110,7 @@ export class Worn extends Group {
       mesh.position.fromArray(wearing.root);
       mesh.visible = true;
     }
-    if (this.figure) {
+    if (this.figure && wearing.bodyPose) {
       poseBones(this.figure.bones, wearing.bodyPose, wearing.root);
       this.body.visible = true;
     }

@@ -128,6 +128,8 @@ export interface Controls {
   readonly state: State;
   /** Sends one pose, and says whether the stream took it. */
   pose(poses: Pose, trans?: ArrayLike<number>): boolean;
+  /** One pose of the avatar's own rig: x, y, z, w of each of its nodes, and where that of its pelvis is [m]. */
+  rigPose(quaternions: ArrayLike<number> | ArrayLike<ArrayLike<number>>, place?: ArrayLike<number>): boolean;
   follow(source: SourceFunction | Source | null): Promise<void>;
   /** Plays a motion of the service by name, or numbers of your own. */
   play(motion: string | Motion, choice?: PlayChoice): Promise<void>;
@@ -171,6 +173,12 @@ export interface BodyInfo {
 export interface AvatarInfo {
   id: string;
   joints: Record<string, string>;
+  /** Whether VRM's bones, names, the places of the joints or a correction told these, and how sure that is, to 1. */
+  found_by: "vrm" | "names" | "shape" | "told";
+  confidence: number;
+  notes: string[];
+  /** The nodes of its file: the order of a pose of its own rig. */
+  nodes: string[];
   fit: { median_mm: number; p95_mm: number };
   height_m: number;
   rest_joints: [number, number, number][];

@@ -25,6 +25,8 @@ export class Worn extends Group<WornEvents> implements Controls {
   readonly stats: Stats;
   readonly state: State;
   pose(poses: Pose, trans?: ArrayLike<number>): boolean;
+  /** One pose of the avatar's own rig: x, y, z, w of each of its nodes, and where that of its pelvis is [m]. */
+  rigPose(quaternions: ArrayLike<number> | ArrayLike<ArrayLike<number>>, place?: ArrayLike<number>): boolean;
   follow(source: SourceFunction | Source | null): Promise<void>;
   play(motion: string | Motion, choice?: PlayChoice): Promise<void>;
   stop(): void;

@@ -155,6 +155,15 @@ def test_glb_nodes_place_their_mesh(vertices: np.ndarray):
     assert_array_equal(mesh.faces, FACES[:, ::-1])
 
 
+def test_textures_of_a_glb_are_told_of(vertices: np.ndarray):
+    def texture(document: dict) -> None:
+        document["images"] = [{"bufferView": 0, "mimeType": "image/png"}] * 2
+
+    assert read_mesh(glb_bytes(vertices, FACES)).notes == ()
+    (note,) = read_mesh(glb_bytes(vertices, FACES, change=texture)).notes
+    assert note.startswith("warning: 2 pictures are left out")
+
+
 def set_entry(*path):
     *keys, last, value = path
 

@@ -1,0 +1,101 @@
+"""Which nodes of a character are which joints: by VRM's bones, by names, or by places where nobody knows its names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.avatar.character import Character
+from drape.avatar.shape_joints import hanging_on, joints_by_shape
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.errors import MotionError, NotFound, did_you_mean
+from drape.geometry.rotations import matrix_to_quaternion
+from drape.motion.joint_names import is_whole, match_joints
+from drape.motion.rig_poses import Rig
+
+VRM, NAMES, SHAPE, TOLD = "vrm", "names", "shape", "told"
+SWAPPED = "left and right look swapped: by these joints the feet point backwards"
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """The ``rig`` of a character; its joints were found ``by`` "vrm", "names" or "shape", or "told"; ``confidence``: of
+    those by shape, how like a person's the places are, else 1. ``notes``: what looks wrong with it."""
+
+    rig: Rig
+    by: str
+    confidence: float = 1.0
+    notes: tuple[str, ...] = ()
+
+
+def rig_of(
+    character: Character, body: BodyModel, *, told: Mapping[str, str] | None = None, label: str = "avatar"
+) -> Rig:
+    """The rig alone of ``mapped``."""
+    return mapped(character, body, told=told, label=label).rig
+
+
+def mapped(
+    character: Character, body: BodyModel, *, told: Mapping[str, str] | None = None, label: str = "avatar"
+) -> Mapped:
+    """The rig of ``character`` for poses of ``body``: its joints by VRM's bones where the file has them, else by names,
+    else by their places.
+
+    ``told``: SMPL's names of joints and the names of the nodes that are these, where they are found wrong. Raises
+    ``MotionError`` where the nodes are no person's, ``NotFound`` for a name that is not there.
+    """
+    names = list(character.names)
+    if character.humanoid:
+        bones = {place: bone for bone, place in character.humanoid.items()}
+        names = [bones.get(place, f"node {place}") for place in range(len(names))]
+    sources, by, confidence = _places(character, told or {}, label), TOLD, 1.0
+    if not is_whole(sources):
+        try:
+            found, by = match_joints(names, character.parents, label=label), VRM if character.humanoid else NAMES
+        except MotionError:
+            shape = joints_by_shape(character, label=label)
+            found, by, confidence = shape.sources, SHAPE, shape.confidence
+        sources = {**found, **sources}
+    turns = np.array([_turn(each) for each in character.world[:, :3, :3]])
+    local, moves = turns.copy(), character.places.copy()
+    for node, parent in enumerate(character.parents):
+        if parent >= 0:
+            local[node] = turns[parent].T @ turns[node]
+            moves[node] = turns[parent].T @ (character.places[node] - character.places[parent])
+    quaternions = matrix_to_quaternion(local)
+    rig = Rig(names, character.parents, quaternions, moves, body.joints_template, label, told=sources)
+    return Mapped(rig, by, confidence, (SWAPPED,) if _feet_point_back(rig, character) else ())
+
+
+def _feet_point_back(rig: Rig, character: Character) -> bool:
+    """Whether the skin of both feet lies behind their ankles, as joints that are called left and right tell front."""
+    ahead = rig.alignment[0][:, 2]
+    owner = np.asarray(character.weights.argmax(axis=1)).reshape(-1)
+    for side in ("left", "right"):
+        ankle = rig.sources[f"{side}_ankle"]
+        sole = character.vertices[hanging_on(rig.parents, ankle)[owner]]
+        if not len(sole) or (sole.mean(axis=0) - character.places[ankle]) @ ahead >= 0.0:
+            return False
+    return True
+
+
+def _places(character: Character, told: Mapping[str, str], label: str) -> dict[str, int]:
+    """Places of the nodes that were ``told`` by name."""
+    for joint, name in told.items():
+        if joint not in JOINT_NAMES:
+            known, cure = ", ".join(JOINT_NAMES), did_you_mean(joint, JOINT_NAMES, "Correct the name.")
+            raise NotFound(f"{label}: joint", expected=f"one of {known}", got=joint[:40], cure=cure)
+        if name not in character.names:
+            near, cure = ", ".join(character.names[:40]), did_you_mean(name, character.names, "Correct the name.")
+            raise NotFound(f"{label}: {joint}", expected=f"a node: {near}", got=name[:60], cure=cure)
+    return {joint: character.names.index(name) for joint, name in told.items()}
+
+
+def _turn(matrix: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) nearest to ``matrix``, which may scale; a mirrored one keeps two of its axes."""
+    u, _, vt = np.linalg.svd(matrix)
+    u[:, -1] *= np.sign(np.linalg.det(u @ vt))
+    return u @ vt

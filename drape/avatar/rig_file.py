@@ -1,0 +1,235 @@
+"""Draped garments as a GLB on the character's own rig: its nodes as they came, garments skinned to them, and morphs.
+
+A vertex v moves by the blend A = sum_j w_j W_j B_j of its joints' world transforms W and inverse bind matrices B. What
+was draped at x is thus the target A^-1 x - v of its frame: skinned and morphed it is x again, whatever the weights. So
+these may be plain ones, four joints near the vertex; without its targets the garment is the one at rest, and follows
+any animation of the rig as skinned garments do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+
+from drape.avatar.character import Character
+from drape.avatar.file_skeleton import FileSkeleton
+from drape.avatar.parts import PARTS, parts_of, plain_part
+from drape.avatar.wearer import Wearer
+from drape.body.skeleton import JOINT_COUNT
+from drape.errors import ArtifactError
+from drape.export.glb import NORMAL_STEPS, Corners, Shape, add_shape, normal_steps, split_seams, vertex_normals
+from drape.export.glb_file import VERTEX_BUFFER, GlbFile
+from drape.export.root_motion import quaternion_keys
+from drape.garment.cache import Garment
+from drape.garment.skin import smoothing_matrix
+from drape.geometry.closest import closest_point
+from drape.motion.rig_poses import carrier
+
+HEAVIEST = 4  # joints of a vertex, which is what players support
+SMOOTHING_PASSES = 6
+LEAST_VOLUME = 0.2  # of a blend of joints, of theirs: one that is flatter cannot be undone, and gets a single joint
+STILL = 1e-11  # a node that turns by less than 1e-5 rad in all frames is not animated
+
+
+@dataclass(frozen=True, eq=False)
+class Dressed:
+    """A ``garment`` cut for a character at ``vertices`` [m] (F, V, 3) of the rig's world, and its ``colour``."""
+
+    garment: Garment
+    vertices: np.ndarray
+    colour: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class RigClip:
+    """Local ``quaternions`` (F, N, 4), xyzw, of a character's nodes, and ``places`` [m] (F, 3) of its pelvis's."""
+
+    quaternions: np.ndarray
+    places: np.ndarray
+    fps: float
+
+
+def rig_file(
+    layers: Sequence[Dressed],
+    clip: RigClip,
+    wearer: Wearer,
+    character: Character,
+    skeleton: FileSkeleton,
+    *,
+    quantised: bool = True,
+) -> GlbFile:
+    """The file of garments on ``wearer``, read from the file of ``character`` and ``skeleton``, in its unit.
+
+    ``quantised``: normals have 8 bits (KHR_mesh_quantization). Raises ``ArtifactError`` where wearer and character are
+    not of one file.
+    """
+    if len(character.vertices) != len(wearer.vertices) or character.names != wearer.nodes:
+        cure = "Send the character again."
+        raise ArtifactError(f"avatar {wearer.name}", expected="its own file", got="another one", cure=cure)
+    rest = wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3)))
+    both = (np.concatenate(pair) for pair in zip(rest, (clip.quaternions, clip.places), strict=True))
+    moves, turns, animated = _local(wearer, skeleton, *both)
+    blends = skeleton.world(moves, turns)[:, skeleton.joints] @ skeleton.binds
+    file = GlbFile()
+    nodes = _add_nodes(file, skeleton)
+    skin = _add_skin(file, skeleton, nodes)
+    for layer in layers:
+        weights = garment_weights(layer.garment, wearer, character, skeleton)
+        at = np.concatenate([layer.garment.vertices[None, : layer.garment.vertex_count], layer.vertices])
+        corners = split_seams(layer.garment)
+        shape = _shape(file, corners, layer.garment.faces, at / wearer.scale, weights, blends, quantised=quantised)
+        whole = Shape(shape, {"skin": skin})
+        add_shape(file, layer.garment, corners, whole, len(layer.vertices), clip.fps, layer.colour)
+    channels = [(nodes[node], "rotation", quaternion_keys(turns[1:, node])) for node in animated if node in nodes]
+    top = carrier(wearer.rig)
+    if top in nodes:  # what no skin hangs on is not written
+        channels.append((nodes[top], "translation", moves[1:, top].astype(np.float32)))
+    file.animate(len(clip.quaternions), clip.fps, channels)
+    return file
+
+
+def _local(
+    wearer: Wearer, skeleton: FileSkeleton, quaternions: np.ndarray, places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Local translations (F, N, 3) and quaternions wxyz (F, N, 4) of the nodes as float32 has them, and the nodes (n,)
+    that turn after the first frame.
+
+    The node that carries legs and trunk moves, so that the pelvis's is at ``places`` [m] (F, 3).
+    """
+    turns = quaternions[..., [3, 0, 1, 2]] / np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    still = (np.abs(np.einsum("fnq,nq->fn", turns[1:], skeleton.turns)) > 1.0 - STILL).all(axis=0)
+    turns[1:, still] = skeleton.turns[still]
+    turns = turns.astype(np.float32).astype(np.float64)
+    moves = np.tile(skeleton.moves, (len(turns), 1, 1))
+    world = skeleton.world(moves, turns)
+    top, pelvis = carrier(wearer.rig), wearer.rig.sources["pelvis"]
+    way = places / wearer.scale - world[:, pelvis, :3, 3]
+    above = skeleton.parents[top]
+    if above >= 0:
+        way = np.linalg.solve(world[:, above, :3, :3], way[..., None])[..., 0]
+    moves[:, top] = (moves[:, top] + way).astype(np.float32)
+    return moves, turns, np.flatnonzero(~still)
+
+
+def _add_nodes(file: GlbFile, skeleton: FileSkeleton) -> dict[int, int]:
+    """The skeleton's nodes in ``file``: their places -> its nodes."""
+    kept, waiting = [], list(skeleton.tops[::-1])
+    while waiting:
+        kept.append(waiting.pop())
+        waiting.extend(reversed(skeleton.children[kept[-1]]))
+    first = len(file.json["nodes"])
+    nodes = {node: first + number for number, node in enumerate(kept)}
+    for node in kept:
+        written: dict[str, Any] = dict(skeleton.written[node])
+        if skeleton.children[node]:
+            written["children"] = [nodes[child] for child in skeleton.children[node]]
+        file.add("nodes", written)
+    file.json["scenes"][0]["nodes"] += [nodes[top] for top in skeleton.tops]
+    return nodes
+
+
+def _add_skin(file: GlbFile, skeleton: FileSkeleton, nodes: dict[int, int]) -> int:
+    """The skin in ``file``."""
+    columns = np.swapaxes(skeleton.binds, -1, -2).astype(np.float32)  # as stored: column by column
+    columns[:, :, 3] = [0.0, 0.0, 0.0, 1.0]
+    joints = [nodes[int(joint)] for joint in skeleton.joints]
+    return file.add("skins", {"joints": joints, "inverseBindMatrices": file.array(columns)})
+
+
+def garment_weights(
+    garment: Garment, wearer: Wearer, character: Character, skeleton: FileSkeleton
+) -> scipy.sparse.csr_matrix:
+    """Weights (V, J) of the joints for each vertex: those of the character's skin next to it, smooth over the cloth.
+
+    Hair, fingers and what else is no trunk or limb moves no cloth.
+    """
+    corners = parts_of(wearer.weights)[wearer.faces]
+    names = list(PARTS)
+    other = [number for number, part in enumerate(names) if plain_part(part) in ("head", "palm")]
+    faces = wearer.faces[~np.isin(corners, other).any(axis=1)].astype(np.int64)
+    vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
+    found = closest_point(vertices, wearer.vertices.astype(np.float64), faces)
+    rows = np.repeat(np.arange(len(vertices)), 3)
+    onto = (found.barycentric.reshape(-1), (rows, faces[found.face].reshape(-1)))
+    nearest = scipy.sparse.csr_matrix(onto, (len(vertices), len(wearer.vertices)))
+    weights = nearest @ character.weights[:, skeleton.joints]
+    smooth = smoothing_matrix(garment.faces.astype(np.int64), len(vertices))
+    for _ in range(SMOOTHING_PASSES):
+        weights = smooth @ weights
+    return scipy.sparse.csr_matrix(weights)
+
+
+def _heaviest(weights: scipy.sparse.csr_matrix, alone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The heaviest joints (V, 4) of each vertex and their weights, float32, summing to one; a single one where a vertex
+    is to have it ``alone`` (V,)."""
+    dense = weights.toarray()
+    order = np.argsort(-dense, axis=1, kind="stable")[:, :HEAVIEST]
+    order = np.pad(order, ((0, 0), (0, HEAVIEST - order.shape[1])))
+    kept = np.take_along_axis(dense, order, axis=1)
+    kept[:, dense.shape[1] :] = 0.0
+    kept[alone, 1:] = 0.0
+    kept = (kept / kept.sum(axis=1, keepdims=True)).astype(np.float32)
+    return np.where(kept > 0.0, order, 0), kept
+
+
+def _shape(
+    file: GlbFile,
+    corners: Corners,
+    faces: np.ndarray,
+    at: np.ndarray,
+    weights: scipy.sparse.csr_matrix,
+    blends: np.ndarray,
+    *,
+    quantised: bool,
+) -> list[dict[str, int]]:
+    """Accessors of the mesh that is at ``at[0]`` in the first of ``blends`` (F + 1, J, 4, 4), and of the ways to what
+    is at ``at`` (F + 1, V, 3) in the others."""
+    flat = blends[:, :, :3, :].reshape(len(blends), -1, 12)
+    bones, kept = _heaviest(weights, np.zeros(len(at[0]), dtype=bool))
+    volumes = [_volume(_blended(kept, bones, one)) / _volume(one.reshape(-1, 3, 4))[bones[:, 0]] for one in flat]
+    bones, kept = _heaviest(weights, np.min(volumes, axis=0) < LEAST_VOLUME)
+    parts: list[dict[str, int]] = []
+    first, first_normals = np.zeros(0), None
+    for points, one in zip(at, flat, strict=True):
+        inverse, offset = _undone(_blended(kept, bones, one))
+        bound = np.einsum("vab,vb->va", inverse, points - offset)
+        normals = np.einsum("vab,vb->va", inverse, vertex_normals(points[None], faces)[0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        way = bound - first if parts else bound
+        if quantised:
+            steps = normal_steps(normals, first_normals).astype(np.int8)
+            (turned,) = file.quantised_rows(steps[corners.source][None])
+            rounded = steps / NORMAL_STEPS
+        else:
+            rounded = (normals if first_normals is None else normals - first_normals).astype(np.float32)
+            turned = file.array(rounded[corners.source], target=VERTEX_BUFFER)
+        placed = way.astype(np.float32)
+        if not parts:
+            first, first_normals = placed.astype(np.float64), rounded.astype(np.float64)
+        position = file.array(placed[corners.source], target=VERTEX_BUFFER, bounds=True)
+        parts.append({"POSITION": position, "NORMAL": turned})
+    if quantised:
+        file.quantised()
+    joint = np.uint8 if len(flat[0]) <= 256 else np.uint16
+    parts[0]["JOINTS_0"] = file.array(bones[corners.source].astype(joint), target=VERTEX_BUFFER)
+    parts[0]["WEIGHTS_0"] = file.array(kept[corners.source], target=VERTEX_BUFFER)
+    return parts
+
+
+def _blended(weights: np.ndarray, bones: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """The blends (V, 3, 4) of ``moves`` (J, 12) by ``weights`` (V, 4) of ``bones`` (V, 4)."""
+    return np.einsum("vk,vkm->vm", weights.astype(np.float64), moves[bones]).reshape(-1, 3, 4)
+
+
+def _volume(moves: np.ndarray) -> np.ndarray:
+    """What volumes grow by (V,) in ``moves`` (V, 3, 4)."""
+    return np.linalg.det(moves[:, :, :3])
+
+
+def _undone(moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The inverse of the linear part (V, 3, 3) of ``moves`` (V, 3, 4), and their translation (V, 3)."""
+    return np.linalg.inv(moves[:, :, :3]), moves[:, :, 3]

@@ -1,0 +1,24 @@
+"""MDD point caches (LightWave's motion designer): for Maya, Cinema 4D, Houdini, Blender and others.
+
+Big endian: the number of frames and of points, the time [s] of each frame, then float32 x y z of every point of every
+frame. The mesh that the points belong to is another file, with the same vertices in the same order:
+``drape.export.obj``.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+_HEAD = struct.Struct(">ii")
+
+
+def mdd_head(points: int, frames: int, fps: float) -> bytes:
+    """What a file of ``frames`` frames of ``points`` points each begins with; the first frame is at 0 s."""
+    return _HEAD.pack(frames, points) + (np.arange(frames) / fps).astype(">f4").tobytes()
+
+
+def mdd_frames(vertices: np.ndarray) -> bytes:
+    """The frames of ``vertices`` [m] (F, V, 3)."""
+    return np.asarray(vertices, ">f4").tobytes()
