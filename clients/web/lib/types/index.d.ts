@@ -24,6 +24,7 @@ export class Worn extends Group<WornEvents> implements Controls {
   readonly body: Group | null;
   readonly stats: Stats;
   readonly state: State;
+  readonly foldsBy: "server" | "client";
   pose(poses: Pose, trans?: ArrayLike<number>): boolean;
   follow(source: SourceFunction | Source | null): Promise<void>;
   play(motion: string | Motion, choice?: PlayChoice): Promise<void>;
