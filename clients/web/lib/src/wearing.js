@@ -200,7 +200,7 @@ export class Wearing {
     const frame = this.newest;
     this.newest = null;
     if (frame.data === this.decoded) {
-      this.decoding.rest(frame.header.client_time_s);
+      if (this.folds) this.decoding.rest(frame.header.client_time_s);
       this.#show(frame);
       return;
     }
