@@ -6,7 +6,7 @@ import asyncio
 import gzip
 import hashlib
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from fastapi import Response
@@ -20,6 +20,7 @@ from drape.wire.folds import pack_folds
 from drape.wire.messages import WIRE_VERSION
 from drape.wire.options import FabricChoice, FabricNumbers
 from service.http.json_body import document_of, validated
+from service.stages.stage import Make
 
 KEPT = 8  # messages of some 3 MB, compressed
 LEVEL = 6  # of compression: to half of the size
@@ -55,7 +56,7 @@ def packed(worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndar
 
 
 async def fold_message(
-    kept: FoldMessages, folded: Folded, *, asked: Mapping[str, str], kind: str, make: Callable[..., bytes]
+    kept: FoldMessages, folded: Folded, *, asked: Mapping[str, str], kind: str, make: Make
 ) -> Response:
     """The answer with the message of ``folded``, which ``make`` makes where it is not ``kept``; 304 where the headers
     ``asked`` say that the client has it. It is compressed for who takes that."""

@@ -58,6 +58,10 @@ export class Wearing {
   async #prepareFolds() {
     const { folds_by: by } = this.options;
     if (by !== "client" && by !== "auto") return;
+    if (this.auto && this.garments.length > 1) {
+      this.#leaveFolds(); // as the service would, but before anything is fetched
+      return;
+    }
     this.options = { ...this.options, folds_by: "client", geometry: "jets" };
     try {
       const [{ compiled }, constants] = await Promise.all([import("./folds.js"), this.#foldConstants()]);
