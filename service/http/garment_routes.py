@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from fastapi import APIRouter, Header, Query, Request, Response
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from drape.errors import BodyError, InputError, NotFound
 from drape.wire.options import DrapeOptions, Resolution
@@ -19,7 +19,7 @@ from service.http.fold_messages import fold_message, queried_fabric
 from service.http.json_body import document_of, json_text, validated
 from service.http.openapi import Responses, body_schema, responses
 from service.http.pictures import PNG, picture, preview
-from service.http.query import Betas, queried_shape
+from service.http.query import queried_shape
 from service.state import ClientHere, State, StateHere
 
 if TYPE_CHECKING:
@@ -29,6 +29,15 @@ if TYPE_CHECKING:
 router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side
 KNOWN: Responses = {304: {"description": "What the client has is this one."}}
+
+
+class FoldsAsked(BaseModel):
+    """What the garment's folds are made for."""
+
+    fabric: str | None = Field(default=None, max_length=1000, description="A name, or the numbers of one as JSON.")
+    betas: str | None = Field(default=None, max_length=1000, description="Shape coefficients, comma-separated.")
+    resolution: Resolution = "delivered"
+    avatar: str | None = Field(default=None, max_length=120, description="The character that it is cut for.")
 
 
 class GarmentChange(schemas.Request):
@@ -108,22 +117,16 @@ async def garment_folds(
     request: Request,
     state: StateHere,
     client: ClientHere,
-    fabric: Annotated[str | None, Query(max_length=1000, description="A name, or the numbers of one as JSON.")] = None,
-    betas: Betas = None,
-    resolution: Resolution = "delivered",
-    avatar: Annotated[str | None, Query(max_length=120, description="The character that it is cut for.")] = None,
+    asked: Annotated[FoldsAsked, Query()],
 ) -> Response:
     """A FOLDS message (docs/reference/wire.md), with which a client makes the garment's folds by itself."""
     kind = choose(request.headers.get("accept"), (BINARY,))
     runtime = state.runtime
-    scene = await state.scene(garment_id, None, client, avatar=avatar)
-    asked = DrapeOptions(
-        geometry="jets", folds_by="client", folds=1, resolution=resolution, fabric=queried_fabric(fabric)
-    )
-    plan = runtime.plan(scene, asked)  # refuses what no client can fold
+    scene = await state.scene(garment_id, None, client, avatar=asked.avatar)
+    chosen = {"resolution": asked.resolution, "fabric": queried_fabric(asked.fabric)}
+    plan = runtime.plan(scene, DrapeOptions(geometry="jets", folds_by="client", folds=1, **chosen))  # may refuse
     worn, body = plan.scene.layers[0].garment, runtime.on(scene).body
-    shape = queried_shape(betas, body)
-    folded = worn, body, plan.fabrics[0], shape
+    folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body)
     make = runtime.constants_process.call
     return await fold_message(state.fold_messages, folded, asked=request.headers, kind=kind, make=make)
 
