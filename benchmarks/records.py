@@ -204,6 +204,15 @@ CHURN = {
     "slope_error_mb_h": ("its error", ".1f"), "descriptors": ("descriptors", "d"),
     "last_descriptors": ("at the end ", "d"), "threads": ("threads", "d"), "last_threads": ("at the end  ", "d"),
 }  # fmt: skip
+CLIENT_FOLDS = {
+    "garment": ("garment", "s"), "clip": ("clip", "s"), "tier": ("tier", "s"), "frames": ("frames", "d"),
+    "frame_bytes": ("vertices [B]", "d"), "jets_bytes": ("jets [B]", "d"), "constants_mb": ("constants [MB]", ".1f"),
+    "server_ms": ("with folds [ms]", ".1f"), "default_ms": ("default [ms]", ".1f"), "jets_ms": ("jets [ms]", ".1f"),
+    "server_ratio": ("of folds", ".2f"), "default_ratio": ("of default", ".2f"), "node_ms": ("Node.js [ms]", ".1f"),
+    "fold_ms": ("folds of it", ".1f"), "browser_ms": ("Chromium [ms]", ".1f"), "rms_mm": ("apart [mm]", ".3f"),
+    "first_mm": ("first second", ".3f"), "smooth_mm": ("without folds", ".2f"), "step_mm": ("the step alone", ".4f"),
+    "rounding_mm": ("rounding", ".3f"),
+}  # fmt: skip
 THROUGHPUT = {
     "processes": ("processes", "d"), "threads": ("threads each", "d"), "batch": ("frames a step", "d"),
     "frames_per_s": ("frames/s", ".0f"), "spread": ("spread", ".0f"),
@@ -328,6 +337,7 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("latency", SPEED_PAGE, "latency_batches", partial(_only, BATCHES, "garment", "mixed")),
     ("latency", SPEED_PAGE, "latency_growth", growth_table),
     ("serving", SPEED_PAGE, "serving", serving_table),
+    ("client_folds", "docs/guide/web.md", "client_folds", partial(alike, CLIENT_FOLDS)),
     ("churn", SPEED_PAGE, "churn", partial(alike, CHURN)),
     ("training", TRAINING_PAGE, "throughput", throughput_table),
     ("recovery_targets", FIT_PAGE, "recovery_targets", targets_table),

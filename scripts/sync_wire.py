@@ -1,4 +1,5 @@
-"""Writes clients/web/lib/src/wire.js from drape/wire/ and the table of drape/files/formats.py.
+"""Writes clients/web/lib/src/wire.js from drape/wire/ and the table of drape/files/formats.py, and the numbers of the
+arrays of FOLDS for the step in the browser.
 
 ``--check`` only compares and fails where they differ.
 """
@@ -14,12 +15,14 @@ sys.path.insert(0, str(ROOT))
 
 from drape.files.formats import MESH_SUFFIXES  # noqa: E402
 from drape.geometry import jets  # noqa: E402
+from drape.wire import folds as wire_folds  # noqa: E402
 from drape.wire import jets as wire_jets  # noqa: E402
 from drape.wire import layout as jet_layout  # noqa: E402
 from drape.wire import messages as wire  # noqa: E402
 from drape.wire import rig_poses  # noqa: E402
 
 TARGET = ROOT / "clients/web/lib/src/wire.js"
+FOLDS_TARGET = ROOT / "clients/web/lib/folds/names.ts"
 SIZES = {"u8": 1, "u16": 2, "u32": 4, "f32": 4, "f64": 8}
 
 TEMPLATE = """\
@@ -30,7 +33,7 @@ export const SUBPROTOCOL = "{subprotocol}";
 export const MAGIC = {magic};
 export const KIND = {{
   POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout}, CLIP: {clip}, STATE: {state}, SAME: {same},
-  RIG_POSE: {rig_pose},
+  RIG_POSE: {rig_pose}, FOLDS: {folds},
 }};
 export const FLAG_PUSHED = {flag_pushed};
 export const FLAG_STEPPED = {flag_stepped};
@@ -222,6 +225,7 @@ def generate() -> str:
         state=wire.STATE,
         same=wire.SAME,
         rig_pose=wire.RIG_POSE,
+        folds=wire.FOLDS,
         jets_bytes=wire_jets.HEADER_BYTES,
         layout_bytes=jet_layout.HEADER_BYTES,
         jet_numbers=jets.FULL_COUNT,
@@ -246,20 +250,30 @@ def generate() -> str:
     )
 
 
+def fold_names() -> str:
+    """The text of names.ts."""
+    lines = ["// Generated from drape/wire/folds.py by scripts/sync_wire.py. Do not edit.", ""]
+    lines += ["// Numbers of the arrays of a FOLDS message.", f"export const ARRAYS: i32 = {len(wire_folds.ARRAYS)};"]
+    lines += [f"export const {name.upper()}: i32 = {i};" for i, name in enumerate(wire_folds.ARRAYS)]
+    lines += ["", "// Places in the array of numbers."]
+    lines += [f"export const {name.upper()}: i32 = {i};" for i, name in enumerate(wire_folds.NUMBERS)]
+    return "\n".join(lines) + "\n"
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
     check = parser.parse_args().check
-    text = generate()
-    if check:
-        same = TARGET.is_file() and TARGET.read_text(encoding="utf-8") == text
-        if not same:
-            print(f"{TARGET.relative_to(ROOT)} is stale: run python scripts/sync_wire.py", file=sys.stderr)
-        return 0 if same else 1
-    TARGET.parent.mkdir(parents=True, exist_ok=True)
-    TARGET.write_text(text, encoding="utf-8")
-    print(f"wrote {TARGET.relative_to(ROOT)}")
-    return 0
+    stale = False
+    for target, text in ((TARGET, generate()), (FOLDS_TARGET, fold_names())):
+        if check and not (target.is_file() and target.read_text(encoding="utf-8") == text):
+            print(f"{target.relative_to(ROOT)} is stale: run python scripts/sync_wire.py", file=sys.stderr)
+            stale = True
+        if not check:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(text, encoding="utf-8")
+            print(f"wrote {target.relative_to(ROOT)}")
+    return int(stale)
 
 
 if __name__ == "__main__":

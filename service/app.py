@@ -26,6 +26,7 @@ from service.http import (
     upload_routes,
 )
 from service.http.continuations import Continuations
+from service.http.fold_messages import FoldMessages
 from service.http.pictures import Previews
 from service.replicas.handover import Handover
 from service.settings import Settings, load_settings, product_version
@@ -118,6 +119,7 @@ def make_state(runtime: DrapeRuntime, access: Access, life: Lifecycle) -> State:
         life=life,
         continuations=Continuations(runtime.settings),
         previews=Previews(),
+        fold_messages=FoldMessages(),
     )
 
 

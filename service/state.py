@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from service.compute.threads import SlicedThread
     from service.guard.access import Access
     from service.http.continuations import Continuations
+    from service.http.fold_messages import FoldMessages
     from service.http.pictures import Previews
     from service.replicas.handover import Handover
     from service.stages.scene import Entry, Scene
@@ -36,7 +37,7 @@ STREAMS_S = 2.0  # for streams to go
 @dataclass(eq=False)
 class State:
     """Body, model and garments; uploads, here and elsewhere; streams and what they take along; the thread for JSON;
-    ends of clips; pictures of garments; how many clips are computed."""
+    ends of clips; pictures of garments and what their folds need; how many clips are computed."""
 
     runtime: DrapeRuntime
     uploads: Uploads
@@ -48,6 +49,7 @@ class State:
     life: Lifecycle
     continuations: Continuations
     previews: Previews
+    fold_messages: FoldMessages
     clips: int = 0
 
     async def garment(self, garment_id: str, client: Client) -> Entry:

@@ -1,4 +1,6 @@
-// Bundles the page into dist (one script, one style sheet, one document), and @drape/client into lib/dist.
+// Bundles the page into dist (one script, one style sheet, one document), and @drape/client into lib/dist, with the step
+// of folds that lib/folds is compiled to.
+import asc from "assemblyscript/asc";
 import { build } from "esbuild";
 import { copyFile, mkdir, readdir, rename, rm } from "node:fs/promises";
 import { gzipSync } from "node:zlib";
@@ -21,20 +23,33 @@ async function replace(target, fill) {
   await rename(staged, target);
 }
 
+// The step of folds as WebAssembly with vector instructions.
+async function foldsModule() {
+  let binary = null;
+  const files = { writeFile: (name, contents) => (binary = contents) };
+  const options = ["--outFile", "folds.wasm", "--runtime", "stub", "-O3", "--noAssert", "--enable", "simd"];
+  const { error, stderr } = await asc.main(["lib/folds/step.ts", ...options], files);
+  if (error) throw new Error(`lib/folds: ${error.message}\n${stderr}`);
+  return Buffer.from(binary);
+}
+
 const worker = await textOf("lib/src/worker.js", { format: "iife" });
-const define = { WORKER_TEXT: JSON.stringify(worker) };
+const folds = await foldsModule();
+const define = { WORKER_TEXT: JSON.stringify(worker), FOLDS_TEXT: JSON.stringify(folds.toString("base64")) };
+const later = ["./folds.js"]; // what comes when it is needed, and never on the page
 
 await replace("dist", async (folder) => {
-  await build({ ...common, minify: true, entryPoints: ["src/main.js"], outfile: `${folder}/main.js` });
+  await build({ ...common, minify: true, external: later, entryPoints: ["src/main.js"], outfile: `${folder}/main.js` });
   for (const name of ["index.html", "style.css", "icon.svg"]) await copyFile(`src/${name}`, `${folder}/${name}`);
 });
 
-const entries = ["index", "core", "three", "react", "worker"].map((name) => `lib/src/${name}.js`);
+const entries = ["index", "core", "three", "react", "worker", "folds"].map((name) => `lib/src/${name}.js`);
 const external = ["three", "three/*", "react"];
 await replace("lib/dist", async (folder) => {
   await build({ ...common, define, external, splitting: true, entryPoints: entries, outdir: folder });
   for (const name of await readdir("lib/types")) await copyFile(`lib/types/${name}`, `${folder}/${name}`);
 });
-const size = gzipSync(await textOf("lib/src/index.js", { define, external })).length;
-console.log(`@drape/client: ${(size / 1000).toFixed(1)} kB gzipped, without three.js`);
+const size = gzipSync(await textOf("lib/src/index.js", { define, external: [...external, ...later] })).length;
+const step = (gzipSync(folds).length / 1000).toFixed(1);
+console.log(`@drape/client: ${(size / 1000).toFixed(1)} kB gzipped, without three.js; folds, when they are asked for: ${step} kB`);
 if (size > CORE_LIMIT) throw new Error(`@drape/client: expected ${CORE_LIMIT} bytes at most, got ${size}.`);

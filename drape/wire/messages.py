@@ -7,8 +7,8 @@ Vertices travel as 16-bit steps inside the frame's own bounding box, relative to
 root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets gets JETS in place of FRAME
 (``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). A request of REST may send its motion as a
 CLIP (``drape.wire.clips``); a stream that can move to another process takes STATE along (``drape.wire.state``). A
-client that can take SAME gets it in place of the frame while the body stands still. The conversation:
-docs/reference/wire.md.
+client that can take SAME gets it in place of the frame while the body stands still. With FOLDS (``drape.wire.folds``)
+a client makes folds by itself. The conversation: docs/reference/wire.md.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from drape.geometry import jets
 WIRE_VERSION = 1
 SUBPROTOCOL = f"drape.v{WIRE_VERSION}"
 MAGIC = 0x45505244  # "DRPE" in file order
-POSE, ACK, FRAME, JETS, LAYOUT, CLIP, STATE, SAME, RIG_POSE = 1, 2, 3, 4, 5, 6, 7, 8, 9
+POSE, ACK, FRAME, JETS, LAYOUT, CLIP, STATE, SAME, RIG_POSE, FOLDS = range(1, 11)
 FLAG_PUSHED = 1  # the vertices were pushed out of the body
 FLAG_STEPPED = 2  # less was computed than the client asked for, as the service is under load
 FLAG_UNLIKE = 4  # the pose is unlike those that the network was trained on

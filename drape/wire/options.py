@@ -23,6 +23,7 @@ Geometry = Literal["vertices", "jets"]
 Inertia = Literal["mesh", "network"]
 TierName = Literal["fast", "balanced", "accurate"]
 Resolution = Literal["delivered", "fine"]
+FoldsBy = Literal["server", "client"]
 
 
 class Worn(BaseModel):
@@ -122,6 +123,11 @@ class DrapeOptions(BaseModel):
         default=None,
         strict=True,
         description="With folds: cloth feels cloth, a garment itself and the garments below it. Left out: it does.",
+    )
+    folds_by: FoldsBy = Field(
+        default="server",
+        description="Who takes the steps of folds: the server, or with jets the client, by GET /garments/{id}/folds; "
+        "the server then computes the network alone. One garment, without colliders.",
     )
     fabric: FabricChoice | Annotated[tuple[FabricChoice | None, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,

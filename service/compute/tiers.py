@@ -70,7 +70,8 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
         passes = None if passes is None or passes >= pass_count else passes
         own = None
     if folds is None:
-        folds = 0 if options.geometry == "jets" else tier.folds if own is None else own
+        smooth = options.geometry == "jets" and options.folds_by == "server"
+        folds = 0 if smooth else tier.folds if own is None else own
     if passes is None and not options.tier:
         passes = settings.passes
     if passes is None:
@@ -108,7 +109,7 @@ def _safe_folds(options: DrapeOptions, folds: int, tiers: Sequence[Tier]) -> int
 def tier_of(options: DrapeOptions, tiers: Sequence[Tier], pass_count: int) -> str:
     """The name of the tier that ``options``, as ``chosen`` gives them, are; "custom" where they are none."""
     for tier in tiers:
-        folds = tier.folds if options.geometry == "vertices" else 0
+        folds = tier.folds if options.geometry == "vertices" or options.folds_by == "client" else 0
         passes = tier.passes if folds else tier.alone
         if options.folds == folds and options.passes == (None if passes is None or passes >= pass_count else passes):
             return tier.name

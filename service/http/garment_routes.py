@@ -7,17 +7,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from fastapi import APIRouter, Header, Query, Request, Response
-from pydantic import Field
+from pydantic import BaseModel, Field
 
-from drape.errors import InputError, NotFound
-from drape.wire.options import Resolution
+from drape.errors import BodyError, InputError, NotFound
+from drape.wire.options import DrapeOptions, Resolution
 from service.errors import Forbidden, NotAcceptable, TooLarge, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, choose, file_answer, json_answer
 from service.http.clip_files import rest_file
+from service.http.fold_messages import fold_message, queried_fabric
 from service.http.json_body import document_of, json_text, validated
 from service.http.openapi import Responses, body_schema, responses
 from service.http.pictures import PNG, picture, preview
+from service.http.query import queried_shape
 from service.state import ClientHere, State, StateHere
 
 if TYPE_CHECKING:
@@ -26,7 +28,16 @@ if TYPE_CHECKING:
 
 router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side
-KNOWN: Responses = {304: {"description": "The picture that the client has is this one."}}
+KNOWN: Responses = {304: {"description": "What the client has is this one."}}
+
+
+class FoldsAsked(BaseModel):
+    """What the garment's folds are made for."""
+
+    fabric: str | None = Field(default=None, max_length=1000, description="A name, or the numbers of one as JSON.")
+    betas: str | None = Field(default=None, max_length=1000, description="Shape coefficients, comma-separated.")
+    resolution: Resolution = "delivered"
+    avatar: str | None = Field(default=None, max_length=120, description="The character that it is cut for.")
 
 
 class GarmentChange(schemas.Request):
@@ -94,6 +105,30 @@ async def garment_jets(
     kind = choose(request.headers.get("accept"), (BINARY,))
     headers = {"X-Drape-Vertices": str(entry.vertex_count), "X-Drape-Patches": str(entry.patch_count)}
     return Response(entry.jet_layout, media_type=kind, headers=headers)
+
+
+@router.get(
+    "/garments/{garment_id}/folds",
+    response_class=Response,
+    responses=responses(InputError, NotFound, NotAcceptable, BodyError, kinds=(BINARY,)) | KNOWN,
+)
+async def garment_folds(
+    garment_id: str,
+    request: Request,
+    state: StateHere,
+    client: ClientHere,
+    asked: Annotated[FoldsAsked, Query()],
+) -> Response:
+    """A FOLDS message (docs/reference/wire.md), with which a client makes the garment's folds by itself."""
+    kind = choose(request.headers.get("accept"), (BINARY,))
+    runtime = state.runtime
+    scene = await state.scene(garment_id, None, client, avatar=asked.avatar)
+    chosen = {"resolution": asked.resolution, "fabric": queried_fabric(asked.fabric)}
+    plan = runtime.plan(scene, DrapeOptions(geometry="jets", folds_by="client", folds=1, **chosen))  # may refuse
+    worn, body = plan.scene.layers[0].garment, runtime.on(scene).body
+    folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body)
+    make = runtime.constants_process.call
+    return await fold_message(state.fold_messages, folded, asked=request.headers, kind=kind, make=make)
 
 
 @router.get(

@@ -58,16 +58,18 @@ class Folds(Stage):
         }
 
     def check(self, plan: Plan) -> None:
-        if plan.options.folds and plan.options.geometry == "jets":
+        if plan.options.folds_by == "client":
+            check_client_folds(plan)
+        elif plan.options.folds and plan.options.geometry == "jets":
             raise InputError(
                 "folds",
                 expected="0 with geometry jets, whose polynomials are smooth",
                 got=str(plan.options.folds),
-                cure="Ask for vertices, or leave folds out.",
+                cure="Ask for vertices, leave folds out, or let the client make them (folds_by).",
             )
 
     def wanted(self, plan: Plan) -> bool:
-        return bool(plan.options.folds)
+        return bool(plan.options.folds) and plan.options.folds_by == "server"
 
     def joins_layers(self, plan: Plan) -> bool:
         return bool(plan.options.cloth_contact)
@@ -190,6 +192,23 @@ class Folds(Stage):
         """The constants of the garment ``key`` made of ``fabric``."""
         name = key, "" if fabric is None else fabric.digest
         return self._constants.get(name, lambda: self.make(fold_constants, self._garments[key], self.body, fabric))
+
+
+def check_client_folds(plan: Plan) -> None:
+    """Refuses (``InputError``) a plan whose folds no client can make.
+
+    It is one garment that folds on the mesh that is asked for, and it comes as jets.
+    """
+    layers, fine = plan.scene.layers, plan.scene.fine.layers
+    unmet = (
+        (plan.options.geometry != "jets", "geometry jets", plan.options.geometry),
+        (len(layers) != 1, "one garment", f"{len(layers)}"),
+        (bool(plan.options.colliders), "no colliders", "some"),
+        (layers[0] is not fine[0], "resolution fine, as this garment folds on its finer mesh", plan.options.resolution),
+    )
+    for wrong, expected, got in unmet:
+        if wrong:
+            raise InputError("folds_by", expected=f"for client: {expected}", got=got, cure="Let the server fold.")
 
 
 def _read(plan: Plan) -> list[bool]:

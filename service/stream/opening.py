@@ -98,6 +98,10 @@ def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str
         worn |= {"nodes": len(wearer.nodes)}
     if options.resolution == "fine":
         worn |= {"resolution": "fine"}
+    if options.folds_by == "client":
+        clearance_m = state.runtime.settings.clearance_m if options.push_out else 0.0
+        how = {"settle": options.settle, "cloth_contact": options.cloth_contact, "clearance_m": clearance_m}
+        worn |= {"folds_by": "client", **(how if options.folds else {})}
     return json.dumps(
         {
             "type": "opened",

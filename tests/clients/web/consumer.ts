@@ -1,6 +1,6 @@
 // An application that has installed the package: type-checked in strict mode, then run against a service.
 import { DrapeError, connect, type Drape, type Motion, type Worn } from "@drape/client";
-import { connect as connectCore, type Wearing } from "@drape/client/core";
+import { connect as connectCore, type WearOptions, type Wearing } from "@drape/client/core";
 import { rigSource } from "@drape/client/three";
 import { Mesh, Object3D, Scene } from "three";
 
@@ -46,11 +46,30 @@ const [root, jets] = await new Promise<[number[], Float32Array]>((resolve) => {
 });
 headless.close();
 
+// The same poses in turn: as the service folds them, and as this program does.
+const drapeBoth = async (options: WearOptions): Promise<[string, number[]]> => {
+  const worn = await core.wear("tube", { folds: 1, inertia: "network", ...options });
+  await worn.set({ fabric: "denim" });
+  for (let frame = 0; frame < 3; frame++) {
+    const shown = new Promise<void>((resolve) => (worn.onFrame = () => resolve()));
+    worn.pose(own.poses[0]!);
+    await shown;
+  }
+  const found: [string, number[]] = [worn.foldsBy, Array.from(worn.positions![0]!)];
+  worn.close();
+  return found;
+};
+const [server, client] = [await drapeBoth({}), await drapeBoth({ folds_by: "client" })];
+const several = await core.wear("tube", { colliders: [{ kind: "plane" }], folds: 1, folds_by: "auto" });
+const fallen = several.foldsBy;
+several.close();
+const alone = await refusalOf(() => core.wear("tube", { colliders: [{ kind: "plane" }], folds: 1, folds_by: "client" }));
+
 const told = (error: DrapeError | null) => error && [error.name, error.kind, error.status, error.cure !== ""];
 console.log(
   JSON.stringify({
     garments, root, positions, jets: Array.from(jets), state: tube.state, children: scene.children.length, frames: tube.stats.frames,
-    refused: told(refused), unknown: told(unknown), noRig: told(noRig),
+    refused: told(refused), unknown: told(unknown), noRig: told(noRig), server, client, fallen, alone: told(alone),
   }),
 );
 process.exit(0);

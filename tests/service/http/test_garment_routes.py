@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from numpy.testing import assert_allclose
 from PIL import Image
 
 from drape.body.model import BodyModel
+from drape.cloth.fabric_table import FABRICS
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment, save_garment
+from drape.wire.folds import unpack_folds
+from drape.wire.options import FabricNumbers
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import check_garment, slug
 from service.errors import TooLarge
+from service.http.fold_messages import KEPT as FOLDS_KEPT
+from service.http.fold_messages import FoldMessages
 from service.http.pictures import CLOTH, KEPT, Previews, picture
 from service.settings import Settings
 from tests.drape.cloth.cloth_shapes import grid
@@ -59,6 +66,45 @@ def test_a_garment_has_a_picture_that_is_made_once(api: TestClient):
 def test_what_there_is_no_picture_of_is_refused(api: TestClient, name: str | None, size: int, status: int):
     name = name or api.get("/garments").json()[0]["id"]
     assert api.get(f"/garments/{name}/preview.png", params={"size": size}).status_code == status
+
+
+def test_what_folds_need_is_a_message_that_comes_once(api: TestClient, body: BodyModel):
+    path = "/garments/tube/folds"
+    answer = api.get(path, params={"fabric": "denim", "betas": "1,-1"})
+    assert answer.status_code == 200 and answer.headers["content-encoding"] == "gzip"
+    read = unpack_folds(answer.content)
+    garment = api.get("/garments/tube").json()
+    assert len(read["place"]) == garment["vertices"] and len(read["joints"]) == 72
+    plain = api.get(path, params={"fabric": "denim", "betas": "1,-1"}, headers={"Accept-Encoding": "identity"})
+    assert plain.content == answer.content and "content-encoding" not in plain.headers
+    kept = api.get(path, params={"fabric": "denim", "betas": "1,-1"}, headers={"If-None-Match": answer.headers["etag"]})
+    assert kept.status_code == 304 and not kept.content
+    numbers = FABRICS["denim"]
+    named = {name: getattr(numbers, name) for name in FabricNumbers.model_fields}
+    other = api.get(path, params={"fabric": json.dumps(named), "betas": "1,-1"})
+    assert_allclose(unpack_folds(other.content)["numbers"][:4], read["numbers"][:4])
+    jersey = unpack_folds(api.get(path, params={"fabric": "jersey"}).content)
+    assert not np.array_equal(jersey["numbers"], read["numbers"])
+    assert not np.array_equal(jersey["skin_rows"], read["skin_rows"])
+    assert_allclose(read["joints"].reshape(24, 3), body.rest_joints(np.array([1.0, -1.0, *[0.0] * 8])), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "query", "status"),
+    [
+        ("nobody", {}, 404), ("tube", {"fabric": "tin"}, 404), ("tube", {"fabric": '{"warp_n_per_m": 1}'}, 400),
+        ("tube", {"betas": "a"}, 400), ("tube", {"fabric": "{"}, 400),
+    ],
+)  # fmt: skip
+def test_folds_of_nothing_are_refused(api: TestClient, name: str, query: dict, status: int):
+    assert api.get(f"/garments/{name}/folds", params=query).status_code == status
+
+
+def test_so_many_messages_of_folds_are_kept():
+    kept = FoldMessages()
+    for number in range(FOLDS_KEPT + 1):
+        kept.keep(str(number), b"%d" % number)
+    assert kept.get("0") is None and kept.get("1") == b"1"
 
 
 def test_so_many_pictures_are_kept_and_the_ones_asked_for_last():

@@ -93,6 +93,29 @@ def test_folds_of_jets_are_refused(runtime: DrapeRuntime):
         runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=2, geometry="jets"))
 
 
+def test_the_client_folds_one_garment_and_the_network_is_all_that_is_computed(runtime: DrapeRuntime):
+    tube = runtime.garments.get("tube")
+    plan = runtime.plan(tube, DrapeOptions(folds_by="client", geometry="jets", tier="accurate", push_out=True))
+    assert {stage.name for stage in plan.stages} == {
+        stage.name for stage in runtime.plan(tube, DrapeOptions(folds=0, geometry="jets", push_out=False)).stages
+    }
+    assert plan.options.folds == 4 and plan.options.settle == 8 and plan.options.cloth_contact
+    assert plan.needs == {"jets"} and runtime.tier_of(plan) == "accurate"
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"geometry": "vertices"}, "geometry jets, got vertices"),
+        ({"colliders": [{"kind": "plane"}]}, "no colliders, got some"),
+    ],
+)
+def test_folds_that_no_client_makes_are_refused(runtime: DrapeRuntime, options: dict, expected: str):
+    asked = DrapeOptions.model_validate({"folds_by": "client", "geometry": "jets"} | options)
+    with pytest.raises(InputError, match=f"folds_by: expected for client: {expected}"):
+        runtime.plan(runtime.garments.get("tube"), asked)
+
+
 def test_bits_depend_neither_on_chunks_nor_on_who_else_is_there(runtime: DrapeRuntime):
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1))
     other = replace(CLIP, poses=POSES[::-1].copy(), betas=np.ones(10))

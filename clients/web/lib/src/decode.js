@@ -1,11 +1,13 @@
 // Positions and normals of garments from messages of the wire: what a worker computes, or the page where there is none.
 import { JetSurface } from "./jets.js";
-import { KIND, dequantise, kindOf, unpackFrame, unpackJets, unpackLayout } from "./wire.js";
+import { FLAG_UNLIKE, KIND, dequantise, kindOf, unpackFrame, unpackJets, unpackLayout } from "./wire.js";
 
 export class Decoder {
   // layers: of each garment of a frame, the innermost first: vertexCount; faces, 3 vertices a triangle; copies, the
   // vertices that come again behind all others (topology.js); layout, the bytes of its LAYOUT where jets come, or null.
-  constructor(layers) {
+  // folding: the Folding of the only layer, or null.
+  constructor(layers, folding = null) {
+    this.folding = folding;
     this.layers = layers.map(({ layout, ...layer }) => ({
       ...layer,
       surface: layout ? new JetSurface(unpackLayout(layout)) : null,
@@ -13,7 +15,8 @@ export class Decoder {
   }
 
   // Fills positions (from the root [m]) and normals of each layer; false where the message is of other garments.
-  decode(message, targets) {
+  // body: { pose, effort }, which folds need: 72 numbers [rad], and what the service said of its opening.
+  decode(message, targets, body = null) {
     const ofJets = kindOf(message) === KIND.JETS;
     const frame = ofJets ? unpackJets(message) : unpackFrame(message);
     const count = (layer) => (ofJets ? layer.surface?.patchCount : layer.vertexCount);
@@ -22,14 +25,22 @@ export class Decoder {
     this.layers.forEach((layer, index) => {
       const end = first + count(layer);
       const { positions, normals } = targets[index];
-      if (ofJets) layer.surface.evaluate(frame, positions, first);
-      else dequantise({ header: frame.header, steps: frame.steps.subarray(3 * first, 3 * end) }, positions);
+      if (ofJets) {
+        layer.surface.evaluate(frame, positions, first);
+        if (this.folding && body?.effort.folds) this.#fold(frame.header, positions, body);
+      } else dequantise({ header: frame.header, steps: frame.steps.subarray(3 * first, 3 * end) }, positions);
       vertexNormals(positions, layer, normals);
       repeat(positions, layer);
       repeat(normals, layer);
       first = end;
     });
     return true;
+  }
+
+  #fold({ flags, client_time_s: timeS }, positions, { pose, effort }) {
+    const { folds, safe_folds, settle, cloth_contact: contact, clearance_m: clearanceM } = effort;
+    const steps = flags & FLAG_UNLIKE ? Math.max(folds, safe_folds) : folds;
+    this.folding.fold(positions, { pose, timeS, steps, settle, contact, clearanceM });
   }
 }
 

@@ -1,5 +1,6 @@
 // Messages become vertices in a worker, or on the page's own thread where none can be made.
 import { Decoder, makeTargets } from "./decode.js";
+import { Folding } from "./folding.js";
 
 // The worker's script as text, which build.mjs puts in: so it needs no address of its own, whoever bundles this.
 /* global WORKER_TEXT */
@@ -10,9 +11,11 @@ function inlineWorker() {
 }
 
 export class Decoding {
-  // layers: as Decoder takes them. makeWorker: a function that gives another worker than our own, or null.
-  constructor(layers, makeWorker = inlineWorker) {
+  // layers: as Decoder takes them. makeWorker: a function that gives another worker than our own, or null. folds: what
+  // Folding.make takes, where folds are made here.
+  constructor(layers, makeWorker = inlineWorker, folds = null) {
     this.layers = layers;
+    this.folds = folds;
     this.targets = makeTargets(layers);
     this.pending = null;
     this.worker = null;
@@ -27,29 +30,44 @@ export class Decoding {
       event.preventDefault?.();
       this.#alone();
     };
-    this.worker.postMessage({ layers });
+    this.worker.postMessage({ layers, folds });
   }
 
   // Promises positions and normals by layer, good until the next call, or null where the message is of other
-  // garments. One message at a time.
-  decode(message) {
+  // garments. One message at a time. body: as Decoder.decode() takes it.
+  decode(message, body = null) {
     return new Promise((resolve, reject) => {
-      this.pending = { message, resolve, reject };
+      this.pending = { message, body, resolve, reject };
       if (!this.worker) {
         this.#here();
         return;
       }
       const { targets } = this;
-      this.worker.postMessage({ message, targets }, targets.flatMap((one) => [one.positions.buffer, one.normals.buffer]));
+      const moved = targets.flatMap((one) => [one.positions.buffer, one.normals.buffer]);
+      this.worker.postMessage({ message, body, targets }, moved);
     });
   }
 
-  #here() {
-    const { message, resolve, reject } = this.pending;
+  // Other constants of folds from the next message on; what they remember is forgotten.
+  refold(folds) {
+    this.folds = folds;
+    this.decoder = null;
+    this.worker?.postMessage({ folds });
+  }
+
+  // The last frame holds, and is of the time [s].
+  rest(timeS) {
+    if (!this.folds) return;
+    if (this.worker) this.worker.postMessage({ rest: timeS });
+    else this.decoder?.folding?.rest(timeS);
+  }
+
+  async #here() {
+    const { message, body, resolve, reject } = this.pending;
     this.pending = null;
-    this.decoder ??= new Decoder(this.layers);
     try {
-      resolve(this.decoder.decode(message, this.targets) ? this.targets : null);
+      this.decoder ??= new Decoder(this.layers, this.folds && (await Folding.make(this.folds)));
+      resolve(this.decoder.decode(message, this.targets, body) ? this.targets : null);
     } catch (error) {
       reject(error);
     }

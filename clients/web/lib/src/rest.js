@@ -119,6 +119,15 @@ export class Rest {
     return this.#bytes(avatar === null ? path : `${path}&avatar=${encodeURIComponent(avatar)}`, "application/octet-stream");
   }
 
+  // What a client needs to make the folds of a garment in a fabric (a name or numbers) on a body or an avatar.
+  foldConstants(id, { fabric = null, betas = [], resolution = "delivered", avatar = null } = {}) {
+    const asked = new URLSearchParams({ resolution });
+    if (fabric) asked.set("fabric", typeof fabric === "string" ? fabric : JSON.stringify(fabric));
+    if (betas.length) asked.set("betas", betas.join(","));
+    if (avatar !== null) asked.set("avatar", avatar);
+    return this.#bytes(`/garments/${encodeURIComponent(id)}/folds?${asked}`, "application/octet-stream");
+  }
+
   // Rest joints and height of the soles of a body in the shape betas.
   body(id, betas = []) {
     return this.json(`/bodies/${encodeURIComponent(id)}?betas=${betas.join(",")}`);

@@ -11,6 +11,8 @@ export class Wearing {
     this.drape = drape;
     this.garments = garments;
     this.options = options;
+    this.auto = options.folds_by === "auto"; // the client folds where it can
+    this.folds = null; // what its folds need, where the client makes them
     this.layers = []; // id and topology of each garment that comes
     this.positions = this.normals = null; // of each layer, from the root
     this.root = [0, 0, 0]; // [m]
@@ -33,8 +35,56 @@ export class Wearing {
     });
   }
 
+  // "client" or "server": who makes the folds of what is worn.
+  get foldsBy() {
+    return this.folds && this.options.folds_by === "client" ? "client" : "server";
+  }
+
   // Fetches the meshes and opens the stream; rejects with the service's refusal.
   async open(makeWorker) {
+    try {
+      await this.#prepareFolds();
+      return await this.#openAs(makeWorker);
+    } catch (error) {
+      if (!this.auto || !this.folds) {
+        this.close();
+        throw error;
+      }
+      this.#leaveFolds();
+      return this.#openAs(makeWorker);
+    }
+  }
+
+  // What the client needs to fold, where it is to; where it cannot and need not, the server does.
+  async #prepareFolds() {
+    const { folds_by: by } = this.options;
+    if (by !== "client" && by !== "auto") return;
+    if (this.auto && this.garments.length > 1) {
+      this.#leaveFolds(); // as the service would, but before anything is fetched
+      return;
+    }
+    this.options = { ...this.options, folds_by: "client", geometry: "jets" };
+    try {
+      const [{ compiled }, constants] = await Promise.all([import("./folds.js"), this.#foldConstants()]);
+      this.folds = { module: await compiled(), constants };
+    } catch (error) {
+      if (!this.auto) throw error;
+      this.#leaveFolds();
+    }
+  }
+
+  #leaveFolds() {
+    this.folds = null;
+    this.options = { ...this.options, folds_by: "server", geometry: "vertices" };
+  }
+
+  #foldConstants() {
+    const { fabric, ...others } = this.options;
+    const [id] = this.garments;
+    return this.drape.rest.foldConstants(id, { ...others, fabric: Array.isArray(fabric) ? fabric[0] : fabric });
+  }
+
+  async #openAs(makeWorker) {
     const { hidden = [], resolution, geometry } = this.options;
     const shown = this.garments.filter((id) => !hidden.includes(id));
     const fetched = shown.map(async (id) => {
@@ -44,15 +94,9 @@ export class Wearing {
       ]);
       return { id, layout, ...topologyOf(mesh) };
     });
-    try {
-      const [layers] = await Promise.all([Promise.all(fetched), this.#reopen()]);
-      this.layers = layers;
-    } catch (error) {
-      this.close();
-      throw error;
-    }
+    [this.layers] = await Promise.all([Promise.all(fetched), this.#reopen()]);
     const needed = this.layers.map(({ vertexCount, faces, copies, layout }) => ({ vertexCount, faces, copies, layout }));
-    this.decoding = new Decoding(needed, makeWorker);
+    this.decoding = new Decoding(needed, makeWorker, this.folds);
     this.#decodeNewest();
     return this;
   }
@@ -69,9 +113,17 @@ export class Wearing {
   async set(options) {
     const before = this.options;
     this.options = { ...before, ...options };
+    const folded = this.foldsBy === "client";
     try {
+      const other = folded && ("fabric" in options || "betas" in options) ? await this.#foldConstants() : null;
       await this.#reopen();
+      if (other) this.decoding.refold((this.folds = { ...this.folds, constants: other }));
     } catch (error) {
+      if (folded && this.auto && error.name === "folds_by") {
+        this.#leaveFolds();
+        await this.#reopen();
+        return;
+      }
       this.options = before;
       if (this.state === "refused") this.#reopen().catch(() => {});
       throw error;
@@ -164,12 +216,14 @@ export class Wearing {
     const frame = this.newest;
     this.newest = null;
     if (frame.data === this.decoded) {
+      if (this.folds) this.decoding.rest(frame.header.client_time_s);
       this.#show(frame);
       return;
     }
     this.busy = true;
     try {
-      const targets = await this.decoding.decode(frame.data);
+      const body = this.folds && { pose: Float32Array.from(frame.pose), effort: this.stream.opened };
+      const targets = await this.decoding.decode(frame.data, body);
       if (targets) {
         this.decoded = frame.data;
         this.positions = targets.map(({ positions }) => positions);

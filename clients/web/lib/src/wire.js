@@ -5,7 +5,7 @@ export const SUBPROTOCOL = "drape.v1";
 export const MAGIC = 0x45505244;
 export const KIND = {
   POSE: 1, ACK: 2, FRAME: 3, JETS: 4, LAYOUT: 5, CLIP: 6, STATE: 7, SAME: 8,
-  RIG_POSE: 9,
+  RIG_POSE: 9, FOLDS: 10,
 };
 export const FLAG_PUSHED = 1;
 export const FLAG_STEPPED = 2;

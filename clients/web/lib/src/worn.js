@@ -60,6 +60,10 @@ export class Worn extends Group {
     return this.wearing.state;
   }
 
+  get foldsBy() {
+    return this.wearing.foldsBy;
+  }
+
   pose(poses, trans) {
     return this.wearing.pose(poses, trans);
   }

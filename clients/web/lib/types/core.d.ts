@@ -49,6 +49,8 @@ export interface WearOptions extends DrapeOptions {
   /** The id of a character that wears it: see `Drape.avatar`. */
   avatar?: string;
   geometry?: "vertices" | "jets";
+  /** Who makes the folds. "client": here, of jets, and refused where that cannot be; "auto": here where it can be. */
+  folds_by?: "server" | "client" | "auto";
   resolution?: "delivered" | "fine";
 }
 
@@ -126,6 +128,8 @@ export type State = "opening" | "open" | "waiting" | "refused" | "closed";
 export interface Controls {
   readonly stats: Stats;
   readonly state: State;
+  /** Who makes the folds now. */
+  readonly foldsBy: "server" | "client";
   /** Sends one pose, and says whether the stream took it. */
   pose(poses: Pose, trans?: ArrayLike<number>): boolean;
   /** One pose of the avatar's own rig: x, y, z, w of each of its nodes, and where that of its pelvis is [m]. */

@@ -24,6 +24,7 @@ export class Worn extends Group<WornEvents> implements Controls {
   readonly body: Group | null;
   readonly stats: Stats;
   readonly state: State;
+  readonly foldsBy: "server" | "client";
   pose(poses: Pose, trans?: ArrayLike<number>): boolean;
   /** One pose of the avatar's own rig: x, y, z, w of each of its nodes, and where that of its pelvis is [m]. */
   rigPose(quaternions: ArrayLike<number> | ArrayLike<ArrayLike<number>>, place?: ArrayLike<number>): boolean;

@@ -1,0 +1,62 @@
+// Generated from drape/wire/folds.py by scripts/sync_wire.py. Do not edit.
+
+// Numbers of the arrays of a FOLDS message.
+export const ARRAYS: i32 = 45;
+export const NUMBERS: i32 = 0;
+export const VERTEX: i32 = 1;
+export const PLACE: i32 = 2;
+export const FAN_START: i32 = 3;
+export const FAN_OTHER: i32 = 4;
+export const FAN_SLOPE: i32 = 5;
+export const BEND_START: i32 = 6;
+export const BEND_OTHER: i32 = 7;
+export const BEND_VALUE: i32 = 8;
+export const OWN: i32 = 9;
+export const CREASE_CORNER: i32 = 10;
+export const CREASE_STIFFNESS: i32 = 11;
+export const CREASE_COSINE: i32 = 12;
+export const CREASE_SINE: i32 = 13;
+export const CREASE_START: i32 = 14;
+export const CREASE_LANE: i32 = 15;
+export const CREASE_MEMBER: i32 = 16;
+export const FACTOR_PLACE: i32 = 17;
+export const FACTOR_COLUMN: i32 = 18;
+export const FACTOR_SIZE: i32 = 19;
+export const FACTOR_START: i32 = 20;
+export const FACTOR_MEMBER: i32 = 21;
+export const FACTOR_ENTRY: i32 = 22;
+export const FACTOR_VALUE: i32 = 23;
+export const FACTOR_INVERSE: i32 = 24;
+export const NEIGHBOUR: i32 = 25;
+export const REACH_M2: i32 = 26;
+export const REST: i32 = 27;
+export const NEAR_START: i32 = 28;
+export const NEAR_VERTEX: i32 = 29;
+export const NEAR_SQUARE: i32 = 30;
+export const CLUSTERS: i32 = 31;
+export const OTHER_START: i32 = 32;
+export const OTHER: i32 = 33;
+export const BOUND: i32 = 34;
+export const INDEX: i32 = 35;
+export const HEM: i32 = 36;
+export const TANGLE_CORNER: i32 = 37;
+export const TANGLE_ACROSS: i32 = 38;
+export const TANGLE_START: i32 = 39;
+export const TANGLE_BESIDE: i32 = 40;
+export const SKIN_BONES: i32 = 41;
+export const SKIN_ROWS: i32 = 42;
+export const JOINTS: i32 = 43;
+export const PARENTS: i32 = 44;
+
+// Places in the array of numbers.
+export const WARP: i32 = 0;
+export const CROSS: i32 = 1;
+export const WEFT: i32 = 2;
+export const SHEAR: i32 = 3;
+export const GAP: i32 = 4;
+export const SLACK: i32 = 5;
+export const PER_EDGE: i32 = 6;
+export const DEGENERATE: i32 = 7;
+export const LEAST: i32 = 8;
+export const REACH: i32 = 9;
+export const FRICTION: i32 = 10;

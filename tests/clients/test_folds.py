@@ -1,0 +1,36 @@
+"""Folds that the client makes of a stream's jets are those of the service's stage, for the shipped network."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from benchmarks.speed.client_folds import Worn, client_folder, in_node, rms_mm
+from drape.errors import Unavailable
+from service.compute.drape_runtime import DrapeRuntime
+from service.settings import Settings
+
+FRAMES = 24
+MOST_MM = 0.5
+
+
+@pytest.fixture(scope="module")
+def shirt(tmp_path_factory: pytest.TempPathFactory) -> Worn:
+    folder = tmp_path_factory.mktemp("shirt")
+    (file,) = Settings().shipped_garments_dir.glob("tshirt-*.npz")
+    shutil.copy(file, folder)
+    runtime = DrapeRuntime(Settings(shipped_garments_dir=folder, garments_dir=folder / "uploads"))
+    return Worn.of(runtime, "tshirt", "walk")
+
+
+def test_the_client_s_shirt_in_a_walk_is_that_of_the_service(shirt: Worn):
+    server, jets = shirt.streamed(FRAMES, {"inertia": "network"}, {"geometry": "jets", "folds_by": "client"})
+    assert len(jets.messages[0]) < 0.25 * len(server.messages[0])
+    try:
+        with client_folder(shirt, jets.messages, jets.options) as folder:
+            client = in_node(folder)
+    except Unavailable as missing:
+        pytest.skip(str(missing))
+    assert (rms_mm(client.vertices, server.vertices) < MOST_MM).all()
+    assert (rms_mm(shirt.smooth(jets.messages), server.vertices) > 4.0 * MOST_MM).all()
