@@ -1,6 +1,6 @@
 // Bundles the page into dist (one script, one style sheet, one document), and @drape/client into lib/dist.
 import { build } from "esbuild";
-import { copyFile, mkdir, readdir, rename, rm } from "node:fs/promises";
+import { copyFile, mkdir, readdir, rename, rm, writeFile } from "node:fs/promises";
 import { gzipSync } from "node:zlib";
 
 const CORE_LIMIT = 40_000; // bytes, gzipped, of what an application gets beside three.js
@@ -25,7 +25,8 @@ const worker = await textOf("lib/src/worker.js", { format: "iife" });
 const define = { WORKER_TEXT: JSON.stringify(worker) };
 
 await replace("dist", async (folder) => {
-  await build({ ...common, minify: true, entryPoints: ["src/main.js"], outfile: `${folder}/main.js` });
+  await build({ ...common, minify: true, splitting: true, chunkNames: "part-[hash]", entryPoints: ["src/main.js"], outdir: folder });
+  await writeFile(`${folder}/worker.js`, worker); // by address, since the page's policy takes no other scripts
   for (const name of ["index.html", "style.css", "icon.svg"]) await copyFile(`src/${name}`, `${folder}/${name}`);
 });
 
