@@ -25,7 +25,7 @@ const worker = await textOf("lib/src/worker.js", { format: "iife" });
 const define = { WORKER_TEXT: JSON.stringify(worker) };
 
 await replace("dist", async (folder) => {
-  await build({ ...common, minify: true, splitting: true, chunkNames: "part-[hash]", entryPoints: ["src/main.js"], outdir: folder });
+  await build({ ...common, minify: true, splitting: true, chunkNames: "part-[hash]", entryPoints: ["src/boot.js"], outdir: folder });
   await writeFile(`${folder}/worker.js`, worker); // by address, since the page's policy takes no other scripts
   for (const name of ["index.html", "style.css", "icon.svg"]) await copyFile(`src/${name}`, `${folder}/${name}`);
 });

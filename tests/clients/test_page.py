@@ -19,15 +19,15 @@ pytestmark = pytest.mark.browser
 
 @pytest.fixture(scope="module")
 def page(live: str) -> Iterator[Page]:
-    with open_page(live + "/?garment=tube&clip=reach") as page:
+    with open_page(live + "/?garment=tube&clip=reach", height=800) as page:
         page.wait_for("Number(document.body?.dataset.frames) >= 3")
         set_control(page, "colour", "value", "#2f6fb0", "input")  # the page's own are greys
         yield page
 
 
 def stage(picture: np.ndarray) -> np.ndarray:
-    """What of a page of 900 x 640 pixels is free of controls: beside the shelf, below the chips, above the dock."""
-    return picture[105:450, :560]
+    """What of a page 900 pixels wide is free of controls: beside the shelf, below the chips, above the dock."""
+    return picture[140 : len(picture) - 200, :560]
 
 
 def share(scene: np.ndarray, colour: str) -> float:
@@ -201,6 +201,22 @@ def test_a_refused_upload_is_told_in_words(page: Page, tmp_path: Path):
     page.wait_for(f"{said}?.includes('noise')")
     assert "expected" in page.evaluate(said)
     more_frames(page, 1)
+
+
+DROP = """(() => {
+  const files = new DataTransfer();
+  files.items.add(new File(["words"], "notes.txt"));
+  for (const kind of ["dragenter", "drop"]) {
+    document.body.dispatchEvent(new DragEvent(kind, { bubbles: true, cancelable: true, dataTransfer: files }));
+  }
+  return true;
+})()"""
+
+
+def test_a_dropped_file_of_no_kind_is_told(page: Page):
+    page.evaluate(DROP)
+    page.wait_for("document.querySelector('#message.bad')?.textContent.startsWith('notes.txt is none of')")
+    assert page.evaluate("document.getElementById('drop').hidden")
 
 
 # Keeps the page's sockets, so that one can be ended as a lost connection is, and the states that it goes through.

@@ -134,22 +134,23 @@ def test_a_characters_joints_are_where_the_bodys_are(
     known = [joint for joint in JOINT_NAMES if joint in names]
     rest = body.joints_template
     poses = rng.normal(scale=0.4, size=(2, 24, 3)).astype(np.float32)
+    root = [0.3, 1.1, -0.2]
     avatar = {"joints": {joint: names[joint] for joint in known}, "rest_joints": rest.tolist(), "scale": 1 / scale}
     document = {
         "file": base64.b64encode(payload).decode(), "avatar": avatar, "names": [names[joint] for joint in known],
-        "poses": poses.reshape(2, 72).tolist(), "root": [0.3, 1.1, -0.2],
+        "poses": poses.reshape(2, 72).tolist(), "root": root,
     }  # fmt: skip
     got = page_answer(CHARACTER, document, tmp_path)
     turns, places = rotvec_to_matrix(poses.astype(np.float64)), np.zeros((2, 24, 3))
     world = turns.copy()
-    places[:, 0] = document["root"]
+    places[:, 0] = root
     for joint, parent in enumerate(PARENTS):
         if parent >= 0:
             world[:, joint] = world[:, parent] @ turns[:, joint]
             places[:, joint] = places[:, parent] + world[:, parent] @ (rest[joint] - rest[parent])
-    assert_allclose(got["ours"], places, atol=1e-6)
+    assert_allclose(np.asarray(got["ours"]), places, atol=1e-6)
     index = [JOINT_NAMES.index(joint) for joint in known]
-    assert_allclose(got["places"], places[:, index], atol=2e-3)  # feet are turned by their heading alone
+    assert_allclose(np.asarray(got["places"]), places[:, index], atol=2e-3)  # feet are turned by their heading alone
 
 
 MOTION = """
@@ -178,7 +179,7 @@ def test_a_file_of_amass_is_read_as_python_reads_it(body: BodyModel, tmp_path: P
     got = told_of(path, body, tmp_path)
     assert got["frames"] == 3 and got["fps"] == 50.0
     assert_allclose(rotvec_to_matrix(np.reshape(got["poses"], (3, 24, 3))), rotvec_to_matrix(expected.poses), atol=1e-6)
-    steps = np.diff(np.asarray(got["trans"]), axis=0)
+    steps = np.diff(np.array(got["trans"], dtype=np.float64), axis=0)
     assert_allclose(steps, np.diff(expected.trans, axis=0), atol=1e-5)
 
 

@@ -25,7 +25,7 @@ export class Fit {
     this.on = on;
     this.turn += 1;
     const { turn } = this;
-    this.#wash();
+    this.wash();
     element("fit").setAttribute("aria-pressed", on);
     element("fit-card").hidden = !on;
     if (!on || !worn) return;
@@ -50,7 +50,8 @@ export class Fit {
     this.stage.dirty = true;
   }
 
-  #wash() {
+  // Gives the cloth its own look again.
+  wash() {
     for (const { mesh, material } of this.painted.splice(0)) {
       mesh.material.dispose();
       mesh.material = material;

@@ -40,7 +40,7 @@ let fit = null;
 let measures = null;
 const figure = new Figure(stage);
 const triangles = new Triangles();
-const quality = new Quality({ onChange: () => drapeAgain() });
+const quality = new Quality({ onChange: () => wearAgain() });
 const shelf = new Shelf({
   onChange: () => wearAgain(),
   onColour(layer, colour) {
@@ -50,10 +50,10 @@ const shelf = new Shelf({
   onSelect: () => fabrics.draw(),
   picture: (garment, size) => drape.rest.picture(`/garments/${encodeURIComponent(garment.id)}/preview.png?size=${size}&alone=true`),
 });
-const fabrics = new Fabrics(shelf, { onFabric: () => drapeAgain() });
+const fabrics = new Fabrics(shelf, { onFabric: () => wearAgain() });
 const motions = new Motions({ load: failing((id) => loadClip(id)) });
 const readouts = new Readouts({
-  onOption: () => drapeAgain(),
+  onOption: () => wearAgain(),
   onMesh: () => wearAgain(),
   onBody: (shown) => figure.setShown(shown),
   onTriangles(shown) {
@@ -85,12 +85,17 @@ function meshed() {
 const wearAgain = failing(async () => {
   if (!shelf.worn.length) return;
   if (shelf.worn.length > 1 && element("push").checked) say("The outfit is being made ready …", { by: "stream" });
-  const done = await outfit.wear(shelf.worn, options(), meshed());
-  if (!done) return;
+  fit.wash(); // what is worn gets its own look before it changes
+  try {
+    if (!(await outfit.wear(shelf.worn, options(), meshed()))) return;
+  } catch (error) {
+    if (error.kind === "Unavailable") tellOffline(error);
+    throw error;
+  }
+  tellOffline(null);
   hush("stream");
   if (fit.on) await fit.show(outfit.next ?? outfit.current, true);
 });
-const drapeAgain = wearAgain;
 
 const ownClips = new Map(); // by id, the files of motions that were dropped
 
@@ -159,6 +164,11 @@ async function take(kind, file) {
   else say(`${file.name} is none of OBJ, GLB, PLY, STL (garments), GLB, VRM (characters), BVH, NPZ (motions).`, { bad: true });
 }
 
+function tellOffline(refusal) {
+  element("offline").hidden = refusal === null;
+  if (refusal) element("offline-words").textContent = refusal.message;
+}
+
 function makeOutfit() {
   outfit = new Outfit(drape, stage, {
     onFrame(worn) {
@@ -172,17 +182,17 @@ function makeOutfit() {
       if (moved) figure.pose(wearing.bodyPose, wearing.root);
       quality.take(wearing.header);
       readouts.take(wearing);
-      document.body.dataset.frames = String(Number(document.body.dataset.frames) + 1);
+      framed = true;
     },
     onState(now, refusal) {
       document.body.dataset.state = now;
-      element("offline").hidden = now !== "waiting";
-      if (now === "waiting") element("offline-words").textContent = refusal.message;
-      else if (refusal) say(refusal.message, { bad: true, by: "stream" });
+      tellOffline(now === "waiting" ? refusal : null);
+      if (now === "waiting") return;
+      if (refusal) say(refusal.message, { bad: true, by: "stream" });
       else hush("stream");
     },
   });
-  element("retry").addEventListener("click", failing(() => outfit.retry()));
+  element("retry").addEventListener("click", failing(() => (outfit.next ?? outfit.current ? outfit.retry() : wearAgain())));
 }
 
 async function listGarments(chosen, limit) {
@@ -239,6 +249,7 @@ const showFit = failing(async () => {
 
 let lastTick = performance.now();
 let lastSent = 0;
+let framed = false; // whether a frame has come since the last picture
 function tick(now) {
   requestAnimationFrame(tick);
   const stepS = Math.min((now - lastTick) / 1000, 0.25);
@@ -248,6 +259,8 @@ function tick(now) {
     lastSent = now;
     outfit.pose(pose.poses, pose.trans);
   }
+  if (framed) document.body.dataset.frames = String(Number(document.body.dataset.frames) + 1); // is drawn now
+  framed = false;
   stage.render();
   stage.watch(now);
   readouts.tell(now);

@@ -26,7 +26,7 @@ export function fabricLook(fabric) {
   const bond = OF_NAME.find(([words]) => words.test(id))?.[1] ?? (knit ? "jersey" : "plain");
   const { pitch, ...look } = LOOKS[bond];
   const opacity = density_kg_m2 < SHEER_KG_M2 ? 0.8 : 1;
-  return { bond, knit, ...look, pitchM: pitch * thickness_m, pale: /denim/.test(id) ? 0.5 : 0, opacity };
+  return { bond, knit, ...look, thicknessM: thickness_m, pitchM: pitch * thickness_m, pale: /denim/.test(id) ? 0.5 : 0, opacity };
 }
 
 // Pixels of a swatch of a look, as ImageData takes them; yarns: how many across.
@@ -58,6 +58,9 @@ const BORDER_LINES = /* glsl */ `
     float doubled = 1.0 - smoothstep(0.016, 0.018, vBorder.x); // a hem is two layers, its light is less
     diffuseColor.rgb *= 1.0 - steep.y * (0.5 * seam + 0.12 * puckered);
     diffuseColor.rgb *= 1.0 - steep.x * (0.42 * stitch * dashes + 0.06 * doubled);
+    float folded = 2.0 * thicknessM; // the edge itself is cloth turned over, and catches light
+    float edge = (1.0 - smoothstep(folded, folded + across.x, vBorder.x)) * min(1.0, folded / across.x);
+    diffuseColor.rgb *= 1.0 + 0.18 * steep.x * edge;
   }
 `;
 const UNEVEN = /* glsl */ `
@@ -66,16 +69,17 @@ const UNEVEN = /* glsl */ `
   #endif
 `;
 
-function withBorders(material, { uvMetres, uneven }) {
+function withBorders(material, { uvMetres, uneven, thicknessM }) {
   material.onBeforeCompile = (shader) => {
     shader.uniforms.uvMetres = { value: uvMetres };
     shader.uniforms.uneven = { value: uneven };
+    shader.uniforms.thicknessM = { value: thicknessM };
     const head = "attribute vec2 border;\nvarying vec2 vBorder;\nvarying vec2 vClothUv;\nuniform float uvMetres;\n";
     shader.vertexShader = (head + shader.vertexShader).replace(
       "#include <begin_vertex>",
       "#include <begin_vertex>\n  vBorder = border;\n  vClothUv = uvMetres * uv;",
     );
-    shader.fragmentShader = `varying vec2 vBorder;\nvarying vec2 vClothUv;\nuniform float uneven;\n${shader.fragmentShader}`.replace(
+    shader.fragmentShader = `varying vec2 vBorder;\nvarying vec2 vClothUv;\nuniform float uneven;\nuniform float thicknessM;\n${shader.fragmentShader}`.replace(
       "#include <color_fragment>",
       `#include <color_fragment>${BORDER_LINES}${UNEVEN}`,
     );
@@ -97,7 +101,7 @@ export function clothMaterial(look, { colour, uvMetres = null, bordered = false,
     material = new MeshPhysicalMaterial({ ...sides, ...sheer, roughness, sheen, sheenRoughness, specularIntensity: grain ? 1 : 0.3 });
     if (uvMetres !== null) weave(material, look, uvMetres);
   }
-  if (bordered) withBorders(material, { uvMetres, uneven: look.uneven });
+  if (bordered) withBorders(material, { ...look, uvMetres });
   return dye(material, colour);
 }
 

@@ -28,6 +28,7 @@ export function readBody(glb: ArrayBuffer, material?: Material): Promise<{ group
 export interface FabricLook {
   bond: "plain" | "twill" | "satin" | "jersey" | "rib" | "fleece";
   knit: boolean;
+  thicknessM: number;
   /** Between two yarns [m]. */
   pitchM: number;
   roughness: number;
