@@ -26,8 +26,8 @@ def page(live: str) -> Iterator[Page]:
 
 
 def stage(picture: np.ndarray) -> np.ndarray:
-    """What of a page 900 pixels wide is free of controls: beside the shelf, below the chips, above the dock."""
-    return picture[140 : len(picture) - 200, :560]
+    """What of a page 900 pixels wide is free of controls: beside the shelf, below the chips, above what is said."""
+    return picture[140 : len(picture) - 240, :560]
 
 
 def share(scene: np.ndarray, colour: str) -> float:
