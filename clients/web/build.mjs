@@ -2,7 +2,7 @@
 // of folds that lib/folds is compiled to.
 import asc from "assemblyscript/asc";
 import { build } from "esbuild";
-import { copyFile, mkdir, readdir, rename, rm } from "node:fs/promises";
+import { copyFile, mkdir, readdir, rename, rm, writeFile } from "node:fs/promises";
 import { gzipSync } from "node:zlib";
 
 const CORE_LIMIT = 40_000; // bytes, gzipped, of what an application gets beside three.js
@@ -39,7 +39,8 @@ const define = { WORKER_TEXT: JSON.stringify(worker), FOLDS_TEXT: JSON.stringify
 const later = ["./folds.js"]; // what comes when it is needed, and never on the page
 
 await replace("dist", async (folder) => {
-  await build({ ...common, minify: true, external: later, entryPoints: ["src/main.js"], outfile: `${folder}/main.js` });
+  await build({ ...common, minify: true, external: later, splitting: true, chunkNames: "part-[hash]", entryPoints: ["src/boot.js"], outdir: folder });
+  await writeFile(`${folder}/worker.js`, worker); // by address, since the page's policy takes no other scripts
   for (const name of ["index.html", "style.css", "icon.svg"]) await copyFile(`src/${name}`, `${folder}/${name}`);
 });
 

@@ -141,6 +141,7 @@ async def garment_preview(
     state: StateHere,
     client: ClientHere,
     size: Annotated[int, Query(ge=LEAST, le=MOST, description="Pixels along each side.")] = USUAL,
+    alone: Annotated[bool, Query(description="Without the body.")] = False,
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
     """A picture of the delivered mesh at rest on the standard body, from the front and a little from the side."""
@@ -149,10 +150,10 @@ async def garment_preview(
     async def made() -> bytes:
         cloth = garment.vertices[: garment.vertex_count].astype(np.float64)
         worn = (cloth, garment.faces.astype(np.int64))
-        skin = (body.rest_vertices(np.zeros(body.shape_count)), body.faces.astype(np.int64))
+        skin = None if alone else (body.rest_vertices(np.zeros(body.shape_count)), body.faces.astype(np.int64))
         return await asyncio.to_thread(state.runtime.constants_process.call, picture, worn, skin, size)
 
-    return await preview(state.previews, garment.digest, size, if_none_match, made)
+    return await preview(state.previews, f"a{garment.digest}" if alone else garment.digest, size, if_none_match, made)
 
 
 @router.patch(

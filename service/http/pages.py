@@ -31,6 +31,20 @@ REFERENCE_MISSING = Unavailable(
     got="none",
     cure="Install the extra 'service'; /openapi.json says the same to programs.",
 )
+# Scripts, styles and workers are files of this service. A blob is a picture or a texture that the page made itself.
+POLICY = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self'",
+        "worker-src 'self'",
+        "style-src 'self'",
+        "img-src 'self' blob: data:",
+        "connect-src 'self' blob: data: ws: wss:",  # a stream may go on at the successor of a service that ends
+        "form-action 'self'",
+        "base-uri 'none'",
+        "frame-ancestors 'self'",
+    )
+)
 _METHODS = ("DELETE", "GET", "PATCH", "POST", "PUT")
 
 
@@ -59,6 +73,7 @@ class Page(StaticFiles):
             raise
         # Names do not change with content: always ask, 304 is cheap.
         response.headers["Cache-Control"] = "no-cache"
+        response.headers["Content-Security-Policy"] = POLICY
         return response
 
 

@@ -16,10 +16,14 @@ from typing import Any
 
 import httpx
 import numpy as np
+import pytest
 from PIL import Image
 from websockets.sync.client import ClientConnection, connect
 
+from tests.architecture.repository import ROOT
 from tests.conftest import find_chromium
+
+AXE = ROOT / "clients/web/node_modules/axe-core/axe.min.js"
 
 # Software rendering, also where there is a graphics card: the same picture everywhere.
 FLAGS = (
@@ -91,11 +95,36 @@ class Page:
         node = self.call("DOM.querySelector", nodeId=document, selector=selector)["nodeId"]
         self.call("DOM.setFileInputFiles", nodeId=node, files=[str(path)])
 
+    def go(self, url: str) -> None:
+        """Leaves for ``url``."""
+        self.call("Page.navigate", url=url)
+
+    def phone(self, width: int, height: int) -> None:
+        """Shows pages from now on as a phone of that many pixels does."""
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=True)
+        self.call("Emulation.setTouchEmulationEnabled", enabled=True)
+
+    def media(self, *, scheme: str, reduced_motion: bool = False) -> None:
+        """What the system asks of pages: the colour scheme ``light`` or ``dark``, and less motion."""
+        motion = "reduce" if reduced_motion else "no-preference"
+        wanted = {"prefers-color-scheme": scheme, "prefers-reduced-motion": motion}
+        self.call("Emulation.setEmulatedMedia", features=[{"name": k, "value": v} for k, v in wanted.items()])
+
     def picture(self) -> np.ndarray:
         """What the compositor shows, (height, width, 3) from 0 to 255."""
         data = self.call("Page.captureScreenshot", format="png")["data"]
         with Image.open(io.BytesIO(base64.b64decode(data))) as image:
             return np.asarray(image.convert("RGB")).astype(int)
+
+
+def violations(page: Page) -> list[str]:
+    """What axe-core finds in the page that keeps people out: rule, element, summary of each; skips without axe-core."""
+    if not AXE.is_file():
+        pytest.skip("No axe-core: `npm ci` in clients/web.")
+    if not page.evaluate("typeof window.axe === 'object'"):
+        page.evaluate(AXE.read_text(encoding="utf-8") + ";true")
+    found = page.evaluate("axe.run(document, { resultTypes: ['violations'] }).then(({ violations }) => violations)")
+    return [f"{rule['id']}: {node['html'][:120]} {node['failureSummary']}" for rule in found for node in rule["nodes"]]
 
 
 @contextmanager

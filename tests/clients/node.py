@@ -32,3 +32,16 @@ def answer_of(script: str, document: dict[str, Any], folder: Path) -> Any:
     run = subprocess.run(words, input=json.dumps(document), capture_output=True, text=True, timeout=60)
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)
+
+
+def page_answer(script: str, document: dict[str, Any], folder: Path) -> Any:
+    """Like ``answer_of`` for modules that need three.js: ``WEB`` is the address of clients/web, to import from."""
+    node = shutil.which("node")
+    if node is None or not (ROOT / "clients/web/node_modules/three").is_dir():
+        pytest.skip("No Node.js, or no packages of the page: `make page`.")
+    asked = folder / "asked.mjs"
+    asked.write_text(f"const WEB = {json.dumps((ROOT / 'clients/web').as_uri())};\n{READ}{script}")
+    words = [node, str(asked)]
+    run = subprocess.run(words, input=json.dumps(document), capture_output=True, text=True, timeout=60)
+    assert run.returncode == 0, run.stderr
+    return json.loads(run.stdout)

@@ -9,23 +9,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drape.body.model import BodyModel
 from tests.architecture.repository import ROOT
-from tests.clients.browser import Page, open_page
+from tests.clients.browser import Page, open_page, violations
+from tests.fixtures.characters import ARMS_DOWN_RAD, character
 
 pytestmark = pytest.mark.browser
 
 
 @pytest.fixture(scope="module")
 def page(live: str) -> Iterator[Page]:
-    with open_page(live + "/?garment=tube&clip=reach") as page:
+    with open_page(live + "/?garment=tube&clip=reach", height=800) as page:
         page.wait_for("Number(document.body?.dataset.frames) >= 3")
         set_control(page, "colour", "value", "#2f6fb0", "input")  # the page's own are greys
         yield page
 
 
-def share(picture: np.ndarray, colour: str) -> float:
-    """Share of the picture, beside the panel, in which ``colour`` (a channel) stands out."""
-    scene = picture[:, 300:]
+def stage(picture: np.ndarray) -> np.ndarray:
+    """What of a page 900 pixels wide is free of controls: beside the shelf, below the chips, above what is said."""
+    return picture[140 : len(picture) - 240, :560]
+
+
+def share(scene: np.ndarray, colour: str) -> float:
+    """Share of ``scene`` in which ``colour`` (a channel) stands out."""
     channel = "rgb".index(colour)
     others = [scene[..., i] for i in range(3) if i != channel]
     return float((scene[..., channel] > 1.35 * np.maximum(*others) + 8).mean())
@@ -58,34 +64,72 @@ def test_it_draws_with_webgl_and_says_so(page: Page):
 
 
 def test_the_garment_and_the_body_are_in_the_picture(page: Page):
-    picture = page.picture()
+    picture = stage(page.picture())
     assert picture.std() > 10.0, "the page is blank"
     assert 0.005 < share(picture, "b") < 0.3, "no garment in its colour"
-    red, green, blue = (picture[:, 300:, i] for i in range(3))
+    red, green, blue = (picture[..., i] for i in range(3))
     skin = (red > green) & (green > blue) & (red - blue > 35)
     assert skin.mean() > 0.01, "no body"
 
 
 def test_the_picture_moves(page: Page):
-    before = page.picture()[:, 300:]
-    frames = page.evaluate("Number(document.body.dataset.frames)")
-    page.wait_for(f"Number(document.body.dataset.frames) > {frames} + 5")
-    after = page.picture()[:, 300:]
+    before = stage(page.picture())
+    more_frames(page, 5)
+    after = stage(page.picture())
     assert (np.abs(after - before).max(axis=-1) > 30).mean() > 0.001
 
 
-def test_frame_rate_and_age_are_shown(page: Page):
+def more_frames(page: Page, count: int = 2) -> None:
+    """Waits until ``count`` more frames than now are shown."""
+    frames = page.evaluate("Number(document.body.dataset.frames)")
+    page.wait_for(f"Number(document.body.dataset.frames) >= {frames} + {count}")
+
+
+def test_paused_it_stands_still_and_goes_on(page: Page):
+    moment = "document.getElementById('scrub').value"
+    click(page, "play")
+    assert page.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Play"
+    before = page.evaluate(moment)
+    more_frames(page)
+    assert page.evaluate(moment) == before
+    press(page, " ")
+    page.wait_for(f"{moment} !== {before!r}")
+
+
+def click(page: Page, element: str) -> None:
+    page.evaluate(f"(() => {{ document.getElementById({element!r}).click(); return true; }})()")
+
+
+def press(page: Page, key: str) -> None:
+    event = f"new KeyboardEvent('keydown', {{ key: {key!r}, bubbles: true }})"
+    page.evaluate(f"(() => {{ document.activeElement.blur(); return document.body.dispatchEvent({event}); }})()")
+
+
+def test_numbers_lie_behind_a_key(page: Page):
+    hidden = "document.getElementById('readouts').hidden"
+    assert page.evaluate(hidden)
+    press(page, "d")
+    assert not page.evaluate(hidden)
     page.wait_for("Number(document.getElementById('fps').textContent) > 0")
     assert page.evaluate("document.getElementById('age').textContent").endswith(" ms")
     assert page.evaluate("document.getElementById('pushed').textContent").endswith(" %")
+    press(page, "d")
+    assert page.evaluate(hidden)
+
+
+def test_what_a_frame_takes_stands_beside_the_quality(page: Page):
+    page.wait_for("/^\\d+ ms$/.test(document.getElementById('ms').textContent)")
+    assert page.evaluate("document.querySelector('#tiers input:checked').value") == "balanced", "the service's default"
 
 
 def test_the_controls_do_what_they_say(page: Page):
     set_control(page, "colour", "value", "#c02020", "input")
-    set_control(page, "clip", "value", "squat", "change")
+    page.evaluate("(() => { document.querySelector('[data-clip=squat]').click(); return true; })()")
     set_control(page, "push", "checked", False, "change")
     page.wait_for("document.getElementById('pushed').textContent === 'off'")
-    picture = page.picture()
+    page.wait_for("document.querySelector('[data-clip=squat]').getAttribute('aria-pressed') === 'true'")
+    more_frames(page)
+    picture = stage(page.picture())
     assert share(picture, "b") < 0.001
     assert share(picture, "r") > 0.005
 
@@ -95,22 +139,165 @@ def test_the_finer_mesh_is_fetched_with_the_frames_that_have_it(page: Page):
     assert "/garments/tube/mesh?resolution=fine" not in page.evaluate(fetched)
     set_control(page, "resolution", "value", "fine", "change")
     page.wait_for(f"{fetched}.includes('/garments/tube/mesh?resolution=fine')")
-    frames = page.evaluate("Number(document.body.dataset.frames)")
-    page.wait_for(f"Number(document.body.dataset.frames) > {frames} + 2")
+    more_frames(page)
     assert page.evaluate("document.body.dataset.state") == "open"
     set_control(page, "resolution", "value", "", "change")
+
+
+def test_a_measure_changes_the_body_and_leaves_the_others(page: Page):
+    told = "Array.from(document.querySelectorAll('.measure output'), (one) => one.textContent)"
+    before = page.evaluate(told)
+    set_control(page, "waist_m", "value", 90, "input")
+    set_control(page, "waist_m", "value", 90, "change")
+    meshes = "performance.getEntriesByType('resource').filter(({ name }) => /mesh\\?betas=-?\\d/.test(name)).length"
+    page.wait_for(f"{meshes} === 1")
+    more_frames(page)
+    after = page.evaluate(told)
+    assert after[2] == "90 cm" != before[2] and after[:2] + after[3:] == before[:2] + before[3:]
+    click(page, "usual")
+    page.wait_for(f"{told}.join() === {','.join(before)!r}")
+
+
+def test_fit_tells_words_and_paints_the_cloth(page: Page):
+    set_control(page, "push", "checked", True, "change")
+    press(page, "f")
+    said = page.wait_for("document.querySelector('#fit-words li:not(:empty)')?.textContent")
+    page.wait_for("!document.getElementById('fit-words').textContent.startsWith('Measuring')")
+    assert said and page.evaluate("document.getElementById('fit').getAttribute('aria-pressed')") == "true"
+    press(page, "f")
+    assert page.evaluate("document.getElementById('fit-card').hidden")
+
+
+def test_a_motion_of_a_file_is_played(page: Page, tmp_path: Path):
+    page.choose_file("#motion-file", ROOT / "assets/motions/reach.npz")
+    page.wait_for("document.querySelector('[data-clip=own-1]')?.getAttribute('aria-pressed') === 'true'")
+    more_frames(page)
+    spoiled = tmp_path / "spoiled.npz"
+    spoiled.write_bytes(b"no zip at all, but long enough to look for one")
+    page.choose_file("#motion-file", spoiled)
+    assert "an npz" in page.wait_for("document.querySelector('#message.bad')?.textContent")
+    assert page.evaluate("document.querySelector('#clips [aria-pressed=true]').dataset.clip") == "own-1"
+
+
+@pytest.mark.slow
+def test_a_character_wears_it_in_its_own_skin(page: Page, body: BodyModel, tmp_path: Path):
+    file = tmp_path / "ada.glb"
+    file.write_bytes(character(body, scheme="mixamo", scale=100.0, arms_rad=ARMS_DOWN_RAD, yaw_rad=1.0))
+    page.choose_file("#character-file", file)
+    page.wait_for("document.querySelector('#characters [aria-pressed=true]').dataset.character === 'ada'")
+    page.wait_for("!document.getElementById('message').textContent")
+    more_frames(page)
+    assert page.evaluate("document.getElementById('body-controls').hidden"), "it has its own shape"
+    page.evaluate("(() => { document.querySelector('[data-character=\"\"]').click(); return true; })()")
+    page.wait_for("!document.getElementById('body-controls').hidden")
+    more_frames(page)
 
 
 def test_a_refused_upload_is_told_in_words(page: Page, tmp_path: Path):
     noise = tmp_path / "noise.obj"
     noise.write_bytes(b"nothing that is a mesh\n")
     page.choose_file("#file", noise)
-    page.evaluate("(() => { document.getElementById('upload').click(); return true; })()")
-    said = page.wait_for("document.querySelector('#message.bad')?.textContent")
-    assert "noise" in said and "expected" in said
-    frames = page.evaluate("Number(document.body.dataset.frames)")
-    page.wait_for(f"Number(document.body.dataset.frames) > {frames}")
+    said = "document.querySelector('#message.bad')?.textContent"
+    page.wait_for(f"{said}?.includes('noise')")
+    assert "expected" in page.evaluate(said)
+    more_frames(page, 1)
+
+
+DROP = """(() => {
+  const files = new DataTransfer();
+  files.items.add(new File(["words"], "notes.txt"));
+  for (const kind of ["dragenter", "drop"]) {
+    document.body.dispatchEvent(new DragEvent(kind, { bubbles: true, cancelable: true, dataTransfer: files }));
+  }
+  return true;
+})()"""
+
+
+def test_a_dropped_file_of_no_kind_is_told(page: Page):
+    page.evaluate(DROP)
+    page.wait_for("document.querySelector('#message.bad')?.textContent.startsWith('notes.txt is none of')")
+    assert page.evaluate("document.getElementById('drop').hidden")
+
+
+# Keeps the page's sockets, so that one can be ended as a lost connection is, and the states that it goes through.
+SPY = """(() => {
+  window.states = [];
+  const offline = document.getElementById("offline");
+  new MutationObserver(() => window.states.push([document.body.dataset.state, offline.hidden]))
+    .observe(document.body, { attributeFilter: ["data-state"] });
+  const send = WebSocket.prototype.send;
+  WebSocket.prototype.send = function (data) {
+    window.socket = this;
+    return send.call(this, data);
+  };
+  return true;
+})()"""
+
+
+def test_a_lost_stream_is_told_and_comes_back(page: Page):
+    page.evaluate(SPY)
+    more_frames(page)
+    page.wait_for("window.socket !== undefined")
+    page.evaluate("(() => { window.socket.close(); return true; })()")
+    page.wait_for("window.states.some(([state]) => state === 'waiting')")
+    page.wait_for("document.body.dataset.state === 'open'")
+    assert ["waiting", False] in page.evaluate("window.states"), "nothing was said"
+    assert page.evaluate("document.getElementById('offline').hidden")
+    more_frames(page)
+
+
+@pytest.mark.parametrize("drawer", ["wear", "fabric", "body"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nobody_is_kept_out(page: Page, scheme: str, drawer: str):
+    page.media(scheme=scheme)
+    click(page, f"tab-{drawer}")
+    assert violations(page) == []
 
 
 def test_no_console_error_so_far(page: Page):
     assert page.errors == []
+
+
+@pytest.fixture(scope="module")
+def phone(live: str, page: Page) -> Iterator[Page]:
+    page.evaluate("(() => { document.querySelector('#play[data-playing=true]')?.click(); return true; })()")  # it rests
+    with open_page("about:blank", width=390, height=844) as page:
+        page.phone(390, 844)
+        page.media(scheme="light", reduced_motion=True)
+        page.go(live + "/?garment=tube&clip=reach")
+        page.wait_for("Number(document.body?.dataset.frames) >= 2")
+        yield page
+
+
+def test_on_a_phone_nothing_lies_over_anything(phone: Page):
+    assert phone.evaluate("document.documentElement.scrollWidth") == 390
+    for change in ("", "sheet"):
+        if change:
+            click(phone, change)
+        boxes = phone.evaluate(
+            """Array.from(document.querySelectorAll("h1, #worn, #tools, #quality-bar, #play-bar, #shelf"), (one) => {
+            const { left, right, top, bottom } = one.getBoundingClientRect();
+            return [one.id || one.localName, left, right, top, bottom]; })"""
+        )
+        assert len(boxes) == 6
+        for place, (name, left, right, top, bottom) in enumerate(boxes):
+            assert left >= 0 and right <= 390 and top >= 0 and bottom <= 845, name
+            for other, *sides in boxes[place + 1 :]:
+                apart = right <= sides[0] or sides[1] <= left or bottom <= sides[2] or sides[3] <= top
+                assert apart, f"{name} over {other}"
+    click(phone, "sheet")
+
+
+def test_who_asks_for_less_motion_begins_with_a_still(phone: Page):
+    assert phone.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Play"
+    assert phone.evaluate("Number(document.getElementById('scrub').value)") == 0.0
+
+
+def test_nobody_is_kept_out_on_a_phone(phone: Page):
+    assert violations(phone) == []
+    click(phone, "numbers")
+    assert violations(phone) == []
+    click(phone, "numbers-close")
+    click(phone, "help-open")
+    assert violations(phone) == []
+    assert phone.errors == []

@@ -19,7 +19,7 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.graph_names import PACKED
 from service.settings import Settings
 from tests.clients.browser import Page, open_page
-from tests.clients.test_page import set_control, share
+from tests.clients.test_page import set_control, share, stage
 from tests.fixtures.packed import garment
 from tests.fixtures.serving import serve
 
@@ -61,7 +61,7 @@ def runtime(make_settings, tmp_path_factory) -> DrapeRuntime:
 def page(runtime: DrapeRuntime) -> Iterator[Page]:
     with (
         serve(create_app(runtime.settings, runtime=runtime), runtime.settings) as url,
-        open_page(url + "/?garment=trousers,tank&clip=still") as page,
+        open_page(url + "/?garment=trousers,tank&clip=still", height=800) as page,
     ):
         page.wait_for("Number(document.body?.dataset.frames) >= 2")
         page.evaluate(SPY)
@@ -71,42 +71,55 @@ def page(runtime: DrapeRuntime) -> Iterator[Page]:
 
 
 def worn(page: Page) -> list[str]:
-    return page.evaluate("Array.from(document.querySelectorAll('#layers select'), (select) => select.value)")
+    return page.evaluate("Array.from(document.querySelectorAll('#worn li'), (chip) => chip.dataset.garment)")
 
 
 def last_opening(page: Page) -> dict:
     return json.loads(page.wait_for("window.openings.at(-1)"))
 
 
-def click_that_opens(page: Page, button: str) -> None:
-    """Clicks ``button`` and waits for the opening that follows: frames of the last one still come until then."""
+def click(page: Page, selector: str) -> None:
+    page.evaluate(f"(() => {{ document.querySelector({selector!r}).click(); return true; }})()")
+
+
+def click_that_opens(page: Page, selector: str) -> None:
+    """Clicks and waits for the opening that follows: frames of the last one still come until then."""
     count = page.evaluate("window.openings.length")
-    page.evaluate(f"document.getElementById('{button}').click()")
+    click(page, selector)
     page.wait_for(f"window.openings.length > {count}")
 
 
 def more_frames(page: Page) -> None:
     """Waits until the stream answers the last opening with frames that are drawn."""
-    page.wait_for("document.body.dataset.state === 'open' && !document.getElementById('message').textContent")
+    page.wait_for(
+        "document.body.dataset.state === 'open' && !document.querySelector('#message:not(.bad)')?.textContent"
+    )
     frames = page.evaluate("Number(document.body.dataset.frames)")
     page.wait_for(f"Number(document.body.dataset.frames) >= {frames} + 2")
 
 
 def test_both_garments_are_in_the_picture_in_their_colours(page: Page):
     assert worn(page) == ["trousers", "tank"]
-    picture = page.picture()
+    picture = stage(page.picture())
     assert share(picture, "b") > 0.005, "no trousers in their colour"
     assert share(picture, "r") > 0.005, "no tank in its colour"
-    assert page.evaluate("document.getElementById('add').disabled"), "two layers are what this service takes"
-    offered = "Array.from(document.getElementById('garment').options, (option) => [option.value, option.disabled])"
-    assert dict(page.evaluate(offered)) == {"trousers": False, "shorts": False, "tank": True}
+
+
+def test_who_wears_all_that_a_service_drapes_is_told(page: Page):
+    click(page, ".card[data-garment=shorts]")
+    assert "2 garments" in page.wait_for("document.querySelector('#message.bad')?.textContent")
+    assert worn(page) == ["trousers", "tank"]
+    pressed = "Array.from(document.querySelectorAll('.card[aria-pressed=true]'), (card) => card.dataset.garment).sort()"
+    assert page.evaluate(pressed) == ["tank", "trousers"]
 
 
 def test_each_layer_has_its_own_colour(page: Page):
     set_control(page, "colour-1", "value", "#20a020", "input")
+    set_control(page, "body", "checked", False, "change")  # its hair is brown
     more_frames(page)
-    picture = page.picture()
+    picture = stage(page.picture())
     assert share(picture, "g") > 0.005 and share(picture, "r") < 0.002 and share(picture, "b") > 0.005
+    set_control(page, "body", "checked", True, "change")
 
 
 def test_passes_are_chosen_and_the_service_runs_that_many(page: Page, runtime: DrapeRuntime):
@@ -131,12 +144,12 @@ def outside(picture: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def drawn(page: Page, *, jets: bool) -> tuple[np.ndarray, float, int]:
-    """The picture above the numbers, kB of a frame, and how many pixels wide the page draws."""
+    """The picture beside all controls, kB of a frame, and how many pixels wide the page draws."""
     set_control(page, "jets", "checked", jets, "change")
     page.wait_for(f"document.getElementById('left-row').hidden === {json.dumps(not jets)}")
     more_frames(page)
     size = page.evaluate("Number.parseFloat(document.getElementById('bytes').textContent)")
-    return page.picture()[:400], size, page.evaluate("document.getElementById('view').width")
+    return stage(page.picture()), size, page.evaluate("document.getElementById('view').width")
 
 
 def test_jets_are_drawn_like_vertices_and_are_fewer_bytes(page: Page):
@@ -154,32 +167,51 @@ def test_jets_are_drawn_like_vertices_and_are_fewer_bytes(page: Page):
         (jets, _, width), (vertices, _, width_after) = drawn(page, jets=True), drawn(page, jets=False)
     assert of_jets < 0.6 * of_vertices
     assert share(jets, "g") > 0.005 and share(jets, "b") > 0.005
-    jets, vertices = jets[:, 300:], vertices[:, 300:]  # beside the panel
     assert outside(jets, vertices).max() <= SHADE and outside(vertices, jets).max() <= SHADE
     for control in ("push", "body"):
         set_control(page, control, "checked", True, "change")
     set_control(page, "folds", "value", "", "change")
 
 
-def test_a_tier_is_chosen_by_name_and_told(page: Page, runtime: DrapeRuntime):
-    names = page.evaluate("Array.from(document.getElementById('tier').options, (option) => option.value)")
+def test_a_quality_is_chosen_by_name_and_told(page: Page, runtime: DrapeRuntime):
+    names = page.evaluate("Array.from(document.querySelectorAll('#tiers input'), (choice) => choice.value)")
     assert names == ["fast", "balanced", "accurate"]
-    assert page.evaluate("document.getElementById('tier').value") == "balanced", "the service's default"
+    assert page.evaluate("document.querySelector('#tiers input:checked').value") == "balanced", "the service's default"
     for name in ("fast", "balanced"):
-        set_control(page, "tier", "value", name, "change")
+        click_that_opens(page, f"#tier-{name}")
         opening = last_opening(page)
         assert opening["tier"] == name and not {"passes", "folds"} & opening.keys()
         page.wait_for(f"document.getElementById('quality').textContent.includes('{name}')")
 
 
+def test_a_fabric_is_chosen_for_a_layer(page: Page):
+    click(page, "#worn li:nth-child(2) .pick")
+    assert page.evaluate("document.getElementById('fabric-of').textContent") == "Tank"
+    click_that_opens(page, "[data-fabric=denim]")
+    assert last_opening(page)["fabric"] == [None, "denim"]
+    more_frames(page)
+    click_that_opens(page, "[data-fabric=rib]")
+    assert "fabric" not in last_opening(page), "its own again"
+    more_frames(page)
+
+
+def test_layers_change_places(page: Page):
+    click_that_opens(page, "#further-in")
+    assert worn(page) == last_opening(page)["garments"] == ["tank", "trousers"]
+    more_frames(page)
+    click_that_opens(page, "#further-out")
+    assert worn(page) == ["trousers", "tank"]
+    more_frames(page)
+
+
 def test_garments_are_taken_off_and_put_on(page: Page):
-    click_that_opens(page, "remove")
+    click_that_opens(page, "#remove")
     assert worn(page) == ["tank"]
     more_frames(page)
     opening = last_opening(page)
     assert opening["garment"] == "tank" and "garments" not in opening
     assert page.evaluate("document.getElementById('remove').disabled")
-    click_that_opens(page, "add")
+    click_that_opens(page, ".card[data-garment=shorts]")
     assert worn(page) == ["tank", "shorts"]
     more_frames(page)
     assert last_opening(page)["garments"] == ["tank", "shorts"]

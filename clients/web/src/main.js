@@ -1,226 +1,238 @@
-// State and controls: which garments, clip and shape, how they are draped; plays the clip and counts what comes back.
-import { clipFile, service, setKey, uploadGarment } from "./service.js";
-import { clipSource, flatPose } from "../lib/src/sources.js";
-import { Stream } from "../lib/src/stream.js";
-import { topologyOf } from "../lib/src/topology.js";
-import { FLAG_PUSHED, FLAG_STEPPED, FLAG_UNLIKE, MESH_SUFFIXES } from "../lib/src/wire.js";
-import { Viewer } from "./viewer.js";
-import { Wardrobe } from "./wardrobe.js";
+// The fitting room: what its parts have to do with each other.
+import { connect } from "../lib/src/index.js";
+import { clipSource } from "../lib/src/sources.js";
+import { BYTES, MESH_SUFFIXES } from "../lib/src/wire.js";
+import { findCharacter, sendCharacter } from "./avatars.js";
+import { acceptDrops } from "./drop.js";
+import { Fabrics } from "./fabrics.js";
+import { Figure } from "./figure.js";
+import { Fit } from "./fit.js";
+import { listen, makeDrawers, makeHelp, makeSheet, turnByKeys } from "./keys.js";
+import { Measures } from "./measures.js";
+import { Motions } from "./motions.js";
+import { Outfit } from "./outfit.js";
+import { Quality } from "./quality.js";
+import { Readouts, Triangles } from "./readouts.js";
+import { clipFile, key, setKey, uploadGarment } from "./service.js";
+import { Shelf } from "./shelf.js";
+import { Stage } from "./stage.js";
+import { element, failing, hush, say, title } from "./words.js";
 
 const WORN = "trousers,tshirt"; // where the address names nothing, the innermost first
-const SHAPE_COUNT = 3;
 const SEND_RATE = 60; // poses per second at most
-const STATS_S = 0.5;
-const SLOW_RATE = 20; // drawings per second below which the picture becomes plainer
-const SLOW_WATCH_S = 1;
 const SAVED_FPS = 30;
+const SHEET_PX = 760; // as in style.css
 const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, tier, passes, folds, resolution, fabric, jets, quality=high
-const element = (id) => document.getElementById(id);
-const state = { clip: null, timeS: 0, playing: true, betas: new Array(SHAPE_COUNT).fill(0), body: null };
-const counts = { frames: 0, since: performance.now(), shown: 0, dropped: 0, droppedBefore: 0, latest: null };
+const state = { betas: [], avatar: null };
 
-let spokenBy = "user";
-function say(sentence, bad = false, by = "user") {
-  spokenBy = by;
-  element("message").textContent = sentence;
-  element("message").classList.toggle("bad", bad);
-}
-
-const failing = (task) => async (...values) => {
-  try {
-    await task(...values);
-  } catch (error) {
-    say(error.message, true);
-  }
-};
-
-let viewer;
+let stage;
 try {
-  viewer = new Viewer(element("view"), { keepQuality: wanted.get("quality") === "high" });
+  stage = new Stage(element("view"), { keepQuality: wanted.get("quality") === "high" });
 } catch (error) {
   document.body.dataset.state = "failed";
-  say(`This page needs WebGL 2, and the browser gave none (${error.message}).`, true);
+  say(`This page needs WebGL 2, and the browser gave none (${error.message}).`, { bad: true });
   throw error;
 }
 
-const stream = new Stream({
-  ticket: () => service.ticket(),
-  onFrame(frame) {
-    counts.frames += 1;
-    counts.latest = frame;
+let drape = null;
+let outfit = null;
+let fit = null;
+let measures = null;
+const figure = new Figure(stage);
+const triangles = new Triangles();
+const quality = new Quality({ onChange: () => wearAgain() });
+const shelf = new Shelf({
+  onChange: () => wearAgain(),
+  onColour(layer, colour) {
+    outfit?.colour(layer, colour);
+    fabrics.draw();
   },
-  onState(now, refusal) {
-    document.body.dataset.state = now;
-    // An open stream clears only what the stream has said itself.
-    if (refusal) say(refusal.message, now === "refused", "stream");
-    else if (spokenBy === "stream") say("");
+  onSelect: () => fabrics.draw(),
+  picture: (garment, size) => drape.rest.picture(`/garments/${encodeURIComponent(garment.id)}/preview.png?size=${size}&alone=true`),
+});
+const fabrics = new Fabrics(shelf, { onFabric: () => wearAgain() });
+const motions = new Motions({ load: failing((id) => loadClip(id)) });
+const readouts = new Readouts({
+  onOption: () => wearAgain(),
+  onMesh: () => wearAgain(),
+  onBody: (shown) => figure.setShown(shown),
+  onTriangles(shown) {
+    triangles.show(shown);
+    stage.dirty = true;
   },
 });
 
-const wardrobe = new Wardrobe(element("layers"), element("add"), {
-  onChange: () => chooseGarments(),
-  onColour: (layer, colour) => viewer.setColour(layer, colour),
-});
+stage.onPlain = () => {
+  figure.setPlain();
+  outfit?.setPlain();
+};
 
-// What a request says of garments and of how they are draped.
-function scene() {
-  const garments = wardrobe.chosen();
-  const worn = garments.length === 1 ? { garment: garments[0] } : { garments };
-  return { ...worn, betas: state.betas, ...options() };
-}
-
-// Options (drape/wire/options.py) are the controls that name one; an empty one is left to the service.
-const WORDS = ["fabric", "resolution", "tier"]; // the others are numbers
-const optionControls = () => [...document.querySelectorAll("[data-option]")];
-
+// How what is worn is draped, by the names of the wire; "undefined" is left to the service.
 function options() {
-  const chosen = optionControls().filter((control) => control.type === "checkbox" || control.value !== "");
-  const value = (control) => {
-    if (control.type === "checkbox") return control.checked;
-    return WORDS.includes(control.dataset.option) ? control.value : Number(control.value);
-  };
-  return Object.fromEntries(chosen.map((control) => [control.dataset.option, value(control)]));
+  const { resolution, ...chosen } = readouts.options();
+  const jets = element("jets").checked ? { folds: undefined } : {}; // folds are of vertices: polynomials are smooth
+  const shape = state.avatar === null ? { betas: state.betas } : {};
+  return { ...shape, tier: quality.tier, ...chosen, ...fabrics.option(), ...jets };
 }
 
-function openStream() {
-  const garments = wardrobe.chosen();
-  if (!garments.length) return;
-  if (garments.length > 1 && element("push").checked) say("The outfit is being made ready …", false, "stream");
-  // Folds are of vertices: polynomials are smooth.
-  stream.open(element("jets").checked ? { ...scene(), geometry: "jets", folds: undefined } : scene());
+// What needs other meshes or another wearer.
+function meshed() {
+  const { resolution } = readouts.options();
+  const jets = element("jets").checked ? { geometry: "jets" } : {};
+  return { ...(resolution ? { resolution } : {}), ...jets, ...(state.avatar === null ? {} : { avatar: state.avatar }) };
 }
 
-// What never changes of a garment is fetched once.
-const kept = new Map();
-function once(key, fetching) {
-  if (!kept.has(key)) {
-    kept.set(key, fetching());
-    kept.get(key).catch(() => kept.delete(key));
+const wearAgain = failing(async () => {
+  if (!shelf.worn.length) return;
+  if (shelf.worn.length > 1 && element("push").checked) say("The outfit is being made ready …", { by: "stream" });
+  fit.wash(); // what is worn gets its own look before it changes
+  try {
+    if (!(await outfit.wear(shelf.worn, options(), meshed()))) return;
+  } catch (error) {
+    if (error.kind === "Unavailable") tellOffline(error);
+    throw error;
   }
-  return kept.get(key);
+  tellOffline(null);
+  hush("stream");
+  if (fit.on) await fit.show(outfit.next ?? outfit.current, true);
+});
+
+const ownClips = new Map(); // by id, the files of motions that were dropped
+
+async function loadClip(id) {
+  if (ownClips.has(id)) {
+    const { readMotion } = await import("./motion_file.js");
+    const clip = await readMotion(ownClips.get(id), drape, { betas: state.betas, avatar: state.avatar ?? undefined });
+    return { ...clip, id, sample: clipSource(clip) };
+  }
+  const clip = await drape.motion(id, state.betas, state.avatar);
+  return { ...clip, id, sample: clipSource(clip) };
 }
 
-const resolution = () => element("resolution").value || "delivered";
-const meshOf = (id) =>
-  once(`mesh ${id} ${resolution()}`, async () => topologyOf(await service.garmentMesh(id, resolution())));
-const layoutOf = (id) => once(`jets ${id} ${resolution()}`, () => service.jetLayout(id, resolution()));
+// The shape matters to all: longer legs need another height.
+async function changeShape(betas) {
+  state.betas = betas;
+  await changeWearer();
+}
 
-const chooseGarments = failing(async () => {
-  const chosen = wardrobe.chosen();
-  if (!chosen.length) return;
-  const jets = element("jets").checked;
-  const asked = () => `${wardrobe.chosen()} ${element("jets").checked} ${resolution()}`;
-  const before = asked();
-  const worn = await Promise.all(
-    chosen.map(async (id) => {
-      const [topology, layout] = await Promise.all([meshOf(id), jets ? layoutOf(id) : null]);
-      return { ...topology, layout };
-    }),
-  );
-  if (before !== asked()) return; // changed meanwhile
-  counts.latest = null;
-  viewer.setGarments(worn.map((layer, i) => ({ ...layer, colour: wardrobe.colours()[i] })));
-  openStream();
+// Who wears it comes with the first frame of what is cut for them: { for, figure } until then.
+let coming = null;
+const wearerOf = ({ avatar = null, betas = [] }) => JSON.stringify([avatar, avatar === null ? betas : []]);
+
+async function changeWearer() {
+  const { avatar, betas } = state;
+  const made = avatar === null ? await figure.makeBody(await drape.rest.bodyFile(drape.health.body, betas)) : await findCharacter(drape, avatar);
+  if (wearerOf(state) !== wearerOf({ avatar, betas })) return; // changed meanwhile
+  coming = { for: wearerOf(state), figure: made };
+  await Promise.all([motions.wanted && motions.choose(motions.wanted), wearAgain()]);
+}
+
+// id: of an avatar, or null for the service's body.
+const chooseCharacter = failing(async (id) => {
+  if (fit.on) await fit.show(outfit.current, false);
+  state.avatar = id;
+  measures.listCharacters(await drape.avatars(), id);
+  if (id !== null) say("The garments are cut for the character …", { by: "cut" });
+  await changeWearer();
+  hush("cut");
+  if ((coming?.figure ?? figure).object === null) say("This browser does not have the character's file: drop it again to see it.");
 });
 
-// The shape matters: longer legs need another height.
-const chooseClip = failing(async () => {
-  const clip = await service.motion(element("clip").value, state.betas);
-  clip.poses = clip.poses.map(flatPose);
-  clip.sample = clipSource(clip);
-  if (clip.id !== state.clip?.id) state.timeS = 0;
-  state.clip = clip;
+const takeCharacter = failing(async (file) => {
+  say(`${file.name} is looked at: its skeleton, its skin …`);
+  const id = await sendCharacter(drape, file);
+  say(`${file.name} is ready.`);
+  await chooseCharacter(id);
 });
 
-const chooseShape = failing(async () => {
-  const betas = [...state.betas];
-  const file = await service.bodyFile(state.body, betas);
-  await Promise.all([viewer.setBody(file), chooseClip()]);
-  openStream();
+const takeMotion = failing(async (file) => {
+  const id = `own-${ownClips.size + 1}`;
+  ownClips.set(id, file);
+  const before = motions.wanted;
+  motions.offer([...motions.clips, { id, name: file.name.replace(/\.\w+$/, "") }]);
+  await motions.choose(id);
+  if (motions.clip?.id === id) return;
+  ownClips.delete(id); // it could not be read, which was said
+  motions.offer(motions.clips.filter((clip) => clip.id !== id), before);
+  await motions.choose(before);
 });
+
+async function take(kind, file) {
+  if (kind === "garment") await upload(file);
+  else if (kind === "character") await takeCharacter(file);
+  else if (kind === "motion") await takeMotion(file);
+  else say(`${file.name} is none of OBJ, GLB, PLY, STL (garments), GLB, VRM (characters), BVH, NPZ (motions).`, { bad: true });
+}
+
+function tellOffline(refusal) {
+  element("offline").hidden = refusal === null;
+  if (refusal) element("offline-words").textContent = refusal.message;
+}
+
+function makeOutfit() {
+  outfit = new Outfit(drape, stage, {
+    onFrame(worn) {
+      const { wearing } = worn;
+      triangles.draw(worn);
+      if (coming && coming.for === wearerOf(wearing.options)) {
+        figure.show(coming.figure);
+        coming = null;
+      }
+      const moved = wearing.stats.bytes > BYTES.SAME || !figure.posed; // else nothing has to be drawn
+      if (moved) figure.pose(wearing.bodyPose, wearing.root);
+      quality.take(wearing.header);
+      readouts.take(wearing);
+      framed = true;
+    },
+    onState(now, refusal) {
+      document.body.dataset.state = now;
+      tellOffline(now === "waiting" ? refusal : null);
+      if (now === "waiting") return;
+      if (refusal) say(refusal.message, { bad: true, by: "stream" });
+      else hush("stream");
+    },
+  });
+  element("retry").addEventListener("click", failing(() => (outfit.next ?? outfit.current ? outfit.retry() : wearAgain())));
+}
 
 async function listGarments(chosen, limit) {
-  const garments = await service.garments();
-  wardrobe.offer(garments, chosen, limit);
+  const garments = await drape.garments();
+  shelf.offer(garments, chosen, limit);
   if (garments.length === 0) say("No garments yet: upload one.");
 }
 
-function listPasses(count) {
-  const counts = Array.from({ length: count + 1 }, (_, i) => count - i);
-  const names = counts.map((passes) => new Option(passes === 0 ? "none" : String(passes), String(passes)));
-  element("passes").replaceChildren(new Option("as the quality", ""), ...names);
-  element("passes-row").hidden = count === 0; // the model leaves no choice
-  const asked = wanted.get("passes");
-  if (asked !== null && counts.includes(Number(asked))) element("passes").value = asked;
-}
-
-// What was measured of a tier stands beside its name.
-async function listTiers() {
-  const tiers = await service.tiers();
-  const percent = ({ figures }) => (figures.gain === undefined ? "" : `, ${(100 * figures.gain).toFixed(0)} % of physics`);
-  element("tier").replaceChildren(...tiers.map((tier) => new Option(`${tier.id}${percent(tier)}`, tier.id)));
-  element("tier").value = tiers.find((tier) => tier.default).id;
-  const asked = wanted.get("tier");
-  if (tiers.some(({ id }) => id === asked)) element("tier").value = asked;
-}
-
-async function listFabrics(known) {
-  element("fabric-row").hidden = !known; // the model leaves no choice
-  if (!known) return;
-  const names = (await service.fabrics()).map(({ id }) => new Option(id.replace("_", " "), id));
-  element("fabric").replaceChildren(new Option("each garment's own", ""), ...names);
-  const asked = wanted.get("fabric");
-  if (names.some((name) => name.value === asked)) element("fabric").value = asked;
-}
-
-function makeSliders() {
-  for (let i = 0; i < SHAPE_COUNT; i++) {
-    const slider = Object.assign(document.createElement("input"), { type: "range", min: -2, max: 2, step: 0.1, value: 0 });
-    const label = document.createElement("label");
-    label.className = "inline";
-    label.append(`${i + 1}`, slider);
-    slider.addEventListener("change", () => {
-      state.betas[i] = Number(slider.value);
-      chooseShape();
-    });
-    element("shapes").append(label);
-  }
-}
-
-const upload = failing(async () => {
-  const file = element("file").files[0];
-  if (!file) throw new Error("Choose a garment file first: OBJ, GLB, PLY or STL.");
-  element("upload").disabled = true;
+const upload = failing(async (file) => {
   const ending = new AbortController();
   element("cancel").hidden = false;
   element("cancel").onclick = () => ending.abort();
   try {
     const words = { start: "begins", read: "is read", rest: "is laid on the body", fit: "gets its patches", cloth: "comes to rest", store: "is stored", prepare: "is made ready" };
     const told = (job) => say(`${file.name} ${words[job.stage] ?? "waits"} … ${Math.round(100 * job.share)} %`);
-    const garment = await uploadGarment(file, element("avatar").value, told, ending.signal);
-    await listGarments([...wardrobe.chosen().slice(0, -1), garment]);
-    await chooseGarments();
+    const garment = await uploadGarment(drape.rest, file, element("modelled-on").value, told, ending.signal);
+    const ids = shelf.worn.map(({ id }) => id);
+    await listGarments([...(ids.length < shelf.limit ? ids : ids.slice(0, -1)), garment]);
+    await wearAgain();
     say(`${file.name} is ready.`);
   } finally {
     element("cancel").hidden = true;
-    element("upload").disabled = false;
   }
 });
 
 const save = failing(async () => {
-  const { clip } = state;
-  const garments = wardrobe.chosen();
-  if (!clip || !garments.length) throw new Error("Choose a garment and a clip first.");
+  const { clip } = motions;
+  if (!clip || !shelf.worn.length) throw new Error("Choose a garment and a motion first.");
   element("save").disabled = true;
   say("The service writes the file …");
   try {
     const stride = Math.max(1, Math.round(clip.fps / SAVED_FPS));
-    const kept = clip.poses.filter((_, frame) => frame % stride === 0);
-    const poses = kept.map((pose) => Array.from({ length: 24 }, (_, joint) => pose.slice(3 * joint, 3 * joint + 3)));
-    const trans = clip.trans.filter((_, frame) => frame % stride === 0);
-    const document_ = { ...scene(), poses, trans, fps: clip.fps / stride, body: true };
+    const kept = Array.from({ length: Math.ceil(clip.frames / stride) }, (_, i) => clip.sample((stride * i + 0.5) / clip.fps));
+    const poses = kept.map(({ poses: pose }) => Array.from({ length: 24 }, (_, joint) => Array.from(pose.slice(3 * joint, 3 * joint + 3))));
+    const garments = shelf.worn.map(({ id }) => id);
+    const worn = garments.length === 1 ? { garment: garments[0] } : { garments };
+    const { geometry, ...meshes } = meshed();
+    const asked = { ...worn, ...options(), ...meshes, poses, trans: kept.map(({ trans }) => Array.from(trans)), fps: clip.fps / stride, body: true };
     const link = document.createElement("a");
-    link.href = URL.createObjectURL(await clipFile(document_));
+    link.href = URL.createObjectURL(await clipFile(drape.rest, asked));
     link.download = `${garments.join("-")}-${clip.id}.glb`;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
@@ -230,87 +242,63 @@ const save = failing(async () => {
   }
 });
 
+const showFit = failing(async () => {
+  if (state.avatar !== null && !fit.on) throw new Error("Fit is measured on our body: choose it in the drawer Body first.");
+  await fit.show(outfit.current, !fit.on);
+});
+
 let lastTick = performance.now();
 let lastSent = 0;
-const slow = { ticks: 0, since: lastTick };
+let framed = false; // whether a frame has come since the last picture
 function tick(now) {
   requestAnimationFrame(tick);
   const stepS = Math.min((now - lastTick) / 1000, 0.25);
   lastTick = now;
-  watchSpeed(now);
-  const { clip } = state;
-  if (clip) {
-    if (state.playing) state.timeS += stepS * Number(element("speed").value);
-    if (now - lastSent >= 1000 / SEND_RATE - 2) {
-      lastSent = now;
-      const { poses, trans } = clip.sample(state.timeS);
-      stream.send(poses, trans);
-    }
+  const pose = motions.pose(stepS);
+  if (pose && outfit && now - lastSent >= 1000 / SEND_RATE - 2) {
+    lastSent = now;
+    outfit.pose(pose.poses, pose.trans);
   }
-  const frame = counts.latest;
-  if (frame) {
-    counts.latest = null;
-    if (viewer.show(frame)) {
-      counts.shown += 1;
-      counts.ageS = frame.ageS();
-      counts.header = frame.header;
-      counts.bytes = frame.bytes;
-      document.body.dataset.frames = String(Number(document.body.dataset.frames) + 1);
-    }
-  }
-  viewer.render();
-  if (now - counts.since >= 1000 * STATS_S) showStats(now);
+  if (framed) document.body.dataset.frames = String(Number(document.body.dataset.frames) + 1); // is drawn now
+  framed = false;
+  stage.render();
+  stage.watch(now);
+  readouts.tell(now);
+  quality.tell();
 }
 
-// A machine without a graphics card draws slowly: it gets a plainer picture, not fewer frames.
-function watchSpeed(now) {
-  slow.ticks += 1;
-  if (now - slow.since < SLOW_WATCH_S * 1000) return;
-  if (slow.ticks < SLOW_RATE * SLOW_WATCH_S && document.visibilityState === "visible") viewer.simplify();
-  slow.ticks = 0;
-  slow.since = now;
-}
-
-function showStats(now) {
-  const { header } = counts;
-  element("fps").textContent = (counts.shown / ((now - counts.since) / 1000)).toFixed(0);
-  if (header) {
-    element("age").textContent = `${(1000 * counts.ageS).toFixed(0)} ms`;
-    element("residence").textContent = `${(header.residence_us / 1000).toFixed(0)} ms`;
-    element("dropped").textContent = String(header.dropped);
-    const unlike = header.flags & FLAG_UNLIKE ? ", more folds: a pose unlike training" : "";
-    element("quality").textContent = header.flags & FLAG_STEPPED ? `less than ${stream.opened.tier}, under load` : stream.opened.tier + unlike;
-    element("pushed").textContent = header.flags & FLAG_PUSHED ? `${(100 * header.pushed_share).toFixed(1)} %` : "off";
-    element("bytes").textContent = `${(counts.bytes / 1000).toFixed(1)} kB`;
-    element("left-row").hidden = header.left_m === undefined;
-    element("left").textContent = `${(1000 * (header.left_m ?? 0)).toFixed(1)} mm`;
-  }
-  counts.shown = 0;
-  counts.since = now;
+// The person stands in what controls leave free.
+function makeRoom() {
+  const shelfBox = element("shelf").getBoundingClientRect();
+  const sheet = innerWidth <= SHEET_PX;
+  const bar = element("dock").getBoundingClientRect();
+  stage.setInsets({ left: 0, top: sheet ? 96 : 40, right: sheet ? 0 : innerWidth - shelfBox.left, bottom: innerHeight - bar.top + 12 });
 }
 
 function wireControls() {
-  element("clip").addEventListener("change", chooseClip);
-  for (const control of optionControls()) {
-    control.addEventListener("change", control.id === "resolution" ? chooseGarments : openStream);
-  }
-  element("jets").addEventListener("change", chooseGarments);
-  element("body").addEventListener("change", () => viewer.setBodyShown(element("body").checked));
-  element("wire").addEventListener("change", () => viewer.setTriangles(element("wire").checked));
   element("file").accept = MESH_SUFFIXES;
-  element("upload").addEventListener("click", upload);
+  for (const [id, taker] of [["file", upload], ["character-file", takeCharacter], ["motion-file", takeMotion]]) {
+    element(id).addEventListener("change", async () => {
+      const [file] = element(id).files;
+      if (file) await taker(file);
+      element(id).value = ""; // so that the same one may come again
+    });
+  }
+  acceptDrops(take);
   element("save").addEventListener("click", save);
-  element("play").addEventListener("click", () => {
-    state.playing = !state.playing;
-    element("play").textContent = state.playing ? "Pause" : "Play";
+  element("fit").addEventListener("click", showFit);
+  listen({
+    " ": () => motions.setPlaying(!motions.playing), "[": () => motions.step(-1), "]": () => motions.step(1),
+    "1": () => quality.choose(0), "2": () => quality.choose(1), "3": () => quality.choose(2),
+    f: showFit, s: save, d: () => readouts.toggle(), b: () => element("body").click(), 0: () => stage.fit(), "?": () => element("help").showModal(),
   });
+  turnByKeys(element("view"), stage);
 }
 
 // A service with keys says nothing to who has none.
 function askForKey(error) {
   if (error.status === 401) {
     document.body.dataset.state = "locked";
-    element("about").textContent = "This service asks for a key.";
     element("door").hidden = false;
     element("key").focus();
   }
@@ -324,24 +312,38 @@ element("door").addEventListener("submit", (event) => {
 });
 
 const start = failing(async () => {
-  const health = await service.health().catch(askForKey);
-  element("about").textContent = `model ${health.model}, ${health.provider.replace("ExecutionProvider", "")}, body ${health.body}`;
-  state.body = health.body;
-  listPasses(health.passes);
-  await listTiers();
-  await listFabrics(health.fabrics);
-  element("jets").checked = wanted.has("jets");
-  if (wanted.has("folds")) element("folds").value = wanted.get("folds");
-  if (wanted.get("resolution") === "fine") element("resolution").value = "fine";
-  makeSliders();
+  const worker = () => new Worker("worker.js");
+  drape = await connect(location.origin, { key, worker }).catch(askForKey);
+  const { health } = drape;
+  element("about").textContent = `model ${health.model}, ${health.provider.replace("ExecutionProvider", "")}, body ${health.body}, version ${health.version}`;
+  makeOutfit();
+  fit = new Fit(drape.rest, stage, {
+    request: (id) => ({ betas: state.betas, fabric: shelf.worn.find((one) => one.id === id)?.fabric ?? undefined }),
+    name: (id) => title(shelf.garment(id).name),
+  });
+  measures = new Measures(drape.rest, { onShape: changeShape, onTone: (tone) => figure.setTone(tone), onCharacter: chooseCharacter });
+  readouts.offer(wanted, health.passes);
+  const [tiers, list, clips] = await Promise.all([
+    drape.tiers(), drape.fabrics(), drape.motions(), measures.offer(health.body),
+    listGarments((wanted.get("garment") ?? WORN).split(","), health.layers),
+  ]);
+  quality.offer(tiers, wanted.get("tier"));
+  const asked = wanted.get("fabric");
+  if (list.some(({ id }) => id === asked)) for (const layer of shelf.worn) layer.fabric = asked;
+  fabrics.offer(list, health.fabrics);
+  measures.listCharacters(await drape.avatars(), null);
   wireControls();
-  const clips = await service.motions();
-  element("clip").replaceChildren(...clips.map((clip) => new Option(`${clip.name} (${(clip.frames / clip.fps).toFixed(1)} s)`, clip.id)));
-  if (wanted.has("clip")) element("clip").value = wanted.get("clip");
-  else if (clips.some((clip) => clip.id === "walk")) element("clip").value = "walk";
-  await listGarments((wanted.get("garment") ?? WORN).split(","), health.layers);
-  await Promise.all([chooseShape(), chooseGarments()]);
+  const named = [wanted.get("clip"), "walk", clips[0]?.id].find((id) => clips.some((clip) => clip.id === id));
+  motions.offer(clips, named);
+  motions.wanted = named;
+  await changeWearer();
 });
 
+makeDrawers();
+makeHelp();
+makeSheet();
+new ResizeObserver(makeRoom).observe(element("shelf"));
+new ResizeObserver(makeRoom).observe(element("dock"));
+addEventListener("resize", makeRoom);
 requestAnimationFrame(tick);
 start();

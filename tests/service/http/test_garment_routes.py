@@ -60,6 +60,10 @@ def test_a_garment_has_a_picture_that_is_made_once(api: TestClient):
     assert api.get(path, params={"size": 96}, headers={"If-None-Match": '"another"'}).content == answer.content
     other = api.get(path, params={"size": 64})
     assert other.headers["etag"] != answer.headers["etag"]
+    alone = api.get(path, params={"size": 96, "alone": "true"})
+    assert alone.headers["etag"] != answer.headers["etag"]
+    undressed = np.asarray(Image.open(io.BytesIO(alone.content)).convert("L"))
+    assert 0.1 < (undressed < 250).mean() < (image < 250).mean(), "no less than with the body"
 
 
 @pytest.mark.parametrize(("name", "size", "status"), [("nobody", 64, 404), (None, 63, 400), (None, 1025, 400)])

@@ -248,7 +248,9 @@ def test_the_page_that_is_not_built_says_how_to_build_it(make_settings: Callable
         assert "make page" in response.text
         (tmp_path / "none").mkdir()
         (tmp_path / "none/index.html").write_text("built")
-        assert httpx.get(url + "/").text == "built"
+        page = httpx.get(url + "/")
+        assert page.text == "built"
+        assert "script-src 'self';" in page.headers["Content-Security-Policy"]
 
 
 def test_answers_of_a_whole_service(api: httpx.Client, body, tube):

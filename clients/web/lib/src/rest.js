@@ -75,6 +75,10 @@ export class Rest {
     return this.json("/garments");
   }
 
+  garment(id) {
+    return this.json(`/garments/${encodeURIComponent(id)}`);
+  }
+
   fabrics() {
     return this.json("/fabrics");
   }
@@ -126,6 +130,31 @@ export class Rest {
     if (betas.length) asked.set("betas", betas.join(","));
     if (avatar !== null) asked.set("avatar", avatar);
     return this.#bytes(`/garments/${encodeURIComponent(id)}/folds?${asked}`, "application/octet-stream");
+  }
+
+  // Measures [m, kg] of a body in the shape betas, and what it can have of each.
+  measures(id, betas = []) {
+    return this.json(`/bodies/${encodeURIComponent(id)}/measures?betas=${betas.join(",")}`);
+  }
+
+  // The shape that has the measures asked for, by their names: chest_m and so on.
+  shape(id, asked) {
+    return this.#post(`/bodies/${encodeURIComponent(id)}/shapes`, asked);
+  }
+
+  // Where a garment is tight or loose; asked: betas, pose, fabric, vertices.
+  fit(id, asked = {}) {
+    return this.#post(`/garments/${encodeURIComponent(id)}/fit`, asked);
+  }
+
+  #post(path, document) {
+    return this.json(path, { method: "POST", body: JSON.stringify(document), headers: { "Content-Type": "application/json" } });
+  }
+
+  // The address of a picture of the service as a page may show it: with a key it is fetched, as an image sends none.
+  async picture(path) {
+    if (!this.key() && !this.freshTicket) return this.base + path;
+    return URL.createObjectURL(await (await this.request(path)).blob());
   }
 
   // Rest joints and height of the soles of a body in the shape betas.

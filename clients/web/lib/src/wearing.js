@@ -17,6 +17,7 @@ export class Wearing {
     this.positions = this.normals = null; // of each layer, from the root
     this.root = [0, 0, 0]; // [m]
     this.bodyPose = null; // that the shown frame answers
+    this.header = null; // of the shown frame (wire.js)
     this.stats = { frames: 0, skipped: 0, dropped: 0, ageS: 0, residenceS: 0, bytes: 0 };
     this.state = "opening";
     this.onFrame = () => {}; // positions, normals, root and body pose have changed
@@ -134,6 +135,11 @@ export class Wearing {
     return this.set({ fabric: name });
   }
 
+  // What the service said when it opened the stream: tier, passes, folds and the like.
+  get opened() {
+    return this.stream.opened;
+  }
+
   // Sends one pose, and says whether the stream took it: 24 rotation vectors [rad], translation of the root [m].
   pose(poses, trans = [0, 0, 0]) {
     return this.stream.send(flatPose(poses), trans);
@@ -241,6 +247,7 @@ export class Wearing {
     const { header, pose, rig, bytes } = frame;
     this.root = header.root;
     if (!rig) this.bodyPose = pose;
+    this.header = header;
     const { stats } = this;
     stats.frames += 1;
     stats.ageS = frame.ageS();

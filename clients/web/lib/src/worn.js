@@ -1,27 +1,25 @@
 // What is worn, as an object of three.js: its meshes move by themselves as frames come.
-import { BufferAttribute, BufferGeometry, Color, DoubleSide, DynamicDrawUsage, Group, Mesh, MeshPhysicalMaterial, Sphere, Vector3 } from "three";
+import { BufferAttribute, BufferGeometry, DynamicDrawUsage, Group, Mesh, Sphere, Vector3 } from "three";
 import { poseBones } from "./body.js";
+import { borderDistances } from "./borders.js";
+import { clothMaterial, dye } from "./materials.js";
 
 const COLOURS = ["#66656b", "#969c8c", "#8a6a5a", "#6f7f8f"]; // charcoal, sage, clay, steel
 const REACH_M = 2.5; // of cloth from the root, arms and hems included: a sphere that needs no counting
 
-function clothMaterial(colour) {
-  const color = new Color(colour);
-  // Fibres scatter light at grazing angles in a paler tone of the cloth's own colour.
-  const sheenColor = color.clone().lerp(new Color(0xffffff), 0.4);
-  const rough = { roughness: 1, specularIntensity: 0.15, sheen: 0.7, sheenRoughness: 0.45 };
-  return new MeshPhysicalMaterial({ color, sheenColor, side: DoubleSide, shadowSide: DoubleSide, ...rough });
-}
-
-function clothMesh({ id, vertexCount, copies, index, uv }, colour) {
+function clothMesh(layer) {
+  const { id, vertexCount, copies, index, uv } = layer;
   const geometry = new BufferGeometry();
   for (const name of ["position", "normal"]) {
     const attribute = new BufferAttribute(new Float32Array(3 * (vertexCount + copies.length)), 3);
     geometry.setAttribute(name, attribute.setUsage(DynamicDrawUsage));
   }
-  if (uv) geometry.setAttribute("uv", new BufferAttribute(uv, 2));
+  if (uv) {
+    geometry.setAttribute("uv", new BufferAttribute(uv, 2));
+    geometry.setAttribute("border", new BufferAttribute(borderDistances(layer), 2));
+  }
   geometry.setIndex(new BufferAttribute(index, 1));
-  const mesh = new Mesh(geometry, clothMaterial(colour));
+  const mesh = new Mesh(geometry);
   mesh.name = id;
   mesh.visible = false; // until its first frame
   mesh.castShadow = mesh.receiveShadow = true;
@@ -31,11 +29,17 @@ function clothMesh({ id, vertexCount, copies, index, uv }, colour) {
 
 // Moving the group moves all; within it the axes are the world's of the poses, y up. Events: "frame", "state".
 export class Worn extends Group {
-  // figure: the service's body (readBody), which appears with the first frame, or null.
-  constructor(wearing, { colours = COLOURS, figure = null } = {}) {
+  // figure: the service's body (readBody), which appears with the first frame, or null. looks: a function that promises
+  // the look of each layer (materials.js) for the option fabric. plain: cheap to draw.
+  constructor(wearing, { colours = COLOURS, figure = null, looks, plain = false }) {
     super();
     this.wearing = wearing;
-    this.meshes = wearing.layers.map((layer, i) => clothMesh(layer, colours[i % colours.length]));
+    this.findLooks = looks;
+    this.colours = colours;
+    this.plain = plain;
+    this.looks = [];
+    this.dyed = []; // the materials that are ours
+    this.meshes = wearing.layers.map(clothMesh);
     this.add(...this.meshes);
     this.figure = figure;
     this.body = figure?.group ?? null;
@@ -47,9 +51,50 @@ export class Worn extends Group {
     wearing.onState = (state, refusal) => this.dispatchEvent({ type: "state", state, error: refusal });
   }
 
+  // Gives the garments the materials of their fabrics; a material that is not ours stays.
+  async dress(fabric = this.wearing.options.fabric) {
+    this.looks = await this.findLooks(fabric);
+    this.#makeMaterials();
+    return this;
+  }
+
+  // plain: without weave, sheen and the like, for machines that draw slowly.
+  setPlain(plain) {
+    if (this.plain === plain) return;
+    this.plain = plain;
+    this.#makeMaterials();
+  }
+
+  // Dyes one garment, the innermost is 0.
+  colour(layer, colour) {
+    this.colours = this.meshes.map((_, i) => (i === layer ? colour : this.colours[i % this.colours.length]));
+    if (this.dyed[layer]) dye(this.dyed[layer], colour);
+  }
+
+  #makeMaterials() {
+    this.meshes.forEach((mesh, i) => {
+      const own = this.dyed[i];
+      const { uvMetres } = this.wearing.layers[i];
+      const how = { colour: this.colours[i % this.colours.length], uvMetres, bordered: uvMetres !== null, plain: this.plain };
+      this.dyed[i] = clothMaterial(this.looks[i], how);
+      if (own && mesh.material !== own) return;
+      mesh.material = this.dyed[i];
+      own?.dispose();
+    });
+  }
+
   // The outermost garment.
   get mesh() {
     return this.meshes.at(-1);
+  }
+
+  // The pose that the shown frame answers, 72 numbers, and where its root is [m]; null before the first.
+  get bodyPose() {
+    return this.wearing.bodyPose;
+  }
+
+  get root() {
+    return this.wearing.root;
   }
 
   get stats() {
@@ -85,11 +130,12 @@ export class Worn extends Group {
   }
 
   fabric(name) {
-    return this.wearing.fabric(name);
+    return this.set({ fabric: name });
   }
 
-  set(options) {
-    return this.wearing.set(options);
+  async set(options) {
+    await this.wearing.set(options);
+    if ("fabric" in options) await this.dress(options.fabric);
   }
 
   // Ends its stream and frees what it holds.

@@ -65,7 +65,10 @@ export interface GarmentInfo {
 
 export interface FabricInfo {
   id: string;
+  warp_n_per_m: number;
+  weft_n_per_m: number;
   density_kg_m2: number;
+  thickness_m: number;
   source: string;
 }
 
@@ -145,12 +148,16 @@ export interface Controls {
 
 export interface Layer {
   id: string;
-  vertexCount: number;
   /** 3 vertices a triangle, of the delivered mesh. */
   faces: Uint32Array;
   /** The same triangles of `positions`, where vertices at seams of the texture come twice. */
   index: Uint32Array;
   uv: Float32Array | null;
+  /** Metres of a unit of `uv`; null without any. */
+  uvMetres: number | null;
+  vertexCount: number;
+  /** The vertices that come again behind all others. */
+  copies: Uint32Array;
 }
 
 /** What is worn, for any engine. */
@@ -185,6 +192,8 @@ export interface AvatarInfo {
   nodes: string[];
   fit: { median_mm: number; p95_mm: number };
   height_m: number;
+  /** Metres per unit of its file. */
+  scale: number;
   rest_joints: [number, number, number][];
   floor_m: number;
 }

@@ -1,7 +1,10 @@
 import type { Group, Mesh, Object3DEventMap } from "three";
 import type { Access, Controls, Drape as Core, DrapeError, DrapeOptions, PlayChoice, Pose, Source, SourceFunction, Motion, State, Stats, WearOptions } from "./core.js";
 
+import type { FabricLook } from "./three.js";
+
 export * from "./core.js";
+export type { FabricLook } from "./three.js";
 
 export interface WornEvents extends Object3DEventMap {
   frame: object;
@@ -13,6 +16,8 @@ export interface ShownOptions extends WearOptions {
   body?: boolean;
   /** One for each garment, as CSS writes it. */
   colours?: string[];
+  /** Cloth that is cheap to draw, without weave and sheen. */
+  plain?: boolean;
 }
 
 /** What is worn, in a scene. Within it the axes are those of the poses, y up; moving the group moves all. */
@@ -22,6 +27,10 @@ export class Worn extends Group<WornEvents> implements Controls {
   /** The outermost garment. */
   readonly mesh: Mesh;
   readonly body: Group | null;
+  /** The pose that the shown frame answers; null before the first. */
+  readonly bodyPose: ArrayLike<number> | null;
+  /** Where the body's root is in it [m]. */
+  readonly root: number[];
   readonly stats: Stats;
   readonly state: State;
   readonly foldsBy: "server" | "client";
@@ -31,7 +40,14 @@ export class Worn extends Group<WornEvents> implements Controls {
   follow(source: SourceFunction | Source | null): Promise<void>;
   play(motion: string | Motion, choice?: PlayChoice): Promise<void>;
   stop(): void;
+  /** Drapes it of another fabric, and gives it that fabric's look. */
   fabric(name: DrapeOptions["fabric"]): Promise<void>;
+  /** How each garment looks, by its fabric, the innermost first. */
+  readonly looks: FabricLook[];
+  /** Dyes a garment, as CSS writes colours; the innermost is 0. */
+  colour(layer: number, colour: string): void;
+  /** From now on cheap to draw, or not. */
+  setPlain(plain: boolean): void;
   set(options: DrapeOptions): Promise<void>;
   dispose(): void;
 }

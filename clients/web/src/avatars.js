@@ -1,0 +1,29 @@
+// Characters of the user's: sent to the service, and kept in this browser, as the service does not give their files back.
+import { readCharacter } from "../lib/src/character.js";
+
+const STORE = "drape-characters";
+
+const address = (id) => `/characters/${encodeURIComponent(id)}`;
+
+async function store() {
+  return globalThis.caches ? caches.open(STORE) : null; // none where the page is not on a secure origin
+}
+
+const fresh = new Map(); // by id, of this visit
+
+// The id of a character's file when garments can be cut for it; seconds.
+export async function sendCharacter(drape, file) {
+  const bytes = await file.arrayBuffer();
+  const id = await drape.avatar(bytes, file.name);
+  fresh.set(id, bytes);
+  await (await store())?.put(address(id), new Response(bytes)).catch(() => {}); // full: it lasts for this visit
+  return id;
+}
+
+// The character as an object that poses itself, or as nothing but its joints where this browser does not have its file.
+export async function findCharacter(drape, id) {
+  const avatar = await drape.rest.avatar(id);
+  const kept = fresh.get(id) ?? (await (await (await store())?.match(address(id)))?.arrayBuffer());
+  if (kept) return readCharacter(kept, avatar);
+  return { object: null, rest: avatar.rest_joints, pose: null };
+}

@@ -1,0 +1,71 @@
+// What the person does: clips of the service and of the user's, played, paused, and looked through.
+import { element, make, title } from "./words.js";
+
+const STILL = matchMedia("(prefers-reduced-motion: reduce)");
+
+export class Motions {
+  // load(id): promises a clip with sample(timeS), fps and frames.
+  constructor({ load }) {
+    this.load = load;
+    this.clips = []; // { id, name }
+    this.clip = null;
+    this.timeS = 0;
+    this.playing = !STILL.matches; // who asks for less motion begins with a still
+    element("play").addEventListener("click", () => this.setPlaying(!this.playing));
+    element("scrub").addEventListener("input", () => {
+      this.setPlaying(false);
+      this.timeS = Number(element("scrub").value) * this.lengthS;
+    });
+    this.setPlaying(this.playing);
+  }
+
+  get lengthS() {
+    return this.clip ? this.clip.frames / this.clip.fps : 0;
+  }
+
+  setPlaying(playing) {
+    this.playing = playing;
+    element("play").setAttribute("aria-label", playing ? "Pause" : "Play");
+    element("play").dataset.playing = playing;
+  }
+
+  offer(clips, chosen = null) {
+    this.clips = clips;
+    const buttons = clips.map(({ id, name }) => {
+      const chip = make("button", { type: "button", className: "option", textContent: title(name), "data-clip": id, "aria-pressed": id === chosen });
+      chip.addEventListener("click", () => this.choose(id));
+      return chip;
+    });
+    element("clips").replaceChildren(...buttons);
+  }
+
+  // Plays a clip from its beginning; the same one again goes on where it is, as for another body.
+  async choose(id) {
+    for (const chip of element("clips").children) {
+      chip.setAttribute("aria-pressed", chip.dataset.clip === id);
+      if (chip.dataset.clip === id) element("clips").scrollLeft = chip.offsetLeft - element("clips").offsetLeft - 40;
+    }
+    this.wanted = id;
+    const clip = await this.load(id);
+    if (!clip || this.wanted !== id) return;
+    if (clip.id !== this.clip?.id) this.timeS = 0;
+    this.clip = clip;
+  }
+
+  // The next one of the list, or the one before (-1).
+  step(way) {
+    const at = this.clips.findIndex(({ id }) => id === this.wanted);
+    const next = this.clips.at((at + way) % this.clips.length);
+    if (next) return this.choose(next.id);
+    return null;
+  }
+
+  // The pose stepS seconds after the last one, or null.
+  pose(stepS) {
+    if (!this.clip) return null;
+    if (this.playing) this.timeS = (this.timeS + stepS * Number(element("speed").value)) % this.lengthS;
+    const scrub = element("scrub");
+    if (document.activeElement !== scrub || this.playing) scrub.value = this.timeS / this.lengthS;
+    return this.clip.sample(this.timeS);
+  }
+}

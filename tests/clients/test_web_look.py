@@ -1,0 +1,230 @@
+"""What a page shows, in Node.js: borders of panels, weaves, looks of fabrics, poses of characters, motions of files."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES, PARENTS
+from drape.cloth.fabric_table import FABRICS
+from drape.geometry.rotations import rotvec_to_matrix
+from drape.motion.amass import read_amass
+from drape.motion.samples import reach
+from service.http.schemas import FabricInfo
+from tests.clients.node import page_answer
+from tests.drape.motion.rigs import rig_names
+from tests.fixtures.characters import ARMS_DOWN_RAD, character
+
+BORDERS = """
+const { topologyOf } = await import(`${WEB}/lib/src/topology.js`);
+const { borderDistances } = await import(`${WEB}/lib/src/borders.js`);
+const layer = topologyOf(input.mesh);
+console.log(JSON.stringify({ uvMetres: layer.uvMetres, uv: [...layer.uv], distances: [...borderDistances(layer)] }));
+"""
+
+
+def two_panels(steps: int = 8, side_m: float = 0.08, unit: float = 0.5) -> dict:
+    """Two square panels sewn along x = side_m, flat; texture coordinates have ``unit`` to a metre and a gap between."""
+    columns, rows = 2 * steps + 1, steps + 1
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    vertices = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3) * (side_m / steps)
+    corner = (y * columns + x)[:-1, :-1].ravel()
+    right, up, both = corner + 1, corner + columns, corner + columns + 1
+    faces = np.concatenate([np.stack([corner, right, both], 1), np.stack([corner, both, up], 1)])
+    second = np.tile((x[:-1, :-1] >= steps).ravel(), 2)
+    uv = np.concatenate([vertices[:, :2], vertices[:, :2] + [0.02, 0.0]]) * unit  # the second panel lies apart
+    uv_faces = faces + second[:, None] * len(vertices)
+    return {name: value.tolist() for name, value in locals().items() if name in ("vertices", "faces", "uv", "uv_faces")}
+
+
+def test_borders_are_as_far_as_they_are_in_the_panels(tmp_path: Path):
+    got = page_answer(BORDERS, {"mesh": two_panels()}, tmp_path)
+    assert_allclose(got["uvMetres"], 2.0)
+    u, v = np.reshape(got["uv"], (-1, 2)).T * 2.0  # [m]
+    panel = u > 0.09
+    hem = np.minimum.reduce([v, 0.08 - v, np.where(panel, 0.18 - u, u)])
+    seam = np.where(panel, u - 0.10, 0.08 - u)
+    expected = np.minimum(np.stack([hem, seam], axis=1), 0.06)
+    assert_allclose(np.reshape(got["distances"], (-1, 2)), expected, atol=1e-6)
+
+
+LOOKS = """
+const { fabricLook, fabricSwatch } = await import(`${WEB}/lib/src/materials.js`);
+const { BOND_NAMES, weaveTextures } = await import(`${WEB}/lib/src/weave.js`);
+const tiles = BOND_NAMES.map((bond) => {
+  const { normal, shade } = weaveTextures(bond);
+  return [normal, shade].map(({ image }) => Buffer.from(image.data).toString("base64"));
+});
+const looks = input.fabrics.map(fabricLook);
+const swatches = looks.map((look) => Buffer.from(fabricSwatch(look, "#808080", 32)).toString("base64"));
+console.log(JSON.stringify({ looks, swatches, tiles, names: BOND_NAMES }));
+"""
+
+
+def test_a_look_follows_from_what_is_told_of_a_fabric(tmp_path: Path):
+    fabrics = {
+        name: {key: getattr(cloth, key) for key in FabricInfo.model_fields if key != "id"}
+        for name, cloth in FABRICS.items()
+    }
+    asked = [{"id": name, **numbers} for name, numbers in fabrics.items()]
+    unnamed = [{**numbers, "id": "of my own"} for numbers in fabrics.values()]
+    got = page_answer(LOOKS, {"fabrics": [*asked, *unnamed]}, tmp_path)
+    looks = dict(zip(fabrics, got["looks"], strict=False))
+    knits = {name for name, look in looks.items() if look["knit"]}
+    assert knits == {"jersey", "rib", "ponte", "sweat", "swim"}, "those whose source says a knit"
+    assert {name: looks[name]["bond"] for name in ("denim", "satin", "rib", "poplin", "jersey")} == {
+        "denim": "twill", "satin": "satin", "rib": "rib", "poplin": "plain", "jersey": "jersey",
+    }  # fmt: skip
+    for name, look in looks.items():
+        assert 0.5 < look["pitchM"] / fabrics[name]["thickness_m"] < 2.0
+        assert (look["opacity"] < 1.0) == (name == "chiffon")
+    for name, look in zip(fabrics, got["looks"][len(fabrics) :], strict=True):  # by their numbers alone
+        assert look["bond"] == ("jersey" if name in knits else "plain")
+
+
+def test_a_weave_has_unit_normals_no_border_and_keeps_the_dye(tmp_path: Path):
+    got = page_answer(LOOKS, {"fabrics": []}, tmp_path)
+    for name, (normal, shade) in zip(got["names"], got["tiles"], strict=True):
+        normals, shades = (
+            np.frombuffer(base64.b64decode(one), np.uint8).reshape(256, 256, 4).astype(float) for one in (normal, shade)
+        )
+        towards = normals[..., :3] / 127.5 - 1.0
+        assert_allclose(np.linalg.norm(towards, axis=-1), 1.0, atol=2 / 127.5)
+        assert_allclose(towards[..., :2].mean(axis=(0, 1)), 0.0, atol=0.03, err_msg=name)
+        assert 180 < shades[..., 0].mean() <= 201, name
+        for axis in (0, 1):  # from the last pixel to the first it goes on as it does inside
+            steps = np.abs(np.diff(shades[..., 0], axis=axis))
+            around = np.abs(shades.take(0, axis=axis) - shades.take(-1, axis=axis))[..., 0]
+            assert around.mean() <= steps.mean(axis=1 - axis).max() + 1.0, name
+
+
+CHARACTER = """
+globalThis.self = globalThis;
+const { readCharacter } = await import(`${WEB}/lib/src/character.js`);
+const { jointPlaces } = await import(`${WEB}/lib/src/kinematics.js`);
+const { Vector3 } = await import(`${WEB}/node_modules/three/build/three.module.js`);
+const bytes = Uint8Array.from(Buffer.from(input.file, "base64")).buffer;
+const one = await readCharacter(bytes, input.avatar);
+const places = input.poses.map((pose) => {
+  one.pose(pose, input.root);
+  one.object.updateMatrixWorld(true);
+  return input.names.map((name) => {
+    let found = null;
+    one.object.traverse((node) => (found ??= node.userData.name === name || node.name === name ? node : null));
+    return found.getWorldPosition(new Vector3()).toArray();
+  });
+});
+const ours = input.poses.map((pose) => jointPlaces(pose, input.root, input.avatar.rest_joints));
+console.log(JSON.stringify({ places, ours }));
+"""
+
+
+@pytest.mark.parametrize(("scale", "arms_rad", "yaw_rad"), [(1.0, 0.0, 0.0), (100.0, ARMS_DOWN_RAD, 1.0)])
+def test_a_characters_joints_are_where_the_bodys_are(
+    body: BodyModel, rng: np.random.Generator, tmp_path: Path, scale: float, arms_rad: float, yaw_rad: float
+):
+    """Whatever the unit, the way it faces, and however its arms hang at rest."""
+    payload = character(body, scheme="mixamo", scale=scale, arms_rad=arms_rad, yaw_rad=yaw_rad)
+    names = rig_names("mixamo")
+    known = [joint for joint in JOINT_NAMES if joint in names]
+    rest = body.joints_template
+    poses = rng.normal(scale=0.4, size=(2, 24, 3)).astype(np.float32)
+    root = [0.3, 1.1, -0.2]
+    avatar = {"joints": {joint: names[joint] for joint in known}, "rest_joints": rest.tolist(), "scale": 1 / scale}
+    document = {
+        "file": base64.b64encode(payload).decode(), "avatar": avatar, "names": [names[joint] for joint in known],
+        "poses": poses.reshape(2, 72).tolist(), "root": root,
+    }  # fmt: skip
+    got = page_answer(CHARACTER, document, tmp_path)
+    turns, places = rotvec_to_matrix(poses.astype(np.float64)), np.zeros((2, 24, 3))
+    world = turns.copy()
+    places[:, 0] = root
+    for joint, parent in enumerate(PARENTS):
+        if parent >= 0:
+            world[:, joint] = world[:, parent] @ turns[:, joint]
+            places[:, joint] = places[:, parent] + world[:, parent] @ (rest[joint] - rest[parent])
+    assert_allclose(np.asarray(got["ours"]), places, atol=1e-6)
+    index = [JOINT_NAMES.index(joint) for joint in known]
+    assert_allclose(np.asarray(got["places"]), places[:, index], atol=2e-3)  # feet are turned by their heading alone
+
+
+MOTION = """
+const { readMotion } = await import(`${WEB}/src/motion_file.js`);
+const file = new File([Buffer.from(input.file, "base64")], input.name);
+const drape = { body: async () => input.body };
+const { fps, frames, poses, trans } = await readMotion(file, drape, { betas: [] });
+console.log(JSON.stringify({ fps, frames, poses: poses.map((pose) => [...pose]), trans }));
+"""
+
+
+def told_of(path: Path, body: BodyModel, folder: Path) -> dict:
+    joints = body.rest_joints(np.zeros(body.shape_count))
+    floor = float(body.rest_vertices(np.zeros(body.shape_count))[:, 1].min())
+    document = {"file": base64.b64encode(path.read_bytes()).decode(), "name": path.name}
+    return page_answer(MOTION, document | {"body": {"joints": joints.tolist(), "floor_m": floor}}, folder)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_file_of_amass_is_read_as_python_reads_it(body: BodyModel, tmp_path: Path, packed: bool):
+    clip = reach().window(0, 3)
+    flat = np.concatenate([clip.poses.reshape(3, 72)[:, :66], np.ones((3, 90))], axis=1)  # fingers, which are left out
+    path = tmp_path / "amass.npz"
+    (np.savez_compressed if packed else np.savez)(path, poses=flat, trans=clip.trans, mocap_framerate=50.0)
+    expected = read_amass(path)
+    got = told_of(path, body, tmp_path)
+    assert got["frames"] == 3 and got["fps"] == 50.0
+    assert_allclose(rotvec_to_matrix(np.reshape(got["poses"], (3, 24, 3))), rotvec_to_matrix(expected.poses), atol=1e-6)
+    steps = np.diff(np.array(got["trans"], dtype=np.float64), axis=0)
+    assert_allclose(steps, np.diff(expected.trans, axis=0), atol=1e-5)
+
+
+BVH = """HIERARCHY
+ROOT Hips
+{{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+{joints}}}
+MOTION
+Frames: 2
+Frame Time: 0.04
+{frames}
+"""
+
+
+def test_a_bvh_turns_the_joints_that_it_turns(body: BodyModel, tmp_path: Path):
+    names, rest = rig_names("mixamo"), body.joints_template
+    order: list[str] = []
+
+    def block(joint: int, depth: int) -> str:
+        order.append(JOINT_NAMES[joint])
+        pad, child = (
+            "  " * depth,
+            [k for k, parent in enumerate(PARENTS) if parent == joint and JOINT_NAMES[k] in names],
+        )
+        offset = " ".join(f"{100 * x:.6f}" for x in rest[joint] - rest[PARENTS[joint]])
+        inner = (
+            "".join(block(k, depth + 1) for k in child)
+            or f"{pad}  End Site\n{pad}  {{\n{pad}    OFFSET 0 -1 0\n{pad}  }}\n"
+        )
+        head = f"{pad}JOINT {names[JOINT_NAMES[joint]]}\n{pad}{{\n{pad}  OFFSET {offset}\n"
+        return f"{head}{pad}  CHANNELS 3 Zrotation Xrotation Yrotation\n{inner}{pad}}}\n"
+
+    below = "".join(block(k, 1) for k in (1, 2, 3))
+    elbow = order.index("left_elbow")
+    rows = np.zeros((2, 6 + 3 * len(order)))
+    rows[:, 1] = 97.0
+    rows[1, [0, 6 + 3 * elbow + 2]] = 10.0, 60.0  # a step to the side; the elbow bends about y
+    path = tmp_path / "bent.bvh"
+    path.write_text(BVH.format(joints=below, frames="\n".join(" ".join(f"{x:g}" for x in row) for row in rows)))
+    got = told_of(path, body, tmp_path)
+    poses = np.reshape(got["poses"], (2, 24, 3))
+    expected = np.zeros((2, 24, 3))
+    expected[1, JOINT_NAMES.index("left_elbow"), 1] = np.radians(60.0)
+    assert_allclose(poses, expected, atol=1e-4)
+    assert_allclose(got["fps"], 25.0, rtol=1e-6)
+    assert_allclose(got["trans"], [[0.0, got["trans"][0][1], 0.0], [0.1, got["trans"][0][1], 0.0]], atol=1e-3)
