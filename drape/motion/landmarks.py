@@ -43,6 +43,9 @@ the pelvis's error there, from 16.9 to 8.8 degrees, and costs 1.7 in the sample 
 BACKWARDS = 0.5
 """Cosine beyond which a face looks backwards: nobody turns the head by two thirds of a half turn all the time."""
 
+TOLD_AFTER = 30
+"""Samples of a stream, a second or two, by which sides are judged: who looks over the shoulder does so for less."""
+
 # Measured on the shipped body in the T-pose: from the middle of the ears the nose lies ahead and 14.4 degrees below,
 # and from the heels (2, 3) the big toes lie ahead, inwards and below.
 _LOOKING = rotvec_to_matrix(np.radians([14.4, 0.0, 0.0]))
@@ -98,18 +101,13 @@ def landmark_poses(
     as one does whose left and right are swapped.
     """
     sample = KeyPoints.checked(points, visibility, layout_named(layout))
-    _check_sides(sample)
+    _check_sides(_looking(sample))
     return _read(sample, _rest(rest_joints), _Memory())
 
 
-def _check_sides(points: KeyPoints) -> None:
-    """Refuses a clip whose nose lies behind the shoulders, in the mean of the frames that show both."""
-    seen = points.sees(*_HEAD, *_HIPS, *_SHOULDERS)
-    if not seen.any():
-        return
-    _, chest = _trunk_frames(points)
-    looking = points.with_middles(ears=_HEAD[:2]).lines(["ears"], ["nose"])[:, 0]
-    if _dot(chest[seen, :, 2], looking[seen]).mean() < -BACKWARDS:
+def _check_sides(looking: Sequence[float] | np.ndarray) -> None:
+    """Refuses frames in whose mean the nose lies behind the shoulders; ``looking`` as ``_looking`` gives it."""
+    if len(looking) and np.mean(looking) < -BACKWARDS:
         raise MotionError(
             "landmarks",
             expected="a nose on the side that the shoulders face",
@@ -118,12 +116,22 @@ def _check_sides(points: KeyPoints) -> None:
         )
 
 
+def _looking(points: KeyPoints) -> np.ndarray:
+    """Cosines between where shoulders and nose point, of the frames that show both."""
+    seen = points.sees(*_HEAD, *_HIPS, *_SHOULDERS)
+    if not seen.any():
+        return np.zeros(0)
+    _, chest = _trunk_frames(points)
+    nose = points.with_middles(ears=_HEAD[:2]).lines(["ears"], ["nose"])[:, 0]
+    return _dot(chest[seen, :, 2], nose[seen])
+
+
 class LandmarkPoses:
     """The poses of a stream of key points, one sample after the other.
 
     Without ``smoothing``, which filters the points before they are read, a stream gives
     what ``landmark_poses`` gives for the clip. A refused sample leaves the stream as it was,
-    but for the filter.
+    but for the filter. Swapped sides are told after each ``TOLD_AFTER`` samples that look so.
     """
 
     def __init__(
@@ -134,12 +142,16 @@ class LandmarkPoses:
         smoothing: OneEuro | None = None,
     ) -> None:
         self._layout, self._rest = layout_named(layout), _rest(rest_joints)
-        self._smoothing, self._memory = smoothing, _Memory()
+        self._smoothing, self._memory, self._looked = smoothing, _Memory(), list[float]()
 
     def __call__(self, points: np.ndarray, *, dt_s: float, visibility: np.ndarray | None = None) -> np.ndarray:
         """The pose (24, 3) [rad] of points (N, 3) [m] with visibility (N,), ``dt_s`` after the last sample."""
         seen = None if visibility is None else np.asarray(visibility)[None]
         sample = KeyPoints.checked(np.asarray(points)[None], seen, self._layout)
+        self._looked += _looking(sample).tolist()
+        if len(self._looked) >= TOLD_AFTER:
+            looked, self._looked = self._looked, []
+            _check_sides(looked)
         if self._smoothing is not None:
             smooth = self._smoothing(sample.places[0], dt_s, seen=sample.seen[0])
             sample = KeyPoints(smooth[None], sample.seen, self._layout)

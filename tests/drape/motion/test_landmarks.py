@@ -222,6 +222,14 @@ def test_left_and_right_that_are_swapped_are_told(points):
     with pytest.raises(MotionError, match="left and right look swapped"):
         landmark_poses(swapped)
     landmark_poses(swapped, visibility=hidden(points, "nose"))
+    stream = LandmarkPoses()
+    for _ in range(2):
+        for number in range(landmarks.TOLD_AFTER - 1):
+            stream(swapped[number % len(swapped)], dt_s=1 / 30)
+        with pytest.raises(MotionError, match="left and right look swapped"):
+            stream(swapped[0], dt_s=1 / 30)
+    for number in range(2 * landmarks.TOLD_AFTER):
+        stream(points[number % len(points)], dt_s=1 / 30)
 
 
 def hidden(points, *names):
