@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,9 @@ class Folds(Stage):
     def joins_layers(self, plan: Plan) -> bool:
         return bool(plan.options.cloth_contact)
 
+    def presses_layers(self, plan: Plan) -> bool:
+        return bool(plan.options.cloth_contact)
+
     def needs(self, plan: Plan) -> frozenset[str]:
         return frozenset({"vertices", SKIN, FINE})
 
@@ -122,7 +126,9 @@ class Folds(Stage):
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
         lain = np.zeros(ground.shape[:2], ground.dtype)
         ceilings = self._ceilings(batch, ground) if effort.cloth_contact else [None] * len(layers)
-        for i, (key, sent, fabric) in enumerate(zip(plan.draped_keys, plan.keys, plan.fabrics, strict=True)):
+        shown = 1 + max(i for i, seen in enumerate(plan.visible) if seen)  # what lies over these presses as it is
+        each = zip(plan.draped_keys, plan.keys, plan.fabrics, strict=True)
+        for i, (key, sent, fabric) in enumerate(islice(each, shown)):
             memories = batch.remembered((self.name, key))
             made, ceiling = self._of(key, fabric), ceilings[i]
             below = None if ceiling is None else ceiling - lain

@@ -98,7 +98,9 @@ def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, m
     for stage in stages:
         stage.check(plan)
     taken = tuple(stage for stage in stages if stage.wanted(plan))
-    rows, known = narrowed(scene, plan.options, felt=any(stage.joins_layers(plan) for stage in taken))
+    felt = any(stage.joins_layers(plan) for stage in taken)
+    pressed = any(stage.presses_layers(plan) for stage in taken)
+    rows, known = narrowed(scene, plan.options, felt=felt, pressed=pressed)
     if len(rows) < len(scene.layers):
         scene = scene.only([scene.layers[row].id for row in rows])
     plan = replace(plan, scene=scene, options=known, fabrics=tuple(plan.fabrics[row] for row in rows))

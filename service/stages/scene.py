@@ -179,11 +179,12 @@ def check_known(fabrics: Sequence[Fabric | None], *, known: bool, model: str) ->
         )
 
 
-def narrowed(scene: Scene, options: DrapeOptions, *, felt: bool) -> tuple[list[int], DrapeOptions]:
+def narrowed(scene: Scene, options: DrapeOptions, *, felt: bool, pressed: bool) -> tuple[list[int], DrapeOptions]:
     """Which layers of ``scene`` must be draped, and ``options`` for these.
 
-    A hidden garment must be where a visible one lies over it, if layers are ``felt`` at all: a layer feels those below
-    it. Refuses (``InputError``) hidden garments that are not worn, and an outfit of which nothing comes.
+    A hidden garment must be where a visible one lies over it, if layers are ``felt``, and where one lies below it, if
+    layers are ``pressed`` by those above them. Refuses (``InputError``) hidden garments that are not worn, and an
+    outfit of which nothing comes.
     """
     worn = [layer.id for layer in scene.layers]
     if options.hidden is None:
@@ -195,7 +196,8 @@ def narrowed(scene: Scene, options: DrapeOptions, *, felt: bool) -> tuple[list[i
     visible = [i for i, name in enumerate(worn) if name not in options.hidden]
     if not visible:
         raise InputError("hidden", expected="one visible garment or more", got="none", cure="Leave one out of hidden.")
-    kept = [i for i in range(len(worn)) if i in visible or (felt and i < visible[-1])]
+    first, last = visible[0] if pressed else len(worn), visible[-1] if felt else 0
+    kept = [i for i in range(len(worn)) if i in visible or i < last or i > first]
     narrow: dict[str, Any] = {"hidden": tuple(worn[i] for i in kept if i not in visible) or None}
     if isinstance(options.fabric, tuple):
         narrow["fabric"] = tuple(options.fabric[i] for i in kept)

@@ -77,6 +77,10 @@ class Stage:
         """Whether a layer feels those below it here."""
         return False
 
+    def presses_layers(self, plan: Plan) -> bool:
+        """Whether a layer gives way here to those above it."""
+        return False
+
     def depends_on(self, plan: Plan) -> object:
         """The part of the options that its memories hold for: they are forgotten where it changes."""
         return None

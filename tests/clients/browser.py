@@ -29,6 +29,7 @@ AXE = ROOT / "clients/web/node_modules/axe-core/axe.min.js"
 FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--no-first-run", "--disable-extensions",
     "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-port=0",
+    "--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream",
 )  # fmt: skip
 
 # What DevTools say of a call that was under way when the page changed.

@@ -8,20 +8,37 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from urllib.parse import quote
 
 import numpy as np
 import pytest
 
+from drape.body.model import BodyModel
+from drape.catalog import find_motions
+from drape.motion.readers import read_motion
 from service.settings import Settings
 from tests.architecture.repository import ROOT
 from tests.clients.browser import open_page
 from tests.clients.test_page import share
+from tests.drape.motion.people import person
 from tests.fixtures.serving import served
 
 pytestmark = pytest.mark.browser
 
-PAGE = "/examples/web/stranger.html"
-WRITTEN = (ROOT / PAGE[1:]).read_text(encoding="utf-8")
+PAGE, CAMERA = "/examples/web/stranger.html", "/examples/web/camera.html"
+WRITTEN = {page: (ROOT / page[1:]).read_text(encoding="utf-8") for page in (PAGE, CAMERA)}
+# A tracker that sees a person squat, and nobody where it begins.
+TRACKER = """export async function track(video, put) {
+  if (!video.videoWidth) throw new Error("no picture");
+  const points = POINTS;
+  put(points[0].slice(1));
+  await new Promise((done) => setTimeout(done, 500));
+  document.body.dataset.told = document.querySelector("p").textContent;
+  for (let n = 0; ; n++) {
+    put(points[n % points.length]);
+    await new Promise((done) => setTimeout(done, 30));
+  }
+}"""
 # What is worn by a library that the page imports beside its own: with its worker, with one of the page, and without.
 WORN_HERE = """(async () => {
   const { connect } = await import("/clients/web/lib/dist/index.js");
@@ -45,17 +62,18 @@ WORN_HERE = """(async () => {
 
 
 class Files(SimpleHTTPRequestHandler):
-    """The files of the repository; the page names ``service`` and the garment that it has."""
+    """The files of the repository; the pages name ``service`` and the garment that it has."""
 
     def __init__(self, *arguments: object, service: list[str], **named: object) -> None:
         self.service = service
         super().__init__(*arguments, **named)  # pyright: ignore[reportArgumentType]
 
     def do_GET(self) -> None:
-        if self.path != PAGE:
+        page = self.path.partition("?")[0]
+        if page not in WRITTEN:
             super().do_GET()
             return
-        text = WRITTEN.replace("http://127.0.0.1:8000", self.service[0]).replace('"tshirt"', '"tube"').encode()
+        text = WRITTEN[page].replace("http://127.0.0.1:8000", self.service[0]).replace('"tshirt"', '"tube"').encode()
         self.send_response(200)
         self.send_header("Content-Type", "text/html; charset=utf-8")
         self.send_header("Content-Length", str(len(text)))
@@ -77,7 +95,7 @@ def strange_server(service: list[str]) -> Iterator[str]:
 
 
 def test_thirty_lines_show_a_garment_that_moves(make_settings: Callable[..., Settings], record_property):
-    assert len(WRITTEN.splitlines()) <= 30
+    assert len(WRITTEN[PAGE].splitlines()) <= 30
     service: list[str] = []
     with strange_server(service) as origin, served(make_settings(allowed_origins=(origin,))) as url:
         service.append(url)
@@ -99,6 +117,27 @@ def test_thirty_lines_show_a_garment_that_moves(make_settings: Callable[..., Set
                 same = shown[0][kind] == shown[1][kind] == shown[2][kind]
                 assert same, "a worker decodes what the page's own thread does"
             assert shown[0][1] != shown[0][2]
+            assert page.errors == []
+
+
+def test_a_garment_follows_whoever_stands_before_the_camera(make_settings: Callable[..., Settings], body: BodyModel):
+    points = person(body, read_motion(find_motions(("squat",))[0]).poses[::6], "mediapipe").round(4).tolist()
+    tracker = "data:text/javascript," + quote(TRACKER.replace("POINTS", json.dumps(points)))
+    service: list[str] = []
+    with strange_server(service) as origin, served(make_settings(allowed_origins=(origin,))) as url:
+        service.append(url)
+        with open_page(f"{origin}{CAMERA}") as page:
+            page.wait_for("document.querySelector('p')?.textContent.includes('tracker.js')")
+            page.errors.clear()  # of the tracker that is not there
+            page.evaluate("globalThis.left = true")
+            page.evaluate(f"void (location.search = '?tracker=' + encodeURIComponent({json.dumps(tracker)}))")
+            page.wait_for("!globalThis.left && Number(document.body?.dataset.frames) >= 3")
+            assert "33 points of mediapipe" in page.evaluate("document.body.dataset.told")
+            assert page.evaluate("document.querySelector('p').textContent") == ""
+            before = page.picture()
+            frames = page.evaluate("Number(document.body.dataset.frames)")
+            page.wait_for(f"Number(document.body.dataset.frames) > {frames} + 5")
+            assert (np.abs(page.picture() - before).max(axis=-1) > 30).mean() > 0.001, "nothing moves"
             assert page.errors == []
 
 

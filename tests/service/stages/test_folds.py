@@ -81,10 +81,8 @@ def test_layers_that_do_not_feel_each_other_are_pushed_apart(outfit_settings: Se
         plan = runtime.plan(scene, DrapeOptions(folds=1, cloth_contact=feels))
         assert plan.stages[-1].name == last and plan.lifted == feels
     told = run(runtime.plan(scene, DrapeOptions(folds=1)), [CLIP]).quality
-    inner = run(runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1)), [CLIP]).quality
     hidden = run(runtime.plan(scene, DrapeOptions(folds=1, hidden=("coat",))), [CLIP]).quality
-    assert_array_equal(hidden.pushed_share, inner.pushed_share)
-    assert (told.push_max_m >= inner.push_max_m).all()
+    assert (told.push_max_m >= hidden.push_max_m).all()
     runtime.close()
 
 
@@ -156,7 +154,7 @@ def test_cloth_feels_cloth_where_that_is_asked_for(outfit_settings: Settings, mo
     assert np.abs(over - apart)[:, count:].max() > 1e-4, "the outer one feels the inner one"
     assert np.abs(over[:, :count] - inner).max() > 1e-4, "and the inner one gives way"
     hidden = runtime.plan(scene, options.model_copy(update={"hidden": ("coat",)}))
-    assert_array_equal(run(hidden, [CLIP]).vertices, inner)
+    assert_array_equal(run(hidden, [CLIP]).vertices, over[:, :count])
     other = replace(CLIP, poses=POSES[::-1].copy(), betas=np.ones(10))
     assert_array_equal(run(on, [other, CLIP]).vertices[len(POSES) :], over)
     assert_array_equal(asyncio.run(runtime.drape(on, CLIP)).vertices, over)

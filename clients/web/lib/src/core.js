@@ -4,6 +4,7 @@ import { Rest } from "./rest.js";
 import { Wearing } from "./wearing.js";
 
 export { DrapeError } from "./errors.js";
+export { landmarkSource } from "./landmarks.js";
 export { clipSource } from "./sources.js";
 
 const POLL_MS = 200;

@@ -4,7 +4,7 @@ import { readBody } from "./body.js";
 import { fabricLook } from "./materials.js";
 import { Worn } from "./worn.js";
 
-export { DrapeError, clipSource } from "./core.js";
+export { DrapeError, clipSource, landmarkSource } from "./core.js";
 export { Worn } from "./worn.js";
 
 export class Drape extends Core {

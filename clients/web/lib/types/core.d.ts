@@ -215,3 +215,21 @@ export class Drape {
 
 export function connect(url: string, access?: Access): Promise<Drape>;
 export function clipSource(clip: Motion, choice?: PlayChoice): SourceFunction;
+
+/** A point of a tracker [m]: three numbers, or an object as MediaPipe gives it. */
+export type KeyPoint = ArrayLike<number> | { x: number; y: number; z: number; visibility?: number };
+
+/** Follows whoever a tracker sees: `shirt.follow(source)`, then `source.put(points)` with each picture. */
+export interface LandmarkSource extends Source {
+  /** The points of one person in a picture taken at `timeS`; `visibility` of each from 0 to 1, if the points do not tell it. */
+  put(points: ArrayLike<KeyPoint>, visibility?: ArrayLike<number>, timeS?: number): void;
+}
+
+export interface LandmarkChoice {
+  /** MediaPipe's 33 world landmarks in their own axes, or COCO's 17 points in ours. */
+  layout?: "mediapipe" | "coco";
+  /** Numbers of the One Euro filter; null: none. */
+  smoothing?: { minCutoff?: number; beta?: number; dCutoff?: number } | null;
+}
+
+export function landmarkSource(choice?: LandmarkChoice): LandmarkSource;
