@@ -44,7 +44,7 @@ class PosedOptions(Request):
     """All but the poses of a body in motion: its shape, and the origin of the answer."""
 
     betas: Betas | None = Field(default=None, description="Body shape; zeros if left out.")
-    fps: Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False)] = 30.0
+    fps: Annotated[float, Field(ge=0.001, le=1000.0, allow_inf_nan=False)] = 30.0
     origin: Origin = Field(
         default="world",
         description="What positions count from: the world's origin, or each frame's root joint, whose place the answer "

@@ -16,6 +16,7 @@ from drape.live.clock import Frame
 from drape.live.fold_arrays import body_arrays, fold_arrays
 from drape.live.fold_step import FoldEffort
 from drape.wire.folds import ARRAYS, pack_folds, unpack_folds
+from drape.wire.messages import FOLDS
 from tests.clients.installed import LIBRARY
 from tests.clients.node import answer_of
 from tests.drape.live.folds_setup import constants, folded, frame, held_for, sleeve
@@ -138,7 +139,7 @@ def test_the_message_holds_what_was_packed_and_nothing_else_is_read():
     for wrong, expected in (
         (message[:20], "folds message"),
         (message[:-4], "folds message"),
-        (message[:5] + b"\x05" + message[6:], "kind 9"),
+        (message[:5] + b"\x05" + message[6:], f"kind {FOLDS}"),
         (message[:12] + b"\x01" + message[13:], "45 arrays"),
     ):
         with pytest.raises(InputError, match=expected):

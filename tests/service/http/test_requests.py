@@ -64,7 +64,7 @@ def drape(api: httpx.Client, **fields: object) -> httpx.Response:
         ({"betas": [0.0] * 11}, 422, ["betas: expected at most 10 numbers, got 11"]),
         ({"betas": [float("nan")]}, 422, ["betas[0]: expected a finite number"]),
         ({"betas": [99.0]}, 422, ["betas[0]: expected at most 20, got 99"]),
-        ({"fps": 0}, 400, ["fps: expected greater than 0, got 0."]),
+        ({"fps": 0}, 400, ["fps: expected greater than or equal to 0.001, got 0."]),
         ({"garment": "cape"}, 404, ["garment: expected one of: tube, got cape.", "GET /garments"]),
         ({"garment": ""}, 400, ["garment: expected at least 1 character, got ''."]),
         ({"colour": "red"}, 400, ["colour: expected no such field"]),
