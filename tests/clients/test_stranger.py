@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
-from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -27,6 +26,7 @@ pytestmark = pytest.mark.browser
 
 PAGE, CAMERA = "/examples/web/stranger.html", "/examples/web/camera.html"
 WRITTEN = {page: (ROOT / page[1:]).read_text(encoding="utf-8") for page in (PAGE, CAMERA)}
+TRACKER_PATH = "/examples/web/tracker.js"
 # A tracker that sees a person squat, and nobody where it begins.
 TRACKER = """export async function track(video, put) {
   if (!video.videoWidth) throw new Error("no picture");
@@ -62,32 +62,39 @@ WORN_HERE = """(async () => {
 
 
 class Files(SimpleHTTPRequestHandler):
-    """The files of the repository; the pages name ``service`` and the garment that it has."""
+    """The files of the repository; the pages name ``service`` and the garment that it has, and find a ``tracker``."""
 
-    def __init__(self, *arguments: object, service: list[str], **named: object) -> None:
-        self.service = service
+    def __init__(self, *arguments: object, service: list[str], tracker: list[str], **named: object) -> None:
+        self.service, self.tracker = service, tracker
         super().__init__(*arguments, **named)  # pyright: ignore[reportArgumentType]
 
     def do_GET(self) -> None:
-        page = self.path.partition("?")[0]
-        if page not in WRITTEN:
+        if self.path in WRITTEN:
+            text = WRITTEN[self.path].replace("http://127.0.0.1:8000", self.service[0]).replace('"tshirt"', '"tube"')
+            self.answer(text, "text/html")
+        elif self.path == TRACKER_PATH and self.tracker:
+            self.answer(self.tracker[0], "text/javascript")
+        else:
             super().do_GET()
-            return
-        text = WRITTEN[page].replace("http://127.0.0.1:8000", self.service[0]).replace('"tshirt"', '"tube"').encode()
+
+    def answer(self, text: str, kind: str) -> None:
+        """Sends ``text``."""
         self.send_response(200)
-        self.send_header("Content-Type", "text/html; charset=utf-8")
-        self.send_header("Content-Length", str(len(text)))
+        self.send_header("Content-Type", f"{kind}; charset=utf-8")
+        self.send_header("Content-Length", str(len(text.encode())))
         self.end_headers()
-        self.wfile.write(text)
+        self.wfile.write(text.encode())
 
     def log_message(self, format: str, *args: object) -> None:
         """Says nothing."""
 
 
 @contextmanager
-def strange_server(service: list[str]) -> Iterator[str]:
-    """The origin of a server of the repository's files on another port; ``service`` gets the service's address."""
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Files, directory=str(ROOT), service=service)) as server:
+def strange_server(service: list[str], tracker: list[str] | None = None) -> Iterator[str]:
+    """The origin of a server of the repository's files on another port; ``service`` gets the service's address, and
+    ``tracker`` the text of one, once there is one."""
+    files = partial(Files, directory=str(ROOT), service=service, tracker=tracker if tracker is not None else [])
+    with ThreadingHTTPServer(("127.0.0.1", 0), files) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         yield f"http://127.0.0.1:{server.server_address[1]}"
@@ -122,15 +129,17 @@ def test_thirty_lines_show_a_garment_that_moves(make_settings: Callable[..., Set
 
 def test_a_garment_follows_whoever_stands_before_the_camera(make_settings: Callable[..., Settings], body: BodyModel):
     points = person(body, read_motion(find_motions(("squat",))[0]).poses[::6], "mediapipe").round(4).tolist()
-    tracker = "data:text/javascript," + quote(TRACKER.replace("POINTS", json.dumps(points)))
     service: list[str] = []
-    with strange_server(service) as origin, served(make_settings(allowed_origins=(origin,))) as url:
+    tracker: list[str] = []
+    with strange_server(service, tracker) as origin, served(make_settings(allowed_origins=(origin,))) as url:
         service.append(url)
         with open_page(f"{origin}{CAMERA}") as page:
             page.wait_for("document.querySelector('p')?.textContent.includes('tracker.js')")
-            page.errors.clear()  # of the tracker that is not there
+            assert any("tracker.js" in error for error in page.errors)
+            page.errors.clear()
             page.evaluate("globalThis.left = true")
-            page.evaluate(f"void (location.search = '?tracker=' + encodeURIComponent({json.dumps(tracker)}))")
+            tracker.append(TRACKER.replace("POINTS", json.dumps(points)))
+            page.go(f"{origin}{CAMERA}")
             page.wait_for("!globalThis.left && Number(document.body?.dataset.frames) >= 3")
             assert "33 points of mediapipe" in page.evaluate("document.body.dataset.told")
             assert page.evaluate("document.querySelector('p').textContent") == ""

@@ -71,8 +71,8 @@ def test_poses_are_those_of_the_service(
     told = {"layout": layout, "smoothing": smoothing, "visibility": visibility.tolist()}
     got = answer_of(STREAM, asked(body, points, **told), tmp_path)
     assert got["early"] is None
-    numbers = smoothing and OneEuro(smoothing["minCutoff"], smoothing["beta"], smoothing["dCutoff"])
-    stream = LandmarkPoses(layout=layout, rest_joints=body.rest_joints(), smoothing=numbers or None)
+    euro = OneEuro(smoothing["minCutoff"], smoothing["beta"], smoothing["dCutoff"]) if smoothing else None
+    stream = LandmarkPoses(layout=layout, rest_joints=body.rest_joints(), smoothing=euro)
     want = [stream(one, dt_s=DT_S, visibility=seen) for one, seen in zip(points, visibility, strict=True)]
     found = np.reshape(got["poses"], (-1, 24, 3))
     assert_allclose(rotvec_to_matrix(found), rotvec_to_matrix(np.array(want)), rtol=0.0, atol=1e-6)
