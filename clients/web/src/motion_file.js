@@ -1,7 +1,7 @@
 // Motions from files that are dropped: BVH by three.js and the library's rigs, AMASS and our own npz.
 import { Euler, Group, Quaternion } from "three";
 import { BVHLoader } from "three/addons/loaders/BVHLoader.js";
-import { jointPlaces, rotationOf } from "../lib/src/kinematics.js";
+import { jointPlaces, rotationOf, writeRotationVector } from "../lib/src/kinematics.js";
 import { rigSource } from "../lib/src/rig.js";
 
 const JOINTS = 24;
@@ -88,9 +88,7 @@ async function readNpz(file) {
 // From z up to y up: the root turns by -90 degrees about x.
 function stand(pose) {
   const turn = new Quaternion().setFromEuler(new Euler(-Math.PI / 2, 0, 0)).multiply(rotationOf(pose, 0));
-  const sine = Math.hypot(turn.x, turn.y, turn.z);
-  const scale = sine > 1e-9 ? (2 * Math.atan2(sine, turn.w)) / sine : 2;
-  pose.set([scale * turn.x, scale * turn.y, scale * turn.z]);
+  writeRotationVector(turn, pose, 0);
 }
 
 // The arrays of an npz, { shape, values } by name: a zip of npy files, stored or deflated.

@@ -3,14 +3,9 @@
 // A_j, the alignment (drape/motion/alignment.py), brings the T-pose onto the character's rest pose, joint by joint. With T_j
 // the turn of a joint from the T-pose on and W_j the rotation of its node at rest, the node's rotation is T_j A_j^-1 W_j.
 import { Group, Matrix4, Quaternion, Vector3 } from "three";
-import { PARENTS } from "./humanoid.js";
+import { JOINT_NAMES, PARENTS } from "./humanoid.js";
 import { jointTurns } from "./kinematics.js";
 
-const NAMES = [
-  "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
-  "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder", "left_elbow",
-  "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
-];
 const ENDS = new Map([[1, 7], [2, 8], [7, 10], [8, 11], [16, 18], [17, 19], [18, 20], [19, 21]]); // bones that are measured
 const FEET = [7, 8];
 const STEEP_FOOT = 0.3; // a foot whose level share is less has no heading
@@ -57,7 +52,7 @@ export async function readCharacter(bytes, avatar) {
     node.castShadow = node.receiveShadow = true;
     node.frustumCulled = false; // its box is that of the rest pose
   });
-  const nodes = NAMES.map((name) => {
+  const nodes = JOINT_NAMES.map((name) => {
     const place = parser.json.nodes.findIndex((node) => node.name === avatar.joints[name]);
     return nodeOf.get(place) ?? null;
   });

@@ -2,6 +2,11 @@
 import { DrapeError } from "./errors.js";
 
 // SMPL's 24 joints and their parents, in the order of the wire (drape/body/skeleton.py).
+export const JOINT_NAMES = [
+  "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
+  "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder", "left_elbow",
+  "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
+];
 export const PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21];
 export const PELVIS = 0;
 export const HIPS = [1, 2]; // left, right

@@ -11,6 +11,16 @@ export function rotationOf(pose, first, target = new Quaternion()) {
   return target.setFromAxisAngle(angle > 1e-9 ? axis.divideScalar(angle) : axis.set(0, 1, 0), angle);
 }
 
+// The rotation vector [rad], in three numbers of target from first on, of a unit quaternion.
+export function writeRotationVector({ x, y, z, w }, target, first) {
+  const sine = Math.hypot(x, y, z);
+  const angle = 2 * Math.atan2(sine, Math.abs(w)) * Math.sign(w || 1); // the shorter way round
+  const scale = sine > 1e-12 ? angle / sine : 2;
+  target[first] = scale * x;
+  target[first + 1] = scale * y;
+  target[first + 2] = scale * z;
+}
+
 // The turn of each joint in the world, from its T-pose on.
 export function jointTurns(pose) {
   const turns = [];

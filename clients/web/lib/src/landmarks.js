@@ -1,16 +1,11 @@
 // Poses of SMPL from key points of a person, one sample after the other. What each step is for, and what points cannot
 // tell, stands in drape/motion/landmarks.py, which this is measured against.
-import { PARENTS } from "./humanoid.js";
+import { JOINT_NAMES, PARENTS } from "./humanoid.js";
 import { KeyPoints, checkLayout, checkedPoints, refuse } from "./key_points.js";
 import { OneEuro } from "./one_euro.js";
 import { ONE, across, cross, dot, leastTurn, length, less, ofVector, product, times, toVector, transposed, turned } from "./turns.js";
 
-const NAMES = [
-  "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
-  "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder", "left_elbow",
-  "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
-];
-const JOINT = Object.fromEntries(NAMES.map((name, joint) => [name, joint]));
+const JOINT = Object.fromEntries(JOINT_NAMES.map((name, joint) => [name, joint]));
 
 const RADIANS = Math.PI / 180;
 const TWIST_BENDS = [5 * RADIANS, 15 * RADIANS];
@@ -69,12 +64,12 @@ export class LandmarkPoses {
     checkLayout(layout);
     this.layout = layout;
     this.joints = rest;
-    const points = new KeyPoints(Object.fromEntries(NAMES.map((name, at) => [name, { place: Array.from(rest[at]), seen: true }])), "rest");
+    const points = new KeyPoints(Object.fromEntries(JOINT_NAMES.map((name, at) => [name, { place: Array.from(rest[at]), seen: true }])), "rest");
     const [pelvis, chest] = trunkFrames(points);
     const upper = LIMBS.map((limb) => points.line(limb.upper, limb.lower));
     this.rest = { pelvis, chest, upper, lower: LIMBS.map((limb) => points.line(limb.lower, limb.end)) };
-    this.local = NAMES.map(() => ONE);
-    this.world = NAMES.map(() => ONE);
+    this.local = JOINT_NAMES.map(() => ONE);
+    this.world = JOINT_NAMES.map(() => ONE);
     this.twists = LIMBS.map(() => 0);
     this.tilt = 0;
     this.looked = [];

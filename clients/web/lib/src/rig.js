@@ -5,16 +5,7 @@
 // D_parent^-1 D_bone with D = W now W_rest^-1 of world rotations W, which also holds across bones between two joints.
 import { Quaternion, Vector3 } from "three";
 import { HIPS, LEG, PARENTS, PELVIS, bonesOf } from "./humanoid.js";
-
-// The rotation vector [rad], in three numbers of target from first on, of a unit quaternion.
-function writeRotationVector({ x, y, z, w }, target, first) {
-  const sine = Math.hypot(x, y, z);
-  const angle = 2 * Math.atan2(sine, Math.abs(w)) * Math.sign(w || 1); // the shorter way round
-  const scale = sine > 1e-12 ? angle / sine : 2;
-  target[first] = scale * x;
-  target[first + 1] = scale * y;
-  target[first + 2] = scale * z;
-}
+import { writeRotationVector } from "./kinematics.js";
 
 function topOf(node) {
   let top = node;
