@@ -2,18 +2,23 @@
 
 Layers are draped one by one, and the network knows no other layer. A dress stands out through the shirt that is worn
 over it, and loose trousers crumple the T-shirt that rests on them. In life the outer garment presses the inner one to
-the skin. So the outer garment's drape is a *ceiling*: over each sample of the skin the lowest of its vertices that lies
-there. A sample beside it counts as covered where most of its neighbours are.
+the skin. So the outer garment is a *ceiling*: for each sample of the skin the tangent plane of the outer cloth at the
+lowest of its vertices that lies over the sample. A sample beside it counts as covered where most of its neighbours are,
+and gets the mean of their planes.
 
-Before its folds the inner drape goes below the ceiling. Each vertex d too high comes down by d along the normal of its
-own sample, to ``GAP_M`` below the ceiling, though no nearer than ``LEAST_M`` to what lies below it. The cloth around it
-comes along: way D spreads over the triangles, of two neighbours at distance l
+What is above the ceiling comes down along the planes' normals, to ``GAP_M`` below the lowest of those of its own sample
+and of the samples around, though no nearer than ``LEAST_M`` to what lies below it. The planes of a shirt between two
+legs agree where the normals of the legs' skin point at each other. The cloth around comes along: way D spreads over the
+triangles, of two neighbours at distance l
 
     D_v = (1 - l / FADE_M) D_u   where that is longer than D_v,
 
-and is evened out. A step at the hem of the outer garment would crumple what shows below it. Folds grow on the drape
-that was pressed. What they raise above the ceiling again is pressed at the end, covered vertices alone, and the memory
-of folds keeps it as it was.
+and is evened out, since a step at the hem of the outer garment would show below it. Evened, it stays above the skin
+as well. What is above the ceiling still then comes down alone.
+
+Folds are of the drape as the network has it, and what is pressed are the folded vertices, while the memory of folds
+keeps them as they were: cloth that is pressed before it folds is too long for its place and crumples below the hem. The
+outer garment's drape without folds presses before that garment folds on what is left, and its folds press once more.
 """
 
 from __future__ import annotations
@@ -21,10 +26,11 @@ from __future__ import annotations
 import numpy as np
 
 from drape.kernels.compiled import kernel
-from drape.kernels.elements import add, at, dot, sub
+from drape.kernels.elements import add, at, dot, scaled, sub
 from drape.live.fold_constants import FoldConstants
 from drape.live.sheet import LANES
 from drape.live.skin_contact import NEIGHBOURS, TouchedSamples, follow
+from drape.live.surface_frames import FRAMES, surface_frames
 
 GAP_M = 0.003  # contact's gap: the ground then leaves the outer garment where its own drape is
 LEAST_M = 0.0025
@@ -32,98 +38,133 @@ HIGHEST_M = 0.12  # an outer garment farther out covers nothing
 MOST = 5  # neighbours that are covered and make a sample covered
 FILLS = 2  # times samples are filled so
 FADE_M = 0.1
-SHALLOW_M = 0.002  # a drape that is less too high is left to the end
 EVENED = 4  # times that the way is averaged with that of the neighbours
 LEAST_WAY_M = 1e-3  # by which a way must grow, or the line gets long
+ASLANT = 0.05  # cosine between plane and skin below which the skin bounds no way along the plane's normal
 
 
-def ceiling_over(drape: np.ndarray, outer: FoldConstants, skin: np.ndarray) -> np.ndarray:
-    """How high [m] (S,) over each sample of ``skin`` (S, 8) the garment ``outer`` lies, infinite where it does not.
+def ceiling_over(vertices: np.ndarray, outer: FoldConstants, skin: np.ndarray) -> np.ndarray:
+    """The ceiling (S, 5) that the garment ``outer`` with ``vertices`` [m] (V, 3) is over the samples ``skin`` (S, 8).
 
-    ``drape`` [m] (V, 3) is its motion without folds.
+    A row has the height [m] over the sample, infinite where nothing covers it, the unit normal n of a plane and its
+    offset d [m]: n . x - d is how far x is above it.
     """
-    x, samples, own = _on_samples(drape, outer, skin)
-    ceiling = np.full(len(samples), np.inf, x.dtype)
-    _lower(x, own, samples, outer.graph, ceiling)
+    dtype = outer.sheet.own.dtype
+    x, samples = np.take(vertices, outer.sheet.vertex, axis=0).astype(dtype), np.ascontiguousarray(skin, dtype)
+    own = outer.index.copy()
+    follow(x, samples, outer.graph, TouchedSamples(own, own))
+    ceiling = np.zeros((len(samples), 5), dtype)
+    ceiling[:, 0] = np.inf
+    _lower(x, outer.sheet, own, samples, outer.graph, ceiling)
     return ceiling
 
 
-def pressed(drape: np.ndarray, inner: FoldConstants, ground: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
-    """The ``drape`` [m] (V, 3) of the garment ``inner`` below the ``ceiling`` [m] (S,) over ``ground`` (S, 8), with the
-    cloth around it; itself where nothing is more than ``SHALLOW_M`` too high."""
-    x, samples, own = _on_samples(drape, inner, ground)
-    down = np.zeros_like(x)
-    if not _too_high(x, own, samples, inner.graph, ceiling.astype(x.dtype), down) > SHALLOW_M:
-        return drape
-    _spread(x, inner.sheet, down)
-    return np.asarray(drape + np.take(down, inner.sheet.place, axis=0), drape.dtype)
+def lower(ceiling: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The lower of two ceilings (..., S, 5), sample by sample."""
+    return np.where(other[..., :1] < ceiling[..., :1], other, ceiling)
 
 
-def held_below(
+def pressed(
     vertices: np.ndarray, inner: FoldConstants, own: np.ndarray, ground: np.ndarray, ceiling: np.ndarray
 ) -> np.ndarray:
-    """The folded ``vertices`` [m] (V, 3) of ``inner``, those above the ``ceiling`` alone brought down; ``own`` (P,) is
-    the sample that each place is at."""
+    """The ``vertices`` [m] (V, 3) of the garment ``inner`` below the ``ceiling`` (S, 5) over ``ground`` (S, 8), with
+    the cloth around; themselves where nothing is too high. ``own`` (P,) is the sample that each place is at."""
     dtype = inner.sheet.own.dtype
-    x, down = np.take(vertices, inner.sheet.vertex, axis=0).astype(dtype), np.zeros((len(own), 3), dtype)
-    _too_high(x, own, np.ascontiguousarray(ground, dtype), inner.graph, ceiling.astype(dtype), down)
-    return np.asarray(vertices + np.take(down, inner.sheet.place, axis=0), vertices.dtype)
-
-
-def _on_samples(drape: np.ndarray, made: FoldConstants, skin: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The places (P, 3) of a garment's ``drape``, the samples, and which of them each place is at (P,)."""
-    dtype = made.sheet.own.dtype
-    x, samples = np.take(drape, made.sheet.vertex, axis=0).astype(dtype), np.ascontiguousarray(skin, dtype)
-    own = made.index.copy()
-    follow(x, samples, made.graph, TouchedSamples(own, own))
-    return x, samples, own
+    x, samples = np.take(vertices, inner.sheet.vertex, axis=0).astype(dtype), np.ascontiguousarray(ground, dtype)
+    down, ceiling = np.zeros_like(x), ceiling.astype(dtype)
+    if not _too_high(x, own, samples, inner.graph, ceiling, down):
+        return vertices
+    _spread(x, inner.sheet, down)
+    _above_skin(x, own, samples, down)
+    x += down
+    down[:] = 0.0
+    _too_high(x, own, samples, inner.graph, ceiling, down)
+    return np.asarray(np.take(x + down, inner.sheet.place, axis=0), vertices.dtype)
 
 
 @kernel
-def _lower(x, own, skin, graph, ceiling):
-    """Lowers ``ceiling`` (S,) to the places ``x`` that lie over the samples."""
-    highest = x.dtype.type(HIGHEST_M)
+def _lower(x, sheet, own, skin, graph, ceiling):
+    """Lowers the ``ceiling`` (S, 5) to the places ``x`` that lie over the samples."""
+    kind = x.dtype.type
+    highest = kind(HIGHEST_M)
+    frames = np.empty(FRAMES // LANES * len(x), x.dtype)
+    surface_frames(x, sheet, frames)
     for v in range(len(x)):
+        row = FRAMES * (v // LANES) + v % LANES
+        lies = (frames[row], frames[row + LANES], frames[row + 2 * LANES])
         for n in range(-1, NEIGHBOURS):
             s = own[v] if n < 0 else graph.neighbour[own[v], n]
-            way = sub(at(x, v), at(skin, s))
-            up = dot(way, (skin[s, 4], skin[s, 5], skin[s, 6]))
-            if up < min(ceiling[s], highest) and dot(way, way) - up * up < graph.reach_m2[s]:
-                ceiling[s] = up
+            up, aside = _over(at(x, v), s, skin)
+            faces_out = dot(lies, (skin[s, 4], skin[s, 5], skin[s, 6])) > 0  # of a trunk's cloth not over an arm's skin
+            if faces_out and up < min(ceiling[s, 0], highest) and (n < 0 or aside < graph.reach_m2[s]):
+                ceiling[s, 0], ceiling[s, 4] = up, dot(lies, at(x, v))
+                for i in range(3):
+                    ceiling[s, 1 + i] = lies[i]
+    total = np.empty(5, x.dtype)
     for _ in range(FILLS):
         before = ceiling.copy()
         for s in range(len(ceiling)):
-            total, covered = x.dtype.type(0), 0
+            if before[s, 0] < np.inf:
+                continue
+            total[:], covered = 0, 0
             for n in range(NEIGHBOURS):
-                height = before[graph.neighbour[s, n]]
-                if height < np.inf:
-                    total, covered = total + height, covered + 1
-            if before[s] == np.inf and covered >= MOST:
-                ceiling[s] = total / x.dtype.type(covered)
+                other = graph.neighbour[s, n]
+                if before[other, 0] < np.inf:
+                    total, covered = total + before[other], covered + 1
+            normal = (total[1], total[2], total[3])
+            length = np.sqrt(dot(normal, normal))
+            if covered >= MOST and length > 0:
+                ceiling[s, 0] = total[0] / kind(covered)
+                ceiling[s, 1:] = total[1:] / length
+
+
+@kernel
+def _over(point, s, skin):
+    """How high [m] ``point`` is over sample ``s``, and how far from its normal [m^2]."""
+    way = sub(point, at(skin, s))
+    up = dot(way, (skin[s, 4], skin[s, 5], skin[s, 6]))
+    return up, dot(way, way) - up * up
 
 
 @kernel
 def _too_high(x, own, skin, graph, ceiling, down):
-    """Writes the way [m] (P, 3) of what is above the ceiling of any sample that it lies over to ``down``; the longest
-    [m]."""
+    """Writes the way [m] (P, 3) of what is above the planes of the samples that it lies over to ``down``; whether any
+    is."""
     kind = x.dtype.type
-    deepest = kind(0)
+    found = False
     for v in range(len(x)):
-        most = kind(0)
+        most, normal = kind(0), (kind(0), kind(0), kind(0))
         for n in range(-1, NEIGHBOURS):
             s = own[v] if n < 0 else graph.neighbour[own[v], n]
-            if ceiling[s] == np.inf:
+            up, aside = _over(at(x, v), s, skin)
+            if ceiling[s, 0] == np.inf or (n >= 0 and not aside < graph.reach_m2[s]):
                 continue
-            way = sub(at(x, v), at(skin, s))
-            up = dot(way, (skin[s, 4], skin[s, 5], skin[s, 6]))
-            high = up - max(ceiling[s] - kind(GAP_M), kind(LEAST_M))
-            if high > most and dot(way, way) - up * up < graph.reach_m2[s]:
-                most = high
-        if most > 0:
-            deepest = max(deepest, most)
+            plane = (ceiling[s, 1], ceiling[s, 2], ceiling[s, 3])
+            high = dot(plane, at(x, v)) - ceiling[s, 4] + kind(GAP_M)
+            along = dot(plane, (skin[s, 4], skin[s, 5], skin[s, 6]))
+            if along > kind(ASLANT):
+                high = min(high, (up - kind(LEAST_M)) / along)
+            most, normal = max(most, high), add(normal, plane)
+        length = np.sqrt(dot(normal, normal))
+        if most > 0 and length > 0:
+            found = True
             for i in range(3):
-                down[v, i] = -most * skin[own[v], 4 + i]
-    return deepest
+                down[v, i] = -most * normal[i] / length
+    return found
+
+
+@kernel
+def _above_skin(x, own, skin, down):
+    """Shortens each way in ``down`` [m] (P, 3) that would end nearer than ``LEAST_M`` to the skin, in place."""
+    kind = x.dtype.type
+    for v in range(len(x)):
+        up, _ = _over(at(x, v), own[v], skin)
+        deep = -dot(at(down, v), (skin[own[v], 4], skin[own[v], 5], skin[own[v], 6]))
+        room = max(up - kind(LEAST_M), kind(0))
+        if deep > room:
+            short = scaled(room / deep, at(down, v))
+            for i in range(3):
+                down[v, i] = short[i]
 
 
 @kernel

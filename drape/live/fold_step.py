@@ -25,7 +25,7 @@ from drape.contact.projection import CLEARANCE_M, MOVED_M
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import at, dot, farthest_m, scaled, sub
 from drape.kernels.lanes import points_in, put_points
-from drape.live.ceiling import ceiling_over, held_below, pressed
+from drape.live.ceiling import ceiling_over, pressed
 from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between
 from drape.live.colliders import leave, put_planes
 from drape.live.fold_constants import FoldConstants, WornCloth
@@ -354,7 +354,5 @@ def warm_up() -> None:
     skin = np.zeros((1, 8))
     x, memory, _ = fold(small, None, Frame(square, skin, 0.0), FoldEffort(steps=1))
     heights_over(x, small.sheet, memory.touched.own, skin, small.graph)
-    over = square + np.array([0.0, 0.0, 0.05])
     skin[:, 6] = 1.0
-    ceiling = np.minimum(ceiling_over(over, small, skin), 0.0)
-    held_below(pressed(over, small, skin, ceiling), small, memory.touched.own, skin, ceiling)
+    pressed(square, small, memory.touched.own, skin, ceiling_over(square, small, skin))

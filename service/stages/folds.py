@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
 from drape.geometry.colliders import seen_from
-from drape.live.ceiling import ceiling_over, held_below, pressed
+from drape.live.ceiling import ceiling_over, lower, pressed
 from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, fold_constants
 from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold, warm_up
@@ -121,25 +120,29 @@ class Folds(Stage):
         if plan.carried:
             effort = safe = replace(effort, steps=0)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty]
-        layers, read, told = list(batch.layers), _read(plan), _Told.of(batch)
+        layers, told, lain = list(batch.layers), _Told.of(batch), []
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
-        lain = np.zeros(ground.shape[:2], ground.dtype)
         ceilings = self._ceilings(batch, ground) if effort.cloth_contact else [None] * len(layers)
-        shown = 1 + max(i for i, seen in enumerate(plan.visible) if seen)  # what lies over these presses as it is
-        each = zip(plan.draped_keys, plan.keys, plan.fabrics, strict=True)
-        for i, (key, sent, fabric) in enumerate(islice(each, shown)):
+        for i, (key, fabric, ceiling) in enumerate(zip(plan.draped_keys, plan.fabrics, ceilings, strict=True)):
             memories = batch.remembered((self.name, key))
-            made, ceiling = self._of(key, fabric), ceilings[i]
-            below = None if ceiling is None else ceiling - lain
-            layers[i], memories, reports, height = self._folded(batch, i, made, efforts, memories, ground, below)
-            told.add(reports, len(made.sheet.place), seen=plan.visible[i])
-            if height is not None:
-                ground, lain = raised(ground, height), lain + height
+            layers[i], own, memories, reports = self._folded(batch, i, self._of(key, fabric), efforts, memories, ground)
+            told.add(reports, own.shape[1], seen=plan.visible[i])
+            lain.append(_Lain(self._of(key, fabric), own, ground))
             batch = batch.remember((self.name, key), memories)
-            if sent != key and read[i]:
-                layers[i] = self._wrapped(layers[i], sent)
+            if ceiling is not None:
+                layers[i] = lain[i].below(layers[i], ceiling)
+                ground = raised(ground, lain[i].heights(layers[i]))
             yield replace(batch, layers=tuple(layers), quality=told.quality(batch.quality))
+        folded = replace(batch, layers=tuple(layers))
+        if effort.cloth_contact:
+            for i, ceiling in enumerate(self._ceilings(folded, lain[0].ground)):
+                layers[i] = layers[i] if ceiling is None else lain[i].below(layers[i], ceiling)
+        each = zip(plan.draped_keys, plan.keys, _read(plan), strict=True)
+        for i, (key, sent, read) in enumerate(each):
+            if sent != key and read:
+                layers[i] = self._wrapped(layers[i], sent)
+        yield replace(batch, layers=tuple(layers), quality=told.quality(batch.quality))
 
     def _folded(
         self,
@@ -149,39 +152,31 @@ class Folds(Stage):
         efforts: Sequence[FoldEffort],
         memories: Sequence[FoldMemory | None],
         ground: np.ndarray,
-        ceiling: np.ndarray | None,
-    ) -> tuple[Layer, list[FoldMemory | None], list[FoldReport], np.ndarray | None]:
-        """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the memories of the inputs after
-        it, and a report of each frame; below a ``ceiling`` [m] (F, S), also how high [m] (F, S) it lies."""
+    ) -> tuple[Layer, np.ndarray, list[FoldMemory | None], list[FoldReport]]:
+        """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the samples that its places are
+        at (F, P), the memories of the inputs after it, and a report of each frame."""
         drape = batch.layers[i].vertices
         assert drape is not None
-        vertices, reports, after = np.empty_like(drape), [], []
-        height = None if ceiling is None else np.empty(ground.shape[:2], ground.dtype)
+        vertices, own, reports, after = np.empty_like(drape), [], [], []
         for (one, rows), memory in zip(batch.rows(), memories, strict=True):
             for number, row in enumerate(range(rows.start, rows.stop)):
-                solid, below = seen_from(batch.plan.colliders, batch.root[row]), drape[row]
-                if ceiling is not None:
-                    below = pressed(below, made, ground[row], ceiling[row])
-                frame = Frame(below, ground[row], float(one.times_s[number]), solid)
+                solid = seen_from(batch.plan.colliders, batch.root[row])
+                frame = Frame(drape[row], ground[row], float(one.times_s[number]), solid)
                 vertices[row], memory, report = fold(made, memory, frame, efforts[row])
+                own.append(memory.touched.own)
                 reports.append(report)
-                if ceiling is not None and height is not None:
-                    own = memory.touched.own
-                    vertices[row] = held_below(vertices[row], made, own, ground[row], ceiling[row])
-                    height[row] = heights_over(vertices[row], made.sheet, own, ground[row], made.graph)
             after.append(memory)
-        return replace(batch.layers[i], vertices=vertices), after, reports, height
+        return replace(batch.layers[i], vertices=vertices), np.stack(own), after, reports
 
     def _ceilings(self, batch: Batch, skin: np.ndarray) -> list[np.ndarray | None]:
-        """How high [m] (F, S) over ``skin`` (F, S, 8) each layer may lie below the outer ones; None: as it will."""
+        """The ceiling (F, S, 5) over ``skin`` (F, S, 8) that is over each layer; None where no layer is."""
         made: list[np.ndarray | None] = [None]
         parts = zip(batch.layers, batch.plan.draped_keys, batch.plan.fabrics, strict=True)
         for layer, key, fabric in list(parts)[:0:-1]:
             assert layer.vertices is not None
             outer = self._of(key, fabric)
-            each = [ceiling_over(drape, outer, one) for drape, one in zip(layer.vertices, skin, strict=True)]
-            over = np.array(each, skin.dtype).reshape(skin.shape[:2])
-            made.append(over if made[-1] is None else np.minimum(over, made[-1]))
+            over = np.stack([ceiling_over(one, outer, below) for one, below in zip(layer.vertices, skin, strict=True)])
+            made.append(over if made[-1] is None else lower(over, made[-1]))
         return made[::-1]
 
     def _wrapped(self, layer: Layer, key: str) -> Layer:
@@ -220,6 +215,29 @@ def check_client_folds(plan: Plan) -> None:
 def _read(plan: Plan) -> list[bool]:
     """Whether the delivered mesh of each layer is read; only the push-out reads that of a hidden one."""
     return [seen or plan.projected for seen in plan.visible]
+
+
+@dataclass(frozen=True, eq=False)
+class _Lain:
+    """A garment as it lies in F frames: the samples ``own`` (F, P) that its places are at, of the ``ground``
+    (F, S, 8)."""
+
+    made: FoldConstants
+    own: np.ndarray
+    ground: np.ndarray
+
+    def below(self, layer: Layer, ceiling: np.ndarray) -> Layer:
+        """``layer`` pressed below the ``ceiling`` (F, S, 5)."""
+        assert layer.vertices is not None
+        each = zip(layer.vertices, self.own, self.ground, ceiling, strict=True)
+        return replace(layer, vertices=np.stack([pressed(one, self.made, *row) for one, *row in each]))
+
+    def heights(self, layer: Layer) -> np.ndarray:
+        """How high [m] (F, S) over the ground ``layer`` lies."""
+        assert layer.vertices is not None
+        sheet, graph = self.made.sheet, self.made.graph
+        each = zip(layer.vertices, self.own, self.ground, strict=True)
+        return np.stack([heights_over(one, sheet, own, ground, graph) for one, own, ground in each])
 
 
 @dataclass(eq=False)

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.contact.samples import Samples, sample_table
-from drape.live.ceiling import FADE_M, GAP_M, HIGHEST_M, LEAST_M, ceiling_over, held_below, pressed
+from drape.live.ceiling import FADE_M, GAP_M, HIGHEST_M, LEAST_M, ceiling_over, lower, pressed
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.skin_contact import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import grid
@@ -55,15 +55,36 @@ def over(height_m: float = 0.02) -> np.ndarray:
     return ceiling_over(OUTER[0] + (height_m - 0.02) * UP, worn(*OUTER), SKIN)
 
 
+def press(vertices: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
+    """The inner cloth, with ``vertices``, below the ``ceiling``."""
+    made = worn(*INNER)
+    own = nearest_at_rest(vertices, floor()[0])[made.sheet.vertex]
+    return pressed(vertices, made, own, SKIN, ceiling)
+
+
 def test_the_ceiling_is_the_lowest_of_the_outer_cloth_over_a_sample():
     ceiling, below = over(), SKIN[:, 2] < 0.5 * SIDE_M - 0.01
-    assert_allclose(ceiling[below], 0.02, atol=1e-9)
-    assert np.isinf(ceiling[SKIN[:, 2] > 0.5 * SIDE_M + 2.0 * SPACING_M]).all()
+    assert_allclose(ceiling[below], np.tile([0.02, *UP, 0.02], (below.sum(), 1)), atol=1e-9)
+    assert np.isinf(ceiling[SKIN[:, 2] > 0.5 * SIDE_M + 2.0 * SPACING_M, 0]).all()
     dented = OUTER[0].copy()
     dented[np.argmin(np.linalg.norm(dented[:, [0, 2]] - [0.1, 0.06], axis=1)), 1] = 0.011
     found = ceiling_over(dented, worn(*OUTER), SKIN)
-    assert found.min() == pytest.approx(0.011)
-    assert np.isinf(over(HIGHEST_M + 0.01)).all(), "what is farther out covers nothing"
+    assert found[:, 0].min() == pytest.approx(0.011)
+    assert np.isinf(over(HIGHEST_M + 0.01)[:, 0]).all(), "what is farther out covers nothing"
+
+
+def test_planes_of_the_ceiling_touch_the_outer_cloth():
+    slope = OUTER[0] + 0.3 * OUTER[0][:, :1] * UP
+    found = ceiling_over(slope, worn(*OUTER), SKIN)
+    found = found[np.isfinite(found[:, 0])]
+    assert_allclose(found[:, 1:4] @ slope.T - found[:, 4:], 0.0, atol=1e-9)
+
+
+def test_of_two_ceilings_the_lower_holds_sample_by_sample():
+    low, high = over(0.01), over(0.02)
+    assert_array_equal(lower(low, high), low)
+    half = np.where(np.arange(len(low))[:, None] % 2, low, np.inf)
+    assert_array_equal(lower(high, half), np.where(np.isfinite(half[:, :1]), half, high))
 
 
 def test_a_hole_among_covered_samples_is_filled():
@@ -72,16 +93,15 @@ def test_a_hole_among_covered_samples_is_filled():
     kept = faces[~middle[faces].any(axis=1)]
     holed, renumbered = vertices[~middle], np.cumsum(~middle) - 1
     found = ceiling_over(holed, worn(holed, renumbered[kept]), SKIN)
-    assert_allclose(found[SKIN[:, 2] < 0.5 * SIDE_M - 0.01], 0.02, atol=1e-9)
+    assert_allclose(found[SKIN[:, 2] < 0.5 * SIDE_M - 0.01, 0], 0.02, atol=1e-9)
 
 
 def test_covered_cloth_goes_below_the_ceiling_and_takes_the_cloth_around_along():
-    rest, faces = INNER
-    made = worn(rest, faces)
-    after = pressed(rest, made, SKIN, over())
+    rest = INNER[0]
+    after = press(rest, over())
     assert_allclose(after[:, [0, 2]], rest[:, [0, 2]], atol=1e-12)
-    deep = COVERED & (rest[:, 2] < 0.5 * SIDE_M - 5.0 * SPACING_M)
-    assert_allclose(after[deep, 1], 0.02 - GAP_M, atol=5e-4)
+    assert after[COVERED, 1].max() < 0.02 - GAP_M + 1e-9
+    assert_allclose(after[COVERED, 1], 0.02 - GAP_M, atol=5e-4)
     beyond = rest[:, 2] - OUTER[0][:, 2].max()
     free = (beyond > 0.02) & (beyond < FADE_M - 0.01)
     along = (rest[:, 1] - after[:, 1])[free]
@@ -93,29 +113,45 @@ def test_covered_cloth_goes_below_the_ceiling_and_takes_the_cloth_around_along()
     assert np.abs(np.diff(by_row)).max() < 0.003, "no step at the hem"
 
 
+def test_a_wrinkle_stays_where_cloth_is_taken_along():
+    beyond = INNER[0][:, 2] > OUTER[0][:, 2].max() + 0.03
+    crumpled = INNER[0].copy()
+    crumpled[np.flatnonzero(beyond)[::2], 1] += 0.002
+    after = press(crumpled, over())
+    assert np.abs(after - crumpled)[beyond, 1].max() > 0.005
+    assert_allclose((after - press(INNER[0], over()))[beyond], (crumpled - INNER[0])[beyond], atol=4e-4)
+
+
 def test_nothing_comes_nearer_to_what_lies_below_than_least():
-    after = pressed(INNER[0], worn(*INNER), SKIN, over(0.001))
-    assert after[:, 1].min() == pytest.approx(LEAST_M, abs=1e-9)
+    assert press(INNER[0], over(0.001))[:, 1].min() == pytest.approx(LEAST_M, abs=1e-9)
+
+
+def test_cloth_that_is_near_the_skin_is_not_taken_into_it():
+    low = INNER[0] - np.where(COVERED, 0.0, 0.03 - 0.5 * LEAST_M)[:, None] * UP
+    after = press(low, over())
+    assert_array_equal(after[~COVERED], low[~COVERED])
+
+
+def test_skin_that_is_aslant_below_the_planes_bounds_no_way():
+    leaning = SKIN.copy()
+    leaning[:, 4:7] = [1.0, 0.0, 0.0]
+    made = worn(*INNER)
+    own = nearest_at_rest(INNER[0], floor()[0])[made.sheet.vertex]
+    after = pressed(INNER[0], made, own, leaning, over())
+    assert_allclose(after[COVERED, 1], 0.02 - GAP_M, atol=2e-3)
 
 
 def test_cloth_that_is_nowhere_too_high_is_not_touched():
-    made = worn(*INNER)
-    assert pressed(INNER[0], made, SKIN, over(0.05)) is INNER[0]
-    assert pressed(INNER[0], made, SKIN, np.full(len(SKIN), np.inf)) is INNER[0]
-
-
-def test_folds_above_the_ceiling_are_held_below_it_and_nothing_else_moves():
-    rest, faces = INNER
-    made = worn(rest, faces)
-    own = nearest_at_rest(rest, floor()[0])[made.sheet.vertex]
-    after = held_below(rest, made, own, SKIN, over())
-    assert_allclose(after[COVERED, 1], 0.02 - GAP_M, atol=1e-9)
-    uncovered = rest[:, 2] > OUTER[0][:, 2].max() + 3.0 * SPACING_M
-    assert_array_equal(after[uncovered], rest[uncovered])
+    assert press(INNER[0], over(0.05)) is INNER[0]
+    nothing = over()
+    nothing[:, 0] = np.inf
+    assert press(INNER[0], nothing) is INNER[0]
 
 
 def test_numbers_that_are_none_press_nothing():
     broken = INNER[0].copy()
     broken[7] = np.nan
-    after = pressed(broken, worn(*INNER), SKIN, over(0.05))
+    made = worn(*INNER)
+    own = nearest_at_rest(INNER[0], floor()[0])[made.sheet.vertex]
+    after = pressed(broken, made, own, SKIN, over(0.05))
     assert np.isfinite(np.delete(after, 7, axis=0)).all()
