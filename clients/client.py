@@ -152,6 +152,7 @@ class DrapeClient:
     drape_frames = _waiting_in_parts(Methods.drape_frames)
     drape_jets = _waiting(Methods.drape_jets)
     drape_glb = _waiting(Methods.drape_glb)
+    body_mesh = _waiting(Methods.body_mesh)
     posed_body = _waiting(Methods.posed_body)
     posed_avatar = _waiting(Methods.posed_avatar)
 
@@ -222,6 +223,7 @@ class AsyncDrapeClient:
     drape_frames = _awaited_in_parts(Methods.drape_frames)
     drape_jets = _awaited(Methods.drape_jets)
     drape_glb = _awaited(Methods.drape_glb)
+    body_mesh = _awaited(Methods.body_mesh)
     posed_body = _awaited(Methods.posed_body)
     posed_avatar = _awaited(Methods.posed_avatar)
 

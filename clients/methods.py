@@ -283,6 +283,10 @@ class Methods:
             meshes.append(surface_of((yield self.mesh(name, options.get("resolution") or "delivered"))))
         return glb_of(call, meshes, vertices, roots)
 
+    def body_mesh(self, body: str) -> Call[dict[str, Any]]:
+        """The mesh of a body at rest: vertices [m] and faces."""
+        return fetched("bodies", body, "mesh")
+
     def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> Steps[np.ndarray]:

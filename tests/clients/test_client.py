@@ -62,6 +62,7 @@ def test_sync_and_async_say_the_same(live: str, body: BodyModel, tube: Garment):
         vertices = client.drape("tube", clip, betas=betas, push_out=False)
         again = client.drape("tube", poses, trans=trans, betas=betas, push_out=False)
         file = client.drape_glb("tube", clip, body=True)
+        assert_array_equal(client.body_mesh(body.name)["faces"], body.faces)
         posed = client.posed_body(body.name, clip)
         walk = client.motion("walk")
 
