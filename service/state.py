@@ -17,6 +17,7 @@ from service.guard.keys import Client
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
+    from service.compute.avatars import AvatarEntry
     from service.compute.drape_runtime import DrapeRuntime
     from service.compute.threads import SlicedThread
     from service.guard.access import Access
@@ -56,20 +57,24 @@ class State:
         """The garment, if ``client`` may know of it: see ``Registry.get`` and ``SharedFolder.found``."""
         return await self.shared_folder.found(lambda: self.runtime.garments.get(garment_id, client.name))
 
+    async def avatar(self, avatar_id: str, client: Client) -> AvatarEntry:
+        """The avatar, if ``client`` may know of it: see ``Avatars.get`` and ``SharedFolder.found``."""
+        return await self.shared_folder.found(lambda: self.runtime.avatars.get(avatar_id, client.name))
+
     async def scene(
         self, garment: str | None, garments: Sequence[str] | None, client: Client, *, avatar: str | None = None
     ) -> Scene:
         """The scene that is worn, cut for the ``avatar`` where there is one: see ``Registry.scene``,
         ``SharedFolder.found`` and ``Avatars.dress``."""
         registry, avatars = self.runtime.garments, self.runtime.avatars
-        worn_by = None if avatar is None else avatars.get(avatar, client.name).id
+        worn_by = None if avatar is None else (await self.avatar(avatar, client)).id
         scene = await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
         return scene if worn_by is None else await asyncio.to_thread(avatars.dress, worn_by, scene)
 
     async def wearer(self, avatar: str, client: Client) -> Wearer:
         """The wearer of an avatar that ``client`` may know of; read from the disk where it wears nothing yet."""
-        avatars = self.runtime.avatars
-        return await asyncio.to_thread(avatars.wearer, avatars.get(avatar, client.name).id)
+        entry = await self.avatar(avatar, client)
+        return await asyncio.to_thread(self.runtime.avatars.wearer, entry.id)
 
     def watch(self) -> None:
         """Lets the metrics and the readiness look at what runs."""

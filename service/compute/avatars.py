@@ -55,8 +55,20 @@ class Avatars:
         self._entries: dict[str, AvatarEntry] = {}
         self._worn: OrderedDict[str, _Dressed] = OrderedDict()
         self._one = threading.Lock()
-        for path in sorted(self._root.glob("**/*.json"), key=lambda one: one.stat().st_mtime_ns):
-            self._read(path)
+        self._seen: dict[Path, int] = {}  # when each file that tells of an avatar was written [ns]
+        self.follow()
+
+    def follow(self) -> None:
+        """Takes over what the folder has: at the start all, later what other services added, corrected or removed."""
+        there = garment_files.told(self._root)
+        for about, written_ns in there.items():
+            if self._seen.get(about) != written_ns:
+                self._read(about)
+        for entry in [one for one in self._entries.values() if one.path.with_suffix(".json") not in there]:
+            if not entry.path.exists():  # else it came after the look
+                self._entries.pop(entry.id, None)
+                self._undress(entry.id)
+        self._seen = there
 
     def _read(self, about: Path) -> None:
         """Puts the avatar that ``about`` tells of in service; a file that was removed meanwhile is passed over."""
@@ -67,8 +79,9 @@ class Avatars:
             )
         except (OSError, ValueError, KeyError, TypeError):
             return
-        if entry.path.is_file():
+        if entry.path.is_file() and entry != self._entries.get(entry.id):
             self._entries[entry.id] = entry
+            self._undress(entry.id)
 
     @property
     def worn(self) -> tuple[BodyStages, ...]:
@@ -77,7 +90,7 @@ class Avatars:
 
     def visible(self, viewer: str | None) -> list[AvatarEntry]:
         """Those that the key ``viewer`` may know of."""
-        return [entry for entry in self._entries.values() if entry.seen_by(viewer)]
+        return [entry for entry in list(self._entries.values()) if entry.seen_by(viewer)]
 
     def get(self, name: str, viewer: str | None = None) -> AvatarEntry:
         """The avatar ``name``; refuses an unknown one, and one that ``viewer`` may not know of."""

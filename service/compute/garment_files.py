@@ -45,6 +45,12 @@ def stored(root: Path) -> dict[Path, tuple[int, int]]:
     return {path: (written_ns, about_ns) for written_ns, _, path, about_ns in sorted(found)}
 
 
+def told(root: Path) -> dict[Path, int]:
+    """Every file under ``root`` that tells of an avatar, with the time [ns] at which it was written; oldest first."""
+    written = ((path, _written_ns(path)) for path in (*root.glob("*.json"), *root.glob(f"{OWNED}*/*.json")))
+    return dict(sorted((one for one in written if one[1]), key=lambda one: one[1]))
+
+
 def _written_ns(path: Path) -> int:
     try:
         return path.stat().st_mtime_ns

@@ -73,7 +73,7 @@ async def avatars(state: StateHere, client: ClientHere) -> list[schemas.AvatarIn
 @router.get("/avatars/{avatar_id}", responses=responses(NotFound))
 async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> schemas.AvatarInfo:
     """One avatar: which of its nodes is which joint, and how well our body fits it."""
-    return _info(state.runtime.avatars.get(avatar_id, client.name))
+    return _info(await state.avatar(avatar_id, client))
 
 
 @router.patch(
@@ -86,7 +86,7 @@ async def change_avatar(
     avatar_id: str, request: Request, response: Response, state: StateHere, client: ClientHere
 ) -> schemas.JobInfo:
     """Corrects which nodes are which joints; the avatar is made anew from its file. Poll the job."""
-    entry = state.runtime.avatars.get(avatar_id, client.name)
+    entry = await state.avatar(avatar_id, client)
     asked = validated(AvatarChange, document_of(await json_text(request)))
     told = json.dumps({**entry.told["joints"], **asked.joints})
     pieces = _pieces(entry.source)
@@ -98,7 +98,7 @@ async def change_avatar(
 @router.delete("/avatars/{avatar_id}", status_code=204, responses=responses(NotFound))
 async def delete_avatar(avatar_id: str, state: StateHere, client: ClientHere) -> None:
     """Removes an avatar from the service and its disk; streams that show it go on until they end."""
-    entry = state.runtime.avatars.get(avatar_id, client.name)
+    entry = await state.avatar(avatar_id, client)
     await asyncio.shield(asyncio.to_thread(state.runtime.avatars.remove, entry))
 
 
@@ -124,7 +124,7 @@ async def avatar_preview(
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
     """A picture of the character in T-pose, from the front and a little from the side."""
-    entry = state.runtime.avatars.get(avatar_id, client.name)
+    entry = await state.avatar(avatar_id, client)
 
     async def made() -> bytes:
         wearer = await state.wearer(avatar_id, client)

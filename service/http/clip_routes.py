@@ -92,7 +92,7 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
     placed = await _of_array(draped.vertices, draped.placed, asked.origin)
     if kind == GLB and asked.rig and asked.avatar is not None:
         wearer = await state.wearer(asked.avatar, job.client)
-        source = state.runtime.avatars.get(asked.avatar, job.client.name).source
+        source = (await state.avatar(asked.avatar, job.client)).source
         file = await asyncio.to_thread(on_rig_file, scene, placed, job, wearer, source)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind == GLB:
@@ -138,7 +138,7 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
 )
 async def posed_avatar(avatar_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
     """The vertices of a character's own surface in poses of ours, as garments on it are draped."""
-    state.runtime.avatars.get(avatar_id, client.name)
+    await state.avatar(avatar_id, client)
     state.check_slot()
     told = schemas.PosedRequest, schemas.PosedOptions
     asked, clip, _, _ = await _clip(*told, request, state, client, avatar=avatar_id)

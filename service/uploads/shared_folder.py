@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from service.stream.workers import Streams
     from service.uploads.jobs import Uploads
 
-LEAST_S = 0.25  # between two looks, however many ask for garments that nobody knows
+LEAST_S = 0.25  # between two looks, however many ask for what nobody knows
 
 Found = TypeVar("Found")
 log = logging.getLogger("drape.service")
 
 
 class SharedFolder:
-    """Looks into the folder every ``DRAPE_GARMENTS_LOOK_S``, and where a garment is asked for that this service does
-    not know; 0 never, as for a service that has its folder alone."""
+    """Looks into the folder every ``DRAPE_GARMENTS_LOOK_S``, and where a garment or an avatar is asked for that this
+    service does not know; 0 never, as for a service that has its folder alone."""
 
     def __init__(self, runtime: DrapeRuntime, streams: Streams, uploads: Uploads) -> None:
         self._runtime, self._streams, self._uploads = runtime, streams, uploads
@@ -54,7 +54,7 @@ class SharedFolder:
         return self._task is None or not self._task.done()
 
     async def found(self, asked: Callable[[], Found]) -> Found:
-        """``asked()``; where that refuses a garment as unknown, again after a look."""
+        """``asked()``; where that refuses a garment or an avatar as unknown, again after a look."""
         try:
             return asked()
         except NotFound:
@@ -82,6 +82,7 @@ class SharedFolder:
             for path, written in there.items():
                 if before.get(path) != written:
                     await self._read_change(path, entries.get(path), written[0] != before.get(path, (0, 0))[0])
+            await asyncio.to_thread(self._runtime.avatars.follow)
 
     async def _read_change(self, path: Path, entry: Entry | None, fresh: bool) -> None:
         """Lets the registry read ``path``, or, of a cache that is not ``fresh``, what is said of it."""

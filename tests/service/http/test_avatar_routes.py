@@ -298,6 +298,29 @@ def test_two_of_one_name_have_two_ids_and_one_of_a_key_is_its_own(
     assert not avatars.visible("alice") and not [path for path in own.path.parent.iterdir() if path.is_file()]
 
 
+def test_what_is_done_with_avatars_in_one_service_the_other_takes_over(
+    make_runtime: Callable[..., DrapeRuntime], wearers: list[Wearer], tmp_path: Path
+):
+    runtime = make_runtime()
+    here = runtime.avatars
+    there = in_service.Avatars(runtime.body, runtime.settings, runtime._stages_on)
+    entry = add(here, wearers[0], tmp_path, "alice")
+    assert not there.visible("alice")
+    there.follow()
+    assert there.get(entry.id, "alice") == entry
+    tube = runtime.garments.get("tube")
+    before = there.dress(entry.id, tube)
+    there.follow()
+    assert there.dress(entry.id, tube) is before, "nothing changed"
+    here.replaced(entry, save_wearer(replace(wearers[0], median_mm=3.0), tmp_path))
+    there.follow()
+    assert there.get(entry.id, "alice").told["fit"]["median_mm"] == 3.0 and there.wearer(entry.id).median_mm == 3.0
+    assert not there.worn or there.dress(entry.id, tube) is not before
+    there.remove(there.get(entry.id, "alice"))
+    here.follow()
+    assert not here.visible("alice") and not here.worn
+
+
 def test_few_avatars_are_kept_dressed(
     make_runtime: Callable[..., DrapeRuntime], wearers: list[Wearer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -17,6 +17,7 @@ import pytest
 from fastapi import FastAPI
 from websockets.asyncio.client import connect
 
+from drape.avatar.wearer import read_wearer, save_wearer
 from drape.body.model import BodyModel
 from drape.errors import NotFound
 from drape.garment.cache import Garment, save_garment
@@ -26,6 +27,7 @@ from service.settings import Settings
 from service.uploads import accepted, job_records
 from service.uploads.accepted import CANCEL, Accepted, elsewhere, staging_folder, taken_over, touch
 from service.uploads.job_records import JobRecord
+from tests.fixtures.characters import character
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.meshes import garment_obj
 from tests.fixtures.serving import serve
@@ -105,6 +107,19 @@ def test_a_garment_is_known_at_once_where_somebody_asks_for_it(
         begun_s = time.monotonic()
         assert client.get("/garments/nothing").status_code == 404
         assert time.monotonic() - begun_s < 2.0
+
+
+def test_an_avatar_that_one_has_the_other_knows_at_once(
+    apps: tuple[FastAPI, FastAPI], pair: tuple[httpx.Client, ...], body: BodyModel, tmp_path: Path
+):
+    here, there = pair
+    made, source = save_wearer(read_wearer(character(body), name="guest", body=body), tmp_path), tmp_path / "guest.glb"
+    source.write_bytes(b"")
+    apps[0].state.drape.runtime.avatars.add(made, source, None)
+    drapes = [one.post("/drape", json={"garment": "tube", "avatar": "guest", "poses": REST}) for one in (there, here)]
+    assert drapes[0].status_code == 200 and drapes[0].content == drapes[1].content
+    assert there.delete("/avatars/guest").status_code == 204
+    until(lambda: here.get("/avatars/guest").status_code == 404)
 
 
 def test_what_is_changed_or_deleted_at_one_is_at_the_other(
