@@ -7,7 +7,7 @@ lowest of its vertices that lies over the sample. A sample beside it counts as c
 and gets the mean of their planes.
 
 What is above the ceiling comes down along the planes' normals, to ``GAP_M`` below the lowest of those of its own sample
-and of the samples around, though no nearer than that to what lies below it. The planes of a shirt between two
+and of the samples around, though no nearer than ``LEAST_M`` to what lies below it. The planes of a shirt between two
 legs agree where the normals of the legs' skin point at each other. The cloth around comes along: way D spreads over the
 triangles, of two neighbours at distance l
 
@@ -33,6 +33,7 @@ from drape.live.skin_contact import NEIGHBOURS, TouchedSamples, follow
 from drape.live.surface_frames import FRAMES, surface_frames
 
 GAP_M = 0.003  # contact's gap: the ground then leaves the outer garment where its own drape is
+LEAST_M = 0.0025
 HIGHEST_M = 0.12  # an outer garment farther out covers nothing
 MOST = 5  # neighbours that are covered and make a sample covered
 FILLS = 2  # times samples are filled so
@@ -143,7 +144,7 @@ def _too_high(x, own, skin, graph, ceiling, down):
             high = dot(plane, at(x, v)) - ceiling[s, 4] + kind(GAP_M)
             along = dot(plane, (skin[s, 4], skin[s, 5], skin[s, 6]))
             if along > kind(ASLANT):
-                high = min(high, (up - kind(GAP_M)) / along)
+                high = min(high, (up - kind(LEAST_M)) / along)
             most, normal = max(most, high), add(normal, plane)
         length = np.sqrt(dot(normal, normal))
         if most > 0 and length > 0:
@@ -155,7 +156,7 @@ def _too_high(x, own, skin, graph, ceiling, down):
 
 @kernel
 def _above_skin(x, own, skin, graph, down):
-    """Shortens the ways ``down`` [m] (P, 3) that would end nearer than ``GAP_M`` to the skin, in place. The skin is the
+    """Shortens the ways ``down`` [m] (P, 3) that would end nearer than ``LEAST_M`` to the skin, in place. The skin is the
     highest of the planes of the samples below: in a hollow, as at the neck, that of one is too low."""
     kind = x.dtype.type
     for v in range(len(x)):
@@ -166,7 +167,7 @@ def _above_skin(x, own, skin, graph, down):
             s = own[v] if n < 0 else graph.neighbour[own[v], n]
             up, aside = _over(at(x, v), s, skin)
             deep = -dot(at(down, v), (skin[s, 4], skin[s, 5], skin[s, 6]))
-            room = max(up - kind(GAP_M), kind(0))
+            room = max(up - kind(LEAST_M), kind(0))
             if deep * share > room and (n < 0 or aside < graph.reach_m2[s]):
                 share = room / deep
         if share < 1:

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.contact.samples import Samples, sample_table
-from drape.live.ceiling import FADE_M, GAP_M, HIGHEST_M, ceiling_over, lower, pressed
+from drape.live.ceiling import FADE_M, GAP_M, HIGHEST_M, LEAST_M, ceiling_over, lower, pressed
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.skin_contact import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import grid
@@ -122,8 +122,8 @@ def test_a_wrinkle_stays_where_cloth_is_taken_along():
     assert_allclose((after - press(INNER[0], over()))[beyond], (crumpled - INNER[0])[beyond], atol=4e-4)
 
 
-def test_nothing_comes_nearer_to_what_lies_below_than_the_gap():
-    assert press(INNER[0], over(0.001))[:, 1].min() == pytest.approx(GAP_M, abs=1e-9)
+def test_nothing_comes_nearer_to_what_lies_below_than_least():
+    assert press(INNER[0], over(0.001))[:, 1].min() == pytest.approx(LEAST_M, abs=1e-9)
 
 
 def test_cloth_over_a_hollow_stays_above_both_of_its_sides():
@@ -139,11 +139,11 @@ def test_cloth_over_a_hollow_stays_above_both_of_its_sides():
     own = nearest_at_rest(aside, floor()[0])[made.sheet.vertex]
     after = pressed(inner, made, own, hollow, ceiling_over(outer, worn(*OUTER), hollow))
     above = after[:, 1] - 0.4 * np.abs(after[:, 0] - 0.5 * SIDE_M)
-    assert above[COVERED].min() > 0.9 * GAP_M and above[COVERED].mean() < 0.02
+    assert above[COVERED].min() > 0.9 * LEAST_M and above[COVERED].mean() < 0.02
 
 
 def test_cloth_that_is_near_the_skin_is_not_taken_into_it():
-    low = INNER[0] - np.where(COVERED, 0.0, 0.03 - 0.5 * GAP_M)[:, None] * UP
+    low = INNER[0] - np.where(COVERED, 0.0, 0.03 - 0.5 * LEAST_M)[:, None] * UP
     after = press(low, over())
     assert_array_equal(after[~COVERED], low[~COVERED])
 
