@@ -156,7 +156,7 @@ def _too_high(x, own, skin, graph, ceiling, down):
 
 @kernel
 def _above_skin(x, own, skin, graph, down):
-    """Shortens the ways ``down`` [m] (P, 3) that would end nearer than ``LEAST_M`` to the skin, in place. The skin is the
+    """Shortens the ways ``down`` [m] (P, 3) that end nearer than ``LEAST_M`` to the skin, in place. The skin is the
     highest of the planes of the samples below: in a hollow, as at the neck, that of one is too low."""
     kind = x.dtype.type
     for v in range(len(x)):
