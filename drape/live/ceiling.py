@@ -79,7 +79,6 @@ def pressed(
     x += down
     down[:] = 0.0
     _too_high(x, own, samples, inner.graph, ceiling, down)
-    _above_skin(x, own, samples, inner.graph, down)
     return np.asarray(np.take(x + down, inner.sheet.place, axis=0), vertices.dtype)
 
 
