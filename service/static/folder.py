@@ -45,7 +45,7 @@ RUNTIMES = {
     "webgpu": ("ort.webgpu.bundle.min.mjs", "ort-wasm-simd-threaded.asyncify.wasm"),
 }
 JSON, BINARY, GLB = "application/json", "application/octet-stream", "model/gltf-binary"
-LEVEL = 9  # of compression
+LEVEL = 6  # of compression
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,8 @@ async def _answers(app: FastAPI, plan: Plan, asked: Asked) -> Any:
     for name, (path, kind, file) in wanted.items():
         yield name, (file, await answer(app, path, kind))
     for name, ids in (("/garments", [plan.scene.id]), ("/motions", asked.motions)):
-        every = json.loads(await answer(app, name, JSON))
-        yield name, (f"{name[1:]}.json", json.dumps([one for one in every if one["id"] in ids]).encode())
+        every = {one["id"]: one for one in json.loads(await answer(app, name, JSON))}
+        yield name, (f"{name[1:]}.json", json.dumps([every[one] for one in ids]).encode())
 
 
 def _add_network(folder: Folder, engine: Engine, plan: Plan, shape: np.ndarray, *, webgpu: bool) -> dict[str, Any]:

@@ -45,6 +45,7 @@ def test_an_application_in_strict_typescript_wears_a_garment(application: Path, 
     assert said["refused"] == ["passes", "InputError", 400, True]
     assert said["unknown"] == ["garment", "NotFound", 404, True]
     assert said["noRig"] == ["rig", "InputError", 0, True]
+    assert said["noFolder"] == ["about.json", "NotFound", 0, True]
     assert [said[name][0] for name in ("server", "client")] == ["server", "client"] and said["fallen"] == "server"
     assert said["alone"] == ["folds_by", "InputError", 400, True]
     both = [np.reshape(said[name][1], (-1, 3)) for name in ("server", "client")]

@@ -9,12 +9,14 @@ import { Stage } from "../src/stage.js";
 
 const COLOUR = "#8fa3b5";
 const TONE = "#c39c88";
+const GAP_PX = 32; // around the words below
 const [ANKLES, TOES] = [[7, 8], [10, 11]];
 const wanted = new URLSearchParams(location.search);
 const status = document.querySelector("[role=status]");
 
 async function begin() {
   const stage = new Stage(document.querySelector("canvas"), { keepQuality: wanted.get("quality") === "high" });
+  stage.setInsets({ bottom: document.querySelector("main").offsetHeight + GAP_PX });
   const drape = await openFolder("./", { provider: wanted.get("provider") ?? "auto" });
   const [[garment], motions, { joints }] = await Promise.all([drape.garments(), drape.motions(), drape.body()]);
   const shirt = await drape.wear(garment.id, { body: true, colours: [COLOUR], plain: stage.plain });
