@@ -110,7 +110,7 @@ def whole(far_mm: np.ndarray) -> float:
     *inputs(("tshirt", "dress"), ("walk",), quick_garments=("tshirt",)),
     Option("--tiers", ("balanced", "fast"), "tiers", ("balanced",)),
     Option("--frames", 264, "of a clip at most", 24),
-    Option("--card-frames", 0, "on a graphics card in software"),
+    Option("--card-frames", 0, "on a graphics card in software", kind=int),
 )
 def main(run: Run) -> None:
     """Every garment in every motion by every tier."""
