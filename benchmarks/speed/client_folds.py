@@ -185,11 +185,11 @@ def in_browser(folder: Path, browser: str) -> Decoded:
 
 
 def said_in_browser(
-    folder: Path, browser: str, *, flags: Sequence[str] = ("--disable-gpu",), page: str = "", port: int = 0
+    folder: Path, browser: str, *, flags: Sequence[str] = ("--disable-gpu",), page: str = "", wait_s: float = 300.0
 ) -> dict[str, Any]:
     """What the ``page`` of ``folder`` says at its end: said.json, after other files that it sends.
 
-    Raises ``RuntimeError`` where it has not said anything for five minutes.
+    Raises ``RuntimeError`` where it has not said anything after ``wait_s``.
     """
     ended = threading.Event()
 
@@ -205,7 +205,7 @@ def said_in_browser(
         def log_message(self, format: str, *args: object) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", port), partial(Served, directory=str(folder)))
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Served, directory=str(folder)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         address = f"http://127.0.0.1:{server.server_address[1]}/{page}"
@@ -216,7 +216,7 @@ def said_in_browser(
             stderr=subprocess.DEVNULL,
         )
         try:
-            if not ended.wait(300.0):
+            if not ended.wait(wait_s):
                 raise RuntimeError("the page said nothing")
         finally:
             process.terminate()

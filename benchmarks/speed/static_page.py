@@ -20,6 +20,7 @@ from service.static.folder import Asked, write_folder
 
 SCRIPT = Path(__file__).with_suffix(".mjs")
 PAGE = "measured.html"
+WAIT_S = 1200.0  # a graphics card in software takes seconds a frame
 # A graphics card that is none, for WebGPU where there is no other.
 SOFTWARE_CARD = ("--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enable-features=Vulkan")
 
@@ -60,7 +61,7 @@ def draped_in(
     asked = {"poses": poses, "trans": trans, "fps": clip.fps, "provider": provider, "effort": effort or {}}
     (folder / "asked.json").write_text(json.dumps(asked))
     (folder / PAGE).write_text(f'<!doctype html><script type="module" src="{SCRIPT.name}"></script>')
-    said = said_in_browser(folder, browser, flags=flags, page=PAGE)
+    said = said_in_browser(folder, browser, flags=flags, page=PAGE, wait_s=WAIT_S)
     if "error" in said:
         raise RuntimeError(said["error"])
     took = np.array(said["took"])
