@@ -9,7 +9,7 @@ from __future__ import annotations
 import gzip
 import json
 import shutil
-from collections.abc import Collection, Iterator
+from collections.abc import AsyncIterator, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,7 @@ from service.stream.opening import opened
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
+    from drape.artifacts import Manifest
     from drape.body.pose_support import PoseSupport
     from service.compute.drape_runtime import DrapeRuntime
     from service.graphs.engine import Engine
@@ -81,16 +82,16 @@ async def write_folder(app: FastAPI, runtime: DrapeRuntime, asked: Asked, target
     Refuses what a client cannot drape by itself (``InputError``, ``ArtifactError``), a folder that is there and holds
     something else, and a page that has not been built (``Unavailable``).
     """
-    if target.exists() and any(target.iterdir()) and not (target / ABOUT).is_file():
+    if target.exists() and not is_ours(target):
         raise InputError(str(target), expected="a new folder", got="one with other files", cure="Name another folder.")
-    _check_built(asked.webgpu)
+    check_built(webgpu=asked.webgpu)
     entry, shape = runtime.garments.get(asked.garment), shape_array(asked.betas, runtime.body)
     for motion in asked.motions:
         runtime.motions.get(motion)
     chosen = asked.options.model_copy(update={"geometry": "jets", "folds_by": "client", "resolution": "fine"})
     async with app.router.lifespan_context(app):
         plan = runtime.plan(entry, chosen, messages=True)
-        _check_graph(runtime.engine)
+        check_jets(runtime.engine.manifest)
         runtime.add_missing(plan)
         with staged_folder(target) as path:
             folder = Folder(path)
@@ -101,7 +102,7 @@ async def write_folder(app: FastAPI, runtime: DrapeRuntime, asked: Asked, target
                 "options": asked.options.model_dump(mode="json", exclude_unset=True) | {"betas": asked.betas},
                 "joints": runtime.body.rest_joints(shape).tolist(),
                 "opened": json.loads(opened(plan, app.state.drape, None)),
-                "answers": {name: folder.add(*file) async for name, file in _answers(app, plan, asked)},
+                "answers": {name: folder.add(*file) async for name, file in _answers(app, asked)},
                 "network": _add_network(folder, runtime.engine, plan, shape, webgpu=asked.webgpu),
                 "novelty": _add_poses(folder, runtime.engine.pose_support),
                 "runtime": _add_runtimes(path, webgpu=asked.webgpu),
@@ -109,7 +110,17 @@ async def write_folder(app: FastAPI, runtime: DrapeRuntime, asked: Asked, target
             (path / ABOUT).write_text(json.dumps(about, indent=1))
 
 
-def _check_built(webgpu: bool) -> None:
+def is_ours(target: Path) -> bool:
+    """Whether ``target`` is an empty folder or one that this module has written: such a one may be replaced."""
+    try:
+        about = json.loads((target / ABOUT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return target.is_dir() and not any(target.iterdir())
+    return isinstance(about, dict) and {"format", "garment", "answers", "network"} <= about.keys()
+
+
+def check_built(*, webgpu: bool) -> None:
+    """Refuses (``Unavailable``) where the page or ONNX Runtime for browsers is not there."""
     needed = [PAGE / "index.html", *(ORT / "dist" / name for kind in _kinds(webgpu) for name in RUNTIMES[kind])]
     missing = [path for path in needed if not path.is_file()]
     if missing:
@@ -121,21 +132,21 @@ def _kinds(webgpu: bool) -> list[str]:
     return [kind for kind in RUNTIMES if webgpu or kind != "webgpu"]
 
 
-def _check_graph(engine: Engine) -> None:
+def check_jets(manifest: Manifest) -> None:
     """Refuses a model whose jets are not those of the wire: the client reads them as the graph gives them."""
-    outputs = {tensor.name: tensor.shape[-1] for tensor in engine.manifest.graphs[PACKED].outputs}
-    if outputs["jet"] != jets.FULL_COUNT:
+    (jet,) = (tensor for tensor in manifest.graphs[PACKED].outputs if tensor.name == "jet")
+    if jet.shape[-1] != jets.FULL_COUNT:
         raise ArtifactError(
-            f"{engine.manifest.name} jet",
+            f"{manifest.name} jet",
             expected=f"{jets.FULL_COUNT} numbers a patch",
-            got=str(outputs["jet"]),
+            got=str(jet.shape[-1]),
             cure="Export a model with a closing fit.",
         )
 
 
-async def _answers(app: FastAPI, plan: Plan, asked: Asked) -> Any:
+async def _answers(app: FastAPI, asked: Asked) -> AsyncIterator[tuple[str, tuple[str, bytes]]]:
     """What the client asks a service for: the path without its query, and (name of a file, content)."""
-    garment, betas = f"/garments/{plan.scene.id}", ",".join(str(beta) for beta in asked.betas)
+    garment, betas = f"/garments/{asked.garment}", ",".join(str(beta) for beta in asked.betas)
     fabric = asked.options.fabric if isinstance(asked.options.fabric, str) else ""
     wanted = {
         f"{garment}/mesh": (f"{garment}/mesh?resolution=fine", JSON, "mesh.json"),
@@ -153,7 +164,7 @@ async def _answers(app: FastAPI, plan: Plan, asked: Asked) -> Any:
         wanted[f"/motions/{motion}"] = (f"/motions/{motion}?betas={betas}", JSON, f"motion-{motion}.json")
     for name, (path, kind, file) in wanted.items():
         yield name, (file, await answer(app, path, kind))
-    for name, ids in (("/garments", [plan.scene.id]), ("/motions", asked.motions)):
+    for name, ids in (("/garments", [asked.garment]), ("/motions", asked.motions)):
         every = {one["id"]: one for one in json.loads(await answer(app, name, JSON))}
         yield name, (f"{name[1:]}.json", json.dumps([every[one] for one in ids]).encode())
 

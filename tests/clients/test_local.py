@@ -32,7 +32,7 @@ from tests.clients.test_folds import MOST_MM, shirt
 from tests.fixtures.poses import random_motion
 
 __all__ = ["shirt"]  # a fixture
-FRAMES = 24
+FRAMES = 12
 PORTS = """
 import { Motion, kinematicsOf, motionFeatures } from "./motion.js";
 import { quaternionsOf } from "./network.js";
