@@ -94,7 +94,7 @@ def test_the_network_runs_where_it_is_fast_and_says_why(tmp_path: Path):
         (tmp_path / name).write_text(RUNTIME.replace("MS", str(ms)))
     said = answer_of(PROVIDERS, {}, tmp_path)
     assert said["told"] == [
-        ["wasm", "the folder was written without it", 3],
+        ["wasm", "the folder was written without WebGPU", 3],
         ["wasm", "this browser has no WebGPU here", 3],
         ["wasm", "there is no adapter", 3],
         ["wasm", "its adapter is software", 3],

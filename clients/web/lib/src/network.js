@@ -22,7 +22,7 @@ export function quaternionsOf(pose) {
 
 // Why the graphics card is not taken, or nothing where it can be.
 async function noCard(about) {
-  if (!about.runtime.webgpu) return "the folder was written without it";
+  if (!about.runtime.webgpu) return "the folder was written without WebGPU";
   if (!globalThis.navigator?.gpu) return "this browser has no WebGPU here";
   const adapter = await navigator.gpu.requestAdapter().catch(() => null);
   if (!adapter) return "there is no adapter";
