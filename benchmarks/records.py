@@ -213,6 +213,13 @@ CLIENT_FOLDS = {
     "first_mm": ("first second", ".3f"), "smooth_mm": ("without folds", ".2f"), "step_mm": ("the step alone", ".4f"),
     "rounding_mm": ("rounding", ".3f"),
 }  # fmt: skip
+STATIC_PAGE = {
+    "garment": ("garment", "s"), "clip": ("clip", "s"), "tier": ("tier", "s"), "frames": ("frames", "d"),
+    "folder_mb": ("folder [MB]", ".1f"), "wasm_mb": ("loaded [MB]", ".1f"), "card_mb": ("for WebGPU [MB]", ".1f"),
+    "start_ms": ("start [ms]", ".0f"), "frame_ms": ("a frame [ms]", ".1f"), "least_ms": ("the least", ".1f"),
+    "network_ms": ("network of it", ".1f"), "server_ms": ("the service's [ms]", ".1f"), "rms_mm": ("apart [mm]", ".3f"),
+    "first_mm": ("first second", ".3f"), "network_mm": ("network alone", ".4f"),
+}  # fmt: skip
 THROUGHPUT = {
     "processes": ("processes", "d"), "threads": ("threads each", "d"), "batch": ("frames a step", "d"),
     "frames_per_s": ("frames/s", ".0f"), "spread": ("spread", ".0f"),
@@ -338,6 +345,7 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("latency", SPEED_PAGE, "latency_growth", growth_table),
     ("serving", SPEED_PAGE, "serving", serving_table),
     ("client_folds", "docs/guide/web.md", "client_folds", partial(alike, CLIENT_FOLDS)),
+    ("static_page", "docs/guide/web.md", "static_page", partial(alike, STATIC_PAGE)),
     ("churn", SPEED_PAGE, "churn", partial(alike, CHURN)),
     ("training", TRAINING_PAGE, "throughput", throughput_table),
     ("recovery_targets", FIT_PAGE, "recovery_targets", targets_table),

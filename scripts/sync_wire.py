@@ -121,6 +121,9 @@ function checkSize(buffer, name, bytes) {{
   if (buffer.byteLength !== bytes + (-bytes & 3)) throw new Error(`${{name}} has a wrong size: reload the page`);
 }}
 
+// The fields of a POSE by name.
+export const unpackPose = (buffer) => readHeader(buffer, "POSE", BYTES.POSE);
+
 // The kind byte of a message.
 export const kindOf = (buffer) => new DataView(buffer).getUint8(5);
 

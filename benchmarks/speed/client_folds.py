@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -179,8 +179,18 @@ def in_node(folder: Path) -> Decoded:
     return _decoded(folder, json.loads(run.stdout))
 
 
-def in_browser(folder: Path, browser: str, port: int = 0) -> Decoded:
+def in_browser(folder: Path, browser: str) -> Decoded:
     """What the program ``browser``, a Chromium, decodes on a page without a window."""
+    return _decoded(folder, said_in_browser(folder, browser))
+
+
+def said_in_browser(
+    folder: Path, browser: str, *, flags: Sequence[str] = ("--disable-gpu",), page: str = "", wait_s: float = 300.0
+) -> dict[str, Any]:
+    """What the ``page`` of ``folder`` says at its end: said.json, after other files that it sends.
+
+    Raises ``RuntimeError`` where it has not said anything after ``wait_s``.
+    """
     ended = threading.Event()
 
     class Served(SimpleHTTPRequestHandler):
@@ -195,25 +205,25 @@ def in_browser(folder: Path, browser: str, port: int = 0) -> Decoded:
         def log_message(self, format: str, *args: object) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", port), partial(Served, directory=str(folder)))
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Served, directory=str(folder)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        address = f"http://127.0.0.1:{server.server_address[1]}/"
-        flags = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--no-first-run", "--disable-gpu"]
+        address = f"http://127.0.0.1:{server.server_address[1]}/{page}"
+        usual = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--no-first-run"]
         process = subprocess.Popen(
-            [browser, *flags, f"--user-data-dir={profile}", address],
+            [browser, *usual, *flags, f"--user-data-dir={profile}", address],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
         try:
-            if not ended.wait(300.0):
+            if not ended.wait(wait_s):
                 raise RuntimeError("the page said nothing")
         finally:
             process.terminate()
             process.wait(timeout=20.0)
             server.shutdown()
             server.server_close()
-    return _decoded(folder, json.loads((folder / "said.json").read_text()))
+    return json.loads((folder / "said.json").read_text())
 
 
 def _decoded(folder: Path, said: dict[str, Any]) -> Decoded:

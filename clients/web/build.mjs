@@ -1,5 +1,5 @@
-// Bundles the page into dist (one script, one style sheet, one document), and @drape/client into lib/dist, with the step
-// of folds that lib/folds is compiled to.
+// Bundles the page into dist (one script, one style sheet, one document), @drape/client into lib/dist, with the step of
+// folds that lib/folds is compiled to, and the page that needs no service into static/dist (python -m service.static).
 import asc from "assemblyscript/asc";
 import { build } from "esbuild";
 import { copyFile, mkdir, readdir, rename, rm, writeFile } from "node:fs/promises";
@@ -35,7 +35,12 @@ async function foldsModule() {
 
 const worker = await textOf("lib/src/worker.js", { format: "iife" });
 const folds = await foldsModule();
-const define = { WORKER_TEXT: JSON.stringify(worker), FOLDS_TEXT: JSON.stringify(folds.toString("base64")) };
+const localWorker = await textOf("lib/src/local_worker.js", {});
+const define = {
+  WORKER_TEXT: JSON.stringify(worker),
+  LOCAL_WORKER_TEXT: JSON.stringify(localWorker),
+  FOLDS_TEXT: JSON.stringify(folds.toString("base64")),
+};
 const later = ["./folds.js"]; // what comes when it is needed, and never on the page
 
 await replace("dist", async (folder) => {
@@ -44,12 +49,18 @@ await replace("dist", async (folder) => {
   for (const name of ["index.html", "style.css", "icon.svg"]) await copyFile(`src/${name}`, `${folder}/${name}`);
 });
 
-const entries = ["index", "core", "three", "react", "worker", "folds"].map((name) => `lib/src/${name}.js`);
+const names = ["index", "core", "three", "react", "worker", "folds", "local", "local_worker"];
+const entries = names.map((name) => `lib/src/${name}.js`);
 const external = ["three", "three/*", "react"];
 await replace("lib/dist", async (folder) => {
   await build({ ...common, define, external, splitting: true, entryPoints: entries, outdir: folder });
   for (const name of await readdir("lib/types")) await copyFile(`lib/types/${name}`, `${folder}/${name}`);
 });
+await replace("static/dist", async (folder) => {
+  await build({ ...common, define, minify: true, entryPoints: ["static/page.js"], outdir: folder });
+  await copyFile("static/index.html", `${folder}/index.html`);
+});
+
 const size = gzipSync(await textOf("lib/src/index.js", { define, external: [...external, ...later] })).length;
 const step = (gzipSync(folds).length / 1000).toFixed(1);
 console.log(`@drape/client: ${(size / 1000).toFixed(1)} kB gzipped, without three.js; folds, when they are asked for: ${step} kB`);

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,6 +41,7 @@ from service.graphs.onnx_runtime import (
     open_session,
 )
 from service.graphs.subgraph import cut, misexported
+from service.graphs.whole_model import whole_model
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -197,8 +198,7 @@ class Engine:
         self, graph: str, outputs: Sequence[str], direct: Collection[str], passes: int | None, given: Collection[str]
     ) -> Session:
         name, spec = self.manifest.name, self.manifest.graphs[graph]
-        instead = None if passes is None else {pass_name(self.pass_count): pass_name(passes)}
-        model = cut(self._files[graph], outputs, direct=direct, instead=instead, given=given)
+        model = self._cut(graph, outputs, direct, passes, given)
         # Operations of the push-outs are too small to be shared: two threads take longer than one.
         device = replace(self._device, threads=1) if graph in PUSHES else self._device
         per_frame = graph not in (ENCODER, DYNAMIC)
@@ -212,6 +212,31 @@ class Engine:
         _compare(name, graph, "outputs", {t.name: t.dtype for t in spec.outputs if t.name in found}, found)
         bound = self.bound and per_frame
         return BoundSession(session, device, taken, spec.outputs) if bound else Session(session, device)
+
+    def _cut(
+        self, graph: str, outputs: Sequence[str], direct: Collection[str], passes: int | None, given: Collection[str]
+    ) -> bytes:
+        instead = None if passes is None else {pass_name(self.pass_count): pass_name(passes)}
+        return cut(self._files[graph], outputs, direct=direct, instead=instead, given=given)
+
+    def whole_cut(
+        self,
+        graph: str,
+        outputs: Sequence[str],
+        constants: Mapping[str, np.ndarray],
+        *,
+        direct: Collection[str] = (),
+        passes: int | None = None,
+        given: Collection[str] = (),
+        exact: bool = False,
+    ) -> bytes:
+        """The model that ``open_cut`` opens, in one file (``graphs.whole_model``), ``constants`` in place of inputs.
+
+        ``exact``: the packed graph in float32, whichever this engine runs.
+        """
+        chosen = graph if exact else self._chosen(graph)
+        model = self._cut(chosen, outputs, direct, self.check_passes(passes), given)
+        return whole_model(model, constants, self._weights)
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
         """``array`` where the graphs compute; on the CPU it shares the array's memory."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -184,6 +184,28 @@ class Packer:
             local = {name: np.ascontiguousarray(values[list(rows)]) for name, values in bodies.items()}
             results += self._run_part(plan, local, tuple((key, rows[row]) for key, row in part))
         return results
+
+    def whole_model(self, key: str, body: Mapping[str, np.ndarray], *, passes: int | None, exact: bool) -> bytes:
+        """The packed graph of the posed jets of the garment ``key`` alone, on ``body``, in a file that needs no other.
+
+        ``body`` (``PackedBody.rows`` of one frame) gives the shape; its poses, codes and the posed skin are left as
+        inputs. Numbers are those of ``run`` where a posed skin is given, or, ``exact``, those of float32.
+        """
+        with self._lock:
+            garment = self._store.packed(key)
+            constants = garment.stored | compose([(garment, Place(0, 0), 0)]).arrays | dict(body)
+            if self._skins is not None:
+                constants |= self._skins.feed(constants["betas"])
+        left = {"joint_quaternion", "dynamic_code"}
+        return self._engine.whole_cut(
+            PACKED,
+            JETS,
+            {name: array for name, array in constants.items() if name not in left},
+            direct=(*STORED_INDEX, *SHAPE_INDEX),
+            passes=passes,
+            given=(SKIN,) if self._skins is not None else (),
+            exact=exact,
+        )
 
     def _parts(self, items: Sequence[Item]) -> list[list[Item]]:
         """``items`` in parts that fit a call; a part has at least one."""

@@ -89,8 +89,9 @@ def test_layers_get_the_positions_and_normals_that_were_packed(tube: Garment, rn
 
 
 MAILBOX = """
+import { Drape } from "./core.js";
 import { Wearing } from "./wearing.js";
-const wearing = new Wearing({ rest: { base: "http://127.0.0.1" }, worn: new Set() }, ["tube"], {});
+const wearing = new Wearing(new Drape("http://127.0.0.1"), ["tube"], {});
 const shown = [];
 let finish;
 const asked = [];

@@ -74,8 +74,9 @@ def test_javascript_reads_and_writes_what_python_does(tmp_path, bits: int):
 
 
 RIG = """
+import { Drape } from "./core.js";
 import { Wearing } from "./wearing.js";
-const wearing = new Wearing({ rest: { base: "http://localhost" }, worn: new Set() }, ["tube"], {});
+const wearing = new Wearing(new Drape("http://localhost"), ["tube"], {});
 const { stream } = wearing;
 const sent = [], refused = [];
 Object.assign(stream, { ready: true, socket: { send: (bytes) => sent.push(Buffer.from(bytes).toString("hex")) } });

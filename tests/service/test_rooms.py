@@ -20,7 +20,7 @@ from tests.fixtures.streams import raw_stream
 ROOT = Path(service.__file__).parent
 # A room may import those before it. Files beside the folders are rooms of their own; ``app`` stands above all folders.
 ORDER = ("errors", "settings", "graphs", "stages", "watch", "compute", "guard", "state", "uploads", "http", "stream")
-ABOVE = ("server", "app", "ray_app", "keys", "__main__")
+ABOVE = ("server", "app", "ray_app", "keys", "static", "__main__")
 # Files whose code runs between a pose's coming and its frame's leaving: twelve that make the frame, two that watch.
 ROAD = {
     *("stream/routes.py", "stream/workers.py", "compute/drape_runtime.py", "compute/threads.py"),

@@ -1,6 +1,7 @@
 // An application that has installed the package: type-checked in strict mode, then run against a service.
 import { DrapeError, connect, type Drape, type Motion, type Worn } from "@drape/client";
 import { connect as connectCore, type WearOptions, type Wearing } from "@drape/client/core";
+import { openFolder, type LocalDrape } from "@drape/client/local";
 import { rigSource } from "@drape/client/three";
 import { Mesh, Object3D, Scene } from "three";
 
@@ -35,6 +36,7 @@ const refused = await refusalOf(() => tube.set({ passes: 65 }));
 await framed(); // what was refused has changed nothing
 const unknown = await refusalOf(() => drape.wear("nothing"));
 const noRig = await refusalOf(async () => rigSource(new Object3D()));
+const noFolder = await refusalOf(async (): Promise<LocalDrape> => openFolder(`${url}/health`, { provider: "wasm" }));
 const garments = (await drape.garments()).map(({ id }) => id);
 tube.dispose();
 
@@ -69,7 +71,7 @@ const told = (error: DrapeError | null) => error && [error.name, error.kind, err
 console.log(
   JSON.stringify({
     garments, root, positions, jets: Array.from(jets), state: tube.state, children: scene.children.length, frames: tube.stats.frames,
-    refused: told(refused), unknown: told(unknown), noRig: told(noRig), server, client, fallen, alone: told(alone),
+    refused: told(refused), unknown: told(unknown), noRig: told(noRig), noFolder: told(noFolder), server, client, fallen, alone: told(alone),
   }),
 );
 process.exit(0);

@@ -67,6 +67,7 @@ export function arrayCount(): i32 { return A.ARRAYS; }
 // Where the 72 numbers of a pose are written before pose(), which poses the skin, and where its samples are then.
 export function poseAt(): usize { return poseNumbers; }
 export function skinAt(): usize { return skin; }
+export function skinCount(): i32 { return reserved(A.REACH_M2); }
 export function pose(): void { poseSkin(poseNumbers, skin); }
 
 // The frame before counts as one of the time [s]: nothing has moved since.

@@ -1,6 +1,7 @@
 // A service, and what is worn there, without any engine that draws.
 import { DrapeError } from "./errors.js";
 import { Rest } from "./rest.js";
+import { Stream } from "./stream.js";
 import { Wearing } from "./wearing.js";
 
 export { DrapeError } from "./errors.js";
@@ -22,6 +23,11 @@ export class Drape {
   async open() {
     this.health = await this.rest.health();
     return this;
+  }
+
+  // What takes the poses of something worn, and gives its frames.
+  makeStream(heard) {
+    return new Stream({ base: this.rest.base, ticket: () => this.rest.ticket(), ...heard });
   }
 
   garments() {

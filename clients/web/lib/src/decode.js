@@ -17,8 +17,12 @@ export class Decoder {
   // Fills positions (from the root [m]) and normals of each layer; false where the message is of other garments.
   // body: { pose, effort }, which folds need: 72 numbers [rad], and what the service said of its opening.
   decode(message, targets, body = null) {
-    const ofJets = kindOf(message) === KIND.JETS;
-    const frame = ofJets ? unpackJets(message) : unpackFrame(message);
+    return this.fill(kindOf(message) === KIND.JETS ? unpackJets(message) : unpackFrame(message), targets, body);
+  }
+
+  // As decode(), of what unpackJets() or unpackFrame() gives.
+  fill(frame, targets, body = null) {
+    const ofJets = "jet" in frame;
     const count = (layer) => (ofJets ? layer.surface?.patchCount : layer.vertexCount);
     if (this.layers.reduce((sum, layer) => sum + count(layer), 0) !== frame.header.count) return false;
     let first = 0;

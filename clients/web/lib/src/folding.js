@@ -32,12 +32,19 @@ export class Folding {
     step.begin();
   }
 
+  // The skin's samples, 8 numbers each, in a pose of 72 numbers [rad]; good until the next call.
+  skin(pose) {
+    const { step } = this;
+    new Float32Array(step.memory.buffer, step.poseAt(), 72).set(pose);
+    step.pose();
+    return new Float32Array(step.memory.buffer, step.skinAt(), 8 * step.skinCount());
+  }
+
   // Puts folds into positions (3 numbers a vertex, from the root [m]), which are the network's, and says what happened.
   // pose: 72 numbers [rad]; the rest as the service said of its opening.
   fold(positions, { pose, timeS, steps, settle, contact, clearanceM }) {
     const { step } = this;
-    new Float32Array(step.memory.buffer, step.poseAt(), 72).set(pose);
-    step.pose();
+    this.skin(pose);
     const vertices = new Float32Array(step.memory.buffer, step.verticesAt(), 3 * step.vertexCount());
     vertices.set(positions.subarray(0, vertices.length));
     const happened = step.fold(timeS, steps, settle, contact, clearanceM);

@@ -190,10 +190,10 @@ const lost = ({ code, reason }) => {
   return new DrapeError({ ...words, detail, kind: "Unavailable" });
 };
 
-const copied = ({ pose, trans }) => ({ pose: Float32Array.from(pose), trans: Float32Array.from(trans) });
+export const copied = ({ pose, trans }) => ({ pose: Float32Array.from(pose), trans: Float32Array.from(trans) });
 
 // Whether two poses are the same in the bytes that are sent.
-function sameNumbers(one, other) {
+export function sameNumbers(one, other) {
   const equal = (numbers, others) =>
     numbers.length === others.length && numbers.every((number, k) => number === Math.fround(others[k]));
   return equal(one.pose, other.pose) && equal(one.trans, other.trans);

@@ -1,7 +1,6 @@
 // One garment, or several over each other, on one moving body: its stream, what decodes it, and where its poses come from.
 import { DrapeError } from "./errors.js";
 import { Decoding } from "./decoding.js";
-import { Stream } from "./stream.js";
 import { clipSource, everyPicture, flatPose } from "./sources.js";
 import { topologyOf } from "./topology.js";
 
@@ -28,9 +27,7 @@ export class Wearing {
     this.asked = []; // who waits for the answer to an opening
     this.newest = null; // the frame that waits for the decoder
     this.decoded = null; // the message whose vertices are shown
-    this.stream = new Stream({
-      base: drape.rest.base,
-      ticket: () => drape.rest.ticket(),
+    this.stream = drape.makeStream({
       onFrame: (frame) => this.#take(frame),
       onState: (state, refusal) => this.#turnTo(state, refusal),
     });

@@ -1,0 +1,2 @@
+/** A worker that drapes without a service: see `LocalAccess.worker`. */
+export {};

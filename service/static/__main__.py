@@ -1,0 +1,65 @@
+"""``python -m service.static GARMENT OUT``: a folder with a page that drapes the garment without a service.
+
+python -m service.static tshirt shirt --motion walk,turn --tier balanced
+python -m http.server 5173 --bind 127.0.0.1 --directory shirt
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+from pathlib import Path
+
+from drape.errors import DrapeError
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m service.static",
+        description="Writes a folder of files with a page on which browsers drape one garment by themselves.",
+    )
+    parser.add_argument("garment", help="its id, as GET /garments has it")
+    parser.add_argument("out", type=Path, help="the folder, new or written by this command before")
+    parser.add_argument("--motion", default="walk", help="the clips that the page plays, comma-separated (walk)")
+    parser.add_argument("--tier", choices=("fast", "balanced", "accurate"), help="how much a frame computes (balanced)")
+    parser.add_argument("--fabric", help="the name of one (the garment's own)")
+    parser.add_argument("--betas", type=_numbers, default=(), help="the body's shape, comma-separated (the mean one)")
+    parser.add_argument("--no-webgpu", dest="webgpu", action="store_false", help="for processors alone: half the size")
+    options = parser.parse_args(arguments)
+    try:
+        return _write(options)
+    except DrapeError as error:
+        print(f"service.static: {error}", file=sys.stderr)
+        return 2
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(float(number) for number in text.split(","))
+
+
+def _write(options: argparse.Namespace) -> int:
+    # Imported here, so that --help does not need everything.
+    from drape.wire.options import DrapeOptions
+    from service.app import create_app
+    from service.compute.drape_runtime import DrapeRuntime
+    from service.settings import load_settings
+    from service.static.folder import RUNTIMES, Asked, loaded, sizes, write_folder
+
+    settings = load_settings(keys_file=None)
+    runtime = DrapeRuntime(settings)
+    drape = DrapeOptions(**{name: value for name in ("tier", "fabric") if (value := getattr(options, name))})
+    asked = Asked(options.garment, tuple(options.motion.split(",")), drape, options.betas, options.webgpu)
+    asyncio.run(write_folder(create_app(settings, runtime=runtime), runtime, asked, options.out))
+    found = sizes(options.out)
+    for name, count in sorted(found.items(), key=lambda item: -item[1]):
+        print(f"{count / 1e6:8.3f} MB  {name}")
+    print(f"{sum(found.values()) / 1e6:8.3f} MB  in all")
+    for kind in RUNTIMES:
+        if kind == "wasm" or options.webgpu:
+            print(f"{sum(found[name] for name in loaded(options.out, kind)) / 1e6:8.3f} MB  loaded with {kind}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

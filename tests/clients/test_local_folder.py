@@ -1,0 +1,139 @@
+"""What the client makes of a folder without a service: files, refusals, where the network runs, and bodies at rest."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+
+from tests.clients.node import answer_of, page_answer
+from tests.clients.test_local import served_files
+
+OPENED = """
+const { openFolder } = await import(`${WEB}/lib/src/local.js`);
+const { filesOf } = await import(`${WEB}/lib/src/files.js`);
+const refusal = (task) => task.then(() => "", ({ name, kind, got, message }) => `${name} ${kind} ${got ?? ""}`);
+const file = filesOf(`${input.url}good/`);
+const text = async (name) => new TextDecoder().decode(await file(name));
+const drape = await openFolder(`${input.url}good`);
+console.log(JSON.stringify({
+  texts: [await text("plain.txt"), await text("squeezed.gz")],
+  health: drape.health,
+  refused: [
+    await refusal(openFolder(`${input.url}old/`)), await refusal(openFolder(`${input.url}none/`)),
+    await refusal(drape.garments()), await refusal(drape.motion("walk")),
+  ],
+}));
+"""
+
+
+def test_files_are_read_compressed_or_not_and_what_is_missing_is_told(tmp_path: Path):
+    for name, answers, number in (("good", {"/health": "health.json.gz", "/garments": "gone.json"}, 1), ("old", {}, 0)):
+        (tmp_path / name).mkdir()
+        about = {"format": number, "answers": answers, "garment": "tube", "options": {}}
+        (tmp_path / name / "about.json").write_text(json.dumps(about))
+    (tmp_path / "good/health.json.gz").write_bytes(gzip.compress(b'{"body": "tall"}'))
+    (tmp_path / "good/squeezed.gz").write_bytes(gzip.compress(b"told"))
+    (tmp_path / "good/plain.txt").write_text("said")
+    with served_files(tmp_path) as url:
+        said = page_answer(OPENED, {"url": url}, tmp_path)
+    assert said["texts"] == ["said", "told"]
+    assert said["health"] == {"body": "tall"}
+    assert said["refused"] == [
+        "about.json ArtifactError 0",
+        "about.json NotFound 404 File not found",
+        "gone.json NotFound 404 File not found",
+        "folder NotFound /motions/walk",
+    ]
+
+
+# ONNX Runtime in a few lines, for a machine without a graphics card: a session takes its time, and nothing moves.
+RUNTIME = """
+export const env = { wasm: { numThreads: 3 } };
+export class Tensor { constructor(kind, data, dims) { Object.assign(this, { data, dims }); } }
+const numbers = (count) => ({ data: new Float32Array(count) });
+export const InferenceSession = { create: async () => ({
+  inputNames: ["joint_quaternion"],
+  release: async () => { globalThis.released = (globalThis.released ?? 0) + 1; },
+  run: async () => {
+    await new Promise((done) => setTimeout(done, MS));
+    const centre = globalThis.lost ? { data: [NaN] } : numbers(3);
+    return { jet: numbers(45), frame_rotation: numbers(9), frame_centre: centre };
+  },
+}) };
+"""
+PROVIDERS = """
+import { Network } from "./network.js";
+const network = { wasm: "w", webgpu: "g", code: 0, state: 0 };
+const runtimes = (card) => (card ? { webgpu: { module: card, binary: "b" } } : {});
+const card = (isFallbackAdapter) => ({ requestAdapter: async () => ({ info: { isFallbackAdapter } }) });
+const opened = (gpu, named, provider) => {
+  Object.defineProperty(globalThis, "navigator", { value: { gpu }, configurable: true });
+  const runtime = { wasm: { module: "fast.js", binary: "b" }, ...runtimes(named) };
+  const about = { network, runtime, novelty: null, joints: [] };
+  return Network.open({ base: import.meta.url, about, file: async () => new ArrayBuffer(8) }, null, provider);
+};
+const told = [];
+for (const [gpu, named, provider] of [
+  [card(false), null], [undefined, "fast.js"], [{ requestAdapter: async () => null }, "fast.js"],
+  [card(true), "fast.js"], [card(false), "fast.js"], [card(false), "slow.js"], [card(false), "slow.js", "webgpu"],
+  [card(false), "fast.js", "wasm"],
+]) {
+  const { provider: taken, why, threads } = (await opened(gpu, named, provider)).told;
+  told.push([taken, why.replace(/[0-9]+/, "N"), threads]);
+}
+const lost = await opened(undefined, null);
+globalThis.lost = true;
+const error = await lost.run(new Float32Array(72), new Float32Array(0)).catch(({ message }) => message);
+console.log(JSON.stringify({ told, released: globalThis.released, error }));
+"""
+
+
+def test_the_network_runs_where_it_is_fast_and_says_why(tmp_path: Path):
+    for name, ms in (("fast.js", 0), ("slow.js", 40)):
+        (tmp_path / name).write_text(RUNTIME.replace("MS", str(ms)))
+    said = answer_of(PROVIDERS, {}, tmp_path)
+    assert said["told"] == [
+        ["wasm", "the folder was written without WebGPU", 3],
+        ["wasm", "this browser has no WebGPU here", 3],
+        ["wasm", "there is no adapter", 3],
+        ["wasm", "its adapter is software", 3],
+        ["webgpu", "found", 1],
+        ["wasm", "the graphics card takes N ms", 3],
+        ["webgpu", "asked for", 1],
+        ["wasm", "asked for", 3],
+    ]
+    assert said["released"] == 1
+    assert "NaN" in said["error"]
+
+
+STILL = """
+import { LocalStream } from "./local_stream.js";
+let nowS = 5;
+performance.now = () => 1000 * nowS;
+const frames = [];
+const opening = { folds: 1, safe_folds: 2, clearance_m: 0.002 };
+const about = { garment: "tube", options: {}, opened: opening, joints: [[0, 1, 0]] };
+const stream = new LocalStream(about, { onFrame: (frame) => frames.push(frame), onState() {} });
+const early = stream.send(new Array(72).fill(0), [0, 0, 0]);
+stream.open({ garment: "tube" });
+const send = (angle, count) => {
+  for (let i = 0; i < count; i++, nowS += 1 / 32) stream.send(new Array(72).fill(angle), [1, 2, 3]);
+  return new Set(frames.splice(0).map(({ data }) => data)).size;
+};
+const counts = [send(0.1, 40), send(0.1, 40), send(0.1, 9), send(0.2, 9)];
+stream.send(new Array(72).fill(0.2), [1, 2, 3]);
+const [{ header, pose }] = frames;
+stream.open({ garment: "tube", folds: 4, push_out: false });
+const opened = [stream.opened.folds, stream.opened.safe_folds, stream.opened.clearance_m];
+stream.close();
+console.log(JSON.stringify({ early, counts, root: header.root, opened, late: stream.send(pose, [0, 0, 0]) }));
+"""
+
+
+def test_a_body_that_stands_still_is_computed_until_its_cloth_rests(tmp_path: Path):
+    said = answer_of(STILL, {}, tmp_path)
+    assert said["counts"] == [40, 24, 1, 9]  # 64 frames of a 32nd of a second are two seconds
+    assert (said["early"], said["late"]) == (False, False)
+    assert said["root"] == [1, 3, 3]
+    assert said["opened"] == [4, 4, 0]

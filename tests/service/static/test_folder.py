@@ -1,0 +1,61 @@
+"""What the folder without a service is made of: answers of the application, and refusals of what no client drapes."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from fastapi import FastAPI
+
+from drape.artifacts import DEFAULT_MODEL, MODELS_DIR, TensorSpec, load_manifest
+from drape.errors import ArtifactError, InputError, NotFound, Unavailable
+from service.graphs.graph_names import PACKED
+from service.http import problems
+from service.http.answers import JSON
+from service.static import folder
+from service.static.answers import answer
+
+
+def test_an_application_is_asked_in_its_process_and_its_refusals_are_raised():
+    app = FastAPI()
+    problems.install(app)
+
+    @app.get("/told/{name}")
+    async def told(name: str, often: int) -> list[str]:
+        if often == 0:
+            raise NotFound("name", expected="one that is told", got=name, cure="Tell it once.")
+        return often * [name]
+
+    assert asyncio.run(answer(app, "/told/walk?often=2", JSON)) == b'["walk","walk"]'
+    with pytest.raises(InputError, match=r"name: expected one that is told, got walk\. Tell it once\."):
+        asyncio.run(answer(app, "/told/walk?often=0", JSON))
+
+
+def test_jets_that_are_not_those_of_the_wire_are_refused():
+    manifest = load_manifest(MODELS_DIR / DEFAULT_MODEL)
+    folder.check_jets(manifest)
+    packed = manifest.graphs[PACKED]
+    outputs = tuple(replace(one, shape=("patches", 27)) if one.name == "jet" else one for one in packed.outputs)
+    assert all(isinstance(one, TensorSpec) for one in outputs)
+    older = replace(manifest, graphs=manifest.graphs | {PACKED: replace(packed, outputs=outputs)})
+    with pytest.raises(ArtifactError, match="expected 45 numbers a patch, got 27"):
+        folder.check_jets(older)
+
+
+def test_a_page_that_is_not_built_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(folder, "ROOT", tmp_path)
+    monkeypatch.setattr(folder, "PAGE", tmp_path / "page")
+    with pytest.raises(Unavailable, match=r"got no page/index.html\. Run make page\."):
+        folder.check_built(webgpu=False)
+
+
+def test_only_folders_of_its_own_are_replaced(tmp_path: Path):
+    assert folder.is_ours(tmp_path)
+    (tmp_path / "about.json").write_text("not ours")
+    assert not folder.is_ours(tmp_path) and not folder.is_ours(tmp_path / "about.json")
+    (tmp_path / "about.json").write_text('{"format": 1}')
+    assert not folder.is_ours(tmp_path)
+    (tmp_path / "about.json").write_text('{"format": 1, "garment": "tube", "answers": {}, "network": {}}')
+    assert folder.is_ours(tmp_path)
