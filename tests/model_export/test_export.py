@@ -145,7 +145,8 @@ def test_a_graph_that_differs_is_refused_and_the_old_model_stays(published, garm
     other = OneFit(model.config).eval()
     other.load_state_dict(model.state_dict())
     with torch.no_grad():
-        list(other.decoder.heads.values())[-1][-1].bias.add_(0.1)
+        for head in other.decoder.heads.values():
+            list(head.parameters())[-1].add_(0.1)
     with pytest.raises(ArtifactError, match="parity"):
         exporting.export(other, tmp_path / "m", garment=garment, training={})
     assert (tmp_path / "m" / "manifest.json").read_text() == before
