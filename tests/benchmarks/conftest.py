@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import torch
+
+from drape.garment.cache import GARMENTS_DIR
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -14,3 +17,15 @@ def threads() -> Iterator[None]:
     before = torch.get_num_threads()
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture
+def few_garments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, ...]:
+    """Services and runtimes of the test ship these garments alone: all of them take several times as long to load."""
+    names, folder = ("tank", "shorts"), tmp_path / "shipped"
+    folder.mkdir()
+    for name in names:
+        (path,) = GARMENTS_DIR.glob(f"{name}-*.npz")
+        (folder / path.name).symlink_to(path)
+    monkeypatch.setenv("DRAPE_SHIPPED_GARMENTS_DIR", str(folder))
+    return names

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import httpx
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 from benchmarks.speed import churn
 from benchmarks.speed.churn import Looked, Tally, row_of, slope_of
-from drape.garment.cache import GARMENTS_DIR
 
 
 def test_a_slope_and_its_error_are_those_of_the_blocks():
@@ -43,15 +41,11 @@ def test_answers_that_say_there_is_no_room_are_no_faults():
 
 
 @pytest.mark.slow
-def test_clients_come_and_go(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    """Of a service with two garments, which starts in a third of the time."""
-    garments = ("tank", "shorts")
-    for name in garments:
-        (path,) = GARMENTS_DIR.glob(f"{name}-*.npz")
-        (tmp_path / path.name).symlink_to(path)
-    monkeypatch.setenv("DRAPE_SHIPPED_GARMENTS_DIR", str(tmp_path))
-    monkeypatch.setattr(churn, "GARMENTS", garments)
-    monkeypatch.setattr(churn, "OUTFITS", (list(garments),))
+def test_clients_come_and_go(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, few_garments: tuple[str, ...]
+):
+    monkeypatch.setattr(churn, "GARMENTS", few_garments)
+    monkeypatch.setattr(churn, "OUTFITS", (few_garments,))
     record = churn.main(["--minutes", "0.1", "--clients", "4"])
     (row,) = record["rows"]
     assert row["streams"] > 0 and row["requests"] > 0 and row["failed"] == 0 and record["faults"] == []
