@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from drape.garment.cache import GARMENTS_DIR
+from tests.fixtures.garments import ship
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -22,10 +22,6 @@ def threads() -> Iterator[None]:
 @pytest.fixture
 def few_garments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, ...]:
     """Services and runtimes of the test ship these garments alone: all of them take several times as long to load."""
-    names, folder = ("tank", "shorts"), tmp_path / "shipped"
-    folder.mkdir()
-    for name in names:
-        (path,) = GARMENTS_DIR.glob(f"{name}-*.npz")
-        (folder / path.name).symlink_to(path)
-    monkeypatch.setenv("DRAPE_SHIPPED_GARMENTS_DIR", str(folder))
+    names = ("tank", "shorts")
+    monkeypatch.setenv("DRAPE_SHIPPED_GARMENTS_DIR", str(ship(tmp_path / "shipped", *names)))
     return names
