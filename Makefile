@@ -48,12 +48,13 @@ $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m drape.live
 	@touch $@
 
-# The last line compiles the kernels of folds, so that the first start of the service does not wait for that.
+# Kernels are compiled once: those of the service, which its first start would wait for, beside those that tests take in
+# float64, which keep one core busy for about as long.
 # torch first and alone: later requirements then find it and cannot pull another build of it.
 $(VENV)/.setup-stamp: pyproject.toml | $(BIN)/python
 	@scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
 	$(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
-	$(BIN)/python -m drape.live
+	$(BIN)/python -m tests.fixtures.kernels & tests=$$!; $(BIN)/python -m drape.live; wait $$tests
 	@touch $(VENV)/.serve-stamp $@
 
 setup: $(VENV)/.setup-stamp

@@ -43,6 +43,7 @@ FOLDER_BUDGET_S = {
     "examples": 60,
 }
 LONGEST_FIRST = (
+    "examples",
     "training",
     "recovery",
     "service",
@@ -51,7 +52,6 @@ LONGEST_FIRST = (
     "clients",
     "drape",
     "extremes",
-    "examples",
     "architecture",
 )
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -102,7 +102,7 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Folders with the longest tests first: of two processes neither is then left with a long file at the end."""
+    """Folders with the longest files first: of two processes neither is then left with a long one at the end."""
     places = {name: place for place, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: places.get(item.path.relative_to(ROOT).parts[1], len(places)))
 

@@ -161,6 +161,9 @@ def _run(arguments: argparse.Namespace) -> None:
     chosen = {"minutes": arguments.minutes, "threads": arguments.threads, "batch_size": arguments.batch}
     chosen["autocast"] = arguments.bf16 or None
     config = replace(config, **{name: value for name, value in chosen.items() if value is not None})
+    if state is not None and state["elapsed_s"] >= 60.0 * config.minutes:
+        print(f"nothing left to do: the run has had its {config.minutes:g} minutes; --minutes says more")
+        return
     torch.set_num_threads(config.threads)
     folders = arguments.motions or [f for f in [data_folder("motions")] if f is not None] or [sample_motions()]
     device = torch.device(arguments.device)
@@ -173,8 +176,6 @@ def _run(arguments: argparse.Namespace) -> None:
     if state is not None:
         trainer.restore(state)
     folder = arguments.resume or arguments.out
-    if trainer.elapsed_s >= 60.0 * config.minutes:
-        print(f"nothing left to do: the run has had its {config.minutes:g} minutes; --minutes says more")
     train(trainer, folder)
     if parallel.rank() == 0:
         spent = trainer.elapsed_s / 60.0

@@ -295,3 +295,4 @@ def warm_up() -> None:
     made = SwingConstants(mesh, graph, index, 1.0, 0.0, none)
     _, memory = swing(made, None, Frame(zero, np.zeros((1, 8)), 0.0), np.zeros(3))
     swing(made, memory, Frame(zero + np.float32(1e-3), np.zeros((1, 8)), 0.1), np.zeros(3))
+    move_vertices(zero, zero, zero, mesh, np.float32(1.0), np.empty_like(zero))  # nothing has swung above

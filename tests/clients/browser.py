@@ -147,7 +147,7 @@ def open_page(url: str, *, width: int = 900, height: int = 640) -> Iterator[Page
     finally:
         process.terminate()
         try:
-            process.wait(timeout=10.0)
+            process.wait(timeout=2.0)  # a page that draws may not listen for ten
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

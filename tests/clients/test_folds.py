@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-
 import pytest
 
 from benchmarks.speed.client_folds import Worn, client_folder, in_node, rms_mm
 from drape.errors import Unavailable
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
+from tests.fixtures.garments import ship
 
 FRAMES = 24
 MOST_MM = 0.5
@@ -17,9 +16,7 @@ MOST_MM = 0.5
 
 @pytest.fixture(scope="module")
 def shirt(tmp_path_factory: pytest.TempPathFactory) -> Worn:
-    folder = tmp_path_factory.mktemp("shirt")
-    (file,) = Settings().shipped_garments_dir.glob("tshirt-*.npz")
-    shutil.copy(file, folder)
+    folder = ship(tmp_path_factory.mktemp("shirt"), "tshirt")
     runtime = DrapeRuntime(Settings(shipped_garments_dir=folder, garments_dir=folder / "uploads"))
     return Worn.of(runtime, "tshirt", "walk")
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from drape.garment.cache import save_garment
 from drape.motion.samples import stretch
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
@@ -20,7 +19,7 @@ from service.graphs.graph_names import PACKED
 from service.settings import Settings
 from tests.clients.browser import Page, open_page
 from tests.clients.test_page import set_control, share, stage
-from tests.fixtures.packed import garment
+from tests.fixtures.garments import ship
 from tests.fixtures.serving import serve
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
@@ -46,9 +45,7 @@ SPY = """(() => {
 
 @pytest.fixture(scope="module")
 def runtime(make_settings, tmp_path_factory) -> DrapeRuntime:
-    folder = tmp_path_factory.mktemp("three")
-    for kind in ("shorts", "tank", "trousers"):
-        save_garment(garment(kind), folder)
+    folder = ship(tmp_path_factory.mktemp("three"), "shorts", "tank", "trousers")
     motions = tmp_path_factory.mktemp("motions")
     stretch().window(STILL_FRAME, 1).save(motions / "still.npz")
     models = Settings().models_dir

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from service.settings import ROOT, Settings
+from tests.fixtures.garments import ship
 from tests.fixtures.serving import served
 
 EXAMPLES = sorted((ROOT / "examples").glob("0*.*"))
@@ -23,10 +24,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of the shipped model with the two garments that the examples wear."""
-    shipped = tmp_path_factory.mktemp("shipped")
-    for name in ("tshirt", "trousers"):
-        (path,) = Path(Settings().shipped_garments_dir).glob(f"{name}-*.npz")
-        (shipped / path.name).symlink_to(path)
+    shipped = ship(tmp_path_factory.mktemp("shipped"), "tshirt", "trousers")
     settings = Settings(
         shipped_garments_dir=shipped, garments_dir=tmp_path_factory.mktemp("uploads"), stream_step_down=False
     )

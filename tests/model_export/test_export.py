@@ -15,10 +15,11 @@ from numpy.testing import assert_allclose
 from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
+from drape.garment.cache import GARMENTS_DIR
 from drape.geometry import jets
 from drape.graph.feeds import body_feed, garment_feed
+from model_export import __main__ as command
 from model_export import export as exporting
-from model_export.__main__ import main
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.onnx_file import _check_symbolic
 from model_export.parity import hard_poses, session
@@ -48,12 +49,24 @@ def lively() -> OneFit:
 
 
 @pytest.fixture(scope="module")
-def published(garment, tmp_path_factory):
-    """``lively``, its model folder and the manifest."""
-    model = lively()
-    folder = tmp_path_factory.mktemp("models") / "small"
-    manifest = exporting.export(model, folder, garment=garment, training={"steps": 0})
-    return model, folder, manifest
+def published(tmp_path_factory):
+    """``lively``, the folder that the command makes of its checkpoint, and the manifest that the export returned."""
+    model, folder = lively(), tmp_path_factory.mktemp("models")
+    state = {"model": model.state_dict(), "step": 5, "elapsed_s": 60.0}
+    checkpoint.save(folder / "c.pt", state, TrainConfig(model=model.config))
+    (tank,) = GARMENTS_DIR.glob("tank-*.npz")
+    returned = []
+
+    def export(*arguments, **named):
+        returned.append(exporting.export(*arguments, **named))
+        return returned[-1]
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(command, "export", export)
+        words = [str(folder / "c.pt"), str(folder / "small"), "--garment", str(tank)]
+        patched.setattr("sys.argv", ["model_export", *words])
+        assert command.main() == 0
+    return model, folder / "small", returned[0]
 
 
 @pytest.fixture(params=["vector", "paper"])
@@ -117,14 +130,27 @@ def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):
 
 
 def test_a_graph_that_differs_is_refused_and_the_old_model_stays(published, garment, tmp_path, monkeypatch):
-    model, folder, _ = published
+    model, folder, manifest = published
     shutil.copytree(folder, tmp_path / "m")
     before = (tmp_path / "m" / "manifest.json").read_text()
-    monkeypatch.setattr(exporting, "TOLERANCE_M", 1e-12)
+
+    def written(model, staged):
+        shutil.copytree(folder, staged, dirs_exist_ok=True)
+        return manifest.graphs
+
+    # As they were traced already, with shared weights.
+    monkeypatch.setattr(exporting, "write_graphs", written)
+    monkeypatch.setattr(exporting, "share_weights", lambda staged, graphs, parameters: (graphs, manifest.weights))
+    exporting.export(model, tmp_path / "same", garment=garment, training={})
+    other = OneFit(model.config).eval()
+    other.load_state_dict(model.state_dict())
+    with torch.no_grad():
+        for head in other.decoder.heads.values():
+            list(head.parameters())[-1].add_(0.1)
     with pytest.raises(ArtifactError, match="parity"):
-        exporting.export(model, tmp_path / "m", garment=garment, training={})
+        exporting.export(other, tmp_path / "m", garment=garment, training={})
     assert (tmp_path / "m" / "manifest.json").read_text() == before
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["m"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["m", "same"]
 
 
 def test_a_baked_in_axis_is_refused(published):
@@ -141,19 +167,15 @@ def test_quality_is_written_into_a_standing_folder(published, tmp_path, monkeypa
     shutil.copytree(folder, tmp_path / "m")
     (tmp_path / "q.json").write_text(json.dumps({"rows": [{"garment": "tank", "gain": 0.5}]}))
     monkeypatch.setattr("sys.argv", ["model_export", "--quality", str(tmp_path / "q.json"), str(tmp_path / "m")])
-    assert main() == 0
+    assert command.main() == 0
     assert load_manifest(tmp_path / "m") == replace(manifest, quality=[{"garment": "tank", "gain": 0.5}])
     assert sorted(p.name for p in (tmp_path / "m").iterdir()) == sorted(p.name for p in folder.iterdir())
 
 
-def test_a_checkpoint_exports_through_the_command(garment, tmp_path, monkeypatch):
-    model = lively()
-    config = TrainConfig(model=model.config)
-    checkpoint.save(tmp_path / "c.pt", {"model": model.state_dict(), "step": 5, "elapsed_s": 60.0}, config)
-    monkeypatch.setattr("sys.argv", ["model_export", str(tmp_path / "c.pt"), str(tmp_path / "out")])
-    assert main() == 0
-    manifest = load_manifest(tmp_path / "out")
-    assert manifest.training["frames"] == 5 * config.batch_size
+def test_a_checkpoint_exports_through_the_command(published, tmp_path, monkeypatch):
+    _, folder, manifest = published
+    assert manifest.training["frames"] == 5 * TrainConfig().batch_size and manifest.training["garments"]
+    assert {p.name for p in folder.iterdir()} >= {"manifest.json", *(graph.file for graph in manifest.graphs.values())}
     monkeypatch.setattr("sys.argv", ["model_export", str(tmp_path / "none.pt"), str(tmp_path / "out2")])
-    assert main() == 2
+    assert command.main() == 2
     assert not (tmp_path / "out2").exists()

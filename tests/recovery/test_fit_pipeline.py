@@ -85,7 +85,7 @@ def test_rounds_go_on_from_each_other_and_the_fabric_is_chosen(body, tmp_path):
 @pytest.mark.slow
 def test_what_cannot_be_searched_is_refused(body):
     truth = skirt(default_measurements())
-    coarse = replace(COARSE, edge_length_m=0.08)
+    coarse = DrapeOptions(edge_length_m=0.12, grid_m=0.04)
     draped = drape_pattern(truth, body, replace(coarse, iteration_limit=0))
     target = (draped.nodes, draped.mesh.faces, truth, body)
     with pytest.raises(InputError, match="meshes_m"):

@@ -153,6 +153,12 @@ def test_of_a_dynamic_model_the_static_drape_is_fine_tuned(tmp_path: Path):
 @pytest.mark.slow
 def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, monkeypatch, capsys):
     _, folder = tiny
+
+    def with_one_partition(*asked):
+        config, weights = finetuned(*asked)
+        return replace(config, data=replace(config.data, partitions=1)), weights
+
+    monkeypatch.setattr(run, "finetuned", with_one_partition)
     options = ["--finetune", str(folder), "--garment", TANK, "--beside", SHORTS, "--motions", str(sample_motions())]
     options += ["--out", str(tmp_path / "out"), "--minutes", "0.005", "--threads", "1", "--device", "cpu"]
     options += ["--batch", "2", "--bf16"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,12 @@ def test_runs_differ_in_what_they_start_from_and_not_in_the_garment():
 @pytest.mark.slow
 def test_a_garment_is_trained_on_and_measured(tmp_path, monkeypatch):
     monkeypatch.setattr(held_out, "CACHE_DIR", tmp_path)
+    real = finetuning.configurations
+
+    def with_one_partition(*asked):
+        return {name: (replace(c, data=replace(c.data, partitions=1)), w) for name, (c, w) in real(*asked).items()}
+
+    monkeypatch.setattr(finetuning, "configurations", with_one_partition)
     record = finetuning.main(["--garments", TANK, "--quick", "--threads", "1", "--train-steps", "2"])
     rows = record["rows"]
     assert [(row["network"], row["steps"]) for row in rows] == [

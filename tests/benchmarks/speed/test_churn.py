@@ -41,7 +41,11 @@ def test_answers_that_say_there_is_no_room_are_no_faults():
 
 
 @pytest.mark.slow
-def test_clients_come_and_go(capsys: pytest.CaptureFixture[str]):
+def test_clients_come_and_go(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, few_garments: tuple[str, ...]
+):
+    monkeypatch.setattr(churn, "GARMENTS", few_garments)
+    monkeypatch.setattr(churn, "OUTFITS", (few_garments,))
     record = churn.main(["--minutes", "0.1", "--clients", "4"])
     (row,) = record["rows"]
     assert row["streams"] > 0 and row["requests"] > 0 and row["failed"] == 0 and record["faults"] == []

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pyacvd
 import pytest
-import pyvista
 import scipy.sparse
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -108,6 +106,9 @@ def test_energy_falls_below_that_of_the_geodesic_start(mesh, monkeypatch):
 @each(mesh=SHAPES, count=[12, 30])
 @pytest.mark.filterwarnings("ignore:.*_connectivity_array.*")
 def test_energy_is_that_of_pyacvd(mesh, count):
+    import pyacvd  # with VTK, which takes a second in each process that collects tests
+    import pyvista
+
     vertices, faces = mesh
     weight = meshes.vertex_areas(vertices, faces)
     oracle = pyacvd.Clustering(pyvista.PolyData.from_regular_faces(vertices, faces))

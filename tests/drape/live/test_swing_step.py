@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import jn_zeros
 
+from drape.live import swing_step
 from drape.live.clock import CUT_M, PAUSE_S
 from drape.live.swing_mesh import SwingMesh
 from drape.live.swing_step import STILL_S, SwingConstants, SwingMemory, swing
@@ -129,3 +131,21 @@ def test_what_leads_nowhere_hangs_still(scene: tuple[np.ndarray, SwingConstants]
     assert_array_equal(x, there)
     assert not after.speed.any() and after.time_s == time_s
     assert_array_equal(after.swung, after.network)
+
+
+def test_a_frame_that_swings_finds_its_kernel_compiled(monkeypatch: pytest.MonkeyPatch):
+    moved, called = swing_step.move_vertices, []
+
+    def seen(*arguments):
+        called.append([numba.typeof(argument) for argument in arguments])
+        moved(*arguments)
+
+    monkeypatch.setattr(swing_step, "move_vertices", seen)
+    swing_step.warm_up()
+    (warm,) = called
+    rest, mesh = hanging(np.float32)
+    made, memory = constants(mesh), None
+    for number in range(3):
+        still = frame(rest.astype(np.float32), 0.03 * number)
+        _, memory = swing(made, memory, still, np.array([0.0, 0.0, 0.01 * number]))
+    assert len(called) > 1 and all(types == warm for types in called)

@@ -13,7 +13,6 @@ from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
 from drape.contact.skin import posed_table
 from drape.errors import ArtifactError
-from drape.garment.cache import save_garment
 from drape.graph.packing import pack_body
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
@@ -25,6 +24,7 @@ from service.graphs.packing import Packer, ScenePlan
 from service.stages.batch import Jets, PoseInput
 from service.stages.collision import Pusher
 from service.stages.stage import run
+from tests.fixtures.garments import ship
 from tests.fixtures.packed import KINDS, exported, garment
 from tests.fixtures.poses import random_motion
 from tests.service.graphs.test_push import added, drawn
@@ -127,8 +127,7 @@ def test_the_push_out_in_buckets_is_the_same():
 
 @pytest.mark.slow
 def test_a_service_in_buckets_is_warm_and_answers_alike(make_settings, tmp_path: Path):
-    for kind in ("tank", "shorts"):
-        save_garment(garment(kind), tmp_path)
+    ship(tmp_path, "tank", "shorts")
     poses, trans = random_motion(3, seed=8)
     clip, found = PoseInput(poses, trans, np.zeros(10), np.zeros(3)), []
     for buckets in (None, True):

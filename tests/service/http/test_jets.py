@@ -15,7 +15,7 @@ from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.contact.projection import CLEARANCE_M, blended, push_in_parts
 from drape.contact.skin import body_skin, posed_table
-from drape.garment.cache import Garment, save_garment
+from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
 from drape.graph.push_feed import pack_push
 from drape.motion.hard_poses import hard_poses
@@ -34,7 +34,7 @@ from service.http.schemas import ClipOptions
 from service.settings import Settings
 from service.stages.batch import PoseInput
 from service.stages.stage import run
-from tests.fixtures.packed import garment
+from tests.fixtures.garments import ship
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, outfit_url
 from tests.fixtures.streams import RawStream, raw_stream
@@ -208,9 +208,7 @@ def test_an_answer_of_jets_has_the_same_limit(make_runtime: Callable[..., DrapeR
 @pytest.fixture(scope="module")
 def shipped(make_runtime: Callable[..., DrapeRuntime], tmp_path_factory) -> DrapeRuntime:
     """The shipped model with two of its garments."""
-    folder, models = tmp_path_factory.mktemp("two"), Settings().models_dir
-    for kind in ("tank", "shorts"):
-        save_garment(garment(kind), folder)
+    folder, models = ship(tmp_path_factory.mktemp("two"), "tank", "shorts"), Settings().models_dir
     return make_runtime(models_dir=models, model="onefit", shipped_garments_dir=folder)
 
 
