@@ -154,6 +154,7 @@ class DrapeClient:
     drape_glb = _waiting(Methods.drape_glb)
     posed_body = _waiting(Methods.posed_body)
     posed_avatar = _waiting(Methods.posed_avatar)
+    size = _waiting(Methods.size)
 
 
 class AsyncDrapeClient:
@@ -224,6 +225,7 @@ class AsyncDrapeClient:
     drape_glb = _awaited(Methods.drape_glb)
     posed_body = _awaited(Methods.posed_body)
     posed_avatar = _awaited(Methods.posed_avatar)
+    size = _awaited(Methods.size)
 
 
 __all__ = ["AsyncDrapeClient", "DrapeClient", "DrapeError"]

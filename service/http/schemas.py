@@ -17,6 +17,7 @@ from service.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from service.stages.placing import Origin
 
 if TYPE_CHECKING:
+    from service.compute.sizes import Sizes
     from service.stages.scene import Entry
 
 
@@ -197,6 +198,26 @@ class TierInfo(BaseModel):
         )
 
 
+class SizeInfo(BaseModel):
+    """A size of a garment: its girths without stress at the levels of the body that it goes around, and its length."""
+
+    size: str
+    chest_m: float | None = None
+    waist_m: float | None = None
+    hip_m: float | None = None
+    length_m: float = Field(description="From its highest to its lowest point as it hangs [m].")
+    cut_for: dict[str, tuple[float, float]] = Field(
+        description="Least and greatest girth [m] of bodies that it is cut for, at the levels that decide."
+    )
+
+
+class SizeAdvice(BaseModel):
+    """The size of a garment that a body takes."""
+
+    size: str
+    words: str = Field(description="Why: the girth that decides, and what the size is cut for.")
+
+
 class GarmentInfo(BaseModel):
     """One garment that can be draped."""
 
@@ -211,10 +232,11 @@ class GarmentInfo(BaseModel):
     published: bool = Field(description="Whether keys besides its owner's see it.")
     materials: list[str]
     fabric: str | dict[str, Any] = Field(description="What it is made of where a request names nothing else.")
+    sizes: list[SizeInfo] = Field(description="The sizes that it comes in, the smallest first; none where it is one.")
     manifest: dict[str, Any]
 
     @staticmethod
-    def of(entry: Entry) -> GarmentInfo:
+    def of(entry: Entry, sizes: Sizes) -> GarmentInfo:
         """The answer about ``entry``."""
         garment = entry.garment
         return GarmentInfo(
@@ -229,6 +251,10 @@ class GarmentInfo(BaseModel):
             published=entry.owner is None or entry.published,
             materials=list(garment.material_names),
             fabric=garment.fabric if isinstance(garment.fabric, str) else dict(garment.fabric),
+            sizes=[
+                SizeInfo(size=size, cut_for=sizes.cut_for(entry, size), **told)
+                for size, told in sizes.measures(entry).items()
+            ],
             manifest=garment.manifest,
         )
 
