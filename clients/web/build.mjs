@@ -2,7 +2,7 @@
 // of folds that lib/folds is compiled to.
 import asc from "assemblyscript/asc";
 import { build } from "esbuild";
-import { copyFile, mkdir, readdir, rename, rm, writeFile } from "node:fs/promises";
+import { copyFile, mkdir, readFile, readdir, rename, rm, writeFile } from "node:fs/promises";
 import { gzipSync } from "node:zlib";
 
 const CORE_LIMIT = 40_000; // bytes, gzipped, of what an application gets beside three.js
@@ -36,12 +36,14 @@ async function foldsModule() {
 const worker = await textOf("lib/src/worker.js", { format: "iife" });
 const folds = await foldsModule();
 const define = { WORKER_TEXT: JSON.stringify(worker), FOLDS_TEXT: JSON.stringify(folds.toString("base64")) };
-const later = ["./folds.js"]; // what comes when it is needed, and never on the page
+const later = ["./folds.js"]; // what comes when it is needed
 
 await replace("dist", async (folder) => {
-  await build({ ...common, minify: true, external: later, splitting: true, chunkNames: "part-[hash]", entryPoints: ["src/boot.js"], outdir: folder });
+  await build({ ...common, minify: true, define: { FOLDS_TEXT: define.FOLDS_TEXT }, splitting: true, chunkNames: "part-[hash]", entryPoints: ["src/boot.js"], outdir: folder });
   await writeFile(`${folder}/worker.js`, worker); // by address, since the page's policy takes no other scripts
   for (const name of ["index.html", "style.css", "icon.svg"]) await copyFile(`src/${name}`, `${folder}/${name}`);
+  const [frame, script] = await Promise.all(["tracker.html", "tracker.js"].map((name) => readFile(`src/${name}`, "utf8")));
+  await writeFile(`${folder}/tracker.html`, frame.replace('<script src="tracker.js"></script>', () => `<script>\n${script}</script>`));
 });
 
 const entries = ["index", "core", "three", "react", "worker", "folds"].map((name) => `lib/src/${name}.js`);
