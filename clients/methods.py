@@ -130,7 +130,7 @@ class Methods:
 
     def mesh(self, garment: str, resolution: Resolution = "delivered", size: str | None = None) -> Call[dict[str, Any]]:
         """Rest vertices [m], faces, uv and uv_faces of a garment, of the mesh that a drape of ``resolution`` has."""
-        more = {} if size is None else {"size": size}
+        more: dict[str, Any] = {} if size is None else {"size": size}
         return fetched("garments", garment, "mesh", resolution=resolution, **more)
 
     def preview(self, garment: str, size: int = 512) -> Call[bytes]:

@@ -41,7 +41,7 @@ from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.sim.sdf import SignedDistance
 
-Field = Callable[[np.ndarray, np.ndarray], np.ndarray]  # over all points, from rows and their values
+Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # over points, from rows and their values
 # Each size falls from the one beside it.
 FULL = BuildOptions(coarse_steps=120)
 FROM = {"M": "M", "S": "M", "L": "M", "XL": "L"}

@@ -21,7 +21,7 @@ from service.http.fit_schemas import FitDocument, FitRequest, MeasuresDocument, 
 from service.http.json_body import document_of, json_text, validated
 from service.http.openapi import body_schema, responses
 from service.http.query import Betas, queried_shape
-from service.http.schemas import SizeAdvice
+from service.http.size_schemas import SizeAdvice
 from service.stages.batch import Batch, PoseInput, motion_arrays, shape_array
 from service.state import ClientHere, StateHere
 

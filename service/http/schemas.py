@@ -13,6 +13,7 @@ from drape.files.formats import MESH_NAMES
 from drape.graph.feeds import BETA_COUNT
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
 from service.compute.tiers import Tier
+from service.http.size_schemas import SizeInfo
 from service.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from service.stages.placing import Origin
 
@@ -196,26 +197,6 @@ class TierInfo(BaseModel):
         return cls(
             id=named, default=named == default, passes=passes, folds=tier.folds, alone=alone, figures=dict(tier.figures)
         )
-
-
-class SizeInfo(BaseModel):
-    """A size of a garment: its girths without stress at the levels of the body that it goes around, and its length."""
-
-    size: str
-    chest_m: float | None = None
-    waist_m: float | None = None
-    hip_m: float | None = None
-    length_m: float = Field(description="From its highest to its lowest point as it hangs [m].")
-    cut_for: dict[str, tuple[float, float]] = Field(
-        description="Least and greatest girth [m] of bodies that it is cut for, at the levels that decide."
-    )
-
-
-class SizeAdvice(BaseModel):
-    """The size of a garment that a body takes."""
-
-    size: str
-    words: str = Field(description="Why: the girth that decides, and what the size is cut for.")
 
 
 class GarmentInfo(BaseModel):

@@ -54,10 +54,7 @@ const shelf = new Shelf({
 });
 const fabrics = new Fabrics(shelf, { onFabric: () => wearAgain() });
 const sizes = new Sizes(shelf, {
-  onSize() {
-    say("The size is cut …", { by: "stream" });
-    wearAgain();
-  },
+  onSize: () => (say("The size is cut …", { by: "stream" }), wearAgain()),
   advice: async (id) => (state.avatar === null ? drape.rest.size(id, state.betas) : null), // characters have no measures
 });
 
@@ -380,10 +377,9 @@ const start = failing(async () => {
   ]);
   quality.offer(tiers, wanted.get("tier"), wanted.get("folds_by"));
   const asked = wanted.get("fabric");
-  for (const layer of shelf.worn) if (shelf.garment(layer.id).sizes.some(({ size }) => size === wanted.get("size"))) layer.size = wanted.get("size") === "M" ? null : wanted.get("size");
+  sizes.wear(wanted.get("size"));
   if (list.some(({ id }) => id === asked)) for (const layer of shelf.worn) layer.fabric = asked;
   fabrics.offer(list, health.fabrics);
-  shelf.tellSizes();
   sizes.draw();
   measures.listCharacters(await drape.avatars(), null);
   wireControls();

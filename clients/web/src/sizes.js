@@ -12,6 +12,14 @@ export class Sizes {
     this.turn = 0;
   }
 
+  // All that is worn in one size, where it comes in it.
+  wear(size) {
+    for (const layer of this.shelf.worn) {
+      if (this.shelf.garment(layer.id).sizes.some((one) => one.size === size)) layer.size = size === "M" ? null : size;
+    }
+    this.shelf.tellSizes();
+  }
+
   draw() {
     const layer = this.shelf.worn[this.shelf.selected];
     const sizes = layer ? this.shelf.garment(layer.id).sizes : [];
