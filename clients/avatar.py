@@ -29,7 +29,8 @@ class Avatar:
     options: dict[str, Any] = field(default_factory=dict)
 
     def wear(self, *garments: str, **options: Any) -> Avatar:
-        """The same character in ``garments``; ``options`` are those of ``drape.wire.options.DrapeOptions``."""
+        """The same character in ``garments``; ``options`` are those of ``drape.wire.options.DrapeOptions``, and
+        ``size``."""
         return Avatar(self.client, self.id, garments, options)
 
     @property

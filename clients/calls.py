@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 from urllib.parse import quote
 
@@ -27,11 +28,13 @@ from drape.wire.options import options_document
 Answer = TypeVar("Answer")
 Motion = MotionClip | np.ndarray
 Options = Mapping[str, Any]
+Size = str | Sequence[str | None] | None  # of all garments, or of each
 
 BINARY, GLB = "application/octet-stream", "model/gltf-binary"
 DEFAULT_URL = "http://127.0.0.1:8000"
 DEFAULT_FPS = 30.0
 DRAPE = "/drape"
+WORN = ("avatar", "size")  # options that say who wears what, beside those of a drape
 STREAMED: Options = {"streamed": True}  # so that the answer may be of any length
 
 
@@ -182,16 +185,15 @@ def draped(
     accept: str = BINARY,
     more: Options = STREAMED,
 ) -> Call[Answer]:
-    """A drape; ``options`` by the names of ``drape.wire.options.DrapeOptions`` and the ``avatar`` that wears it,
-    ``more`` by those of the service."""
+    """A drape; ``options`` by the names of ``drape.wire.options.DrapeOptions``, the ``avatar`` that wears it and the
+    ``size``, ``more`` by those of the service."""
     clip, about = motion_of(motion, body)
-    wearer = {"avatar": options["avatar"]} if options.get("avatar") is not None else {}
-    asked = {**about, **worn(garment), **wearer, **options_document(_without(options, "avatar")), **more}
+    asked = {**about, **worn(garment, options), **options_document(_without(options, *WORN)), **more}
     return Call("POST", DRAPE, read, headers={"Accept": accept}, json=asked, clip=clip)
 
 
-def _without(options: Options, name: str) -> Options:
-    return {key: value for key, value in options.items() if key != name}
+def _without(options: Options, *names: str) -> Options:
+    return {key: value for key, value in options.items() if key not in names}
 
 
 def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
@@ -204,9 +206,17 @@ def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
     return Call(call.method, call.path, read, headers=call.headers, json=call.json | {"origin": "root"}, clip=call.clip)
 
 
-def worn(garment: str | Sequence[str]) -> dict[str, Any]:
-    """The field of a request that names one garment, or several worn over each other."""
-    return {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)}
+def worn(garment: str | Sequence[str], options: Options = MappingProxyType({})) -> dict[str, Any]:
+    """The fields of a request that name one garment, or several worn over each other, and of ``options`` the avatar
+    that wears them and the size."""
+    named = {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)}
+    return named | {name: options[name] for name in WORN if options.get(name) is not None}
+
+
+def sized(garments: Sequence[str], size: Size) -> list[tuple[str, str | None]]:
+    """Each of ``garments`` with its size."""
+    each = [size] * len(garments) if size is None or isinstance(size, str) else size
+    return list(zip(garments, each, strict=True))
 
 
 def motion_of(motion: Motion, body: Body) -> tuple[Clip, dict[str, Any]]:

@@ -23,7 +23,7 @@ from typing import Any, get_args
 import numpy as np
 from pydantic.fields import FieldInfo
 
-from clients.calls import DEFAULT_URL
+from clients.calls import DEFAULT_URL, sized
 from clients.client import DrapeClient
 from clients.meshes import surface_of
 from drape.errors import DrapeError, InputError
@@ -102,6 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--as-recorded", action="store_true", help="for a file: leave its translations as they are")
     drape.add_argument("--fps", type=float, default=30.0, help="frames per second of the result (30)")
     drape.add_argument("--on", metavar="AVATAR", help="the character that wears it: an id, or a GLB or VRM file")
+    drape.add_argument("--size", nargs="+", metavar="SIZE", help="S, M, L or XL: for all, or by layer")
     drape.add_argument("--betas", help="body shape, comma-separated")
     drape.add_argument("--body", action="store_true", help="include the body in the GLB")
     drape.add_argument("--rig", action="store_true", help="with --on: the GLB on the character's own skeleton")
@@ -191,9 +192,11 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
     betas = _numbers(options.betas)
     avatar = None if options.on is None else client.avatar(options.on).id
     clip = _clip(client, options, betas, avatar).resampled(options.fps)
-    choices: dict[str, Any] = {name: getattr(options, name) for name in _options()} | {"avatar": avatar}
-    if choices["fabric"] is not None and len(choices["fabric"]) == 1:
-        (choices["fabric"],) = choices["fabric"]
+    choices: dict[str, Any] = {name: getattr(options, name) for name in _options()}
+    choices |= {"avatar": avatar, "size": options.size}
+    for name in ("fabric", "size"):  # one is for all layers
+        if choices[name] is not None and len(choices[name]) == 1:
+            (choices[name],) = choices[name]
     worn: list[str] = []
     for garment in options.garment:
         if Path(garment).suffix.lower() in MESH_SUFFIXES:
@@ -233,7 +236,8 @@ def _moving(
     """The ``layers`` (F, V, 3) of the garments ``worn`` with their meshes and colours."""
     resolution = choices["resolution"] or "delivered"
     hidden = choices["hidden"] or ()
-    meshes = [surface_of(client.mesh(name, resolution)) for name in worn if name not in hidden]
+    shown = [one for one in sized(worn, choices["size"]) if one[0] not in hidden]
+    meshes = [surface_of(client.mesh(name, resolution, size)) for name, size in shown]
     colours = itertools.cycle(GARMENT_COLOURS)
     return [MovingGarment(*parts, next(colours)[:3]) for parts in zip(meshes, layers, strict=True)]
 

@@ -155,6 +155,7 @@ class DrapeClient:
     body_mesh = _waiting(Methods.body_mesh)
     posed_body = _waiting(Methods.posed_body)
     posed_avatar = _waiting(Methods.posed_avatar)
+    size = _waiting(Methods.size)
 
 
 class AsyncDrapeClient:
@@ -226,6 +227,7 @@ class AsyncDrapeClient:
     body_mesh = _awaited(Methods.body_mesh)
     posed_body = _awaited(Methods.posed_body)
     posed_avatar = _awaited(Methods.posed_avatar)
+    size = _awaited(Methods.size)
 
 
 __all__ = ["AsyncDrapeClient", "DrapeClient", "DrapeError"]

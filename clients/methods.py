@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from clients import calls, pieces
-from clients.calls import BINARY, GLB, Answer, Body, Call, Motion, at_root, draped, fetched, path_of, sent
+from clients.calls import BINARY, GLB, Answer, Body, Call, Motion, at_root, draped, fetched, path_of, sent, sized
 from clients.meshes import check_at_once, glb_of, surface_of
 from clients.refusals import problem_error
 from drape.errors import Unavailable
@@ -112,6 +112,7 @@ class Methods:
         betas: np.ndarray | None = None,
         pose: np.ndarray | None = None,
         fabric: str | dict[str, Any] | None = None,
+        size: str | None = None,
         vertices: bool = False,
     ) -> Call[dict[str, Any]]:
         """Where ``garment`` is tight or loose on a body, in words and numbers; ``pose`` is (24, 3) [rad].
@@ -121,22 +122,32 @@ class Methods:
         body = {
             name: None if of is None else np.asarray(of).tolist() for name, of in (("betas", betas), ("pose", pose))
         }
-        return sent({**body, "fabric": fabric, "vertices": vertices}, "garments", garment, "fit")
+        return sent({**body, "fabric": fabric, "size": size, "vertices": vertices}, "garments", garment, "fit")
 
-    def mesh(self, garment: str, resolution: Resolution = "delivered") -> Call[dict[str, Any]]:
+    def size(self, garment: str, betas: np.ndarray | None = None) -> Call[dict[str, str]]:
+        """The ``size`` of ``garment`` that the service's body in the shape ``betas`` takes, and why in ``words``."""
+        return fetched("garments", garment, "size", betas=betas)
+
+    def mesh(self, garment: str, resolution: Resolution = "delivered", size: str | None = None) -> Call[dict[str, Any]]:
         """Rest vertices [m], faces, uv and uv_faces of a garment, of the mesh that a drape of ``resolution`` has."""
-        return fetched("garments", garment, "mesh", resolution=resolution)
+        more: dict[str, Any] = {} if size is None else {"size": size}
+        return fetched("garments", garment, "mesh", resolution=resolution, **more)
 
     def preview(self, garment: str, size: int = 512) -> Call[bytes]:
         """A PNG of a garment at rest on its body, ``size`` pixels along each side, 64 to 1,024."""
         return fetched("garments", garment, "preview.png", read=calls.read_bytes, accept="image/png", size=str(size))
 
     def jet_layout(
-        self, garment: str, resolution: Resolution = "delivered", avatar: str | None = None
+        self,
+        garment: str,
+        resolution: Resolution = "delivered",
+        avatar: str | None = None,
+        size: str | None = None,
     ) -> Call[JetLayout]:
-        """The layout that makes vertices of a garment's jets, on its own mesh or a finer one; constant per garment and
-        per ``avatar`` that it is cut for."""
-        asked: dict[str, str] = {"resolution": resolution} | ({} if avatar is None else {"avatar": avatar})
+        """The layout that makes vertices of a garment's jets, on its own mesh or a finer one; constant per garment,
+        ``size``, and ``avatar`` that it is cut for."""
+        more = {"avatar": avatar, "size": size}
+        asked: dict[str, str] = {"resolution": resolution} | {k: v for k, v in more.items() if v is not None}
         return Call("GET", path_of("garments", garment, "jets"), calls.read_layout, asked, {"Accept": BINARY})
 
     def upload_garment(
@@ -185,8 +196,8 @@ class Methods:
     ) -> Steps[np.ndarray]:
         """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad].
 
-        ``options`` are those of ``drape.wire.options.DrapeOptions``, the service's own where left out, and ``avatar``:
-        the id of a character that wears it, here and in the methods below.
+        ``options`` are those of ``drape.wire.options.DrapeOptions``, the service's own where left out, ``avatar``:
+        the id of a character that wears it, and ``size``, here and in the methods below.
         """
         return self._whole(draped(calls.read_vertices, garment, motion, Body(trans, betas), options))
 
@@ -279,8 +290,8 @@ class Methods:
         rooted = at_root(draped(calls.read_vertices, garment, motion, shape, options))
         vertices, roots = yield from self._whole(rooted)
         meshes = []
-        for name in _listed(garment):
-            meshes.append(surface_of((yield self.mesh(name, options.get("resolution") or "delivered"))))
+        for name, size in sized(_listed(garment), options.get("size")):
+            meshes.append(surface_of((yield self.mesh(name, options.get("resolution") or "delivered", size))))
         return glb_of(call, meshes, vertices, roots)
 
     def body_mesh(self, body: str) -> Call[dict[str, Any]]:

@@ -33,7 +33,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
 from websockets.typing import Subprotocol
 
-from clients.calls import DEFAULT_URL, key_headers, worn
+from clients.calls import DEFAULT_URL, Size, key_headers, worn
 from clients.refusals import ServiceError, problem_error, unreachable
 from drape.errors import DrapeError, Unavailable
 from drape.wire import messages as wire
@@ -101,18 +101,20 @@ class DrapeStream:
         *,
         betas: Sequence[float] | np.ndarray | None = None,
         avatar: str | None = None,
+        size: Size = None,
         key: str | None = None,
         clock: Callable[[], float] = time.perf_counter,
         **options: Any,
     ) -> DrapeStream:
         """Connects and opens, with ``options`` of ``drape.wire.options.DrapeOptions``; raises the service's refusal.
 
-        ``avatar``: the id of the character that wears it. ``key``: an API key or a ticket, where the service has keys.
+        ``avatar``: the id of the character that wears it. ``size``: of all garments, or a list by layer. ``key``: an
+        API key or a ticket, where the service has keys.
         ``clock``: the time [s] of the motion, with which poses are stamped and ages taken.
         """
         stream = cls(await _connected(url, key), url, key, clock)
         try:
-            await stream.reopen(garment, betas=betas, avatar=avatar, **options)
+            await stream.reopen(garment, betas=betas, avatar=avatar, size=size, **options)
         except BaseException:
             await stream.close()
             raise
@@ -136,17 +138,17 @@ class DrapeStream:
         *,
         betas: Sequence[float] | np.ndarray | None = None,
         avatar: str | None = None,
+        size: Size = None,
         **options: Any,
     ) -> dict[str, Any]:
-        """Turns the stream to another garment, shape, ``avatar`` or ``options``; old frames are thrown away.
+        """Turns the stream to another garment, shape, ``avatar``, ``size`` or ``options``; old frames are thrown away.
 
         Several garments are worn over each other, the innermost first; ``layers`` parts their vertices. With jets
         frames come from ``receive_jets``.
         """
         shape = None if betas is None else [float(beta) for beta in betas]
         about = {"betas": shape, "moves": True, "same": True, **options_document(options)}
-        wearer = {} if avatar is None else {"avatar": avatar}
-        self._request = {"type": "open", **worn(garment), **wearer, **about}
+        self._request = {"type": "open", **worn(garment, {"avatar": avatar, "size": size}), **about}
         self._unanswered.clear()
         self._held.clear()
         self._still = None

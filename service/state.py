@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
     from service.compute.avatars import AvatarEntry
     from service.compute.drape_runtime import DrapeRuntime
+    from service.compute.sizes import SizeChoice
     from service.compute.threads import SlicedThread
     from service.guard.access import Access
     from service.http.continuations import Continuations
@@ -62,13 +63,21 @@ class State:
         return await self.shared_folder.found(lambda: self.runtime.avatars.get(avatar_id, client.name))
 
     async def scene(
-        self, garment: str | None, garments: Sequence[str] | None, client: Client, *, avatar: str | None = None
+        self,
+        garment: str | None,
+        garments: Sequence[str] | None,
+        client: Client,
+        *,
+        avatar: str | None = None,
+        size: SizeChoice = None,
     ) -> Scene:
-        """The scene that is worn, cut for the ``avatar`` where there is one: see ``Registry.scene``,
-        ``SharedFolder.found`` and ``Avatars.dress``."""
+        """The scene that is worn, in a ``size`` and cut for the ``avatar`` where there is one: see ``Registry.scene``,
+        ``SharedFolder.found``, ``Sizes.wear`` and ``Avatars.dress``."""
         registry, avatars = self.runtime.garments, self.runtime.avatars
         worn_by = None if avatar is None else (await self.avatar(avatar, client)).id
         scene = await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
+        if size is not None:
+            scene = await asyncio.to_thread(self.runtime.sizes.wear, scene, size)
         return scene if worn_by is None else await asyncio.to_thread(avatars.dress, worn_by, scene)
 
     async def wearer(self, avatar: str, client: Client) -> Wearer:

@@ -2,7 +2,7 @@
 // folds that lib/folds is compiled to, and the page that needs no service into static/dist (python -m service.static).
 import asc from "assemblyscript/asc";
 import { build } from "esbuild";
-import { copyFile, mkdir, readdir, rename, rm, writeFile } from "node:fs/promises";
+import { copyFile, mkdir, readFile, readdir, rename, rm, writeFile } from "node:fs/promises";
 import { gzipSync } from "node:zlib";
 
 const CORE_LIMIT = 40_000; // bytes, gzipped, of what an application gets beside three.js
@@ -41,12 +41,14 @@ const define = {
   LOCAL_WORKER_TEXT: JSON.stringify(localWorker),
   FOLDS_TEXT: JSON.stringify(folds.toString("base64")),
 };
-const later = ["./folds.js"]; // what comes when it is needed, and never on the page
+const later = ["./folds.js"]; // what comes when it is needed
 
 await replace("dist", async (folder) => {
-  await build({ ...common, minify: true, external: later, splitting: true, chunkNames: "part-[hash]", entryPoints: ["src/boot.js"], outdir: folder });
+  await build({ ...common, minify: true, define: { FOLDS_TEXT: define.FOLDS_TEXT }, splitting: true, chunkNames: "part-[hash]", entryPoints: ["src/boot.js"], outdir: folder });
   await writeFile(`${folder}/worker.js`, worker); // by address, since the page's policy takes no other scripts
   for (const name of ["index.html", "style.css", "icon.svg"]) await copyFile(`src/${name}`, `${folder}/${name}`);
+  const [frame, script] = await Promise.all(["tracker.html", "tracker.js"].map((name) => readFile(`src/${name}`, "utf8")));
+  await writeFile(`${folder}/tracker.html`, frame.replace('<script src="tracker.js"></script>', () => `<script>\n${script}</script>`));
 });
 
 const names = ["index", "core", "three", "react", "worker", "folds", "local", "local_worker"];

@@ -18,6 +18,7 @@ from drape.wire.colliders import COLLIDER_LIMIT, Collider
 # Every list stops at its first mistake: the answer tells one, and a million of them take seconds to write down.
 FIRST_ONLY = Field(fail_fast=True)
 LAYER_LIMIT = 64  # far beyond what a service drapes, which says how many that is
+SizeName = Annotated[str, Field(min_length=1, max_length=40)]  # which sizes there are, garments say
 Identifier = Annotated[str, Field(min_length=1, max_length=120)]
 Geometry = Literal["vertices", "jets"]
 Inertia = Literal["mesh", "network"]
@@ -27,12 +28,17 @@ FoldsBy = Literal["server", "client"]
 
 
 class Worn(BaseModel):
-    """The garment that is draped, or several worn over each other."""
+    """The garment that is draped, or several worn over each other, and in which size."""
 
     garment: Identifier | None = None
     garments: Annotated[list[Identifier], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
         description="Instead of garment: several worn over each other, the innermost first.",
+    )
+    size: SizeName | Annotated[list[SizeName | None], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
+        default=None,
+        description="S, M, L or XL of garments that have sizes (GET /garments), or a list of these by layer (null: M). "
+        "Left out: M.",
     )
 
 

@@ -1,10 +1,11 @@
 """Sews the catalogue's garments and lets them come to rest on the body.
 
 python -m recovery.catalogue build [NAME ...] --out DIR [--size M] [--body BODY] [--edge-length 0.0115] [--garments DIR]
+python -m recovery.catalogue grade [NAME ...] [--garments assets/garments]
 python -m recovery.catalogue list
 
-Writes NAME.obj, NAME.glb and NAME.json, in other sizes than M as NAME_SIZE. Exit codes: 2 refused, 3 written but not at
-rest.
+``build`` writes NAME.obj, NAME.glb and NAME.json, in other sizes than M as NAME_SIZE. ``grade`` writes what the service
+makes sizes of, beside the caches that ``build --garments`` wrote. Exit codes: 2 refused, 3 written but not at rest.
 """
 
 from __future__ import annotations
@@ -15,11 +16,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
+from drape.catalog import find_files, open_garment
 from drape.errors import refusing
+from drape.garment.cache import GARMENTS_DIR
 from drape.garment.intake import intake
+from drape.garment.sizes import save_table, table_path
 from recovery.catalogue.build import QUICK, BuildOptions, body_distance, build, design
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
+from recovery.catalogue.grading import grade
 from recovery.commands import ended, parser_of
 from recovery.pattern.measurements import measure
 from recovery.pattern.sizes import STEPS
@@ -38,6 +43,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     builder.add_argument("--body", default=DEFAULT_BODY, help="name or file of a body; it is size M")
     builder.add_argument("--edge-length", type=float, default=default.fine_m, help="of the finished mesh [m]")
     builder.add_argument("--quick", action="store_true", help="a look on a coarse mesh, not at rest")
+    grader = commands.add_parser("grade", help="make the other sizes of garments that were taken in")
+    grader.add_argument("names", nargs="*", metavar="NAME", help="all of the catalogue where none is named")
+    grader.add_argument("--garments", type=Path, default=GARMENTS_DIR, help="folder of their caches (%(default)s)")
     commands.add_parser("list", help="names, fabrics and panels")
     return parser.parse_args(arguments)
 
@@ -53,6 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             ease = ", ".join(f"{where} {100 * much:+.0f} cm" for where, much in made.ease_m.items())
             print(f"{name:14s} {made.fabric:14s} {len(made.pattern.panels):2d} panels; {ease}")
         return 0
+    if given.command == "grade":
+        return _grade(given.names or list(CATALOGUE), given.garments)
     body = load_body(given.body)
     options = QUICK if given.quick else BuildOptions(fine_m=given.edge_length)
     measurements = measure(body)
@@ -71,6 +81,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
             moving.append(f"{called} by {garment.figures['last_move_mm']:.2f} mm")
     told = f"not at rest, the last step moved a node of {', '.join(moving)}. Leave out --quick, or take another size."
     return ended([], told if moving else "")
+
+
+def _grade(names: Sequence[str], folder: Path) -> int:
+    """Writes the tables of sizes of ``names``, whose caches are in ``folder``."""
+    body = load_body()
+    measurements, skin = measure(body), body_distance(body)
+    for name in names:
+        (path,) = find_files([name], folder, (".npz",), "garment")
+        garment = open_garment(path, body)
+        print(f"--- {name}")
+        table = grade(name, garment, body, measurements, skin, report=lambda line: print(line, flush=True))
+        save_table(table, written := table_path(folder, garment))
+        print(f"{written}, {written.stat().st_size} bytes")
+    return 0
 
 
 if __name__ == "__main__":

@@ -43,10 +43,19 @@ class Settled:
 
 
 class Fall:
-    """The garment ``design`` on ``mesh``, of ``fabric``, over the body ``skin``; nothing but the body holds it up."""
+    """The garment ``design`` on ``mesh``, of ``fabric``, over the body ``skin``; nothing but the body holds it up, and
+    the nodes ``held`` (n,), which stay where they are."""
 
-    def __init__(self, design: Design, mesh: PatternMesh, fabric: Fabric, skin: SignedDistance) -> None:
-        self.model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces)
+    def __init__(
+        self,
+        design: Design,
+        mesh: PatternMesh,
+        fabric: Fabric,
+        skin: SignedDistance,
+        *,
+        held: np.ndarray | None = None,
+    ) -> None:
+        self.model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, fixed=held)
         self.model.rest_angle = torch.from_numpy(seam_angles(design, mesh, self.model))
         soft = fabric.softened(SOFTEST_N_PER_M)
         parameters = self.model.parameters(mesh.rest, Material.of(soft).woven)

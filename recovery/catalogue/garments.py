@@ -20,7 +20,9 @@ def _to_wrist(body: BodyMeasurements, shoulder_out_m: float) -> float:
 
 
 CATALOGUE: dict[str, Callable[[BodyMeasurements], Design]] = {
-    "tshirt": lambda body: top(body, TopCut("tshirt", "jersey", 0.65, 0.10, Sleeve(0.225, 0.085, 0.36), **NECK)),
+    "tshirt": lambda body: top(
+        body, TopCut("tshirt", "jersey", 0.65, 0.10, Sleeve(0.225, 0.085, 0.36 + body.wider_m), **NECK)
+    ),
     "longsleeve": lambda body: top(
         body,
         TopCut(
@@ -44,7 +46,7 @@ CATALOGUE: dict[str, Callable[[BodyMeasurements], Design]] = {
     "dress": lambda body: top(
         body,
         TopCut(
-            *("dress", "satin", 1.02, 0.14, Sleeve(0.20, 0.10, 0.40)),
+            *("dress", "satin", 1.02, 0.14, Sleeve(0.20, 0.10, 0.40 + body.wider_m)),
             neck_out_m=0.03,
             neck_depth_m=0.10,
             back_neck_depth_m=0.03,
@@ -57,7 +59,7 @@ CATALOGUE: dict[str, Callable[[BodyMeasurements], Design]] = {
     "sweat": lambda body: top(
         body,
         TopCut(
-            *("sweat", "sweat", 0.66, 0.26, Sleeve(_to_wrist(body, 0.065), 0.14, 0.30, 0.06, 0.33)),
+            *("sweat", "sweat", 0.66, 0.26, Sleeve(_to_wrist(body, 0.065), 0.14, 0.30 + body.wider_m, 0.06, 0.33)),
             shoulder_out_m=0.065,
             shoulder_drop_m=0.05,
             armhole_drop_m=0.075,
@@ -71,13 +73,17 @@ CATALOGUE: dict[str, Callable[[BodyMeasurements], Design]] = {
     "shirt": lambda body: shirt(
         body,
         TopCut(
-            *("shirt", "satin", 0.70, 0.14, Sleeve(_to_wrist(body, 0.012), 0.10, 0.27, 0.055, 0.15)),
+            *("shirt", "satin", 0.70, 0.14, Sleeve(_to_wrist(body, 0.012), 0.10, 0.27 + body.wider_m, 0.055, 0.15)),
             neck_out_m=0.008,
             neck_depth_m=0.075,
             back_neck_depth_m=0.015,
         ),
     ),
-    "trousers": lambda body: trousers(body, LegCut("trousers", "ponte", 0.13, 0.72, 0.66)),
-    "slim_trousers": lambda body: trousers(body, LegCut("slim_trousers", "stretch_denim", 0.04, 0.36, 0.43)),
-    "shorts": lambda body: trousers(body, LegCut("shorts", "twill", 0.10, 0.64, inseam_m=0.20)),
+    "trousers": lambda body: trousers(
+        body, LegCut("trousers", "ponte", 0.13, 0.72 + body.wider_m, 0.66 + body.wider_m)
+    ),
+    "slim_trousers": lambda body: trousers(
+        body, LegCut("slim_trousers", "stretch_denim", 0.04, 0.36 + body.wider_m, 0.43 + body.wider_m)
+    ),
+    "shorts": lambda body: trousers(body, LegCut("shorts", "twill", 0.10, 0.64 + body.wider_m, inseam_m=0.20)),
 }

@@ -95,7 +95,8 @@ class _LegLines:
         self.body, self.cut = body, cut
         self.top = body.waist_y - cut.rise_drop_m - cut.band_m
         self.crotch = body.crotch_y - cut.crotch_ease_m
-        self.hem = body.ankle_y + ABOVE_ANKLE_M if cut.inseam_m is None else self.crotch - cut.inseam_m
+        hem = body.ankle_y + ABOVE_ANKLE_M if cut.inseam_m is None else self.crotch - cut.inseam_m
+        self.hem = hem - body.limbs_longer_m
         _check(body, cut, self.top, self.hem)
         quarter = 0.25 * (body.hip_girth + cut.hip_ease_m)
         self.outer = {"front": quarter - SHIFT_M, "back": quarter + SHIFT_M}

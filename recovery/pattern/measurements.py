@@ -21,6 +21,9 @@ class BodyMeasurements:
 
     ``heights`` and ``girths`` (N,) give the tape around the trunk (both legs below the crotch), ``front_z`` and
     ``back_z`` how far the trunk reaches. Arm girths are taken a quarter down the upper arm and at the wrist.
+    ``longer_m`` is what tops and skirts for it are cut longer, and sleeves and legs by half of it: a size is worn by
+    bodies of any height, and its lengths grow with its girths. ``wider_m`` is what the ends of sleeves and legs are cut
+    wider, where no girth of the body tells them.
     """
 
     neck_y: float
@@ -49,6 +52,13 @@ class BodyMeasurements:
     back_z: float
     heights: np.ndarray
     girths: np.ndarray
+    longer_m: float = 0.0
+    wider_m: float = 0.0
+
+    @property
+    def limbs_longer_m(self) -> float:
+        """What sleeves and legs are cut longer [m]."""
+        return 0.5 * self.longer_m
 
     def girth_at(self, y: float) -> float:
         """The tape [m] around the trunk at height ``y``."""

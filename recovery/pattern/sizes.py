@@ -1,7 +1,7 @@
 """Sizes S, M, L and XL: the measurements that a pattern is drafted for, from those of one body, which is M.
 
-Girths grow by 4 cm from size to size, as in EN 13402-3 (bust, chest, waist and hip girth in steps of 4 cm up to the
-middle of its range); the other steps are the proportional ones of tailors' grading tables, rounded to a millimetre.
+Girths of the trunk grow by a letter of EN 13402-3 (``drape.garment.size_chart``). The other steps are proportional to
+these, as in tailors' grading tables, and lengths grow by what makers of T-shirts print.
 """
 
 from __future__ import annotations
@@ -9,22 +9,24 @@ from __future__ import annotations
 from dataclasses import replace
 
 from drape.errors import NotFound
+from drape.garment.size_chart import GIRTH_STEP_M, SIZES, STEPS
 from recovery.pattern.measurements import BodyMeasurements
 
-STEPS = {"S": -1, "M": 0, "L": 1, "XL": 2}
 # Growth [m] per size; girths whole, half widths half.
 GROWTH_M = {
-    "chest_girth": 0.040,
-    "waist_girth": 0.040,
-    "hip_girth": 0.040,
-    "thigh_girth": 0.022,
-    "calf_girth": 0.012,
-    "arm_girth": 0.014,
-    "wrist_girth": 0.006,
-    "neck_girth": 0.010,
-    "neck_half_width": 0.0015,
-    "shoulder_x": 0.006,
-    "underarm_y": -0.004,  # armholes deepen
+    "chest_girth": GIRTH_STEP_M,
+    "waist_girth": GIRTH_STEP_M,
+    "hip_girth": GIRTH_STEP_M,
+    "thigh_girth": 0.044,
+    "calf_girth": 0.024,
+    "arm_girth": 0.028,
+    "wrist_girth": 0.012,
+    "neck_girth": 0.020,
+    "neck_half_width": 0.003,
+    "shoulder_x": 0.012,
+    "underarm_y": -0.008,  # armholes deepen
+    "longer_m": 0.02,
+    "wider_m": 0.024,
 }
 
 
@@ -36,7 +38,7 @@ def in_size(body: BodyMeasurements, size: str) -> BodyMeasurements:
     if size not in STEPS:
         raise NotFound(
             "size",
-            expected=f"one of {', '.join(STEPS)}",
+            expected=f"one of {', '.join(SIZES)}",
             got=size,
             cure="Beyond the grade, draft for a body of that size: measure it and make its M.",
         )

@@ -43,16 +43,17 @@ def a_line(body: BodyMeasurements, cut: SkirtCut) -> Design:
     waist = 0.25 * (body.girth_at(top) + cut.waist_ease_m)
     hips = 0.25 * (body.hip_girth + cut.hip_ease_m)
     drop = top - body.hip_y
-    if cut.hip_ease_m < 0.0 or cut.length_m < drop + 0.1:
+    length = cut.length_m + body.longer_m
+    if cut.hip_ease_m < 0.0 or length < drop + 0.1:
         raise InputError(
             cut.name,
             expected="ease at the hips, and a hem 10 cm below them",
-            got=f"{cut.hip_ease_m:.3f} m of ease, a hem {cut.length_m - drop:.3f} m below",
+            got=f"{cut.hip_ease_m:.3f} m of ease, a hem {length - drop:.3f} m below",
             cure="Add ease or length.",
         )
     half = max((hips - waist) / drop, cut.flare_m / cut.length_m)  # of the sector's angle [rad]
     inner = waist / half
-    centre, outer = top + inner, inner + cut.length_m
+    centre, outer = top + inner, inner + length
     work = Assembly()
     panels = []
     for label, face, z in before_and_behind(body):
@@ -70,7 +71,10 @@ def a_line(body: BodyMeasurements, cut: SkirtCut) -> Design:
 
 
 def circle(body: BodyMeasurements, cut: SkirtCut) -> Design:
-    """A full circle: two half rings whose inner circle is the waist, hung in flutes."""
+    """A full circle: two half rings whose inner circle is the waist, hung in flutes.
+
+    It is as long in every size: half a large circle must be cut from one width of cloth.
+    """
     top = body.waist_y - cut.drop_m - cut.band_m
     inner = (body.girth_at(top) + cut.waist_ease_m) / (2.0 * np.pi)
     outer = inner + cut.length_m

@@ -7,7 +7,7 @@ upper arm makes them. Drawn for a body in the T-pose, as it stands in the catalo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from drape.errors import InputError
 from recovery.pattern import geometry
@@ -83,7 +83,7 @@ def lines(body: BodyMeasurements, cut: TopCut) -> tuple[Point, Point, Point, Poi
     neck = (body.neck_half_width + cut.neck_out_m, body.neck_y - NECK_SLOPE * cut.neck_out_m)
     tip = (body.shoulder_x + cut.shoulder_out_m, body.neck_y - cut.shoulder_drop_m)
     underarm = (half, body.underarm_y - cut.armhole_drop_m)
-    hem = (half + cut.flare_m, body.neck_y - cut.length_m + cut.hem_band_m)
+    hem = (half + cut.flare_m, body.neck_y - cut.length_m - body.longer_m + cut.hem_band_m)
     if cut.chest_ease_m < 0.0 or not (neck[0] < tip[0] < half and hem[1] < underarm[1] - 0.05 < tip[1] - 0.1):
         raise InputError(
             cut.name,
@@ -174,6 +174,7 @@ def set_sleeves(
 
     Raises ``InputError`` for a sleeve shorter than its cap or narrower than the arm.
     """
+    sleeve = replace(sleeve, length_m=sleeve.length_m + body.limbs_longer_m)
     girth = body.arm_girth + sleeve.arm_ease_m
     lengths = [geometry.edge_length(p.panel, p.numbers[side]) for p, side in armholes["left"]]
     height, widths = cap([(1.0 + CAP_EASE) * length for length in lengths], girth)

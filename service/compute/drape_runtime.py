@@ -19,6 +19,7 @@ from service.compute.avatars import Avatars
 from service.compute.constants_process import ConstantsProcess
 from service.compute.garments import Registry
 from service.compute.motions import Motions
+from service.compute.sizes import Sizes
 from service.compute.threads import ComputeThreads
 from service.compute.tiers import capped, chosen, read_tiers, spared, tier_of
 from service.errors import InternalError
@@ -77,6 +78,7 @@ class DrapeRuntime:
         make = self.constants_process.call
         self._worn = self._stages_on(self.body)
         self.garments = Registry(settings, self._worn, make)
+        self.sizes = Sizes(self.body, settings.shipped_garments_dir, self.garments.entries(), make)
         self.avatars = Avatars(self.body, settings, self._stages_on, make)
         self.motions = Motions(settings.motions_dir)
         self._frame_ms: dict[tuple[tuple[str, ...], DrapeOptions, bool], float] = {}

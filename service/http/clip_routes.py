@@ -62,7 +62,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     asked, clip, turns, told_where = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
     kind = choose(request.headers.get("accept"), _offered(asked))
     check_rig(asked, kind)
-    scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar)
+    scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar, size=asked.size)
     plan = await state.runtime.plan_within(scene, asked, messages=asked.geometry == "jets")
     if asked.past is not None:
         clip = state.continuations.get(asked.past, client.name).followed_by(plan, clip, asked.fps)

@@ -21,6 +21,7 @@ from service.http.fit_schemas import FitDocument, FitRequest, MeasuresDocument, 
 from service.http.json_body import document_of, json_text, validated
 from service.http.openapi import body_schema, responses
 from service.http.query import Betas, queried_shape
+from service.http.size_schemas import SizeAdvice
 from service.stages.batch import Batch, PoseInput, motion_arrays, shape_array
 from service.state import ClientHere, StateHere
 
@@ -85,7 +86,7 @@ async def garment_fit(garment_id: str, request: Request, state: StateHere, clien
     state.check_slot()
     asked = validated(FitRequest, document_of(await json_text(request)))
     kind = choose(request.headers.get("accept"), (JSON, BINARY))
-    entry = await state.garment(garment_id, client)
+    (entry,) = (await state.scene(garment_id, None, client, size=asked.size)).layers
     plan = runtime.plan(entry, DrapeOptions(**SMOOTH, fabric=asked.fabric))
     clip = _clip(asked, runtime.body)
     with state.access.using(client, "clips"), state.slot():
@@ -97,6 +98,16 @@ async def garment_fit(garment_id: str, request: Request, state: StateHere, clien
         rows = np.stack(_of_delivered(found, entry), axis=1)
         return binary_answer(rows, state.sliced_thread, {"X-Drape-Vertices": str(len(rows))})
     return json_answer(_document(found, entry, vertices=asked.vertices), state.sliced_thread)
+
+
+@router.get("/garments/{garment_id}/size", responses=responses(InputError, NotFound, BodyError))
+async def garment_size(garment_id: str, state: StateHere, client: ClientHere, betas: Betas = None) -> SizeAdvice:
+    """The size of a garment that the body in the shape ``betas`` takes, and why."""
+    runtime = state.runtime
+    entry = await state.garment(garment_id, client)
+    shape = queried_shape(betas, runtime.body)
+    found = await asyncio.to_thread(runtime.sizes.advice, entry, shape)
+    return SizeAdvice(size=found.size, words=found.words)
 
 
 def _clip(asked: FitRequest, body: BodyModel) -> PoseInput:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field
 
-from drape.wire.options import FabricChoice
+from drape.wire.options import FabricChoice, SizeName
 from service.http.schemas import Betas, PoseRows, Request
 
 Given = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)] | None
@@ -89,6 +89,7 @@ class FitRequest(Request):
         default=None, description="Where strain and pressure are looked at; the rest pose if left out."
     )
     fabric: FabricChoice | None = Field(default=None, description="As of POST /drape; the garment's own if left out.")
+    size: SizeName | None = Field(default=None, description="As of POST /drape; M, or its only one, if left out.")
     vertices: bool = Field(default=False, strict=True, description="In JSON, also what is known of each vertex.")
 
 

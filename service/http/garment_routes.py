@@ -10,7 +10,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import BaseModel, Field
 
 from drape.errors import BodyError, InputError, NotFound
-from drape.wire.options import DrapeOptions, Resolution
+from drape.wire.options import DrapeOptions, Resolution, SizeName
 from service.errors import Forbidden, NotAcceptable, TooLarge, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, choose, file_answer, json_answer
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side
+SIZE = "The size; M, or its only one, if left out."
+AskedSize = Annotated[SizeName | None, Query(description=SIZE)]
 KNOWN: Responses = {304: {"description": "What the client has is this one."}}
 
 
@@ -38,6 +40,7 @@ class FoldsAsked(BaseModel):
     betas: str | None = Field(default=None, max_length=1000, description="Shape coefficients, comma-separated.")
     resolution: Resolution = "delivered"
     avatar: str | None = Field(default=None, max_length=120, description="The character that it is cut for.")
+    size: SizeName | None = Field(default=None, description=SIZE)
 
 
 class GarmentChange(schemas.Request):
@@ -50,13 +53,13 @@ class GarmentChange(schemas.Request):
 @router.get("/garments")
 async def garments(state: StateHere, client: ClientHere) -> list[schemas.GarmentInfo]:
     """The garments that can be draped."""
-    return [schemas.GarmentInfo.of(entry) for entry in state.runtime.garments.visible(client.name)]
+    return [schemas.GarmentInfo.of(entry, state.runtime.sizes) for entry in state.runtime.garments.visible(client.name)]
 
 
 @router.get("/garments/{garment_id}", responses=responses(NotFound))
 async def garment(garment_id: str, state: StateHere, client: ClientHere) -> schemas.GarmentInfo:
     """One garment."""
-    return schemas.GarmentInfo.of(await state.garment(garment_id, client))
+    return schemas.GarmentInfo.of(await state.garment(garment_id, client), state.runtime.sizes)
 
 
 @router.get(
@@ -65,10 +68,15 @@ async def garment(garment_id: str, state: StateHere, client: ClientHere) -> sche
     responses=responses(InputError, NotFound, NotAcceptable, kinds=(GLB,)),
 )
 async def garment_mesh(
-    garment_id: str, request: Request, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
+    garment_id: str,
+    request: Request,
+    state: StateHere,
+    client: ClientHere,
+    resolution: Resolution = "delivered",
+    size: AskedSize = None,
 ) -> Response:
     """The delivered mesh at rest on the standard body, or the finer one that intake made: JSON, or GLB by Accept."""
-    entry = await state.garment(garment_id, client)
+    (entry,) = (await state.scene(garment_id, None, client, size=size)).layers
     entry = entry.fine if resolution == "fine" else entry
     garment = entry.garment
     kind = choose(request.headers.get("accept"), (JSON, GLB))
@@ -98,9 +106,10 @@ async def garment_jets(
     client: ClientHere,
     resolution: Resolution = "delivered",
     avatar: Annotated[str | None, Query(max_length=120, description="The character that it is cut for.")] = None,
+    size: AskedSize = None,
 ) -> Response:
     """A LAYOUT message (docs/reference/wire.md), with which a client makes vertices of the garment's jets."""
-    (entry,) = (await state.scene(garment_id, None, client, avatar=avatar)).layers
+    (entry,) = (await state.scene(garment_id, None, client, avatar=avatar, size=size)).layers
     entry = entry.fine if resolution == "fine" else entry
     kind = choose(request.headers.get("accept"), (BINARY,))
     headers = {"X-Drape-Vertices": str(entry.vertex_count), "X-Drape-Patches": str(entry.patch_count)}
@@ -122,7 +131,7 @@ async def garment_folds(
     """A FOLDS message (docs/reference/wire.md), with which a client makes the garment's folds by itself."""
     kind = choose(request.headers.get("accept"), (BINARY,))
     runtime = state.runtime
-    scene = await state.scene(garment_id, None, client, avatar=asked.avatar)
+    scene = await state.scene(garment_id, None, client, avatar=asked.avatar, size=asked.size)
     chosen = {"resolution": asked.resolution, "fabric": queried_fabric(asked.fabric)}
     plan = runtime.plan(scene, DrapeOptions(geometry="jets", folds_by="client", folds=1, **chosen))  # may refuse
     worn, body = plan.scene.layers[0].garment, runtime.on(scene).body
@@ -170,7 +179,7 @@ async def change_garment(
     if asked.name is None and asked.published is None:
         raise InputError("garment", expected="name or published", got="neither", cure='Send {"published": true}.')
     changed = state.runtime.garments.change(entry, name=asked.name, published=asked.published)
-    return schemas.GarmentInfo.of(changed)
+    return schemas.GarmentInfo.of(changed, state.runtime.sizes)
 
 
 @router.delete("/garments/{garment_id}", status_code=204, responses=responses(NotFound))

@@ -35,14 +35,29 @@ REFERENCE_MISSING = Unavailable(
 POLICY = "; ".join(
     (
         "default-src 'none'",
-        "script-src 'self'",
+        "script-src 'self' 'wasm-unsafe-eval'",  # folds that the page makes are WebAssembly
         "worker-src 'self'",
         "style-src 'self'",
         "img-src 'self' blob: data:",
         "connect-src 'self' blob: data: ws: wss:",  # a stream may go on at the successor of a service that ends
+        "frame-src 'self'",
         "form-action 'self'",
         "base-uri 'none'",
         "frame-ancestors 'self'",
+    )
+)
+# The frame of a tracker that a user brings: scripts may be theirs. Its origin is nobody's, and it reaches nothing.
+TRACKER = "tracker.html"
+TRACKER_POLICY = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'unsafe-inline' blob: 'wasm-unsafe-eval'",
+        "worker-src blob:",
+        "img-src blob: data:",
+        "connect-src blob: data:",
+        "base-uri 'none'",
+        "frame-ancestors 'self'",
+        "sandbox allow-scripts",
     )
 )
 _METHODS = ("DELETE", "GET", "PATCH", "POST", "PUT")
@@ -73,7 +88,7 @@ class Page(StaticFiles):
             raise
         # Names do not change with content: always ask, 304 is cheap.
         response.headers["Cache-Control"] = "no-cache"
-        response.headers["Content-Security-Policy"] = POLICY
+        response.headers["Content-Security-Policy"] = TRACKER_POLICY if path == TRACKER else POLICY
         return response
 
 

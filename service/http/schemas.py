@@ -13,10 +13,12 @@ from drape.files.formats import MESH_NAMES
 from drape.graph.feeds import BETA_COUNT
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
 from service.compute.tiers import Tier
+from service.http.size_schemas import SizeInfo
 from service.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from service.stages.placing import Origin
 
 if TYPE_CHECKING:
+    from service.compute.sizes import Sizes
     from service.stages.scene import Entry
 
 
@@ -211,10 +213,11 @@ class GarmentInfo(BaseModel):
     published: bool = Field(description="Whether keys besides its owner's see it.")
     materials: list[str]
     fabric: str | dict[str, Any] = Field(description="What it is made of where a request names nothing else.")
+    sizes: list[SizeInfo] = Field(description="The sizes that it comes in, the smallest first; none where it is one.")
     manifest: dict[str, Any]
 
     @staticmethod
-    def of(entry: Entry) -> GarmentInfo:
+    def of(entry: Entry, sizes: Sizes) -> GarmentInfo:
         """The answer about ``entry``."""
         garment = entry.garment
         return GarmentInfo(
@@ -229,6 +232,10 @@ class GarmentInfo(BaseModel):
             published=entry.owner is None or entry.published,
             materials=list(garment.material_names),
             fabric=garment.fabric if isinstance(garment.fabric, str) else dict(garment.fabric),
+            sizes=[
+                SizeInfo(size=size, cut_for=sizes.cut_for(entry, size), **told)
+                for size, told in sizes.measures(entry).items()
+            ],
             manifest=garment.manifest,
         )
 

@@ -127,7 +127,7 @@ import { readFileSync } from "node:fs";
 import { connect } from "./core.js";
 const drape = await connect(input.url, { worker: null });
 const id = await drape.avatar(readFileSync(input.file), "eve.vrm");
-const layouts = [await drape.rest.jetLayout("tube", "delivered", id), await drape.rest.jetLayout("tube")];
+const layouts = [await drape.rest.jetLayout("tube", { avatar: id }), await drape.rest.jetLayout("tube")];
 const ours = await drape.body();
 const theirs = await drape.body([], id);
 const [clip, other] = [await drape.motion("walk", [], id), await drape.motion("walk")];

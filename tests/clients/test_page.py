@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from drape.body.model import BodyModel
+from drape.catalog import find_motions
+from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
 from tests.clients.browser import Page, open_page, violations
+from tests.drape.motion.people import person
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
 
 pytestmark = pytest.mark.browser
@@ -177,6 +180,90 @@ def test_a_motion_of_a_file_is_played(page: Page, tmp_path: Path):
     page.choose_file("#motion-file", spoiled)
     assert "an npz" in page.wait_for("document.querySelector('#message.bad')?.textContent")
     assert page.evaluate("document.querySelector('#clips [aria-pressed=true]').dataset.clip") == "own-1"
+
+
+# A tracker that sees a person squat, for as long as it is asked.
+TRACKER = """export async function track(video, put, files) {
+  if (!video.videoWidth || !files["tracker.js"]) throw new Error("no picture, or no files");
+  const reached = await fetch("SERVICE/health").then(() => "the service", () => "");
+  if (reached) throw new Error("it reaches " + reached);
+  const points = POINTS;
+  for (let n = 0; ; n++) {
+    put(points[n % points.length]);
+    await new Promise((done) => setTimeout(done, 30));
+  }
+}"""
+CHOSEN = "document.querySelector('#clips [aria-pressed=true]').dataset.clip"
+DENIED = """(() => {
+  navigator.mediaDevices.getUserMedia = async () => { throw new DOMException("no", ERROR); };
+  return true;
+})()"""
+
+
+def test_whoever_stands_before_the_camera_moves_the_person(page: Page, body: BodyModel, tmp_path: Path, live: str):
+    points = person(body, read_motion(find_motions(("squat",))[0]).poses[::6], "mediapipe").round(4).tolist()
+    before = page.evaluate(CHOSEN)
+    click(page, "camera-open")
+    assert page.evaluate("document.getElementById('camera-door').open")
+    tracker = tmp_path / "tracker.js"
+    tracker.write_text(TRACKER.replace("POINTS", json.dumps(points)).replace("SERVICE", live))
+    page.choose_file("#tracker-files", tracker)
+    page.wait_for(f"{CHOSEN} === 'camera' && document.getElementById('camera')?.hidden === false")
+    page.wait_for("document.getElementById('scrub').disabled && !document.getElementById('message').textContent")
+    still = stage(page.picture())
+    more_frames(page, 6)
+    assert (np.abs(stage(page.picture()) - still).max(axis=-1) > 30).mean() > 0.001, "nothing moves"
+    page.evaluate(f"(() => {{ document.querySelector('[data-clip=\"{before}\"]').click(); return true; }})()")
+    page.wait_for("document.getElementById('camera').hidden && !document.getElementById('scrub').disabled")
+    assert page.evaluate(CHOSEN) == before
+
+
+@pytest.mark.parametrize(
+    ("error", "words"), [("NotAllowedError", "may not use the camera"), ("NotFoundError", "no camera at this machine")]
+)
+def test_a_camera_that_does_not_come_is_told_and_the_motion_stays(page: Page, error: str, words: str):
+    before = page.evaluate(CHOSEN)
+    page.evaluate(DENIED.replace("ERROR", json.dumps(error)))
+    click(page, "camera-open")
+    page.wait_for(f"document.querySelector('#message.bad')?.textContent.includes({json.dumps(words)})")
+    page.wait_for(f"{CHOSEN} === {json.dumps(before)}")
+    more_frames(page)
+
+
+def test_a_file_that_is_no_tracker_is_refused_in_words(page: Page, tmp_path: Path):
+    none = tmp_path / "other.js"
+    none.write_text("export const found = 1;")
+    page.choose_file("#tracker-files", none)
+    said = "expected a module with a function track(video, put), got other.js"
+    page.wait_for(f"document.querySelector('#message.bad')?.textContent.includes({json.dumps(said)})")
+
+
+def test_folds_are_made_where_they_are_asked_for(page: Page):
+    set_control(page, "folds", "value", "1", "change")
+    set_control(page, "folds-by", "value", "client", "change")
+    page.wait_for("document.getElementById('here-ms').textContent.endsWith(' ms')")
+    assert not page.evaluate("document.getElementById('here').hidden")
+    assert page.evaluate("document.getElementById('ms').textContent").endswith(" ms")
+    more_frames(page)
+    set_control(page, "folds-by", "value", "server", "change")
+    page.wait_for("document.getElementById('here').hidden")
+    set_control(page, "folds", "value", "", "change")
+    more_frames(page)
+
+
+def test_a_size_is_chosen_and_what_the_body_takes_is_marked(page: Page):
+    click(page, "tab-fabric")
+    page.wait_for("document.querySelector('.size.taken')?.dataset.size === 'M'")
+    advice = page.evaluate("document.getElementById('size-advice').textContent")
+    assert advice.startswith("This body takes M: chest ")
+    page.evaluate("(() => { document.querySelector('[data-size=XL]').click(); return true; })()")
+    page.wait_for("performance.getEntriesByType('resource').some(({ name }) => name.includes('size=XL'))")
+    page.wait_for("!document.getElementById('message').textContent")
+    assert page.evaluate("document.querySelector('#worn .pick').textContent") == "Tube XL"
+    assert page.evaluate("document.getElementById('size-measures').textContent").startswith("XL: chest 129 cm")
+    more_frames(page)
+    page.evaluate("(() => { document.querySelector('[data-size=M]').click(); return true; })()")
+    more_frames(page)
 
 
 @pytest.mark.slow

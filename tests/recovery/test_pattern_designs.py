@@ -66,13 +66,14 @@ def test_sizes_grow_by_the_grade_and_their_seams_still_match(name):
     assert (np.diff(areas) > 0.0).all()
 
 
-def test_the_grade_adds_four_centimetres_to_a_girth_and_nothing_to_m():
+def test_the_grade_adds_eight_centimetres_to_a_girth_and_nothing_to_m():
     body = default_measurements()
     assert in_size(body, "M") is body
     large = in_size(body, "XL")
-    assert_allclose(large.chest_girth - body.chest_girth, 0.08)
+    assert_allclose(large.chest_girth - body.chest_girth, 0.16)
     assert_allclose(large.girth_at(0.0) - body.girth_at(0.0), 2 * GROWTH_M["waist_girth"])
     assert in_size(body, "S").hip_girth < body.hip_girth
+    assert_allclose([in_size(body, size).longer_m for size in ("S", "M", "XL")], [-0.02, 0.0, 0.04])
 
 
 def without_ease(made: Design, seam: str) -> Design:

@@ -3,6 +3,7 @@ import { connect } from "../lib/src/index.js";
 import { clipSource } from "../lib/src/sources.js";
 import { BYTES, MESH_SUFFIXES } from "../lib/src/wire.js";
 import { findCharacter, sendCharacter } from "./avatars.js";
+import { Camera, makeDoor } from "./camera.js";
 import { acceptDrops } from "./drop.js";
 import { Fabrics } from "./fabrics.js";
 import { Figure } from "./figure.js";
@@ -15,6 +16,7 @@ import { Quality } from "./quality.js";
 import { Readouts, Triangles } from "./readouts.js";
 import { clipFile, key, setKey, uploadGarment } from "./service.js";
 import { Shelf } from "./shelf.js";
+import { Sizes } from "./sizes.js";
 import { Stage } from "./stage.js";
 import { element, failing, hush, say, title } from "./words.js";
 
@@ -22,7 +24,7 @@ const WORN = "trousers,tshirt"; // where the address names nothing, the innermos
 const SEND_RATE = 60; // poses per second at most
 const SAVED_FPS = 30;
 const SHEET_PX = 760; // as in style.css
-const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, tier, passes, folds, resolution, fabric, jets, quality=high
+const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, tier, folds_by, passes, folds, resolution, fabric, size, jets, quality=high
 const state = { betas: [], avatar: null };
 
 let stage;
@@ -40,17 +42,27 @@ let fit = null;
 let measures = null;
 const figure = new Figure(stage);
 const triangles = new Triangles();
-const quality = new Quality({ onChange: () => wearAgain() });
+const quality = new Quality({ onChange: () => wearAgain(), onFolds: () => wearAgain() });
 const shelf = new Shelf({
   onChange: () => wearAgain(),
   onColour(layer, colour) {
     outfit?.colour(layer, colour);
     fabrics.draw();
   },
-  onSelect: () => fabrics.draw(),
+  onSelect: () => drawGarment(),
   picture: (garment, size) => drape.rest.picture(`/garments/${encodeURIComponent(garment.id)}/preview.png?size=${size}&alone=true`),
 });
 const fabrics = new Fabrics(shelf, { onFabric: () => wearAgain() });
+const sizes = new Sizes(shelf, {
+  onSize: () => (say("The size is cut …", { by: "stream" }), wearAgain()),
+  advice: async (id) => (state.avatar === null ? drape.rest.size(id, state.betas) : null), // characters have no measures
+});
+
+// The drawer that is about the selected garment.
+function drawGarment() {
+  fabrics.draw();
+  sizes.draw();
+}
 const motions = new Motions({ load: failing((id) => loadClip(id)) });
 const readouts = new Readouts({
   onOption: () => wearAgain(),
@@ -79,7 +91,7 @@ function options() {
 function meshed() {
   const { resolution } = readouts.options();
   const jets = element("jets").checked ? { geometry: "jets" } : {};
-  return { ...(resolution ? { resolution } : {}), ...jets, ...(state.avatar === null ? {} : { avatar: state.avatar }) };
+  return { ...(resolution ? { resolution } : {}), ...jets, ...quality.folds, ...sizes.option(), ...(state.avatar === null ? {} : { avatar: state.avatar }) };
 }
 
 const wearAgain = failing(async () => {
@@ -99,7 +111,36 @@ const wearAgain = failing(async () => {
 
 const ownClips = new Map(); // by id, the files of motions that were dropped
 
+const CAMERA = "camera"; // the id of the motion of whoever stands before it
+const camera = new Camera({
+  onWords: (sentence, bad) => (sentence ? say(sentence, { bad, by: CAMERA }) : hush(CAMERA)),
+  onEnd: () => leaveCamera(),
+});
+
+const takeTracker = failing(async (files) => {
+  say("The tracker is loaded …", { by: CAMERA });
+  if (motions.wanted === CAMERA) await leaveCamera();
+  await camera.take(files);
+  if (!motions.clips.some(({ id }) => id === CAMERA)) motions.offer([...motions.clips, { id: CAMERA, name: "Camera" }], motions.wanted);
+  await chooseCamera();
+});
+
+// Another motion, for a camera that does not go on.
+const leaveCamera = () => motions.choose(motions.clips.find(({ id }) => id !== CAMERA).id);
+
+// The camera, or the choice of a tracker where there is none; one that does not start leaves the motion that was.
+async function chooseCamera() {
+  if (!camera.ready) {
+    cameraDoor.showModal();
+    return;
+  }
+  await motions.choose(CAMERA);
+}
+
+const cameraDoor = makeDoor(takeTracker);
+
 async function loadClip(id) {
+  if (id === CAMERA) return { id, ...(await camera.motion(drape, { betas: state.betas, avatar: state.avatar ?? undefined })) };
   if (ownClips.has(id)) {
     const { readMotion } = await import("./motion_file.js");
     const clip = await readMotion(ownClips.get(id), drape, { betas: state.betas, avatar: state.avatar ?? undefined });
@@ -123,6 +164,7 @@ async function changeWearer() {
   const { avatar, betas } = state;
   const made = avatar === null ? await figure.makeBody(await drape.rest.bodyFile(drape.health.body, betas)) : await findCharacter(drape, avatar);
   if (wearerOf(state) !== wearerOf({ avatar, betas })) return; // changed meanwhile
+  sizes.draw(); // another body may take another
   coming = { for: wearerOf(state), figure: made };
   await Promise.all([motions.wanted && motions.choose(motions.wanted), wearAgain()]);
 }
@@ -180,10 +222,12 @@ function makeOutfit() {
       }
       const moved = wearing.stats.bytes > BYTES.SAME || !figure.posed; // else nothing has to be drawn
       if (moved) figure.pose(wearing.bodyPose, wearing.root);
-      quality.take(wearing.header);
+      quality.take(wearing);
       readouts.take(wearing);
       framed = true;
     },
+    onFolds: ({ tookS, allowedS }) =>
+      say(`The service makes the folds: here a frame took ${(1000 * tookS).toFixed(0)} ms, and ${(1000 * allowedS).toFixed(0)} keep up.`, { by: "folds" }),
     onState(now, refusal) {
       document.body.dataset.state = now;
       tellOffline(now === "waiting" ? refusal : null);
@@ -220,7 +264,7 @@ const upload = failing(async (file) => {
 
 const save = failing(async () => {
   const { clip } = motions;
-  if (!clip || !shelf.worn.length) throw new Error("Choose a garment and a motion first.");
+  if (!clip?.frames || !shelf.worn.length) throw new Error("Choose a garment and a motion first; what the camera sees is not kept.");
   element("save").disabled = true;
   say("The service writes the file …");
   try {
@@ -229,7 +273,7 @@ const save = failing(async () => {
     const poses = kept.map(({ poses: pose }) => Array.from({ length: 24 }, (_, joint) => Array.from(pose.slice(3 * joint, 3 * joint + 3))));
     const garments = shelf.worn.map(({ id }) => id);
     const worn = garments.length === 1 ? { garment: garments[0] } : { garments };
-    const { geometry, ...meshes } = meshed();
+    const { geometry, folds_by, ...meshes } = meshed();
     const asked = { ...worn, ...options(), ...meshes, poses, trans: kept.map(({ trans }) => Array.from(trans)), fps: clip.fps / stride, body: true };
     const link = document.createElement("a");
     link.href = URL.createObjectURL(await clipFile(drape.rest, asked));
@@ -287,10 +331,11 @@ function wireControls() {
   acceptDrops(take);
   element("save").addEventListener("click", save);
   element("fit").addEventListener("click", showFit);
+  element("camera-open").addEventListener("click", chooseCamera);
   listen({
     " ": () => motions.setPlaying(!motions.playing), "[": () => motions.step(-1), "]": () => motions.step(1),
     "1": () => quality.choose(0), "2": () => quality.choose(1), "3": () => quality.choose(2),
-    f: showFit, s: save, d: () => readouts.toggle(), b: () => element("body").click(), 0: () => stage.fit(), "?": () => element("help").showModal(),
+    c: chooseCamera, f: showFit, s: save, d: () => readouts.toggle(), b: () => element("body").click(), 0: () => stage.fit(), "?": () => element("help").showModal(),
   });
   turnByKeys(element("view"), stage);
 }
@@ -318,7 +363,10 @@ const start = failing(async () => {
   element("about").textContent = `model ${health.model}, ${health.provider.replace("ExecutionProvider", "")}, body ${health.body}, version ${health.version}`;
   makeOutfit();
   fit = new Fit(drape.rest, stage, {
-    request: (id) => ({ betas: state.betas, fabric: shelf.worn.find((one) => one.id === id)?.fabric ?? undefined }),
+    request(id) {
+      const { fabric, size } = shelf.worn.find((one) => one.id === id) ?? {};
+      return { betas: state.betas, fabric: fabric ?? undefined, size: size ?? undefined };
+    },
     name: (id) => title(shelf.garment(id).name),
   });
   measures = new Measures(drape.rest, { onShape: changeShape, onTone: (tone) => figure.setTone(tone), onCharacter: chooseCharacter });
@@ -327,10 +375,12 @@ const start = failing(async () => {
     drape.tiers(), drape.fabrics(), drape.motions(), measures.offer(health.body),
     listGarments((wanted.get("garment") ?? WORN).split(","), health.layers),
   ]);
-  quality.offer(tiers, wanted.get("tier"));
+  quality.offer(tiers, wanted.get("tier"), wanted.get("folds_by"));
   const asked = wanted.get("fabric");
+  sizes.wear(wanted.get("size"));
   if (list.some(({ id }) => id === asked)) for (const layer of shelf.worn) layer.fabric = asked;
   fabrics.offer(list, health.fabrics);
+  sizes.draw();
   measures.listCharacters(await drape.avatars(), null);
   wireControls();
   const named = [wanted.get("clip"), "walk", clips[0]?.id].find((id) => clips.some((clip) => clip.id === id));

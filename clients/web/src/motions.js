@@ -4,7 +4,7 @@ import { element, make, title } from "./words.js";
 const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 
 export class Motions {
-  // load(id): promises a clip with sample(timeS), fps and frames.
+  // load(id): promises a clip with sample(timeS), fps and frames; one without frames is live: what is now, until its end().
   constructor({ load }) {
     this.load = load;
     this.clips = []; // { id, name }
@@ -20,7 +20,7 @@ export class Motions {
   }
 
   get lengthS() {
-    return this.clip ? this.clip.frames / this.clip.fps : 0;
+    return this.clip?.frames ? this.clip.frames / this.clip.fps : 0;
   }
 
   setPlaying(playing) {
@@ -41,15 +41,30 @@ export class Motions {
 
   // Plays a clip from its beginning; the same one again goes on where it is, as for another body.
   async choose(id) {
+    this.#press(id);
+    this.wanted = id;
+    const clip = await this.load(id);
+    if (this.wanted !== id) {
+      if (clip?.id !== this.wanted) clip?.end?.(); // another was chosen meanwhile
+      return;
+    }
+    if (!clip) {
+      if (this.clip) this.#press((this.wanted = this.clip.id)); // it could not be had, which was said
+      return;
+    }
+    if (clip.id !== this.clip?.id) {
+      this.timeS = 0;
+      this.clip?.end?.();
+    }
+    this.clip = clip;
+    for (const control of ["play", "scrub", "speed"]) element(control).disabled = !clip.frames;
+  }
+
+  #press(id) {
     for (const chip of element("clips").children) {
       chip.setAttribute("aria-pressed", chip.dataset.clip === id);
       if (chip.dataset.clip === id) element("clips").scrollLeft = chip.offsetLeft - element("clips").offsetLeft - 40;
     }
-    this.wanted = id;
-    const clip = await this.load(id);
-    if (!clip || this.wanted !== id) return;
-    if (clip.id !== this.clip?.id) this.timeS = 0;
-    this.clip = clip;
   }
 
   // The next one of the list, or the one before (-1).
@@ -62,7 +77,7 @@ export class Motions {
 
   // The pose stepS seconds after the last one, or null.
   pose(stepS) {
-    if (!this.clip) return null;
+    if (!this.clip?.frames) return this.clip?.sample() ?? null;
     if (this.playing) this.timeS = (this.timeS + stepS * Number(element("speed").value)) % this.lengthS;
     const scrub = element("scrub");
     if (document.activeElement !== scrub || this.playing) scrub.value = this.timeS / this.lengthS;

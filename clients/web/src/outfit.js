@@ -1,11 +1,13 @@
 // What is worn now: one object of the library at a time; the next one takes its place with its first frame.
 export class Outfit {
-  // onFrame(worn): its vertices have moved; onState(state, refusal): what the stream does.
-  constructor(drape, stage, { onFrame, onState }) {
+  // onFrame(worn): its vertices have moved; onState(state, refusal): what the stream does; onFolds({ tookS, allowedS }):
+  // this device was too slow for folds, and the service makes them.
+  constructor(drape, stage, { onFrame, onState, onFolds }) {
     this.drape = drape;
     this.stage = stage;
     this.onFrame = onFrame;
     this.onState = onState;
+    this.onFolds = onFolds;
     this.current = null;
     this.next = null;
     this.asked = "";
@@ -44,6 +46,7 @@ export class Outfit {
     layers.forEach(({ colour }, layer) => made.colour(layer, colour)); // it may have been dyed meanwhile
     made.setPlain(this.stage.plain);
     made.addEventListener("frame", () => this.#shown(made));
+    made.addEventListener("folds", (event) => made === (this.next ?? this.current) && this.onFolds(event));
     made.addEventListener("state", ({ state, error }) => {
       if (made === (this.next ?? this.current)) this.onState(state, error);
     });

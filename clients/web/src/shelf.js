@@ -10,7 +10,7 @@ export class Shelf {
   constructor({ onChange, onColour, onSelect, picture }) {
     Object.assign(this, { onChange, onColour, onSelect, picture });
     this.garments = [];
-    this.worn = []; // { id, colour, fabric }: null, its own
+    this.worn = []; // { id, colour, fabric, size }: null, its own, and M
     this.selected = 0;
     this.limit = 1;
   }
@@ -29,7 +29,7 @@ export class Shelf {
   }
 
   #layer(id, layer) {
-    return { id, colour: DYES[layer % DYES.length], fabric: null };
+    return { id, colour: DYES[layer % DYES.length], fabric: null, size: null };
   }
 
   garment(id) {
@@ -93,7 +93,8 @@ export class Shelf {
       const picture = make("img", { alt: "", width: PREVIEW_PX, height: PREVIEW_PX, loading: "lazy", decoding: "async" });
       this.picture(garment, PREVIEW_PX).then((address) => (picture.src = address), () => picture.classList.add("missing"));
       const own = garment.source === "user" ? "yours" : typeof garment.fabric === "string" ? title(garment.fabric).toLowerCase() : "own fabric";
-      const words = make("span", { className: "words", children: [make("b", { textContent: title(garment.name) }), make("small", { textContent: own })] });
+      const sizes = garment.sizes.length ? `, ${garment.sizes[0].size} to ${garment.sizes.at(-1).size}` : "";
+      const words = make("span", { className: "words", children: [make("b", { textContent: title(garment.name) }), make("small", { textContent: own + sizes })] });
       const place = make("span", { className: "place", "aria-hidden": "true" });
       const card = make("button", { type: "button", className: "card", "data-garment": garment.id, children: [picture, words, place] });
       card.addEventListener("click", () => this.toggle(garment.id));
@@ -111,12 +112,17 @@ export class Shelf {
     element("worn").replaceChildren(...this.worn.map((one, layer) => this.#chip(one, layer)));
   }
 
-  #chip({ id, colour }, layer) {
+  // Says the sizes of what is worn.
+  tellSizes() {
+    this.#draw();
+  }
+
+  #chip({ id, colour, size }, layer) {
     const name = title(this.garment(id).name);
     const suffix = layer ? `-${layer}` : "";
     const dot = make("input", { type: "color", id: `colour${suffix}`, value: colour, "aria-label": `Colour of ${name}` });
     dot.addEventListener("input", () => this.setColour(layer, dot.value));
-    const pick = make("button", { type: "button", className: "pick", textContent: name, "aria-pressed": layer === this.selected });
+    const pick = make("button", { type: "button", className: "pick", textContent: size ? `${name} ${size}` : name, "aria-pressed": layer === this.selected });
     pick.addEventListener("click", () => {
       this.select(layer);
       element("tab-fabric").click();

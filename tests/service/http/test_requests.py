@@ -250,7 +250,10 @@ def test_the_page_that_is_not_built_says_how_to_build_it(make_settings: Callable
         (tmp_path / "none/index.html").write_text("built")
         page = httpx.get(url + "/")
         assert page.text == "built"
-        assert "script-src 'self';" in page.headers["Content-Security-Policy"]
+        assert "script-src 'self' 'wasm-unsafe-eval';" in page.headers["Content-Security-Policy"]
+        (tmp_path / "none/tracker.html").write_text("a frame")
+        frame = httpx.get(url + "/tracker.html").headers["Content-Security-Policy"]
+        assert "sandbox allow-scripts" in frame and "connect-src blob: data:;" in frame, "foreign code reaches nothing"
 
 
 def test_answers_of_a_whole_service(api: httpx.Client, body, tube):

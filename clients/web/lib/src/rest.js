@@ -3,6 +3,8 @@ import { DrapeError } from "./errors.js";
 
 const TICKET_S = 30; // for which a ticket is used again; the service takes it for 60 s
 
+// A query of what is given.
+const queried = (fields) => new URLSearchParams(Object.entries(fields).filter(([, value]) => value !== null && value !== undefined));
 const shapeOf = (betas, avatar) => (avatar === null ? `betas=${betas.join(",")}` : `avatar=${encodeURIComponent(avatar)}`);
 
 export class Rest {
@@ -113,22 +115,25 @@ export class Rest {
     return this.json(`/jobs/${encodeURIComponent(id)}`);
   }
 
-  garmentMesh(id, resolution = "delivered") {
-    const path = `/garments/${encodeURIComponent(id)}/mesh?resolution=${resolution}`;
+  garmentMesh(id, { resolution = "delivered", size = null } = {}) {
+    const path = `/garments/${encodeURIComponent(id)}/mesh?${queried({ resolution, size })}`;
     return this.json(path, { headers: { Accept: "application/json" } });
   }
 
-  jetLayout(id, resolution = "delivered", avatar = null) {
-    const path = `/garments/${encodeURIComponent(id)}/jets?resolution=${resolution}`;
-    return this.#bytes(avatar === null ? path : `${path}&avatar=${encodeURIComponent(avatar)}`, "application/octet-stream");
+  jetLayout(id, { resolution = "delivered", avatar = null, size = null } = {}) {
+    const path = `/garments/${encodeURIComponent(id)}/jets?${queried({ resolution, avatar, size })}`;
+    return this.#bytes(path, "application/octet-stream");
+  }
+
+  // The size of a garment that the body in the shape betas takes, and why in words.
+  size(id, betas = []) {
+    return this.json(`/garments/${encodeURIComponent(id)}/size?betas=${betas.join(",")}`);
   }
 
   // What a client needs to make the folds of a garment in a fabric (a name or numbers) on a body or an avatar.
-  foldConstants(id, { fabric = null, betas = [], resolution = "delivered", avatar = null } = {}) {
-    const asked = new URLSearchParams({ resolution });
-    if (fabric) asked.set("fabric", typeof fabric === "string" ? fabric : JSON.stringify(fabric));
-    if (betas.length) asked.set("betas", betas.join(","));
-    if (avatar !== null) asked.set("avatar", avatar);
+  foldConstants(id, { fabric = null, betas = [], resolution = "delivered", avatar = null, size = null } = {}) {
+    const made = fabric === null || typeof fabric === "string" ? fabric : JSON.stringify(fabric);
+    const asked = queried({ resolution, fabric: made, betas: betas.length ? betas.join(",") : null, avatar, size });
     return this.#bytes(`/garments/${encodeURIComponent(id)}/folds?${asked}`, "application/octet-stream");
   }
 
@@ -142,7 +147,7 @@ export class Rest {
     return this.#post(`/bodies/${encodeURIComponent(id)}/shapes`, asked);
   }
 
-  // Where a garment is tight or loose; asked: betas, pose, fabric, vertices.
+  // Where a garment is tight or loose; asked: betas, pose, fabric, size, vertices.
   fit(id, asked = {}) {
     return this.#post(`/garments/${encodeURIComponent(id)}/fit`, asked);
   }

@@ -1,6 +1,7 @@
 // One garment, or several over each other, on one moving body: its stream, what decodes it, and where its poses come from.
 import { DrapeError } from "./errors.js";
 import { Decoding } from "./decoding.js";
+import { Pace } from "./pace.js";
 import { clipSource, everyPicture, flatPose } from "./sources.js";
 import { topologyOf } from "./topology.js";
 
@@ -10,16 +11,18 @@ export class Wearing {
     this.drape = drape;
     this.garments = garments;
     this.options = options;
-    this.auto = options.folds_by === "auto"; // the client folds where it can
+    this.auto = options.folds_by === "auto"; // the client folds where it can, and keeps up with it
+    this.pace = new Pace(); // of the folds that are made here
     this.folds = null; // what its folds need, where the client makes them
     this.layers = []; // id and topology of each garment that comes
     this.positions = this.normals = null; // of each layer, from the root
     this.root = [0, 0, 0]; // [m]
     this.bodyPose = null; // that the shown frame answers
     this.header = null; // of the shown frame (wire.js)
-    this.stats = { frames: 0, skipped: 0, dropped: 0, ageS: 0, residenceS: 0, bytes: 0 };
+    this.stats = { frames: 0, skipped: 0, dropped: 0, ageS: 0, residenceS: 0, hereS: 0, bytes: 0 };
     this.state = "opening";
     this.onFrame = () => {}; // positions, normals, root and body pose have changed
+    this.onFolds = () => {}; // the service makes the folds from now on: here they took pace.typicalS of a frame
     this.onState = () => {}; // (state, DrapeError or null): "open", "waiting", "refused", "closed"
     this.endSource = null;
     this.turn = 0; // counts sources
@@ -76,19 +79,39 @@ export class Wearing {
     this.options = { ...this.options, folds_by: "server", geometry: "vertices" };
   }
 
+  // This device is too slow: the service folds in its place. Where it will not, all stays as it is.
+  async #giveUpFolds() {
+    const before = { folds: this.folds, options: this.options };
+    this.#leaveFolds();
+    try {
+      await this.#reopen();
+      this.onFolds();
+    } catch {
+      Object.assign(this, before);
+      this.#reopen().catch(() => {});
+    }
+  }
+
   #foldConstants() {
     const { fabric, ...others } = this.options;
     const [id] = this.garments;
-    return this.drape.rest.foldConstants(id, { ...others, fabric: Array.isArray(fabric) ? fabric[0] : fabric });
+    const one = { fabric: Array.isArray(fabric) ? fabric[0] : fabric, size: this.#sizeOf(id) };
+    return this.drape.rest.foldConstants(id, { ...others, ...one });
+  }
+
+  // The size of a garment that is worn; null: the usual one.
+  #sizeOf(id) {
+    const { size = null } = this.options;
+    return Array.isArray(size) ? (size[this.garments.indexOf(id)] ?? null) : size;
   }
 
   async #openAs(makeWorker) {
-    const { hidden = [], resolution, geometry } = this.options;
+    const { hidden = [], resolution, geometry, avatar } = this.options;
     const shown = this.garments.filter((id) => !hidden.includes(id));
     const fetched = shown.map(async (id) => {
       const [mesh, layout] = await Promise.all([
-        this.drape.rest.garmentMesh(id, resolution),
-        geometry === "jets" ? this.drape.rest.jetLayout(id, resolution, this.options.avatar) : null,
+        this.drape.rest.garmentMesh(id, { resolution, size: this.#sizeOf(id) }),
+        geometry === "jets" ? this.drape.rest.jetLayout(id, { resolution, avatar, size: this.#sizeOf(id) }) : null,
       ]);
       return { id, layout, ...topologyOf(mesh) };
     });
@@ -110,6 +133,10 @@ export class Wearing {
   // Drapes it otherwise from now on, by options of a drape. What the service refuses changes nothing, and rejects.
   async set(options) {
     const before = this.options;
+    if ("size" in options && JSON.stringify(options.size) !== JSON.stringify(before.size)) {
+      const words = { name: "size", expected: "that in which it is worn", got: JSON.stringify(options.size), kind: "InputError" };
+      throw new DrapeError({ ...words, cure: "Another size is cut anew: wear() it." });
+    }
     this.options = { ...before, ...options };
     const folded = this.foldsBy === "client";
     try {
@@ -224,14 +251,19 @@ export class Wearing {
       return;
     }
     this.busy = true;
+    const watched = this.foldsBy === "client" ? this.pace : null;
+    const begunS = performance.now() / 1000;
+    watched?.begin();
     try {
       const body = this.folds && { pose: Float32Array.from(frame.pose), effort: this.stream.opened };
       const targets = await this.decoding.decode(frame.data, body);
       if (targets) {
         this.decoded = frame.data;
+        this.stats.hereS = performance.now() / 1000 - begunS;
         this.positions = targets.map(({ positions }) => positions);
         this.normals = targets.map(({ normals }) => normals);
         this.#show(frame);
+        if (watched?.end() && this.auto) this.#giveUpFolds();
       }
     } finally {
       this.busy = false;

@@ -27,7 +27,7 @@ function clothMesh(layer) {
   return mesh;
 }
 
-// Moving the group moves all; within it the axes are the world's of the poses, y up. Events: "frame", "state".
+// Moving the group moves all; within it the axes are the world's of the poses, y up. Events: "frame", "state", "folds".
 export class Worn extends Group {
   // figure: the service's body (readBody), which appears with the first frame, or null. looks: a function that promises
   // the look of each layer (materials.js) for the option fabric. plain: cheap to draw.
@@ -48,6 +48,7 @@ export class Worn extends Group {
       this.add(this.body);
     }
     wearing.onFrame = () => this.#show();
+    wearing.onFolds = () => this.dispatchEvent({ type: "folds", by: "server", tookS: wearing.pace.typicalS, allowedS: wearing.pace.allowedS });
     wearing.onState = (state, refusal) => this.dispatchEvent({ type: "state", state, error: refusal });
   }
 

@@ -52,6 +52,21 @@ export interface WearOptions extends DrapeOptions {
   /** Who makes the folds. "client": here, of jets, and refused where that cannot be; "auto": here where it can be. */
   folds_by?: "server" | "client" | "auto";
   resolution?: "delivered" | "fine";
+  /** Of all garments that are worn, or of each, the innermost first (null: M). */
+  size?: SizeName | (SizeName | null)[];
+}
+
+export type SizeName = "S" | "M" | "L" | "XL";
+
+/** A size of a garment: girths without stress at the levels that it goes around, and its length. */
+export interface SizeInfo {
+  size: SizeName;
+  chest_m: number | null;
+  waist_m: number | null;
+  hip_m: number | null;
+  length_m: number;
+  /** Least and greatest girth [m] of bodies that it is cut for, at the levels that decide. */
+  cut_for: Record<string, [number, number]>;
 }
 
 export interface GarmentInfo {
@@ -61,6 +76,8 @@ export interface GarmentInfo {
   faces: number;
   source: "shipped" | "user";
   fabric: string | Record<string, unknown>;
+  /** The smallest first; none where it comes in one. */
+  sizes: SizeInfo[];
 }
 
 export interface FabricInfo {
@@ -123,6 +140,8 @@ export interface Stats {
   /** From sending the pose to showing its frame. */
   ageS: number;
   residenceS: number;
+  /** What decoding it took here, with the folds where they are made here. */
+  hereS: number;
   bytes: number;
 }
 
@@ -170,6 +189,8 @@ export interface Wearing extends Controls {
   readonly root: number[];
   readonly bodyPose: ArrayLike<number> | null;
   onFrame: (wearing: Wearing) => void;
+  /** The service makes the folds from now on, as this device is too slow for them. */
+  onFolds: () => void;
   onState: (state: State, refusal: DrapeError | null) => void;
   close(): void;
 }

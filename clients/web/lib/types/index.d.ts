@@ -9,6 +9,8 @@ export type { FabricLook } from "./three.js";
 export interface WornEvents extends Object3DEventMap {
   frame: object;
   state: { state: State; error: DrapeError | null };
+  /** The service makes the folds from now on: here a frame took longer than it may [s]. */
+  folds: { by: "server"; tookS: number; allowedS: number };
 }
 
 export interface ShownOptions extends WearOptions {

@@ -1,0 +1,216 @@
+"""A garment in the sizes that it was not sewn in: what is stored of them, and how they are made of its M.
+
+A size has the mesh, the seams, the patches and the charts of M. ``SizeTable`` holds, of a few vertices, how far they
+lie from where M's do on the standard body, and of a few corners of the panels how far these have grown. Between them
+both fields are splines: |x| in space, since cloth is cut by seams, and thin plates in each panel, which give back what
+is linear. Folds of the T-pose that one size has and another has not are left out: folds are grown anew in every frame.
+
+``python -m recovery.catalogue grade`` writes the tables.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import RBFInterpolator
+
+from drape.body.model import BodyModel
+from drape.errors import ArtifactError
+from drape.files.atomic import whole_file
+from drape.files.packed import UNREADABLE, packed, read_packed
+from drape.garment.cache import Garment
+from drape.garment.charts import ChartBlend
+from drape.garment.clearance import clear_body
+from drape.garment.ease import eases, girth_around
+from drape.garment.features import patch_features
+from drape.garment.fitting import fit_jets
+from drape.garment.partition import vertex_graph
+from drape.garment.size_chart import SIZES
+from drape.garment.unfold import Flattened, fit_planes
+from drape.geometry import jets, mesh_graphs, meshes
+from drape.geometry.closest import nearest_vertices
+
+FOLDER = "sizes"  # beside the garments
+FORMAT_VERSION = 1
+MOVED_STEP_M, GROWN_STEP_M = 5e-4, 5e-5
+OTHERS = tuple(size for size in SIZES if size != "M")
+
+
+@dataclass(frozen=True, eq=False)
+class SizeTable:
+    """The other sizes of the garment with ``digest``, in the order of ``OTHERS``.
+
+    ``vertex`` (A,) and ``moved`` [m] (3, A, 3): how far these vertices lie from M's; ``corner`` (B,) and ``grown`` [m]
+    (3, B, 2): the same of rows of the uv, which are panels in metres. ``measures`` [m] by size, M included.
+    """
+
+    digest: str
+    vertex: np.ndarray
+    moved: np.ndarray
+    corner: np.ndarray
+    grown: np.ndarray
+    measures: Mapping[str, Mapping[str, float]]
+
+
+def table_path(folder: Path, garment: Garment) -> Path:
+    """Where the table of ``garment`` lies beside the garments in ``folder``."""
+    return folder / FOLDER / garment.file_name()
+
+
+def save_table(table: SizeTable, path: Path) -> None:
+    """Writes ``table`` to ``path``, in steps of half a millimetre of vertices and of 50 micrometres of panels."""
+    header = {"format_version": FORMAT_VERSION, "digest": table.digest, "measures": table.measures}
+    content = packed(
+        {
+            "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+            "vertex": table.vertex.astype(np.uint16),
+            "moved": np.rint(table.moved / MOVED_STEP_M).astype(np.int16),
+            "corner": table.corner.astype(np.uint16),
+            "grown": np.rint(table.grown / GROWN_STEP_M).astype(np.int16),
+        }
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as file:
+        file.write(content)
+
+
+def load_table(path: Path, garment: Garment) -> SizeTable:
+    """The table of ``garment`` at ``path``; raises ``ArtifactError`` where it is damaged or another garment's."""
+    label, cure = f"sizes {path.name}", "Run python -m recovery.catalogue grade."
+    try:
+        header, arrays = read_packed(path)
+        table = SizeTable(
+            header["digest"],
+            arrays["vertex"].astype(np.int64),
+            MOVED_STEP_M * arrays["moved"].astype(np.float64),
+            arrays["corner"].astype(np.int64),
+            GROWN_STEP_M * arrays["grown"].astype(np.float64),
+            header["measures"],
+        )
+    except UNREADABLE as error:
+        raise ArtifactError(label, expected="a table of sizes", got=str(error), cure=cure) from error
+    if (header.get("format_version"), table.digest) != (FORMAT_VERSION, garment.digest):
+        raise ArtifactError(label, expected=f"sizes of {garment.digest[:12]}", got=table.digest[:12], cure=cure)
+    return table
+
+
+def sized_digest(garment: Garment, table: SizeTable, size: str) -> str:
+    """The hex digest of ``garment`` in ``size``."""
+    numbers = b"".join(
+        np.ascontiguousarray(a).tobytes() for a in (table.vertex, table.moved, table.corner, table.grown)
+    )
+    return hashlib.sha256(f"size {FORMAT_VERSION} {garment.digest} {size} ".encode() + numbers).hexdigest()
+
+
+def sized(garment: Garment, body: BodyModel, table: SizeTable, size: str) -> Garment:
+    """``garment`` in ``size``, clear of the skin of ``body``, which it was sewn on. It takes seconds, most of them to
+    clear it.
+
+    Raises ``MeshError`` where the cloth cannot be brought clear.
+    """
+    if size == "M":
+        return garment
+    number = OTHERS.index(size)
+    faces, standing = garment.fine_faces.astype(np.int64), garment.vertices.astype(np.float64)
+    moved = standing + field_in_space(standing, table.vertex, table.moved[number])
+    uv = garment.uv.astype(np.float64)
+    graded = uv + field_in_panels(uv, garment.uv_faces, table.corner, table.grown[number])
+    rest = garment.rest_state()
+    cleared = clear_body(moved, faces, body.v_template, body.faces).vertices
+    edges = regraded(rest.edges, uv, graded, garment.uv_faces)
+    return replace(
+        garment,
+        digest=sized_digest(garment, table, size),
+        vertices=cleared.astype(np.float32),
+        uv=graded.astype(np.float32),
+        rest_edges=edges.astype(np.float32),
+        rest_angle=rest.hinge_angle.astype(np.float32),
+        rest_stiffening=rest.stiffening.astype(np.float32),
+        manifest=garment.manifest | {"size": size},
+        **moved_patches(garment, cleared, body),
+    )
+
+
+def moved_patches(garment: Garment, vertices: np.ndarray, body: BodyModel) -> dict[str, np.ndarray]:
+    """The patch and chart fields of ``garment`` that change when it stands at ``vertices`` [m] (N, 3) on ``body``.
+
+    Patches go along with their cloth and keep their frames. Charts that are projections become those of the new places;
+    those that were laid flat (``drape.garment.unfold``) keep their parameters, and in-plane polynomials follow.
+    """
+    patch, weight = garment.chart_patch, garment.chart_weight.astype(np.float64)
+    rotation, scale = garment.patch_rotation.astype(np.float64), garment.patch_scale.astype(np.float64)
+    shares, owner = weight.reshape(-1), patch.reshape(-1)
+    way = np.repeat(vertices - garment.vertices, patch.shape[1], axis=0) * shares[:, None]
+    moved = np.stack([np.bincount(owner, way[:, k], len(scale)) for k in range(3)], axis=1)
+    centre = garment.patch_centre + moved / np.bincount(owner, shares, len(scale))[:, None]
+    local = np.einsum("vkba,vkb->vka", rotation[patch], vertices[:, None] - centre[patch])
+    sizes = scale[patch][..., None]
+    blend, uv, height = ChartBlend(patch, weight), local[..., :2] / sizes, local[..., 2] / scale[patch]
+    projected = fit_jets(uv, height, blend, len(scale))
+    plane = slice(0, 2 * jets.IN_PLANE_COUNT)
+    flat = (garment.patch_jet[:, plane] != projected[:, plane]).any(axis=1)  # a projection's are the identity
+    uv = np.where(flat[patch][..., None], garment.chart_uv.astype(np.float64), uv)
+    jet = fit_planes(fit_jets(uv, height, blend, len(scale)), Flattened(blend, uv, flat), local, scale)
+    residual = local - sizes * jets.evaluate(jet[patch], uv)
+    faces = garment.fine_faces.astype(np.int64)
+    features = patch_features(
+        centre=centre, rotation=rotation, scale=scale, jet=projected, weights=garment.patch_weights,
+        seeds=nearest_vertices(centre, vertices)[1], vertices=vertices, faces=faces, body=body,
+        graph=vertex_graph(vertices, faces),
+    )  # fmt: skip
+    found = {"patch_centre": centre, "patch_jet": jet, "patch_features": features}
+    found |= {"chart_uv": uv, "chart_residual": residual}
+    return {name: array.astype(np.float32) for name, array in found.items()}
+
+
+def field_in_space(points: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The field (N, C) over ``points`` [m] (N, 3) that has ``values`` (A, C) at ``rows``, a spline of |x|."""
+    return RBFInterpolator(points[rows], values, kernel="linear", degree=1)(points)
+
+
+def field_in_panels(uv: np.ndarray, uv_faces: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The field (T, C) over ``uv`` [m] (T, 2) that has ``values`` (B, C) at ``rows``, a thin plate in each panel."""
+    panel = panels_of(uv, uv_faces)
+    field = np.zeros((len(uv), values.shape[1]))
+    for number in range(panel.max() + 1):
+        mine, given = panel == number, panel[rows] == number
+        if given.any():
+            spline = RBFInterpolator(uv[rows[given]], values[given], kernel="thin_plate_spline", degree=1)
+            field[mine] = spline(uv[mine])
+    return field
+
+
+def panels_of(uv: np.ndarray, uv_faces: np.ndarray) -> np.ndarray:
+    """The number (T,) of the panel that each row of ``uv`` lies in."""
+    return mesh_graphs.connected_components(uv_faces.astype(np.int64), len(uv))
+
+
+def regraded(edges: np.ndarray, uv: np.ndarray, graded: np.ndarray, uv_faces: np.ndarray) -> np.ndarray:
+    """The unstressed ``edges`` [m] (F, 2, 2) of triangles whose panels change from ``uv`` to ``graded`` (T, 2) [m]."""
+    before, after = (
+        np.stack(meshes.corner_edges(np.column_stack([at, np.zeros(len(at))]), uv_faces), axis=1)[..., :2]
+        for at in (uv, graded)
+    )
+    return after @ np.linalg.inv(before) @ edges
+
+
+def garment_measures(garment: Garment, body: BodyModel) -> dict[str, float]:
+    """Girths [m] of ``garment`` without stress at the levels of ``body`` that it goes around, and ``length_m`` from its
+    highest to its lowest point as it hangs. What hangs from below the waist has its own upper end for ``waist_m``."""
+    faces, vertices, rest = (
+        garment.fine_faces.astype(np.int64),
+        garment.vertices.astype(np.float64),
+        garment.rest_state(),
+    )
+    found = {name: ease.garment_m for name, ease in eases(faces, rest, vertices, body).items()}
+    if not found.keys() & {"chest_m", "waist_m"}:
+        top = max(meshes.boundary_loops(faces), key=lambda loop: float(vertices[loop, 1].mean()))
+        y, middle = float(vertices[top, 1].min()) - 1e-3, vertices[top][:, [0, 2]].mean(axis=0)
+        girth = girth_around(faces, rest, vertices, y=y, middle=middle)
+        found = ({} if girth is None else {"waist_m": girth}) | found
+    return found | {"length_m": float(np.ptp(vertices[:, 1]))}

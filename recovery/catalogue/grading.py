@@ -1,0 +1,191 @@
+"""Grades a garment of the catalogue: the table from which the service makes its other sizes (``drape.garment.sizes``).
+
+The panels of a size are M's mesh on control points drafted for that size, so that meshes, seams and names stay. The
+cloth falls from where M lies, on the coarse mesh of sewing: what is stored is smoother than that. M falls once more
+too, so that both lie as that mesh lets them. The upper edge of a waistband stays where it is, as by a belt: a larger
+one would slide down the hips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from drape.body.model import BodyModel
+from drape.cloth.fabric_table import fabric
+from drape.cloth.waistband import waistband
+from drape.errors import InputError
+from drape.garment.cache import Garment
+from drape.garment.size_chart import SIZES
+from drape.garment.sizes import (
+    GROWN_STEP_M,
+    MOVED_STEP_M,
+    OTHERS,
+    SizeTable,
+    field_in_panels,
+    field_in_space,
+    garment_measures,
+    panels_of,
+    sized,
+)
+from recovery.catalogue.build import BuildOptions, Report, design
+from recovery.catalogue.closing import on_finer_mesh
+from recovery.catalogue.fall import SETTLING, Fall
+from recovery.pattern.coordinates import control_points
+from recovery.pattern.design import Design, check_laid_flat, check_seams
+from recovery.pattern.measurements import BodyMeasurements
+from recovery.pattern.mesh import PatternMesh, mesh_pattern
+from recovery.sim.sdf import SignedDistance
+
+Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # over points, from rows and their values
+# Each size falls from the one beside it.
+FULL = BuildOptions(coarse_steps=120)
+FROM = {"M": "M", "S": "M", "L": "M", "XL": "L"}
+MOVED_WITHIN_M, MOST_VERTICES = 2e-3, 400
+GROWN_WITHIN_M, MOST_CORNERS = 2e-4, 40  # of a panel
+APART_M = {"space": 0.04, "panel": 0.02}  # rows that are added at once
+
+
+class Graded(NamedTuple):
+    """A size on M's mesh: how far its nodes lie from M's [m] (N, 3), and its panel vertices [m] (P, 2)."""
+
+    moved: np.ndarray
+    panels: np.ndarray
+
+
+def grade(
+    name: str,
+    garment: Garment,
+    body: BodyModel,
+    measurements: BodyMeasurements,
+    skin: SignedDistance,
+    *,
+    report: Report,
+    options: BuildOptions = FULL,
+) -> SizeTable:
+    """The table of the catalogue's garment ``name``, whose M the service has as ``garment``, on ``body``.
+
+    Raises ``InputError`` where ``garment`` is not what the catalogue sews in M.
+    """
+    made = {size: design(name, measurements, size) for size in SIZES}
+    for one in made.values():
+        check_seams(one)
+        check_laid_flat(one)
+    fine = mesh_pattern(made["M"].pattern, options.fine_m)
+    if not np.array_equal(fine.faces, garment.fine_faces):
+        cure = "Sew it again: python -m recovery.catalogue build --garments."
+        raise InputError(f"garment {name}", expected="the catalogue's mesh in M", got="another", cure=cure)
+    graded = fallen(made, garment, body, fine, skin, report=report, options=options)
+    return table_of(garment, body, fine.rest, graded, report=report)
+
+
+def fallen(
+    made: dict[str, Design],
+    garment: Garment,
+    body: BodyModel,
+    fine: PatternMesh,
+    skin: SignedDistance,
+    *,
+    report: Report,
+    options: BuildOptions,
+) -> dict[str, Graded]:
+    """Every other size at rest, on the nodes of ``fine``, M's mesh."""
+    coarse = mesh_pattern(made["M"].pattern, options.coarse_m)
+    nodes = {"M": on_finer_mesh(fine, garment.vertices.astype(np.float64), coarse)}
+    band = waistband(nodes["M"], coarse.faces, body)
+    held = None if band is None else band.vertex
+    graded = {}
+    for size, other in FROM.items():
+        controls = control_points(made[size].pattern).positions
+        mesh = replace(coarse, pattern=made[size].pattern, rest=coarse.rest_at(controls))
+        fall = Fall(made[size], mesh, fabric(made[size].fabric), skin, held=held)
+        settled = fall.run(nodes[other], steps=options.coarse_steps, still_m=options.coarse_still_m, kept=SETTLING)
+        nodes[size] = settled.nodes
+        report(f"{size:9s} {settled.steps} steps, the last by {1e3 * settled.move_m:.2f} mm")
+        if size != "M":
+            moved = on_finer_mesh(coarse, nodes[size] - nodes["M"], fine)
+            graded[size] = Graded(moved, fine.rest_at(controls))
+    return graded
+
+
+def table_of(
+    garment: Garment, body: BodyModel, panels: np.ndarray, graded: dict[str, Graded], *, report: Report
+) -> SizeTable:
+    """The table that gives ``graded`` back; ``panels`` [m] (P, 2) are M's, in the order of the garment's uv."""
+    standing, uv = garment.vertices.astype(np.float64), garment.uv.astype(np.float64)
+    moved = np.concatenate([graded[size].moved for size in OTHERS], axis=1)
+    grown = np.concatenate([graded[size].panels - panels for size in OTHERS], axis=1)
+    vertex = chosen(
+        standing,
+        moved,
+        field_in_space,
+        step=MOVED_STEP_M,
+        within=MOVED_WITHIN_M,
+        most=MOST_VERTICES,
+        apart=APART_M["space"],
+    )
+    panel = panels_of(uv, garment.uv_faces)
+    corners = []
+    for number in range(panel.max() + 1):
+        mine = np.flatnonzero(panel == number)
+        alone = np.zeros((len(mine), 3), dtype=np.int64)
+        alone[:, 1:] = np.arange(len(mine))[:, None]  # one piece: all hang on its first row
+
+        def plate(points: np.ndarray, rows: np.ndarray, values: np.ndarray, faces: np.ndarray = alone) -> np.ndarray:
+            return field_in_panels(points, faces, rows, values)
+
+        found = chosen(
+            uv[mine],
+            grown[mine],
+            plate,
+            step=GROWN_STEP_M,
+            within=GROWN_WITHIN_M,
+            most=MOST_CORNERS,
+            apart=APART_M["panel"],
+        )
+        corners.append(mine[found])
+    corner = np.concatenate(corners)
+    table = SizeTable(
+        garment.digest,
+        vertex,
+        rounded(moved[vertex], MOVED_STEP_M).reshape(len(vertex), len(OTHERS), 3).swapaxes(0, 1),
+        corner,
+        rounded(grown[corner], GROWN_STEP_M).reshape(len(corner), len(OTHERS), 2).swapaxes(0, 1),
+        {},
+    )
+    measures = {}
+    for size in SIZES:
+        one = sized(garment, body, table, size)
+        measures[size] = {name: round(value, 4) for name, value in garment_measures(one, body).items()}
+        if size != "M":
+            off = np.linalg.norm(one.vertices - standing - graded[size].moved, axis=1)
+            report(f"{size:9s} kept within {1e3 * np.sqrt((off**2).mean()):.1f} mm, {measures[size]}")
+    return replace(table, measures=measures)
+
+
+def chosen(
+    points: np.ndarray, values: np.ndarray, field: Field, *, step: float, within: float, most: int, apart: float
+) -> np.ndarray:
+    """Rows (A,) of ``points`` (N, D) whose ``values`` (N, C), in whole ``step``s, give all others back ``within`` that
+    error or as near as ``most`` rows do: first far ones, then those that are missed most, ``apart`` from each other."""
+    rows = [int(points[:, 1].argmax())]
+    while len(rows) < min(2 * points.shape[1] + 2, len(points)):
+        rows.append(int(KDTree(points[rows]).query(points)[0].argmax()))
+    while True:
+        taken = np.unique(rows)
+        off = np.abs(field(points, taken, rounded(values[taken], step)) - values).max(axis=1)
+        if off.max() < within or len(taken) >= min(most, len(points)):
+            return taken
+        for _ in range(min(max(4, len(taken) // 4), most - len(taken))):
+            worst = int(off.argmax())
+            rows.append(worst)
+            off[np.linalg.norm(points - points[worst], axis=1) < apart] = 0.0
+
+
+def rounded(values: np.ndarray, step: float) -> np.ndarray:
+    """``values`` in whole ``step``s."""
+    return step * np.rint(values / step)

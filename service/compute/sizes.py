@@ -1,0 +1,84 @@
+"""The sizes of garments in service: made of their tables when they are first worn, and kept."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from drape.body.measures import measures
+from drape.body.model import BodyModel
+from drape.errors import InputError, NotFound
+from drape.garment.cache import Garment
+from drape.garment.size_chart import Advice, advice, check_size, cut_for, deciding
+from drape.garment.sizes import SizeTable, load_table, sized, sized_digest, table_path
+from service.stages.scene import Entry, Outfit, Scene
+from service.stages.stage import Make, call_here
+
+SizeChoice = str | Sequence[str | None] | None  # of all layers, or of each
+
+
+class Sizes:
+    """The tables of the garments that come in sizes, and the sizes that were worn."""
+
+    def __init__(self, body: BodyModel, folder: Path, entries: Iterable[Entry], make: Make = call_here) -> None:
+        """Reads what lies beside the garments in ``folder``, which were sewn on ``body``; raises ``ArtifactError``."""
+        self._body, self._make = body, make
+        paths = {entry.garment.digest: (table_path(folder, entry.garment), entry) for entry in entries}
+        self._tables: dict[str, SizeTable] = {
+            digest: load_table(path, entry.garment) for digest, (path, entry) in paths.items() if path.is_file()
+        }
+        self._standard = measures(body)._asdict()
+        self._made: dict[str, Garment] = {}
+        self._one = threading.Lock()
+
+    def measures(self, entry: Entry) -> Mapping[str, Mapping[str, float]]:
+        """The measures [m] of ``entry`` by size; empty where it comes in one."""
+        table = self._tables.get(entry.garment.digest)
+        return {} if table is None else table.measures
+
+    def cut_for(self, entry: Entry, size: str) -> dict[str, tuple[float, float]]:
+        """Least and greatest girth [m] of bodies that ``size`` of ``entry`` is cut for, at the levels that decide."""
+        return cut_for(size, {name: self._standard[name] for name in deciding(self.measures(entry)["M"])})
+
+    def advice(self, entry: Entry, shape: np.ndarray) -> Advice:
+        """The size of ``entry`` for the body in ``shape``; refuses (``NotFound``) a garment that comes in one."""
+        found = self.measures(entry)
+        if not found:
+            raise _one_size(entry, "one to be found")
+        return advice(measures(self._body, shape)._asdict(), self._standard, deciding(found["M"]))
+
+    def wear(self, scene: Scene, size: SizeChoice) -> Scene:
+        """``scene`` in ``size``, of all garments or a list of them by layer; seconds for each that nobody ever wore.
+
+        Refuses a size that there is not (``NotFound``), naming the nearest, and a list of another length.
+        """
+        layers, each = scene.layers, [size] * len(scene.layers) if size is None or isinstance(size, str) else list(size)
+        if len(each) != len(layers):
+            expected, cure = f"one for all, or {len(layers)}: one for each garment", "Put null where a garment is in M."
+            raise InputError("size", expected=expected, got=str(len(each)), cure=cure)
+        worn = tuple(self._of(layer, one) for layer, one in zip(layers, each, strict=True))
+        return Outfit(worn) if isinstance(scene, Outfit) else worn[0]
+
+    def _of(self, entry: Entry, size: str | None) -> Entry:
+        if size is None:
+            return entry
+        table = self._tables.get(entry.garment.digest)
+        if table is None:
+            raise _one_size(entry, size[:40])
+        check_size(size, entry.id)
+        if size == "M":
+            return entry
+        digest = sized_digest(entry.garment, table, size)
+        with self._one:
+            if digest not in self._made:
+                self._made[digest] = self._make(sized, entry.garment, self._body, table, size)
+        return replace(entry, garment=self._made[digest])
+
+
+def _one_size(entry: Entry, got: str) -> NotFound:
+    cure = "Leave size out. GET /garments tells which garments have sizes."
+    return NotFound("size", expected=f"none: {entry.id} comes in one", got=got, cure=cure)

@@ -1,0 +1,71 @@
+"""Grading: which rows a table keeps, what is held while a size falls, and garments that are not the catalogue's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.body.assets import load_body
+from drape.body.model import BodyModel
+from drape.cloth.fabric_table import fabric
+from drape.cloth.waistband import waistband
+from drape.errors import InputError
+from drape.garment.cache import Garment
+from drape.garment.sizes import field_in_space
+from recovery.catalogue.build import QUICK, body_distance, design
+from recovery.catalogue.fall import Fall
+from recovery.catalogue.grading import chosen, grade, rounded
+from recovery.pattern.coordinates import control_points
+from recovery.pattern.mesh import mesh_pattern
+from recovery.sim.sdf import GridDistance
+from tests.recovery.pattern_setup import default_measurements
+
+
+def test_rows_are_added_where_the_field_is_missed_until_it_is_not():
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 3))
+    values = np.stack([np.sin(2.0 * points[:, 0]), points[:, 1] ** 2], axis=1)
+    found = {
+        most: chosen(points, values, field_in_space, step=1e-4, within=0.05, most=most, apart=0.1) for most in (20, 400)
+    }
+    assert len(found[20]) == 20 < len(found[400]) < 400
+    given = field_in_space(points, found[400], rounded(values[found[400]], 1e-4))
+    assert np.abs(given - values).max() < 0.05
+
+
+def test_the_panels_of_a_size_are_those_of_m_on_its_own_control_points():
+    body = default_measurements()
+    mesh, larger = mesh_pattern(design("skirt", body).pattern, 0.05), design("skirt", body, "XL")
+    rest = mesh.rest_at(control_points(larger.pattern).positions)
+    assert len(mesh.folded(rest)) == 0
+    of_its_own = mesh_pattern(larger.pattern, 0.05)
+    for panel in range(len(larger.pattern.panels)):
+        extents = [
+            np.ptp(each.rest[each.panel == panel] if each is of_its_own else rest[mesh.panel == panel], axis=0)
+            for each in (mesh, of_its_own)
+        ]
+        assert_allclose(*extents, atol=5e-4)  # curves are sampled at other places
+
+
+@pytest.fixture(scope="module")
+def skin() -> GridDistance:
+    return body_distance(load_body(), QUICK)
+
+
+def test_a_waistband_is_held_where_it_is(body: BodyModel, skin: GridDistance):
+    made = design("skirt", default_measurements())
+    mesh = mesh_pattern(made.pattern, 0.08)
+    nodes = mesh.nodes_from(mesh.placed())  # before and behind the body, not yet sewn
+    band = waistband(nodes, mesh.faces, body)
+    assert band is not None
+    fallen = Fall(made, mesh, fabric(made.fabric), skin, held=band.vertex).run(nodes, steps=2, still_m=0.0).nodes
+    assert_array_equal(fallen[band.vertex], nodes[band.vertex])
+    assert np.linalg.norm(fallen - nodes, axis=1).max() > 1e-3
+
+
+def test_a_garment_that_is_not_the_catalogues_is_refused(tube: Garment, body: BodyModel, skin: GridDistance):
+    other = replace(tube, name="tank")
+    with pytest.raises(InputError, match="garment tank: expected the catalogue's mesh in M"):
+        grade("tank", other, body, default_measurements(), skin, report=print)
