@@ -27,9 +27,11 @@ console.log(JSON.stringify({ said, slow: pace.slow, typicalMs: Math.round(1000 *
 LEFT = """
 import { Wearing } from "./wearing.js";
 import { Pace } from "./pace.js";
+import { Stream } from "./stream.js";
 let nowS = 0;
 const opened = [];
-const drape = { rest: { base: "http://nowhere", ticket: async () => "" }, worn: new Set() };
+const makeStream = (heard) => new Stream({ base: "http://nowhere", ticket: async () => "", ...heard });
+const drape = { makeStream, worn: new Set() };
 const wearing = new Wearing(drape, ["tube"], { folds_by: "auto" });
 wearing.pace = new Pace({ now: () => nowS });
 wearing.options = { folds_by: "client", geometry: "jets" };
