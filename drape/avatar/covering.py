@@ -1,8 +1,8 @@
 """The body of a character brought out to all that stands out of it, in its T-pose and where joints bend.
 
 What garments lie on must hold everything that is seen. In each of ``POSES`` the character's vertices that stand out of
-the posed skin, of the same part and facing the same way, tell by how much the skin is short there; it goes out by that
-along its normal in T-pose, smoothly, in rounds.
+the posed skin, of the same part or one that joins it and facing the same way, tell by how much the skin is short there;
+it goes out by that along its normal in T-pose, smoothly, in rounds.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 import scipy.sparse
 
-from drape.avatar.parts import counted_vertices, parts_of
+from drape.avatar.parts import beside, counted_vertices, parts_of
 from drape.avatar.t_pose import TPose
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
@@ -34,7 +34,8 @@ STRIDE = {
     "left_shoulder": (0, 30, -60), "right_shoulder": (0, 30, 60), "left_elbow": (0, -60, 0), "right_elbow": (0, 60, 0),
     "left_hip": (-40, 0, 0), "right_hip": (25, 0, 0), "right_knee": (45, 0, 0),
 }  # fmt: skip
-POSES = (REST, ARMS_DOWN, SQUAT, STRIDE)
+REACH = {"left_shoulder": (0, -80, 0), "right_shoulder": (0, 80, 0)}
+POSES = (REST, ARMS_DOWN, SQUAT, STRIDE, REACH)
 
 
 def covering(
@@ -57,7 +58,8 @@ def covering(
             facing = np.einsum("vk,vkc->vc", found.barycentric, meshes.vertex_normals(skin, body.faces)[corners])
             above = np.einsum("vc,vc->v", facing, seen[counted] - found.point)
             agree = np.einsum("vc,vc->v", facing, meshes.vertex_normals(seen, pose.faces)[counted]) > FACING
-            short = np.where(agree & (own[corners[:, 0]] == theirs[counted]) & (above > 0.0), above + MARGIN_M, 0.0)
+            joined = beside(own[corners[:, 0]], theirs[counted])
+            short = np.where(agree & joined & (above > 0.0), above + MARGIN_M, 0.0)
             np.maximum.at(height, corners.reshape(-1), np.repeat(np.minimum(short, MOST_M), 3))
         trust = np.where(height > 0.0, 1.0, PLAIN)
         way = symmetric_factor(scipy.sparse.diags(trust) + SMOOTHING * square).solve(trust * height)

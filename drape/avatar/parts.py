@@ -44,6 +44,13 @@ def _beside(part: str) -> set[str]:
     return found | {"neck": {"trunk", "head"}, "head": {"neck"}}.get(part, set())
 
 
+def beside(own: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Whether parts (n,) are those of ``others`` (n,) or join them."""
+    names = list(PARTS)
+    table = np.array([[other in _beside(part) for other in names] for part in names])
+    return table[own, others]
+
+
 def faces_beside(part: str, corners: np.ndarray) -> np.ndarray:
     """The character's faces (n,) of ``part`` and of those that join it; ``corners`` (F, 3) are the corners' parts."""
     names = list(PARTS)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from drape.avatar.covering import MARGIN_M, POSES, SQUAT, _rotvecs, covering
-from drape.avatar.parts import counted_vertices
+from drape.avatar.parts import PARTS, beside, counted_vertices, parts_of
 from drape.avatar.t_pose import TPose
 from drape.body.model import BodyModel
 from drape.geometry import meshes
@@ -41,6 +43,31 @@ def test_a_skin_that_holds_all_goes_out_by_no_more_than_the_margin(body: BodyMod
     found = covering(wide, body.weights, body.joints_template, pose, body.v_template, body)
     moved = np.linalg.norm(found - wide, axis=1)
     assert np.median(moved) < MARGIN_M and np.quantile(moved, 0.98) < DEEP_M
+
+
+def test_a_piece_of_the_trunk_that_stays_where_the_thigh_goes_is_held(body: BodyModel, pose: TPose):
+    thighs = [number for number, part in enumerate(PARTS) if part.endswith("thigh")]
+    by_hip = np.abs(body.v_template[:, 1] - body.joints_template[1, 1]) < 0.05
+    piece = np.flatnonzero(np.isin(parts_of(body.weights), thighs) & by_hip)
+    weights = body.weights.copy()
+    weights[piece] = np.eye(len(weights[0]))[0]
+    stiff = replace(pose, weights=weights)
+    found = covering(body.v_template, body.weights, body.joints_template, stiff, body.v_template, body)
+    bones = body.bones(_rotvecs(SQUAT)[None])
+    seen = skin_points(body.v_template[None], weights, *bones)[0]
+    before, after = (
+        np.quantile(signed_distance(seen[piece], skin_points(skin[None], body.weights, *bones)[0], body.faces), 0.9)
+        for skin in (body.v_template, found)
+    )
+    assert before > 0.01 and after < 0.4 * before, (before, after)
+
+
+def test_parts_that_join_are_beside_each_other():
+    own, other = np.array(
+        [[list(PARTS).index(part) for part in pair] for pair in (("trunk", "left_thigh"), ("left_thigh", "trunk"),
+         ("left_thigh", "left_shin"), ("neck", "neck"), ("left_thigh", "right_thigh"), ("trunk", "left_forearm"))]
+    ).T  # fmt: skip
+    assert beside(own, other).tolist() == [True, True, True, True, False, False]
 
 
 def test_angles_are_told_in_degrees():
