@@ -133,7 +133,8 @@ class Folds(Stage):
             if ceiling is not None:
                 layers[i] = lain[i].below(layers[i], ceiling)
                 ground = raised(ground, lain[i].heights(layers[i]))
-            yield replace(batch, layers=tuple(layers), quality=told.quality(batch.quality))
+            if i < len(layers) - 1:
+                yield replace(batch, layers=tuple(layers), quality=told.quality(batch.quality))
         folded = replace(batch, layers=tuple(layers))
         if effort.cloth_contact:
             for i, ceiling in enumerate(self._ceilings(folded, lain[0].ground)):

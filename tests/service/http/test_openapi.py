@@ -58,10 +58,20 @@ def operations(schema: BaseSchema) -> Iterator[APIOperation]:
 
 
 def requests_of(operation: APIOperation, mode: GenerationMode, known: dict[str, str]) -> st.SearchStrategy[Case]:
-    """Requests to ``operation``, half of them for what is there."""
+    """Requests to ``operation``, most of them for what is there; of legal ones some without a query, whose names of
+    sizes and fabrics hardly ever are some that there are."""
     ids = {one.name: known[one.name] for one in operation.path_parameters if one.name in known}
     drawn = [operation.as_strategy(mode)]
-    return st.one_of(drawn + ([operation.as_strategy(mode, path_parameters=ids)] if ids else []))
+    if ids:
+        drawn.append(operation.as_strategy(mode, path_parameters=ids))
+        if mode is LEGAL and list(operation.query):
+            drawn.append(drawn[-1].map(without_query))
+    return st.one_of(drawn)
+
+
+def without_query(case: Case) -> Case:
+    case.query = {}
+    return case
 
 
 def ways(operation: APIOperation) -> tuple[GenerationMode, ...]:

@@ -61,7 +61,7 @@ export class Stream {
   // Sends a pose if the stream is open, and says whether it is; pose: 72 numbers, trans: 3. Of an avatar's own rig: four
   // numbers a node, x, y, z, w, and where its pelvis is, or no numbers for its rest.
   send(pose, trans, rig = false) {
-    if (!this.ready || this.socket.readyState !== WebSocket.OPEN) return false; // a socket may be closing and not yet say so
+    if (!this.ready) return false;
     this.sequence = (this.sequence + 1) >>> 0;
     const clientTimeS = now();
     const sinceS = clientTimeS - this.askedS;
