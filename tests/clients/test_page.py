@@ -143,7 +143,7 @@ def test_the_finer_mesh_is_fetched_with_the_frames_that_have_it(page: Page):
     set_control(page, "resolution", "value", "fine", "change")
     page.wait_for(f"{fetched}.includes('/garments/tube/mesh?resolution=fine')")
     more_frames(page)
-    assert page.evaluate("document.body.dataset.state") == "open"
+    page.wait_for("document.body.dataset.state === 'open'")
     set_control(page, "resolution", "value", "", "change")
 
 

@@ -58,20 +58,18 @@ def operations(schema: BaseSchema) -> Iterator[APIOperation]:
 
 
 def requests_of(operation: APIOperation, mode: GenerationMode, known: dict[str, str]) -> st.SearchStrategy[Case]:
-    """Requests to ``operation``, most of them for what is there; of legal ones some without a query, whose names of
-    sizes and fabrics hardly ever are some that there are."""
+    """Requests to ``operation``, half of them for what is there."""
     ids = {one.name: known[one.name] for one in operation.path_parameters if one.name in known}
     drawn = [operation.as_strategy(mode)]
-    if ids:
-        drawn.append(operation.as_strategy(mode, path_parameters=ids))
-        if mode is LEGAL and list(operation.query):
-            drawn.append(drawn[-1].map(without_query))
-    return st.one_of(drawn)
+    return st.one_of(drawn + ([operation.as_strategy(mode, path_parameters=ids)] if ids else []))
 
 
-def without_query(case: Case) -> Case:
-    case.query = {}
-    return case
+def plain_answer(operation: APIOperation, known: dict[str, str]) -> int:
+    """The status of what is there, asked for without a query; drawn names of sizes hardly ever are some that it has."""
+    case = operation.Case(path_parameters={one.name: known[one.name] for one in operation.path_parameters})
+    response = case.call()
+    case.validate_response(response, checks=CHECKS[:-1])
+    return response.status_code
 
 
 def ways(operation: APIOperation) -> tuple[GenerationMode, ...]:
@@ -103,7 +101,8 @@ def test_answers_are_those_that_the_document_declares(schema: BaseSchema, body: 
                 counted = conform(requests_of(operation, mode, known), 4)
                 answered |= {operation.label} if counted[200] else set()
     # Refusals alone would say nothing of answers.
-    assert {"GET /health", "GET /garments/{garment_id}/mesh", "GET /bodies/{body_id}"} <= answered
+    assert {"GET /health", "GET /bodies/{body_id}"} <= answered
+    assert plain_answer(schema["/garments/{garment_id}/mesh"]["GET"], known) == 200
 
 
 def test_every_reference_leads_somewhere_and_every_refusal_is_a_problem(schema: BaseSchema):
