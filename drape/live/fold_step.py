@@ -355,4 +355,5 @@ def warm_up() -> None:
     x, memory, _ = fold(small, None, Frame(square, skin, 0.0), FoldEffort(steps=1))
     heights_over(x, small.sheet, memory.touched.own, skin, small.graph)
     skin[:, 6] = 1.0
-    pressed(square, small, memory.touched.own, skin, ceiling_over(square, small, skin))
+    above = square + np.array([0.0, 0.0, 0.05])
+    pressed(above, small, memory.touched.own, skin, ceiling_over(square, small, skin))

@@ -10,8 +10,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.contact.samples import Samples, sample_table
+from drape.live import ceiling
 from drape.live.ceiling import FADE_M, GAP_M, HIGHEST_M, LEAST_M, _above_skin, ceiling_over, lower, pressed
 from drape.live.fold_constants import FoldConstants, WornCloth
+from drape.live.fold_step import warm_up
 from drape.live.skin_contact import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import grid
 
@@ -36,13 +38,13 @@ def floor() -> tuple[Samples, np.ndarray]:
     return Samples(none, point, normal, np.full(len(point), SPACING_M)), table
 
 
-def worn(vertices: np.ndarray, faces: np.ndarray) -> FoldConstants:
+def worn(vertices: np.ndarray, faces: np.ndarray, *, dtype: type[np.floating] = np.float64) -> FoldConstants:
     """Cloth on the floor."""
     samples, _ = floor()
     cloth = ClothMesh.from_rest(vertices, faces)
     index = nearest_at_rest(vertices, samples)
     dressed = WornCloth(cloth, Material(), np.zeros(len(vertices)), skin_graph(samples), index)
-    return FoldConstants.of(dressed, dtype=np.float64)
+    return FoldConstants.of(dressed, dtype=dtype)
 
 
 INNER, OUTER = level(31, SIDE_M, 0.03), level(16, 0.5 * SIDE_M, 0.02)  # the outer one covers half of the inner one
@@ -170,3 +172,15 @@ def test_numbers_that_are_none_press_nothing():
     own = nearest_at_rest(INNER[0], floor()[0])[made.sheet.vertex]
     after = pressed(broken, made, own, SKIN, over(0.05))
     assert np.isfinite(np.delete(after, 7, axis=0)).all()
+
+
+def test_an_outfit_finds_its_kernels_compiled():
+    kernels = [getattr(ceiling, name) for name in ("_lower", "_too_high", "_spread", "_above_skin")]
+    warm_up()
+    warm = [set(kernel.signatures) for kernel in kernels]
+    made = worn(*INNER, dtype=np.float32)
+    own = nearest_at_rest(INNER[0], floor()[0])[made.sheet.vertex]
+    over_it = ceiling_over(OUTER[0].astype(np.float32), worn(*OUTER, dtype=np.float32), SKIN)
+    after = pressed(INNER[0].astype(np.float32), made, own, SKIN, over_it)
+    assert not np.array_equal(after, INNER[0].astype(np.float32)) and all(warm)
+    assert [set(kernel.signatures) for kernel in kernels] == warm
