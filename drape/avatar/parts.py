@@ -44,17 +44,17 @@ def _beside(part: str) -> set[str]:
     return found | {"neck": {"trunk", "head"}, "head": {"neck"}}.get(part, set())
 
 
+_JOINED = np.array([[other in _beside(part) for other in PARTS] for part in PARTS])  # by numbers of parts
+
+
 def beside(own: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Whether parts (n,) are those of ``others`` (n,) or join them."""
-    names = list(PARTS)
-    table = np.array([[other in _beside(part) for other in names] for part in names])
-    return table[own, others]
+    return _JOINED[own, others]
 
 
 def faces_beside(part: str, corners: np.ndarray) -> np.ndarray:
     """The character's faces (n,) of ``part`` and of those that join it; ``corners`` (F, 3) are the corners' parts."""
-    names = list(PARTS)
-    return np.flatnonzero(np.isin(corners, [names.index(one) for one in _beside(part)]).all(axis=1))
+    return np.flatnonzero(beside(np.array(list(PARTS).index(part)), corners).all(axis=1))
 
 
 def counted_vertices(pose: TPose) -> np.ndarray:
