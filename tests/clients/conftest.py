@@ -1,5 +1,18 @@
 """Fixtures of the client tests."""
 
-from tests.fixtures.serving import api, live, live_settings, make_settings, settings, tiny_folder
+from __future__ import annotations
 
-__all__ = ["api", "live", "live_settings", "make_settings", "settings", "tiny_folder"]
+from collections.abc import Callable
+
+import pytest
+
+from service.settings import Settings
+from tests.fixtures.serving import api, live, make_settings, settings, tiny_folder
+
+__all__ = ["api", "live", "make_settings", "settings", "tiny_folder"]
+
+
+@pytest.fixture(scope="session")
+def live_settings(make_settings: Callable[..., Settings]) -> Settings:
+    """The limits that a service has by itself: a browser on a busy machine may be seconds late."""
+    return make_settings()
