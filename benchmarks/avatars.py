@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.measure.skin_pixels import PosedBody, covered_faces, skin_pixels_pct
-from benchmarks.network import PRECISION, Network
+from benchmarks.network import Network
 from benchmarks.scenes import Clip, Folding
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
 from drape.body.assets import load_body
@@ -86,7 +86,6 @@ def skin_seen(wearer: Wearer, garment: Garment, clip: Clip, network: Network, fo
     Option("--avatars", (), "GLB or VRM files (those in DRAPE_DATA/avatars)", kind=str),
     Option("--frames", 120, "of a clip at most", 4),
     Option("--folds", 1, "steps of folds"),
-    PRECISION,
 )
 def main(run: Run) -> None:
     """A row for every character, garment and clip."""

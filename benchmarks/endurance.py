@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.harness import Benchmark, Option, Run, inputs
-from benchmarks.network import PRECISION, Network
+from benchmarks.network import Network
 from benchmarks.scenes import Clip, Folding, Scene, at_rate, fabrics_option, scenes
 from benchmarks.tables import Row, text_table
 from drape.body.assets import load_body
@@ -81,7 +81,6 @@ def totals(rows: list[Row]) -> list[Row]:
     fabrics_option("jersey", "denim", "satin"),
     Option("--fps", RATES_FPS, "frames a second", RATES_FPS[:1]),
     Option("--steps", 2, "of folds"),
-    PRECISION,
 )
 def main(run: Run) -> None:
     """Rows of every scene at every rate, summed up over the clips."""

@@ -25,7 +25,7 @@ from benchmarks.judge import ipc_optimum
 from benchmarks.judge.physics_cache import CACHE_DIR
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.judged import Cloth, Judged, jitter_ratio
-from benchmarks.network import PRECISION, Network
+from benchmarks.network import Network
 from benchmarks.scenes import FPS, Folding, Scene, fabrics_option, read_clips, scenes
 from benchmarks.tables import Row
 from drape.body.assets import load_body
@@ -154,7 +154,6 @@ def open_networks(options: argparse.Namespace, body: BodyModel) -> dict[str, Net
     Option("--cloth-contact", False, "also cloth that feels itself"),
     Option("--physics", False, "also gain and share of detail, slow"),
     Option("--apart", False, "also gain beside cloth that keeps apart from itself, slow"),
-    PRECISION,
 )
 def main(run: Run) -> None:
     """Rows of every scene."""

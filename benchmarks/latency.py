@@ -308,7 +308,7 @@ def main(run: Run) -> None:
     run.rows += growth_rows(bench, quick=options.quick)
     if load > 0.5:
         run.notes.append(f"the machine was busy: load {load:.1f} when this began; such times are provisional")
-    graph = "packed_int8" if engine.int8 else "packed"
+    graph = "packed" if engine.compiled is None else "compiled"
     run.extra |= {"device": options.provider, "provider": engine.provider, "load_before": load}
     run.extra |= {"model": options.model.name, "graph": graph}
 

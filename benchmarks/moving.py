@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.moving import Looks
-from benchmarks.network import PRECISION, Network
+from benchmarks.network import Network
 from benchmarks.scenes import FPS, Folding, Scene, read_clips
 from benchmarks.swing import swung
 from benchmarks.tables import Row
@@ -95,12 +95,11 @@ def measure(scene: Scene, network: Network, steps: int) -> Row:
     Option("--folds", 1, "steps of folds: the default tier's"),
     Option("--fps", FPS, "frames a second"),
     Option("--frames", 120, "of a clip at most", 30),
-    PRECISION,
 )
 def main(run: Run) -> None:
     """Rows of every garment in every fabric over every clip, and their means."""
     options, body = run.options, load_body()
-    network = Network(model_folder(options.model), body, threads=options.threads, precision=options.precision)
+    network = Network(model_folder(options.model), body, threads=options.threads)
     warm_up()
     clips = read_clips(options, body, options.fps)
     for path in find_garments(options.garments):

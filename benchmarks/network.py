@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import Option
 from drape.artifacts import model_folder
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
@@ -25,8 +24,6 @@ from service.graphs.packing import Packer, ScenePlan
 from service.stages.motion import Memory, Moment, advance
 
 FRAMES_PER_CALL = 8  # the vertex stage holds some megabytes per frame
-PRECISIONS = ("int8", "float32")  # of the packed graph on a processor; the first is served
-PRECISION = Option("--precision", PRECISIONS[0], "of the packed graph", choices=PRECISIONS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +44,8 @@ class Draped:
 class Network:
     """The packed graph of a model folder on the processor; garments are of the network's default fabric.
 
-    ``precision``: "int8" as served (``DRAPE_INT8``) where the model has that graph, or "float32". ``passes``: how many
-    of the network's corrections run, None for all. Refuses (``ArtifactError``) a model of another body and one without
-    a packed graph, and (``InputError``) passes that the model cannot do.
+    ``passes``: how many of the network's corrections run, None for all. Refuses (``ArtifactError``) a model of another
+    body and one without a packed graph, and (``InputError``) passes that the model cannot do.
     """
 
     def __init__(
@@ -58,10 +54,9 @@ class Network:
         body: BodyModel,
         *,
         threads: int,
-        precision: str = PRECISIONS[0],
         passes: int | None = None,
     ) -> None:
-        self.engine = Engine(folder, device=Device(threads=threads), int8=precision == "int8")
+        self.engine = Engine(folder, device=Device(threads=threads))
         self.engine.check_body(body)
         self._body, self._packer, self._shape = body, Packer(self.engine, body), pack_body(body)
         self.manifest = self.engine.manifest
@@ -70,9 +65,8 @@ class Network:
 
     @classmethod
     def asked(cls, options: argparse.Namespace, body: BodyModel, *, passes: int | None = None) -> Network:
-        """The network of ``--model`` in ``--threads`` and, of commands that have it, in ``--precision``."""
-        precision = getattr(options, "precision", PRECISIONS[0])
-        return cls(model_folder(options.model), body, threads=options.threads, precision=precision, passes=passes)
+        """The network of ``--model`` in ``--threads``."""
+        return cls(model_folder(options.model), body, threads=options.threads, passes=passes)
 
     def made_of(self, fabric: Fabric | None) -> Network:
         """The same network with garments of ``fabric``, where it knows fabrics; None: of its default."""
@@ -86,8 +80,8 @@ class Network:
         return self.engine.pass_count if self._plan.passes is None else self._plan.passes
 
     def record(self) -> dict[str, str]:
-        """Which graph of which model drapes, the model by its digest, for a benchmark's record."""
-        graph = "packed_int8" if self.engine.int8 else "packed"
+        """What computes which model, the model by its digest, for a benchmark's record."""
+        graph = "packed" if self.engine.compiled is None else "compiled"
         return {"graph": graph, "model_digest": self.manifest.digest}
 
     def drape(self, garment: Garment, poses: np.ndarray) -> Draped:

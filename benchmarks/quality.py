@@ -4,7 +4,6 @@
     python -m benchmarks.quality --garments tshirt dress --motions walk squat --frames 6
     python -m benchmarks.quality --garments $DRAPE_DATA/garments --motions $DRAPE_DATA/motions --save
     python -m benchmarks.quality --patches 2 --out fine.json
-    python -m benchmarks.quality --precision float32
     python -m benchmarks.quality --garments tshirt --fabrics jersey poplin --passes 0 --out fabrics.json
 
 A garment is a name under assets/garments, a cache file, a mesh, or a folder of either; a motion is a name under
@@ -29,7 +28,7 @@ from benchmarks.judge.physics_cache import CACHE_DIR
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.jitter import Window, jitter, typical_windows
 from benchmarks.measure.judged import Cloth, Judged
-from benchmarks.network import PRECISION, Draped, Network
+from benchmarks.network import Draped, Network
 from benchmarks.scenes import Clip, folded_poses
 from benchmarks.tables import Row
 from drape.body.assets import load_body
@@ -238,7 +237,6 @@ def _in_fabric(garment: str, fabric_name: str | None) -> str:
     Option("--passes", None, "corrections of the network that run (default all)", kind=int),
     Option("--steps", physics.STEPS, "most steps of physics", 30),
     Option("--no-physics-cache", False, "minimise again instead of taking stored drapes, store none"),
-    PRECISION,
 )
 def main(run: Run) -> None:
     """Rows of every garment in every fabric, and their means."""

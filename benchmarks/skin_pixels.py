@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.measure.skin_pixels import VIEWS_DEG, PosedBody, covered_faces, skin_pixels_pct
-from benchmarks.network import PRECISION, Network
+from benchmarks.network import Network
 from benchmarks.scenes import Clip, folded_poses, skinned
 from benchmarks.tables import Row
 from drape.body.assets import load_body
@@ -94,7 +94,6 @@ def measure(
     *inputs(quick_garments=("tshirt",)),
     Option("--frames", 12, "hard poses", 1),
     Option("--folds", 2, "steps of folds"),
-    PRECISION,
 )
 def main(run: Run) -> None:
     """Rows of every garment."""

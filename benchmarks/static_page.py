@@ -65,7 +65,7 @@ def case(asked: Asked, frames: int, card_frames: int, browser: str, model: str) 
         smooth = draped_in(folder, browser, clip, effort=NO_FOLDS)
         card_mm = None
         if card_frames:
-            exact = Worn.of(DrapeRuntime(Settings(model=model, int8=False)), asked.garment, asked.motions[0])
+            exact = Worn.of(DrapeRuntime(Settings(model=model)), asked.garment, asked.motions[0])
             (expected,) = exact.streamed(card_frames, alone)
             few = first_frames(clip, card_frames)
             card = draped_in(folder, browser, few, provider="webgpu", effort=NO_FOLDS, flags=SOFTWARE_CARD)

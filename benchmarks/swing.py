@@ -26,7 +26,7 @@ from benchmarks.judge.physics import held_by_waist
 from benchmarks.judge.simulator import Motion, Sheet, simulate
 from benchmarks.measure.hem import hem_vertices
 from benchmarks.measure.judged import jitter_ratio
-from benchmarks.network import PRECISION, Network
+from benchmarks.network import Network
 from benchmarks.scenes import FPS, Clip, Folding, Scene
 from benchmarks.tables import Row
 from drape.body.assets import load_body
@@ -139,7 +139,6 @@ def measure(scene: Scene, network: Network, *, simulator: bool) -> list[Row]:
     Option("--rate", TURNS_PER_S, "turns a second of the spin"),
     Option("--seconds", 4.5, "of a clip", 1.5),
     Option("--no-simulator", False, "without the simulator, which takes minutes", True),
-    PRECISION,
 )
 def main(run: Run) -> None:
     """Rows of every garment in every fabric over every clip."""

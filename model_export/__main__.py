@@ -6,9 +6,8 @@ without a checkpoint writes the measured quality into the manifest of a folder t
 
     python -m model_export --push-out assets/models/NAME
 
-the graph of the push-out, which is the same for every network. On processors the packed graph is served in int8; what
-its numbers reach is seen on the shipped garments and clips (--no-int8 leaves it out). On GPUs it is served with the
-network's matrices in float16 (--no-half leaves it out).
+the graph of the push-out, which is the same for every network. On GPUs the packed graph is served with the network's
+matrices in float16 (--no-half leaves it out).
 """
 
 from __future__ import annotations
@@ -21,8 +20,7 @@ from pathlib import Path
 from drape.errors import refusing
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from model_export.export import command_line, commit, export, load_model, static_training
-from model_export.folder import add_half, add_int8, add_push_out, write_quality
-from model_export.precision.int8 import on_shipped
+from model_export.folder import add_half, add_push_out, write_quality
 
 
 @refusing
@@ -33,7 +31,6 @@ def main() -> int:
     parser.add_argument("target", type=Path)
     parser.add_argument("--quality", type=Path, help="JSON of benchmarks.quality whose rows go into the manifest")
     parser.add_argument("--push-out", action="store_true", help="write the push-out into a folder that stands")
-    parser.add_argument("--no-int8", action="store_true", help="no packed graph in int8")
     parser.add_argument("--no-half", action="store_true", help="no packed graph in float16")
     parser.add_argument("--garment", type=Path, help="garment cache for the parity check; default the shipped T-shirt")
     arguments = parser.parse_args()
@@ -63,8 +60,6 @@ def main() -> int:
         training=training | {"commit": commit(), "command": command_line()} | static_training(model, arguments.target),
         quality=rows,
     )
-    if "packed" in manifest.graphs and not arguments.no_int8:
-        manifest = add_int8(arguments.target, on_shipped(model))
     if "packed" in manifest.graphs and not arguments.no_half:
         manifest = add_half(arguments.target, model, load_garment(path))
     print(f"{arguments.target}: parity {manifest.parity_error_m:.2e} m, digest {manifest.digest[:16]}")

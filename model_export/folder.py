@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +12,9 @@ import onnx
 from drape.artifacts import GraphSpec, Manifest, file_digest, load_manifest, read_parameters, staged_folder
 from drape.files.atomic import whole_file
 from drape.garment.cache import Garment
+from model_export.half import HALF, LARGEST_ERROR_M, LEAST, halve_matrices
 from model_export.packed.parity import packed_parity_error
 from model_export.parity import TOLERANCE_M, check_parity
-from model_export.precision.half import HALF, LARGEST_ERROR_M, LEAST, halve_matrices
-from model_export.precision.int8 import ROUNDED, WideLayer, round_matrices
 from model_export.push.graph import PUSHES, write_push
 from model_export.push.parity import push_parity_error
 from model_export.shared_weights import share_weights
@@ -45,45 +43,25 @@ def add_push_out(folder: Path, garment: Garment) -> Manifest:
         return _with_graphs(staged, replace(manifest, parity_error_m=max(error, manifest.parity_error_m)), specs)
 
 
-def add_int8(folder: Path, layers: Mapping[str, WideLayer]) -> Manifest:
-    """Adds the packed graph with ``layers`` in int8 to a model folder that exists."""
-    return _add_packed(folder, ROUNDED, lambda proto: round_matrices(proto, layers))
-
-
 def add_half(folder: Path, model: OneFit, garment: Garment, *, least: int = LEAST) -> Manifest:
-    """Adds the packed graph with matrices of ``least`` numbers or more in float16.
+    """Adds the packed graph with matrices of ``least`` numbers or more in float16 to a model folder that exists.
 
     Refuses (``ArtifactError``) if that moves a vertex of ``garment`` by more than ``LARGEST_ERROR_M``.
     """
-
-    def check(staged: Path, manifest: Manifest) -> None:
-        encoder = staged / manifest.graphs["garment_encoder"].file
-        error = packed_parity_error(model, encoder, staged / f"{HALF}.onnx", garment)
-        cure = "Export without it (--no-half)."
-        check_parity("packed graph in float16", error, LARGEST_ERROR_M, "from torch in float32", cure=cure)
-
-    return _add_packed(folder, HALF, lambda proto: halve_matrices(proto, least=least), check)
-
-
-def _add_packed(
-    folder: Path,
-    name: str,
-    change: Callable[[onnx.ModelProto], object],
-    check: Callable[[Path, Manifest], None] = lambda staged, manifest: None,
-) -> Manifest:
-    """Writes the packed graph after ``change`` into ``folder`` as the graph ``name``, if it passes ``check``."""
     manifest = load_manifest(folder)
     with staged_folder(folder) as staged:
         shutil.copytree(folder, staged, dirs_exist_ok=True)
         packed_spec = manifest.graphs["packed"]
         proto = onnx.load(str(staged / packed_spec.file))
-        change(proto)
+        halve_matrices(proto, least=least)
         onnx.checker.check_model(proto)
-        path = staged / f"{name}.onnx"
+        path = staged / f"{HALF}.onnx"
         onnx.save(proto, str(path))
         spec = replace(packed_spec, file=path.name, sha256=file_digest(path))
-        written = _with_graphs(staged, manifest, {name: spec})
-        check(staged, written)
+        written = _with_graphs(staged, manifest, {HALF: spec})
+        error = packed_parity_error(model, staged / manifest.graphs["garment_encoder"].file, path, garment)
+        cure = "Export without it (--no-half)."
+        check_parity("packed graph in float16", error, LARGEST_ERROR_M, "from torch in float32", cure=cure)
         return written
 
 

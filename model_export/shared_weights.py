@@ -26,7 +26,7 @@ from drape.artifacts import GraphSpec, ParameterSpec, WeightsSpec, file_digest
 WEIGHTS_FILE = "weights.bin"
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
 LEAST_BYTES = 1024
-BORROWERS = ("packed", "packed_half", "packed_int8")
+BORROWERS = ("packed", "packed_half")
 
 
 @dataclass

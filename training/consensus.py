@@ -15,12 +15,10 @@ import scipy.sparse
 import torch
 from torch import Tensor
 
-from drape.garment.consensus import FIT_COUNT, strain_points
+from drape.garment.consensus import FIT_COUNT, TRACE_SHARE, strain_points
 from drape.geometry import jets
 from drape.graph.inputs import AgreementTensors
 from training.sparse import SparsePair, product
-
-TRACE_SHARE = 0.3  # of the strain's trace in the force: Poisson's effect
 
 
 class ChartConsensus(Protocol):

@@ -20,7 +20,7 @@ from numba.core.caching import IndexDataCacheFile
 F = TypeVar("F", bound=Callable)
 FAST = {"contract", "nsz"}
 _HERE = Path(__file__).parent
-_PACKAGES = (_HERE, *(_HERE.parent / name for name in ("live", "graph")))  # their kernels call each other
+_PACKAGES = (_HERE, *(_HERE.parent / name for name in ("live", "graph", "network")))  # their kernels call each other
 
 
 @cache

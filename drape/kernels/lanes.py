@@ -25,6 +25,7 @@ from numba.np.arrayobj import make_array
 from drape.kernels.compiled import FAST, part
 
 LANES = 16
+_PER_LN2, _LN2_HIGH, _LN2_LOW = 1.4426950408889634, 0.693359375, -2.1219444005469057e-4
 ir: Any = cgutils.ir  # of llvmlite, in the version that numba has
 _FLAGS = tuple(sorted(FAST))
 built: Any = intrinsic  # the function that it returns is called without the first argument, numba's typing context
@@ -114,6 +115,31 @@ def root(typing: Any, a: Any) -> Any:
         )
 
     return a(a), code
+
+
+@built
+def whole(typing: Any, a: Any) -> Any:
+    """Each number without what is behind its point; within the range of 32 or 64 bits."""
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        vector = ir.VectorType(ir.IntType(a.dtype.bitwidth), LANES)
+        return builder.sitofp(builder.fptosi(args[0], vector), args[0].type)
+
+    return a(a), code
+
+
+@built
+def times_two_to(typing: Any, a: Any, power: Any) -> Any:
+    """``a`` times two to the ``power``, whole numbers for which two to them is a normal number."""
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        bits = a.dtype.bitwidth
+        vector, behind, bias = ir.VectorType(ir.IntType(bits), LANES), *((23, 127) if bits == 32 else (52, 1023))
+        power = builder.add(builder.fptosi(args[1], vector), ir.Constant(vector, [bias] * LANES))
+        shifted = builder.shl(power, ir.Constant(vector, [behind] * LANES))
+        return builder.fmul(args[0], builder.bitcast(shifted, args[0].type), flags=_FLAGS)
+
+    return a(a, power), code
 
 
 @built
@@ -322,6 +348,31 @@ def put3(array, start, a):
     put(array, start, a[0])
     put(array, start + LANES, a[1])
     put(array, start + 2 * LANES, a[2])
+
+
+@part
+def exponential(a):
+    """e to each number, to 3e-8 of it or the type's rounding; below -80 that of -80, above 80 that of 80."""
+    a = least(most(a, -80.0), 80.0)
+    n = a * _PER_LN2
+    n = whole(n + where_above(a, 0.0, 0.5, -0.5))
+    x = (a - n * _LN2_HIGH) - n * _LN2_LOW  # within half of ln 2
+    series = x * (1.0 / 5040.0) + 1.0 / 720.0
+    series = series * x + 1.0 / 120.0
+    series = series * x + 1.0 / 24.0
+    series = series * x + 1.0 / 6.0
+    series = series * x + 0.5
+    series = series * x + 1.0
+    return times_two_to(series * x + 1.0, n)
+
+
+@part
+def tangent(a):
+    """The hyperbolic tangent of each number."""
+    size = root(a * a)
+    small = exponential(size * -2.0)
+    bent = (1.0 - small) / (1.0 + small)
+    return where_above(a, 0.0, bent, -bent)
 
 
 @part

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from drape.garment.consensus import STRAIN_POINTS
+from drape.garment.consensus import STRAIN_POINTS, TRACE_SHARE
 from drape.geometry import jets
 from model_export.packed.operators import WithTables, softsign
-from training.consensus import TRACE_SHARE, tangent_terms
+from training.consensus import tangent_terms
 
 SOFTENING = 4.0  # of training.consensus.softened: 4 x / (1 + |4 x|)
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))  # of u and v in the three directions

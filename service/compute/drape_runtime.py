@@ -65,7 +65,9 @@ class DrapeRuntime:
         self.body = body or load_body(settings.body)
         folder = settings.models_dir / settings.model
         device = Device(settings.provider, settings.threads, settings.gpu_memory_mb, settings.capture)
-        self.engine = Engine(folder, device=device, int8=settings.int8, half=settings.half, bound=settings.buckets)
+        self.engine = Engine(
+            folder, device=device, compiled=settings.compiled, half=settings.half, bound=settings.buckets
+        )
         self.engine.check_body(self.body)
         self.tiers = read_tiers(self.engine.manifest.tiers)
         self.threads = ComputeThreads(

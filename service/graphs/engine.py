@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drape.artifacts import Manifest, TensorSpec, load_manifest
+from drape.artifacts import Manifest, TensorSpec, WeightsSpec, load_manifest, read_parameters
 from drape.body.model import BodyModel
 from drape.body.pose_support import read_pose_support
 from drape.cloth.fabric import Fabric
@@ -19,6 +19,7 @@ from drape.garment.cache import Garment
 from drape.garment.fabric_features import encoder_features
 from drape.graph.packing import pass_name
 from service.graphs.binding import BoundSession
+from service.graphs.compiled import CompiledNetwork, is_covered
 from service.graphs.graph_names import (
     DYNAMIC,
     ENCODER,
@@ -29,7 +30,6 @@ from service.graphs.graph_names import (
     PUSH,
     PUSH_OVER,
     PUSHES,
-    ROUNDED,
     SKIN,
 )
 from service.graphs.onnx_runtime import (
@@ -71,8 +71,9 @@ class Engine:
     one at a time. The packed graph of a ``dynamic`` model takes ``dynamic_code`` (B, ``code_size``), zeros for bodies
     at rest.
 
-    The packed graph is the one in ``int8`` on a CPU and the one with weights of 16 bits (``half``) on a GPU, if the
-    model has these. ``bound``: parts of graphs run in buckets (``service.graphs.binding``), by default on a GPU.
+    On a CPU kernels compute the packed graph's network (``compiled``), if they cover it. On a GPU it is the graph with
+    weights of 16 bits (``half``), if the model has that. ``bound``: parts of graphs run in buckets
+    (``service.graphs.binding``), by default on a GPU.
     Refuses (``ArtifactError``) a folder without the graphs that the service runs.
     """
 
@@ -81,7 +82,7 @@ class Engine:
         folder: Path,
         *,
         device: Device | None = None,
-        int8: bool = True,
+        compiled: bool = True,
         half: bool | None = None,
         bound: bool | None = None,
     ) -> None:
@@ -97,13 +98,15 @@ class Engine:
         self.pose_support = None if poses is None else read_pose_support(folder / poses.file)
         self.state_size = self.manifest.state_size
         self.code_size = _code_size(folder.name, self.manifest)
-        self.int8 = int8 and not on_gpu and ROUNDED in self.manifest.graphs
         self.half = (on_gpu if half is None else half) and HALF in self.manifest.graphs
+        weights, network = self.manifest.weights, self.manifest.network
+        self.compiled: CompiledNetwork | None = None
+        if compiled and not self.bound and not self.half and weights is not None and is_covered(network):
+            self.compiled = _compiled(folder, weights, network)
         self.nodes_off_provider = 0  # of parts opened so far; on a GPU each waits for a copy
         # Read now: a folder replaced later must not mix its graphs with those of this one.
         files = {name: self.manifest.graphs[name].file for name in (*_run_graphs(self.manifest), self._chosen(PACKED))}
         self._files = {name: (folder / file).read_bytes() for name, file in files.items()}
-        weights = self.manifest.weights
         self._weights = {weights.file: (folder / weights.file).read_bytes()} if weights else {}
         self._opened: dict[tuple[Any, ...], Session] = {}
         self._opening = threading.Lock()
@@ -116,7 +119,7 @@ class Engine:
         """The graph that computes ``graph``."""
         if graph != PACKED:
             return graph
-        return HALF if self.half else ROUNDED if self.int8 else PACKED
+        return HALF if self.half else PACKED
 
     def check_body(self, body: BodyModel) -> None:
         """Refuses a body that the model was not trained on."""
@@ -228,14 +231,9 @@ class Engine:
         direct: Collection[str] = (),
         passes: int | None = None,
         given: Collection[str] = (),
-        exact: bool = False,
     ) -> bytes:
-        """The model that ``open_cut`` opens, in one file (``graphs.whole_model``), ``constants`` in place of inputs.
-
-        ``exact``: the packed graph in float32, whichever this engine runs.
-        """
-        chosen = graph if exact else self._chosen(graph)
-        model = self._cut(chosen, outputs, direct, self.check_passes(passes), given)
+        """The model that ``open_cut`` opens, in one file (``graphs.whole_model``), ``constants`` in place of inputs."""
+        model = self._cut(self._chosen(graph), outputs, direct, self.check_passes(passes), given)
         return whole_model(model, constants, self._weights)
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
@@ -257,6 +255,14 @@ class Engine:
         for (name, *_), session in tuple(self._opened.items()):
             if name == graph:
                 session.forget()
+
+
+def _compiled(folder: Path, weights: WeightsSpec, network: Mapping[str, Any]) -> CompiledNetwork:
+    try:
+        return CompiledNetwork(read_parameters(folder, weights), network)
+    except (KeyError, ValueError) as error:
+        expected = "those of the network that it describes"
+        raise misexported(f"{folder.name} parameters", expected=expected, got=str(error)) from error
 
 
 def _names(tensors: Sequence[TensorSpec]) -> set[str]:

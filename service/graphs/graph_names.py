@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 ENCODER, PACKED, DYNAMIC = "garment_encoder", "packed", "dynamic_encoder"
-ROUNDED, HALF = "packed_int8", "packed_half"  # in place of the packed graph, on processors and on GPUs
+HALF = "packed_half"  # in place of the packed graph, on GPUs
 PUSH, PUSH_OVER = "push_out", "push_over"
 PUSHES = (PUSH, PUSH_OVER)
 FIRST = "patch_first"  # output of the encoder that the packed graph reads

@@ -20,6 +20,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
+from drape.contact.samples import REGION_SIZE
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.graph.blend import blended, warm_up
@@ -31,6 +32,8 @@ from service.graphs.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
 from service.graphs.store import Store
 
 if TYPE_CHECKING:
+    from drape.network.patch_rows import PatchRows
+    from service.graphs.compiled import CompiledNetwork
     from service.graphs.engine import Engine
     from service.graphs.onnx_runtime import Session, Value
 
@@ -107,6 +110,7 @@ class Packer:
         self._worn: OrderedDict[str, None] = OrderedDict()  # garments in other fabrics than their own, latest last
         self._tiles_per_call = tiles_per_call or (TILES_PER_BUCKET if engine.bound else TILES_PER_CALL)
         self._values: dict[str, Any] = {}
+        self._rows: dict[str, PatchRows] = {}  # of garments and fabrics, where the network is compiled
         if engine.on_cpu:
             warm_up()
 
@@ -127,6 +131,7 @@ class Packer:
         first = self._engine.first(garment)
         with self._lock:
             self._store.add(key, garment, feed, first)
+            self._rows.pop(key, None)
             self._forget()
 
     def dressed(self, key: str, fabric: Fabric) -> str:
@@ -159,6 +164,8 @@ class Packer:
         It takes a fifth of a second each, and may be called from any thread.
         """
         one_shape = self._skins is not None
+        if self._engine.compiled:
+            return
         kinds = {(not self._engine.bound, one_shape), (False, one_shape), *([(False, False)] if shapes else [])}
         for alone, one_shape in sorted(kinds):
             self._session(plan, alone=alone, one_shape=one_shape, skin_given=skin_given)
@@ -185,11 +192,11 @@ class Packer:
             results += self._run_part(plan, local, tuple((key, rows[row]) for key, row in part))
         return results
 
-    def whole_model(self, key: str, body: Mapping[str, np.ndarray], *, passes: int | None, exact: bool) -> bytes:
+    def whole_model(self, key: str, body: Mapping[str, np.ndarray], *, passes: int | None) -> bytes:
         """The packed graph of the posed jets of the garment ``key`` alone, on ``body``, in a file that needs no other.
 
         ``body`` (``PackedBody.rows`` of one frame) gives the shape; its poses, codes and the posed skin are left as
-        inputs. Numbers are those of ``run`` where a posed skin is given, or, ``exact``, those of float32.
+        inputs.
         """
         with self._lock:
             garment = self._store.packed(key)
@@ -204,7 +211,6 @@ class Packer:
             direct=(*STORED_INDEX, *SHAPE_INDEX),
             passes=passes,
             given=(SKIN,) if self._skins is not None else (),
-            exact=exact,
         )
 
     def _parts(self, items: Sequence[Item]) -> list[list[Item]]:
@@ -230,6 +236,8 @@ class Packer:
             with self._lock:
                 bodies = bodies | self._skins.feed(bodies["betas"])
             one_shape = len(bodies["skin_rows"]) == 1
+        if self._engine.compiled is not None:
+            return self._run_compiled(self._engine.compiled, plan, bodies, items)
         call = self._call(plan, items, one_shape=one_shape, skin_given=skin_given)
         given = call.feed | bodies
         feed = {name: given[name] for name in call.session.inputs}
@@ -240,6 +248,27 @@ class Packer:
                 arrays["vertices"] = blended(garment, *(arrays[name] for name in JETS))
         answers = [{name: arrays[name] for name in plan.outputs} for arrays in results]
         return [Result(arrays, _finite(arrays)) for arrays in answers]
+
+    def _run_compiled(
+        self, network: CompiledNetwork, plan: ScenePlan, bodies: dict[str, np.ndarray], items: tuple[Item, ...]
+    ) -> list[Result]:
+        """``_run_part`` without a graph: body after body, garment after garment."""
+        posed = {row: network.body(bodies, row) for row in dict.fromkeys(row for _, row in items)}
+        results = []
+        for key, row in items:
+            with self._lock:
+                garment = self._store.packed(key)
+                if key not in self._rows:
+                    self._rows[key] = network.rows(garment)
+                rows = self._rows[key]
+            arrays = network.jets(garment, rows, posed[row], plan.passes)
+            finite = _finite(arrays)
+            if "vertices" in plan.outputs:
+                arrays["vertices"] = blended(garment, *(arrays[name] for name in JETS))
+            if plan.skin:
+                arrays[SKIN] = posed[row].skin.reshape(-1, REGION_SIZE, 8)
+            results.append(Result({name: arrays[name] for name in plan.outputs}, finite))
+        return results
 
     def _call(self, plan: ScenePlan, items: tuple[Item, ...], *, one_shape: bool, skin_given: bool) -> _Call:
         """The call for ``items``, the latest used of them kept as far as memory allows."""
@@ -297,6 +326,7 @@ class Packer:
         self._engine.forget(PACKED)
         self._kept.clear()
         self._values.clear()
+        self._rows = {key: rows for key, rows in self._rows.items() if key in self._store}
         self._kept_bytes = 0
 
 

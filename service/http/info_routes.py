@@ -42,7 +42,7 @@ async def health(request: Request, state: StateHere) -> schemas.Health:
         model_digest=runtime.engine.manifest.digest,
         dynamic=runtime.engine.dynamic,
         provider=runtime.engine.provider,
-        int8=runtime.engine.int8,
+        compiled=runtime.engine.compiled is not None,
         half=runtime.engine.half,
         elsewhere=runtime.engine.nodes_off_provider,
         device_bytes=runtime.device_bytes,

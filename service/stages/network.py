@@ -114,14 +114,14 @@ class Network(Stage):
     def held_bytes(self) -> int:
         return self.packer.store.bytes
 
-    def whole_model(self, plan: Plan, betas: np.ndarray, *, exact: bool = False) -> bytes:
+    def whole_model(self, plan: Plan, betas: np.ndarray) -> bytes:
         """The graph of the jets of the one garment of ``plan`` on a body of the shape ``betas``, by itself: ``Packer``.
 
         Its inputs are ``joint_quaternion`` and, where the model has them, ``dynamic_code`` and the posed ``skin``.
         """
         (key,) = self._dressed(plan)
         body = pack_body(self.body, betas).rows(np.zeros((1, JOINT_COUNT, 3)))
-        return self.packer.whole_model(key, body, passes=plan.options.passes, exact=exact)
+        return self.packer.whole_model(key, body, passes=plan.options.passes)
 
     def run(self, batch: Batch) -> Batch:
         plan, needs = batch.plan, batch.plan.needs

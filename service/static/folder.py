@@ -103,7 +103,7 @@ async def write_folder(app: FastAPI, runtime: DrapeRuntime, asked: Asked, target
                 "joints": runtime.body.rest_joints(shape).tolist(),
                 "opened": json.loads(opened(plan, app.state.drape, None)),
                 "answers": {name: folder.add(*file) async for name, file in _answers(app, asked)},
-                "network": _add_network(folder, runtime.engine, plan, shape, webgpu=asked.webgpu),
+                "network": _add_network(folder, runtime.engine, plan, shape),
                 "novelty": _add_poses(folder, runtime.engine.pose_support),
                 "runtime": _add_runtimes(path, webgpu=asked.webgpu),
             }
@@ -169,12 +169,10 @@ async def _answers(app: FastAPI, asked: Asked) -> AsyncIterator[tuple[str, tuple
         yield name, (f"{name[1:]}.json", json.dumps([every[one] for one in ids]).encode())
 
 
-def _add_network(folder: Folder, engine: Engine, plan: Plan, shape: np.ndarray, *, webgpu: bool) -> dict[str, Any]:
-    """Writes the graphs: the garment's as the service has it, for graphics cards in float32, and that of motion."""
+def _add_network(folder: Folder, engine: Engine, plan: Plan, shape: np.ndarray) -> dict[str, Any]:
+    """Writes the graphs: the garment's, and that of motion."""
     network = next(stage for stage in plan.stages if isinstance(stage, Network))
-    files = {"wasm": folder.add("network.onnx", network.whole_model(plan, shape))}
-    if webgpu:
-        files["webgpu"] = folder.add("network-webgpu.onnx", network.whole_model(plan, shape, exact=True))
+    files = {"network": folder.add("network.onnx", network.whole_model(plan, shape))}
     if engine.dynamic:
         files["motion"] = folder.add("motion.onnx", engine.whole_cut(DYNAMIC, ("dynamic_code", "next_state"), {}))
     return {**files, "code": engine.code_size, "state": engine.state_size}

@@ -47,7 +47,7 @@ def test_the_quick_table_is_ordered_as_physics_demands(tmp_path):
     assert tuple(rows) == METHODS
     assert {row["set"] for row in record["rows"]} == {"trained"}
     assert rows["network"]["chart_gap_p99_mm"] > 0.0
-    assert record["graph"] == "packed_int8"  # what is served
+    assert record["graph"] == "compiled"  # what is served
     assert record["windows"][0].startswith("reach:")
     assert (record["fabric"], record["passes"]) == (["jersey"] if record["knows_fabrics"] else [], 4)
     assert rows["skinning"]["detail_mm"] > 0.0

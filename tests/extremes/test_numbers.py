@@ -17,8 +17,7 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.packing import pack_body
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, pack_jets, unpack_jets
-from model_export.folder import _add_packed
-from model_export.precision.half import HALF, halve_matrices
+from model_export.folder import add_half
 from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import Engine
 from service.graphs.packing import Packer, ScenePlan
@@ -84,12 +83,14 @@ def test_quantising_any_box_is_off_by_half_a_step(extent: float, low: float):
     assert (off.max(axis=0) <= 0.5 * step + 4.0 * ulp).all()
 
 
-def test_the_path_in_halves_stays_finite_at_the_extremes(tmp_path: Path):
-    """Guards against float16, which ends at 65504: the graph with matrices of 16 bits, run on a processor."""
+@pytest.mark.parametrize("half", [True, False])
+def test_both_paths_of_the_network_stay_finite_at_the_extremes(tmp_path: Path, half: bool):
+    """Guards against float16, which ends at 65504: the graph with matrices of 16 bits, run on a processor. And against
+    what exponentials of compiled kernels do."""
     folder = Path(shutil.copytree(exported()[1], tmp_path / "model"))
-    _add_packed(folder, HALF, lambda proto: halve_matrices(proto, least=256))
-    engine, body = Engine(folder, half=True), load_body()
-    assert engine.half
+    add_half(folder, exported()[0], shipped("tank"), least=256)
+    engine, body = Engine(folder, half=half), load_body()
+    assert engine.half is half and (engine.compiled is None) is half
     packer = Packer(engine, body)
     packer.add("tank", shipped("tank"))
     poses = np.random.default_rng(2).uniform(-1000.0, 1000.0, (4, 24, 3))

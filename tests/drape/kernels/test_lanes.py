@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.kernels.compiled import FAST
 from drape.kernels.lanes import (
     LANES,
+    exponential,
     least,
     most,
     normals_at,
@@ -23,6 +24,7 @@ from drape.kernels.lanes import (
     rows3_at,
     samples_at,
     sums,
+    tangent,
     where_above,
     where_other,
 )
@@ -89,3 +91,24 @@ def test_points_come_from_their_places_and_go_there(rng, dtype):
     wanted = before.copy()
     wanted[2 : LANES + 2] = taken
     assert_array_equal(x, wanted)
+
+
+def test_exponentials_and_tangents_are_numpys():
+    for dtype, rounding in ((np.float32, 2e-7), (np.float64, 1e-8)):
+        x = np.concatenate([np.linspace(-79.0, 79.0, 320), np.linspace(-1.0, 1.0, 160)]).astype(dtype)
+        grown, bent = np.empty_like(x), np.empty_like(x)
+        _grow_and_bend(x, grown, bent)
+        assert_allclose(grown, np.exp(x.astype(np.float64)), rtol=rounding)
+        assert_allclose(bent, np.tanh(x.astype(np.float64)), rtol=0, atol=rounding)
+    far = np.tile([-1e9, 1e9, -200.0, 200.0], 4)
+    grown, bent = np.empty_like(far), np.empty_like(far)
+    _grow_and_bend(far, grown, bent)
+    assert_allclose(grown, np.exp(np.clip(far, -80.0, 80.0)), rtol=1e-8)
+    assert_array_equal(bent, np.sign(far))
+
+
+@njit(error_model="numpy", fastmath=FAST)
+def _grow_and_bend(x, grown, bent):
+    for first in range(0, len(x), LANES):
+        put(grown, first, exponential(row_at(x, first)))
+        put(bent, first, tangent(row_at(x, first)))

@@ -63,7 +63,7 @@ def mixes(count: int) -> list[list[tuple[str, int]]]:
 
 @pytest.mark.slow
 def test_buckets_change_no_bit_of_any_plan_alone_and_in_any_mix(bodies: dict[str, np.ndarray]):
-    plain, bound = made(Engine(exported()[1])), made(Engine(exported()[1], bound=True))
+    plain, bound = made(Engine(exported()[1], compiled=False)), made(Engine(exported()[1], bound=True))
     for plan in PLANS:
         for items in mixes(7):
             pairs = zip(plain.run(plan, bodies, items), bound.run(plan, bodies, items), strict=True)
@@ -100,7 +100,7 @@ def test_garments_that_come_and_go_leave_no_stale_constants(bodies: dict[str, np
     assert packer._engine.buckets == 0
     assert_array_equal(packer.run(ScenePlan(), bodies, [("a", 3)])[0].arrays["vertices"], before)
     packer.remove("a")
-    alone = Packer(Engine(exported()[1]), load_body())
+    alone = Packer(Engine(exported()[1], compiled=False), load_body())
     alone.add("b", garment("shorts"))
     want = alone.run(ScenePlan(), bodies, [("b", 2)])[0].arrays["vertices"]
     assert_array_equal(packer.run(ScenePlan(), bodies, [("b", 2)])[0].arrays["vertices"], want)
@@ -131,7 +131,9 @@ def test_a_service_in_buckets_is_warm_and_answers_alike(make_settings, tmp_path:
     poses, trans = random_motion(3, seed=8)
     clip, found = PoseInput(poses, trans, np.zeros(10), np.zeros(3)), []
     for buckets in (None, True):
-        runtime = DrapeRuntime(make_settings(shipped_garments_dir=tmp_path, buckets=buckets, chunk_frames=3))
+        runtime = DrapeRuntime(
+            make_settings(shipped_garments_dir=tmp_path, buckets=buckets, compiled=False, chunk_frames=3)
+        )
         ready = runtime.engine.buckets
         plans = [runtime.plan(runtime.garments.get(kind), DrapeOptions(push_out=True)) for kind in ("tank", "shorts")]
         found.append([run(plan, [clip]) for plan in plans])
@@ -219,7 +221,7 @@ def test_nodes_that_run_elsewhere_are_counted():
 @pytest.mark.slow
 @pytest.mark.gpu
 def test_captured_graphs_drape_as_the_cpu(bodies: dict[str, np.ndarray]):
-    plain = made(Engine(exported()[1]))
+    plain = made(Engine(exported()[1], compiled=False))
     on_gpu = made(Engine(exported()[1], device=Device("cuda")))
     for plan in PLANS:
         for items in mixes(5):
@@ -231,6 +233,6 @@ def test_captured_graphs_drape_as_the_cpu(bodies: dict[str, np.ndarray]):
 
 
 def test_the_packed_graph_runs_where_it_is_asked_to():
-    engine = Engine(exported()[1])
+    engine = Engine(exported()[1], compiled=False)
     engine.open_cut(PACKED, ["vertices"])
     assert engine.nodes_off_provider == 0

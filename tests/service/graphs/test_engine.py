@@ -92,7 +92,7 @@ def test_the_readable_graph_is_never_opened(folder: Path, body: BodyModel, tube:
     monkeypatch.setattr("service.graphs.engine.open_session", recorded)
     manifest = load_manifest(folder)
     rewrite(folder, graphs={name: spec for name, spec in manifest.graphs.items() if name != "drape"})
-    engine = Engine(folder)
+    engine = Engine(folder, compiled=False)
     engine.check_body(body)
     packer = Packer(engine, body)
     packer.add("tube", tube)
@@ -305,8 +305,11 @@ def test_weights_that_are_not_the_manifests_are_refused(weights_folder: Path):
 
 def test_a_file_too_short_for_its_graphs_is_refused(weights_folder: Path):
     """The manifest agrees with the file, the graphs do not."""
+    short = with_weights(weights_folder, lambda raw: raw[:4096])
     with pytest.raises(ArtifactError, match="expected a graph that ONNX Runtime opens"):
-        Engine(with_weights(weights_folder, lambda raw: raw[:4096])).open_cut(PACKED, JETS)
+        Engine(short, compiled=False).open_cut(PACKED, JETS)
+    with pytest.raises(ArtifactError, match="onefit parameters: expected those of the network that it describes"):
+        Engine(short)
 
 
 SMALL = np.full(4_000_000, 1e-30, np.float32)  # enough numbers for two threads to share

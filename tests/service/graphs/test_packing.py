@@ -58,9 +58,9 @@ def bodies() -> dict[str, np.ndarray]:
     return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
 
-def make_packer(threads: int = 1, *, in_graph: bool = False, **options: int) -> Packer:
+def make_packer(threads: int = 1, *, compiled: bool = False, in_graph: bool = False, **options: int) -> Packer:
     """A packer of ``KINDS``; ``in_graph``: vertices are made by the graph, as where it does not run on a CPU."""
-    engine = Engine(exported()[1], device=Device(threads=threads))
+    engine = Engine(exported()[1], device=Device(threads=threads), compiled=compiled)
     engine.on_cpu = not in_graph
     packer = Packer(engine, load_body(), **options)
     for kind in KINDS:
@@ -73,32 +73,38 @@ def packer() -> Packer:
     return make_packer()
 
 
-def test_it_drapes_as_the_readable_graph(packer: Packer):
+@pytest.fixture(scope="module", params=["graph", "compiled"])
+def either(request: pytest.FixtureRequest, packer: Packer) -> Packer:
+    """A packer that runs the graph, and one whose network is compiled."""
+    return packer if request.param == "graph" else make_packer(compiled=True)
+
+
+def test_it_drapes_as_the_readable_graph(either: Packer):
     body = load_body()
     poses, _ = random_motion(3, seed=2)
     betas = np.linspace(-1.0, 1.0, body.shape_count)
     rows, root = pack_body(body, betas).rows(poses), body.rest_joints(betas)[0]
     items = [("shorts", 1), ("tank", 2), ("shorts", 0)]
-    for (kind, row), result in zip(items, packer.run(ScenePlan(), rows, items), strict=True):
+    for (kind, row), result in zip(items, either.run(ScenePlan(), rows, items), strict=True):
         want = expected_vertices(body, garment(kind), poses[row : row + 1], np.zeros((1, 3)), betas)[0] - root
         assert result.finite
         assert_allclose(result.arrays["vertices"], want, rtol=0, atol=1e-5)
 
 
-def test_all_passes_are_the_default_and_fewer_are_the_readable_network_with_fewer(packer: Packer):
+def test_all_passes_are_the_default_and_fewer_are_the_readable_network_with_fewer(either: Packer):
     model, folder, _ = exported()
     count, body = Engine(folder).pass_count, load_body()
     assert count == model.config.corrections > 0
     poses, _ = random_motion(3, seed=2)
     rows, items = pack_body(body).rows(poses), [("shorts", 1), ("tank", 2), ("shorts", 0)]
-    whole = [r.arrays["vertices"] for r in packer.run(ScenePlan(), rows, items)]
-    every = [r.arrays["vertices"] for r in packer.run(ScenePlan(passes=count), rows, items)]
+    whole = [r.arrays["vertices"] for r in either.run(ScenePlan(), rows, items)]
+    every = [r.arrays["vertices"] for r in either.run(ScenePlan(passes=count), rows, items)]
     for a, b in zip(whole, every, strict=True):
         assert_array_equal(a, b)
     readable = DrapeGraph(model).eval()
     feed = body_feed(body, poses, np.zeros((3, 3)), skin=True)
     for passes in range(count):
-        found = packer.run(ScenePlan(passes=passes), rows, items)
+        found = either.run(ScenePlan(passes=passes), rows, items)
         for (kind, row), result, before in zip(items, found, whole, strict=True):
             one = {name: value[row : row + 1] for name, value in feed.arrays.items()}
             with torch.no_grad():
@@ -350,7 +356,7 @@ def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
     tensors = tuple(replace(t, dtype="float16") if t.name == "patch_first" else t for t in spec.inputs)
     changed = replace(manifest, graphs={**manifest.graphs, PACKED: replace(spec, inputs=tensors)})
     (folder / "manifest.json").write_text(changed.to_json())
-    packer = Packer(Engine(folder), load_body())
+    packer = Packer(Engine(folder, compiled=False), load_body())
     packer.add("tank", garment("tank"))
     with pytest.raises(ArtifactError, match="packed patch_first: expected float16 as in the manifest"):
         packer.prepare(ScenePlan(), skin_given=False, shapes=False)

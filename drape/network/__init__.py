@@ -1,0 +1,1 @@
+"""The packed graph's network on a processor, compiled: patches in rows of sixteen."""
