@@ -82,7 +82,10 @@ class SkinOnBones(Tensors):
 
 
 class ShapedSkin:
-    """The samples of ``body`` in any shape at once: rows over bones are linear in its shape components."""
+    """The samples of ``body`` in any shape at once: rows over bones are linear in its shape components.
+
+    The first ``counts`` (P,) of the bones of each part move it; the rest fill its rows up with zeros.
+    """
 
     def __init__(self, body: BodyModel) -> None:
         skin = body_skin(body)
@@ -90,6 +93,7 @@ class ShapedSkin:
         changes = [skin.on_bones(body, unit).rows - plain.rows for unit in np.eye(body.shape_count)]
         self.bones = plain.bones
         self.rows = np.stack([plain.rows, *changes])  # (1 + shapes, P, n, 4, 144)
+        self.counts = self.rows.any(axis=(0, 3, 4)).sum(axis=1).astype(np.int32)
 
     def of(self, betas: np.ndarray) -> np.ndarray:
         """Rows (U, P, n, 4, 144) float32 of bodies of the shapes ``betas`` (U, >= shapes)."""

@@ -48,6 +48,11 @@ class SkinShapes:
         self._skin = shaped_skin(body)
         self._kept: OrderedDict[bytes, np.ndarray] = OrderedDict()
 
+    @property
+    def counts(self) -> np.ndarray:
+        """How many bones of each part count (P,): ``ShapedSkin``."""
+        return self._skin.counts
+
     def feed(self, betas: np.ndarray) -> dict[str, np.ndarray]:
         """``skin_rows`` (U, P, n, 4, 144), ``skin_bones`` (P, n) and ``body_shape`` (B,) for ``betas`` (B, 10)."""
         keys = [row.tobytes() for row in np.ascontiguousarray(betas, dtype=np.float32)]

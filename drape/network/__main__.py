@@ -27,9 +27,10 @@ def compile_all(model: str = "onefit") -> None:
     packed = pack_garment(garment_feed(garment, body=body), first)
     shape = pack_body(body)
     local = shape.rows(np.zeros((1, JOINT_COUNT, 3)))["joint_quaternion"][0]
-    skins = SkinShapes(body).feed(shape.betas[None])
+    shapes = SkinShapes(body)
+    skins = shapes.feed(shape.betas[None])
     skin = np.empty((PART_SIZE * len(skins["skin_bones"]), 8), np.float32)
-    parts = skins["skin_rows"][0], skins["skin_bones"]
+    parts = skins["skin_rows"][0], skins["skin_bones"], shapes.counts
     feed = BodyFeed(local[:JOINT_COUNT], shape.joint_rest, shape.betas, np.empty(0, np.float32), *parts)
     posed_jets(weights, patch_rows(packed, first), posed_body(weights, feed, skin), 1, packed.patch_count)
 

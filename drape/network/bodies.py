@@ -24,7 +24,7 @@ _PARENTS = np.array(PARENTS)
 class BodyFeed(NamedTuple):
     """What a body is posed by: ``local`` quaternions (24, 4), joints at ``rest`` [m] (24, 3), shape ``betas``, the
     ``motion`` that is added to the code of the pose, and the skin on its bones: ``skin_rows`` (P, n, 4, 144), none
-    where the skin is given, and ``skin_bones`` (P, n)."""
+    where the skin is given, ``skin_bones`` (P, n), and how many of these count (P,)."""
 
     local: np.ndarray
     rest: np.ndarray
@@ -32,6 +32,7 @@ class BodyFeed(NamedTuple):
     motion: np.ndarray
     skin_rows: np.ndarray
     skin_bones: np.ndarray
+    skin_counts: np.ndarray
 
 
 class PosedBody(NamedTuple):
@@ -133,12 +134,13 @@ def _code(weights, feed, rotation):
 def _pose_skin(rotation, translation, feed, skin):
     """Writes the samples (S, 8) of ``drape.contact.samples.sample_table``: sums over bones, a part at a time."""
     rows, bones = feed.skin_rows, feed.skin_bones
-    count, width = bones.shape[1], 3 * PART_SIZE
+    width = 3 * PART_SIZE
     posed = np.empty(3 * width, rows.dtype)
-    factors = np.empty((3, 4 * count), rows.dtype)
+    factors = np.empty((3, 4 * bones.shape[1]), rows.dtype)
     normal = np.empty((LANES, 3), rows.dtype)
     point = np.empty((LANES, 3), rows.dtype)
     for part in range(len(bones)):
+        count = feed.skin_counts[part]
         for n in range(count):
             bone = bones[part, n]
             for axis in range(3):

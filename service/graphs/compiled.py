@@ -39,8 +39,9 @@ class CompiledNetwork:
         """The constants of ``garment`` as the kernels read them."""
         return patch_rows(garment, garment.stored[FIRST])
 
-    def body(self, feed: Mapping[str, np.ndarray], row: int) -> PosedBody:
-        """The body of a ``row`` of ``feed``, which has the packed graph's inputs; its ``skin`` where that is given."""
+    def body(self, feed: Mapping[str, np.ndarray], row: int, skin_counts: np.ndarray) -> PosedBody:
+        """The body of a ``row`` of ``feed``, which has the packed graph's inputs; its ``skin`` where that is given.
+        ``skin_counts``: of ``ShapedSkin``."""
         bones = feed["skin_bones"]
         if SKIN in feed:
             skin = np.ascontiguousarray(feed[SKIN][row], np.float32).reshape(-1, 8)
@@ -52,7 +53,7 @@ class CompiledNetwork:
         local, rest = feed["joint_quaternion"][row][:JOINT_COUNT], feed["joint_rest"][row]
         local, rest, betas, code = _plain(local, rest, feed["betas"][row], code)
         with flushed():
-            return posed_body(self._weights, BodyFeed(local, rest, betas, code, parts, bones), skin)
+            return posed_body(self._weights, BodyFeed(local, rest, betas, code, parts, bones, skin_counts), skin)
 
     def jets(
         self, garment: PackedGarment, rows: PatchRows, body: PosedBody, passes: int | None

@@ -253,7 +253,9 @@ class Packer:
         self, network: CompiledNetwork, plan: ScenePlan, bodies: dict[str, np.ndarray], items: tuple[Item, ...]
     ) -> list[Result]:
         """``_run_part`` without a graph: body after body, garment after garment."""
-        posed = {row: network.body(bodies, row) for row in dict.fromkeys(row for _, row in items)}
+        assert self._skins is not None
+        counts = self._skins.counts
+        posed = {row: network.body(bodies, row, counts) for row in dict.fromkeys(row for _, row in items)}
         results = []
         for key, row in items:
             with self._lock:
