@@ -158,6 +158,11 @@ class Engine:
         return bool(self.manifest.network.get("fabric", False))
 
     @property
+    def threads(self) -> int:
+        """Threads that one call may use."""
+        return self._device.threads
+
+    @property
     def feels_body(self) -> bool:
         """Whether the packed graph poses the skin of its bodies, for what patches feel of it."""
         return SKIN in _names(self.manifest.graphs[PACKED].outputs)

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -51,6 +52,7 @@ KEPT_BYTES = 32 << 20  # of index tensors
 FABRICS_KEPT = 64  # garments in fabrics that are not their own
 
 Item = tuple[str, int]  # garment, row of its body
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,7 @@ class Packer:
         self._tiles_per_call = tiles_per_call or (TILES_PER_BUCKET if engine.bound else TILES_PER_CALL)
         self._values: dict[str, Any] = {}
         self._rows: dict[str, PatchRows] = {}  # of garments and fabrics, where the network is compiled
+        self._threads = ThreadPoolExecutor(engine.threads, "drape-items") if engine.threads > 1 else None
         if engine.on_cpu:
             warm_up()
 
@@ -252,25 +255,36 @@ class Packer:
     def _run_compiled(
         self, network: CompiledNetwork, plan: ScenePlan, bodies: dict[str, np.ndarray], items: tuple[Item, ...]
     ) -> list[Result]:
-        """``_run_part`` without a graph: body after body, garment after garment."""
+        """``_run_part`` without a graph: body after body, garment after garment, in as many threads as there are."""
         assert self._skins is not None
-        counts = self._skins.counts
-        posed = {row: network.body(bodies, row, counts) for row in dict.fromkeys(row for _, row in items)}
-        results = []
-        for key, row in items:
-            with self._lock:
-                garment = self._store.packed(key)
-                if key not in self._rows:
-                    self._rows[key] = network.rows(garment)
-                rows = self._rows[key]
-            arrays = network.jets(garment, rows, posed[row], plan.passes)
+        counts, rows = self._skins.counts, list(dict.fromkeys(row for _, row in items))
+        posed = dict(zip(rows, self._each(lambda row: network.body(bodies, row, counts), rows), strict=True))
+        garments = {key: self._garment_rows(network, key) for key, _ in items}
+
+        def drape(item: Item) -> Result:
+            (garment, patches), body = garments[item[0]], posed[item[1]]
+            arrays = network.jets(garment, patches, body, plan.passes)
             finite = _finite(arrays)
             if "vertices" in plan.outputs:
                 arrays["vertices"] = blended(garment, *(arrays[name] for name in JETS))
             if plan.skin:
-                arrays[SKIN] = posed[row].skin.reshape(-1, REGION_SIZE, 8)
-            results.append(Result({name: arrays[name] for name in plan.outputs}, finite))
-        return results
+                arrays[SKIN] = body.skin.reshape(-1, REGION_SIZE, 8)
+            return Result({name: arrays[name] for name in plan.outputs}, finite)
+
+        return self._each(drape, items)
+
+    def _garment_rows(self, network: CompiledNetwork, key: str) -> tuple[PackedGarment, PatchRows]:
+        with self._lock:
+            garment = self._store.packed(key)
+            if key not in self._rows:
+                self._rows[key] = network.rows(garment)
+            return garment, self._rows[key]
+
+    def _each(self, function: Callable[[Any], T], values: Sequence[Any]) -> list[T]:
+        """``function`` of each of ``values``, in order."""
+        if self._threads is None or len(values) < 2:
+            return [function(value) for value in values]
+        return list(self._threads.map(function, values))
 
     def _call(self, plan: ScenePlan, items: tuple[Item, ...], *, one_shape: bool, skin_given: bool) -> _Call:
         """The call for ``items``, the latest used of them kept as far as memory allows."""

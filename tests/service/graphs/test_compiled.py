@@ -17,6 +17,7 @@ from drape.contact.skin import posed_table
 from drape.graph.packing import pack_body
 from service.graphs.compiled import is_covered
 from service.graphs.engine import Engine
+from service.graphs.onnx_runtime import Device
 from service.graphs.packing import Packer, ScenePlan
 from tests.fixtures.garments import shipped
 from tests.fixtures.poses import random_motion
@@ -58,12 +59,17 @@ def test_the_shipped_network_drapes_as_its_graph(passes: int | None):
         assert_allclose(got.arrays["vertices"], want.arrays["vertices"], rtol=0, atol=ROUNDING_M)
 
 
-def test_an_item_has_the_same_bits_alone_and_again():
+def test_an_item_has_the_same_bits_alone_and_in_two_threads():
     compiled, _ = packers()
     together = compiled.run(ScenePlan(), bodies(), ITEMS)
     for item, result in zip(ITEMS, together, strict=True):
         (alone,) = compiled.run(ScenePlan(), bodies(), [item])
         assert_array_equal(alone.arrays["vertices"], result.arrays["vertices"])
+    two = Packer(Engine(SHIPPED, device=Device(threads=2)), load_body())
+    for kind in ("tank", "shorts"):
+        two.add(kind, shipped(kind))
+    for one, result in zip(two.run(ScenePlan(), bodies(), ITEMS), together, strict=True):
+        assert_array_equal(one.arrays["vertices"], result.arrays["vertices"])
 
 
 def test_a_posed_skin_that_is_given_is_taken():
