@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.geometry.colliders import NONE
+from drape.kernels.elements import farthest_m
 
 PAUSE_S = 0.25  # a frame that comes later than that after the one before has no past
 CUT_M = 0.30  # nor has one in which the network moved a vertex farther
@@ -55,8 +56,7 @@ def follows(memory: FrameMemory, network: np.ndarray, time_s: float) -> bool:
     """Whether the frame at ``time_s`` [s] with the ``network``'s points [m] (P, 3) goes on from the remembered one."""
     if not 0.0 <= time_s - memory.time_s <= PAUSE_S:
         return False
-    way = network - memory.network
-    return float(np.einsum("vi,vi->v", way, way).max()) <= CUT_M**2
+    return bool(farthest_m(network, memory.network) <= CUT_M)
 
 
 def step_between(before_s: float, after_s: float) -> float:

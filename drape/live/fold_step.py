@@ -30,6 +30,7 @@ from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, fol
 from drape.live.colliders import leave, put_planes
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.lift import lift
+from drape.live.places import counted, moved_m, put_places, put_vertices
 from drape.live.raised_skin import heights_over
 from drape.live.residual import keep_residual
 from drape.live.room import hold_within
@@ -117,7 +118,8 @@ def fold(
     The same input gives the same bits. ``memory`` is not written to.
     """
     dtype = constants.sheet.own.dtype
-    network = np.take(frame.vertices, constants.sheet.vertex, axis=0).astype(dtype)  # in a third of the time of [...]
+    network = np.empty((len(constants.sheet.vertex), 3), dtype)
+    put_places(frame.vertices, constants.sheet.vertex, network)
     around = frame.around(dtype)
     none = _without_past(constants, network, frame.time_s)
     past = memory if memory is not None and follows(memory, network, frame.time_s) else none
@@ -133,12 +135,6 @@ def fold(
 def calmness(way_m: float) -> float:
     """1 where the network moves its vertices slowly, by ``way_m`` [m] (``moved_m``), 0 where fast."""
     return float(np.clip((FAST_M - way_m) / (FAST_M - SLOW_M), 0.0, 1.0))
-
-
-def moved_m(before: np.ndarray, network: np.ndarray) -> float:
-    """RMS way [m] of the network's vertices."""
-    way = network - before
-    return float(np.sqrt(np.einsum("vi,vi->", way, way) / len(way)))
 
 
 def _without_past(constants: FoldConstants, network: np.ndarray, time_s: float) -> FoldMemory:
@@ -162,7 +158,7 @@ def _advanced(
     rounds = 0 if effort.steps == 0 else effort.settle if settled else 1
     share = fading(effort, step_s)
     place = constants.sheet.place
-    way_m = moved_m(np.take(past.network, place, axis=0), np.take(network, place, axis=0))
+    way_m = moved_m(past.network, network, place)
     calm = calmness(way_m)
     k = constants.sheet.constants
     pace = paced(effort.steps, calm, stiff=float(k.warp + k.weft) > STIFF_N_PER_M)  # each is half of the fabric's
@@ -176,10 +172,14 @@ def _advanced(
     touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
     state = FoldState(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())
     x, far, lifted_m = advance(past.network, network, state, touched, around, constants, schedule)
-    lifted_m = np.take(lifted_m, place)
+    count, most_m = counted(lifted_m, place, MOVED_M)
     after = FoldMemory(time_s, network, state.residual, state.velocity, touched, state.grip, (past.turn + 1) % TURNS)
-    report = FoldReport(settled, False, float((lifted_m > MOVED_M).mean()), float(lifted_m.max()))
-    return (np.take(x, place, axis=0) if far <= FAR_M else None), after, report
+    report = FoldReport(settled, False, count / len(place), float(most_m))
+    if not far <= FAR_M:
+        return None, after, report
+    vertices = np.empty((len(place), 3), x.dtype)
+    put_vertices(x, place, vertices)
+    return vertices, after, report
 
 
 def fading(effort: FoldEffort, step_s: float) -> float:

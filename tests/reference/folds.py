@@ -21,10 +21,10 @@ from drape.live.fold_step import (
     Frame,
     calmness,
     fading,
-    moved_m,
     paced,
 )
 from drape.live.lift import DEEP_M, OTHER, TOO_DEEP_M
+from drape.live.places import moved_m
 from drape.live.residual import FORGET, HEM, LACK, MEND_M
 from drape.live.room import FOLDED, HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
 from drape.live.sheet import ALIKE
@@ -53,7 +53,7 @@ def fold(
     friction = dressed.friction if memory else 0.0
     touched = follow(network, frame.skin, dressed.graph, past.touched)
     stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > STIFF_N_PER_M
-    pace = paced(effort.steps, calmness(moved_m(past.network, network)), stiff=stiff)
+    pace = paced(effort.steps, calmness(moved_m(past.network, network, np.arange(len(network)))), stiff=stiff)
     long = memory is None and effort.settle >= LONG_ROUNDS
     momentum = SETTLING_MOMENTUM if long else pace.momentum
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)

@@ -27,9 +27,9 @@ from drape.live.fold_step import (
     FoldReport,
     calmness,
     fold,
-    moved_m,
     paced,
 )
+from drape.live.places import moved_m
 from drape.live.sheet import LANES
 from drape.live.skin_contact import TouchedSamples
 from tests.drape.live.folds_setup import (
@@ -169,7 +169,7 @@ def test_where_no_start_leads_to_folds_the_network_is_left_as_it_is():
 @each(material=("rib", "poplin"), pace=((0.5 * SLOW_M, 1.0), (0.5 * (SLOW_M + FAST_M), 0.5), (2.0 * FAST_M, 0.0)))
 def test_fast_motion_has_its_own_pace(pace, material):
     (rest, worn), (way_m, calm) = sleeve(material), pace
-    assert_allclose(calmness(moved_m(rest, rest + way_m * UP)), calm, rtol=0.0, atol=1e-9)
+    assert_allclose(calmness(moved_m(rest, rest + way_m * UP, np.arange(len(rest)))), calm, rtol=0.0, atol=1e-9)
     made, still = constants(material, dtype=np.float64), frame(rest, 1)
     _, memory, _ = fold(made, None, frame(rest, 0), EFFORT)
     _, wanted_memory = reference.fold(worn, None, frame(rest, 0), EFFORT)

@@ -1,0 +1,45 @@
+"""Vertices in the order of their mesh and at the places where kernels have them (``Sheet``): from one to the other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.kernels.compiled import kernel
+from drape.kernels.elements import at, dot, sub
+
+
+@kernel
+def put_places(vertices, vertex, places):
+    """Writes the ``vertices`` [m] (V, 3) to their ``places`` (P, 3); ``vertex`` (P,) is the one at each."""
+    for p in range(len(vertex)):
+        for axis in range(3):
+            places[p, axis] = vertices[vertex[p], axis]
+
+
+@kernel
+def put_vertices(places, place, vertices):
+    """Writes what is at the ``place`` (V,) of each of the ``vertices`` [m] (V, 3)."""
+    for v in range(len(place)):
+        for axis in range(3):
+            vertices[v, axis] = places[place[v], axis]
+
+
+@kernel
+def moved_m(before, network, place):
+    """RMS way [m] of the vertices at the ``place`` (V,) of each, from ``before`` to ``network`` [m] (P, 3)."""
+    total = 0.0
+    for v in range(len(place)):
+        way = sub(at(network, place[v]), at(before, place[v]))
+        total += dot(way, way)
+    return np.sqrt(total / len(place))
+
+
+@kernel
+def counted(lifted, place, least):
+    """How many of the vertices are ``lifted`` [m] (P,) by more than ``least``, and the most of any."""
+    count, most = 0, lifted.dtype.type(0)
+    for v in range(len(place)):
+        own = lifted[place[v]]
+        count += own > least
+        most = max(most, own)
+    return count, most
