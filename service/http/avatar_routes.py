@@ -12,7 +12,7 @@ import numpy as np
 from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import Field
 
-from drape.errors import InputError, NotFound
+from drape.errors import BodyError, InputError, NotFound
 from drape.files.formats import AVATAR_SUFFIXES
 from service.compute.avatars import AvatarEntry
 from service.errors import Full, TooLarge, TooSlow
@@ -43,7 +43,7 @@ class AvatarChange(schemas.Request):
     "/avatars",
     status_code=202,
     openapi_extra={"requestBody": {"content": {kind: {"schema": BYTES} for kind in KINDS}, "required": True}},
-    responses=responses(InputError, NotFound, TooSlow, TooLarge, Full),
+    responses=responses(InputError, NotFound, TooSlow, TooLarge, BodyError, Full),
 )
 async def add_avatar(
     request: Request,

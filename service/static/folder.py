@@ -9,7 +9,7 @@ from __future__ import annotations
 import gzip
 import json
 import shutil
-from collections.abc import AsyncIterator, Collection, Iterator
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -172,7 +172,7 @@ async def _answers(app: FastAPI, asked: Asked) -> AsyncIterator[tuple[str, tuple
 def _add_network(folder: Folder, engine: Engine, plan: Plan, shape: np.ndarray) -> dict[str, Any]:
     """Writes the graphs: the garment's, and that of motion."""
     network = next(stage for stage in plan.stages if isinstance(stage, Network))
-    files = {"network": folder.add("network.onnx", network.whole_model(plan, shape))}
+    files = {"graph": folder.add("network.onnx", network.whole_model(plan, shape))}
     if engine.dynamic:
         files["motion"] = folder.add("motion.onnx", engine.whole_cut(DYNAMIC, ("dynamic_code", "next_state"), {}))
     return {**files, "code": engine.code_size, "state": engine.state_size}
@@ -205,9 +205,5 @@ def sizes(folder: Path) -> dict[str, int]:
 def loaded(folder: Path, kind: str) -> Iterator[str]:
     """Names of the files in ``folder`` that a browser loads which computes on ``kind``, "wasm" or "webgpu"."""
     about = json.loads((folder / ABOUT).read_text())
-    network = about["network"]
-    others: Collection[str] = {
-        *(name for key in about["runtime"] if key != kind for name in about["runtime"][key].values()),
-        *(network[key] for key in RUNTIMES if key != kind and key in network),
-    }
+    others = {name for key in about["runtime"] if key != kind for name in about["runtime"][key].values()}
     return (name for name in sizes(folder) if name not in others)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from drape.errors import DrapeError, MeshError, NotFound
+from drape.errors import BodyError, DrapeError, MeshError, NotFound
 from service import errors
 from service.compute.avatars import FOLDER as AVATARS
 from service.compute.garment_files import OWNED, folder_of, sizes
@@ -234,8 +234,9 @@ class Uploads:
         self._jobs[job.id] = job  # at once, so that files that are being stored count
         try:
             if not await self._stored(file, pieces):
-                cure = "Send the file as the body."
-                raise MeshError("request body", expected="the bytes of a mesh file", got="nothing", cure=cure)
+                refusal, what = (MeshError, "mesh") if kind == "garment" else (BodyError, "character's")
+                expected, cure = f"the bytes of a {what} file", "Send the file as the body."
+                raise refusal("request body", expected=expected, got="nothing", cure=cure)
             accepted = Accepted(job.id, job.name, job.owner, file.name, avatar, kind=kind, replaces=replaces)
             await asyncio.to_thread(accepted.write, file.parent)
         except BaseException:

@@ -258,6 +258,8 @@ def test_a_file_that_is_no_character_leaves_nothing(api: httpx.Client, settings:
     job = sent(api, b"glTF" + bytes(100), "broken.glb")
     assert job["state"] == "failed" and "GLB" in job["problem"]["expected"]
     assert api.post("/avatars", content=b"glTF").json()["expected"] == "the avatar's name"
+    empty = api.post("/avatars?name=me.vrm", content=b"")
+    assert empty.status_code == 422 and empty.json()["expected"] == "the bytes of a character's file"
     assert set(files_in(settings.garments_dir)) == before
 
 

@@ -262,7 +262,7 @@ def test_answers_of_a_whole_service(api: httpx.Client, body, tube):
     assert (health["model"], health["body"], health["garments"]) == ("tiny", body.name, 1)
     assert (health["passes"], health["layers"]) == (1, 4)
     assert health["provider"] == "CPUExecutionProvider"
-    assert health["compiled"] is False  # kernels do not cover the tiny model
+    assert health["compiled"] is True
     assert (health["half"], health["elsewhere"], health["buckets"]) == (False, 0, 0)
     (garment,) = api.get("/garments").json()
     assert garment == api.get("/garments/tube").json()

@@ -45,7 +45,7 @@ export class Network {
   static async #on(provider, { base, about, file }, skin, why) {
     const { module, binary } = about.runtime[provider];
     const { network: files, joints } = about;
-    const wanted = [binary, files[provider], files.motion, about.novelty?.file].map((name) => (name ? file(name) : null));
+    const wanted = [binary, files.graph, files.motion, about.novelty?.file].map((name) => (name ? file(name) : null));
     const [ort, ...bytes] = await Promise.all([import(new URL(module, base).href), ...wanted]);
     const [wasm, graph, motion, poses] = bytes;
     ort.env.wasm.wasmBinary = wasm;
