@@ -1,0 +1,50 @@
+"""The recovered pattern sewn anew from its flat panels and worn as the report shows it: what a sewer will get."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.drape.posing import posed_joints
+from recovery.fit.belt import held_as_target
+from recovery.fit.chamfer import SurfaceDistance, surface_distance
+from recovery.fit.contours import match_contours, open_contours
+from recovery.fit.pipeline import Recovered
+
+
+class SewnAnew(NamedTuple):
+    """The drape ``draped`` and its ``distance`` from that of the report, both in the wearer's pose.
+
+    ``by_itself`` is the distance before its belt was laid on the report's waist, which lies ``belt_moved_m`` [m]
+    higher; the same distance and zero for a garment without a belt.
+    """
+
+    draped: Draped
+    distance: SurfaceDistance
+    by_itself: SurfaceDistance
+    belt_moved_m: float
+
+
+def sewn_anew(found: Recovered, body: BodyModel, options: DrapeOptions, pose: np.ndarray | None) -> SewnAnew:
+    """The pattern of ``found`` meshed, placed and sewn from nothing round ``body``, its belt at the report's waist.
+
+    Without friction a belt closes where the body happens to be as wide as the waist, centimetres from where the wearer
+    had it, and the whole garment hangs as much higher or lower. Raises ``InputError`` where the panels cannot be sewn.
+    """
+    cloth = found.fitted.cloth
+    draped = drape_pattern(found.fitted.pattern, body, options, pose=pose, cloth=cloth)
+    shown = (found.fitted.nodes, found.search.mesh.faces)
+    by_itself = surface_distance((draped.nodes, draped.mesh.faces), shown)
+    there = open_contours(*shown)
+    own = open_contours(draped.nodes, draped.mesh.faces)
+    matches, _ = match_contours(own, there, posed_joints(body, pose))
+    surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
+    worn = held_as_target(draped, matches, there, options.skin(surface, body.faces), cloth)
+    if worn is draped:
+        return SewnAnew(draped, by_itself, by_itself, 0.0)
+    held = draped.rest.held
+    moved = float((worn.nodes[held] - draped.nodes[held])[:, 1].mean())
+    return SewnAnew(worn, surface_distance((worn.nodes, worn.mesh.faces), shown), by_itself, moved)
