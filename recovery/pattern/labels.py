@@ -94,4 +94,5 @@ def _dense(line: np.ndarray, step_m: float) -> np.ndarray:
 def _touches(places: np.ndarray, size: np.ndarray, points: np.ndarray, gap_m: float) -> np.ndarray:
     """Whether any of ``points`` (M, 2) comes nearer than ``gap_m`` to the box of each place (P,)."""
     off = points[None] - places[:, None]
-    return ((off > -gap_m) & (off < size + gap_m)).all(axis=2).any(axis=1)
+    within = ((off > -gap_m) & (off < size + gap_m)).all(axis=-1)
+    return np.asarray(within.any(axis=-1))

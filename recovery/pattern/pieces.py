@@ -151,7 +151,7 @@ def mirror_words(pattern: Pattern) -> dict[str, tuple[str, ...]]:
     """By a panel's name what else it is: the mirror image of another, the same as another, or symmetric itself."""
     names = [panel.name for panel in pattern.panels]
     found = find_symmetries(pattern, tolerance_m=MIRROR_M)
-    words = {names[one.first]: ("symmetric",) for one in found.within}
+    words: dict[str, tuple[str, ...]] = {names[one.first]: ("symmetric",) for one in found.within}
     for one in found.between:
         kind = "mirror of" if one.kind is Kind.REFLECTION else "same as"
         words[names[one.second]] = (kind, names[one.first])
