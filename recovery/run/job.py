@@ -213,8 +213,10 @@ def _sewn_anew(
 ) -> tuple[SewnAnew | None, list[Worn]]:
     """The pattern sewn from flat panels, and the garment elsewhere."""
     pattern, cloth = found.fitted.pattern, found.fitted.cloth
+    parts = [match.place.part for match in found.matches if match.place.part is not None]
+    options = replace(job.drape, edge_length_m=found.edge_length_m)
     try:
-        anew = sewn_anew(found, wearer.shaped, replace(job.drape, edge_length_m=found.edge_length_m), wearer.pose)
+        anew = sewn_anew(found, wearer.shaped, options, wearer.pose, parts)
     except InputError as error:
         warnings.append(f"The recovered pattern cannot be sewn from flat panels, so there is no garment cache: {error}")
         return None, []
@@ -223,7 +225,6 @@ def _sewn_anew(
         "largest"
     )
     draped = anew.draped
-    parts = [match.place.part for match in found.matches if match.place.part is not None]
     if lost := lost_parts(draped.rest.nodes, draped.mesh.faces, wearer.shaped.joints_template, parts):
         warnings.append(f"Sewn anew in the T-pose, {lost_words(lost)}: the garment cache is not worn as the target is.")
     worn = []

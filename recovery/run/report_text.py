@@ -104,7 +104,10 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
     elif rms <= FAIR_RMS_MM:
         look.append(f"{line} Lengths and widths can be trusted; single folds are not the target's.")
     else:
-        look.append(f"{line} That is far: another base, fabric or body may be nearer to the truth.")
+        look.append(
+            f"{line} That is far: let corners go farther from the base (--reach 0.3), or take another base, fabric or "
+            "body."
+        )
     if largest > FAR_SHARE * rms:
         look.append(f"At one place they are {largest:.0f} mm apart: see the red spots in the picture.")
     worst = seam_max_pct(outcome)

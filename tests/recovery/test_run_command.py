@@ -7,6 +7,7 @@ import io
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import cast
 from xml.etree import ElementTree
 
@@ -26,12 +27,14 @@ from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
 from recovery.fit.cloth import named
+from recovery.fit.pipeline import Recovered
 from recovery.pattern.bases import tshirt
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.pieces import make_sheet
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.run import __main__ as command
+from recovery.run.anew import SewnAnew, sewn_anew
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
 from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
@@ -240,6 +243,26 @@ def test_an_arm_beside_its_sleeve_is_noticed():
     assert lost_parts(trunk + np.array([0.7, 0.0, 0.0]), tube_faces, joints, ["trunk"]) == ("trunk",)
     assert lost_words(["right_arm"]) == "the right arm is not in the garment's opening"
     assert lost_words(["left_arm", "right_arm"]).startswith("the left arm and the right arm are")
+
+
+@pytest.mark.parametrize(("lost_on", "taken", "tries"), [((1,), 3.0, 3), ((1, 3, 4), 1.0, 4)])
+def test_a_pattern_whose_sleeve_misses_its_arm_is_sewn_on_another_mesh(lost_on, taken, tries, body, monkeypatch):
+    """The first mesh loses the arm, the second cannot be sewn, the third is worn; if all lose it the first is taken."""
+    trunk, faces = round_tube((0.25, 0.25), (0.1, 0.3))
+    lengths: list[float] = []
+
+    def sewn(found, body, options, pose):
+        lengths.append(options.edge_length_m)
+        if len(lengths) == 2:
+            raise InputError("stitch", expected="edges that meet", got="none", cure="Check it.")
+        x = 0.7 if len(lengths) in lost_on else 0.0
+        draped = SimpleNamespace(nodes=trunk + np.array([x, 0.0, 0.0]), mesh=SimpleNamespace(faces=faces), at_rest=True)
+        return SewnAnew(cast(Draped, draped), apart, apart, float(len(lengths)))
+
+    apart = surface_distance((SQUARE, HALVES), (SQUARE, HALVES), count=10)
+    monkeypatch.setattr("recovery.run.anew._sewn", sewn)
+    assert sewn_anew(cast(Recovered, None), body, COARSE, None, ["trunk"]).belt_moved_m == taken
+    assert len(lengths) == tries and len(set(lengths)) == tries
 
 
 def test_a_place_that_refuses_the_garment_says_so(body, monkeypatch):
