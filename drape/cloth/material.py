@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from drape.arrays import Array
+from drape.cloth import fabric_table
 from drape.cloth.fabric import Fabric, hinge_harmonics
 from drape.errors import InputError, NotFound
 
@@ -122,16 +123,22 @@ FABRICS = {
     "limp": replace(_JERSEY, bending_j=_JERSEY.bending_j / 5.0),
     "crisp": replace(_JERSEY, bending_j=_JERSEY.bending_j * 5.0),
 }
+# The fabrics of the table. The knit of its jersey is an interlock, which is its name beside the jersey above.
+MEASURED = {
+    ("interlock" if name == DEFAULT_MATERIAL else name): Material.of(fabric)
+    for name, fabric in fabric_table.FABRICS.items()
+}
 
 
 def material(name: str = DEFAULT_MATERIAL) -> Material:
-    """The one of ``FABRICS`` called ``name``.
+    """The one of ``FABRICS`` or of ``MEASURED`` called ``name``.
 
     "jersey" has the membrane constants 11.1 and 20.9 N/m of SNUG (Santesteban et
     al. 2022, Lame constants times 0.47 mm) and its 0.2 kg/m^2; "soft" and "stiff"
     are it with a third and three times the stiffness, "limp" and "crisp" with a fifth
-    and five times that of bending alone. None of the four is a measured fabric.
+    and five times that of bending alone. None of the five is a measured fabric; those of ``MEASURED`` are.
     """
-    if name not in FABRICS:
-        raise NotFound("material", expected=f"one of {sorted(FABRICS)}", got=name, cure="Use one of these names.")
-    return FABRICS[name]
+    known = {**FABRICS, **MEASURED}
+    if name not in known:
+        raise NotFound("material", expected=f"one of {sorted(known)}", got=name, cure="Use one of these names.")
+    return known[name]

@@ -38,7 +38,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--body", default=DEFAULT_BODY, help="name or file of a body")
     parser.add_argument("--pose", help="CLIP:FRAME of a motion file or a sample, or a JSON file of 72 numbers")
     parser.add_argument("--name", help="of the garment; the pattern's own otherwise")
-    parser.add_argument("--fabric", default=DEFAULT_MATERIAL, help="jersey, limp, soft, stiff or crisp")
+    parser.add_argument(
+        "--fabric", default=DEFAULT_MATERIAL, help="jersey, limp, soft, stiff or crisp, or one of the table of fabrics"
+    )
     parser.add_argument("--scale", type=float, default=default.scale, help="sizes the pattern up or down")
     parser.add_argument("--edge-length", type=float, default=default.edge_length_m, help="of the mesh [m]")
     parser.add_argument("--axes", type=Axes, choices=list(Axes), default=default.axes, help="of the file's placements")

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from drape.cloth.material import FABRICS, OrthotropicMaterial, material
+from drape.cloth.material import FABRICS, MEASURED, OrthotropicMaterial, material
 from drape.errors import InputError
 
 LOG_M = 0.01  # [m] of unknown per unit of a logarithm: a stiffness times e weighs as much as control points moved 1 cm
@@ -116,6 +116,11 @@ class Fabric(NamedTuple):
         )
 
 
+def bolt_name(name: str, cloth: OrthotropicMaterial) -> str:
+    """The fabric called ``name`` as a pattern's label has it: name and weight, of which a cutter knows the bolt."""
+    return f"{name} {1e3 * cloth.density_kg_m2:.0f} g/m²"
+
+
 def nearest_fabric(cloth: OrthotropicMaterial) -> Fabric:
     """The named fabric whose logarithms are nearest to those of ``cloth``, stiffness over weight."""
 
@@ -124,6 +129,6 @@ def nearest_fabric(cloth: OrthotropicMaterial) -> Fabric:
         numbers[[0, 1, 2, 4]] -= np.log(one.density_kg_m2)
         return numbers
 
-    off = {name: over_weight(cloth) - over_weight(named(name)) for name in FABRICS}
+    off = {name: over_weight(cloth) - over_weight(named(name)) for name in (*FABRICS, *MEASURED)}
     name = min(off, key=lambda one: float((off[one] ** 2).sum()))
     return Fabric(name, np.exp(off[name]))

@@ -34,7 +34,7 @@ def gauss_newton_matrix(
         total = total + objective.weights.contours / len(objective.pairs) * _contour_part(x[loop], line, moves[loop])
     first, second, ratio = (part.numpy() for part in objective.seam_edges)
     rows = _lengthening(rest, rest_moves, first) - ratio[:, None] * _lengthening(rest, rest_moves, second)
-    return total + 2.0 * objective.weights.seams * rows.T @ rows
+    return total + 2.0 * objective.weights.seam_term * rows.T @ rows
 
 
 def _across(normal: np.ndarray, offset: np.ndarray, found: closest.ClosestPoints, faces: np.ndarray) -> np.ndarray:

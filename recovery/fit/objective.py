@@ -8,6 +8,7 @@ point moves at right angles to the distance; only the weight at the nearest poin
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -34,18 +35,24 @@ CORNERS = (
 class Weights(NamedTuple):
     """Weights of the terms beside the Chamfer distance of the surfaces.
 
-    The paper's 0.1 and 0.01 have no units; these let seams give way to what the target tells. ``folds`` is the share of
-    the weight by curvature that counts, 0 for none. A search's loss doubles where its unknowns are ``reach_m`` [m] (by
-    their norm) from the likely ones; the squared distance of a freed cloth to the known fabrics adds to theirs with the
-    weight ``material``. This multiplicative regularisation (van den Berg, van Broekhoven and Abubakar 1999) keeps what
-    a drape hardly shows, and leaves an exact fit exact.
+    An infinite weight of ``seams`` makes them a constraint of the search (``seams.py``) and no term of the loss. A
+    finite one is the paper's, whose 0.1 and 0.01 have no units, and lets seams give way to what the target tells.
+    ``folds`` is the share of the weight by curvature that counts, 0 for none. A search's loss doubles where its
+    unknowns are ``reach_m`` [m] (by their norm) from the likely ones; the squared distance of a freed cloth to the
+    known fabrics adds to theirs with the weight ``material``. This multiplicative regularisation (van den Berg, van
+    Broekhoven and Abubakar 1999) keeps what a drape hardly shows, and leaves an exact fit exact.
     """
 
     contours: float = 1.0
-    seams: float = 0.001
+    seams: float = math.inf
     folds: float = 1.0
     material: float = 1.0
     reach_m: float = 0.045
+
+    @property
+    def seam_term(self) -> float:
+        """The weight of the seams in the loss: 0 where they are a constraint."""
+        return 0.0 if math.isinf(self.seams) else self.seams
 
 
 DEFAULT_WEIGHTS = Weights()
@@ -141,7 +148,7 @@ class Objective:
     def __call__(self, x: Tensor, rest: Tensor) -> Terms:
         """The loss of nodes ``x`` [m] (N, 3) and panel vertices ``rest`` [m] (P, 2)."""
         surface, contours, seams = self.surface(x), self.open_contours(x), self.seams(rest)
-        total = surface + self.weights.contours * contours + self.weights.seams * seams
+        total = surface + self.weights.contours * contours + self.weights.seam_term * seams
         return Terms(total, surface, contours, seams)
 
     def surface(self, x: Tensor) -> Tensor:

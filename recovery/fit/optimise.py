@@ -2,7 +2,8 @@
 
 Every evaluation drapes the pattern to rest from the last shape and differentiates through that drape. A step that folds
 a panel over, or whose drape does not come to rest, is halved until it does neither. The paper stops at Adam; near the
-end a few Gauss-Newton steps, which know the derivatives of the whole drape, go as far as hundreds of Adam's.
+end a few Gauss-Newton steps, which know the derivatives of the whole drape, go as far as hundreds of Adam's. Where
+seams are a constraint both kinds of step go along it and end on it (``seams.py``).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 import torch
 from tqdm import tqdm
 
@@ -26,6 +28,7 @@ from recovery.fit.cloth import ClothTensors, FreeCloth
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
 from recovery.fit.objective import Objective
+from recovery.fit.seams import SeamConstraint
 from recovery.pattern.coordinates import with_controls
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.model import Pattern
@@ -39,7 +42,7 @@ FLOOR = 0.1
 DAMPING = 1e-2  # of the closing steps, as a share of the mean curvature of the loss; at the beginning
 DAMPING_RANGE = (1e-4, 1e4)
 SAVE_EVERY = 10  # steps
-STATE_VERSION = 4
+STATE_VERSION = 5
 POINTS = ("now", "best")  # evaluations that a state holds
 
 
@@ -106,8 +109,9 @@ class Fitted:
 class PatternSearch:
     """The search for the control points ``free`` of ``mesh``; ``forward`` drapes them and ``objective`` is their loss.
 
-    With ``cloth`` its constants are unknowns too. The objective's reach is counted from the unknowns ``likely`` [m]
-    (Z,), by default from those that the search begins at.
+    With ``cloth`` its constants are unknowns too. With ``seams`` every pattern on the way can be sewn, if the first one
+    can. The objective's reach is counted from the unknowns ``likely`` [m] (Z,), by default from those that the search
+    begins at.
     """
 
     def __init__(
@@ -118,6 +122,7 @@ class PatternSearch:
         objective: Objective,
         *,
         cloth: FreeCloth | None = None,
+        seams: SeamConstraint | None = None,
         likely: np.ndarray | None = None,
     ) -> None:
         if len(free.controls) != len(mesh.controls):
@@ -128,6 +133,7 @@ class PatternSearch:
                 cure="Make both from the same pattern.",
             )
         self.mesh, self.free, self.forward, self.objective, self.cloth = mesh, free, forward, objective, cloth
+        self.constraint = seams
         self.count = free.count + (cloth.count if cloth is not None else 0)
         self.likely = np.zeros(self.count) if likely is None else np.asarray(likely, dtype=np.float64)
         check_shape("likely", self.likely, (self.count,))
@@ -151,6 +157,22 @@ class PatternSearch:
         (gradient,) = torch.autograd.grad(loss, z)
         found = torch.stack([loss, *terms[1:]]).detach().numpy()
         return Evaluation(values, x.detach().numpy(), found, gradient.numpy())
+
+    def _along(self, values: np.ndarray) -> np.ndarray:
+        """Orthonormal directions (Z, M) that a step from ``values`` (Z,) may take."""
+        if self.constraint is None:
+            return np.eye(self.count)
+        ways = self.constraint.along(values[: self.free.count])
+        return np.asarray(scipy.linalg.block_diag(ways, np.eye(self.count - self.free.count)))
+
+    def _tried(self, values: np.ndarray, near: np.ndarray) -> Evaluation | None:
+        """``evaluate`` at ``values``, brought back to where the seams are as asked for."""
+        if self.constraint is not None:
+            kept = self.constraint.kept(values[: self.free.count])
+            if kept is None:
+                return None
+            values = np.concatenate([kept, values[self.free.count :]])
+        return self.evaluate(values, near)
 
     def _doubt(self, values: torch.Tensor) -> torch.Tensor:
         """The factor of the loss at ``values`` (Z,): 1 where they are those held likely, growing with the distance."""
@@ -217,13 +239,15 @@ class PatternSearch:
 
     def _advance(self, state: _State, options: FitOptions) -> _State:
         """One step of Adam, halved until its pattern does not fold and its drape comes to rest."""
-        gradient, count = state.now.gradient, state.step + 1
+        ways, count = self._along(state.now.values), state.step + 1
+        gradient = ways @ (ways.T @ state.now.gradient)
         mean = BETAS[0] * state.mean + (1.0 - BETAS[0]) * gradient
         square = BETAS[1] * state.square + (1.0 - BETAS[1]) * gradient**2
         way, size = mean / (1.0 - BETAS[0] ** count), np.sqrt(square / (1.0 - BETAS[1] ** count))
         step = -options.rate(state.step) * way / (size + FLOOR * size.max() + 1e-300)
+        step = ways @ (ways.T @ step)
         for halved in range(HALVINGS):
-            found = self.evaluate(state.now.values + 0.5**halved * step, state.now.nodes)
+            found = self._tried(state.now.values + 0.5**halved * step, state.now.nodes)
             if found is not None:
                 best = found if found.terms[0] < state.best.terms[0] else state.best
                 history = np.concatenate([state.history, [[*found.terms, float(halved)]]])
@@ -233,12 +257,13 @@ class PatternSearch:
     def _close(self, state: _State) -> _State:
         """One damped Gauss-Newton step from the best evaluation; a worse one is damped more."""
         start = state.best
-        matrix = self._curvature(start)
+        ways = self._along(start.values)
+        matrix, gradient = ways.T @ self._curvature(start) @ ways, ways.T @ start.gradient
         scale = np.trace(matrix) / len(matrix)
         damping = state.damping
         for tried in range(HALVINGS):
-            step = np.linalg.solve(matrix + damping * scale * np.eye(len(matrix)), -start.gradient)
-            found = self.evaluate(start.values + step, start.nodes)
+            step = ways @ np.linalg.solve(matrix + damping * scale * np.eye(len(matrix)), -gradient)
+            found = self._tried(start.values + step, start.nodes)
             if found is not None and found.terms[0] < start.terms[0]:
                 history = np.concatenate([state.history, [[*found.terms, float(tried)]]])
                 damping = max(0.2 * damping, DAMPING_RANGE[0]) if tried == 0 else damping
@@ -276,6 +301,8 @@ class PatternSearch:
             self.forward.parameters.bending_j.numpy(),
             self.forward.model.fixed,
         ]
+        if self.constraint is not None:
+            arrays.append(self.constraint.offset)
         if self.cloth is not None:
             arrays += [self.cloth.logarithms, *(edge.numpy() for edge in self.cloth.range)]
         found = hashlib.sha256(repr((STATE_VERSION, asdict(options), self.objective.weights)).encode())

@@ -6,6 +6,7 @@ that with the pattern. So each round meshes the pattern of the round before anew
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,12 +20,13 @@ from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
-from recovery.fit.cloth import Fabric, FreeCloth, named, nearest_fabric
+from recovery.fit.cloth import Fabric, FreeCloth, bolt_name, named, nearest_fabric
 from recovery.fit.contours import Match, match_contours, open_contours
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
 from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
 from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSearch
+from recovery.fit.seams import SeamConstraint, sewable
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls, symmetrised
@@ -37,6 +39,9 @@ ROUNDS = 3
 SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
 TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: its signature is mixed with the size's
 
+NOT_AT_REST = "no drape at rest"
+SAME = "it would find the same"  # no fault
+
 Say = Callable[[str], None]
 
 
@@ -44,14 +49,16 @@ Say = Callable[[str], None]
 class Round:
     """One search: the drape at its ``start``, how contours were paired there, and what was ``fitted``.
 
-    It took ``seconds`` by the clock and ``processor_s`` of the processor, over all threads; its mesh and the drape at
-    its start count with it. Base, grading and choice of the fabric count with the first round.
+    Its mesh was asked for with ``edge_length_m`` [m]. It took ``seconds`` by the clock and ``processor_s`` of the
+    processor, over all threads; its mesh and the drape at its start count with it. Base, grading and choice of the
+    fabric count with the first round.
     """
 
     start: Draped
     matches: list[Match]
     search: PatternSearch
     fitted: Fitted
+    edge_length_m: float
     seconds: float
     processor_s: float
 
@@ -65,8 +72,9 @@ class Round:
 class Recovered:
     """A recovery: the drape of the ``base``, the ``graded`` pattern, and what was ``fitted``.
 
-    ``start``, ``matches``, ``search`` and ``fitted`` are those of the best of the ``rounds``; rounds with a free cloth
-    go before others. ``matches`` pair the start's contours with the target's; ``holes`` are contours of the target
+    ``start``, ``matches``, ``search``, ``fitted`` and ``edge_length_m`` are those of the best of the ``rounds``; rounds
+    with a free cloth go before others. ``left`` says which rounds were left out and why, empty for none or where they
+    would find the same. ``matches`` pair the start's contours with the target's; ``holes`` are contours of the target
     without a partner. ``fabric`` is the named one nearest to the cloth of the drape; ``fabric_losses`` [m^2] is the
     loss that was left with each fabric that was tried.
     """
@@ -79,7 +87,9 @@ class Recovered:
     holes: list[int]
     search: PatternSearch
     fitted: Fitted
+    edge_length_m: float
     rounds: tuple[Round, ...]
+    left: str
     fabric: Fabric
     fabric_losses: dict[str, float]
 
@@ -119,6 +129,7 @@ def recover_pattern(
     target = Target.from_mesh(vertices, faces, open_contours(vertices, faces), folds=weights.folds)
     symmetries = find_symmetries(base)
     base = symmetrised(base, symmetries)
+    base = sewable(base, base, symmetries)
     for line in symmetries.describe(base):
         say(f"symmetry  {line}")
     bare = drape.skin(body.v_template, body.faces, say)
@@ -129,6 +140,7 @@ def recover_pattern(
         pose=pose,
         bare=bare,
         skin=skin,
+        base=base,
         symmetries=symmetries,
         weights=weights,
         drape=replace(drape, edge_length_m=lengths[0]),
@@ -161,14 +173,19 @@ def recover_pattern(
             file = state_file and state_file.with_stem(f"{state_file.stem}_{number}")
         return found.run(nodes, steps, state_file=file, progress=progress)
 
-    rounds = task.rounds(start, graded.pattern, base, lengths, search, began)
-    return _recovered(task, first, graded, rounds, losses)
+    rounds, left = task.rounds(start, graded.pattern, base, lengths, search, began)
+    return _recovered(task, first, graded, rounds, left, losses)
 
 
-def _recovered(task: _Task, base: Draped, graded: Graded, rounds: list[Round], losses: dict[str, float]) -> Recovered:
+def _recovered(
+    task: _Task, base: Draped, graded: Graded, rounds: list[Round], left: str, losses: dict[str, float]
+) -> Recovered:
     """The best of ``rounds`` with all that led there."""
     best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.least[0])
-    fabric = nearest_fabric(best.fitted.cloth)
+    cloth = best.fitted.cloth
+    fabric = nearest_fabric(cloth)
+    # The base's own note is of another cloth than the one that was draped.
+    fitted = replace(best.fitted, pattern=replace(best.fitted.pattern, material=bolt_name(fabric.name, cloth)))
     first, last = _apart_mm(rounds[0].fitted.history[0, 1]), _apart_mm(best.least[1])
     task.say(f"fitted    surfaces {first:.2f} mm apart at the start, {last:.2f} mm at the end (root mean square)")
     if task.free_cloth:
@@ -181,8 +198,10 @@ def _recovered(task: _Task, base: Draped, graded: Graded, rounds: list[Round], l
         matches=best.matches,
         holes=task.matches(best.start)[1],
         search=best.search,
-        fitted=best.fitted,
+        fitted=fitted,
+        edge_length_m=best.edge_length_m,
         rounds=tuple(rounds),
+        left=left,
         fabric=fabric,
         fabric_losses=losses,
     )
@@ -202,7 +221,8 @@ def _apart_mm(squared: float) -> float:
 class _Task:
     """The facts that no round changes: the target, and the body with its distances in the T-pose and in its pose.
 
-    ``bare`` is the distance in the T-pose, ``skin`` that in the pose. ``drape`` has the edge length of the first round.
+    ``bare`` is the distance in the T-pose, ``skin`` that in the pose. ``base`` says how long seams are. ``drape`` has
+    the edge length of the first round.
     """
 
     target: Target
@@ -210,11 +230,17 @@ class _Task:
     pose: np.ndarray | None
     bare: SignedDistance
     skin: SignedDistance
+    base: Pattern
     symmetries: Symmetries
     weights: Weights
     drape: DrapeOptions
     free_cloth: bool
     say: Say
+
+    @property
+    def sewable(self) -> bool:
+        """Whether seams are a constraint."""
+        return math.isinf(self.weights.seams)
 
     def draped(self, pattern: Pattern) -> Draped:
         """The drape of ``pattern`` at rest, ready to be searched from."""
@@ -230,6 +256,8 @@ class _Task:
         matches, _ = self.matches(draped)
         contours = open_contours(draped.nodes, draped.mesh.faces)
         after = graded_again(before, grade(draped.mesh, draped.nodes, contours, matches, self.symmetries))
+        if self.sewable:
+            after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
         return after, self.draped(after.pattern)
 
     def best_fabric(
@@ -281,6 +309,7 @@ class _Task:
             RestDrape(start.mesh, self.skin, cloth, held=start.rest.held),
             Objective(start.mesh, self.target, contours, matches, self.weights, base=ratios),
             cloth=free,
+            seams=SeamConstraint(start.mesh.pattern, controls, self.base) if self.sewable else None,
             likely=unknowns,
         )
         return found, matches
@@ -303,8 +332,10 @@ class _Task:
         lengths_m: list[float],
         run: Callable[[PatternSearch, np.ndarray, int], Fitted],
         began: np.ndarray,
-    ) -> list[Round]:
+    ) -> tuple[list[Round], str]:
         """The searches, ``run`` one after the other, each on a new mesh of the pattern that the one before found.
+
+        With them why the last ones were left out, empty for none.
 
         The first goes from the drape ``start`` of the pattern ``graded``; its clocks ``began`` earlier.
         """
@@ -312,41 +343,49 @@ class _Task:
         cloth, pattern, ratios = likely, graded, base
         rounds: list[Round] = []
         for number, length in enumerate(lengths_m):
-            if number:
-                options = replace(self.drape, edge_length_m=length)
-                start = drape_pattern(pattern, self.body, options, pose=self.pose, cloth=cloth, skin=self.bare)
-            start = self.held(start, cloth)
+            try:
+                if number:
+                    options = replace(self.drape, edge_length_m=length)
+                    start = drape_pattern(pattern, self.body, options, pose=self.pose, cloth=cloth, skin=self.bare)
+                start = self.held(start, cloth)
+            except InputError as error:
+                if not number:
+                    raise
+                return rounds, self._left(number, len(lengths_m), f"the pattern sewn anew is not worn so: {error}")
             if number and (why := self.why_left(rounds, start)):
-                self.say(f"round {number + 1}   left: {why}")
-                break
+                return rounds, self._left(number, len(lengths_m), why)
             free = FreeCloth(cloth) if self.free_cloth and (number or len(lengths_m) == 1) else None
             search, matches = self.search(start, ratios, graded, cloth, free=free, likely=likely)
             if number and not _comes_to_rest(search, start):
-                self.say(f"round {number + 1}   left: no drape at rest")
-                break
+                return rounds, self._left(number, len(lengths_m), NOT_AT_REST)
             nodes = start.mesh.node_count
             if not number:
                 self.say(f"search    {search.free.count} numbers are free, {nodes} nodes")
             fitted = run(search, start.nodes, number)
             now = _clocks()
-            rounds.append(Round(start, matches, search, fitted, *(now - began).tolist()))
+            rounds.append(Round(start, matches, search, fitted, length, *(now - began).tolist()))
             began = now
             apart = [_apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].least[1])]
             self.say(f"round {number + 1}   {nodes} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
             # Grading has scaled the base's seams; from here on they keep what the target tells of them.
             pattern = ratios = fitted.pattern
             cloth = fitted.cloth
-        return rounds
+        return rounds, ""
+
+    def _left(self, number: int, count: int, why: str) -> str:
+        """Says and returns that the rounds from ``number`` on, of ``count``, are left out."""
+        self.say(f"round {number + 1}   left: {why}")
+        return "" if why == SAME else f"round {number + 1} of {count}: {why}"
 
     def why_left(self, rounds: list[Round], start: Draped) -> str:
         """Why no search from ``start`` follows the last of ``rounds``; empty if one does."""
         if not start.at_rest:
-            return "no drape at rest"
+            return NOT_AT_REST
         last = rounds[-1]
         moved = np.abs(last.fitted.positions - control_points(last.start.mesh.pattern).positions).max()
         same = np.array_equal(last.start.mesh.faces, start.mesh.faces) and moved <= SETTLED_M
         frees_cloth = self.free_cloth and len(rounds) == 1
-        return "it would find the same" if same and not frees_cloth else ""
+        return SAME if same and not frees_cloth else ""
 
 
 def _comes_to_rest(search: PatternSearch, start: Draped) -> bool:

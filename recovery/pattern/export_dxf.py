@@ -90,9 +90,15 @@ def _add_piece(block: BlockLayout, piece: Piece, scale: float, per_mm: float) ->
         block.add_point(tuple(scale * notch.point), dxfattribs=attributes)
     for point, text in piece.seam_marks:
         _texts(block, [f"seam {text}"], scale * point, per_mm, ANNOTATION)
-    name, *rest = [_ascii(line) for line in piece.label[1:]]
-    system = [f"Piece Name: {name}", "Size: ONE", "Quantity: 1", *(f"Annotation: {line}" for line in rest[1:])]
-    _texts(block, system, scale * piece.label_at, per_mm, CUT)
+    texts = [_ascii(line) for line in piece.label.lines]
+    # The standard's words for the same lines are longer: they are written as much smaller, and stay inside.
+    system = [f"Piece Name: {texts[1]}", "Size: ONE", "Quantity: 1", *(f"Annotation: {line}" for line in texts[3:])]
+    shorter = max(map(len, piece.label.lines)) / max(map(len, system))
+    label = piece.label._replace(lines=tuple(system), height_m=piece.label.height_m * min(1.0, shorter))
+    for point, line in label.baselines():
+        turn = {"layer": CUT, "rotation": 90.0 if label.upright else 0.0}
+        text = block.add_text(line, height=scale * label.height_m, dxfattribs=turn)
+        text.set_placement(tuple(scale * point))
 
 
 def _is_corner(polygon: np.ndarray) -> np.ndarray:

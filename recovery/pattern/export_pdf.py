@@ -17,6 +17,7 @@ BORDER_MM = 10.0  # unprinted rim of a sheet; pages join at its inner line
 LARGEST_PAGE_MM = 5080.0  # 14,400 points, the format's limit
 PAGES = ("A4", "single")
 FORM = "pieces"
+CAPITAL = 0.72  # height of Helvetica's capitals over its size
 
 
 def write_pdf(sheet: Sheet, path: Path, *, page: str = "A4") -> int:
@@ -143,7 +144,10 @@ def _draw_piece(canvas: Canvas, piece: Piece, place: np.ndarray) -> None:
     for point, text in piece.seam_marks:
         x, y = _points(point + place)
         canvas.drawCentredString(x, y, text)
-    x, y = _points(piece.label_at + place)
-    canvas.setFont("Helvetica", 14)
-    for number, line in enumerate(piece.label):
-        canvas.drawString(x, y - 18.0 * number, line)
+    canvas.setFont("Helvetica", 1000.0 * piece.label.height_m / CAPITAL / POINT_MM)
+    for point, line in piece.label.baselines():
+        canvas.saveState()
+        canvas.translate(*_points(point + place))
+        canvas.rotate(90.0 if piece.label.upright else 0.0)
+        canvas.drawString(0.0, 0.0, line)
+        canvas.restoreState()

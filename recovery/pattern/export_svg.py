@@ -12,6 +12,7 @@ from recovery.pattern.pieces import FOOTER_M, MARGIN_M, NOTCH_DEPTH_M, SCALE_SQU
 
 MM = 1000.0
 ARROW_MM = 6.0
+CAPITAL = 0.72  # height of capitals over the size of a plain face
 STYLE = (
     "path,line,rect{fill:none;stroke:#000;stroke-width:.3}"
     ".cut{stroke-width:.5}.sew{stroke:#06c;stroke-dasharray:4 2}.grain{stroke:#444}"
@@ -21,6 +22,11 @@ STYLE = (
 
 def write_svg(sheet: Sheet, path: Path) -> None:
     """Writes ``sheet`` to ``path``: a group per piece with cut, sew, grain and notch lines by class."""
+    ElementTree.ElementTree(drawing(sheet)).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def drawing(sheet: Sheet) -> ElementTree.Element:
+    """``sheet`` as the element that ``write_svg`` writes."""
     width, height = MM * sheet.width_m, MM * sheet.height_m
     root = ElementTree.Element(
         "svg",
@@ -43,7 +49,7 @@ def write_svg(sheet: Sheet, path: Path) -> None:
     _text(root, [f"{side} mm"], (corner[0] + 4.0, corner[1] + 27.0), "scale")
     _text(root, [sheet.title], (corner[0] + float(side) + 8.0, height - MM * FOOTER_M / 2.0), "title")
     ElementTree.indent(root)
-    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    return root
 
 
 def _piece(group: ElementTree.Element, piece: Piece, place: np.ndarray, height_m: float) -> None:
@@ -70,7 +76,11 @@ def _piece(group: ElementTree.Element, piece: Piece, place: np.ndarray, height_m
         ElementTree.SubElement(group, "line", {"class": "notch", **ends})
     for point, text in piece.seam_marks:
         _text(group, [text], page(point), "seam")
-    _text(group, list(piece.label), page(piece.label_at), "label")
+    size = f"font-size:{MM * piece.label.height_m / CAPITAL:.3f}px"
+    for point, line in piece.label.baselines():
+        x, y = page(point)
+        turn = {"transform": f"rotate(-90 {x:.3f} {y:.3f})"} if piece.label.upright else {}
+        _text(group, [line], (x, y), "label", style=size, **turn)
 
 
 def _sewing_path(panel: Panel, pair) -> str:
@@ -91,7 +101,7 @@ def _sewing_path(panel: Panel, pair) -> str:
     return " ".join(parts) + " Z"
 
 
-def _text(group: ElementTree.Element, lines: list[str], at: tuple[float, float], kind: str) -> None:
+def _text(group: ElementTree.Element, lines: list[str], at: tuple[float, float], kind: str, **more: str) -> None:
     for number, line in enumerate(lines):
-        place = {"class": kind, "x": f"{at[0]:.3f}", "y": f"{at[1] + 7.0 * number:.3f}"}
+        place = {"class": kind, "x": f"{at[0]:.3f}", "y": f"{at[1] + 7.0 * number:.3f}", **more}
         ElementTree.SubElement(group, "text", place).text = line

@@ -102,20 +102,23 @@ def _gauss() -> tuple[np.ndarray, np.ndarray]:
 @lru_cache(maxsize=4096)
 def equal_parameters(edge: Edge, segments: int) -> np.ndarray:
     """Parameters (segments + 1,) that cut the edge into parts of equal arc length; 0 and 1 are among them."""
-    share = np.linspace(0.0, 1.0, segments + 1)
+    parameters = parameters_at(edge, np.linspace(0.0, 1.0, segments + 1))
+    parameters.flags.writeable = False  # all callers share it
+    return parameters
+
+
+def parameters_at(edge: Edge, share: np.ndarray) -> np.ndarray:
+    """Parameters (T,) at the shares (T,) in [0, 1] of the edge's arc length from its start; 0 and 1 are exact."""
+    share = np.asarray(share, dtype=np.float64)
     if edge.kind in (EdgeKind.LINE, EdgeKind.CIRCLE):
-        share.flags.writeable = False
-        return share
+        return share.copy()
     total = relative_length(edge)
-    low, high = np.zeros(segments + 1), np.ones(segments + 1)
+    low, high = np.zeros(len(share)), np.ones(len(share))
     for _ in range(50):  # bisection: also right where the speed vanishes
         middle = 0.5 * (low + high)
         short = arc_lengths(edge, middle) < share * total
         low, high = np.where(short, middle, low), np.where(short, high, middle)
-    parameters = 0.5 * (low + high)
-    parameters[0], parameters[-1] = 0.0, 1.0
-    parameters.flags.writeable = False  # all callers share it
-    return parameters
+    return np.where(share <= 0.0, 0.0, np.where(share >= 1.0, 1.0, 0.5 * (low + high)))
 
 
 # --- edges and outlines of a panel -----------------------------------------------------------------------------------

@@ -11,20 +11,28 @@ import pyclipper
 
 from drape.errors import InputError
 from recovery.pattern import geometry
+from recovery.pattern.labels import Label, place_label
 from recovery.pattern.model import EdgeRef, Panel, Pattern
+from recovery.pattern.symmetry import Kind, find_symmetries
 from recovery.pattern.triangulate import boundary_distance, inside
 
 TOLERANCE_M = 5e-5  # of flattened curves
 UNIT_M = 1e-7  # of the offsetting, which counts in integers
 MITRE_LIMIT = 2.5  # times the allowance; sharper corners are cut off square
+SEAM_M, HEM_M = 0.01, 0.025  # allowances
 NOTCH_DEPTH_M = 0.004
 NOTCH_GAP_M = 0.003  # nearer notches are one
+BACK_GAP_M = 0.008  # between the two notches in the middle of a seam of the back
+SHORTEST_BACK_M = 0.04  # a seam of the back that is shorter has one notch too
+HEM_BEND = 0.1  # of the chord: what bends more is not turned up but faced
+FACING = 0.3  # of a panel's normal along z: less is a side
+MIRROR_M = 1e-4  # panels that are each other's image within this are cut as a pair
 GAP_M = 0.02
 MARGIN_M = 0.01
 FOOTER_M = 0.07  # below the pieces: title and the square that shows the scale
 SCALE_SQUARE_M = 0.05
 CLOTH_WIDTH_M = 1.5
-LABEL_WIDTH_M, LABEL_HEIGHT_M = 0.065, 0.03
+SEAM_MARK_M = 0.012  # inside the sewing line
 
 CLIPPER: Any = pyclipper  # compiled: a type checker does not see its names
 
@@ -41,17 +49,18 @@ class Notch:
 class Piece:
     """A panel ready to be cut, in the panel's own frame [m].
 
-    ``sewing`` (N, 2) and ``cutting`` (M, 2) are closed polygons, equal without allowance; ``grain`` (2, 2) runs along
-    the warp; ``seam_marks`` are places inside the sewing line and the numbers of the stitches there.
+    ``sewing`` (N, 2) and ``cutting`` (M, 2) are closed polygons, equal without allowance; ``allowances_m`` (E,) are
+    those of the edges; ``grain`` (2, 2) runs along the warp; ``label`` lies inside the sewing line; ``seam_marks`` are
+    places inside it and the numbers of the stitches there.
     """
 
     panel: Panel
     sewing: np.ndarray
     cutting: np.ndarray
+    allowances_m: tuple[float, ...]
     notches: tuple[Notch, ...]
     grain: np.ndarray
-    label: tuple[str, ...]
-    label_at: np.ndarray
+    label: Label
     seam_marks: tuple[tuple[np.ndarray, str], ...]
 
 
@@ -66,11 +75,18 @@ class Sheet:
     height_m: float
 
 
-def make_sheet(pattern: Pattern, *, allowance_m: float = 0.01) -> Sheet:
-    """All pieces of ``pattern`` with ``allowance_m`` around each, in rows no wider than the cloth where they fit."""
-    if not 0.0 <= allowance_m < 0.1:
-        raise InputError("allowance_m", expected="0 to 0.1 m", got=f"{allowance_m}", cure="Pass metres: 0.01 is 1 cm.")
-    pieces = [_piece(pattern, panel, allowance_m) for panel in pattern.panels]
+def make_sheet(pattern: Pattern, *, allowance_m: float = SEAM_M, hem_m: float | None = None) -> Sheet:
+    """All pieces of ``pattern`` with ``allowance_m`` around each, in rows no wider than the cloth where they fit.
+
+    Hems have ``hem_m`` [m]: by default 25 mm, or the seams' where that is more; nothing without a seam allowance.
+    """
+    if hem_m is None:
+        hem_m = max(HEM_M, allowance_m) if allowance_m else 0.0
+    for name, value in (("allowance_m", allowance_m), ("hem_m", hem_m)):
+        if not 0.0 <= value < 0.1:
+            raise InputError(name, expected="0 to 0.1 m", got=f"{value}", cure="Pass metres: 0.01 is 1 cm.")
+    twins = mirror_words(pattern)
+    pieces = [_piece(pattern, panel, allowance_m, hem_m, twins.get(panel.name, ())) for panel in pattern.panels]
     lows = np.array([piece.cutting.min(axis=0) for piece in pieces])
     sizes = np.array([np.ptp(piece.cutting, axis=0) for piece in pieces])
     width = max(CLOTH_WIDTH_M, float(sizes[:, 0].max()) + 2.0 * MARGIN_M)
@@ -91,37 +107,98 @@ def make_sheet(pattern: Pattern, *, allowance_m: float = 0.01) -> Sheet:
     return Sheet(pattern.name, tuple(pieces), offsets, used, height)
 
 
-def _piece(pattern: Pattern, panel: Panel, allowance_m: float) -> Piece:
-    sewing = geometry.outline(panel, TOLERANCE_M)
-    cutting = offset(sewing, allowance_m)
+def hems(pattern: Pattern) -> set[EdgeRef]:
+    """The open edges that are turned up; the others, a neckline, an armhole or a waist, have a facing or a band.
+
+    A label that says what an edge is decides. Otherwise it is turned up if it bends by less than ``HEM_BEND`` of its
+    chord, and if it lies in the lower half of its panel, as placed, or stands upright like the cuff of a spread arm.
+    """
+    sewn = {ref for stitch in pattern.stitches for ref in (stitch.first, stitch.second)}
+    found = set()
+    for ref in pattern.edge_refs():
+        if ref in sewn:
+            continue
+        panel = pattern.panel(ref.panel)
+        edge = panel.edges[ref.edge]
+        label = (edge.label or "").lower()
+        if any(word in label for word in ("neck", "waist", "collar", "facing")):
+            continue
+        if not any(word in label for word in ("hem", "cuff")):
+            world = panel.placement.apply(panel.vertices)
+            start, middle, end = panel.placement.apply(geometry.edge_points(panel, ref.edge, np.array([0.0, 0.5, 1.0])))
+            upright = abs(end[1] - start[1]) > np.hypot(end[0] - start[0], end[2] - start[2])
+            above = middle[1] > 0.5 * (world[:, 1].min() + world[:, 1].max())
+            bend = np.abs(geometry.relative_curve(edge, np.linspace(0.0, 1.0, 9))[:, 1]).max()
+            if bend > HEM_BEND or (above and not upright):
+                continue
+        found.add(ref)
+    return found
+
+
+def side_of(panel: Panel) -> str:
+    """``front``, ``back`` or ``side``: where the placed panel faces."""
+    facing = float(panel.placement.matrix()[2, 2])
+    return "front" if facing > FACING else "back" if facing < -FACING else "side"
+
+
+def is_of_back(pattern: Pattern, ref: EdgeRef, other: EdgeRef) -> bool:
+    """Whether the seam of both edges has two notches in its middle: one side is of the back and none of the front."""
+    sides = {side_of(pattern.panel(one.panel)) for one in (ref, other)}
+    return "back" in sides and "front" not in sides
+
+
+def mirror_words(pattern: Pattern) -> dict[str, tuple[str, ...]]:
+    """By a panel's name what else it is: the mirror image of another, the same as another, or symmetric itself."""
+    names = [panel.name for panel in pattern.panels]
+    found = find_symmetries(pattern, tolerance_m=MIRROR_M)
+    words: dict[str, tuple[str, ...]] = {names[one.first]: ("symmetric",) for one in found.within}
+    for one in found.between:
+        kind = "mirror of" if one.kind is Kind.REFLECTION else "same as"
+        words[names[one.second]] = (kind, names[one.first])
+    return words
+
+
+def _piece(pattern: Pattern, panel: Panel, allowance_m: float, hem_m: float, twin: tuple[str, ...]) -> Piece:
+    sides = [geometry.flatten(panel, number, TOLERANCE_M)[:-1] for number in range(len(panel.edges))]
+    sewing = np.concatenate(sides)
+    turned_up = hems(pattern)
+    allowances = [hem_m if EdgeRef(panel.name, n) in turned_up else allowance_m for n in range(len(panel.edges))]
+    cutting = offset(sewing, np.repeat(allowances, [len(side) for side in sides]))
     grain = _grain(sewing)
     marks, notches = [], []
     for number, stitch in enumerate(pattern.stitches):
-        for ref in (stitch.first, stitch.second):
+        for ref, other in ((stitch.first, stitch.second), (stitch.second, stitch.first)):
             if ref.panel != panel.name:
                 continue
-            ends_and_middle = geometry.equal_parameters(panel.edges[ref.edge], 2)
-            points, inward = _inward(panel, ref, ends_and_middle)
-            marks.append((points[1] + 0.012 * inward[1], str(number + 1)))
-            for point, direction in zip(points[[1, 0, 2]], inward[[1, 0, 2]], strict=True):
+            length = geometry.edge_length(panel, ref.edge)
+            double = is_of_back(pattern, ref, other) and length > SHORTEST_BACK_M
+            middle = 0.5 + 0.5 * BACK_GAP_M / length * np.array([-1.0, 1.0] if double else [0.0])
+            share = np.array([0.5, *middle, 0.0, 1.0])
+            points, inward = _inward(panel, ref, geometry.parameters_at(panel.edges[ref.edge], share))
+            marks.append((points[0] + SEAM_MARK_M * inward[0], str(number + 1)))
+            for point, direction in zip(points[1:], inward[1:], strict=True):
                 notches.append(Notch(point - allowance_m * direction, direction))
     kept: list[Notch] = []
     for notch in notches:
-        # In a hollow corner the foot of the perpendicular lies inside the piece.
+        # In a hollow corner the foot of the perpendicular lies inside the piece, beside a hem outside of it.
         on_line = boundary_distance(notch.point[None], cutting)[0] < 2e-4
         if on_line and all(np.linalg.norm(notch.point - other.point) > NOTCH_GAP_M for other in kept):
             kept.append(notch)
-    label = [pattern.name, panel.name, "cut 1"]
-    label += [pattern.material] if pattern.material else []
-    label.append(f"seam allowance {1000.0 * allowance_m:g} mm")
+    lines = [pattern.name, panel.name, "cut 1", *twin]
+    lines += [pattern.material] if pattern.material else []
+    lines.append(f"seam allowance {1000.0 * allowance_m:g} mm")
+    if hem_m > allowance_m and hem_m in allowances:
+        lines.append(f"hem {1000.0 * hem_m:g} mm")
     return Piece(
         panel=panel,
         sewing=sewing,
         cutting=cutting,
+        allowances_m=tuple(allowances),
         notches=tuple(kept),
         grain=grain,
-        label=tuple(label),
-        label_at=_label_place(sewing, grain.mean(axis=0)),
+        label=place_label(
+            lines, geometry.outline(panel, 1e-3), grain, np.array([point for point, _ in marks]).reshape(-1, 2)
+        ),
         seam_marks=tuple(marks),
     )
 
@@ -132,26 +209,41 @@ def _inward(panel: Panel, ref: EdgeRef, t: np.ndarray) -> tuple[np.ndarray, np.n
     return geometry.edge_points(panel, ref.edge, t), np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
 
 
-def offset(polygon: np.ndarray, distance_m: float) -> np.ndarray:
-    """The counter-clockwise ``polygon`` [m] (N, 2) widened by ``distance_m`` >= 0, corners mitred."""
-    if distance_m == 0.0:
+def offset(polygon: np.ndarray, distance_m: float | np.ndarray) -> np.ndarray:
+    """The counter-clockwise ``polygon`` [m] (N, 2) widened by ``distance_m`` >= 0, corners mitred.
+
+    The distance is one for all sides, or one each (N,), that of the side from point n to the next. A corner meets where
+    its two lines do; one that would stick out farther than ``MITRE_LIMIT`` times its distance is cut off.
+    """
+    if not np.any(distance_m):
         return polygon
-    offsetter = CLIPPER.PyclipperOffset(MITRE_LIMIT)
-    path = np.round(polygon / UNIT_M).astype(np.int64).tolist()
-    offsetter.AddPath(path, CLIPPER.JT_MITER, CLIPPER.ET_CLOSEDPOLYGON)
-    outer = [np.array(found) for found in offsetter.Execute(distance_m / UNIT_M) if CLIPPER.Orientation(found)]
-    return max(outer, key=lambda found: abs(CLIPPER.Area(found.tolist()))) * UNIT_M
+    side = np.roll(polygon, -1, axis=0) - polygon
+    length = np.linalg.norm(side, axis=1)
+    polygon, side = polygon[length > UNIT_M], side[length > UNIT_M]
+    far = np.broadcast_to(distance_m, length.shape)[length > UNIT_M]
+    normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / length[length > UNIT_M][:, None]
+    path: list[np.ndarray] = []
+    for corner, n0, n1, d0, d1 in zip(polygon, np.roll(normal, 1, axis=0), normal, np.roll(far, 1), far, strict=True):
+        path += _corner(corner, n0, n1, d0, d1)
+    # Where the outline is hollow the lines cross themselves: what is wound once is the piece.
+    whole = [np.round(np.array(path) / UNIT_M).astype(np.int64).tolist()]
+    parts = [np.array(part) for part in CLIPPER.SimplifyPolygons(whole, CLIPPER.PFT_POSITIVE)]
+    return max(parts, key=lambda part: abs(CLIPPER.Area(part.tolist()))) * UNIT_M
 
 
-def _label_place(polygon: np.ndarray, grain_middle: np.ndarray) -> np.ndarray:
-    """The start of the label: right of the grain line, or left of it if there is more room and it is needed."""
-    right, left = np.inf, np.inf
-    for below in (0.0, 0.5, 1.0):
-        y = grain_middle[1] - below * LABEL_HEIGHT_M
-        x = _crossings(polygon, 1, y) - grain_middle[0]
-        right, left = min(right, *x[x > 0.0], np.inf), min(left, *-x[x < 0.0], np.inf)
-    across = 0.008 if right > LABEL_WIDTH_M + 0.01 or right >= left else -LABEL_WIDTH_M
-    return grain_middle + np.array([across, 0.0])
+def _corner(corner: np.ndarray, n0: np.ndarray, n1: np.ndarray, d0: float, d1: float) -> list[np.ndarray]:
+    """Where the lines at ``d0`` and ``d1`` [m] of both sides of a corner meet, or the two ends of its cut."""
+    sine, cosine = n0[0] * n1[1] - n0[1] * n1[0], float(n0 @ n1)
+    largest = max(d0, d1)
+    if cosine > 0.0 and abs(sine) < 1e-6:
+        ends = [corner + d0 * n0, corner + d1 * n1]
+        return ends[:1] if d0 == d1 else ends
+    # n0 . p = d0 and n1 . p = d1.
+    point = np.array([d0 * n1[1] - d1 * n0[1], d1 * n0[0] - d0 * n1[0]]) / (sine if abs(sine) > 1e-12 else 1e-12)
+    if sine < 0.0 or np.linalg.norm(point) <= MITRE_LIMIT * largest:
+        return [corner + point] if np.linalg.norm(point) <= 10.0 * largest else [corner + d0 * n0, corner + d1 * n1]
+    along0, along1 = np.array([-n0[1], n0[0]]), np.array([n1[1], -n1[0]])
+    return [corner + d0 * n0 + d0 * along0, corner + d1 * n1 + d1 * along1]
 
 
 def _crossings(polygon: np.ndarray, axis: int, value: float) -> np.ndarray:

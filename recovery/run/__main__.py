@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from drape.body.assets import DEFAULT_BODY
-from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
+from drape.cloth.material import DEFAULT_MATERIAL, FABRICS, MEASURED
 from drape.errors import InputError, refusing
 from drape.files.atomic import write_whole
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
@@ -34,7 +34,6 @@ OF_JOB = ("target", "out", "base", "body", "name", "label", "settings", "unit", 
 CHOOSE_FABRIC = "auto"
 EDGE_LENGTH_M = 0.05
 SCAN_REACH_M = 0.3  # its base is of another cut, its body is not the wearer's: the pattern has to make up for both
-SEAM_WEIGHT = 0.1  # for cutting: recovery.fit alone lets seams give way a hundred times more easily
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
@@ -59,8 +58,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--fabric",
         default=DEFAULT_MATERIAL,
-        choices=(*FABRICS, CHOOSE_FABRIC),
-        help="of the target; auto: the nearest of the named ones is looked for, then its constants",
+        choices=(*FABRICS, *MEASURED, CHOOSE_FABRIC),
+        help="of the target: one of the simulator's five or of the table; auto: the nearest of the five is looked for, "
+        "then its constants",
     )
     parser.add_argument("--edge-length", type=float, default=EDGE_LENGTH_M, help="of the garment's mesh [m]")
     parser.add_argument(
@@ -75,9 +75,6 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     add_distance_options(parser)
     parser.add_argument("--adam", type=int, default=fit.iterations, help="steps of Adam")
     parser.add_argument("--closing", type=int, default=fit.closing, help="steps of Gauss and Newton after it")
-    parser.add_argument(
-        "--seam-weight", type=float, default=SEAM_WEIGHT, help="of the loss: seams keep the ratios of the base"
-    )
     parser.add_argument(
         "--reach",
         type=float,
@@ -104,7 +101,7 @@ def job_of(given: argparse.Namespace) -> Job:
         ),
         find_fabric=given.fabric == CHOOSE_FABRIC,
         fit=FitOptions(iterations=given.adam, closing=given.closing),
-        weights=DEFAULT_WEIGHTS._replace(seams=given.seam_weight, reach_m=reach_of(given)),
+        weights=DEFAULT_WEIGHTS._replace(reach_m=reach_of(given)),
     )
 
 
@@ -136,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     page = write_whole(given.out / "report.html", page_of(outcome))
     record = write_whole(given.out / "report.json", json.dumps(record_of(outcome), indent=1) + "\n")
-    at_rest = outcome.anew is not None and outcome.anew.at_rest
+    at_rest = outcome.anew is not None and outcome.anew.draped.at_rest
     moving = "not at rest: see the report; try another mesh (--edge-length) or fabric (--fabric)"
     return ended([*outcome.files, page, record], "" if at_rest else moving)
 

@@ -15,7 +15,7 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake import garment_name
 from drape.garment.mesh_checks import Unit, Up
 from recovery.drape.output import panel_texture, write_rest, write_shape
-from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import posed_joints
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
 from recovery.fit.objective import DEFAULT_WEIGHTS, Weights
@@ -26,6 +26,7 @@ from recovery.pattern.export import export_pattern
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
+from recovery.run.anew import SewnAnew, sewn_anew
 from recovery.run.identify import Identifiability, identifiability
 from recovery.run.retarget import Worn, lost_parts, retargeted
 from recovery.run.target import check_base, openings, placed_target, read_target
@@ -68,8 +69,7 @@ class Job:
 class Outcome:
     """The result of a job. ``target`` and ``nodes`` [m] (N, 3) lie in the body's frame, without ``wearer.trans``.
 
-    ``anew`` is the recovered pattern sewn from flat panels and draped in the T-pose, None if that was refused;
-    ``anew_distance`` is its distance from the search's drape, None in a pose. ``warnings`` are sentences.
+    ``anew`` is the recovered pattern sewn from flat panels, None if that was refused. ``warnings`` are sentences.
     """
 
     job: Job
@@ -83,8 +83,7 @@ class Outcome:
     chamfer: Chamfer
     floor: Chamfer
     told: Identifiability
-    anew: Draped | None
-    anew_distance: SurfaceDistance | None
+    anew: SewnAnew | None
     worn: list[Worn]
     files: list[Path]
     warnings: list[str]
@@ -184,11 +183,11 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
         f"{chamfer.squared_cm2:.4f} cm^2, floor {floor.squared_cm2:.4f}"
     )
     told = identifiability(found, max(LEAST_TOLERANCE_M, 1e-3 * distance.rms_mm))
-    anew, anew_distance, worn = _sewn_anew(job, wearer, found, warnings, say)
+    anew, worn = _sewn_anew(job, wearer, found, warnings, say)
     if anew is not None:
         # In the cache the garment of a body of another shape is moved to the standard one.
         avatar = {"betas": wearer.betas.tolist()} if wearer.betas.any() else "standard"
-        files += write_rest(job.out, name, anew, wearer.standard, avatar=avatar, garment=job.garment, report=say)
+        files += write_rest(job.out, name, anew.draped, wearer.standard, avatar=avatar, garment=job.garment, report=say)
     return Outcome(
         job=job,
         name=name,
@@ -202,7 +201,6 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
         floor=floor,
         told=told,
         anew=anew,
-        anew_distance=anew_distance,
         worn=worn,
         files=files,
         warnings=warnings,
@@ -212,29 +210,29 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
 
 def _sewn_anew(
     job: Job, wearer: Wearer, found: Recovered, warnings: list[str], say: Say
-) -> tuple[Draped | None, SurfaceDistance | None, list[Worn]]:
-    """The pattern sewn from flat panels, its distance from the search's drape, and the garment elsewhere."""
+) -> tuple[SewnAnew | None, list[Worn]]:
+    """The pattern sewn from flat panels, and the garment elsewhere."""
     pattern, cloth = found.fitted.pattern, found.fitted.cloth
+    parts = [match.place.part for match in found.matches if match.place.part is not None]
+    options = replace(job.drape, edge_length_m=found.edge_length_m)
     try:
-        anew = drape_pattern(pattern, wearer.shaped, job.drape, cloth=cloth)
+        anew = sewn_anew(found, wearer.shaped, options, wearer.pose, parts)
     except InputError as error:
         warnings.append(f"The recovered pattern cannot be sewn from flat panels, so there is no garment cache: {error}")
-        return None, None, []
-    distance = None
-    if wearer.pose is None:
-        distance = surface_distance((anew.rest.nodes, anew.mesh.faces), (found.fitted.nodes, found.search.mesh.faces))
-        say(
-            f"sewn anew {distance.mean_mm:.2f} mm from the search's drape on average, {distance.largest_mm:.1f} largest"
-        )
-    parts = [match.place.part for match in found.matches if match.place.part is not None]
-    if lost := lost_parts(anew.rest.nodes, anew.mesh.faces, wearer.shaped.joints_template, parts):
+        return None, []
+    say(
+        f"sewn anew {anew.distance.mean_mm:.2f} mm from the search's drape on average, {anew.distance.largest_mm:.1f} "
+        "largest"
+    )
+    draped = anew.draped
+    if lost := lost_parts(draped.rest.nodes, draped.mesh.faces, wearer.shaped.joints_template, parts):
         warnings.append(f"Sewn anew in the T-pose, {lost_words(lost)}: the garment cache is not worn as the target is.")
     worn = []
     if job.retarget:
-        for place in retargeted(pattern, anew, wearer.shaped, wearer.standard, job.drape, parts, cloth=cloth):
+        for place in retargeted(pattern, draped, wearer.shaped, wearer.standard, job.drape, parts, cloth=cloth):
             say(f"worn      {place.what}: {place.refusal or describe_worn(place)}")
             worn.append(place)
-    return anew, distance, worn
+    return anew, worn
 
 
 def describe_worn(place: Worn) -> str:

@@ -12,9 +12,12 @@ STYLE = (
     "h1{font-size:1.7rem}h2{font-size:1.2rem;margin-top:2.2rem;border-bottom:1px solid #ddd}"
     "img{max-width:100%}figcaption{color:#555;font-size:.9rem}figure{margin:1rem 0}"
     "table{border-collapse:collapse;font-size:.9rem}td,th{padding:.15rem .7rem;border-bottom:1px solid #e5e5e5;"
-    "text-align:right}td:first-child,th:first-child{text-align:left}"
+    "text-align:right;white-space:nowrap}td:first-child,th:first-child{text-align:left}"
     ".warn{background:#fff4d6;border-left:4px solid #d90;padding:.4rem .9rem;margin:.4rem 0}"
     ".good{background:#e9f6ec;border-left:4px solid #3a5;padding:.4rem .9rem;margin:.4rem 0}"
+    "figure svg{max-width:100%;height:auto}.sign{display:flex;gap:2rem;margin:3rem 0 1rem}"
+    ".sign div{flex:1;border-top:1px solid #222;font-size:.9rem;color:#555}"
+    "@media print{body{margin:0;max-width:none}figure,tr,.warn,.good{break-inside:avoid}figure svg{max-width:none}}"
 )
 
 
@@ -45,6 +48,15 @@ class Page:
         self._parts.append(
             f'<figure><img src="data:image/png;base64,{data}" alt="{text}"><figcaption>{text}</figcaption></figure>'
         )
+
+    def drawing(self, svg: str, caption: str) -> None:
+        """An SVG drawing inside the page, as text that this program wrote."""
+        self._parts.append(f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>")
+
+    def signature(self, fields: Sequence[str]) -> None:
+        """A line to be filled in by hand for each of ``fields``."""
+        cells = "".join(f"<div>{html.escape(field)}</div>" for field in fields)
+        self._parts.append(f'<div class="sign">{cells}</div>')
 
     def table(self, heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
         """A table; the first column is text."""

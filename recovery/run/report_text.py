@@ -7,16 +7,21 @@ from typing import Any
 
 import numpy as np
 
+from drape.cloth.material import MEASURED
 from drape.geometry import meshes
 from recovery.fit.pipeline import Recovered
+from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
 from recovery.run import pictures
+from recovery.run.anew import SewnAnew
 from recovery.run.identify import CAP_M, corner_names, weak_words
 from recovery.run.job import Outcome, describe_worn
 from recovery.run.report import Page
+from recovery.run.report_pieces import add_pieces
 
-SEAM_LIMIT = 0.02  # of length: more needs easing in or is a fault
-OTHER_FOLDS_MM = 2.0
+SEAM_PCT = 0.5  # of length, beside the ease that the base asks for: more cannot be sewn as it is drawn
+ANEW_MM = 3.0  # more between the report's drape and the pattern sewn anew is worth a warning
+BELT_M = 0.005
 GOOD_RMS_MM, FAIR_RMS_MM = 2.0, 8.0
 UNSURE_M = 0.01
 CUT_PCT = 15.0  # of edges with their middle in the body; a T-shirt has 6 to 12 at edges of 5 cm, and none of it shows
@@ -28,10 +33,12 @@ def page_of(outcome: Outcome) -> str:
     page = Page(f"Sewing pattern of {outcome.name}")
     page.say(*summary(outcome))
     good, look = verdicts(outcome)
+    page.table(HEADS, [key_figures(outcome)])
     page.notes(good, good=True)
     page.section("Before you cut")
     page.say("Look at these points first." if look else "Nothing stands out.")
     page.notes(look)
+    add_pieces(page, outcome.pattern)
     _shape(page, outcome)
     _pattern(page, outcome)
     _told(page, outcome)
@@ -40,14 +47,43 @@ def page_of(outcome: Outcome) -> str:
     return page.text()
 
 
+HEADS = ("cut", "from the target, mean", "Chamfer", "seams differ by at most", "sewn anew", "minutes")
+
+
+def key_figures(outcome: Outcome) -> tuple[str, ...]:
+    """The figures at the top of the record, as the first table of the page has them."""
+    top = top_of(outcome)
+    anew = "refused" if top["sewn_anew_mm"] is None else f"{top['sewn_anew_mm']:.1f} mm"
+    return (
+        top["cut"],
+        f"{top['distance_mean_mm']:.1f} mm",
+        f"{top['chamfer_cm2']:.2f} cm²",
+        f"{top['seam_max_pct']:.2f} %",
+        anew,
+        f"{top['minutes']:.1f}",
+    )
+
+
+def top_of(outcome: Outcome) -> dict[str, Any]:
+    """The figures that a recovery is judged by."""
+    return {
+        "distance_mean_mm": outcome.distance.mean_mm,
+        "chamfer_cm2": outcome.chamfer.squared_cm2,
+        "seam_max_pct": round(seam_max_pct(outcome), 6),
+        "sewn_anew_mm": None if outcome.anew is None else outcome.anew.distance.mean_mm,
+        "cut": cut_of(outcome),
+        "minutes": round(outcome.seconds / 60.0, 2),
+    }
+
+
 def summary(outcome: Outcome) -> list[str]:
     """Three sentences: what it is, how near, how the base was changed."""
     pattern, distance, graded = outcome.pattern, outcome.distance, outcome.found.graded
     return [
         f"A pattern of {len(pattern.panels)} panels and {len(pattern.stitches)} seams was found from the base "
         f"{outcome.job.base}.",
-        f"Sewn and draped on the same body, the garment lies {distance.mean_mm:.1f} mm from the target on average; the "
-        f"base lay {outcome.before.mean_mm:.0f} mm away.",
+        f"Draped on the same body, the garment lies {distance.mean_mm:.1f} mm from the target on average; the base lay "
+        f"{outcome.before.mean_mm:.0f} mm away.",
         f"On the way panels became {_percent(graded.widths)} in width and {_percent(graded.heights)} in height, before "
         "single corners were moved.",
     ]
@@ -68,19 +104,25 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
     elif rms <= FAIR_RMS_MM:
         look.append(f"{line} Lengths and widths can be trusted; single folds are not the target's.")
     else:
-        look.append(f"{line} That is far: another base, fabric or body may be nearer to the truth.")
+        look.append(
+            f"{line} That is far: let corners go farther from the base (--reach 0.3), or take another base, fabric or "
+            "body."
+        )
     if largest > FAR_SHARE * rms:
         look.append(f"At one place they are {largest:.0f} mm apart: see the red spots in the picture.")
-    loose = [seam for seam in geometry.seams(outcome.pattern) if abs(seam.mismatch) > SEAM_LIMIT]
-    if loose:
-        worst = max(loose, key=lambda seam: abs(seam.mismatch))
-        look.append(
-            f"{len(loose)} of {len(outcome.pattern.stitches)} seams join edges that differ by more than "
-            f"{100 * SEAM_LIMIT:.0f} %, most of all {worst.stitch.first} with {100 * worst.first_m:.1f} cm and "
-            f"{worst.stitch.second} with {100 * worst.second_m:.1f} cm: ease the longer edge in, or even them out."
+    worst = seam_max_pct(outcome)
+    if worst > SEAM_PCT:
+        look.append(f"Edges that are sewn together differ by up to {worst:.1f} % beside their ease: even them out.")
+    else:
+        good.append(
+            f"All seams can be sewn: edges have the lengths that they should have within {max(worst, 0.01):.2g} %."
         )
-    if not loose:
-        good.append(f"All seams join edges of equal length within {100 * SEAM_LIMIT:.0f} %.")
+    eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.pattern) if eases(seam)]
+    if eased:
+        look.append(
+            f"{len(eased)} seams have ease as in the base, up to {max(eased):.1f} %: the table of seams says which "
+            "edge to hold in."
+        )
     unsure = int((outcome.told.slack_m > UNSURE_M).sum())
     if unsure:
         look.append(
@@ -89,21 +131,47 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
         )
     if not outcome.found.fitted.finished:
         look.append("The search ended because no further step helped or came to rest, not because it had converged.")
+    if outcome.found.left:
+        look.append(f"A part of the search was left out: {outcome.found.left}.")
     if outcome.anew is not None:
-        rest = outcome.anew.rest.report
-        if rest.converged:
+        draped = outcome.anew.draped
+        if draped.at_rest:
             good.append("Sewn anew from flat panels, the garment comes to rest on the body.")
         else:
-            look.append(f"Sewn anew, the garment is not at rest: {rest.residual_n:.1e} N are left at a node.")
-        look += cut_words(outcome.anew.figures["rest"]["edges_in_body_pct"], outcome.job.drape.edge_length_m)
-    if outcome.anew_distance is not None and outcome.anew_distance.mean_mm > max(
-        OTHER_FOLDS_MM, 2.0 * outcome.distance.mean_mm
-    ):
-        look.append(
-            f"Sewn anew it lies {outcome.anew_distance.mean_mm:.1f} mm from the search's drape: it fell into other "
-            "folds."
-        )
+            left = max(one.report.residual_n for one in (draped.rest, draped.posed) if one is not None)
+            look.append(f"Sewn anew, the garment is not at rest: {left:.1e} N are left at a node.")
+        look += cut_words(draped.figures["rest"]["edges_in_body_pct"], outcome.job.drape.edge_length_m)
+        (good if outcome.anew.distance.mean_mm <= ANEW_MM else look).append(anew_words(outcome.anew))
     return good, look
+
+
+def anew_words(anew: SewnAnew) -> str:
+    """Sentences on how far the pattern sewn anew lies from what the report shows, and on its belt."""
+    words = f"Sewn anew it lies {anew.distance.mean_mm:.1f} mm from the garment of this report on average"
+    words += "." if anew.distance.mean_mm <= ANEW_MM else ": it fell into other folds."
+    if abs(anew.belt_moved_m) > BELT_M:
+        way = "above" if anew.belt_moved_m > 0.0 else "below"
+        words += (
+            f" Its waist is worn where the target's is, {100 * abs(anew.belt_moved_m):.1f} cm {way} where it would "
+            f"close by itself; there it would lie {anew.by_itself.mean_mm:.1f} mm from this garment."
+        )
+    return words
+
+
+def eases(seam: geometry.Seam) -> bool:
+    """Whether one edge of a seam has to be eased into the other."""
+    return 100.0 * abs(seam.mismatch) > SEAM_PCT
+
+
+def seam_max_pct(outcome: Outcome) -> float:
+    """The largest difference [%] of sewn edges from what the base asks for: equal, or its ease."""
+    return 100.0 * float(np.abs(ease_left(outcome.pattern, outcome.base)).max(initial=0.0))
+
+
+def cut_of(outcome: Outcome) -> str:
+    """The cut in words: its base, its panels and seams."""
+    pattern = outcome.pattern
+    return f"{outcome.job.base}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
 
 
 def cut_words(edges_in_body_pct: float, edge_length_m: float) -> list[str]:
@@ -149,7 +217,7 @@ def _shape(page: Page, outcome: Outcome) -> None:
 
 
 def _pattern(page: Page, outcome: Outcome) -> None:
-    page.section("The panels")
+    page.section("Against the base")
     page.picture(
         pictures.panels_over_base(outcome.base, outcome.pattern),
         "Recovered panels, filled, over the base's, dashed; all at one scale.",
@@ -160,18 +228,6 @@ def _pattern(page: Page, outcome: Outcome) -> None:
         change = geometry.area(new) / geometry.area(old) - 1.0
         rows.append((new.name, f"{100 * size[0]:.1f}", f"{100 * size[1]:.1f}", f"{100 * change:+.1f} %"))
     page.table(("panel", "width [cm]", "height [cm]", "area against the base"), rows)
-    page.say("Seams, with the lengths of both edges.")
-    rows = [
-        (
-            f"{seam.stitch.first} to {seam.stitch.second}",
-            f"{100 * seam.first_m:.2f}",
-            f"{100 * seam.second_m:.2f}",
-            f"{1e3 * (seam.second_m - seam.first_m):+.1f}",
-            f"{100 * seam.mismatch:+.2f} %",
-        )
-        for seam in geometry.seams(outcome.pattern)
-    ]
-    page.table(("seam", "first [cm]", "second [cm]", "difference [mm]", "of the length"), rows)
 
 
 def _told(page: Page, outcome: Outcome) -> None:
@@ -239,7 +295,10 @@ def cloth_words(found: Recovered, *, sought: bool) -> str:
         f"along, bending stiffness {1e6 * cloth.bending_j:.0f} µJ"
     )
     if not sought:
-        return f"The cloth was taken to be {found.fabric.name}: {figures}. It was given, not recovered."
+        kind = (
+            "a measured fabric" if found.fabric.name in MEASURED else "a cloth of the simulator's, not a measured one"
+        )
+        return f"The cloth was taken to be {found.fabric.name}, {kind}: {figures}. It was given, not recovered."
     tried = ", ".join(f"{name} {1e3 * np.sqrt(0.5 * loss):.2f} mm" for name, loss in found.fabric_losses.items())
     return (
         f"The cloth was found to be {found.fabric.describe()}: {figures}. A drape at rest only tells stiffness over "
@@ -268,6 +327,8 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
     told, fitted, mesh = outcome.told, outcome.found.fitted, outcome.found.search.mesh
     anew = outcome.anew
     return {
+        **top_of(outcome),
+        "left": outcome.found.left,
         "name": outcome.name,
         "target": {
             "file": outcome.job.target.name,
@@ -322,8 +383,14 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
             "corners": dict(enumerate(corner_names(outcome.pattern))),
             "slack_m": told.slack_m.tolist(),
         },
-        "sewn_anew": None if anew is None else anew.figures,
-        "sewn_anew_distance": None if outcome.anew_distance is None else outcome.anew_distance._asdict(),
+        "sewn_anew": None
+        if anew is None
+        else {
+            **anew.draped.figures,
+            "distance": anew.distance._asdict(),
+            "by_itself": anew.by_itself._asdict(),
+            "belt_moved_m": anew.belt_moved_m,
+        },
         "worn": [
             {"what": worn.what, "refusal": worn.refusal, "lost": list(worn.lost), **worn.figures}
             for worn in outcome.worn

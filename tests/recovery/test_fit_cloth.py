@@ -56,7 +56,7 @@ def test_what_lies_outside_the_library_costs_its_squared_way():
 
 
 def test_the_nearest_fabric_and_its_distance_in_words():
-    for name in FABRICS:
+    for name in (*FABRICS, "rib", "twill"):
         found = nearest_fabric(named(name))
         assert found.name == name and found.describe() == f"{name}, within 5 % in everything"
         heavy = named(name)

@@ -25,7 +25,7 @@ from recovery.pattern.export_pdf import write_pdf
 from recovery.pattern.export_svg import write_svg
 from recovery.pattern.garmentcode import read_pattern, write_pattern
 from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
-from recovery.pattern.pieces import NOTCH_DEPTH_M, Sheet, make_sheet, offset
+from recovery.pattern.pieces import NOTCH_DEPTH_M, Sheet, hems, make_sheet, offset
 from recovery.pattern.triangulate import boundary_distance, inside
 from tests.recovery.pattern_setup import assert_same_pattern, curved, default_measurements, rectangle, tube
 
@@ -94,7 +94,7 @@ def test_grain_lines_are_upright_and_inside():
         for piece in make_sheet(pattern).pieces:
             assert piece.grain[0, 0] == piece.grain[1, 0] and piece.grain[1, 1] > piece.grain[0, 1] + 0.05
             along = piece.grain[0] + np.linspace(0, 1, 50)[:, None] * (piece.grain[1] - piece.grain[0])
-            assert inside(along, piece.sewing).all() and inside(piece.label_at[None], piece.sewing)[0]
+            assert inside(along, piece.sewing).all() and inside(np.array(piece.label.box()), piece.sewing).all()
 
 
 def test_pieces_lie_on_the_sheet_without_overlap():
@@ -355,3 +355,120 @@ def test_the_command_line_says_what_is_wrong(arguments, message, tmp_path, monke
     assert main(arguments) == 2
     printed = capsys.readouterr()
     assert message in printed.err and printed.out == "" and list(tmp_path.iterdir()) == []
+
+
+def test_a_hem_has_more_allowance_than_a_seam_and_corners_meet_both():
+    """Of a rectangle w by h with d at the sides and top and e below, the cutting line has w + 2 d by h + d + e."""
+    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
+    wide = offset(square, np.array([0.03, 0.01, 0.01, 0.01]))
+    assert_allclose(wide[np.lexsort(wide.T)], [(-0.01, -0.03), (1.01, -0.03), (-0.01, 1.01), (1.01, 1.01)], atol=1e-6)
+    hollow = np.array([(0, 0), (1, 0), (1, 1), (0.5, 0.02), (0, 1)], dtype=float)  # its notch closes
+    assert boundary_distance(np.array([(0.5, 0.02)]), offset(hollow, 0.01))[0] > 0.01 - 1e-6
+    front = make_sheet(tube()).pieces[0]
+    assert front.allowances_m == (0.025, 0.01, 0.01, 0.01) and "hem 25 mm" in front.label.lines
+    assert_allclose([front.cutting.min(axis=0), front.cutting.max(axis=0)], [(-0.21, -0.325), (0.21, 0.31)], atol=1e-6)
+    assert set(make_sheet(tube(), hem_m=0.01).pieces[0].allowances_m) == {0.01}
+    assert set(make_sheet(tube(), allowance_m=0.0).pieces[0].allowances_m) == {0.0}
+
+
+def test_hems_are_told_from_necklines_cuffs_and_armholes():
+    pattern = tshirt(default_measurements())
+    turned = hems(pattern)
+    assert {(ref.panel, len([r for r in turned if r.panel == ref.panel])) for ref in turned} == {
+        (panel.name, 1) for panel in pattern.panels
+    }
+    bent = replace(tube(), panels=(rectangle("front", translation_m=(0.0, 0.0, 0.2)), tube().panels[1]))
+    hem = replace(bent.panels[0].edges[0], kind=EdgeKind.QUADRATIC, handles=((0.5, 0.4),))
+    front = replace(bent.panels[0], edges=(hem, *bent.panels[0].edges[1:]))
+    assert EdgeRef("front", 0) not in hems(replace(bent, panels=(front, bent.panels[1])))
+    named = replace(front, edges=(replace(hem, label="hem"), *front.edges[1:]))
+    assert EdgeRef("front", 0) in hems(replace(bent, panels=(named, bent.panels[1])))
+
+
+def test_seams_of_the_back_have_two_notches_at_equal_places_on_both_edges():
+    pattern = tshirt(default_measurements())
+    pieces = {piece.panel.name: piece for piece in make_sheet(pattern).pieces}
+    counts = []
+    for stitch in pattern.stitches:
+        places = []
+        for ref in (stitch.first, stitch.second):
+            panel = pattern.panel(ref.panel)
+            fine = np.linspace(0.0, 1.0, 4001)
+            line = geometry.edge_points(panel, ref.edge, fine)
+            along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+            feet = [notch.point + ALLOWANCE_M * notch.inward for notch in pieces[ref.panel].notches]
+            off = [np.linalg.norm(line - foot, axis=1) for foot in feet]
+            at = sorted(float(along[d.argmin()]) for d in off if d.min() < 2e-4)
+            places.append(np.array([s - 0.5 * along[-1] for s in at if 0.02 < s < along[-1] - 0.02]))
+        assert len(places[0]) == len(places[1])
+        assert_allclose(np.sort(places[0]), np.sort(-places[1]), atol=3e-4)
+        counts.append(len(places[0]))
+    assert sorted(counts) == [1] * 10 + [2] * 2  # both back halves of the sleeves in the back's armholes
+
+
+def test_labels_lie_inside_whatever_the_piece_and_tell_its_mirror_image():
+    narrow = Pattern("a long name of a pattern", (rectangle("strap", 0.03, 0.5),), material="jersey 200 g/m²")
+    for pattern in (narrow, every_curve(), tshirt(default_measurements())):
+        for piece in make_sheet(pattern).pieces:
+            low, high = piece.label.box()
+            frame = low + np.array([(x, y) for x in np.linspace(0, 1, 9) for y in np.linspace(0, 1, 9)]) * (high - low)
+            assert inside(frame, piece.sewing).all()
+            across = low[0] < piece.grain[0, 0] < high[0]
+            assert not across or low[1] > piece.grain[1, 1] or high[1] < piece.grain[0, 1]
+            assert piece.label.upright == (pattern is narrow)
+    lines = {piece.panel.name: piece.label.lines for piece in make_sheet(tshirt(default_measurements())).pieces}
+    assert lines["sleeve_right_back"][3:5] == ("mirror of", "sleeve_left_back") and lines["front"][3] == "symmetric"
+
+
+@pytest.mark.parametrize("pattern", [every_curve(), tshirt(default_measurements())], ids=lambda pattern: pattern.name)
+def test_all_formats_say_the_same_to_a_tenth_of_a_millimetre(pattern, tmp_path):
+    """Every sewing and cutting line and both lengths of every seam, from JSON, SVG, DXF and PDF read back."""
+    sheet = make_sheet(pattern)
+    export_pattern(pattern, tmp_path, page="single")
+    stem = tmp_path / pattern.name
+    again = read_pattern(f"{stem}.json")
+    root = ElementTree.parse(f"{stem}.svg").getroot()
+    groups = {group.attrib["id"]: group for group in root.iter(f"{SVG}g")}
+    document = ezdxf.readfile(f"{stem}.dxf")
+    inserts = list(document.modelspace().query("INSERT"))
+    (form,) = [text for text in pdf_streams(tmp_path / f"{pattern.name}.pdf") if " l" in text and "Do" not in text]
+    polygons = pdf_polygons_mm(form)
+    assert_allclose(np.ptp(polygons[-1], axis=0) if len(polygons[-1]) == 4 else 50.0, 50.0, atol=1e-3)
+    lengths: dict[str, dict[EdgeRef, float]] = {name: {} for name in ("json", "svg", "dxf", "pdf")}
+    for number, (piece, place, insert) in enumerate(zip(sheet.pieces, sheet.offsets, inserts, strict=True)):
+        read = again.panels[number]
+        paths = {path.attrib["class"]: path.attrib["d"] for path in groups[piece.panel.name].iter(f"{SVG}path")}
+        drawn = {
+            kind: [
+                np.array([1.0, -1.0]) * points + [0.0, 1e3 * sheet.height_m] - 1e3 * place
+                for _, points in svg_curves(paths[kind])
+            ]
+            for kind in ("sew", "cut")
+        }
+        entities = [one for one in document.blocks[insert.dxf.name].query("POLYLINE") if isinstance(one, Polyline)]
+        blocks = {one.dxf.layer: np.array([v.dxf.location for v in one.vertices])[:, :2] for one in entities}
+        cut, sew = (polygon - 1e3 * place for polygon in polygons[2 * number : 2 * number + 2])
+        outlines = {
+            "json": 1e3 * geometry.outline(read, 1e-5),
+            "svg": np.concatenate([points[:-1:20] for points in drawn["sew"]]),
+            "dxf": blocks["14"],
+            "pdf": sew,
+        }
+        cuts = {"svg": np.concatenate([points[:1] for points in drawn["cut"]]), "dxf": blocks["1"], "pdf": cut}
+        for lines in (outlines, cuts):
+            first = next(iter(lines.values()))
+            for line in lines.values():
+                assert boundary_distance(line, first).max() < 0.1 and boundary_distance(first, line).max() < 0.1
+        for edge, panel_edge in enumerate(piece.panel.edges):
+            ref = EdgeRef(piece.panel.name, edge)
+            lengths["json"][ref] = 1e3 * geometry.edge_length(read, edge)
+            lengths["svg"][ref] = float(np.linalg.norm(np.diff(drawn["sew"][edge], axis=0), axis=1).sum())
+            ends = 1e3 * piece.panel.vertices[[panel_edge.start, panel_edge.end]]
+            for name in ("dxf", "pdf"):  # the part of the outline between the edge's corners
+                start, end = (int(np.linalg.norm(outlines[name] - corner, axis=1).argmin()) for corner in ends)
+                part = np.roll(outlines[name], -start, axis=0)[: (end - start) % len(outlines[name]) + 1]
+                lengths[name][ref] = float(np.linalg.norm(np.diff(part, axis=0), axis=1).sum())
+    for stitch in pattern.stitches:
+        for ref in (stitch.first, stitch.second):
+            found = [lengths[name][ref] for name in lengths]
+            assert max(found) - min(found) < 0.1, (ref, found)

@@ -7,7 +7,9 @@ import io
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import cast
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -25,14 +27,18 @@ from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
 from recovery.fit.cloth import named
+from recovery.fit.pipeline import Recovered
 from recovery.pattern.bases import tshirt
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.garmentcode import read_pattern
+from recovery.pattern.pieces import make_sheet
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.run import __main__ as command
+from recovery.run.anew import SewnAnew, sewn_anew
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
 from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
+from recovery.run.report_pieces import scaled_drawing
 from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
 from recovery.run.retarget import lost_parts, retargeted
 from tests.drape.cloth.cloth_shapes import round_tube
@@ -88,6 +94,18 @@ def test_a_garment_that_goes_through_the_body_is_said_to():
     assert sentence.startswith("19 % of the edges") and "edges of 5 cm" in sentence and "--edge-length 0.03" in sentence
 
 
+def test_the_drawing_of_the_pieces_is_to_scale_and_keeps_its_rules_to_itself():
+    sheet = make_sheet(tube())
+    text, caption = scaled_drawing(sheet)
+    root = ElementTree.fromstring(text)
+    scale = int(re.findall(r"1:(\d+);", caption)[0])
+    assert_allclose(scale * float(root.attrib["width"].removesuffix("mm")), 1e3 * sheet.width_m, atol=0.1)
+    assert root.attrib["viewBox"].split()[2] == f"{1e3 * sheet.width_m:.3f}"
+    style = next(root.iter("{http://www.w3.org/2000/svg}style")).text or ""
+    assert all(head.startswith(".pieces ") for rule in style.split("}")[:-1] for head in rule.split("{")[0].split(","))
+    assert {"front", "back", "1", "2"} == {one.text for one in root.iter("{http://www.w3.org/2000/svg}text")}
+
+
 def test_files_have_words():
     kinds = ("a.json", "a.svg", "a.dxf", "a.pdf", "a.obj", "a.glb", "a_rest.obj", "a-1.npz")
     assert len({file_words(name) for name in kinds}) == len(kinds) and all(map(file_words, kinds))
@@ -126,7 +144,8 @@ def test_a_draped_mesh_becomes_a_pattern_and_a_garment(run):
     found = read_pattern(out / "target.json")
     base = tshirt(default_measurements())
     assert pattern_error(found, truth).controls_m.mean() < 0.5 * pattern_error(base, truth).controls_m.mean()
-    assert outcome.anew is not None and outcome.anew.at_rest
+    assert outcome.anew is not None and outcome.anew.draped.at_rest
+    assert found.material == "jersey 200 g/m²"
     simulated, there = read_mesh(out / "target.obj"), read_mesh(folder / "target.obj")
     apart = surface_distance((simulated.vertices, simulated.faces), (there.vertices, there.faces))
     assert_allclose(apart.mean_mm, outcome.distance.mean_mm, rtol=0.05)
@@ -139,7 +158,7 @@ def test_a_draped_mesh_becomes_a_pattern_and_a_garment(run):
 def test_the_cloth_has_words(run):
     _, outcome, _ = run
     given = cloth_words(outcome.found, sought=False)
-    assert "jersey: 200 g/m²" in given and "not recovered" in given
+    assert "jersey, a cloth of the simulator's" in given and "200 g/m²" in given and "not recovered" in given
     sought = cloth_words(replace(outcome.found, fabric_losses={"jersey": 2e-6, "crisp": 8e-6}), sought=True)
     assert "jersey, within 5 %" in sought and "jersey 1.00 mm, crisp 2.00 mm" in sought
 
@@ -148,6 +167,10 @@ def test_the_cloth_has_words(run):
 def test_the_report_says_what_was_found(run):
     folder, outcome, truth = run
     record = json.loads((folder / "out" / "report.json").read_text())
+    top = ["distance_mean_mm", "chamfer_cm2", "seam_max_pct", "sewn_anew_mm", "cut", "minutes"]
+    assert list(record)[: len(top)] == top
+    assert record["seam_max_pct"] <= 0.5 and record["sewn_anew_mm"] <= 3.0 and record["minutes"] > 0.0
+    assert record["cut"] == "tshirt: 6 panels, 12 seams"
     assert record["distance"]["mean_mm"] < 0.5 * record["base_distance"]["mean_mm"]
     assert record["chamfer_floor"]["mean_mm"] < record["chamfer"]["mean_mm"]
     assert record["fabric"]["name"] == "jersey" and not record["fabric"]["sought"]
@@ -161,11 +184,19 @@ def test_the_report_says_what_was_found(run):
         assert np.asarray(Image.open(io.BytesIO(base64.b64decode(payload))).convert("RGB")).std() > 10.0
     for words in ("Before you cut", "What the target cannot tell", "floor", "jersey", "over the base"):
         assert words in page
+    for words in ("Seams in pairs", "mirror of sleeve_left_front", "hem, turned up", "Checked by", "seams have ease"):
+        assert words in page
     anew = outcome.anew
     for share, said in ((0.0, False), (19.0, True)):
-        figures = anew.figures | {"rest": anew.figures["rest"] | {"edges_in_body_pct": share}}
-        look = verdicts(replace(outcome, anew=replace(anew, figures=figures)))[1]
+        draped = anew.draped
+        figures = draped.figures | {"rest": draped.figures["rest"] | {"edges_in_body_pct": share}}
+        look = verdicts(replace(outcome, anew=anew._replace(draped=replace(draped, figures=figures))))[1]
         assert any("cut the body" in sentence for sentence in look) == said
+    dropped = replace(outcome, found=replace(outcome.found, left="round 2 of 3: no drape at rest"))
+    assert "A part of the search was left out: round 2 of 3: no drape at rest." in verdicts(dropped)[1]
+    far = replace(outcome, anew=anew._replace(distance=anew.distance._replace(mean_mm=7.0), belt_moved_m=-0.02))
+    (words,) = [sentence for sentence in verdicts(far)[1] if sentence.startswith("Sewn anew it lies 7.0 mm")]
+    assert "2.0 cm below where it would close by itself" in words and "other folds" in words
 
 
 @pytest.mark.slow
@@ -193,7 +224,7 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     write_whole(folder / "turned.json", json.dumps(pose.tolist()))
     monkeypatch.setattr("recovery.run.retarget.BODIES", {"taller": (0.3,)})
     monkeypatch.setattr("recovery.run.retarget.POSES", (str(folder / "turned.json"),))
-    draped, body = outcome.anew, load_body()
+    draped, body = outcome.anew.draped, load_body()
     parts = ["trunk", "trunk", "left_arm", "right_arm"]
     taller, posed = retargeted(truth, draped, body, body, COARSE, parts, cloth=outcome.found.fitted.cloth)
     assert taller.lost == posed.lost == ()
@@ -212,6 +243,26 @@ def test_an_arm_beside_its_sleeve_is_noticed():
     assert lost_parts(trunk + np.array([0.7, 0.0, 0.0]), tube_faces, joints, ["trunk"]) == ("trunk",)
     assert lost_words(["right_arm"]) == "the right arm is not in the garment's opening"
     assert lost_words(["left_arm", "right_arm"]).startswith("the left arm and the right arm are")
+
+
+@pytest.mark.parametrize(("lost_on", "taken", "tries"), [((1,), 3.0, 3), ((1, 3, 4), 1.0, 4)])
+def test_a_pattern_whose_sleeve_misses_its_arm_is_sewn_on_another_mesh(lost_on, taken, tries, body, monkeypatch):
+    """The first mesh loses the arm, the second cannot be sewn, the third is worn; if all lose it the first is taken."""
+    trunk, faces = round_tube((0.25, 0.25), (0.1, 0.3))
+    lengths: list[float] = []
+
+    def sewn(found, body, options, pose):
+        lengths.append(options.edge_length_m)
+        if len(lengths) == 2:
+            raise InputError("stitch", expected="edges that meet", got="none", cure="Check it.")
+        x = 0.7 if len(lengths) in lost_on else 0.0
+        draped = SimpleNamespace(nodes=trunk + np.array([x, 0.0, 0.0]), mesh=SimpleNamespace(faces=faces), at_rest=True)
+        return SewnAnew(cast(Draped, draped), apart, apart, float(len(lengths)))
+
+    apart = surface_distance((SQUARE, HALVES), (SQUARE, HALVES), count=10)
+    monkeypatch.setattr("recovery.run.anew._sewn", sewn)
+    assert sewn_anew(cast(Recovered, None), body, COARSE, None, ["trunk"]).belt_moved_m == taken
+    assert len(lengths) == tries and len(set(lengths)) == tries
 
 
 def test_a_place_that_refuses_the_garment_says_so(body, monkeypatch):

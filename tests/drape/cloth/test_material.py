@@ -7,7 +7,9 @@ from dataclasses import replace
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.cloth.material import Material, material
+from drape.cloth import fabric_table
+from drape.cloth.fabric_table import fabric
+from drape.cloth.material import FABRICS, MEASURED, Material, material
 from drape.errors import InputError, NotFound
 
 
@@ -31,6 +33,12 @@ def test_limp_and_crisp_differ_in_bending_alone():
     for name, factor in (("limp", 0.2), ("crisp", 5.0)):
         assert_allclose(material(name).bending_j, factor * material().bending_j, rtol=1e-15, atol=0.0)
         assert replace(material(name), bending_j=material().bending_j) == material()
+
+
+def test_the_fabrics_of_the_table_have_their_names_but_for_a_second_jersey():
+    assert material("interlock") == Material.of(fabric("jersey")) != material("jersey")
+    assert material("rib") == Material.of(fabric("rib"))
+    assert len(MEASURED) == len(fabric_table.FABRICS) and not MEASURED.keys() & FABRICS.keys()
 
 
 def test_unknown_name_is_refused():

@@ -1,0 +1,79 @@
+"""The recovered pattern sewn anew from its flat panels and worn as the report shows it: what a sewer will get."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.errors import InputError
+from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.drape.posing import posed_joints
+from recovery.fit.belt import held_as_target
+from recovery.fit.chamfer import SurfaceDistance, surface_distance
+from recovery.fit.contours import match_contours, open_contours
+from recovery.fit.pipeline import LENGTHS_TRIED, Recovered
+from recovery.run.retarget import lost_parts
+
+
+class SewnAnew(NamedTuple):
+    """The drape ``draped`` and its ``distance`` from that of the report, both in the wearer's pose.
+
+    ``by_itself`` is the distance before its belt was laid on the report's waist, which lies ``belt_moved_m`` [m]
+    higher; the same distance and zero for a garment without a belt.
+    """
+
+    draped: Draped
+    distance: SurfaceDistance
+    by_itself: SurfaceDistance
+    belt_moved_m: float
+
+
+def sewn_anew(
+    found: Recovered, body: BodyModel, options: DrapeOptions, pose: np.ndarray | None, parts: Sequence[str] = ()
+) -> SewnAnew:
+    """The pattern of ``found`` meshed, placed and sewn from nothing round ``body``, its belt at the report's waist.
+
+    Without friction a belt closes where the body happens to be as wide as the waist, centimetres from where the wearer
+    had it, and the whole garment hangs as much higher or lower. Closing threads can pull a sleeve past its arm, on one
+    mesh and not on the next: if one of the body's ``parts`` is lost or the cloth does not come to rest, a little finer
+    or coarser one is tried. Raises ``InputError`` where the panels cannot be sewn.
+    """
+    tried: list[SewnAnew] = []
+    refused: list[InputError] = []
+    for share in LENGTHS_TRIED:
+        length = share * options.edge_length_m
+        try:
+            one = _sewn(found, body, replace(options, edge_length_m=length), pose)
+        except InputError as error:
+            refused.append(error)
+            continue
+        draped = one.draped
+        tried.append(one)
+        if draped.at_rest and not lost_parts(draped.nodes, draped.mesh.faces, posed_joints(body, pose), parts):
+            return one
+    if not tried:
+        raise refused[0]
+    return tried[0]
+
+
+def _sewn(found: Recovered, body: BodyModel, options: DrapeOptions, pose: np.ndarray | None) -> SewnAnew:
+    cloth = found.fitted.cloth
+    draped = drape_pattern(found.fitted.pattern, body, options, pose=pose, cloth=cloth)
+    shown = (found.fitted.nodes, found.search.mesh.faces)
+    by_itself = surface_distance((draped.nodes, draped.mesh.faces), shown)
+    if not len(draped.rest.held):
+        return SewnAnew(draped, by_itself, by_itself, 0.0)
+    there = open_contours(*shown)
+    own = open_contours(draped.nodes, draped.mesh.faces)
+    matches, _ = match_contours(own, there, posed_joints(body, pose))
+    surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
+    worn = held_as_target(draped, matches, there, options.skin(surface, body.faces), cloth)
+    if worn is draped:
+        return SewnAnew(draped, by_itself, by_itself, 0.0)
+    held = draped.rest.held
+    moved = float((worn.nodes[held] - draped.nodes[held])[:, 1].mean())
+    return SewnAnew(worn, surface_distance((worn.nodes, worn.mesh.faces), shown), by_itself, moved)
