@@ -15,6 +15,8 @@ export interface RigChoice {
 
 /** Poses of a rig; make it while the rig stands in its T-pose. */
 export class RigSource implements Source {
+  /** What follows it covers the skin below this. */
+  readonly object: Object3D;
   constructor(rig: Object3D | Humanoid, choice?: RigChoice);
   begin(drape: Pick<Drape, "body">, options?: WearOptions): Promise<void>;
   sample(): { poses: Float32Array; trans: number[] } & Sample;
