@@ -284,3 +284,24 @@ def test_covered_skin_is_drawn_deeper_and_comes_back(tmp_path: Path):
     assert got["one"][2] == [[0, 1, 2, 3, 3, 3], [[0, 0, 0, 3, 4, 5]]], "hair has no index of its own"
     assert got["before"] == got["after"] and got["before"][2] == [None, []]
     assert "mvPosition + vec4(0.0, 0.0, -0.05000, 0.0)" in got["shader"]["vertexShader"] and got["own"]
+
+
+OVER = """
+const { clothMaterial, fabricLook } = await import(`${WEB}/lib/src/materials.js`);
+const shaders = [0, 0.008].map((nearerM) => {
+  const material = clothMaterial(fabricLook(null), { colour: "#888888", bordered: true, plain: input.plain, nearerM });
+  const vertexShader = "#include <begin_vertex> #include <project_vertex>";
+  const shader = { vertexShader, fragmentShader: "", uniforms: {} };
+  material.onBeforeCompile(shader);
+  return [shader.vertexShader, material.customProgramCacheKey()];
+});
+console.log(JSON.stringify(shaders));
+"""
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_what_is_worn_over_something_is_drawn_nearer_from_outside(tmp_path: Path, plain: bool):
+    (below, own), (over, other) = page_answer(OVER, {"plain": plain}, tmp_path)
+    assert "gl_Position.z" not in below and "vBorder = border" in below and own != other
+    assert "vBorder = border" in over, "borders are drawn as well"
+    assert "0.00800 * smoothstep(0.0, 0.3, normalize(transformedNormal).z)" in over

@@ -7,6 +7,7 @@ import { DrapeError } from "./errors.js";
 import { clothMaterial, dye } from "./materials.js";
 
 const COLOURS = ["#66656b", "#969c8c", "#8a6a5a", "#6f7f8f"]; // charcoal, sage, clay, steel
+const OVER_M = 0.008; // garments that lie on each other cross by less, nearly everywhere
 const REACH_M = 2.5; // of cloth from the root, arms and hems included: a sphere that needs no counting
 
 function clothMesh(layer) {
@@ -81,7 +82,7 @@ export class Worn extends Group {
     this.meshes.forEach((mesh, i) => {
       const own = this.dyed[i];
       const { uvMetres } = this.wearing.layers[i];
-      const how = { colour: this.colours[i % this.colours.length], uvMetres, bordered: uvMetres !== null, plain: this.plain };
+      const how = { colour: this.colours[i % this.colours.length], uvMetres, bordered: uvMetres !== null, plain: this.plain, nearerM: OVER_M * i };
       this.dyed[i] = clothMaterial(this.looks[i], how);
       if (own && mesh.material !== own) return;
       mesh.material = this.dyed[i];

@@ -53,6 +53,8 @@ export interface ClothChoice {
   /** Whether the geometry has the attribute "border" of borderDistances(): seams and hems are drawn. */
   bordered?: boolean;
   plain?: boolean;
+  /** How much nearer to the viewer its outside is drawn than it is, as of what is worn over something else [m]. */
+  nearerM?: number;
 }
 
 export function fabricLook(fabric?: Partial<FabricInfo> | null): FabricLook;
