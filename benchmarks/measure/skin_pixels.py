@@ -68,10 +68,23 @@ class PosedBody:
     views: tuple[ZBuffer, ...]
 
     @classmethod
-    def of(cls, vertices: np.ndarray, faces: np.ndarray) -> PosedBody:
-        """The body and its pictures, which all garments share."""
+    def of(
+        cls, vertices: np.ndarray, faces: np.ndarray, *, deeper: np.ndarray | None = None, by_m: float = 0.0
+    ) -> PosedBody:
+        """The body and its pictures, which all garments share; ``deeper`` faces (Fb,) are drawn ``by_m`` [m] further
+        away than they are."""
         camera = Camera.around(vertices)
-        return cls(vertices, faces, camera, tuple(camera.see(vertices, faces, azimuth) for azimuth in VIEWS_DEG))
+        deeper = np.zeros(len(faces), dtype=bool) if deeper is None else deeper
+        views = []
+        for azimuth_deg in VIEWS_DEG:
+            plain, moved = (
+                _numbered(camera.see(vertices, faces[rows], azimuth_deg), rows)
+                for rows in (np.flatnonzero(~deeper), np.flatnonzero(deeper))
+            )
+            depth = moved.depth - by_m
+            nearer = depth > plain.depth
+            views.append(ZBuffer(np.where(nearer, depth, plain.depth), np.where(nearer, moved.face, plain.face)))
+        return cls(vertices, faces, camera, tuple(views))
 
     def wearing(self, vertices: np.ndarray, faces: np.ndarray) -> PosedBody:
         """The garment ``vertices`` [m] (V, 3), ``faces`` (F, 3) as what others are looked at on, in this body's
@@ -82,6 +95,11 @@ class PosedBody:
             shown = np.where(cloth.depth > skin.depth, cloth.face, -1)
             views.append(ZBuffer(np.maximum(cloth.depth, skin.depth), shown))
         return PosedBody(vertices, faces, self.camera, tuple(views))
+
+
+def _numbered(view: ZBuffer, rows: np.ndarray) -> ZBuffer:
+    """``view`` of the faces ``rows`` (n,) of a mesh, by their numbers in it."""
+    return ZBuffer(view.depth, np.append(rows, -1)[view.face])  # -1, nothing, stays -1
 
 
 def skin_pixels_pct(body: PosedBody, covered: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ the surface was bound to the skeleton; the surface is where the skin puts it, so
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse
@@ -23,6 +23,16 @@ WELD_SHARE = 1e-5  # of the height: vertices nearer to each other are one, split
 TRIANGLES = 4
 
 
+class Primitive(NamedTuple):
+    """One primitive of the skinned mesh of ``node``, which is its number in the file: the node's ``name``, its place
+    among the mesh's primitives, and how many ``triangles`` it has."""
+
+    node: int
+    name: str
+    primitive: int
+    triangles: int
+
+
 @dataclass(frozen=True, eq=False)
 class Character:
     """Nodes and surface of a character.
@@ -30,7 +40,8 @@ class Character:
     ``names`` and ``parents`` (-1: none) of N nodes, parents before children; ``world`` (N, 4, 4) their rest transforms
     in the file's space.
     ``vertices`` (V, 3) at rest, ``faces`` (F, 3), ``weights`` (V, N), rows sum to one. ``humanoid``: VRM's bones and
-    their places among the N; empty where the file is no VRM. ``vrm``: "0", "1" or "".
+    their places among the N; empty where the file is no VRM. ``vrm``: "0", "1" or "". ``primitives`` have the file's
+    triangles one after the other; ``triangle`` (F,) says which of these each face is.
     """
 
     names: tuple[str, ...]
@@ -41,6 +52,8 @@ class Character:
     weights: scipy.sparse.csr_matrix
     humanoid: dict[str, int]
     vrm: str
+    primitives: tuple[Primitive, ...] = ()
+    triangle: np.ndarray | None = None
 
     @property
     def places(self) -> np.ndarray:
@@ -57,24 +70,22 @@ def read_character(payload: bytes, *, label: str = "avatar") -> Character:
     for number, parent in enumerate(parents):
         if parent >= 0:
             world[number] = world[parent] @ world[number]
-    parts = [
-        _part(file, file.item("nodes", node), place, world) for node in order if "skin" in file.item("nodes", node)
-    ]
-    parts = [part for part in parts if part is not None]
-    if not parts:
+    parts = [_parts(file, node, place, world) for node in order if "skin" in file.item("nodes", node)]
+    if not any(parts):
         raise MeshError(
             f"{label}: skin",
             expected="a surface that a skeleton moves",
             got="no mesh with a skin",
             cure="Export the character with its armature and its skin weights.",
         )
-    vertices, faces, weights = _joined(parts, len(order))
+    vertices, faces, weights = _joined([part for one in parts for part in one.values()], len(order))
     _check_size(vertices, faces, weights, label)
     humanoid, version = _vrm_bones(file, place)
     names = tuple(str(file.item("nodes", node).get("name", ""))[:120] for node in order)
-    vertices, faces, weights = _welded(vertices, faces, weights)
+    primitives = tuple(primitive for one in parts for primitive in one)
+    vertices, faces, weights, triangle = _welded(vertices, faces, weights)
     return Character(
-        names, parents, world, vertices, faces, weights, humanoid, version
+        names, parents, world, vertices, faces, weights, humanoid, version, primitives, triangle
     )  # fmt: skip
 
 
@@ -125,18 +136,19 @@ def transform_of(file: GltfFile, node: int) -> np.ndarray:
 Part = tuple[np.ndarray, np.ndarray, scipy.sparse.csr_matrix]
 
 
-def _part(file: GltfFile, node: dict[str, Any], place: dict[int, int], world: np.ndarray) -> Part | None:
-    """Vertices, faces and weights over nodes of one skinned mesh; None where it has no triangles."""
+def _parts(file: GltfFile, number: int, place: dict[int, int], world: np.ndarray) -> dict[Primitive, Part]:
+    """Vertices, faces and weights over nodes of each primitive of triangles of the skinned mesh of a node."""
+    node = file.item("nodes", number)
     mesh = file.item("meshes", node.get("mesh"))
     joints, binds = skin_of(file, node["skin"])
     rows = np.array([place[joint] for joint in joints])
     moves = world[rows] @ binds
-    found = [
-        _primitive(file, primitive, rows, moves, len(world))
-        for primitive in mesh.get("primitives", ())
-        if primitive.get("mode", TRIANGLES) == TRIANGLES and "JOINTS_0" in primitive.get("attributes", {})
-    ]
-    return _joined(found, len(world)) if found else None
+    found = {}
+    for index, primitive in enumerate(mesh.get("primitives", ())):
+        if primitive.get("mode", TRIANGLES) == TRIANGLES and "JOINTS_0" in primitive.get("attributes", {}):
+            part = _primitive(file, primitive, rows, moves, len(world))
+            found[Primitive(number, str(node.get("name", ""))[:120], index, len(part[1]))] = part
+    return found
 
 
 def skin_of(file: GltfFile, index: Any) -> tuple[list[int], np.ndarray]:
@@ -227,10 +239,13 @@ def _vrm_bones(file: GltfFile, place: dict[int, int]) -> tuple[dict[str, int], s
     return {}, ""
 
 
-def _welded(vertices: np.ndarray, faces: np.ndarray, weights: scipy.sparse.csr_matrix) -> Part:
-    """The surface with vertices that lie on each other as one, without triangles that thus have no area."""
+def _welded(
+    vertices: np.ndarray, faces: np.ndarray, weights: scipy.sparse.csr_matrix
+) -> tuple[np.ndarray, np.ndarray, scipy.sparse.csr_matrix, np.ndarray]:
+    """The surface with vertices that lie on each other as one, without triangles that thus have no area, and which of
+    the ``faces`` are left."""
     step = WELD_SHARE * max(float(np.ptp(vertices, axis=0).max()), 1e-12)
     _, first, index = np.unique(np.rint(vertices / step), axis=0, return_index=True, return_inverse=True)
     joined = index.reshape(-1)[faces]
     whole = (joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])
-    return vertices[first], joined[whole], scipy.sparse.csr_matrix(weights[first])
+    return vertices[first], joined[whole], scipy.sparse.csr_matrix(weights[first]), np.flatnonzero(whole)

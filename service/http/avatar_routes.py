@@ -12,12 +12,14 @@ import numpy as np
 from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import Field
 
+from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
 from drape.errors import BodyError, InputError, NotFound
 from drape.files.formats import AVATAR_SUFFIXES
 from service.compute.avatars import AvatarEntry
 from service.errors import Full, TooLarge, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, json_answer
+from service.http.covered_schemas import CoveredFaces, CoveredPrimitive
 from service.http.garment_routes import KNOWN, LEAST, MOST, USUAL
 from service.http.json_body import document_of, json_text, validated
 from service.http.openapi import BYTES, body_schema, responses
@@ -109,6 +111,35 @@ async def avatar_mesh(avatar_id: str, state: StateHere, client: ClientHere) -> R
     document = {"id": avatar_id, "vertices": wearer.vertices.astype(np.float32), "faces": wearer.faces, "uv": []}
     document |= {"uv_faces": [], "materials": ["avatar"], "face_material": np.zeros(len(wearer.faces), int)}
     return json_answer(document, state.sliced_thread)
+
+
+@router.get("/avatars/{avatar_id}/covered", responses=responses(InputError, NotFound, TooSlow, TooLarge))
+async def avatar_covered(
+    avatar_id: str,
+    state: StateHere,
+    client: ClientHere,
+    garments: Annotated[str, Query(max_length=1000, description="Ids of what it wears, comma-separated.")],
+    size: Annotated[str | None, Query(max_length=40, description="Of all, or of each, comma-separated.")] = None,
+) -> CoveredFaces:
+    """The character's faces that lie wholly under a garment at rest, off its hems: drawn a little deeper than they are,
+    they do not stand through it."""
+    entry = await state.avatar(avatar_id, client)
+    sizes = size if size is None or "," not in size else [one or None for one in size.split(",")]
+    state.check_slot()
+    with state.access.using(client, "clips"), state.slot():
+        scene = await state.scene(None, garments.split(","), client, avatar=avatar_id, size=sizes)
+        wearer = await state.wearer(avatar_id, client)
+        cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
+        surface = entry.source, wearer.vertices, wearer.faces
+        covered, own = await asyncio.to_thread(state.runtime.constants_process.call, covered_in_file, *surface, cloth)
+    return CoveredFaces(
+        deeper_m=DEEPER_M,
+        share=round(float(covered.mean()), 4),
+        ranges=ranges_of(covered).reshape(-1).tolist(),
+        primitives=[
+            CoveredPrimitive(**primitive._asdict(), ranges=ranges.reshape(-1).tolist()) for primitive, ranges in own
+        ],
+    )
 
 
 @router.get(

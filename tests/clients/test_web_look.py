@@ -228,3 +228,80 @@ def test_a_bvh_turns_the_joints_that_it_turns(body: BodyModel, tmp_path: Path):
     assert_allclose(poses, expected, atol=1e-4)
     assert_allclose(got["fps"], 25.0, rtol=1e-6)
     assert_allclose(got["trans"], [[0.0, got["trans"][0][1], 0.0], [0.1, got["trans"][0][1], 0.0]], atol=1e-3)
+
+
+COVERED = """
+globalThis.self = globalThis;
+const { coverSkin } = await import(`${WEB}/lib/src/covered.js`);
+const three = await import(`${WEB}/node_modules/three/build/three.module.js`);
+const { Bone, BufferAttribute, BufferGeometry, Group, MeshStandardMaterial, Skeleton, SkinnedMesh } = three;
+const skin = (name, count) => {
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(new Float32Array(9 * count), 3));
+  if (count > 2) geometry.setIndex([...Array(3 * count).keys()].reverse());
+  const mesh = new SkinnedMesh(geometry, new MeshStandardMaterial());
+  mesh.name = name;
+  mesh.bind(new Skeleton([new Bone()]));
+  return mesh;
+};
+const [body, hand, hair] = [skin("Body", 4), skin("Hand", 4), skin("Hair", 2)];
+const object = new Group().add(hand, body, hair);
+const told = () => [body, hand, hair].map((mesh) => [
+  mesh.geometry.index && [...mesh.geometry.index.array], mesh.children.map((twin) => [...twin.geometry.index.array]),
+]);
+const before = told();
+const primitives = (ranges, more = []) => ({ deeper_m: 0.05, primitives: [
+  { name: "Body", triangles: 4, ranges }, { name: "Hand", triangles: 4, ranges: [] },
+  { name: "?", triangles: 2, ranges: more },
+] });
+const first = coverSkin(object, primitives([0, 2], [1, 1]));
+const one = told();
+const second = coverSkin(object, primitives([1, 2]));
+const both = told();
+first();
+const left = told();
+const [twin] = body.children;
+const shader = { vertexShader: "void main() {\\n#include <project_vertex>\\n}" };
+twin.material.onBeforeCompile(shader);
+second();
+const own = twin.material.customProgramCacheKey() !== body.material.customProgramCacheKey();
+console.log(JSON.stringify({ before, one, both, left, after: told(), shader, own }));
+"""
+
+
+def test_covered_skin_is_drawn_deeper_and_comes_back(tmp_path: Path):
+    got = page_answer(COVERED, {}, tmp_path)
+    own = np.arange(12)[::-1].reshape(4, 3)
+
+    def of(covered: list[int]) -> list:
+        flat, kept = np.repeat(own[:, :1], 3, axis=1), ~np.isin(np.arange(4), covered)
+        return [np.where(mask[:, None], own, flat).ravel().tolist() for mask in (kept, ~kept)]
+
+    for moment, covered in (("one", [0, 1]), ("both", [0, 1, 2]), ("left", [1, 2])):
+        above, below = of(covered)
+        assert got[moment][0] == [above, [below]], "each triangle has an area in one of the two meshes"
+        assert got[moment][1] == [own.ravel().tolist(), []], "the hand has as many triangles and another name"
+    assert got["one"][2] == [[0, 1, 2, 3, 3, 3], [[0, 0, 0, 3, 4, 5]]], "hair has no index of its own"
+    assert got["before"] == got["after"] and got["before"][2] == [None, []]
+    assert "mvPosition + vec4(0.0, 0.0, -0.05000, 0.0)" in got["shader"]["vertexShader"] and got["own"]
+
+
+OVER = """
+const { clothMaterial, fabricLook } = await import(`${WEB}/lib/src/materials.js`);
+const shaders = [0, 0.008].map((nearerM) => {
+  const material = clothMaterial(fabricLook(null), { colour: "#888888", bordered: true, plain: input.plain, nearerM });
+  const vertexShader = "#include <begin_vertex> #include <project_vertex>";
+  const shader = { vertexShader, fragmentShader: "", uniforms: {} };
+  material.onBeforeCompile(shader);
+  return [shader.vertexShader, material.customProgramCacheKey()];
+});
+console.log(JSON.stringify(shaders));
+"""
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_what_is_worn_over_something_is_drawn_nearer_from_outside(tmp_path: Path, plain: bool):
+    (below, own), (over, other) = page_answer(OVER, {"plain": plain}, tmp_path)
+    assert "gl_Position.z" not in below and "vBorder = border" in below and own != other
+    assert "vBorder = border" in over, "borders are drawn as well"
+    assert "0.00800 * smoothstep(0.0, 0.3, normalize(transformedNormal).z)" in over

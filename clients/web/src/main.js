@@ -211,6 +211,8 @@ function tellOffline(refusal) {
   if (refusal) element("offline-words").textContent = refusal.message;
 }
 
+const cover = failing((worn) => worn.cover(figure.object));
+
 function makeOutfit() {
   outfit = new Outfit(drape, stage, {
     onFrame(worn) {
@@ -220,6 +222,7 @@ function makeOutfit() {
         figure.show(coming.figure);
         coming = null;
       }
+      if (wearing.options.avatar && figure.object && worn.covering?.skin !== figure.object) cover(worn);
       const moved = wearing.stats.bytes > BYTES.SAME || !figure.posed; // else nothing has to be drawn
       if (moved) figure.pose(wearing.bodyPose, wearing.root);
       quality.take(wearing);

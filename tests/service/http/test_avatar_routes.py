@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from drape.avatar.covered import DEEPER_M
 from drape.avatar.wearer import Wearer, read_wearer, save_wearer
 from drape.body.model import BodyModel
 from drape.geometry.closest import signed_distance
@@ -97,6 +98,24 @@ def test_a_garment_on_it_is_its_size(api: httpx.Client, avatar: str, body: BodyM
     surface = posed(api, avatar)
     faces = np.array(api.get(f"/avatars/{avatar}/mesh").json()["faces"])
     assert (signed_distance(theirs[0], surface[0], faces) < -0.01).mean() < 0.02
+
+
+def test_faces_under_a_garment_are_told(api: httpx.Client, avatar: str):
+    answer = api.get(f"/avatars/{avatar}/covered", params={"garments": "tube"})
+    assert answer.status_code == 200, answer.text
+    found = answer.json()
+    mesh = api.get(f"/avatars/{avatar}/mesh").json()
+    runs = np.reshape(found["ranges"], (-1, 2))
+    faces = np.concatenate([np.arange(begin, begin + count) for begin, count in runs])
+    assert 0 < len(faces) == pytest.approx(found["share"] * len(mesh["faces"]), abs=1.0)
+    assert found["deeper_m"] == DEEPER_M
+    (primitive,) = found["primitives"]
+    assert sum(primitive["ranges"][1::2]) == len(faces) <= primitive["triangles"]
+    places = np.array(mesh["vertices"])[np.array(mesh["faces"])[faces]].reshape(-1, 3)
+    heights = draped(api, avatar=avatar, poses=np.zeros((1, 24, 3)).tolist())[0][:, 1]
+    assert heights.min() < places[:, 1].min() and places[:, 1].max() < heights.max()
+    refused = api.get(f"/avatars/{avatar}/covered", params={"garments": "tub"})
+    assert refused.status_code == 404 and "tube" in refused.json()["cure"]
 
 
 def test_poses_of_its_own_rig_do_as_ours(api: httpx.Client, avatar: str, runtime_of_api: DrapeRuntime):

@@ -9,13 +9,13 @@ export { Worn } from "./worn.js";
 
 export class Drape extends Core {
   // Besides the options of a drape: body, whether the service's body is shown too; colours, one for each garment; plain,
-  // whether cloth is to be cheap to draw.
-  async wear(garments, { body = false, colours, plain, ...options } = {}) {
+  // whether cloth is to be cheap to draw; cover, whether the skin of an avatar's rig that it follows is drawn deeper below it.
+  async wear(garments, { body = false, colours, plain, cover: covers, ...options } = {}) {
     const opening = super.wear(garments, options);
     try {
       const [wearing, figure] = await Promise.all([opening, body ? this.#figure(options.betas) : null]);
       const looks = (fabric) => this.#looks(wearing, fabric);
-      return await new Worn(wearing, { colours, figure, looks, plain }).dress();
+      return await new Worn(wearing, { colours, figure, looks, plain, covers }).dress();
     } catch (error) {
       opening.then((wearing) => wearing.close(), () => {}); // its own failure is the error already
       throw error;

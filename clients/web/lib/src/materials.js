@@ -1,5 +1,6 @@
 // How fabrics and skin look, as materials of three.js. Everything follows from what the service tells of a fabric.
 import { Color, DoubleSide, MeshLambertMaterial, MeshPhysicalMaterial, Vector2 } from "three";
+import { nearer } from "./depth.js";
 import { YARNS, swatchPixels, weaveTextures } from "./weave.js";
 
 const KNIT_N_PER_M = 120; // a knit gives way to less along its softer direction, a weave does not
@@ -89,8 +90,9 @@ function withBorders(material, { uvMetres, uneven, thicknessM }) {
 }
 
 // The material of a cloth that is dyed in a colour. uvMetres: metres of a unit of its texture coordinates, null without
-// any; bordered: whether its geometry has the attribute "border"; plain: cheap to draw, without weave and sheen.
-export function clothMaterial(look, { colour, uvMetres = null, bordered = false, plain = false }) {
+// any; bordered: whether its geometry has the attribute "border"; plain: cheap to draw, without weave and sheen; nearerM: how
+// much nearer to the viewer its outside is drawn than it is, as of what is worn over something else [m].
+export function clothMaterial(look, { colour, uvMetres = null, bordered = false, plain = false, nearerM = 0 }) {
   const sides = { side: DoubleSide, shadowSide: DoubleSide };
   const sheer = look.opacity < 1 ? { transparent: true, opacity: look.opacity } : {};
   let material;
@@ -102,6 +104,7 @@ export function clothMaterial(look, { colour, uvMetres = null, bordered = false,
     if (uvMetres !== null) weave(material, look, uvMetres);
   }
   if (bordered) withBorders(material, { ...look, uvMetres });
+  if (nearerM) nearer(material, `${nearerM.toFixed(5)} * smoothstep(0.0, 0.3, normalize(transformedNormal).z)`, `nearer by ${nearerM}`);
   return dye(material, colour);
 }
 

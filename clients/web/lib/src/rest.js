@@ -105,6 +105,12 @@ export class Rest {
     return this.json(`/avatars/${encodeURIComponent(id)}`);
   }
 
+  // Faces of an avatar that lie under garments; sizes: of each, null for the usual one.
+  covered(id, garments, sizes = []) {
+    const size = sizes.some(Boolean) ? sizes.map((one) => one ?? "").join(",") : null;
+    return this.json(`/avatars/${encodeURIComponent(id)}/covered?${queried({ garments: garments.join(","), size })}`);
+  }
+
   // Sends a character, the bytes of a GLB or VRM; the answer is the job.
   sendAvatar(bytes, name) {
     const headers = { "Content-Type": "application/octet-stream" };

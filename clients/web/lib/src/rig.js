@@ -20,6 +20,7 @@ export class RigSource {
   // (the topmost below the scene if left out), turned so that it looks along z.
   constructor(rig, { names, frame } = {}) {
     this.bones = bonesOf(rig, names);
+    this.object = rig.scene ?? rig;
     this.frame = frame ?? topOf(this.bones[PELVIS]);
     this.poses = new Float32Array(72);
     this.scale = 1;

@@ -95,12 +95,12 @@ export class Wearing {
   #foldConstants() {
     const { fabric, ...others } = this.options;
     const [id] = this.garments;
-    const one = { fabric: Array.isArray(fabric) ? fabric[0] : fabric, size: this.#sizeOf(id) };
+    const one = { fabric: Array.isArray(fabric) ? fabric[0] : fabric, size: this.sizeOf(id) };
     return this.drape.rest.foldConstants(id, { ...others, ...one });
   }
 
   // The size of a garment that is worn; null: the usual one.
-  #sizeOf(id) {
+  sizeOf(id) {
     const { size = null } = this.options;
     return Array.isArray(size) ? (size[this.garments.indexOf(id)] ?? null) : size;
   }
@@ -110,8 +110,8 @@ export class Wearing {
     const shown = this.garments.filter((id) => !hidden.includes(id));
     const fetched = shown.map(async (id) => {
       const [mesh, layout] = await Promise.all([
-        this.drape.rest.garmentMesh(id, { resolution, size: this.#sizeOf(id) }),
-        geometry === "jets" ? this.drape.rest.jetLayout(id, { resolution, avatar, size: this.#sizeOf(id) }) : null,
+        this.drape.rest.garmentMesh(id, { resolution, size: this.sizeOf(id) }),
+        geometry === "jets" ? this.drape.rest.jetLayout(id, { resolution, avatar, size: this.sizeOf(id) }) : null,
       ]);
       return { id, layout, ...topologyOf(mesh) };
     });

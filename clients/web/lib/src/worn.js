@@ -2,9 +2,12 @@
 import { BufferAttribute, BufferGeometry, DynamicDrawUsage, Group, Mesh, Sphere, Vector3 } from "three";
 import { poseBones } from "./body.js";
 import { borderDistances } from "./borders.js";
+import { coverSkin } from "./covered.js";
+import { DrapeError } from "./errors.js";
 import { clothMaterial, dye } from "./materials.js";
 
 const COLOURS = ["#66656b", "#969c8c", "#8a6a5a", "#6f7f8f"]; // charcoal, sage, clay, steel
+const OVER_M = 0.008; // garments that lie on each other cross by less, nearly everywhere
 const REACH_M = 2.5; // of cloth from the root, arms and hems included: a sphere that needs no counting
 
 function clothMesh(layer) {
@@ -27,12 +30,15 @@ function clothMesh(layer) {
   return mesh;
 }
 
-// Moving the group moves all; within it the axes are the world's of the poses, y up. Events: "frame", "state", "folds".
+// Moving the group moves all; within it the axes are the world's of the poses, y up. Events: "frame", "state", "folds", "cover".
 export class Worn extends Group {
   // figure: the service's body (readBody), which appears with the first frame, or null. looks: a function that promises
-  // the look of each layer (materials.js) for the option fabric. plain: cheap to draw.
-  constructor(wearing, { colours = COLOURS, figure = null, looks, plain = false }) {
+  // the look of each layer (materials.js) for the option fabric. plain: cheap to draw. covers: whether the skin of a rig
+  // that is followed lies deeper below the garments by itself.
+  constructor(wearing, { colours = COLOURS, figure = null, looks, plain = false, covers = true }) {
     super();
+    this.covers = covers;
+    this.covering = null; // { skin, covered, end }: covered when it is known, end when it is drawn
     this.wearing = wearing;
     this.findLooks = looks;
     this.colours = colours;
@@ -76,7 +82,7 @@ export class Worn extends Group {
     this.meshes.forEach((mesh, i) => {
       const own = this.dyed[i];
       const { uvMetres } = this.wearing.layers[i];
-      const how = { colour: this.colours[i % this.colours.length], uvMetres, bordered: uvMetres !== null, plain: this.plain };
+      const how = { colour: this.colours[i % this.colours.length], uvMetres, bordered: uvMetres !== null, plain: this.plain, nearerM: OVER_M * i };
       this.dyed[i] = clothMaterial(this.looks[i], how);
       if (own && mesh.material !== own) return;
       mesh.material = this.dyed[i];
@@ -119,7 +125,32 @@ export class Worn extends Group {
   }
 
   follow(source) {
+    if (this.covers && source?.object && this.wearing.options.avatar && this.covering?.skin !== source.object) {
+      this.cover(source.object).catch((error) => this.dispatchEvent({ type: "cover", error }));
+    }
     return this.wearing.follow(source);
+  }
+
+  // From its first frame on, draws the skin of the avatar that lies below the garments a little deeper than it is, so that
+  // it does not stand through them. skin: the character in the scene, an Object3D; null: as it was.
+  async cover(skin) {
+    this.covering?.end?.();
+    const now = skin && { skin };
+    this.covering = now;
+    if (!now) return;
+    const { drape, layers, options } = this.wearing;
+    if (!options.avatar) {
+      const words = { name: "cover", expected: "a garment that is worn by an avatar", got: "one on the service's body", kind: "InputError" };
+      throw new DrapeError({ ...words, cure: "wear() takes avatar." });
+    }
+    const ids = layers.map(({ id }) => id);
+    now.covered = await drape.rest.covered(options.avatar, ids, ids.map((id) => this.wearing.sizeOf(id)));
+    if (this.covering === now && this.mesh.visible) this.#cover();
+  }
+
+  #cover() {
+    const { covering } = this;
+    if (covering?.covered && !covering.end) covering.end = coverSkin(covering.skin, covering.covered);
   }
 
   play(motion, choice) {
@@ -141,6 +172,8 @@ export class Worn extends Group {
 
   // Ends its stream and frees what it holds.
   dispose() {
+    this.covering?.end?.();
+    this.covering = null;
     this.wearing.close();
     this.removeFromParent();
     for (const mesh of this.figure ? [...this.meshes, this.figure.mesh] : this.meshes) {
@@ -161,6 +194,7 @@ export class Worn extends Group {
       mesh.position.fromArray(wearing.root);
       mesh.visible = true;
     }
+    this.#cover();
     if (this.figure && wearing.bodyPose) {
       poseBones(this.figure.bones, wearing.bodyPose, wearing.root);
       this.body.visible = true;

@@ -1,4 +1,4 @@
-import type { Group, Mesh, Object3DEventMap } from "three";
+import type { Group, Mesh, Object3D, Object3DEventMap } from "three";
 import type { Access, Controls, Drape as Core, DrapeError, DrapeOptions, PlayChoice, Pose, Source, SourceFunction, Motion, State, Stats, WearOptions } from "./core.js";
 
 import type { FabricLook } from "./three.js";
@@ -11,6 +11,8 @@ export interface WornEvents extends Object3DEventMap {
   state: { state: State; error: DrapeError | null };
   /** The service makes the folds from now on: here a frame took longer than it may [s]. */
   folds: { by: "server"; tookS: number; allowedS: number };
+  /** What lies under the garments was not found out; the skin is drawn as it is. */
+  cover: { error: unknown };
 }
 
 export interface ShownOptions extends WearOptions {
@@ -20,6 +22,8 @@ export interface ShownOptions extends WearOptions {
   colours?: string[];
   /** Cloth that is cheap to draw, without weave and sheen. */
   plain?: boolean;
+  /** Whether the skin of a rig that it follows is drawn deeper where it lies under it, of an avatar; true if left out. */
+  cover?: boolean;
 }
 
 /** What is worn, in a scene. Within it the axes are those of the poses, y up; moving the group moves all. */
@@ -42,6 +46,8 @@ export class Worn extends Group<WornEvents> implements Controls {
   follow(source: SourceFunction | Source | null): Promise<void>;
   play(motion: string | Motion, choice?: PlayChoice): Promise<void>;
   stop(): void;
+  /** Draws the avatar's skin, an object of the scene, a little deeper where garments cover it; null: as it was. */
+  cover(skin: Object3D | null): Promise<void>;
   /** Drapes it of another fabric, and gives it that fabric's look. */
   fabric(name: DrapeOptions["fabric"]): Promise<void>;
   /** How each garment looks, by its fabric, the innermost first. */

@@ -15,6 +15,8 @@ export interface RigChoice {
 
 /** Poses of a rig; make it while the rig stands in its T-pose. */
 export class RigSource implements Source {
+  /** What follows it covers the skin below this. */
+  readonly object: Object3D;
   constructor(rig: Object3D | Humanoid, choice?: RigChoice);
   begin(drape: Pick<Drape, "body">, options?: WearOptions): Promise<void>;
   sample(): { poses: Float32Array; trans: number[] } & Sample;
@@ -51,6 +53,8 @@ export interface ClothChoice {
   /** Whether the geometry has the attribute "border" of borderDistances(): seams and hems are drawn. */
   bordered?: boolean;
   plain?: boolean;
+  /** How much nearer to the viewer its outside is drawn than it is, as of what is worn over something else [m]. */
+  nearerM?: number;
 }
 
 export function fabricLook(fabric?: Partial<FabricInfo> | null): FabricLook;

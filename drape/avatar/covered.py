@@ -1,0 +1,99 @@
+"""Which faces of a character lie under its garments at rest, so that a client can draw them behind the cloth.
+
+A character of separate pieces comes apart where joints bend, and a piece then stands through the cloth that lies on our
+body. What a garment covers is known beforehand: in T-pose, points are spread over the character's faces, and each asks
+for the nearest point of the cloth.
+
+Drawn ``DEEPER_M`` further from the viewer than they are, such faces lie behind cloth that they stand through, and are
+still there where a hem has moved on: left out, they would be missing there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.avatar.character import Primitive, read_character
+from drape.errors import ArtifactError
+from drape.geometry.closest import closest_point, nearest_vertices, on_border
+from drape.geometry.meshes import boundary_vertices, face_normals
+
+SPACING_M = 0.02  # of the points on a face
+REACH_M = 0.1  # cloth farther away covers nothing: a wide skirt is looked into
+INSIDE_M = 0.02  # what stands out of the cloth by more at rest is over it
+DEEPER_M = 0.05
+MARGIN_M = 0.03  # from all that is bare, and from hems and openings: cloth moves by so much
+
+
+class PrimitiveFaces(NamedTuple):
+    """``ranges`` (n, 2) of triangles of a ``primitive`` in its order: where each begins, and how many they are."""
+
+    primitive: Primitive
+    ranges: np.ndarray
+
+
+def covered_faces(
+    vertices: np.ndarray, faces: np.ndarray, garments: Iterable[tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Which ``faces`` (F,) of a character's ``vertices`` [m] (V, 3) lie wholly under one of ``garments``, vertices [m]
+    (Vg, 3) and faces (Fg, 3) of each, in the same pose."""
+    points, owner = _spread(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
+    found = np.zeros(len(faces), dtype=bool)
+    for cloth, triangles in garments:
+        good = _under(points, np.asarray(cloth, dtype=np.float64), np.asarray(triangles, dtype=np.int64))
+        found |= np.bincount(owner[~good], minlength=len(faces)) == 0
+    return found
+
+
+def covered_in_file(
+    source: Path, vertices: np.ndarray, faces: np.ndarray, garments: Iterable[tuple[np.ndarray, np.ndarray]]
+) -> tuple[np.ndarray, list[PrimitiveFaces]]:
+    """``covered_faces`` of the character whose file is ``source``, and which triangles of the file's primitives these
+    are; raises ``ArtifactError`` where surface and file are not of one character."""
+    character = read_character(source.read_bytes())
+    if len(character.faces) != len(faces) or character.triangle is None:
+        cure = "Send the character again."
+        raise ArtifactError(f"avatar {source.stem}", expected="its own file", got="another one", cure=cure)
+    covered = covered_faces(vertices, faces, garments)
+    of_file = np.zeros(sum(primitive.triangles for primitive in character.primitives), dtype=bool)
+    of_file[character.triangle[covered]] = True
+    ends = np.cumsum([primitive.triangles for primitive in character.primitives])[:-1]
+    own = zip(character.primitives, np.split(of_file, ends), strict=True)
+    return covered, [PrimitiveFaces(primitive, ranges_of(part)) for primitive, part in own]
+
+
+def ranges_of(chosen: np.ndarray) -> np.ndarray:
+    """The runs (n, 2) of what is ``chosen`` (F,): where each begins, and how long it is."""
+    steps = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
+    return np.stack([steps[::2], steps[1::2] - steps[::2]], axis=1)
+
+
+def _under(points: np.ndarray, cloth: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Which ``points`` (n,) lie under ``cloth``, off everything that does not and off its hems."""
+    found = closest_point(points, cloth, faces)
+    height = np.einsum("nc,nc->n", face_normals(cloth, faces)[found.face], found.point - points)
+    under = (found.distance < REACH_M) & (height > -INSIDE_M) & ~on_border(found, faces)
+    for ends in (points[~under], cloth[boundary_vertices(faces)]):
+        if len(ends) and under.any():
+            under[under] = nearest_vertices(points[under], ends)[0] > MARGIN_M
+    return under
+
+
+def _spread(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] (n, 3) on ``faces``, at most ``SPACING_M`` apart, and the face (n,) of each: corners and middles of
+    triangles that are cut in four until they are small."""
+    corners, owner = vertices[faces], np.arange(len(faces))
+    points, owners = [], []
+    while len(corners):
+        small = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1) <= SPACING_M
+        points += [corners[small].reshape(-1, 3), corners[small].mean(axis=1)]
+        owners += [np.repeat(owner[small], 3), owner[small]]
+        corners, owner = corners[~small], np.tile(owner[~small], 4)
+        a, b, c = np.moveaxis(corners, 1, 0)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        quarters = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+        corners = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
+    return np.concatenate(points), np.concatenate(owners)
