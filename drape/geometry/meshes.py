@@ -90,9 +90,10 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
     Where two boundaries touch in a vertex the walk takes either branch; where
     neighbouring faces disagree in orientation a boundary falls into open chains.
     """
-    halves = half_edges(faces)[:, :2]
-    ends = np.sort(halves, axis=1)
-    _, inverse, counts = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    halves = half_edges(faces)[:, :2].astype(np.int64)
+    # One number an edge: rows would be sorted ten times as slowly.
+    key = halves.min(axis=1) * (int(halves.max(initial=0)) + 1) + halves.max(axis=1)
+    _, inverse, counts = np.unique(key, return_inverse=True, return_counts=True)
     border = halves[counts[inverse.reshape(-1)] == 1]
     following: dict[int, list[int]] = {}
     for start, end in border.tolist():
