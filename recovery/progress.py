@@ -23,7 +23,7 @@ class Watch:
     def __init__(self, write: Write, *, limit_s: float | None = None, every_s: float = EVERY_S) -> None:
         self.write, self.limit_s, self.every_s = write, limit_s, every_s
         self.started = self.spoken = time.monotonic()
-        self.stage, self.detail = "start", ""
+        self.stage, self.detail = "recovery", ""
         self.stopped_in = ""  # the first stage that asked after the end
         self._lock = threading.Lock()
 

@@ -32,6 +32,7 @@ MOUTH_SHARE, POCKET_SHARE = 0.3, 0.45  # of a border's length: mouth and depth l
 # of a round opening would be.
 DEEPER, ROUNDER = 0.1, 1.5
 NARROWER = 0.2  # of a mouth's length counts against a bite, so that it ends where the mouth does
+LIP_VERTICES, LIP_TURN_RAD = 2, 0.4  # a border that turns by this, over as many vertices on both sides, is a lip
 LARGEST_LOOP = 4000  # vertices of a border that are searched for bites
 
 
@@ -141,8 +142,7 @@ def unrolled(mesh: GarmentMesh, loop: np.ndarray) -> tuple[np.ndarray, np.ndarra
     heading = np.cumsum(np.concatenate([[0.0], twice_turn[1:]]))
     way = twice[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     flat = np.concatenate([np.zeros((1, 2)), np.cumsum(way, axis=0)])
-    for _ in range(SMOOTHINGS):  # a jagged border is not a longer one
-        flat[1:-1] = 0.25 * flat[:-2] + 0.5 * flat[1:-1] + 0.25 * flat[2:]
+    flat[1:-1] = 0.25 * flat[:-2] + 0.5 * flat[1:-1] + 0.25 * flat[2:]  # a jagged border is not a longer one
     return flat, np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
 
 
@@ -162,7 +162,8 @@ def bites_of(mesh: GarmentMesh, one: Loop) -> list[np.ndarray]:
     flat, run = unrolled(mesh, one.loop)
     points = mesh.vertices[one.loop]
     candidates = []
-    for start in range(count):
+    lip = _lips(flat, count)
+    for start in np.flatnonzero(lip).tolist():
         progress.tick("bites of a border are looked for")
         last = int(np.searchsorted(run, run[start] + POCKET_SHARE * one.length))
         ends = np.arange(start + 2, min(last, start + count))
@@ -175,11 +176,20 @@ def bites_of(mesh: GarmentMesh, one: Loop) -> list[np.ndarray]:
         share = mouth / one.length
         half = np.arcsin(np.minimum(np.pi * share, 1.0))
         round_excess = half / np.maximum(np.sin(half), 1e-9) - 1.0
-        good = (share < MOUTH_SHARE) & (line > (1.0 + DEEPER + ROUNDER * round_excess) * mouth)
+        good = (share < MOUTH_SHARE) & (line > (1.0 + DEEPER + ROUNDER * round_excess) * mouth) & lip[ends % count]
         if good.any():
             gain = np.where(good, line - (1.0 + NARROWER) * mouth, -np.inf)
             candidates.append((float(gain.max()), start, int(ends[gain.argmax()])))
     return _disjoint(candidates, flat, one)
+
+
+def _lips(flat: np.ndarray, count: int) -> np.ndarray:
+    """Where a border turns into the cloth (n,), or near: the lips of a mouth. A neckline, however deep, has none."""
+    at = np.arange(count) + LIP_VERTICES  # the line goes twice round
+    before, after = flat[at] - flat[at - LIP_VERTICES], flat[at + LIP_VERTICES] - flat[at]
+    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
+    lip = np.roll(turn > LIP_TURN_RAD, LIP_VERTICES)
+    return np.any([np.roll(lip, step) for step in range(-LIP_VERTICES, LIP_VERTICES + 1)], axis=0)
 
 
 def _disjoint(candidates: list[tuple[float, int, int]], flat: np.ndarray, one: Loop) -> list[np.ndarray]:

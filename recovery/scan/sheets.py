@@ -24,6 +24,7 @@ LAYER_SHARE = 0.03  # of the root of the area: a sheet within it, 2 to 4 cm, lie
 LAYER_PART = 0.8  # of a sheet's samples that do
 SMOOTHINGS = 3
 DISAGREEING = 2.0  # on the cosine of faces that look to different sides: they stay together if no other two can
+FEW_CLASHES = 0.01  # of the edges
 OWN_SHARE = 0.2  # of the largest sheet's area: what is larger and lies apart may be the garment as well
 SAMPLES = 400
 
@@ -137,36 +138,70 @@ def _joined(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
     halves, first, second = meshes.edge_pairs(faces)
     inverse, counts = _edge_numbers(halves)
     plain = counts[inverse[first]] == 2
+    clash = plain & (halves[first, 0] == halves[second, 0])
+    if clash.sum() < FEW_CLASHES * len(first):  # where all else agrees, two sheets were glued along their ends
+        plain &= ~clash
     kept = [np.stack([first[plain], second[plain]], axis=1)]
     averaging = mesh_graphs.umbrella_laplacian(faces, len(vertices))
     for _ in range(SMOOTHINGS):  # noise tilts single faces
         vertices = vertices + averaging @ vertices
     crowded = np.flatnonzero(counts[inverse] > 2)
     crowded = crowded[np.argsort(inverse[crowded], kind="stable")]
-    for group in np.split(crowded, np.flatnonzero(np.diff(inverse[crowded])) + 1):
-        if len(group):
-            kept.append(_smoothest(vertices, halves, group))
+    groups = [group for group in np.split(crowded, np.flatnonzero(np.diff(inverse[crowded])) + 1) if len(group)]
+    bends = [_bends(vertices, halves, group) for group in groups]
+    patch = _patches(len(faces), first[plain] // 3, second[plain] // 3)
+    # Along a line on which three patches meet the same two go on everywhere, or the sheet would be slit.
+    mean = _means_of_pairs([(patch[group // 3], bend) for group, bend in zip(groups, bends, strict=True)])
+    for group, bend in zip(groups, bends, strict=True):
+        own = patch[group // 3]
+        cost = np.array([[mean[_pair(a, b)] for b in own] for a in own])
+        cost = np.where(own[:, None] == own, bend, cost)
+        start = halves[group, 0]
+        kept.append(_smoothest(group, cost + DISAGREEING * (start[:, None] == start)))
     pairs = np.concatenate(kept)
     return halves, pairs[:, 0], pairs[:, 1]
 
 
-def _smoothest(vertices: np.ndarray, halves: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Pairs (P, 2) of the half-edges ``group`` at one edge, whose faces bend least against each other."""
+def _patches(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The patch (F,) of every face: what hangs together by edges of two faces."""
+    graph = scipy.sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count))
+    return csgraph.connected_components(graph, directed=False)[1]
+
+
+def _pair(a: int, b: int) -> tuple[int, int]:
+    return (int(min(a, b)), int(max(a, b)))
+
+
+def _means_of_pairs(found: list[tuple[np.ndarray, np.ndarray]]) -> dict[tuple[int, int], float]:
+    """The mean of the bends between every two patches that meet somewhere."""
+    sums: dict[tuple[int, int], list[float]] = {}
+    for own, bend in found:
+        for i, a in enumerate(own):
+            for j, b in enumerate(own):
+                if i != j:
+                    sums.setdefault(_pair(a, b), []).append(float(bend[i, j]))
+    means = {pair: float(np.mean(values)) for pair, values in sums.items()}
+    return means | {_pair(a, a): 1.0 for own, _ in found for a in own}
+
+
+def _bends(vertices: np.ndarray, halves: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Cosines (n, n) between the faces of the half-edges ``group`` at one edge: -1 where two lie in one plane."""
     low, high = np.sort(halves[group[0], :2])
     along = vertices[high] - vertices[low]
     arms = vertices[halves[group, 2]] - vertices[low]
     arms = arms - np.outer(arms @ along, along) / max(float(along @ along), 1e-300)
     arms = arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-300)
-    cosine = arms @ arms.T  # -1 where two faces lie in one plane
-    start = halves[group, 0]
-    cosine = cosine + DISAGREEING * (start[:, None] == start) + 6.0 * np.eye(len(group))
+    return arms @ arms.T
+
+
+def _smoothest(group: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """Pairs (P, 2) of the half-edges ``group`` at one edge, of the least ``cost`` (n, n) first."""
+    cost = cost + 6.0 * np.eye(len(group))
     found = []
     while len(group) - 2 * len(found) >= 2:
-        a, b = np.unravel_index(int(cosine.argmin()), cosine.shape)
-        if cosine[a, b] > 3.0:
-            break
+        a, b = np.unravel_index(int(cost.argmin()), cost.shape)
         found.append((group[a], group[b]))
-        cosine[[a, b]] = cosine[:, [a, b]] = 6.0
+        cost[[a, b]] = cost[:, [a, b]] = 9.0
     return np.array(found)
 
 

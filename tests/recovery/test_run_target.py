@@ -192,6 +192,10 @@ def test_a_body_is_found_inside_a_garment_in_another_unit_and_place(body):
     assert wearer.pose[[13, 16], 2].sum() < -0.3 and wearer.pose[[14, 17], 2].sum() > 0.3
     with pytest.raises(MeshError, match="Say the unit"):
         inside_wearer(plain_mesh("scan", 4000.0 * vertices, faces.reshape(-1, 3)), base)
+    # A wide ring hangs on nobody.
+    ring = plain_mesh("ring", *round_tube([0.5] * 9, np.linspace(1.0, 1.6, 9), 60))
+    with pytest.raises(BodyError, match=r"the top 15 cm within 25 mm of the skin, got \d+ mm between them"):
+        inside_wearer(ring, base, unit="m")
     # In a narrow one no body fits.
     with pytest.raises(BodyError, match="cloth that a body fits in"):
         inside_wearer(plain_mesh("scan", vertices * [0.35, 1.0, 0.35], faces.reshape(-1, 3)), base, unit="m")
