@@ -138,7 +138,7 @@ def test_a_clean_hem_with_folds_and_a_round_neckline_have_no_bites():
     angle = 2.0 * np.pi * np.arange(around) / around
     vertices, faces = round_tube([0.24] * (along + 1), np.linspace(-0.45, 0.05, along + 1), around)
     wavy = vertices * (1.0 + 0.1 * np.tile(np.cos(9.0 * angle), along + 1))[:, None] ** [1.0, 0.0, 1.0]
-    neck = plain_mesh("cape", *round_tube(np.linspace(0.4, 0.09, 30), np.linspace(0.0, 0.1, 30), 80))
+    neck = plain_mesh("cape", *round_tube(list(np.linspace(0.4, 0.09, 30)), np.linspace(0.0, 0.1, 30), 80))
     for mesh in (plain_mesh("wavy", wavy, faces), neck):
         assert known_faces(mended(mesh)).all()
 
