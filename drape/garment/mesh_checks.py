@@ -85,7 +85,7 @@ def check_area(mesh: GarmentMesh, name: str) -> None:
         )
 
 
-def check_arrays(mesh: GarmentMesh) -> None:
+def check_arrays(mesh: GarmentMesh, *, vertex_limit: int = VERTEX_LIMIT) -> None:
     """Refuses empty, tiny, huge and non-finite meshes, and indices out of range."""
     if len(mesh.vertices) == 0 or len(mesh.faces) == 0:
         raise MeshError(
@@ -94,7 +94,7 @@ def check_arrays(mesh: GarmentMesh) -> None:
             got=f"{len(mesh.vertices)} and {len(mesh.faces)}",
             cure="Export the garment's surface.",
         )
-    check_count(mesh.name, len(mesh.vertices), VERTEX_LIMIT)
+    check_count(mesh.name, len(mesh.vertices), vertex_limit)
     if len(mesh.vertices) < VERTEX_MINIMUM:
         raise MeshError(
             "garment",

@@ -28,6 +28,7 @@ from recovery.catalogue.grading import grade
 from recovery.commands import ended, parser_of
 from recovery.pattern.measurements import measure
 from recovery.pattern.sizes import STEPS
+from recovery.progress import watched
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
@@ -51,6 +52,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 
 @refusing
+@watched()
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command and returns its exit code: 2 with a sentence if input is refused, 3 if cloth is not at rest."""
     given = parse(arguments)

@@ -15,6 +15,7 @@ from drape.cloth.fabric import Fabric, bending_angle, hinge_rigidity
 from drape.cloth.material import Material
 from drape.garment.sewing import near_lines
 from drape.geometry import meshes
+from recovery import progress
 from recovery.pattern.design import Design
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.contact import SkinContact
@@ -75,6 +76,7 @@ class Fall:
         move = np.inf
         number = 0
         while number < steps and move > still_m:
+            progress.tick(f"falling, step {number + 1} of {steps}, {1e3 * move:.1f} mm in the last")
             number += 1
             state, move = self._step(state, kept)
         return Settled(state.x.numpy(), number, move)

@@ -27,6 +27,7 @@ from recovery.drape.placement import Axes
 from recovery.drape.posing import read_pose
 from recovery.drape.settle import TOLERANCE_N
 from recovery.pattern.garmentcode import read_pattern
+from recovery.progress import watched
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
@@ -56,6 +57,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 
 @refusing
+@watched()
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command and returns its exit code: with a sentence, 2 if input is refused, 3 if cloth is not at rest."""
     given = parse(arguments)

@@ -15,6 +15,7 @@ from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.cloth.material import DEFAULT_MATERIAL, OrthotropicMaterial, material
 from drape.errors import InputError
 from drape.geometry import meshes
+from recovery import progress
 from recovery.drape.placement import Axes, Placed, place_panels, scaled
 from recovery.drape.posing import to_pose
 from recovery.drape.relax import principal_stretches
@@ -138,6 +139,7 @@ def drape_pattern(
     belt = options.hold is Hold.BELT or (options.hold is Hold.AUTO and placed.hangs_from == "waist")
     knee = float(body.joints_template[JOINT_NAMES.index("left_knee"), 1])
     limit = options.iteration_limit
+    progress.tick("the garment falls")
     rest = settle(mesh, sewn.nodes, skin, cloth, belt=belt, lowest_top_m=knee, iteration_limit=limit)
     fallen = float(sewn.nodes[:, 1].max() - rest.nodes[:, 1].max())
     figures: dict[str, Any] = {

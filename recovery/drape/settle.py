@@ -15,6 +15,7 @@ import torch
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from drape.geometry import meshes
+from recovery import progress
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.contact import SkinContact
 from recovery.sim.linearised import linearised_step
@@ -122,6 +123,8 @@ def to_rest(
         found.append(drape(start, 0))
         state = start
         for dt in PATIENT_DT_S:
+            if progress.over():
+                break
             state, step = newton_step(
                 model,
                 ClothState(state.x, torch.zeros_like(state.x)),
@@ -151,6 +154,9 @@ def _quasi_static(
     dt, x = FIRST_DT_S, torch.tensor(nodes)
     before = x  # a step earlier than x
     for number in range(1, limit + 1):
+        if progress.over():
+            return x.numpy(), number - 1
+        progress.tick(f"quasi-static step {number}")
         with torch.no_grad():
             after = linearised_step(model, ClothState(x, torch.zeros_like(x)), parameters, dt_s=dt, contact=contact).x
             size = float((after - x).norm(dim=1).max())

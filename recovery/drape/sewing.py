@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from drape.errors import InputError
+from recovery import progress
 from recovery.drape.relax import Distance, Relaxation, principal_stretches
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.sdf import SignedDistance
@@ -68,6 +69,7 @@ def sew(
     panels = Relaxation(mesh.panel_faces, mesh.rest[mesh.panel_faces], distance, gap_m=gap_m, threads=mesh.seam_pairs)
     x, start = placed, panels.thread_lengths(placed)
     for number in range(CLOSING_ROUNDS + CLOSED_ROUNDS):
+        progress.tick(f"seams close, round {number + 1} of {CLOSING_ROUNDS + CLOSED_ROUNDS}")
         x = panels.step(x, start * max(0.0, 1.0 - (number + 1) / CLOSING_ROUNDS))
     gaps = panels.thread_lengths(x)
     if len(gaps) and gaps.max() > OPEN_SEAM_M:
@@ -81,7 +83,8 @@ def sew(
     gaps_m = mesh.nodes_from(gap_m[:, None])[:, 0] if isinstance(gap_m, np.ndarray) else gap_m
     merged = sewn_relaxation(mesh, distance, gap_m=gaps_m, creases=creases)
     nodes = mesh.nodes_from(x)
-    for _ in range(MERGED_ROUNDS):
+    for number in range(MERGED_ROUNDS):
+        progress.tick(f"seams merged, round {number + 1} of {MERGED_ROUNDS}")
         nodes = merged.step(nodes)
     stretch = principal_stretches(mesh.faces, mesh.rest[mesh.panel_faces], nodes)
     if (most := float(np.quantile(stretch[:, 0], 0.9))) > MOST_STRETCH:

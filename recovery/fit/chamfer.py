@@ -46,21 +46,48 @@ def chamfer(first: np.ndarray, second: np.ndarray) -> Chamfer:
 
 
 def surface_chamfer(
-    first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], *, count: int = POINT_COUNT
+    first: tuple[np.ndarray, np.ndarray],
+    second: tuple[np.ndarray, np.ndarray],
+    *,
+    count: int = POINT_COUNT,
+    known: np.ndarray | None = None,
 ) -> tuple[Chamfer, Chamfer]:
-    """The Chamfer distance of two meshes (vertices [m], faces), and its floor: the second against itself drawn anew."""
-    own, there, anew = (drawn(*mesh, count, seed) for seed, mesh in enumerate((first, second, second)))
+    """The Chamfer distance of two meshes (vertices [m], faces), and its floor: the second against itself drawn anew.
+
+    Faces of the second that are not ``known`` close holes: what lies nearest to them does not count.
+    """
+    own = _opposite_known(drawn(*first, count, 0), second, known)
+    there, anew = (drawn(*_known_part(second, known), count, seed) for seed in (1, 2))
     return chamfer(own, there), chamfer(anew, there)
 
 
 def surface_distance(
-    first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], *, count: int = 20_000
+    first: tuple[np.ndarray, np.ndarray],
+    second: tuple[np.ndarray, np.ndarray],
+    *,
+    count: int = 20_000,
+    known: np.ndarray | None = None,
 ) -> SurfaceDistance:
-    """Distances from points on each mesh (vertices [m], faces) to the nearest point of the other."""
+    """Distances from points on each mesh (vertices [m], faces) to the nearest point of the other.
+
+    Faces of the second that are not ``known`` close holes: what lies nearest to them does not count.
+    """
+    own = _opposite_known(drawn(*first, count, 0), second, known)
     ways = [
-        closest.closest_point(drawn(*here, count, seed), *there).distance
-        for seed, (here, there) in enumerate(((first, second), (second, first)))
+        closest.closest_point(own, *second).distance,
+        closest.closest_point(drawn(*_known_part(second, known), count, 1), *first).distance,
     ]
     found = 1e3 * np.concatenate(ways)
     rms = float(np.sqrt((found**2).mean()))
     return SurfaceDistance(float(found.mean()), rms, float(np.quantile(found, 0.95)), float(found.max()))
+
+
+def _known_part(mesh: tuple[np.ndarray, np.ndarray], known: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    return mesh if known is None else (mesh[0], mesh[1][known])
+
+
+def _opposite_known(points: np.ndarray, mesh: tuple[np.ndarray, np.ndarray], known: np.ndarray | None) -> np.ndarray:
+    """Those of ``points`` [m] (N, 3) whose nearest face of ``mesh`` is known."""
+    if known is None or known.all():
+        return points
+    return points[known[closest.closest_point(points, *mesh).face]]

@@ -22,7 +22,7 @@ def gauss_newton_matrix(
     faces, target = objective.mesh.faces, objective.target
     points = (CORNERS @ x[faces]).reshape(-1, 3)
     there = closest.closest_point(points, target.vertices, target.faces)
-    kappa = (target.weights[target.faces[there.face]] * there.barycentric).sum(axis=1)
+    kappa = target.weights_at(there)
     normal = meshes.face_normals(target.vertices, target.faces)[there.face]
     along = np.einsum("qc,fcdz->fqdz", CORNERS, moves[faces]).reshape(len(points), 3, -1)
     total = _normal_part(along, _across(normal, points - there.point, there, target.faces), objective.shares * kappa)

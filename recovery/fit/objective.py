@@ -100,6 +100,7 @@ class Target:
     """A target surface: ``vertices`` [m], ``faces``, its ``contours``; ``weights`` (V,) of equation 7.
 
     ``points`` (3 F, 3) lie in its triangles; ``shares`` (3 F,) are their parts of the area, times their weights.
+    ``known`` (F,) is 1 for faces that were seen and 0 for those that close a hole, which have no weight.
     """
 
     vertices: np.ndarray
@@ -108,17 +109,33 @@ class Target:
     weights: np.ndarray
     points: np.ndarray
     shares: np.ndarray
+    known: np.ndarray
 
     @classmethod
     def from_mesh(
-        cls, vertices: np.ndarray, faces: np.ndarray, contours: list[Contour], *, folds: float = 1.0
+        cls,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        contours: list[Contour],
+        *,
+        folds: float = 1.0,
+        known: np.ndarray | None = None,
     ) -> Target:
-        """The target of a mesh. A weight is 1, and ``folds`` times the excess that its curvature gives."""
+        """The target of a mesh, of which the faces ``known`` (F,) count, all by default.
+
+        A weight is 1, and ``folds`` times the excess that its curvature gives.
+        """
         weights = 1.0 + folds * (fold_weights(mean_curvature(vertices, faces)) - 1.0)
-        area = meshes.face_areas(vertices, faces)
+        seen = np.ones(len(faces)) if known is None else np.asarray(known, dtype=np.float64)
+        area = seen * meshes.face_areas(vertices, faces)
         points = (CORNERS @ vertices[faces]).reshape(-1, 3)
         shares = np.repeat(area / area.sum() / 3.0, 3) * (weights[faces] @ CORNERS.T).reshape(-1)
-        return cls(vertices, faces, contours, weights, points, shares)
+        return cls(vertices, faces, contours, weights, points, shares, seen)
+
+    def weights_at(self, there: closest.ClosestPoints) -> np.ndarray:
+        """The weights (n,) of equation 7 at points of the surface; none where a hole was closed."""
+        kappa = (self.weights[self.faces[there.face]] * there.barycentric).sum(axis=1)
+        return kappa * self.known[there.face]
 
 
 class Objective:
@@ -157,8 +174,9 @@ class Objective:
         points = points.reshape(-1, 3)
         target = self.target
         there = closest.closest_point(points.detach().numpy(), target.vertices, target.faces)
-        kappa = (target.weights[target.faces[there.face]] * there.barycentric).sum(axis=1)
-        forth = torch.from_numpy(self.shares * kappa) @ ((points - torch.from_numpy(there.point)) ** 2).sum(dim=1)
+        forth = torch.from_numpy(self.shares * target.weights_at(there)) @ (
+            (points - torch.from_numpy(there.point)) ** 2
+        ).sum(dim=1)
         here = closest.closest_point(target.points, x.detach().numpy(), self.mesh.faces)
         nearest = (torch.from_numpy(here.barycentric)[:, :, None] * x[self._faces[here.face]]).sum(dim=1)
         back = torch.from_numpy(target.shares) @ ((nearest - torch.from_numpy(target.points)) ** 2).sum(dim=1)

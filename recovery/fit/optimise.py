@@ -24,6 +24,7 @@ from drape.arrays import check_shape
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError
 from drape.files.atomic import whole_file
+from recovery import progress as watch
 from recovery.fit.cloth import ClothTensors, FreeCloth
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
@@ -95,7 +96,7 @@ class Fitted:
 
     ``history`` (I + 1, 5): total loss, surface, contours, seams [m^2] of every accepted step, and how often it was
     halved or damped. ``finished`` is False if the search ended early, because no step lessened the loss or came to rest
-    without folds.
+    without folds; at the end of the time (``recovery.progress``) the best so far is given, and it is True.
     """
 
     pattern: Pattern
@@ -208,7 +209,8 @@ class PatternSearch:
         total = options.iterations + options.closing
         last = total if limit is None else min(total, state.step + limit)
         bar = tqdm(total=total, initial=state.step, disable=not progress, file=sys.stderr)
-        while state.step < last and not state.stuck:
+        while state.step < last and not state.stuck and not watch.over():
+            watch.tick(f"search, step {state.step + 1} of {total}")
             state = self._advance(state, options) if state.step < options.iterations else self._close(state)
             bar.update()
             bar.set_postfix(
@@ -247,12 +249,14 @@ class PatternSearch:
         step = -options.rate(state.step) * way / (size + FLOOR * size.max() + 1e-300)
         step = ways @ (ways.T @ step)
         for halved in range(HALVINGS):
+            if watch.over():
+                return state
             found = self._tried(state.now.values + 0.5**halved * step, state.now.nodes)
             if found is not None:
                 best = found if found.terms[0] < state.best.terms[0] else state.best
                 history = np.concatenate([state.history, [[*found.terms, float(halved)]]])
                 return _State(found, best, mean, square, state.damping, count, history, False)
-        return state._replace(stuck=True)
+        return state if watch.over() else state._replace(stuck=True)
 
     def _close(self, state: _State) -> _State:
         """One damped Gauss-Newton step from the best evaluation; a worse one is damped more."""
@@ -262,6 +266,8 @@ class PatternSearch:
         scale = np.trace(matrix) / len(matrix)
         damping = state.damping
         for tried in range(HALVINGS):
+            if watch.over():
+                return state
             step = ways @ np.linalg.solve(matrix + damping * scale * np.eye(len(matrix)), -gradient)
             found = self._tried(start.values + step, start.nodes)
             if found is not None and found.terms[0] < start.terms[0]:
@@ -269,7 +275,7 @@ class PatternSearch:
                 damping = max(0.2 * damping, DAMPING_RANGE[0]) if tried == 0 else damping
                 return state._replace(now=found, best=found, damping=damping, step=state.step + 1, history=history)
             damping = min(10.0 * damping, DAMPING_RANGE[1])
-        return state._replace(stuck=True, damping=damping)
+        return state if watch.over() else state._replace(stuck=True, damping=damping)
 
     def _curvature(self, at: Evaluation) -> np.ndarray:
         """Gauss-Newton matrix (Z, Z) of the loss, without the mixed term of its two factors."""
@@ -297,6 +303,7 @@ class PatternSearch:
             self.likely,
             target.vertices,
             target.faces,
+            target.known,
             self.forward.parameters.stretch.numpy(),
             self.forward.parameters.bending_j.numpy(),
             self.forward.model.fixed,

@@ -17,6 +17,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
+from recovery import progress as watch
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
@@ -111,6 +112,7 @@ def recover_pattern(
     state_file: Path | None = None,
     progress: bool = False,
     report: Say | None = None,
+    known: np.ndarray | None = None,
 ) -> Recovered:
     """The pattern whose drape on ``body`` is nearest to a target, in the T-pose or in ``pose`` (24, 3).
 
@@ -118,15 +120,16 @@ def recover_pattern(
     ``base`` is a pattern of its kind with the same panels. ``meshes_m`` are the edge lengths [m] of the rounds, by
     default three times that of ``drape``; Adam's steps are taken in the first alone. Of ``fabrics`` and that of
     ``drape`` the one that comes nearest in a short search is taken; with ``free_cloth`` its constants are
-    unknowns after the first round. Without ``grading`` the search begins at the base. Raises ``InputError`` where
-    contours have no counterpart or a drape does not come to rest.
+    unknowns after the first round. Without ``grading`` the search begins at the base. Faces that are not ``known`` (F,)
+    close holes and have no weight. Raises ``InputError`` where contours have no counterpart or a drape does not come
+    to rest. When the time is up (``recovery.progress``) the best so far is given.
     """
     say = report or (lambda line: None)
     began = _clocks()
     lengths = [drape.edge_length_m] * ROUNDS if meshes_m is None else list(meshes_m)
     if not lengths:
         raise InputError("meshes_m", expected="an edge length or more", got="none", cure="Leave it at its default.")
-    target = Target.from_mesh(vertices, faces, open_contours(vertices, faces), folds=weights.folds)
+    target = Target.from_mesh(vertices, faces, open_contours(vertices, faces), folds=weights.folds, known=known)
     symmetries = find_symmetries(base)
     base = symmetrised(base, symmetries)
     base = sewable(base, base, symmetries)
@@ -147,13 +150,15 @@ def recover_pattern(
         free_cloth=free_cloth,
         say=say,
     )
-    first = drape_pattern(base, body, drape, pose=pose, skin=bare)
+    with watch.stage("drape of the base"):
+        first = drape_pattern(base, body, drape, pose=pose, skin=bare)
     graded, start = ungraded(base), first
-    if grading:
-        for _ in range(GRADINGS):
-            graded, start = task.graded(graded, start)
-    else:
-        start = task.draped(base)
+    with watch.stage("drape of the graded base"):
+        if grading:
+            for _ in range(GRADINGS):
+                graded, start = task.graded(graded, start)
+        else:
+            start = task.draped(base)
     losses, fabric = {}, drape.fabric
     if fabrics:
         losses, fabric, start = task.best_fabric(fabrics, graded.pattern, base, start)
@@ -171,7 +176,8 @@ def recover_pattern(
         if number:
             steps = replace(fit, iterations=0, closing=max(fit.closing, 1))
             file = state_file and state_file.with_stem(f"{state_file.stem}_{number}")
-        return found.run(nodes, steps, state_file=file, progress=progress)
+        with watch.stage(f"round {number + 1}"):
+            return found.run(nodes, steps, state_file=file, progress=progress)
 
     rounds, left = task.rounds(start, graded.pattern, base, lengths, search, began)
     return _recovered(task, first, graded, rounds, left, losses)
@@ -343,10 +349,13 @@ class _Task:
         cloth, pattern, ratios = likely, graded, base
         rounds: list[Round] = []
         for number, length in enumerate(lengths_m):
+            if number and watch.over():
+                return rounds, self._left(number, len(lengths_m), "the time is up")
             try:
                 if number:
                     options = replace(self.drape, edge_length_m=length)
-                    start = drape_pattern(pattern, self.body, options, pose=self.pose, cloth=cloth, skin=self.bare)
+                    with watch.stage(f"drape of round {number + 1}"):
+                        start = drape_pattern(pattern, self.body, options, pose=self.pose, cloth=cloth, skin=self.bare)
                 start = self.held(start, cloth)
             except InputError as error:
                 if not number:
@@ -407,6 +416,8 @@ def drape_at_rest(
         if start.at_rest:
             return start
         left.append(max(one.report.residual_n for one in (start.rest, start.posed) if one is not None))
+        if watch.over():
+            break
     raise InputError(
         "graded pattern",
         expected="a drape at rest to start from",

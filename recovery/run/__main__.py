@@ -27,10 +27,25 @@ from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.objective import DEFAULT_WEIGHTS
 from recovery.fit.optimise import FitOptions
-from recovery.run.job import FIT_INSIDE, Job, run_job
+from recovery.run.job import FIT_INSIDE, MINUTES, Job, run_job
+from recovery.scan.places import ScanFault
 
 # Fields of a job that the command line says as they are.
-OF_JOB = ("target", "out", "base", "body", "name", "label", "settings", "unit", "up", "meshes_m", "retarget", "garment")
+OF_JOB = (
+    "target",
+    "out",
+    "base",
+    "body",
+    "name",
+    "label",
+    "settings",
+    "unit",
+    "up",
+    "meshes_m",
+    "retarget",
+    "garment",
+    "minutes",
+)
 CHOOSE_FABRIC = "auto"
 EDGE_LENGTH_M = 0.05
 SCAN_REACH_M = 0.3  # its base is of another cut, its body is not the wearer's: the pattern has to make up for both
@@ -82,6 +97,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         help="the loss doubles where corners are this far [m] from the graded base, all of them together (default "
         f"{DEFAULT_WEIGHTS.reach_m:g}, for a scan without a body {SCAN_REACH_M:g})",
     )
+    parser.add_argument(
+        "--minutes", type=float, default=MINUTES, help="after which the best so far is written (%(default)g)"
+    )
     parser.add_argument("--no-retarget", dest="retarget", action="store_false", help="leave out other bodies and poses")
     parser.add_argument("--no-garment", dest="garment", action="store_false", help="write no garment cache")
     return parser.parse_args(arguments)
@@ -128,7 +146,14 @@ def read_betas(text: str) -> np.ndarray:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command and returns its exit code: 2 with a sentence if input is refused, 3 if cloth is not at rest."""
     given = parse(arguments)
-    outcome = run_job(job_of(given), progress=True)
+    try:
+        outcome = run_job(job_of(given), progress=True)
+    except ScanFault as fault:
+        if fault.mesh is not None:
+            from recovery.run.pictures import fault_picture
+
+            print(write_whole(given.out / f"{given.target.stem}.refused.png", fault_picture(fault.mesh, fault.points)))
+        raise
     from recovery.run.report_text import page_of, record_of  # matplotlib takes a second to load
 
     page = write_whole(given.out / "report.html", page_of(outcome))

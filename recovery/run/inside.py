@@ -8,7 +8,7 @@ bone goes through the middle of a cuff.
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import BodyError
+from drape.garment.files.mesh import GarmentMesh
 from drape.garment.registration import (
     ARM_LIFTS_RAD,
     FREE_JOINTS,
@@ -26,13 +27,20 @@ from drape.garment.registration import (
     unpack,
 )
 from drape.geometry import closest, meshes
+from recovery import progress
 from recovery.drape.posing import joints_in
 from recovery.fit.contours import LIMBS, TRUNK, Contour, bone_chains, open_contours
+from recovery.scan.holes import borders, plainly_opening
 
+BAND_M = 0.15  # from the top of a garment: there it hangs on the body; all of ours lie 7 to 10 mm from the skin
+BAND_PULL = 4.0  # of cloth outside in that band, against other cloth outside
+BAND_LIMIT_MM = 25.0  # median distance in that band: beyond, the body is beside the garment
+RISES_M = (-0.08, 0.0, 0.08)  # of the body, that are tried
+FIRST_STEPS, FINALISTS = 6, 2  # of every start, and how many of them go on
 GAP_M = 0.004  # between skin and cloth that lies on it
 PULL, PULL_REACH_M = 0.1, 0.03  # of cloth outside, against cloth inside; halved at that distance
 CUFF = 0.2  # of a square metre between a cuff's middle and the limb's bone
-SHAPE_PRIOR_M, POSE_PRIOR_M, LIMB_PRIOR_M = 4e-4, 1.5e-2, 3e-3  # root mean square that a beta, or a radian, is worth
+SHAPE_PRIOR_M, POSE_PRIOR_M, LIMB_PRIOR_M = 1e-3, 1.5e-2, 3e-3  # root mean square that a beta, or a radian, is worth
 LIMB_ROOTS = ("collar", "shoulder", "hip")
 ROOT_PRIOR_M = 0.03
 POINT_COUNT = 1200
@@ -45,7 +53,7 @@ class InsideFit(NamedTuple):
     """Shape ``betas`` (S,), ``pose`` (24, 3) [rad], ``trans`` [m] (3,); how the garment then lies on the skin.
 
     ``mean_mm``: mean distance of the cloth from the skin; ``inside_pct`` of it is inside, by ``depth_mm`` at the 95th
-    percentile of that part.
+    percentile of that part. ``band_mm`` is the median distance where the garment hangs, in its uppermost 15 cm.
     """
 
     betas: np.ndarray
@@ -54,26 +62,38 @@ class InsideFit(NamedTuple):
     mean_mm: float
     inside_pct: float
     depth_mm: float
+    band_mm: float
 
 
-def fit_inside(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, top_m: float) -> InsideFit:
-    """The standard body inside the garment ``vertices`` [m] (V, 3), ``faces`` (F, 3), y up, worn facing +z.
+def fit_inside(mesh: GarmentMesh, body: BodyModel, *, top_m: float, wanted: dict[str, int] | None = None) -> InsideFit:
+    """The standard body inside the garment ``mesh`` [m], y up, worn facing +z.
 
-    ``top_m`` is the height on the body in its own frame at which such a garment begins. Raises ``BodyError`` where the
-    cloth still cuts into the best body.
+    ``top_m`` is the height on the body in its own frame at which such a garment begins; ``wanted`` are the openings
+    round each part of the body that its kind has. Raises ``BodyError`` where the
+    cloth still cuts into the best body, or hangs beside it.
     """
-    points, normals = _sample(vertices, faces)
+    points, normals = _sample(mesh.vertices, mesh.faces)
     low, high = points.min(axis=0), points.max(axis=0)
     trunk = body.joints_template[0]
     start = np.array([0.5 * (low[0] + high[0]) - trunk[0], high[1] - top_m, 0.5 * (low[2] + high[2]) - trunk[2]])
-    contours = open_contours(vertices, faces)
-    found = [_fit(body, points, normals, contours, start_parameters(body, lift, start)) for lift in ARM_LIFTS_RAD]
+    contours = tube_ends(mesh)
+    found = []
+    for number, (lift, rise) in enumerate(product(ARM_LIFTS_RAD, RISES_M)):
+        progress.tick(f"start {number + 1} of {len(ARM_LIFTS_RAD) * len(RISES_M)}")
+        first = start_parameters(body, lift, start + np.array([0.0, rise, 0.0]))
+        found.append(_fit(body, points, normals, contours, first, FIRST_STEPS, wanted=wanted))
+    best = sorted(found, key=lambda one: one[1])[:FINALISTS]
+    found = [_fit(body, points, normals, contours, one, STEPS, wanted=wanted, neutral=start) for one, _ in best]
     parameters, _ = min(found, key=lambda one: one[1])
-    distance = closest.signed_distance(vertices, posed_by(body, parameters), body.faces)
+    distance = closest.signed_distance(points, posed_by(body, parameters), body.faces)
     inside = distance < 0.0
     depth = 1e3 * float(np.quantile(-distance[inside], 0.95)) if inside.any() else 0.0
     fit = InsideFit(
-        *unpack(body, parameters), 1e3 * float(np.abs(distance).mean()), 100.0 * float(inside.mean()), depth
+        *unpack(body, parameters),
+        mean_mm=1e3 * float(np.abs(distance).mean()),
+        inside_pct=100.0 * float(inside.mean()),
+        depth_mm=depth,
+        band_mm=1e3 * float(np.median(np.abs(distance[points[:, 1] > high[1] - BAND_M]))),
     )
     if fit.inside_pct > INSIDE_LIMIT_PCT:
         raise BodyError(
@@ -82,7 +102,21 @@ def fit_inside(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, top_
             got=f"{fit.inside_pct:.0f} % of the cloth inside by {depth:.0f} mm",
             cure="Turn the target upright and facing +z, check its unit (--unit), or give the body (--body FILE).",
         )
+    if fit.band_mm > BAND_LIMIT_MM:
+        raise BodyError(
+            "body in the target",
+            expected=f"a garment on its body, the top {100 * BAND_M:.0f} cm within {BAND_LIMIT_MM:g} mm of the skin",
+            got=f"{fit.band_mm:.0f} mm between them (median), {fit.mean_mm:.0f} mm over all the cloth",
+            cure="Take a base of the target's kind, which tells where it hangs, or give the body (--body FILE).",
+        )
     return fit
+
+
+def tube_ends(mesh: GarmentMesh) -> list[Contour]:
+    """The open contours of ``mesh`` at which the cloth looks sideways, as at a cuff; the most so first."""
+    flatness = {one.loop.tobytes(): one.flatness for one in borders(mesh) if plainly_opening(one)}
+    ends = [one for one in open_contours(mesh.vertices, mesh.faces) if one.loop.tobytes() in flatness]
+    return sorted(ends, key=lambda one: flatness[one.loop.tobytes()])
 
 
 def _sample(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -96,19 +130,28 @@ def _sample(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _fit(
-    body: BodyModel, points: np.ndarray, normals: np.ndarray, contours: list[Contour], parameters: np.ndarray
+    body: BodyModel,
+    points: np.ndarray,
+    normals: np.ndarray,
+    contours: list[Contour],
+    parameters: np.ndarray,
+    steps: int,
+    *,
+    wanted: dict[str, int] | None,
+    neutral: np.ndarray | None = None,
 ) -> tuple[np.ndarray, float]:
-    """Parameters from one start, and the mean cost [m^2] with the priors."""
+    """Parameters from one start, and the mean cost [m^2] with the priors; ``neutral`` [m] (3,) is the likely place."""
     shape, pose = body.shape_count, 3 * len(FREE_JOINTS)
     prior = np.concatenate([np.full(shape, SHAPE_PRIOR_M), np.full(pose, POSE_PRIOR_M), np.full(3, 1e-4)]) ** 2
     for number, joint in enumerate(FREE_JOINTS):
         if JOINT_NAMES[joint].partition("_")[2] in LIMB_ROOTS:
             prior[shape + 3 * number : shape + 3 * number + 3] = LIMB_PRIOR_M**2
     prior[shape : shape + 3] = ROOT_PRIOR_M**2
-    cuffs = _cuffs(body, contours, parameters)
-    neutral = np.concatenate([np.zeros(shape + pose), parameters[-3:]])
+    cuffs = _cuffs(body, contours, parameters, wanted)
+    likely = np.concatenate([np.zeros(shape + pose), parameters[-3:] if neutral is None else neutral])
+    pull = PULL * np.where(points[:, 1] > points[:, 1].max() - BAND_M, BAND_PULL, 1.0)
     cost = np.inf
-    for _ in range(STEPS):
+    for _ in range(steps):
         posed = posed_by(body, parameters)
         skin_normals = meshes.vertex_normals(posed, body.faces)
         near = np.asarray(KDTree(posed).query(points, k=6)[1])
@@ -117,15 +160,15 @@ def _fit(
         index = near[np.arange(len(near)), first]
         normal = skin_normals[index]
         gap = np.einsum("nc,nc->n", normal, points - posed[index]) - GAP_M
-        weight = np.where(gap < 0.0, 1.0, PULL / (1.0 + (gap / PULL_REACH_M) ** 2))
+        weight = np.where(gap < 0.0, 1.0, pull / (1.0 + (gap / PULL_REACH_M) ** 2))
         off, turn = _cuff_rows(body, cuffs, parameters)
         before, cost = (
             cost,
-            float((weight * gap**2).mean() + prior @ (parameters - neutral) ** 2 + CUFF * (off**2).sum()),
+            float((weight * gap**2).mean() + prior @ (parameters - likely) ** 2 + CUFF * (off**2).sum()),
         )
         rows = np.einsum("nc,ncp->np", normal, parameter_jacobian(body, parameters, index))
         system = (rows * weight[:, None]).T @ rows / len(rows) + np.diag(prior + 1e-8) + CUFF * turn.T @ turn
-        slope = (rows * weight[:, None]).T @ gap / len(rows) - prior * (parameters - neutral)
+        slope = (rows * weight[:, None]).T @ gap / len(rows) - prior * (parameters - likely)
         slope = slope - CUFF * turn.T @ off
         change = np.linalg.solve(system, slope)
         parameters = parameters + np.clip(change, -0.3, 0.3)
@@ -134,24 +177,33 @@ def _fit(
     return parameters, cost
 
 
-def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray) -> list[tuple[np.ndarray, int, int]]:
-    """Middles [m] (3,) of the openings that lie nearer to a limb than to the trunk at the start, with the bone."""
+def _cuffs(
+    body: BodyModel, contours: list[Contour], parameters: np.ndarray, wanted: dict[str, int] | None
+) -> list[tuple[np.ndarray, int, int]]:
+    """Middles [m] (3,) of the openings that lie nearer to a limb than to the trunk at the start, with the bone.
+
+    Each limb has one at most, the first of ``contours``, and none if the garment's kind has none there.
+    """
     betas, pose, trans = unpack(body, parameters)
     joints = joints_in(body, pose[None], betas)[0] + trans
     number = {name: joint for joint, name in enumerate(JOINT_NAMES)}
     trunk = bone_chains(joints)[TRUNK][0]
-    found = []
+    found, taken = [], set()
     for contour in contours:
         limbs = [
-            (float(np.linalg.norm(_perpendicular(contour.centre, joints[a], joints[b]))), a, b)
-            for names in LIMBS.values()
+            (float(np.linalg.norm(_perpendicular(contour.centre, joints[a], joints[b]))), a, b, part)
+            for part, names in LIMBS.items()
+            if part not in taken and (wanted is None or wanted.get(part))
             for a, b in pairwise([number[n] for n in names])
             if JOINT_NAMES[a].partition("_")[2] != "collar"
         ]
-        near, a, b = min(limbs)
+        if not limbs:
+            break
+        near, a, b, part = min(limbs)
         inner = min(float(np.linalg.norm(_perpendicular(contour.centre, *bone))) for bone in pairwise(trunk))
         if near < inner:
             found.append((contour.centre, a, b))
+            taken.add(part)
     return found
 
 

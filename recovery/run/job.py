@@ -13,7 +13,8 @@ from drape.cloth.material import FABRICS
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake import garment_name
-from drape.garment.mesh_checks import Unit, Up
+from drape.garment.mesh_checks import Unit, Up, place
+from recovery import progress as watch
 from recovery.drape.output import panel_texture, write_rest, write_shape
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import posed_joints
@@ -29,11 +30,15 @@ from recovery.pattern.model import Pattern
 from recovery.run.anew import SewnAnew, sewn_anew
 from recovery.run.identify import Identifiability, identifiability
 from recovery.run.retarget import Worn, lost_parts, retargeted
-from recovery.run.target import check_base, openings, placed_target, read_target
+from recovery.run.target import OPENINGS, check_base, opened, placed_target, read_target
 from recovery.run.wearer import Wearer, inside_wearer, read_wearer
+from recovery.scan.holes import known_faces
+from recovery.scan.places import ScanFault, on_body
 
 FIT_INSIDE = "fit"  # --body fit
 LEAST_TOLERANCE_M = 1e-3  # below a millimetre no scan tells
+MINUTES = 20.0
+SEARCH_SHARE = 0.7  # of the time until the best so far is taken; the rest is for sewing anew and for other bodies
 Say = Callable[[str], None]
 
 
@@ -42,7 +47,8 @@ class Job:
     """The request: ``body`` is a name, a file, or ``fit``; ``base`` is a base pattern's name or a JSON file.
 
     ``settings`` of a base are texts NAME=NUMBER, lengths in metres. With ``find_fabric`` the cloth is unknown as well.
-    ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``.
+    ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``. After ``minutes``
+    the best so far is written.
     """
 
     target: Path
@@ -63,6 +69,7 @@ class Job:
     meshes_m: Sequence[float] | None = None
     retarget: bool = True
     garment: bool = True
+    minutes: float = MINUTES
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +128,10 @@ def read_base(source: str, wearer: Wearer, settings: Sequence[str] = ()) -> Patt
 
 def prepare(job: Job) -> tuple[GarmentMesh, Wearer, Pattern, list[str]]:
     """The target in the wearer's frame, the wearer, the base, and notes on what was repaired; all checks are here."""
-    mesh = read_target(job.target, label=job.label)
+    try:
+        mesh = read_target(job.target, label=job.label)
+    except ScanFault as fault:
+        raise _placed_fault(fault, job) from fault
     if job.body == FIT_INSIDE:
         if job.betas is not None or job.pose is not None:
             raise InputError(
@@ -131,22 +141,59 @@ def prepare(job: Job) -> tuple[GarmentMesh, Wearer, Pattern, list[str]]:
                 cure="Leave them out, or name the body.",
             )
         standard = read_wearer("anny_default")
-        mesh, wearer = inside_wearer(mesh, read_base(job.base, standard, job.settings), unit=job.unit, up=job.up)
+        base = read_base(job.base, standard, job.settings)
+        mesh, wearer = inside_wearer(mesh, base, unit=job.unit, up=job.up, wanted=OPENINGS.get(job.base))
         mesh = placed_target(mesh, wearer.skin, unit="m", up="y")
     else:
         wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
         mesh = placed_target(mesh, wearer.skin, unit=job.unit, up=job.up)
     mesh = replace(mesh, vertices=mesh.vertices - wearer.trans)
-    there, holes = openings(mesh, posed_joints(wearer.shaped, wearer.pose))
+    with watch.stage("openings are told from holes"):
+        mesh, there = opened(mesh, posed_joints(wearer.shaped, wearer.pose), OPENINGS.get(job.base))
     check_base(job.base, there)
-    notes = [f"On reading: {note}." for note in (*mesh.notes, *holes)]
+    notes = [f"On reading: {note}." for note in mesh.notes]
     if wearer.residual_mm > 0.0:
         notes.append(f"The wearer is {wearer.source}. What it lacks in shape, the pattern makes up for.")
     return mesh, wearer, read_base(job.base, wearer, job.settings), notes
 
 
+def _placed_fault(fault: ScanFault, job: Job) -> ScanFault:
+    """``fault`` with its place on the wearer, where a wearer is given; otherwise it has its place in the file."""
+    if fault.mesh is None or job.body == FIT_INSIDE:
+        return fault
+    wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
+    try:
+        placed = place(fault.mesh, wearer.skin, unit=job.unit, up=job.up)
+        points = place(replace(fault.mesh, vertices=fault.points), wearer.skin, unit=job.unit, up=job.up).vertices
+    except InputError:
+        return fault
+    joints = posed_joints(wearer.shaped, wearer.pose) + wearer.trans
+    words = on_body(points[0], placed, joints)
+    return ScanFault(fault.name, expected=fault.expected, got=f"{fault.got}; {words}", cure=fault.cure).at(
+        placed, points
+    )
+
+
 def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
-    """Does ``job``; writes pattern and garment as soon as they are found. Raises ``InputError`` for what it refuses."""
+    """Does ``job``; writes pattern and garment as soon as they are found. Raises ``InputError`` for what it refuses.
+
+    With ``progress`` it tells on standard error how far it is, every few seconds.
+    """
+    with watch.watched(write=watch.to_stderr if progress else lambda line: None, limit_s=60.0 * job.minutes) as clock:
+        try:
+            return _run(job, clock, say)
+        except InputError as error:
+            if not clock.stopped_in:
+                raise
+            raise InputError(
+                "--minutes",
+                expected="time for a first drape and its search",
+                got=f"{job.minutes:g} minutes, over during: {clock.stopped_in}",
+                cure="Give it more, or a coarser mesh (--edge-length).",
+            ) from error
+
+
+def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
     started = time.perf_counter()
     mesh, wearer, base, warnings = prepare(job)
     name = garment_name(job.name or job.target.stem)
@@ -155,34 +202,39 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
         say(f"note      {note}")
     say(f"target    {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, on {wearer.source}")
     job.out.mkdir(parents=True, exist_ok=True)
-    found = recover_pattern(
-        mesh.vertices,
-        mesh.faces,
-        base,
-        wearer.shaped,
-        drape=job.drape,
-        fit=job.fit,
-        weights=job.weights,
-        pose=wearer.pose,
-        meshes_m=job.meshes_m,
-        fabrics=tuple(FABRICS) if job.find_fabric else (),
-        free_cloth=job.find_fabric,
-        state_file=job.out / f"{name}.search.npz",
-        progress=progress,
-        report=say,
-    )
+    known = known_faces(mesh)
+    with watch.within(SEARCH_SHARE):
+        found = recover_pattern(
+            mesh.vertices,
+            mesh.faces,
+            base,
+            wearer.shaped,
+            drape=job.drape,
+            fit=job.fit,
+            weights=job.weights,
+            pose=wearer.pose,
+            meshes_m=job.meshes_m,
+            fabrics=tuple(FABRICS) if job.find_fabric else (),
+            free_cloth=job.find_fabric,
+            state_file=job.out / f"{name}.search.npz",
+            report=say,
+            known=known,
+        )
+    if clock.stopped_in:
+        warnings.append(stopped_words(job.minutes, clock.stopped_in))
     fitted = found.fitted
     files = export_pattern(fitted.pattern, job.out)
     cloth = replace(found.search.mesh, pattern=fitted.pattern, rest=found.search.mesh.rest_at(fitted.positions))
     files += write_shape(job.out, name, cloth, fitted.nodes + wearer.trans, panel_texture(cloth))
     there = (mesh.vertices, mesh.faces)
-    distance = surface_distance((fitted.nodes, cloth.faces), there)
-    chamfer, floor = surface_chamfer((fitted.nodes, cloth.faces), there)
+    distance = surface_distance((fitted.nodes, cloth.faces), there, known=known)
+    chamfer, floor = surface_chamfer((fitted.nodes, cloth.faces), there, known=known)
     say(
         f"distance  {distance.mean_mm:.2f} mm mean, {distance.largest_mm:.1f} largest; Chamfer "
         f"{chamfer.squared_cm2:.4f} cm^2, floor {floor.squared_cm2:.4f}"
     )
-    told = identifiability(found, max(LEAST_TOLERANCE_M, 1e-3 * distance.rms_mm))
+    with watch.stage("what the target tells"):
+        told = identifiability(found, max(LEAST_TOLERANCE_M, 1e-3 * distance.rms_mm))
     anew, worn = _sewn_anew(job, wearer, found, warnings, say)
     if anew is not None:
         # In the cache the garment of a body of another shape is moved to the standard one.
@@ -196,7 +248,7 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
         base=base,
         found=found,
         distance=distance,
-        before=surface_distance((found.base.nodes, found.base.mesh.faces), there),
+        before=surface_distance((found.base.nodes, found.base.mesh.faces), there, known=known),
         chamfer=chamfer,
         floor=floor,
         told=told,
@@ -216,7 +268,8 @@ def _sewn_anew(
     parts = [match.place.part for match in found.matches if match.place.part is not None]
     options = replace(job.drape, edge_length_m=found.edge_length_m)
     try:
-        anew = sewn_anew(found, wearer.shaped, options, wearer.pose, parts)
+        with watch.stage("sewn anew"):
+            anew = sewn_anew(found, wearer.shaped, options, wearer.pose, parts)
     except InputError as error:
         warnings.append(f"The recovered pattern cannot be sewn from flat panels, so there is no garment cache: {error}")
         return None, []
@@ -228,11 +281,21 @@ def _sewn_anew(
     if lost := lost_parts(draped.rest.nodes, draped.mesh.faces, wearer.shaped.joints_template, parts):
         warnings.append(f"Sewn anew in the T-pose, {lost_words(lost)}: the garment cache is not worn as the target is.")
     worn = []
-    if job.retarget:
+    if job.retarget and watch.over():
+        warnings.append(f"Other bodies and poses were left out: {job.minutes:g} minutes (--minutes) were over.")
+    elif job.retarget:
         for place in retargeted(pattern, draped, wearer.shaped, wearer.standard, job.drape, parts, cloth=cloth):
             say(f"worn      {place.what}: {place.refusal or describe_worn(place)}")
             worn.append(place)
     return anew, worn
+
+
+def stopped_words(minutes: float, stage: str) -> str:
+    """The sentence of a report whose search ended with its time."""
+    return (
+        f"The search ended with its time, {SEARCH_SHARE:.0%} of {minutes:g} minutes (--minutes), during: {stage}. The "
+        "pattern is the best so far."
+    )
 
 
 def describe_worn(place: Worn) -> str:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 from scipy.spatial import KDTree
 
+from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import closest, meshes
 from drape.geometry.raster import CLOTH, SKIN, Surface, render
 from recovery.pattern import geometry
@@ -26,6 +27,7 @@ DPI = 100
 # Under the cloth the body is drawn thinner by this: flat triangles cut into it between their corners.
 THIN_M, THIN_REACH_M = 0.012, 0.05
 TARGET_COLOUR = (0.62, 0.62, 0.66)
+SPOT_COLOUR, SPOT_SHARE = (0.9, 0.1, 0.1), 0.04  # of the scan's extent: a fault is shown as large as this
 SCALE_SHARE = 0.98  # of the vertices lie within the colour scale
 VIEWS = (("front", 0.0), ("side", 70.0), ("back", 180.0))
 
@@ -59,6 +61,22 @@ def target_and_result(target: Mesh, result: Mesh, skin: Mesh) -> bytes:
             axis.set_title(f"{name}, {view}", fontsize=9)
     bar = ScalarMappable(scale, "turbo")
     figure.colorbar(bar, ax=axes[-1], label="distance from the target [mm]", shrink=0.9, extend="max")
+    return png(figure)
+
+
+def fault_picture(mesh: GarmentMesh, points: np.ndarray) -> bytes:
+    """Three views of a scan with the places ``points`` (P, 3) of its fault in red, in the scan's own unit."""
+    size = float(np.ptp(mesh.vertices, axis=0).max())
+    vertices = (mesh.vertices - mesh.vertices.min(axis=0)) / size
+    middles = vertices[mesh.faces].mean(axis=1)
+    spots = (points - mesh.vertices.min(axis=0)) / size
+    far = np.asarray(KDTree(spots).query(middles)[0])
+    colours = np.where((far < SPOT_SHARE)[:, None], SPOT_COLOUR, TARGET_COLOUR)
+    figure = Figure(figsize=(3.0 * len(VIEWS), 3.6), dpi=DPI, layout="constrained")
+    for axis, (view, azimuth) in zip(figure.subplots(1, len(VIEWS)), VIEWS, strict=True):
+        axis.imshow(render([Surface(vertices, mesh.faces, colours)], size=(360, 300), azimuth_deg=azimuth))
+        axis.set_axis_off()
+        axis.set_title(view, fontsize=9)
     return png(figure)
 
 

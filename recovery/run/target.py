@@ -1,7 +1,8 @@
 """Reads a target: one garment's surface, in metres, on the body it was draped on; repaired with a note, or refused.
 
-A fault that has one repair (copies of vertices, faces without area, crumbs, unit, axis, sides) is repaired, with a note
-in the report. A fault that needs a choice (which of two pieces, an edge with three faces) is refused with the cure.
+A fault that has one repair (copies of vertices, faces without area, branches, second layers, crumbs, holes, unit, axis,
+sides) is repaired, with a note in the report. A fault that needs a choice (which of two garments) is refused with its
+place and the cure.
 """
 
 from __future__ import annotations
@@ -19,18 +20,22 @@ from drape.garment.mesh_checks import (
     Up,
     check_area,
     check_arrays,
-    check_edges,
     check_faces,
     orient_outward,
     place,
 )
-from drape.geometry import closest, mesh_graphs, meshes
-from recovery.fit.contours import TRUNK, bone_chains, open_contours, place_of
+from drape.geometry import closest, meshes
+from recovery import progress
+from recovery.fit.contours import TRUNK, bone_chains, open_contours, part_round, place_of
+from recovery.scan.holes import Loop, borders, closed, plainly_hole, plainly_opening
+from recovery.scan.places import ScanFault, in_box
+from recovery.scan.sheets import agreeing, cut_branches, main_sheet, without_copies
+from recovery.scan.thin import calmed, thinned
 
-CRUMB_SHARE = 0.02  # of the area: smaller pieces are left out with a note
+SCAN_VERTEX_LIMIT = 3_300_000  # 1,000,000 triangles of an STL, which does not share vertices
 FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer
 DEEP_M, DEEP_SHARE = 0.02, 0.2  # the target goes through the body where more than this share lies deeper than that
-SMALL_HOLE_M = 0.2  # a border of less length is mentioned as a hole
+TWISTED_SHARE = 0.02  # of the faces: more edges to be cut, and the scan is no cloth
 # Openings round each part of the body, by base.
 OPENINGS = {
     "tshirt": {TRUNK: 2, "left_arm": 1, "right_arm": 1},
@@ -40,18 +45,31 @@ OPENINGS = {
 
 
 def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
-    """The mesh in ``path`` with copies of vertices joined, bad faces and crumbs left out, in the file's coordinates.
+    """The garment in ``path``: one sheet of agreeing faces whose plain holes are closed, in the file's coordinates.
 
-    ``label`` keeps the faces of one material. Raises ``MeshError`` for several pieces, for edges with more than two
-    faces and for a solid without openings.
+    ``label`` keeps the faces of one material. Raises ``ScanFault`` with the place for two garments and for one-sided
+    cloth, ``MeshError`` for a solid without openings.
     """
-    mesh = read_mesh(path)
+    with progress.stage(f"{path.name} is read"):
+        mesh = read_mesh(path, vertex_limit=SCAN_VERTEX_LIMIT)
     if label is not None:
         mesh = labelled(mesh, label)
-    check_arrays(mesh)
-    mesh = check_faces(weld(mesh), repair=True)
-    check_edges(mesh)
-    mesh = one_piece(mesh)
+    with progress.stage("the scan is mended"):
+        check_arrays(mesh, vertex_limit=SCAN_VERTEX_LIMIT)
+        return mended(mesh)
+
+
+def mended(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` as one sheet: every edge has one face or two, neighbours agree, plain holes and bites are closed."""
+    progress.tick("copies and flat faces")
+    mesh = check_faces(without_copies(weld(mesh)), repair=True)
+    progress.tick("branches")
+    mesh = one_sheet(cut_branches(mesh))
+    progress.tick("thinning out")
+    thin = thinned(mesh)
+    if thin is not mesh:
+        mesh = one_sheet(cut_branches(check_faces(thin, repair=True)))
+    mesh = calmed(two_sided(mesh))
     if not meshes.boundary_loops(mesh.faces):
         raise MeshError(
             "target",
@@ -59,7 +77,8 @@ def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
             got="a closed surface",
             cure="Cut the garment out of the scan, without the body, and open neck, cuffs and hem.",
         )
-    return mesh
+    found = closed(mesh, lambda one: plainly_hole(one, mesh))
+    return found.mesh if found.mesh is mesh else found.mesh.noted(*found.words(len(mesh.faces)))
 
 
 def labelled(mesh: GarmentMesh, label: str) -> GarmentMesh:
@@ -77,25 +96,34 @@ def labelled(mesh: GarmentMesh, label: str) -> GarmentMesh:
     return mesh.take_faces(keep).noted(f"kept {int(keep.sum())} of {len(keep)} faces: those of material {label}")
 
 
-def one_piece(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` without crumbs and unused vertices; refuses two pieces of cloth."""
-    piece = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
-    area = np.bincount(piece, meshes.face_areas(mesh.vertices, mesh.faces))
-    whole = np.flatnonzero(area > CRUMB_SHARE * area.sum())
-    if len(whole) > 1:
-        sizes = ", ".join(f"{100 * area[n] / area.sum():.0f} %" for n in sorted(whole, key=lambda n: -area[n])[:6])
+def one_sheet(mesh: GarmentMesh) -> GarmentMesh:
+    """The largest sheet of ``mesh``; refuses a second one that lies apart and is large."""
+    kept, rivals = main_sheet(mesh)
+    if rivals:
         labels = f" Materials: {', '.join(mesh.material_names)}." if len(mesh.material_names) > 1 else ""
-        raise MeshError(
+        raise ScanFault(
             "target",
             expected="one garment in one piece",
-            got=f"{len(whole)} pieces, of {sizes} of the area",
+            got=f"{len(rivals) + 1} pieces of cloth; another one is {in_box(rivals[0], mesh.vertices)}",
             cure=f"Save the garment alone, name its material (--label), or join what was torn.{labels}",
-        )
-    kept = mesh.take_faces(piece == whole[0])
-    used, inverse = np.unique(kept.faces, return_inverse=True)
-    left_out = int(len(np.unique(piece)) - 1)
-    kept = replace(kept, vertices=kept.vertices[used], faces=inverse.reshape(-1, 3))
-    return kept.noted(f"left out {left_out} small loose pieces") if left_out else kept
+        ).at(mesh, np.array(rivals))
+    return kept
+
+
+def two_sided(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` with neighbours that agree in orientation, cut where a strip is twisted; refuses what is no cloth."""
+    turned, cuts = agreeing(mesh)
+    if len(cuts) > TWISTED_SHARE * len(mesh.faces):
+        raise ScanFault(
+            "target",
+            expected="cloth with two sides",
+            got=f"{len(cuts)} edges at which it turns to its other side, the first {in_box(cuts[0], mesh.vertices)}",
+            cure="Let the scanner make a surface whose faces agree.",
+        ).at(mesh, cuts)
+    if not len(cuts):
+        return turned
+    words = f"cut open a twisted strip at {len(cuts)} edges, the first {in_box(cuts[0], mesh.vertices)}"
+    return one_sheet(turned.noted(words))
 
 
 def placed_target(mesh: GarmentMesh, skin: Avatar, *, unit: Unit = "auto", up: Up = "auto") -> GarmentMesh:
@@ -129,19 +157,34 @@ def check_near(mesh: GarmentMesh, skin: Avatar) -> None:
         )
 
 
-def openings(mesh: GarmentMesh, joints: np.ndarray) -> tuple[dict[str, int], list[str]]:
-    """The number of the target's openings round each part of the body (``joints`` [m] (24, 3)), and notes on holes."""
+def opened(
+    mesh: GarmentMesh, joints: np.ndarray, wanted: dict[str, int] | None = None
+) -> tuple[GarmentMesh, dict[str, int]]:
+    """``mesh`` with all borders closed that are no openings, and how many openings each part of the body has.
+
+    ``joints`` [m] (24, 3) are the body's. An opening is a border that bones pass through, or a folded cuff beside
+    them. Where a part has more than ``wanted``, those that lie in the cloth are holes: a hole in front of a leg that
+    the body's fit is not sure of.
+    """
     chains = bone_chains(joints)
-    found: dict[str, int] = {}
-    holes = []
+    loops = {one.loop.tobytes(): one for one in borders(mesh)}
+    openings: dict[str, list[Loop]] = {}
     for contour in open_contours(mesh.vertices, mesh.faces):
-        part = place_of(contour, chains).part
-        if part is None or contour.length_m < SMALL_HOLE_M:
-            holes.append(contour.length_m)
-        else:
-            found[part] = found.get(part, 0) + 1
-    notes = [f"{len(holes)} holes of up to {100 * max(holes):.0f} cm round: the fit leaves them alone"] if holes else []
-    return found, notes
+        one, passed = loops[contour.loop.tobytes()], part_round(contour, chains)
+        part = passed or place_of(contour, chains).part
+        if part is not None and (passed or (plainly_opening(one) and not plainly_hole(one, mesh))):
+            openings.setdefault(part, []).append(one)
+    kept = set()
+    for part, found in openings.items():
+        found.sort(key=lambda one: one.flatness)
+        enough = len(found) if wanted is None else wanted.get(part, 0)
+        kept |= {one.loop.tobytes() for n, one in enumerate(found) if n < enough or plainly_opening(one)}
+    done = closed(mesh, lambda one: one.loop.tobytes() not in kept, lambda one: True)
+    there: dict[str, int] = {}
+    for contour in open_contours(done.mesh.vertices, done.mesh.faces):
+        if (part := place_of(contour, chains).part) is not None:
+            there[part] = there.get(part, 0) + 1
+    return (mesh if done.mesh is mesh else done.mesh.noted(*done.words(len(mesh.faces)))), there
 
 
 def check_base(base: str, found: dict[str, int]) -> None:

@@ -18,10 +18,12 @@ from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, GarmentMesh, read_mesh
 from drape.garment.mesh_checks import UNITS_M
 from drape.garment.registration import body_units, fit_body
 from drape.geometry import meshes
+from recovery import progress
 from recovery.pattern.model import Pattern
 from recovery.run.inside import fit_inside
 
-SIZE_SLACK = 1.5  # by which a target's height may differ from its base's
+SIZE_SLACK = 2.0  # by which a target's height may differ from its base's
+RIVAL_SLACK = 1.3  # by which the next unit must fit worse
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +107,15 @@ def check_closed(faces: np.ndarray, name: str) -> None:
 
 
 def inside_wearer(
-    mesh: GarmentMesh, base: Pattern, *, unit: str = "auto", up: str = "auto"
+    mesh: GarmentMesh,
+    base: Pattern,
+    *,
+    unit: str = "auto",
+    up: str = "auto",
+    wanted: dict[str, int] | None = None,
 ) -> tuple[GarmentMesh, Wearer]:
     """``mesh`` in metres, y up, and the shipped body fitted inside it; ``base``, drafted for that body, tells its size.
+    ``wanted`` are the openings of its kind.
 
     ``up`` "auto" is y, because without a body nothing tells the axis.
     """
@@ -117,13 +125,15 @@ def inside_wearer(
         vertices = np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1)
         notes.append("turned from z up to y up")
     placed = np.concatenate([panel.placement.apply(panel.vertices) for panel in base.panels])
-    wanted, height = float(np.ptp(placed[:, 1])), float(np.ptp(vertices[:, 1]))
-    misfit = {name: abs(np.log(max(height * scale, 1e-9) / wanted)) for name, scale in UNITS_M.items()}
+    base_height, height = float(np.ptp(placed[:, 1])), float(np.ptp(vertices[:, 1]))
+    misfit = {name: abs(np.log(max(height * scale, 1e-9) / base_height)) for name, scale in UNITS_M.items()}
     name = min(misfit, key=lambda one: misfit[one]) if unit == "auto" else unit
-    if unit == "auto" and misfit[name] > np.log(SIZE_SLACK):
+    second = sorted(misfit.values())[1]
+    unsure = misfit[name] > np.log(SIZE_SLACK) or second - misfit[name] < np.log(RIVAL_SLACK)
+    if unit == "auto" and unsure:
         raise MeshError(
             "target unit",
-            expected=f"a garment about {wanted:.2f} m high, as its base, in m, dm, cm, mm or inch",
+            expected=f"a garment about {base_height:.2f} m high, as its base, in m, dm, cm, mm or inch",
             got=f"a height of {height:.4g}",
             cure="Say the unit (--unit) and the up axis (--up), or take a base of the target's kind (--base).",
         )
@@ -131,9 +141,11 @@ def inside_wearer(
         notes.append(f"converted from {name} to m")
     mesh = replace(mesh, vertices=UNITS_M[name] * vertices).noted(*notes)
     body = load_body()
-    found = fit_inside(mesh.vertices, mesh.faces, body, top_m=float(placed[:, 1].max()))
+    with progress.stage("a body is fitted inside"):
+        found = fit_inside(mesh, body, top_m=float(placed[:, 1].max()), wanted=wanted)
     source = (
-        f"body {body.name} fitted inside the target: cloth {found.mean_mm:.0f} mm from the skin on average, "
+        f"body {body.name} fitted inside the target: cloth {found.mean_mm:.0f} mm from the skin on average "
+        f"and {found.band_mm:.0f} mm where it hangs, "
         f"{found.inside_pct:.1f} % of it inside by up to {found.depth_mm:.0f} mm"
     )
     return mesh, Wearer(body, found.betas, found.pose, found.trans, source, found.mean_mm)

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from drape.errors import InputError
+from recovery import progress
 from recovery.sim import elastic, implicit
 from recovery.sim.contact import SkinContact
 from recovery.sim.model import ClothModel, ClothState, Parameters
@@ -145,7 +146,8 @@ class Minimum:
             value, residual = potential.energy(x), potential.residual(x)
             exact, shift, size = False, 0.0, float(residual.abs().max())
             iterations = 0
-            while size > self.tolerance_n and iterations < self.iteration_limit:
+            while size > self.tolerance_n and iterations < self.iteration_limit and not progress.over():
+                progress.tick(f"Newton's step {iterations + 1}, {size:.1e} N left")
                 iterations += 1
                 direction = potential.direction(x, residual, exact=exact, shift=shift)
                 length = _line_search(potential, x, direction, value, residual)

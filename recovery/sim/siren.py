@@ -28,6 +28,7 @@ from drape.errors import ArtifactError, InputError
 from drape.files.atomic import whole_file
 from drape.geometry import closest
 from drape.geometry.drawing import drawn
+from recovery import progress
 from recovery.sim.sdf import check_closed, extended
 
 FORMAT_VERSION = 2
@@ -303,6 +304,7 @@ def _trained(
     flat = [part for layer in layers for part in layer]
     adam = torch.optim.Adam(flat, lr=RATE, betas=ADAM_BETAS)
     for step in range(options.steps):
+        progress.tick(f"the network's step {step} of {options.steps}")
         for group in adam.param_groups:
             group["lr"] = RATE * min(1.0, (step + 1) / WARM_STEPS) * (1.0 - step / options.steps)
         chosen = torch.randint(len(u), (BATCH,), generator=generator)

@@ -1,0 +1,1 @@
+"""Scans as they come: cut into sheets, thinned out, holes told from openings and closed, faults named by place."""

@@ -1,0 +1,273 @@
+"""Cuts a scan into sheets without branches, and finds the one that is the garment.
+
+A placket, a doubled hem or a collar hangs on the shirt by edges with three and more faces. There the two faces that go
+on most smoothly stay together and every other one is cut off (cutting before stitching: Guéziec, Taubin, Lazarus and
+Horn 2001). What is cut off is a sheet of its own. Lengths are shares of the root of the garment's area, so no unit is
+needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse import csgraph
+from scipy.spatial import KDTree
+
+from drape.garment.files.mesh import GarmentMesh
+from drape.geometry import closest, mesh_graphs, meshes
+
+COPY_SHARE = 1e-6  # of the extent: vertices nearer than this are one, written with other digits
+CRUMB_SHARE = 0.02  # of the area of all: smaller pieces are crumbs
+LAYER_SHARE = 0.03  # of the root of the area: a sheet within it, 2 to 4 cm, lies on the garment
+LAYER_PART = 0.8  # of a sheet's samples that do
+SMOOTHINGS = 3
+DISAGREEING = 2.0  # on the cosine of faces that look to different sides: they stay together if no other two can
+FEW_CLASHES = 0.01  # of the edges
+OWN_SHARE = 0.2  # of the largest sheet's area: what is larger and lies apart may be the garment as well
+SAMPLES = 400
+
+
+def without_copies(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` with vertices that are nearly at one place made one."""
+    reach = COPY_SHARE * float(np.ptp(mesh.vertices, axis=0).max())
+    pairs = KDTree(mesh.vertices).query_pairs(reach, output_type="ndarray")
+    if not len(pairs):
+        return mesh
+    count = len(mesh.vertices)
+    graph = scipy.sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(count, count))
+    number, label = csgraph.connected_components(graph, directed=False)
+    first = np.full(number, count)
+    np.minimum.at(first, label, np.arange(count))
+    return replace(mesh, vertices=mesh.vertices[first], faces=label[mesh.faces]).noted(
+        f"{count} vertices welded into {number}"
+    )
+
+
+def branch_edges(faces: np.ndarray) -> int:
+    """How many edges have more than two faces."""
+    _, counts = _edge_numbers(meshes.half_edges(faces))
+    return int((counts > 2).sum())
+
+
+def _edge_numbers(halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The number (3 F,) of every half-edge's edge, and how many faces (E,) each edge has."""
+    low, high = halves[:, :2].min(axis=1), halves[:, :2].max(axis=1)
+    _, inverse, counts = np.unique(low * (int(halves.max()) + 1) + high, return_inverse=True, return_counts=True)
+    return inverse.reshape(-1), counts
+
+
+def cut_branches(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` without edges of more than two faces and without vertices where sheets merely touch.
+
+    Vertices are split, and those of no face left out. Faces keep their order; where two pairs of faces cannot be told
+    apart, because they meet again about both ends of their edge, one pair is left out.
+    """
+    branches = branch_edges(mesh.faces)
+    cut = _split(mesh, *_joined(mesh.vertices, mesh.faces))
+    if not branches and len(cut.vertices) == len(np.unique(mesh.faces)):
+        return mesh
+    while branch_edges(cut.faces):
+        halves, first, second = _joined(cut.vertices, cut.faces)
+        inverse, counts = _edge_numbers(halves)
+        crowded = np.flatnonzero(counts[inverse] > 2)
+        kept = np.zeros(len(halves), dtype=bool)
+        _, at = np.unique(inverse[first], return_index=True)  # the first pair of an edge bends least
+        kept[first[at]] = kept[second[at]] = True
+        gone = np.zeros(len(cut.faces), dtype=bool)
+        gone[crowded[~kept[crowded]] // 3] = True
+        cut = with_used_vertices(cut.take_faces(~gone))
+        cut = _split(cut, *_joined(cut.vertices, cut.faces))
+    return cut.noted(f"cut apart at {branches} edges with more than two faces") if branches else cut
+
+
+def _split(mesh: GarmentMesh, halves: np.ndarray, first: np.ndarray, second: np.ndarray) -> GarmentMesh:
+    """``mesh`` joined only where the half-edges ``first`` and ``second`` (P,) of ``halves`` (3 F, 3) lie together."""
+    # Corners that meet at an edge that joins two faces are one vertex. Half-edge 3 f + c starts at corner c of face f.
+    following = np.arange(len(halves)).reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)
+    same = halves[first, 0] == halves[second, 0]  # neighbours that disagree in orientation
+    ends = np.concatenate([first, following[first]])
+    others = np.concatenate([np.where(same, second, following[second]), np.where(same, following[second], second)])
+    graph = scipy.sparse.coo_matrix((np.ones(len(ends), dtype=np.int8), (ends, others)), shape=(len(halves),) * 2)
+    count, label = csgraph.connected_components(graph, directed=False)
+    vertex = np.zeros(count, dtype=np.int64)
+    vertex[label] = halves[:, 0]
+    order = np.argsort(vertex, kind="stable")  # vertices keep their order where they can
+    rank = np.empty(count, dtype=np.int64)
+    rank[order] = np.arange(count)
+    return replace(mesh, vertices=mesh.vertices[vertex[order]], faces=rank[label].reshape(-1, 3))
+
+
+def agreeing(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
+    """``mesh`` with faces that agree with their neighbours, and the middles (C, 3) of edges that were cut for it.
+
+    Only one-sided (Moebius) sheets have to be cut, across the strip. Edges have at most two faces.
+    """
+    halves, first, second = meshes.edge_pairs(mesh.faces)
+    clash = halves[first, 0] == halves[second, 0]
+    if not clash.any():
+        return mesh, np.zeros((0, 3))
+    a, b = first // 3, second // 3
+    count = len(mesh.faces)
+    graph = scipy.sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count)).tocsr()
+    odd = scipy.sparse.coo_matrix((clash.astype(np.int8), (a, b)), shape=(count, count)).tocsr()
+    odd = odd + odd.T
+    turn = np.zeros(count, dtype=bool)
+    number, piece = csgraph.connected_components(graph, directed=False)
+    for one in range(number):
+        order, before = csgraph.breadth_first_order(graph, int((piece == one).argmax()), directed=False)
+        step = np.asarray(odd[order[1:], before[order[1:]]]).reshape(-1) > 0
+        for face, parent, turned in zip(order[1:].tolist(), before[order[1:]].tolist(), step.tolist(), strict=True):
+            turn[face] = turn[parent] ^ turned
+        mine = piece == one
+        if 2 * int(turn[mine].sum()) > int(mine.sum()):
+            turn[mine] = ~turn[mine]
+    faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
+    halves, first, second = meshes.edge_pairs(faces)
+    clash = halves[first, 0] == halves[second, 0]
+    turned = replace(mesh, faces=faces).noted(f"turned {int(turn.sum())} faces so that neighbours agree")
+    if not clash.any():
+        return turned, np.zeros((0, 3))
+    middles = mesh.vertices[halves[first[clash], :2]].mean(axis=1)
+    return _split(turned, halves, first[~clash], second[~clash]), middles
+
+
+def _joined(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Half-edges (3 F, 3), and the two index arrays of those that stay together: at most two at an edge."""
+    halves, first, second = meshes.edge_pairs(faces)
+    inverse, counts = _edge_numbers(halves)
+    plain = counts[inverse[first]] == 2
+    clash = plain & (halves[first, 0] == halves[second, 0])
+    if clash.sum() < FEW_CLASHES * len(first):  # where all else agrees, two sheets were glued along their ends
+        plain &= ~clash
+    kept = [np.stack([first[plain], second[plain]], axis=1)]
+    averaging = mesh_graphs.umbrella_laplacian(faces, len(vertices))
+    for _ in range(SMOOTHINGS):  # noise tilts single faces
+        vertices = vertices + averaging @ vertices
+    crowded = np.flatnonzero(counts[inverse] > 2)
+    crowded = crowded[np.argsort(inverse[crowded], kind="stable")]
+    groups = [group for group in np.split(crowded, np.flatnonzero(np.diff(inverse[crowded])) + 1) if len(group)]
+    bends = [_bends(vertices, halves, group) for group in groups]
+    patch = _patches(len(faces), first[plain] // 3, second[plain] // 3)
+    # Along a line on which three patches meet the same two go on everywhere, or the sheet would be slit.
+    mean = _means_of_pairs([(patch[group // 3], bend) for group, bend in zip(groups, bends, strict=True)])
+    for group, bend in zip(groups, bends, strict=True):
+        own = patch[group // 3]
+        cost = np.array([[mean[_pair(a, b)] for b in own] for a in own])
+        cost = np.where(own[:, None] == own, bend, cost)
+        start = halves[group, 0]
+        kept.append(_smoothest(group, cost + DISAGREEING * (start[:, None] == start)))
+    pairs = np.concatenate(kept)
+    return halves, pairs[:, 0], pairs[:, 1]
+
+
+def _patches(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The patch (F,) of every face: what hangs together by edges of two faces."""
+    graph = scipy.sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count))
+    return csgraph.connected_components(graph, directed=False)[1]
+
+
+def _pair(a: int, b: int) -> tuple[int, int]:
+    return (int(min(a, b)), int(max(a, b)))
+
+
+def _means_of_pairs(found: list[tuple[np.ndarray, np.ndarray]]) -> dict[tuple[int, int], float]:
+    """The mean of the bends between every two patches that meet somewhere."""
+    sums: dict[tuple[int, int], list[float]] = {}
+    for own, bend in found:
+        for i, a in enumerate(own):
+            for j, b in enumerate(own):
+                if i != j:
+                    sums.setdefault(_pair(a, b), []).append(float(bend[i, j]))
+    means = {pair: float(np.mean(values)) for pair, values in sums.items()}
+    return means | {_pair(a, a): 1.0 for own, _ in found for a in own}
+
+
+def _bends(vertices: np.ndarray, halves: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Cosines (n, n) between the faces of the half-edges ``group`` at one edge: -1 where two lie in one plane."""
+    low, high = np.sort(halves[group[0], :2])
+    along = vertices[high] - vertices[low]
+    arms = vertices[halves[group, 2]] - vertices[low]
+    arms = arms - np.outer(arms @ along, along) / max(float(along @ along), 1e-300)
+    arms = arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-300)
+    return arms @ arms.T
+
+
+def _smoothest(group: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """Pairs (P, 2) of the half-edges ``group`` at one edge, of the least ``cost`` (n, n) first."""
+    cost = cost + 6.0 * np.eye(len(group))
+    found = []
+    while len(group) - 2 * len(found) >= 2:
+        a, b = np.unravel_index(int(cost.argmin()), cost.shape)
+        found.append((group[a], group[b]))
+        cost[[a, b]] = cost[:, [a, b]] = 9.0
+    return np.array(found)
+
+
+def pieces_of(mesh: GarmentMesh) -> tuple[np.ndarray, np.ndarray]:
+    """The piece (F,) of every face, the largest first, and the pieces' areas (P,)."""
+    piece = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
+    _, piece = np.unique(piece, return_inverse=True)
+    area = np.bincount(piece, meshes.face_areas(mesh.vertices, mesh.faces))
+    order = np.argsort(-area, kind="stable")
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return rank[piece], area[order]
+
+
+def main_sheet(mesh: GarmentMesh) -> tuple[GarmentMesh, list[np.ndarray]]:
+    """The largest sheet of ``mesh``, and the middles of other sheets that may be garment as well.
+
+    Crumbs and second layers (collars, facings, plackets, doubled hems) are left out with a note. A sheet that lies
+    apart and is larger than ``OWN_SHARE`` of the largest is given back; smaller ones are left out and named.
+    """
+    piece, area = pieces_of(mesh)
+    total = float(area.sum())
+    tree_faces = mesh.faces[piece == 0]
+    layers, apart, rivals = 0.0, [], []
+    for number in range(1, len(area)):
+        if area[number] <= CRUMB_SHARE * total:
+            break
+        middle, on = _lies_on(mesh, mesh.faces[piece == number], tree_faces, LAYER_SHARE * np.sqrt(total))
+        if on >= LAYER_PART:
+            layers += float(area[number])
+        elif area[number] > OWN_SHARE * area[0]:
+            rivals.append(middle)
+        else:
+            apart.append((area[number] / total, middle))
+    crumbs = int((area <= CRUMB_SHARE * total).sum())
+    kept = with_used_vertices(mesh.take_faces(piece == 0))
+    notes = [f"left out {crumbs} small loose pieces"] if crumbs else []
+    if layers:
+        notes.append(
+            f"left out second layers, {100 * layers / total:.0f} % of the area: cloth that lies on the garment, such "
+            "as a collar, a placket or a doubled hem"
+        )
+    notes += [
+        f"left out a piece of {100 * share:.0f} % of the area that hangs on nothing, at {point_words(middle)} of the "
+        "file"
+        for share, middle in apart
+    ]
+    return kept.noted(*notes), rivals
+
+
+def point_words(point: np.ndarray) -> str:
+    """A point as "(0.12, 1.3, 0.08)"."""
+    return f"({', '.join(f'{value:.3g}' for value in point)})"
+
+
+def with_used_vertices(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` without vertices that no face has."""
+    used, inverse = np.unique(mesh.faces, return_inverse=True)
+    return replace(mesh, vertices=mesh.vertices[used], faces=inverse.reshape(-1, 3))
+
+
+def _lies_on(mesh: GarmentMesh, faces: np.ndarray, main: np.ndarray, reach: float) -> tuple[np.ndarray, float]:
+    """The middle (3,) of a sheet, and the share of it that lies within ``reach`` over ``main``, not beyond it."""
+    middles = mesh.vertices[faces].mean(axis=1)
+    share = meshes.face_areas(mesh.vertices, faces)
+    chosen = np.random.default_rng(0).choice(len(faces), SAMPLES, p=share / share.sum())
+    near = closest.closest_point(middles[chosen], mesh.vertices, main)
+    on = (near.distance < reach) & ~closest.on_border(near, main)
+    return middles[chosen].mean(axis=0), float(on.mean())
