@@ -13,7 +13,7 @@ from drape.errors import MeshError
 from drape.garment import mesh_checks
 from drape.garment.avatars import phenotype_avatar, standard_avatar
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
-from drape.garment.mesh_checks import check_mesh, orient_outward
+from drape.garment.mesh_checks import check_arrays, check_mesh, orient_outward
 from drape.geometry import meshes
 from tests.drape.garment.garment_files import shirt
 from tests.drape.geometry.geometry_shapes import box
@@ -57,10 +57,12 @@ def test_fault_is_refused_by_name(mesh: GarmentMesh, message: str):
         check_mesh(mesh, AVATAR)
 
 
-def test_vertex_limit_is_held(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(mesh_checks, "VERTEX_LIMIT", 100)
+def test_vertex_limit_is_held():
     with pytest.raises(MeshError, match="at most 100 vertices"):
-        check_mesh(CLOTH, AVATAR)
+        check_arrays(CLOTH, vertex_limit=100)
+    many = replace(CLOTH, vertices=np.zeros((mesh_checks.VERTEX_LIMIT + 1, 3)))
+    with pytest.raises(MeshError, match=f"at most {mesh_checks.VERTEX_LIMIT} vertices"):
+        check_arrays(many)
 
 
 def test_repair_drops_bad_faces_and_says_so():
