@@ -11,7 +11,7 @@ from drape.garment.cache import GARMENTS_DIR, load_garment
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes
-from drape.network.bodies import PART_SIZE, BodyFeed, posed_body
+from drape.network.bodies import PART_SIZE, BodyFeed, moments, posed_body
 from drape.network.drape import posed_jets
 from drape.network.patch_rows import patch_rows
 from drape.network.weights import weights_of
@@ -30,6 +30,7 @@ def compile_all(model: str = "onefit") -> None:
     shapes = SkinShapes(body)
     skins = shapes.feed(shape.betas[None])
     skin = np.empty((PART_SIZE * len(skins["skin_bones"]), 8), np.float32)
+    moments(body, np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3)))
     parts = skins["skin_rows"][0], skins["skin_bones"], shapes.counts
     feed = BodyFeed(local[:JOINT_COUNT], shape.joint_rest, shape.betas, np.empty(0, np.float32), *parts)
     posed_jets(weights, patch_rows(packed, first), posed_body(weights, feed, skin), 1, packed.patch_count)

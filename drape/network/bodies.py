@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.body.features import STATIC_PER_JOINT
+from drape.body.features import STATIC_PER_JOINT, Kinematics
+from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.contact.samples import POSED_REGIONS, REGION_SIZE
 from drape.kernels.compiled import kernel
@@ -57,19 +58,9 @@ def posed_body(weights, feed, skin):
     kind = local.dtype.type
     quaternion, rotation = np.empty((JOINT_COUNT, 4), local.dtype), np.empty((JOINT_COUNT, 9), local.dtype)
     translation, place = np.empty((JOINT_COUNT, 3), local.dtype), np.empty((JOINT_COUNT, 3), local.dtype)
+    place[0] = kind(0)
+    _pose_bones(local, rest, quaternion, rotation, place)
     for joint in range(JOINT_COUNT):
-        parent, own = _PARENTS[joint], quaternion[joint]
-        if parent < 0:
-            own[:] = local[joint]
-            place[joint] = kind(0)
-        else:
-            _multiply(quaternion[parent], local[joint], own)
-            for axis in range(3):
-                total = place[parent, axis]
-                for i in range(3):
-                    total += rotation[parent, 3 * axis + i] * (rest[joint, i] - rest[parent, i])
-                place[joint, axis] = total
-        _matrix(own, rotation[joint])
         for axis in range(3):
             total = place[joint, axis]
             for i in range(3):
@@ -79,6 +70,71 @@ def posed_body(weights, feed, skin):
     if len(feed.skin_rows):
         _pose_skin(rotation, translation, feed, skin)
     return PosedBody(quaternion, rotation, translation, place, code, feed.betas, skin, _regions(skin))
+
+
+@kernel
+def _pose_bones(local, rest, quaternion, rotation, place):
+    """Writes quaternions (24, 4), rotations (24, 9) and joints [m] (24, 3) of bones with ``local`` quaternions.
+
+    The root stays at its ``place``.
+    """
+    for joint in range(JOINT_COUNT):
+        parent, own = _PARENTS[joint], quaternion[joint]
+        if parent < 0:
+            own[:] = local[joint]
+        else:
+            _multiply(quaternion[parent], local[joint], own)
+            for axis in range(3):
+                total = place[parent, axis]
+                for i in range(3):
+                    total += rotation[parent, 3 * axis + i] * (rest[joint, i] - rest[parent, i])
+                place[joint, axis] = total
+        _matrix(own, rotation[joint])
+
+
+def moments(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> Kinematics:
+    """``drape.graph.feeds.kinematics`` of one shape, compiled: ``poses`` (F, 24, 3) [rad], ``trans`` (F, 3) [m]."""
+    poses, trans, rest = _float64(poses), _float64(trans), _float64(body.rest_joints(betas))
+    count = len(poses)
+    static, joints = np.empty((count, JOINT_COUNT, STATIC_PER_JOINT)), np.empty((count, JOINT_COUNT, 3))
+    rotations = np.empty((count, JOINT_COUNT, 9))
+    _write_moments(poses, trans, rest, static, joints, rotations)
+    return Kinematics(static, joints, rotations.reshape(count, JOINT_COUNT, 3, 3))
+
+
+def _float64(array: np.ndarray) -> np.ndarray:
+    return np.array(array, np.float64, order="C")  # a copy: kernels are compiled for arrays that may be written
+
+
+@kernel
+def _write_moments(poses, trans, rest, static, joints, rotations):
+    local, quaternion = np.empty((JOINT_COUNT, 4)), np.empty((JOINT_COUNT, 4))
+    for frame in range(len(poses)):
+        for joint in range(JOINT_COUNT):
+            turn = poses[frame, joint]
+            angle = np.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
+            share = np.sin(0.5 * angle) / angle if angle > 1e-8 else 0.5
+            local[joint, 0] = np.cos(0.5 * angle)
+            for i in range(3):
+                local[joint, 1 + i] = share * turn[i]
+        for i in range(3):
+            joints[frame, 0, i] = rest[0, i] + trans[frame, i]
+        _pose_bones(local, rest, quaternion, rotations[frame], joints[frame])
+        _describe(local, rotations[frame], static[frame].reshape(-1))
+
+
+@kernel
+def _describe(local, rotation, features):
+    """Writes ``drape.body.features.static_features`` of ``local`` quaternions and the bones' ``rotation`` (24, 9)."""
+    kind, matrix = local.dtype.type, np.empty(9, local.dtype)
+    for joint in range(JOINT_COUNT):
+        own = features[STATIC_PER_JOINT * joint :]
+        _matrix(local[joint], matrix)
+        for i in range(3):
+            # The root's own turn is not told.
+            own[i] = matrix[3 * i] if joint else kind(i == 0)
+            own[3 + i] = matrix[3 * i + 1] if joint else kind(i == 1)
+            own[6 + i] = -rotation[joint, 3 + i]
 
 
 @kernel
@@ -105,15 +161,8 @@ def _code(weights, feed, rotation):
     """The body's half of the first layer: features, the layers of its code, and ``from_body``."""
     local = feed.local
     kind = local.dtype.type
-    features, matrix = np.zeros(len(weights.mean), local.dtype), np.empty(9, local.dtype)
-    for joint in range(JOINT_COUNT):
-        own = features[STATIC_PER_JOINT * joint :]
-        _matrix(local[joint], matrix)
-        for i in range(3):
-            # The root's own turn is not told.
-            own[i] = matrix[3 * i] if joint else kind(i == 0)
-            own[3 + i] = matrix[3 * i + 1] if joint else kind(i == 1)
-            own[6 + i] = -rotation[joint, 3 + i]
+    features = np.zeros(len(weights.mean), local.dtype)
+    _describe(local, rotation, features)
     features[STATIC_PER_JOINT * JOINT_COUNT :] = feed.betas
     for i in range(len(features)):
         scaled = (features[i] - weights.mean[i]) * weights.inverse_deviation[i]

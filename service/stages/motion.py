@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drape.body.features import Kinematics, motion_features
-from drape.graph.feeds import kinematics
+from drape.network.bodies import moments
 from drape.wire.options import DrapeOptions
 from service.stages.batch import Batch
 from service.stages.plan import Plan
@@ -89,12 +89,12 @@ class Motion(Stage):
         """Frame by frame, since each needs the state after the one before; the inputs of a frame go together."""
         knob = np.float32(batch.plan.options.knob)
         memories = [memory or Memory.empty(self.engine) for memory in batch.remembered(self.key)]
-        bodies = [kinematics(self.body, one.poses, one.trans, one.betas) for one in batch.inputs]
+        bodies = [moments(self.body, one.poses, one.trans, one.betas) for one in batch.inputs]
         codes = [np.zeros((len(one.poses), self.engine.code_size), np.float32) for one in batch.inputs]
         for frame in range(max(len(one.poses) for one in batch.inputs)):
             rows = [i for i, one in enumerate(batch.inputs) if frame < len(one.poses)]
-            moments = [Moment(float(batch.inputs[i].times_s[frame]), bodies[i][frame]) for i in rows]
-            after = advance(self.engine, [memories[i] for i in rows], moments)
+            now = [Moment(float(batch.inputs[i].times_s[frame]), bodies[i][frame]) for i in rows]
+            after = advance(self.engine, [memories[i] for i in rows], now)
             for i, memory in zip(rows, after, strict=True):
                 memories[i] = memory
                 codes[i][frame] = knob * memory.code

@@ -142,7 +142,7 @@ def test_a_still_scene_is_the_static_models_and_runs_no_recurrence(
 
     monkeypatch.setattr(Engine, "advance", counted)
     with monkeypatch.context() as patched:
-        patched.setattr("service.stages.motion.kinematics", refused)
+        patched.setattr("service.stages.motion.moments", refused)
         got = run(plan_of(runtime, 0.0), [clip])
     assert_array_equal(got.vertices, want)
     assert ran == [] and got.memories == ({},)
