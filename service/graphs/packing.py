@@ -112,7 +112,7 @@ class Packer:
         self._worn: OrderedDict[str, None] = OrderedDict()  # garments in other fabrics than their own, latest last
         self._tiles_per_call = tiles_per_call or (TILES_PER_BUCKET if engine.bound else TILES_PER_CALL)
         self._values: dict[str, Any] = {}
-        self._rows: dict[str, PatchRows] = {}  # of garments and fabrics, where the network is compiled
+        self._rows: dict[str, tuple[PackedGarment, PatchRows]] = {}  # by key, where the network is compiled
         self._threads = ThreadPoolExecutor(engine.threads, "drape-items") if engine.threads > 1 else None
         if engine.on_cpu:
             warm_up()
@@ -275,10 +275,10 @@ class Packer:
 
     def _garment_rows(self, network: CompiledNetwork, key: str) -> tuple[PackedGarment, PatchRows]:
         with self._lock:
-            garment = self._store.packed(key)
             if key not in self._rows:
-                self._rows[key] = network.rows(garment)
-            return garment, self._rows[key]
+                garment = self._store.packed(key)
+                self._rows[key] = garment, network.rows(garment)
+            return self._rows[key]
 
     def _each(self, function: Callable[[Any], T], values: Sequence[Any]) -> list[T]:
         """``function`` of each of ``values``, in order."""
