@@ -29,13 +29,11 @@ from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.garment.fitting import patch_fields, rest_garment
 from drape.geometry import jets, meshes
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import PackedBody, Place, compose, pack_body
-from drape.graph.push_feed import SkinShapes
+from drape.graph.packing import PackedBody, pack_body
 from drape.motion.samples import SAMPLES
 from service.graphs.engine import Engine
-from service.graphs.graph_names import JETS, PACKED
 from service.graphs.onnx_runtime import PROVIDER_NAMES, Device
-from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
+from service.graphs.packing import Packer, ScenePlan
 from service.stages.collision import Pusher
 from training.exported import load_exported
 from training.model import OneFit
@@ -146,29 +144,10 @@ def pushing(bench: Bench, key: str, garment: Garment) -> Callable[..., None]:
 
 
 def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timing) -> dict[str, float]:
-    """Milliseconds of one frame by stage, as differences of graphs that end after each."""
-    rows = bench.shape.rows(pose)
-    feed = rows | packer.store.packed(key).stored
-    feed |= compose([(packer.store.packed(key), Place(0, 0), 0)]).arrays
-    if bench.engine.feels_body:
-        feed |= SkinShapes(bench.body).feed(rows["betas"])
-    feed |= at_rest(bench.engine)
-    done, last = {"pose": timed(lambda: bench.shape.rows(pose), seconds=bench.seconds / 4).p50_ms}, 0.0
-    for stage, outputs in {"patches": JETS, "vertices": ("vertices",)}.items():
-        session = bench.engine.open_cut(PACKED, outputs, direct=(*STORED_INDEX, *SHAPE_INDEX))
-        values = {name: bench.engine.value(np.ascontiguousarray(feed[name])) for name in session.inputs}
-
-        def call(session=session, outputs=outputs, values=values) -> None:
-            session.run(outputs, values)
-
-        now = timed(call, seconds=bench.seconds).p50_ms
-        done[stage], last = now - last, now
-    return done | {"packing": whole.p50_ms - sum(done.values())}
-
-
-def at_rest(engine: Engine) -> dict[str, np.ndarray]:
-    """The code of one body that does not move, of a dynamic model."""
-    return {"dynamic_code": np.zeros((1, engine.code_size), np.float32)} if engine.dynamic else {}
+    """Milliseconds of one frame by stage, as differences of calls that end after each; ``whole`` is of all."""
+    first = timed(lambda: bench.shape.rows(pose), seconds=bench.seconds / 4).p50_ms
+    jets_ms = bench.clock(packer, [key], ScenePlan("jets")).p50_ms
+    return {"pose": first, "patches": jets_ms - first, "vertices": whole.p50_ms - jets_ms}
 
 
 def batch_rows(bench: Bench, batches: Sequence[int]) -> list[Row]:
