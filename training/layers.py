@@ -10,10 +10,10 @@ from torch import Tensor, nn
 from drape.body.skeleton import JOINT_COUNT
 from drape.garment.consensus import STRAIN_POINTS
 from drape.geometry import jets
+from drape.graph.inputs import SLOPE
 from training.config import ModelConfig
 from training.consensus import softened
 
-SLOPE = 0.01  # LeakyReLU, as in appendix A.3
 STRAIN_COUNT = 3 * STRAIN_POINTS
 CLOSENESS_COUNT = 2 * STRAIN_POINTS  # of the patch's own part of the body, and of others
 SURROUNDINGS_COUNT = 3 * JOINT_COUNT + 3  # of model.patch_surroundings

@@ -14,8 +14,9 @@ import torch
 from torch import Tensor, nn
 
 from drape.body.skeleton import JOINT_COUNT
+from drape.graph.inputs import SLOPE
 from training.config import ModelConfig
-from training.layers import SLOPE, mlp
+from training.layers import mlp
 
 REFERENCE_DT_S = 1.0 / 30.0  # a step of this length is one step of an ordinary gated recurrent unit
 INPUT_LIMIT = 10.0  # scaled features beyond it are a glitch or a teleport

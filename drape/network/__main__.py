@@ -9,9 +9,10 @@ from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_COUNT
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from drape.graph.feeds import garment_feed
+from drape.graph.packed import PART_SIZE
 from drape.graph.packing import pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes
-from drape.network.bodies import PART_SIZE, BodyFeed, moments, posed_body
+from drape.network.bodies import BodyFeed, moments, posed_body
 from drape.network.drape import posed_jets
 from drape.network.patch_rows import patch_rows
 from drape.network.weights import weights_of

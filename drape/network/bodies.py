@@ -12,13 +12,13 @@ import numpy as np
 from drape.body.features import STATIC_PER_JOINT, Kinematics
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, PARENTS
-from drape.contact.samples import POSED_REGIONS, REGION_SIZE
+from drape.contact.samples import REGION_SIZE
+from drape.graph.inputs import SLOPE
+from drape.graph.packed import PART_SIZE
 from drape.kernels.compiled import kernel
 from drape.kernels.lanes import LANES, most, put, put_points, root, row_at
 from drape.network.dense import run_body_layer
-from drape.network.weights import SLOPE
 
-PART_SIZE = POSED_REGIONS * REGION_SIZE  # samples that are posed together
 _PARENTS = np.array(PARENTS)
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from drape.garment.consensus import FIT_COUNT, MEMBERS
 from drape.geometry import jets
+from drape.graph.packed import LOWER_COLUMNS
 from drape.kernels.compiled import kernel, part
 from drape.kernels.lanes import LANES, most, points_at, put, put_points, row_at
 from drape.network.frames import FRAME, SCALE, centres_of, into_frame, out_of_frame
 
-COLUMNS, PLANE, HEIGHT = 9, jets.IN_PLANE_COUNT, jets.HEIGHT_COUNT
+COLUMNS, PLANE, HEIGHT = LOWER_COLUMNS, jets.IN_PLANE_COUNT, jets.HEIGHT_COUNT
 
 
 @kernel

@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drape.graph.inputs import SLOPE
 from drape.network.dense import BodyLayer, Layer, body_layer, layer
-
-SLOPE = 0.01  # of the network's bends (LeakyReLU)
 
 
 class Corrections(NamedTuple):

@@ -29,7 +29,7 @@ from drape.contact.samples import REGION_SIZE
 from drape.errors import ArtifactError
 from drape.garment.features import JOINT_REACH_M
 from drape.geometry import jets
-from drape.graph.inputs import ROOT
+from drape.graph.inputs import ROOT, SLOPE
 from drape.graph.packed import VERTICES_PER_BLOCK, Indices, PackedBodies, PackedTensors, StoredPatches
 from drape.graph.packing import pass_name
 from model_export.onnx_file import write_graph
@@ -39,7 +39,6 @@ from model_export.packed.charts import Charts
 from model_export.packed.contact import Contact, posed_skins
 from model_export.packed.operators import TRANSLATIONS, rows
 from model_export.packed.strain import Strain
-from training.layers import SLOPE
 from training.model import OneFit
 
 SKIN_OUTPUT = TensorSpec(

@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from drape.body.skeleton import JOINT_COUNT
-from training.layers import SLOPE
+from drape.graph.inputs import SLOPE
 
 
 def surroundings_layer(layer: nn.Linear | None) -> nn.Parameter | None:

@@ -12,8 +12,9 @@ import numpy as np
 
 from drape.arrays.subnormals import flushed
 from drape.body.skeleton import JOINT_COUNT
+from drape.graph.packed import PART_SIZE
 from drape.graph.packing import PackedGarment
-from drape.network.bodies import PART_SIZE, BodyFeed, PosedBody, posed_body
+from drape.network.bodies import BodyFeed, PosedBody, posed_body
 from drape.network.dense import OUTPUTS
 from drape.network.drape import posed_jets
 from drape.network.patch_rows import PatchRows, patch_rows

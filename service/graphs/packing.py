@@ -113,7 +113,8 @@ class Packer:
         self._tiles_per_call = tiles_per_call or (TILES_PER_BUCKET if engine.bound else TILES_PER_CALL)
         self._values: dict[str, Any] = {}
         self._rows: dict[str, tuple[PackedGarment, PatchRows]] = {}  # by key, where the network is compiled
-        self._threads = ThreadPoolExecutor(engine.threads, "drape-items") if engine.threads > 1 else None
+        several = engine.compiled is not None and engine.threads > 1
+        self._threads = ThreadPoolExecutor(engine.threads, "drape-items") if several else None
         if engine.on_cpu:
             warm_up()
 
