@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from drape.live import fold_step, swing_step
+from drape.live import fold_step, swing_step, two_level
 
 fold_step.warm_up()
 swing_step.warm_up()
+two_level.warm_up()

@@ -27,7 +27,7 @@ import numpy as np
 
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import add, at, dot, scaled, sub
-from drape.live.fold_constants import FoldConstants
+from drape.live.fold_constants import LaidCloth
 from drape.live.sheet import LANES
 from drape.live.skin_contact import NEIGHBOURS, TouchedSamples, follow
 from drape.live.surface_frames import FRAMES, surface_frames
@@ -43,7 +43,7 @@ LEAST_WAY_M = 1e-3  # by which a way must grow, or the line gets long
 ASLANT = 0.05  # cosine between plane and skin below which the skin bounds no way along the plane's normal
 
 
-def ceiling_over(vertices: np.ndarray, outer: FoldConstants, skin: np.ndarray) -> np.ndarray:
+def ceiling_over(vertices: np.ndarray, outer: LaidCloth, skin: np.ndarray) -> np.ndarray:
     """The ceiling (S, 5) that the garment ``outer`` with ``vertices`` [m] (V, 3) is over the samples ``skin`` (S, 8).
 
     A row has the height [m] over the sample, infinite where nothing covers it, the unit normal n of a plane and its
@@ -65,7 +65,7 @@ def lower(ceiling: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def pressed(
-    vertices: np.ndarray, inner: FoldConstants, own: np.ndarray, ground: np.ndarray, ceiling: np.ndarray
+    vertices: np.ndarray, inner: LaidCloth, own: np.ndarray, ground: np.ndarray, ceiling: np.ndarray
 ) -> np.ndarray:
     """The ``vertices`` [m] (V, 3) of the garment ``inner`` below the ``ceiling`` (S, 5) over ``ground`` (S, 8), with
     the cloth around; themselves where nothing is too high. ``own`` (P,) is the sample that each place is at."""

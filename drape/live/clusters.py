@@ -12,9 +12,12 @@ import scipy.sparse
 from scipy.sparse.csgraph import dijkstra
 
 from drape.kernels.compiled import kernel, part
+from drape.kernels.elements import dot, scaled
+from drape.kernels.lanes import most, put, root, rows3_at, sums
 from drape.live.sheet import LANES
 
 LANDMARKS = 6  # the ways along the cloth to so many vertices tell where on it a vertex is
+TINY = 1e-30
 POINT_ROWS, BOX_ROWS = 3 * LANES, 6 * LANES  # numbers of a cluster's points, and of the corners of ``LANES`` boxes
 
 
@@ -116,8 +119,8 @@ def _enclose(rows, lowest, highest, boxes, c):
 
 
 @part
-def find_close(a, count, boxes, groups, most, hit, found):
-    """How many of the clusters ``a`` to ``count`` - 1 have a box within the root of ``most`` [m^2] of that of ``a``.
+def find_close(a, count, boxes, groups, reach, hit, found):
+    """How many of the clusters ``a`` to ``count`` - 1 have a box within the root of ``reach`` [m^2] of that of ``a``.
 
     They are written to ``found`` (C,); ``hit`` (2 ``LANES``,) is scratch.
     """
@@ -125,13 +128,13 @@ def find_close(a, count, boxes, groups, most, hit, found):
     low = (boxes[own], boxes[own + LANES], boxes[own + 2 * LANES])
     high = (boxes[own + 3 * LANES], boxes[own + 4 * LANES], boxes[own + 5 * LANES])
     for block in range(a // (LANES * LANES), len(groups) // BOX_ROWS):
-        if not _hits(low, high, groups, block, most, hit, 0):
+        if not _hits(low, high, groups, block, reach, hit, 0):
             continue
         for i in range(LANES):
             group = LANES * block + i
             if not hit[i] or group < a // LANES or group >= len(boxes) // BOX_ROWS:
                 continue
-            if not _hits(low, high, boxes, group, most, hit, LANES):
+            if not _hits(low, high, boxes, group, reach, hit, LANES):
                 continue
             for j in range(LANES):
                 c = LANES * group + j
@@ -141,9 +144,49 @@ def find_close(a, count, boxes, groups, most, hit, found):
     return filled
 
 
+@kernel
+def write_cones(rows, size, first, angle, cones):
+    """Writes the axis of each cluster's normals to ``cones`` (C, 4), and the cosine of the angle up to which the axes
+    of two such clusters count as one (``in_one_cone``), above 1 where none does.
+
+    Clusters have ``size`` numbers of ``rows`` each, the normals, of any length, in three rows from ``first`` on.
+    ``angle`` [rad] is that of the cone, less than a right one.
+    """
+    kind = rows.dtype.type
+    one, two, tiny = kind(1), kind(2), kind(TINY)
+    least, double, across = kind(np.cos(angle)), kind(np.cos(2.0 * angle)), kind(np.sin(2.0 * angle))
+    x, y, z = np.empty(LANES, rows.dtype), np.empty(LANES, rows.dtype), np.empty(LANES, rows.dtype)
+    for c in range(len(cones)):
+        n = rows3_at(rows, size * c + first)
+        n = scaled(one / root(most(dot(n, n), tiny)), n)
+        put(x, 0, n[0])
+        put(y, 0, n[1])
+        put(z, 0, n[2])
+        axis = sums(n[0], n[1], n[2])
+        length, cosine = max(np.sqrt(dot(axis, axis)), tiny), one
+        for lane in range(LANES):
+            cosine = min(cosine, (axis[0] * x[lane] + axis[1] * y[lane] + axis[2] * z[lane]) / length)
+        for i in range(3):
+            cones[c, i] = axis[i] / length
+        # cos 2 (angle - a), a the largest angle of a normal to the axis
+        sine = np.sqrt(max(one - cosine * cosine, kind(0)))
+        limit = double * (two * cosine * cosine - one) + across * two * cosine * sine
+        cones[c, 3] = limit if cosine > least else two
+
+
 @part
-def _hits(low, high, boxes, block, most, hit, level):
-    """Whether a box of a block is within the root of ``most`` of that from ``low`` to ``high``; ``hit`` has which ones.
+def in_one_cone(cones, a, b):
+    """Whether all normals of two clusters are within the cones' angle of the axis between theirs: with b the angle
+    between their axes and a the larger one of a normal to its own, b / 2 + a is less (Volino and Magnenat-Thalmann
+    1994, "Efficient self-collision detection on smoothly discretized surface animations using geometrical shape
+    regularity", CGF 13(3))."""
+    cosine = cones[a, 0] * cones[b, 0] + cones[a, 1] * cones[b, 1] + cones[a, 2] * cones[b, 2]
+    return cosine > more(cones[a, 3], cones[b, 3])
+
+
+@part
+def _hits(low, high, boxes, block, reach, hit, level):
+    """Whether a box of a block is within the root of ``reach`` of that from ``low`` to ``high``; ``hit`` has which.
 
     Rounding is monotone, so that two points are never nearer to each other than their boxes.
     """
@@ -152,7 +195,7 @@ def _hits(low, high, boxes, block, most, hit, level):
         x = more(more(boxes[first + lane] - high[0], low[0] - boxes[first + 3 * LANES + lane]), zero)
         y = more(more(boxes[first + LANES + lane] - high[1], low[1] - boxes[first + 4 * LANES + lane]), zero)
         z = more(more(boxes[first + 2 * LANES + lane] - high[2], low[2] - boxes[first + 5 * LANES + lane]), zero)
-        one = 1 if squared(x, y, z) < most else 0
+        one = 1 if squared(x, y, z) < reach else 0
         hit[level + lane] = one
         some |= one
     return some > 0

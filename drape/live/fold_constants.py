@@ -60,6 +60,15 @@ class WornCloth:
         return self.band_n_per_m + HOLD * lies * contact
 
 
+class LaidCloth(NamedTuple):
+    """What garments over and below a cloth read of it: its ``sheet``, the skin's ``graph``, and the sample nearest to
+    each place at rest, ``index`` (P,)."""
+
+    sheet: Sheet
+    graph: SkinGraph
+    index: np.ndarray
+
+
 class FoldConstants(NamedTuple):
     """The arrays that kernels read: the cloth's ``sheet``, the ``factor`` of its stiffness, the skin's ``graph``.
 
@@ -91,7 +100,12 @@ class FoldConstants(NamedTuple):
     @property
     def nbytes(self) -> int:
         """Memory of the arrays."""
-        return _nbytes(tuple(self))
+        return array_bytes(tuple(self))
+
+    @property
+    def laid(self) -> LaidCloth:
+        """As garments over and below it read it."""
+        return LaidCloth(self.sheet, self.graph, self.index)
 
 
 def hem_places(faces: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -111,13 +125,17 @@ def worn_cloth(garment: Garment, body: BodyModel, fabric: Fabric | None = None) 
     count = garment.vertex_count
     vertices, faces = garment.vertices[:count].astype(np.float64), garment.faces.astype(np.int64)
     cloth = ClothMesh.of(garment.delivered_rest(), faces, count)
+    return worn_mesh(cloth, vertices, body, fabric_named(garment.fabric) if fabric is None else fabric)
+
+
+def worn_mesh(cloth: ClothMesh, vertices: np.ndarray, body: BodyModel, fabric: Fabric) -> WornCloth:
+    """``cloth`` of ``fabric`` whose ``vertices`` [m] (V, 3) are where they are on ``body`` at rest."""
     skin = body_skin(body)
     index = nearest_at_rest(vertices, skin)
     held = leash_n_per_m(vertices, cloth.vertex_area, skin, index)
-    band = waistband(vertices, faces, body)
+    band = waistband(vertices, cloth.faces, body)
     if band is not None:
         held[band.vertex] += STIFFNESS_N_M2 * band.length_m
-    fabric = fabric_named(garment.fabric) if fabric is None else fabric
     return WornCloth(cloth, Material.of(fabric), held, skin_graph(skin), index, fabric.friction)
 
 
@@ -131,7 +149,8 @@ def leash_n_per_m(vertices: np.ndarray, area: np.ndarray, skin: Samples, index: 
     return LEASH_N_M3 * area * np.clip((HANGING_M - height_m) / (HANGING_M - LYING_M), LEAST, 1.0)
 
 
-def _nbytes(value: object) -> int:
+def array_bytes(value: object) -> int:
+    """Memory of the arrays in nested tuples."""
     if isinstance(value, np.ndarray):
         return value.nbytes
-    return sum(map(_nbytes, value)) if isinstance(value, tuple) else 0
+    return sum(map(array_bytes, value)) if isinstance(value, tuple) else 0

@@ -46,7 +46,7 @@ from drape.live.skin_contact import (
     write_grip,
 )
 from drape.live.surface_frames import FRAMES, in_frames, in_world, surface_frames
-from drape.live.sweeps import PLANES, SCRATCH, descend, gradient_at, leash, stick
+from drape.live.sweeps import SCRATCH, descend, gradient_at, leash, stick
 from drape.live.untangle import WAY_M, untangle
 from drape.live.whole import whole_step
 
@@ -78,6 +78,10 @@ class FoldMemory(FrameMemory):
     touched: TouchedSamples
     grip: np.ndarray
     turn: int
+
+    def at(self, time_s: float) -> FoldMemory:
+        """The same at another time [s]."""
+        return replace(self, time_s=time_s)
 
 
 @dataclass(frozen=True)
@@ -117,15 +121,22 @@ def fold(
 
     The same input gives the same bits. ``memory`` is not written to.
     """
+    return fold_among(constants, memory, frame, effort, constants.sheet.planes())
+
+
+def fold_among(
+    constants: FoldConstants, memory: FoldMemory | None, frame: Frame, effort: FoldEffort, planes: np.ndarray
+) -> tuple[np.ndarray, FoldMemory, FoldReport]:
+    """``fold``, which leaves what held the cloth in this frame in ``planes`` (``Sheet.planes``)."""
     dtype = constants.sheet.own.dtype
     network = np.empty((len(constants.sheet.vertex), 3), dtype)
     put_places(frame.vertices, constants.sheet.vertex, network)
     around = frame.around(dtype)
     none = _without_past(constants, network, frame.time_s)
     past = memory if memory is not None and follows(memory, network, frame.time_s) else none
-    x, after, report = _advanced(constants, past, network, around, frame.time_s, effort)
+    x, after, report = _advanced(constants, past, network, around, frame.time_s, effort, planes)
     if x is None:
-        x, after, report = _advanced(constants, none, network, around, frame.time_s, effort)
+        x, after, report = _advanced(constants, none, network, around, frame.time_s, effort, planes)
         report = replace(report, reset=True)
     if x is None:
         return frame.vertices, none, FoldReport(settled=True, reset=True)
@@ -150,6 +161,7 @@ def _advanced(
     around: Surroundings,
     time_s: float,
     effort: FoldEffort,
+    planes: np.ndarray,
 ) -> tuple[np.ndarray | None, FoldMemory, FoldReport]:
     """Vertices [m] (V, 3) of the frame after ``past``, None where they are no folds, its memory, and a report."""
     dtype = network.dtype.type
@@ -171,7 +183,7 @@ def _advanced(
     )  # fmt: skip
     touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
     state = FoldState(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())
-    x, far, lifted_m = advance(past.network, network, state, touched, around, constants, schedule)
+    x, far, lifted_m = advance(FoldPlaces(past.network, network, planes), state, touched, around, constants, schedule)
     count, most_m = counted(lifted_m, place, MOVED_M)
     after = FoldMemory(time_s, network, state.residual, state.velocity, touched, state.grip, (past.turn + 1) % TURNS)
     report = FoldReport(settled, False, count / len(place), float(most_m))
@@ -215,12 +227,21 @@ def paced(steps: int, calm: float, *, stiff: bool) -> Pace:
 
 
 class FoldGuides(NamedTuple):
-    """The guides of a frame's cloth: the ``network``'s places, the places where the skin has taken what was ``stuck``
-    to it, both [m] (P, 3), and what is ``around``."""
+    """The guides of a frame's cloth: the ``network``'s places and the places where the skin has taken what was
+    ``stuck`` to it, both [m] (P, 3), the ``planes``, and what is ``around``."""
 
     network: np.ndarray
     stuck: np.ndarray
+    planes: np.ndarray
     around: Surroundings
+
+
+class FoldPlaces(NamedTuple):
+    """The network's places [m] (P, 3) in the frame ``before`` and in this one, and the ``planes`` that are written."""
+
+    before: np.ndarray
+    network: np.ndarray
+    planes: np.ndarray
 
 
 class FoldState(NamedTuple):
@@ -252,11 +273,10 @@ class FoldSchedule(NamedTuple):
 
 
 @kernel
-def advance(before, network, state, touched, around, cloth, schedule):
+def advance(places, state, touched, around, cloth, schedule):
     """``x`` [m] (P, 3), how far [m] the farthest vertex is from the network, NaN where one is, and how far [m] each was
-    lifted (P,). ``before`` and ``network`` are the network's places in the frame before and in this one. ``state`` and
-    ``touched`` are moved on in place."""
-    sheet, k = cloth.sheet, cloth.sheet.constants
+    lifted (P,). ``state`` and ``touched`` are moved on in place."""
+    sheet, k, before, network = cloth.sheet, cloth.sheet.constants, places.before, places.network
     residual, velocity, grip = state
     skin = around.skin
     stuck = np.empty_like(network)
@@ -271,7 +291,7 @@ def advance(before, network, state, touched, around, cloth, schedule):
     keep_residual(x, before, network, frames, sheet, cloth.hem)
     x += network
     lifted = np.zeros(len(x), x.dtype)
-    _descend_rounds(x, way, lifted, FoldGuides(network, stuck, around), touched, cloth, schedule)
+    _descend_rounds(x, way, lifted, FoldGuides(network, stuck, places.planes, around), touched, cloth, schedule)
     if schedule.turn < 0:
         stuck[:] = x
     write_grip(x, stuck, touched, skin, cloth.graph, grip)
@@ -287,14 +307,14 @@ def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
     """Moves ``x`` by the rounds of ``schedule`` and the lift, in place, and writes the ``way`` of the last step and how
     far each vertex was ``lifted``."""
     sheet, network, skin, colliders = cloth.sheet, guides.network, guides.around.skin, guides.around.colliders
-    planes, gradient = np.empty(PLANES // LANES * len(x), x.dtype), np.empty_like(x)
+    planes, gradient = guides.planes, np.empty_like(x)
     before, scratch = np.empty_like(x), np.empty(SCRATCH, x.dtype)
     follow(network, skin, cloth.graph, touched)
     leash(sheet, planes)
     stick(sheet, guides.stuck, schedule.friction, planes)
     if schedule.within:
         hold_within(network, sheet, cloth.neighbours, planes)
-    first = schedule.turn < 0
+    first, every = schedule.turn < 0, np.arange(len(cloth.tangles.start) - 1)
     for _ in range(schedule.rounds):
         touch(x, skin, cloth.graph, sheet, touched, schedule.turn, planes)
         put_planes(x, colliders, planes)
@@ -317,7 +337,7 @@ def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
             if schedule.steps == 0:
                 _set_way(way, x, before)
         if schedule.within and schedule.untangle > 0.0:
-            untangle(x, cloth.tangles, schedule.untangle)
+            untangle(x, cloth.tangles, every, schedule.untangle)
     if schedule.rounds == 0 and (schedule.clearance > 0.0 or len(colliders)):  # folds without steps have no planes yet
         touch(x, skin, cloth.graph, sheet, touched, schedule.turn, planes)
     leave(x, colliders, planes, schedule.clearance)
@@ -356,4 +376,4 @@ def warm_up() -> None:
     heights_over(x, small.sheet, memory.touched.own, skin, small.graph)
     skin[:, 6] = 1.0
     above = square + np.array([0.0, 0.0, 0.05])
-    pressed(above, small, memory.touched.own, skin, ceiling_over(square, small, skin))
+    pressed(above, small.laid, memory.touched.own, skin, ceiling_over(square, small.laid, skin))

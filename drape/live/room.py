@@ -77,7 +77,7 @@ def sheet_neighbours(cloth: ClothMesh) -> SheetNeighbours:
     pairs = np.concatenate([ends[once], ends[once][:, ::-1]])
     graph = scipy.sparse.coo_matrix((np.tile(length[once], 2), pairs.T), shape=(count, count)).tocsr()
     graph.sort_indices()
-    start, vertex, along = _reached(graph.indptr, graph.indices, graph.data, ROOM_M / FOLDED)
+    start, vertex, along = reached(graph.indptr, graph.indices, graph.data, ROOM_M / FOLDED)
     own = np.repeat(np.arange(count), np.diff(start))
     beside = (own == vertex) | (np.asarray(graph[own, vertex]).reshape(-1) > 0.0)
     square = np.where(beside | (along <= NEAR_M), 0.0, (FOLDED * along) ** 2).astype(np.float32)
@@ -106,7 +106,7 @@ def _bounds(
 
 
 @kernel
-def _reached(start, other, length, most):
+def reached(start, other, length, most):
     """Where each vertex's list begins, the lists of what is within ``most`` [m] over edges of ``length``, and the ways
     there; found by relaxing."""
     count = len(start) - 1

@@ -16,6 +16,7 @@ from drape.cloth.material import Material
 from drape.kernels.lanes import LANES
 from drape.kernels.problem import Hinges, KernelConstants, Problem, Triangles, problem
 
+PLANE_ROWS = 18
 ALIKE = 0.99  # edges as long as this share of the longest one count as equally long
 
 
@@ -48,6 +49,10 @@ class Sheet(NamedTuple):
     crease_start: np.ndarray
     crease_lane: np.ndarray
     crease_member: np.ndarray
+
+    def planes(self) -> np.ndarray:
+        """What holds the cloth in a frame, ``PLANE_ROWS`` a block (``sweeps``): no planes, and nothing held."""
+        return np.zeros(PLANE_ROWS * len(self.vertex), self.own.dtype)
 
 
 def sheet(

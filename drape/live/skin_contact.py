@@ -230,6 +230,18 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
 
 
 @kernel
+def put_own_planes(x, skin, graph, own, planes):
+    """Writes the planes below ``x`` [m] (P, 3) of the samples ``own`` (P,), blended with their neighbours'."""
+    lanes = _walk_lanes(skin)
+    for block in range(len(x) // LANES):
+        for lane in range(LANES):
+            lanes.sample[lane] = own[LANES * block + lane]
+        foot, unit = _plane(points_in(x, LANES * block), lanes, skin, graph)
+        put3(planes, PLANES * block, foot)
+        put3(planes, PLANES * block + 3 * LANES, unit)
+
+
+@kernel
 def _walk(points, lanes, skin, neighbour, steps):
     """``_nearest`` for a point in every lane, from ``lanes.sample``, moved in place."""
     own, near, nearer = lanes.sample, lanes.near, lanes.scratch

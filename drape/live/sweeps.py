@@ -46,13 +46,13 @@ from drape.kernels.lanes import (
     rows3_at,
     where_above,
 )
-from drape.live.sheet import LANES
+from drape.live.sheet import LANES, PLANE_ROWS
 
 GRADIENT, HESSIAN, SCRATCH = 0, 3 * LANES, 9 * LANES  # rows of the scratch
 # The rows of a block in ``planes``: point p and normal n of the own part and of another one; the stiffness and slack
 # that hold the vertex to the network's place; where the skin has taken it, and friction times contact's stiffness.
 OTHER_PLANE, HELD_ROW, SLACK_ROW, STUCK, FRICTION_ROW = 6 * LANES, 12 * LANES, 13 * LANES, 14 * LANES, 17 * LANES
-PLANES = 18 * LANES
+PLANES = PLANE_ROWS * LANES
 SLIP_M = 1e-3  # friction is a spring up to here, and slips with the force that it has then
 HOLD = 0.4  # the share of contact's stiffness that steps of the whole cloth allow leash and friction
 

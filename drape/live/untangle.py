@@ -26,8 +26,8 @@ import scipy.sparse
 from drape.geometry import meshes
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import add, at, cross, dot, mix, scaled, sub
-from drape.kernels.lanes import least, most, points_at, put, put3, root, rows3_at, sums
-from drape.live.clusters import boxes_around, clusters, find_close, less, more
+from drape.kernels.lanes import least, most, points_at, put, put3, rows3_at
+from drape.live.clusters import boxes_around, clusters, find_close, in_one_cone, less, more, write_cones
 from drape.live.sheet import LANES
 
 STEPS, WAY_M = 2, 0.002
@@ -36,8 +36,9 @@ MOST_PAIRS = 8192  # pairs of a frame: bounds its time
 OBLIQUE = 0.05  # the least cosine of edge and normal that counts
 SOFT = 0.25  # a way of half this size, squared, is halved: contours that all but close leave hardly any way
 TOUCH_M2 = 1e-12  # boxes that only touch may cross
-CONE_RAD = 0.45 * np.pi  # cloth side by side whose normals differ from an axis by less does not cross itself
-TINY = 1e-30
+# Cloth side by side whose normals differ from an axis by less does not cross itself; by a right angle would do but for
+# cloth whose border crosses itself.
+CONE_RAD = 0.45 * np.pi
 
 # Rows of a cluster of triangles: three corners, the least and the most corner of the box, the normal, as long as twice
 # the area, and the plane's height along it.
@@ -81,12 +82,13 @@ def tangles_of(faces: np.ndarray, place: np.ndarray) -> Tangles:
 
 
 @kernel
-def untangle(x, tangles, farthest):
-    """Moves ``x`` [m] (P, 3) in place where triangles of ``tangles`` cross, by ``farthest`` [m] at most in a step.
+def untangle(x, tangles, chosen, farthest):
+    """Moves ``x`` [m] (P, 3) in place where triangles of the clusters ``chosen`` (n,), in rising order, cross, by
+    ``farthest`` [m] at most in a step.
 
     Returns how many pairs may have crossed at first.
     """
-    pairs = crossing(x, tangles)
+    pairs = crossing(x, tangles, chosen)
     if len(pairs):
         way, count = np.empty_like(x), np.empty(len(x), x.dtype)
         for _ in range(STEPS):
@@ -102,26 +104,31 @@ def untangle(x, tangles, farthest):
 
 
 @kernel
-def crossing(x, tangles):
-    """Pairs (N, 2) int32 of triangles, cluster times ``LANES`` plus lane, that share no corner and may cross: each has
-    corners on both sides of the other one, and their boxes overlap. ``MOST_PAIRS`` at most."""
-    corner, count = tangles.corner, len(tangles.corner) // (3 * LANES)
-    rows = np.empty(ROWS * count, x.dtype)
-    for c in range(count):
-        _lay(x, corner, c, rows)
+def crossing(x, tangles, chosen):
+    """Pairs (N, 2) int32 of triangles, cluster times ``LANES`` plus lane, of the clusters ``chosen``, that share no
+    corner and may cross: each has corners on both sides of the other one, and their boxes overlap. ``MOST_PAIRS`` at
+    most."""
+    corner, count = tangles.corner, len(chosen)
+    pairs, filled = np.empty((MOST_PAIRS, 2), np.int32), 0
+    if count == 0:
+        return pairs[:0].copy()
+    rows, number = np.empty(ROWS * count, x.dtype), np.full(len(tangles.start) - 1, -1, np.int32)
+    for n in range(count):
+        _lay(x, corner, chosen[n], rows, ROWS * n)
+        number[chosen[n]] = n
     boxes, groups = boxes_around(rows, ROWS, LOW, HIGH)
     cones = np.empty((count, 4), x.dtype)
-    _write_cones(rows, cones)
+    write_cones(rows, ROWS, NORMAL, CONE_RAD, cones)
     joined = np.full(count, -1, np.int32)
     hit, close = np.empty(2 * LANES, np.int32), np.empty(count, np.int32)
     out, side = np.empty(LANES, x.dtype), np.empty(LANES, x.dtype)
-    pairs, filled = np.empty((MOST_PAIRS, 2), np.int32), 0
     for a in range(count):
-        for entry in range(tangles.start[a], tangles.start[a + 1]):
-            joined[tangles.beside[entry]] = a
-        for number in range(find_close(a, count, boxes, groups, x.dtype.type(TOUCH_M2), hit, close)):
-            b = close[number]
-            if joined[b] == a and _in_one_cone(cones, a, b):
+        for entry in range(tangles.start[chosen[a]], tangles.start[chosen[a] + 1]):
+            if number[tangles.beside[entry]] >= 0:
+                joined[number[tangles.beside[entry]]] = a
+        for found in range(find_close(a, count, boxes, groups, x.dtype.type(TOUCH_M2), hit, close)):
+            b = close[found]
+            if joined[b] == a and in_one_cone(cones, a, b):
                 continue
             _write_out_of_box(rows, ROWS * a, boxes, b, out)
             for i in range(LANES):
@@ -137,48 +144,17 @@ def crossing(x, tangles):
                     if (
                         side[j] < 0
                         and filled < MOST_PAIRS
-                        and not _joined(corner, 3 * LANES * a + i, 3 * LANES * b + j)
+                        and not _joined(corner, 3 * LANES * chosen[a] + i, 3 * LANES * chosen[b] + j)
                         and _is_parted(rows, ROWS * a, i, ROWS * b, j)
                     ):
-                        pairs[filled, 0], pairs[filled, 1] = LANES * a + i, LANES * b + j
+                        pairs[filled, 0], pairs[filled, 1] = LANES * chosen[a] + i, LANES * chosen[b] + j
                         filled += 1
     return pairs[:filled].copy()
 
 
-@kernel
-def _write_cones(rows, cones):
-    """Writes the axis (3,) of each cluster's normals and their largest angle [rad] to it to ``cones`` (C, 4)."""
-    x, y, z = np.empty(LANES, rows.dtype), np.empty(LANES, rows.dtype), np.empty(LANES, rows.dtype)
-    one, tiny = rows.dtype.type(1), rows.dtype.type(TINY)
-    for c in range(len(cones)):
-        n = rows3_at(rows, ROWS * c + NORMAL)
-        n = scaled(one / root(most(dot(n, n), tiny)), n)
-        put(x, 0, n[0])
-        put(y, 0, n[1])
-        put(z, 0, n[2])
-        axis = sums(n[0], n[1], n[2])
-        length, cosine = np.sqrt(dot(axis, axis)), one
-        for lane in range(LANES):
-            cosine = min(cosine, (axis[0] * x[lane] + axis[1] * y[lane] + axis[2] * z[lane]) / max(length, tiny))
-        for i in range(3):
-            cones[c, i] = axis[i] / max(length, tiny)
-        cones[c, 3] = np.arccos(max(cosine, -one))
-
-
 @part
-def _in_one_cone(cones, a, b):
-    """Whether all normals of two clusters are within ``CONE_RAD`` of the axis between theirs (Volino and
-    Magnenat-Thalmann 1994, "Efficient self-collision detection on smoothly discretized surface animations using
-    geometrical shape regularity", CGF 13(3)). A right angle would do but for cloth whose border crosses itself."""
-    cosine = cones[a, 0] * cones[b, 0] + cones[a, 1] * cones[b, 1] + cones[a, 2] * cones[b, 2]
-    between = np.arccos(min(max(cosine, -1), 1))
-    return 0.5 * between + max(cones[a, 3], cones[b, 3]) < CONE_RAD
-
-
-@part
-def _lay(x, corner, c, rows):
-    """Writes the rows of cluster ``c``."""
-    first = ROWS * c
+def _lay(x, corner, c, rows, first):
+    """Writes the rows of cluster ``c`` from ``first`` on."""
     p, q = points_at(x, corner, 3 * LANES * c), points_at(x, corner, 3 * LANES * c + LANES)
     r = points_at(x, corner, 3 * LANES * c + 2 * LANES)
     put3(rows, first, p)

@@ -1,0 +1,318 @@
+"""Folds on two levels: steps of a coarse cloth, and sweeps that settle the fine one around it.
+
+What is costly in a frame is contact: with the skin, and of cloth with itself. Folds of a few centimetres need no fine
+cloth for it. So the coarse cloth, about a fifth of the vertices (``coarse_mesh``), takes the frame's steps as
+``fold_step`` has them. Their way from the network's drape is carried to all vertices (``coarse_weights``), and
+
+    x = X + W (x_c - X_c) + share e
+
+is where sweeps of vertex block descent begin. e is what the sweeps of the frame before added; it fades with the time
+``KEPT_S``. No contact is looked for on the fine cloth. Its planes are those of the sample that its coarse vertex is at,
+blended anew, and it keeps within the room that its coarse vertex has. Only where that is less than all, crossings come
+apart (``untangle``). The lift ends the frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.cloth.energies import ClothMesh
+from drape.cloth.fabric import Fabric
+from drape.cloth.fabric_table import fabric as fabric_named
+from drape.cloth.material import Material
+from drape.cloth.rest_state import RestState, modelled
+from drape.contact.projection import MOVED_M
+from drape.garment.cache import Garment
+from drape.kernels.compiled import kernel
+from drape.kernels.elements import add, farthest_m, scaled
+from drape.kernels.lanes import points_at, points_in, put_points, row_at
+from drape.live.clock import Frame, step_between
+from drape.live.coarse_mesh import coarse_mesh
+from drape.live.coarse_weights import NEAREST, coarse_weights
+from drape.live.colliders import leave, put_planes
+from drape.live.fold_constants import (
+    FoldConstants,
+    LaidCloth,
+    WornCloth,
+    array_bytes,
+    fold_constants,
+    worn_cloth,
+    worn_mesh,
+)
+from drape.live.fold_step import FAR_M, FoldEffort, FoldMemory, FoldReport, fading, fold, fold_among
+from drape.live.lift import lift
+from drape.live.places import counted, moved_m, put_places, put_vertices
+from drape.live.sheet import LANES, Sheet, sheet
+from drape.live.skin_contact import NEIGHBOURS, SkinGraph, put_own_planes
+from drape.live.sweeps import HELD_ROW, PLANES, SCRATCH, SLACK_ROW, descend, leash
+from drape.live.untangle import WAY_M, Tangles, tangles_of, untangle
+
+KEPT_S = 0.15  # in which what sweeps added comes down to 1/e: more lets fine folds pass through each other
+
+
+@dataclass(frozen=True, eq=False)
+class TwoLevelMemory:
+    """What a frame leaves: the memory of the ``coarse`` cloth, and what sweeps ``added`` [m] (P, 3) to the fine one."""
+
+    coarse: FoldMemory
+    added: np.ndarray
+
+    def at(self, time_s: float) -> TwoLevelMemory:
+        """The same at another time [s]."""
+        return replace(self, coarse=self.coarse.at(time_s))
+
+
+class FineLevel(NamedTuple):
+    """The fine cloth's ``sheet``. Its places take from coarse ones: ``near`` and ``weight``, flat, ``NEAREST`` rows of
+    ``LANES`` numbers a block; ``parent`` (P,) is the coarse place that each takes most from. ``tangles``: the triangles
+    that may cross."""
+
+    sheet: Sheet
+    near: np.ndarray
+    weight: np.ndarray
+    parent: np.ndarray
+    tangles: Tangles
+
+
+@dataclass(frozen=True, eq=False)
+class OneLevel:
+    """Folds of the fine cloth alone (``fold_step``)."""
+
+    constants: FoldConstants
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays."""
+        return self.constants.nbytes
+
+    @property
+    def laid(self) -> LaidCloth:
+        """The cloth as garments over and below it read it."""
+        return self.constants.laid
+
+    def own(self, memory: FoldMemory | TwoLevelMemory) -> np.ndarray:
+        """The sample (P,) that each place is at in a ``memory`` that ``fold`` made."""
+        assert isinstance(memory, FoldMemory)
+        return memory.touched.own
+
+    def fold(
+        self, memory: FoldMemory | TwoLevelMemory | None, frame: Frame, effort: FoldEffort
+    ) -> tuple[np.ndarray, FoldMemory, FoldReport]:
+        """``fold_step.fold``; a memory of two levels is none."""
+        return fold(self.constants, memory if isinstance(memory, FoldMemory) else None, frame, effort)
+
+
+@dataclass(frozen=True, eq=False)
+class TwoLevel:
+    """The ``coarse`` cloth, the fine vertices ``kept`` (n,) in it, the ``fine`` level, and the sample nearest to each
+    of its places at rest, ``index`` (P,)."""
+
+    coarse: FoldConstants
+    kept: np.ndarray
+    fine: FineLevel
+    index: np.ndarray
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays."""
+        return self.coarse.nbytes + array_bytes(tuple(self.fine))
+
+    @property
+    def laid(self) -> LaidCloth:
+        """The fine cloth as garments over and below it read it."""
+        return LaidCloth(self.fine.sheet, self.coarse.graph, self.index)
+
+    def own(self, memory: FoldMemory | TwoLevelMemory) -> np.ndarray:
+        """The sample (P,) that each place of the fine cloth is at in a ``memory`` that ``fold`` made."""
+        assert isinstance(memory, TwoLevelMemory)
+        return memory.coarse.touched.own[self.fine.parent]
+
+    def fold(
+        self, memory: FoldMemory | TwoLevelMemory | None, frame: Frame, effort: FoldEffort
+    ) -> tuple[np.ndarray, TwoLevelMemory, FoldReport]:
+        """``fold_two_level``; a memory of one level is none."""
+        return fold_two_level(self, memory if isinstance(memory, TwoLevelMemory) else None, frame, effort)
+
+
+def one_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> OneLevel:
+    """The constants of ``garment`` on ``body``, made of ``fabric`` or else its own; takes a third of a second."""
+    return OneLevel(fold_constants(garment, body, fabric))
+
+
+def two_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> TwoLevel:
+    """The same of its coarse cloth and the fine one; takes half a second to one."""
+    worn = worn_cloth(garment, body, fabric)
+    fabric = fabric_named(garment.fabric) if fabric is None else fabric
+    vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
+    return _around(
+        worn, garment.delivered_rest(), vertices, lambda cloth, points: worn_mesh(cloth, points, body, fabric)
+    )
+
+
+def _around(
+    worn: WornCloth, rest: RestState, vertices: np.ndarray, dressed: Callable[[ClothMesh, np.ndarray], WornCloth]
+) -> TwoLevel:
+    """The levels of ``worn``, whose state is ``rest`` and whose ``vertices`` [m] (V, 3) are at rest on the body; the
+    coarse cloth on some of these is worn as ``dressed`` says."""
+    made = coarse_mesh(rest, vertices, worn.cloth.faces)
+    cloth = ClothMesh.of(made.rest, made.faces, len(made.vertex))
+    coarse = FoldConstants.of(dressed(cloth, vertices[made.vertex]))
+    fine = sheet(worn.cloth, worn.material, worn.band_n_per_m)
+    taken, weight = coarse_weights(vertices, worn.cloth.faces, made.vertex, cloth.mean_edge_m)
+    taken, weight = coarse.sheet.place[taken][fine.vertex], weight[fine.vertex]
+    most = np.abs(weight).argmax(axis=1)[:, None]
+    level = FineLevel(
+        fine,
+        _in_blocks(taken, np.int32),
+        _in_blocks(weight, fine.own.dtype),
+        np.take_along_axis(taken, most, axis=1)[:, 0].astype(np.int32),
+        tangles_of(worn.cloth.faces, fine.place),
+    )
+    return TwoLevel(coarse, made.vertex, level, worn.index[fine.vertex])
+
+
+def _in_blocks(table: np.ndarray, dtype: Any) -> np.ndarray:
+    """A ``table`` (P, n) flat, as n rows of ``LANES`` numbers a block."""
+    return np.ascontiguousarray(table.reshape(-1, LANES, table.shape[1]).transpose(0, 2, 1), dtype).reshape(-1)
+
+
+def fold_two_level(
+    constants: TwoLevel, memory: TwoLevelMemory | None, frame: Frame, effort: FoldEffort
+) -> tuple[np.ndarray, TwoLevelMemory, FoldReport]:
+    """The vertices [m] (V, 3) of ``frame`` with their folds, the memory for the next frame, and a report.
+
+    ``effort`` has as many sweeps of the fine cloth as steps of the coarse one. The same input gives the same bits.
+    """
+    fine, vertex = constants.fine, constants.fine.sheet.vertex
+    dtype = fine.sheet.own.dtype
+    network, planes = np.empty((len(vertex), 3), dtype), constants.coarse.sheet.planes()
+    put_places(frame.vertices, vertex, network)
+    under = frame.vertices[constants.kept]
+    before = None if memory is None else memory.coarse
+    coarsely = effort if effort.steps else replace(effort, clearance_m=0.0)  # what nothing moved the fine cloth lifts
+    folded, coarse, report = fold_among(constants.coarse, before, replace(frame, vertices=under), coarsely, planes)
+    off = np.zeros((len(constants.coarse.sheet.vertex), 3), dtype)
+    off[constants.coarse.sheet.place] = folded - under
+    sweeps, way_m = effort.steps * (effort.settle if report.settled else 1), WAY_M
+    if memory is None or report.settled:
+        added, share = np.zeros_like(network), 0.0
+    else:
+        step_s = step_between(memory.coarse.time_s, frame.time_s)
+        added, share = memory.added.copy(), float(np.exp(-step_s / KEPT_S)) if effort.steps else fading(effort, step_s)
+        way_m = min(WAY_M, moved_m(memory.coarse.network, coarse.network, constants.coarse.sheet.place))
+    apart_m = way_m if sweeps and effort.cloth_contact else 0.0
+    schedule = FineSchedule(dtype.type(share), dtype.type(apart_m), dtype.type(effort.clearance_m), sweeps)
+    held = CoarseHold(constants.coarse.sheet, planes, off, coarse.touched.own)
+    x, far, lifted_m = settle_fine(network, added, held, frame.around(dtype), fine, constants.coarse.graph, schedule)
+    place = fine.sheet.place
+    if not far <= FAR_M:
+        return frame.vertices, TwoLevelMemory(coarse, np.zeros_like(network)), replace(report, reset=True)
+    count, most_m = counted(lifted_m, place, MOVED_M)
+    vertices = np.empty((len(place), 3), dtype)
+    put_vertices(x, place, vertices)
+    report = replace(report, lifted_share=count / len(place), lifted_max_m=float(most_m))
+    return vertices, TwoLevelMemory(coarse, added), report
+
+
+class CoarseHold(NamedTuple):
+    """The coarse cloth as it lies: its ``sheet``, the ``planes`` that held it, its way ``off`` [m] (P, 3) the network's
+    drape, and the sample ``own`` (P,) of each place."""
+
+    sheet: Sheet
+    planes: np.ndarray
+    off: np.ndarray
+    own: np.ndarray
+
+
+class FineSchedule(NamedTuple):
+    """The ``share`` that is kept of what sweeps added before, how far [m] what crosses comes apart in a step, the
+    ``clearance`` [m] of the lift, and the ``sweeps``."""
+
+    share: np.floating
+    untangle: np.floating
+    clearance: np.floating
+    sweeps: int
+
+
+@kernel
+def settle_fine(network, added, coarse, around, fine, graph, schedule):
+    """``x`` [m] (P, 3), how far [m] the farthest vertex is from the ``network``, NaN where one is, and how far [m] each
+    was lifted (P,). ``added`` is written anew."""
+    sheet = fine.sheet
+    x, carried, lifted = np.empty_like(network), np.empty_like(network), np.zeros(len(network), network.dtype)
+    for block in range(len(network) // LANES):
+        points = points_in(network, LANES * block)
+        for n in range(NEAREST):
+            row = LANES * (NEAREST * block + n)
+            points = add(points, scaled(row_at(fine.weight, row), points_at(coarse.off, fine.near, row)))
+        put_points(carried, LANES * block, points)
+        put_points(x, LANES * block, add(points, scaled(schedule.share, points_in(added, LANES * block))))
+    planes, scratch = np.zeros(PLANES // LANES * len(x), x.dtype), np.empty(SCRATCH, x.dtype)
+    leash(sheet, planes)
+    own = coarse.own[fine.parent]
+    hold_as(fine.parent, coarse, sheet, planes)
+    put_own_planes(x, around.skin, graph, own, planes)
+    put_planes(x, around.colliders, planes)
+    for _ in range(schedule.sweeps):
+        descend(x, sheet, planes, network, scratch)
+    if schedule.untangle > 0:
+        untangle(x, fine.tangles, tight_clusters(planes, fine.tangles, sheet.constants.slack), schedule.untangle)
+    leave(x, around.colliders, planes, schedule.clearance)
+    if schedule.clearance > 0.0:
+        lift(x, planes, schedule.clearance, lifted)
+    for v in range(len(x)):
+        for i in range(3):
+            added[v, i] = x[v, i] - carried[v, i]
+    return x, farthest_m(x, network), lifted
+
+
+@kernel
+def hold_as(parent, coarse, sheet, planes):
+    """Tightens the leash of each place as the room of its ``parent`` (P,) did there: by as much of contact's
+    stiffness."""
+    tighter, slack = np.empty(len(coarse.own), planes.dtype), np.empty(len(coarse.own), planes.dtype)
+    for c in range(len(coarse.own)):
+        place, own = PLANES * (c // LANES) + c % LANES, 4 * LANES * (c // LANES) + c % LANES
+        contact = coarse.sheet.own[own + 2 * LANES]
+        more = coarse.planes[place + HELD_ROW] - coarse.sheet.own[own + 3 * LANES]
+        tighter[c], slack[c] = more / contact if contact > 0 else contact, coarse.planes[place + SLACK_ROW]
+    for v in range(len(parent)):
+        place = PLANES * (v // LANES) + v % LANES
+        contact = sheet.own[4 * LANES * (v // LANES) + v % LANES + 2 * LANES]
+        planes[place + HELD_ROW] += tighter[parent[v]] * contact
+        planes[place + SLACK_ROW] = slack[parent[v]]
+
+
+@kernel
+def tight_clusters(planes, tangles, slack):
+    """The clusters of ``tangles`` (n,) with a triangle whose first corner has less than all of the ``slack``."""
+    found, filled = np.empty(len(tangles.start) - 1, np.int32), 0
+    for c in range(len(found)):
+        tight = False
+        for lane in range(LANES):
+            v = tangles.corner[3 * LANES * c + lane]
+            tight |= planes[PLANES * (v // LANES) + v % LANES + SLACK_ROW] < slack
+        if tight:
+            found[filled] = c
+            filled += 1
+    return found[:filled]
+
+
+def warm_up() -> None:
+    """Compiles the kernels or reads what is stored of them, so that no frame waits for it."""
+    x, y = (axis.reshape(-1) for axis in np.meshgrid(np.arange(9.0), np.arange(9.0), indexing="ij"))
+    vertices, corner = 0.01 * np.stack([x, y, 0.0 * x], axis=1), np.flatnonzero((x < 8.0) & (y < 8.0))
+    faces = np.concatenate([corner[:, None] + np.array(turn) for turn in ((0, 9, 10), (0, 10, 1))])
+    graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1), np.zeros((1, 3)))
+
+    def hung(cloth: ClothMesh, points: np.ndarray) -> WornCloth:
+        return WornCloth(cloth, Material(), np.zeros(len(points)), graph, np.zeros(len(points), np.int32))
+
+    made = _around(hung(ClothMesh.from_rest(vertices, faces), vertices), modelled(vertices, faces), vertices, hung)
+    frame = Frame(vertices.astype(np.float32), np.ones((1, 8)), 0.0)
+    fold_two_level(made, None, frame, FoldEffort(1, cloth_contact=True))

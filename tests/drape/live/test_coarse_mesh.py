@@ -1,0 +1,115 @@
+"""Coarse cloth: lengths, grain and area stay, lines stay lines, and vectors are carried smoothly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.body.assets import load_body
+from drape.cloth.energies import ClothMesh
+from drape.cloth.rest_state import RestState, flat
+from drape.geometry import meshes
+from drape.live.coarse_mesh import CREASE_RAD, THINNEST, coarse_mesh
+from drape.live.coarse_weights import NEAREST, coarse_weights
+from tests.drape.cloth.cloth_shapes import grid, tube
+from tests.fixtures.garments import shipped
+
+
+def of_grid(columns: int = 30, rows: int = 24, cell_m: float = 0.01):
+    vertices, faces = grid(columns, rows, cell_m=cell_m)
+    return vertices, faces, flat(vertices, faces)
+
+
+def test_a_flat_sheet_keeps_its_outline_area_and_grain():
+    vertices, faces, rest = of_grid()
+    made = coarse_mesh(rest, vertices, faces, edge_m=0.03)
+    assert len(made.vertex) < len(vertices) / 3.5
+    few = vertices[made.vertex]
+    assert_allclose(np.ptp(few, axis=0), np.ptp(vertices, axis=0), atol=1e-12)
+    assert_allclose(made.rest.face_area.sum(), rest.face_area.sum(), rtol=1e-12)
+    want = flat(few, made.faces)
+    assert_allclose(made.rest.edges, want.edges, atol=1e-9)
+    assert len(meshes.boundary_loops(made.faces)) == 1
+    assert_allclose(
+        meshes.face_normals(few, made.faces),
+        np.broadcast_to(meshes.face_normals(vertices, faces)[:1], (len(made.faces), 3)),
+    )
+
+
+def test_triangles_are_not_thin_and_edges_about_as_long_as_asked():
+    vertices, faces, rest = of_grid(40, 40)
+    made = coarse_mesh(rest, vertices, faces, edge_m=0.025)
+    cloth = ClothMesh.of(made.rest, made.faces, len(made.vertex))
+    assert 0.8 * 0.025 < cloth.mean_edge_m < 1.35 * 0.025
+    square = sum(
+        (edge**2).sum(axis=1)
+        for edge in (made.rest.edges[:, 0], made.rest.edges[:, 1], np.diff(made.rest.edges, axis=1)[:, 0])
+    )
+    assert (4.0 * np.sqrt(3.0) * made.rest.face_area / square).min() > THINNEST
+
+
+def test_a_seam_between_two_charts_stays_a_line():
+    """The right half has its warp turned: no triangle lies on both sides, and each keeps its own grain."""
+    vertices, faces, rest = of_grid(20, 20)
+    right = vertices[faces].mean(axis=1)[:, 0] > 0.5 * vertices[:, 0].max()
+    edges = rest.edges.copy()
+    edges[right] = edges[right] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    made = coarse_mesh(RestState(edges, rest.hinge_angle, rest.stiffening), vertices, faces, edge_m=0.03)
+    side = np.sign(np.round(vertices[made.vertex][:, 0] - 0.5 * vertices[:, 0].max(), 9))[made.faces]
+    assert ((side >= 0).all(axis=1) | (side <= 0).all(axis=1)).all()
+    want = flat(vertices[made.vertex], made.faces).edges
+    turned = (side > 0).any(axis=1)
+    want[turned] = want[turned] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    assert_allclose(made.rest.edges, want, atol=1e-9)
+
+
+def test_a_crease_keeps_its_angle_and_cloth_beside_it_is_flat():
+    vertices, faces, rest = of_grid(20, 20)
+    middle = np.isclose(vertices[:, 0], 0.1)
+    hinges = meshes.hinges(faces)
+    on = middle[hinges[:, :2]].all(axis=1)
+    angle = np.where(on, 2.0 * CREASE_RAD, 0.0)
+    made = coarse_mesh(RestState(rest.edges, angle, np.where(on, 2.0, 1.0)), vertices, faces, edge_m=0.03)
+    ends = middle[made.vertex[meshes.hinges(made.faces)[:, :2]]].all(axis=1)
+    assert ends.sum() > 3
+    assert_allclose(made.rest.hinge_angle, np.where(ends, 2.0 * CREASE_RAD, 0.0))
+    assert (made.rest.stiffening[ends] == 2.0).all()
+
+
+@pytest.mark.parametrize("name", ["tshirt", "skirt"])
+def test_shipped_garments_keep_area_and_openings(name: str):
+    garment = shipped(name)
+    vertices, faces = garment.vertices[: garment.vertex_count].astype(np.float64), garment.faces.astype(np.int64)
+    rest = garment.delivered_rest()
+    made = coarse_mesh(rest, vertices, faces)
+    assert len(made.vertex) < len(vertices) / 3.0
+    assert_allclose(made.rest.face_area.sum(), rest.face_area.sum(), rtol=5e-3)
+    assert len(meshes.boundary_loops(made.faces)) == len(meshes.boundary_loops(faces))
+    assert load_body().vertex_count  # the shipped garments are those of the shipped body
+
+
+def test_linear_vectors_stay_linear_and_kept_vertices_keep_theirs():
+    vertices, faces, rest = of_grid()
+    made = coarse_mesh(rest, vertices, faces, edge_m=0.03)
+    index, weight = coarse_weights(vertices, faces, made.vertex, 0.03)
+    assert index.shape == weight.shape == (len(vertices), NEAREST)
+    assert_allclose(weight.sum(axis=1), 1.0, atol=1e-5)
+    few = vertices[made.vertex]
+    linear = np.einsum("vk,vkc->vc", weight, (few @ np.array([[1.0, 0.2], [0.3, -2.0], [0.5, 0.0]]))[index])
+    assert_allclose(linear, vertices @ np.array([[1.0, 0.2], [0.3, -2.0], [0.5, 0.0]]), atol=1e-5)
+    wave = np.sin(40.0 * few[:, 0])
+    own = (weight * wave[index]).sum(axis=1)[made.vertex]
+    assert_allclose(own, wave, atol=2e-3)
+
+
+def test_a_piece_without_coarse_neighbours_takes_the_nearest_ones():
+    first, faces = tube(8, 4, radius_m=0.05, height_m=0.1)
+    vertices = np.concatenate([first, first + np.array([0.3, 0.0, 0.0])])
+    both = np.concatenate([faces, faces + len(first)])
+    kept = np.arange(len(first))
+    index, weight = coarse_weights(vertices, both, kept, 0.02)
+    assert_allclose(weight[len(first) :, 0], 1.0, atol=1e-6)
+    assert (np.abs(weight[len(first) :, 1:]) < 1e-6).all()
+    far = np.linalg.norm(vertices[len(first) :, None] - first[None], axis=2)
+    assert_allclose(far[np.arange(len(first)), index[len(first) :, 0]], far.min(axis=1))

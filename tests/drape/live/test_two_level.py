@@ -1,0 +1,119 @@
+"""Folds on two levels: what is carried, what sweeps add and keep, the lift, and what begins anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.body.assets import load_body
+from drape.cloth.fabric_table import fabric
+from drape.contact.skin import shaped_skin
+from drape.live import two_level as levels
+from drape.live.clock import PAUSE_S, Frame
+from drape.live.fold_step import FADE_S, FoldEffort
+from drape.live.two_level import TwoLevel, TwoLevelMemory, fold_two_level, one_level, two_level
+from tests.fixtures.garments import shipped
+
+EFFORT = FoldEffort(steps=1, settle=2, cloth_contact=True)
+
+
+@pytest.fixture(scope="module")
+def tank() -> TwoLevel:
+    return two_level(shipped("tank"), load_body(), fabric("jersey"))
+
+
+@pytest.fixture(scope="module")
+def still() -> Frame:
+    """The tank at rest on the body at rest, a little crumpled, so that there is something to fold."""
+    garment, body = shipped("tank"), load_body()
+    poses = np.zeros((1, 24, 3))
+    skin = shaped_skin(body).table(*body.bones(poses), np.zeros((1, body.shape_count)))
+    vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
+    wave = 0.004 * np.sin(60.0 * vertices[:, 1:2]) * np.array([1.0, 0.0, 1.0])
+    return Frame((vertices + wave).astype(np.float32), skin.reshape(-1, skin.shape[-1]), 0.0)
+
+
+def after(made: TwoLevel, first: Frame, count: int, effort: FoldEffort = EFFORT):
+    memory, found = None, []
+    for number in range(count):
+        vertices, memory, report = fold_two_level(made, memory, replace(first, time_s=number / 30.0), effort)
+        found.append((vertices, memory, report))
+    return found
+
+
+def strain(vertices: np.ndarray) -> float:
+    """Mean square of (length / length at rest - 1) over two edges of every triangle."""
+    garment = shipped("tank")
+    rest = np.linalg.norm(garment.delivered_rest().edges, axis=2)
+    first, second, third = (vertices[garment.faces[:, n]] for n in range(3))
+    now = np.stack([np.linalg.norm(other - first, axis=1) for other in (second, third)], axis=1)
+    return float(((now / rest - 1.0) ** 2).mean())
+
+
+def test_without_steps_the_drape_is_the_networks(tank: TwoLevel, still: Frame):
+    """Nothing is carried and nothing added: what is lower than the clearance is lifted, the rest stays."""
+    vertices, memory, report = fold_two_level(tank, None, still, FoldEffort(0, clearance_m=0.0))
+    assert_allclose(vertices, still.vertices, atol=1e-6)
+    assert report.settled and not memory.added.any()
+    lifted, _, told = fold_two_level(tank, None, still, FoldEffort(0, clearance_m=0.004))
+    way = np.linalg.norm(lifted - still.vertices, axis=1)
+    assert_allclose(told.lifted_max_m, way.max(), rtol=1e-3)
+    assert 0.0 < told.lifted_share < 1.0
+
+
+def test_steps_lower_the_strain_and_more_lower_it_further(tank: TwoLevel, still: Frame):
+    one, many = after(tank, still, 2), after(tank, still, 12)
+    strains = [strain(each) for each in (still.vertices, one[-1][0], many[-1][0])]
+    assert strains[0] > 1.5 * strains[1] and strains[1] > strains[2]
+
+
+def test_the_same_frames_give_the_same_bits_and_memories_are_not_written(tank: TwoLevel, still: Frame):
+    first = after(tank, still, 3)
+    added = first[1][1].added.copy()
+    again = after(tank, still, 3)
+    assert_array_equal(first[-1][0], again[-1][0])
+    assert_array_equal(first[1][1].added, added)
+
+
+def test_what_sweeps_added_is_kept_and_fades(tank: TwoLevel, still: Frame):
+    *_, (_, memory, _) = after(tank, still, 4)
+    later = replace(still, time_s=memory.coarse.time_s + 1.0 / 30.0)
+    kept, faded, _ = fold_two_level(tank, memory, later, replace(EFFORT, steps=0, clearance_m=0.0))
+    share = np.exp(-1.0 / 30.0 / FADE_S)
+    assert_allclose(faded.added, share * memory.added, rtol=1e-3, atol=1e-6)
+    assert np.abs(memory.added).max() > 1e-4
+    assert np.abs(kept - still.vertices).max() > 1e-4
+
+
+def test_a_frame_after_a_pause_begins_anew(tank: TwoLevel, still: Frame):
+    *_, (_, memory, _) = after(tank, still, 3)
+    late = replace(still, time_s=memory.coarse.time_s + 2.0 * PAUSE_S)
+    anew, _, report = fold_two_level(tank, memory, late, EFFORT)
+    assert report.settled
+    assert_array_equal(anew, after(tank, late, 1)[0][0])
+
+
+def test_what_is_no_fold_is_the_networks_drape(tank: TwoLevel, still: Frame, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(levels, "FAR_M", -1.0)
+    vertices, memory, report = fold_two_level(tank, None, still, EFFORT)
+    assert report.reset and not memory.added.any()
+    assert_array_equal(vertices, still.vertices)
+
+
+def test_memories_of_the_other_kind_are_none(tank: TwoLevel, still: Frame):
+    fine = one_level(shipped("tank"), load_body(), fabric("jersey"))
+    _, coarse_memory, _ = tank.fold(None, still, EFFORT)
+    _, fine_memory, _ = fine.fold(None, still, EFFORT)
+    later = replace(still, time_s=1.0 / 30.0)
+    for made, other in ((tank, fine_memory), (fine, coarse_memory)):
+        _, _, report = made.fold(other, later, EFFORT)
+        assert report.settled
+    for made, own in ((tank, coarse_memory), (fine, fine_memory)):
+        _, _, report = made.fold(own, later, EFFORT)
+        assert not report.settled
+        assert made.own(own).shape == made.laid.index.shape  # type: ignore[arg-type]
+        assert made.nbytes > 1e5
+    assert isinstance(coarse_memory, TwoLevelMemory) and coarse_memory.at(7.0).coarse.time_s == 7.0
