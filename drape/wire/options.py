@@ -22,7 +22,7 @@ SizeName = Annotated[str, Field(min_length=1, max_length=40)]  # which sizes the
 Identifier = Annotated[str, Field(min_length=1, max_length=120)]
 Geometry = Literal["vertices", "jets"]
 Inertia = Literal["mesh", "network"]
-TierName = Literal["fast", "balanced", "accurate"]
+TierName = Literal["instant", "fast", "balanced", "accurate"]
 Resolution = Literal["delivered", "fine"]
 FoldsBy = Literal["server", "client"]
 
@@ -109,6 +109,12 @@ class DrapeOptions(BaseModel):
         strict=True,
         description="Steps of the cloth solver per frame: folds that grow and stay. 0 has none; the tier's if left "
         "out, none of jets.",
+    )
+    coarse: bool | None = Field(
+        default=None,
+        strict=True,
+        description="With folds: a coarse cloth takes the steps, and the fine one settles around it; without, they are "
+        "the fine cloth's. The tier's if left out.",
     )
     safe_folds: int | None = Field(
         default=None,

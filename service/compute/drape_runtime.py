@@ -190,16 +190,16 @@ class DrapeRuntime:
     @property
     def step_count(self) -> int:
         """The number of plans that ``steps`` gives."""
-        return 2 + len(self.tiers)
+        return 2 + sum(tier.folds > 0 for tier in self.tiers)
 
     def steps(self, plan: Plan) -> tuple[Plan, ...]:
-        """``plan`` held to no more than each tier computes, the least first.
+        """``plan`` held to no more than each tier with folds computes, the least first.
 
-        Two come before: what the least tier can spare of a single garment, since layers need each other, and the same
-        without steps of folds.
+        Two come before: what the least of these can spare of a single garment, since layers need each other, and the
+        same without steps of folds.
         """
         stages = self.on(plan.scene).stages
-        held = [capped(plan.options, tier) for tier in self.tiers]
+        held = [capped(plan.options, tier) for tier in self.tiers if tier.folds]
         alone = len(plan.scene.layers) == 1
         held.insert(0, spared(held[0]) if alone else held[0])
         steps = [

@@ -1,7 +1,8 @@
 """Tiers: names for how much of a frame is computed, and what an option that nobody named comes to.
 
-A tier is two numbers, corrections of the network and steps of folds. The model's manifest says which, chosen from
-measurements (``benchmarks.tradeoff``); ``TIERS`` hold for a model that does not.
+A tier is two numbers, corrections of the network and steps of folds, and whether a coarse cloth takes these. The
+model's manifest says which, chosen from measurements (``benchmarks.tradeoff``); ``TIERS`` hold for a model that does
+not.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ NAMES: tuple[str, ...] = get_args(TierName)  # the least first
 class Tier:
     """``passes`` of the network under ``folds`` steps; ``alone`` where there are no folds (jets). None: all passes.
 
+    ``coarse``: a coarse cloth takes the steps (``drape.live.two_level``); without steps cloth is lifted off the skin.
     ``figures`` are what ``benchmarks.tradeoff`` measured of it, and where.
     """
 
@@ -33,9 +35,15 @@ class Tier:
     folds: int
     alone: int | None
     figures: Mapping[str, Any] = field(default_factory=dict, hash=False, compare=False)
+    coarse: bool = False
 
 
-TIERS = (Tier("fast", 0, 1, 0), Tier("balanced", 0, 2, None), Tier("accurate", 0, 4, None))
+TIERS = (
+    Tier("instant", 0, 0, 0, coarse=True),
+    Tier("fast", 0, 1, 0, coarse=True),
+    Tier("balanced", 0, 2, None, coarse=True),
+    Tier("accurate", 0, 4, None),
+)
 
 
 def read_tiers(rows: Sequence[Mapping[str, Any]]) -> tuple[Tier, ...]:
@@ -48,10 +56,13 @@ def read_tiers(rows: Sequence[Mapping[str, Any]]) -> tuple[Tier, ...]:
     try:
         tiers = tuple(Tier(**row) for row in rows)
         named = tuple(tier.name for tier in tiers)
-        rising = all(low.folds <= high.folds and _at_most(low.passes, high.passes) for low, high in pairwise(tiers))
+        rising = all(
+            low.folds <= high.folds and _at_most(low.passes, high.passes) and low.coarse >= high.coarse
+            for low, high in pairwise(tiers)
+        )
     except TypeError as error:
         raise _unreadable(str(error)) from error
-    if named != NAMES or not rising or tiers[0].folds < 1:
+    if named != NAMES or not rising or tiers[0].folds or not tiers[0].coarse or tiers[1].folds < 1:
         raise _unreadable(", ".join(f"{tier.name} (passes {tier.passes}, folds {tier.folds})" for tier in tiers))
     return tiers
 
@@ -64,11 +75,12 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
     tier = tiers[NAMES.index(options.tier or settings.tier)]
     own = None if options.tier else settings.folds
     folds, passes, bits = options.folds, options.passes, options.bits
+    lifts = folds is None and own is None and not tier.folds and options.geometry == "vertices"
     if options.pixels_per_m is not None and options.pixels_per_m < FAR_PIXELS_PER_M:
         folds, bits = 0 if folds is None else folds, bits or 8
         passes = tiers[0].alone if passes is None and not folds else passes
         passes = None if passes is None or passes >= pass_count else passes
-        own = None
+        own, lifts = None, False
     if folds is None:
         smooth = options.geometry == "jets" and options.folds_by == "server"
         folds = 0 if smooth else tier.folds if own is None else own
@@ -77,7 +89,9 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
     if passes is None:
         passes = tier.passes if folds else tier.alone
         passes = None if passes is None or passes >= pass_count else passes
-    told = {"tier": None, "budget_ms": None, "pixels_per_m": None, "folds": folds, "passes": passes}
+    coarse = (tier.coarse if options.coarse is None else options.coarse) and (bool(folds) or lifts)
+    coarse = coarse and options.folds_by == "server"
+    told = {"tier": None, "budget_ms": None, "pixels_per_m": None, "folds": folds, "passes": passes, "coarse": coarse}
     told["bits"] = bits if bits == 8 and options.geometry == "vertices" else None
     return options.model_copy(update=told | {"safe_folds": _safe_folds(options, folds, tiers)})
 
@@ -88,7 +102,9 @@ def capped(options: DrapeOptions, tier: Tier) -> DrapeOptions:
     passes = options.passes if _at_most(options.passes, most) else most
     folds = options.folds or 0
     safe = options.safe_folds if folds <= tier.folds else tier.folds  # a tier that is kept keeps its safe one
-    return options.model_copy(update={"passes": passes, "folds": min(folds, tier.folds), "safe_folds": safe})
+    coarse = options.coarse or (tier.coarse and bool(folds) and options.folds_by == "server")
+    held = {"passes": passes, "folds": min(folds, tier.folds), "safe_folds": safe, "coarse": coarse}
+    return options.model_copy(update=held)
 
 
 def spared(options: DrapeOptions) -> DrapeOptions:
@@ -109,9 +125,12 @@ def _safe_folds(options: DrapeOptions, folds: int, tiers: Sequence[Tier]) -> int
 def tier_of(options: DrapeOptions, tiers: Sequence[Tier], pass_count: int) -> str:
     """The name of the tier that ``options``, as ``chosen`` gives them, are; "custom" where they are none."""
     for tier in tiers:
+        if not tier.folds and options.geometry == "jets":  # those of the next one
+            continue
         folds = tier.folds if options.geometry == "vertices" or options.folds_by == "client" else 0
-        passes = tier.passes if folds else tier.alone
-        if options.folds == folds and options.passes == (None if passes is None or passes >= pass_count else passes):
+        passes, coarse = tier.passes if folds else tier.alone, tier.coarse and options.geometry == "vertices"
+        same = options.folds == folds and (options.folds_by == "client" or bool(options.coarse) == coarse)
+        if same and options.passes == (None if passes is None or passes >= pass_count else passes):
             return tier.name
     return "custom"
 
@@ -124,7 +143,8 @@ def _at_most(passes: int | None, most: int | None) -> bool:
 def _unreadable(got: str) -> ArtifactError:
     return ArtifactError(
         "tiers of the manifest",
-        expected=f"{', '.join(NAMES)}, each with passes, folds (1 at least) and alone, none less than the one before",
+        expected=f"{', '.join(NAMES)}, each with passes, folds (0 in the first, then 1 at least), alone and "
+        "coarse (true in the first), none less than the one before",
         got=got,
         cure="Run benchmarks.tradeoff --write, or leave them out.",
     )

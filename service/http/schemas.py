@@ -186,6 +186,9 @@ class TierInfo(BaseModel):
     default: bool = Field(description="Whether a request that names none gets it.")
     passes: int
     folds: int
+    coarse: bool = Field(
+        description="Whether a coarse cloth takes the steps; without steps cloth is lifted off the skin."
+    )
     alone: int = Field(description="Passes where there are no folds: with jets, or folds 0.")
     figures: dict[str, Any] = Field(description="What benchmarks.tradeoff measured of it, and on which machine.")
 
@@ -195,7 +198,13 @@ class TierInfo(BaseModel):
         passes, alone = (min(pass_count, pass_count if p is None else p) for p in (tier.passes, tier.alone))
         named = TypeAdapter(TierName).validate_python(tier.name)
         return cls(
-            id=named, default=named == default, passes=passes, folds=tier.folds, alone=alone, figures=dict(tier.figures)
+            id=named,
+            default=named == default,
+            passes=passes,
+            folds=tier.folds,
+            coarse=tier.coarse,
+            alone=alone,
+            figures=dict(tier.figures),
         )
 
 

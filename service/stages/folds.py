@@ -13,12 +13,14 @@ from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
 from drape.geometry.colliders import seen_from
+from drape.live import two_level
 from drape.live.ceiling import ceiling_over, lower, pressed
 from drape.live.clock import Frame
-from drape.live.fold_constants import FoldConstants, fold_constants
-from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold, warm_up
+from drape.live.fold_constants import LaidCloth
+from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, warm_up
 from drape.live.raised_skin import heights_over, raised
 from drape.live.skin_contact import TouchedSamples
+from drape.live.two_level import OneLevel, TwoLevel, TwoLevelMemory
 from drape.wire.options import DrapeOptions
 from service.stages.batch import Batch, Layer, Quality
 from service.stages.plan import FINE, SKIN, Plan
@@ -28,31 +30,39 @@ SETTLE = 8  # times the steps of a frame for one without a past, where clients d
 KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use stays
 
 
+Constants = OneLevel | TwoLevel
+Memory = FoldMemory | TwoLevelMemory
+
+
 class Folds(Stage):
     """Lowers the cloth's energy over the body and, unless a scene says otherwise, with ``cloth_contact``: over itself
     and the layers below; without it each layer is by itself, and what is between them is for the push-out.
 
     A garment that was delivered coarse folds on its subdivided mesh, around which the delivered one is then wrapped.
+    With ``coarse`` folds are those of a coarse cloth, and without steps it lifts the network's drape off the skin.
     """
 
     name = "folds"
-    kept = (FoldMemory, TouchedSamples)
+    kept = (FoldMemory, TwoLevelMemory, TouchedSamples)
 
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
         self._garments: dict[str, Garment] = {}
         self.kept_bytes = KEPT_BYTES
-        self._constants = KeptConstants[FoldConstants](
+        self._constants = KeptConstants[Constants](
             lambda kept: sum(made.nbytes for made in kept) > self.kept_bytes  # fabrics beside those in use go
         )
         self._wrappings = KeptConstants[Wrapping]()
         warm_up()
+        two_level.warm_up()
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        if not options.folds:
-            return {"folds": 0, "safe_folds": None, "settle": None, "cloth_contact": None}
+        if not options.folds and not (options.coarse and options.geometry == "vertices"):
+            return {"folds": 0, "coarse": False, "safe_folds": None, "settle": None, "cloth_contact": None}
         return {
-            "safe_folds": max(options.folds, options.safe_folds or 0),
+            "coarse": bool(options.coarse) and options.folds_by == "server",
+            "folds": options.folds or 0,
+            "safe_folds": max(options.folds, options.safe_folds or 0) if options.folds else None,
             "settle": SETTLE if options.settle is None else options.settle,
             "cloth_contact": options.cloth_contact is not False,
         }
@@ -69,7 +79,7 @@ class Folds(Stage):
             )
 
     def wanted(self, plan: Plan) -> bool:
-        return bool(plan.options.folds) and plan.options.folds_by == "server"
+        return bool(plan.options.folds or plan.options.coarse) and plan.options.folds_by == "server"
 
     def joins_layers(self, plan: Plan) -> bool:
         return bool(plan.options.cloth_contact)
@@ -81,10 +91,10 @@ class Folds(Stage):
         return frozenset({"vertices", SKIN, FINE})
 
     def depends_on(self, plan: Plan) -> object:
-        return plan.fabrics
+        return plan.fabrics, plan.options.coarse
 
-    def rested(self, memory: FoldMemory, time_s: float) -> FoldMemory:
-        return replace(memory, time_s=time_s)
+    def rested(self, memory: Memory, time_s: float) -> Memory:
+        return memory.at(time_s)
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self._garments[garment.digest] = garment
@@ -96,7 +106,7 @@ class Folds(Stage):
 
     def prepare(self, plan: Plan) -> None:
         for key, fabric in zip(plan.draped_keys, plan.fabrics, strict=True):
-            self._of(key, fabric)
+            self._of(key, fabric, coarse=plan.options.coarse)
         for key, draped, read in zip(plan.keys, plan.draped_keys, _read(plan), strict=True):
             if read and key != draped:
                 self._wrapping(key)
@@ -108,7 +118,7 @@ class Folds(Stage):
     def steps(self, batch: Batch) -> Iterator[Batch]:
         """Layer after layer: a frame without a past takes tens of milliseconds for each."""
         plan = batch.plan
-        assert plan.options.folds and plan.options.settle is not None
+        assert plan.options.folds is not None and plan.options.settle is not None
         clearance_m = self.settings.clearance_m if plan.options.push_out else 0.0
         effort = FoldEffort(
             plan.options.folds,
@@ -126,9 +136,10 @@ class Folds(Stage):
         ceilings = self._ceilings(batch, ground) if effort.cloth_contact else [None] * len(layers)
         for i, (key, fabric, ceiling) in enumerate(zip(plan.draped_keys, plan.fabrics, ceilings, strict=True)):
             memories = batch.remembered((self.name, key))
-            layers[i], own, memories, reports = self._folded(batch, i, self._of(key, fabric), efforts, memories, ground)
+            made = self._of(key, fabric, coarse=plan.options.coarse)
+            layers[i], own, memories, reports = self._folded(batch, i, made, efforts, memories, ground)
             told.add(reports, own.shape[1], seen=plan.visible[i])
-            lain.append(_Lain(self._of(key, fabric), own, ground))
+            lain.append(_Lain(made.laid, own, ground))
             batch = batch.remember((self.name, key), memories)
             if ceiling is not None:
                 layers[i] = lain[i].below(layers[i], ceiling)
@@ -149,11 +160,11 @@ class Folds(Stage):
         self,
         batch: Batch,
         i: int,
-        made: FoldConstants,
+        made: Constants,
         efforts: Sequence[FoldEffort],
-        memories: Sequence[FoldMemory | None],
+        memories: Sequence[Memory | None],
         ground: np.ndarray,
-    ) -> tuple[Layer, np.ndarray, list[FoldMemory | None], list[FoldReport]]:
+    ) -> tuple[Layer, np.ndarray, list[Memory | None], list[FoldReport]]:
         """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the samples that its places are
         at (F, P), the memories of the inputs after it, and a report of each frame."""
         drape = batch.layers[i].vertices
@@ -163,8 +174,8 @@ class Folds(Stage):
             for number, row in enumerate(range(rows.start, rows.stop)):
                 solid = seen_from(batch.plan.colliders, batch.root[row])
                 frame = Frame(drape[row], ground[row], float(one.times_s[number]), solid)
-                vertices[row], memory, report = fold(made, memory, frame, efforts[row])
-                own.append(memory.touched.own)
+                vertices[row], memory, report = made.fold(memory, frame, efforts[row])
+                own.append(made.own(memory))
                 reports.append(report)
             after.append(memory)
         return replace(batch.layers[i], vertices=vertices), np.stack(own), after, reports
@@ -175,7 +186,7 @@ class Folds(Stage):
         parts = zip(batch.layers, batch.plan.draped_keys, batch.plan.fabrics, strict=True)
         for layer, key, fabric in list(parts)[:0:-1]:
             assert layer.vertices is not None
-            outer = self._of(key, fabric)
+            outer = self._of(key, fabric, coarse=batch.plan.options.coarse).laid
             over = np.stack([ceiling_over(one, outer, below) for one, below in zip(layer.vertices, skin, strict=True)])
             made.append(over if made[-1] is None else lower(over, made[-1]))
         return made[::-1]
@@ -190,10 +201,11 @@ class Folds(Stage):
         """The wrapping of the delivered mesh of the garment ``key``."""
         return self._wrappings.get((key,), lambda: Wrapping(self._garments[key]))
 
-    def _of(self, key: str, fabric: Fabric | None) -> FoldConstants:
+    def _of(self, key: str, fabric: Fabric | None, *, coarse: bool | None) -> Constants:
         """The constants of the garment ``key`` made of ``fabric``."""
-        name = key, "" if fabric is None else fabric.digest
-        return self._constants.get(name, lambda: self.make(fold_constants, self._garments[key], self.body, fabric))
+        name = key, "" if fabric is None else fabric.digest, "coarse" if coarse else "fine"
+        make = two_level.two_level if coarse else two_level.one_level
+        return self._constants.get(name, lambda: self.make(make, self._garments[key], self.body, fabric))
 
 
 def check_client_folds(plan: Plan) -> None:
@@ -223,7 +235,7 @@ class _Lain:
     """A garment as it lies in F frames: the samples ``own`` (F, P) that its places are at, of the ``ground``
     (F, S, 8)."""
 
-    made: FoldConstants
+    made: LaidCloth
     own: np.ndarray
     ground: np.ndarray
 

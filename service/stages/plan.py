@@ -53,7 +53,8 @@ class Plan:
     @cached_property
     def lifted(self) -> bool:
         """Whether folds bring the cloth off the skin, and off the layers below: as far as they feel these."""
-        return bool(self.options.folds) and (bool(self.options.cloth_contact) or len(self.scene.layers) == 1)
+        folded = self.options.folds or self.options.coarse
+        return bool(folded) and (bool(self.options.cloth_contact) or len(self.scene.layers) == 1)
 
     @cached_property
     def projected(self) -> bool:

@@ -57,7 +57,7 @@ def test_sync_and_async_say_the_same(live: str, body: BodyModel, tube: Garment):
         assert client.health()["status"] == "ok"
         assert [garment["id"] for garment in client.garments()] == ["tube"]
         assert "walk" in [motion["id"] for motion in client.motions()]
-        assert [tier["id"] for tier in client.tiers()] == ["fast", "balanced", "accurate"]
+        assert [tier["id"] for tier in client.tiers()] == ["instant", "fast", "balanced", "accurate"]
         assert_array_equal(client.mesh("tube")["faces"], tube.faces)
         vertices = client.drape("tube", clip, betas=betas, push_out=False)
         again = client.drape("tube", poses, trans=trans, betas=betas, push_out=False)

@@ -173,7 +173,7 @@ def test_jets_are_drawn_like_vertices_and_are_fewer_bytes(page: Page):
 
 def test_a_quality_is_chosen_by_name_and_told(page: Page, runtime: DrapeRuntime):
     names = page.evaluate("Array.from(document.querySelectorAll('#tiers input'), (choice) => choice.value)")
-    assert names == ["fast", "balanced", "accurate"]
+    assert names == ["instant", "fast", "balanced", "accurate"]
     assert page.evaluate("document.querySelector('#tiers input:checked').value") == "balanced", "the service's default"
     for name in ("fast", "balanced"):
         click_that_opens(page, f"#tier-{name}")

@@ -23,7 +23,12 @@ from tests.fixtures.tiny_model import TINY, write_tiny_model
 __all__ = ["outfit_settings"]  # a fixture
 
 PASSES = 4  # of a model that leaves the choice
-OWN = (Tier("fast", 0, 1, 0), Tier("balanced", 0, 3, None), Tier("accurate", 1, 4, None, {"gain_trained": 0.99}))
+OWN = (
+    Tier("instant", 0, 0, 0, coarse=True),
+    Tier("fast", 0, 1, 0, coarse=True),
+    Tier("balanced", 0, 3, None),
+    Tier("accurate", 1, 4, None, {"gain_trained": 0.99}),
+)
 REST = {"garment": "tube", "poses": np.zeros((1, 24, 3)).tolist()}
 
 
@@ -61,6 +66,7 @@ def values(options: DrapeOptions, pass_count: int = PASSES, **settings: object) 
         ({"passes": 2}, {}, (2, 2)),
         ({"folds": 0}, {}, (None, 0)),
         ({"tier": "fast", "folds": 0}, {}, (0, 0)),
+        ({"tier": "instant"}, {"folds": 3}, (0, 0)),
         ({"geometry": "jets"}, {}, (None, 0)),
         ({"geometry": "jets", "tier": "fast"}, {}, (0, 0)),
         ({"tier": "fast", "folds": 5, "passes": 1}, {}, (1, 5)),
@@ -80,13 +86,14 @@ def test_the_tier_of_what_was_chosen_is_told_by_name(geometry):
     for name in NAMES:
         found = chosen(DrapeOptions(tier=name, geometry=geometry), TIERS, Settings(), PASSES)  # type: ignore[arg-type]
         told = tier_of(found, TIERS, PASSES)
-        assert told == name or (geometry == "jets" and {told, name} <= {"balanced", "accurate"}), "jets have no folds"
+        alike = ({"instant", "fast"}, {"balanced", "accurate"})  # jets have no folds
+        assert told == name or (geometry == "jets" and any({told, name} <= pair for pair in alike))
     odd = chosen(DrapeOptions(folds=3, passes=1, geometry="vertices"), TIERS, Settings(), PASSES)
     assert tier_of(odd, TIERS, PASSES) == "custom"
 
 
 def test_a_cap_never_asks_for_more_than_was_asked():
-    fast, balanced, accurate = TIERS
+    instant, fast, balanced, accurate = TIERS
     for folds in (0, 1, 2, 16):
         for passes in (0, 2, None):
             asked = chosen(DrapeOptions(folds=folds, passes=passes), TIERS, Settings(), PASSES)
@@ -95,7 +102,8 @@ def test_a_cap_never_asks_for_more_than_was_asked():
                 assert held.folds is not None and held.folds <= min(folds, tier.folds)
                 assert passes is None or (held.passes is not None and held.passes <= passes)
     high = chosen(DrapeOptions(tier="accurate"), TIERS, Settings(), PASSES)
-    assert [capped(high, tier).folds for tier in (fast, balanced, accurate)] == [1, 2, 4]
+    assert [capped(high, tier).folds for tier in (instant, fast, balanced, accurate)] == [0, 1, 2, 4]
+    assert [capped(high, tier).coarse for tier in (fast, balanced, accurate)] == [True, True, False]
     jets = chosen(DrapeOptions(geometry="jets"), TIERS, Settings(), PASSES)
     assert (capped(jets, fast).passes, capped(jets, balanced)) == (0, jets)
 
@@ -127,28 +135,43 @@ def test_layers_spare_nothing(outfit_settings: Settings):
     [
         [asdict(OWN[0])],
         [asdict(tier) for tier in reversed(OWN)],
-        [asdict(replace(OWN[0], folds=0)), *map(asdict, OWN[1:])],
-        [asdict(OWN[0]), asdict(replace(OWN[1], passes=2)), asdict(OWN[2])],
-        [asdict(OWN[0]), asdict(OWN[1]), asdict(OWN[2]) | {"speed": 9}],
+        [asdict(OWN[0]), asdict(replace(OWN[1], folds=0)), *map(asdict, OWN[2:])],
+        [asdict(replace(OWN[0], folds=1)), *map(asdict, OWN[1:])],
+        [asdict(replace(OWN[0], coarse=False)), *map(asdict, OWN[1:])],
+        [*map(asdict, OWN[:2]), asdict(replace(OWN[2], passes=2)), asdict(OWN[3])],
+        [*map(asdict, OWN[:3]), asdict(replace(OWN[3], coarse=True))],
+        [*map(asdict, OWN[:3]), asdict(OWN[3]) | {"speed": 9}],
         [{"name": name} for name in NAMES],
     ],
-    ids=["too few", "out of order", "without folds", "less than below", "unknown field", "no numbers"],
+    ids=[
+        "too few",
+        "out of order",
+        "without folds",
+        "folds in the first",
+        "unlifted",
+        "less than below",
+        "coarse over fine",
+        "unknown field",
+        "no numbers",
+    ],
 )
 def test_tiers_that_are_none_stop_the_start(rows: list[dict]):
-    with pytest.raises(ArtifactError, match="tiers of the manifest: expected fast, balanced, accurate"):
+    with pytest.raises(ArtifactError, match="tiers of the manifest: expected instant, fast, balanced, accurate"):
         read_tiers(rows)
 
 
 def test_tiers_come_from_the_manifest_and_are_listed(runtime: DrapeRuntime):
     assert runtime.tiers == OWN and read_tiers([]) == TIERS
     with serve(create_app(runtime.settings, runtime=runtime), runtime.settings) as url:
-        fast, balanced, accurate = httpx.get(url + "/tiers").json()
-        assert fast == {"id": "fast", "default": False, "passes": 0, "folds": 1, "alone": 0, "figures": {}}
+        instant, fast, balanced, accurate = httpx.get(url + "/tiers").json()
+        least = {"default": False, "passes": 0, "coarse": True, "alone": 0, "figures": {}}
+        assert (instant, fast) == ({"id": "instant", "folds": 0} | least, {"id": "fast", "folds": 1} | least)
         assert (balanced["default"], balanced["alone"]) == (True, runtime.engine.pass_count)
         assert accurate["figures"] == {"gain_trained": 0.99}
         for more, tier, folds in (
-            ({}, "balanced", "3"), ({"tier": "fast"}, "fast", "1"), ({"folds": 7}, "custom", "7"),
-            ({"budget_ms": 1e6}, "accurate", "4"), ({"budget_ms": 1e-6}, "fast", "1"),
+            ({}, "balanced", "3"), ({"tier": "fast"}, "fast", "1"), ({"tier": "instant"}, "instant", "0"),
+            ({"folds": 7}, "custom", "7"),
+            ({"budget_ms": 1e6}, "accurate", "4"), ({"budget_ms": 1e-6}, "instant", "0"),
         ):  # fmt: skip
             headers = httpx.post(url + "/drape", json=REST | more).headers
             assert (headers["X-Drape-Tier"], headers["X-Drape-Folds"]) == (tier, folds)
@@ -158,11 +181,11 @@ def test_tiers_come_from_the_manifest_and_are_listed(runtime: DrapeRuntime):
 
 def test_a_budget_between_two_tiers_gets_the_lower_one(runtime: DrapeRuntime):
     scene = runtime.garments.get("tube")
-    names = ("fast", "balanced", "accurate")
+    names = ("instant", "fast", "balanced", "accurate")
     plans = [runtime.plan(scene, DrapeOptions(tier=name, safe_folds=0)) for name in names]  # a budget holds every frame
-    for plan, cost_ms in zip(plans, (2.0, 4.0, 9.0), strict=True):
+    for plan, cost_ms in zip(plans, (1.0, 2.0, 4.0, 9.0), strict=True):
         runtime._frame_ms[plan.keys, plan.options, plan.messages] = cost_ms
-    for budget_ms, want in ((1.0, 0), (2.0, 0), (3.9, 0), (4.0, 1), (8.9, 1), (9.0, 2)):
+    for budget_ms, want in ((0.5, 0), (1.0, 0), (2.0, 1), (3.9, 1), (4.0, 2), (8.9, 2), (9.0, 3)):
         assert asyncio.run(runtime.plan_within(scene, DrapeOptions(budget_ms=budget_ms))) == plans[want]
     with pytest.raises(InputError, match="budget_ms: expected a tier or a budget, got both"):
         asyncio.run(runtime.plan_within(scene, DrapeOptions(budget_ms=3.0, tier="fast")))

@@ -18,6 +18,7 @@ from drape.contact.projection import MOVED_M
 from drape.errors import InputError
 from drape.geometry.closest import signed_distance
 from drape.live import fold_step as step
+from drape.live import two_level
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
@@ -59,7 +60,7 @@ def test_folds_lift_the_cloth_off_the_skin_and_nothing_is_projected(
     high_m = 0.008  # more than contact keeps, so that there is something to lift
     runtime = make_runtime(clearance_m=high_m)
     entry = runtime.garments.get("tube")
-    on, off = (runtime.plan(entry, DrapeOptions(folds=1, push_out=pushed)) for pushed in (True, False))
+    on, off = (runtime.plan(entry, DrapeOptions(folds=1, push_out=pushed, coarse=False)) for pushed in (True, False))
     assert {stage.name for plan in (on, off) for stage in plan.stages} == {"network", "folds"}
     lifted, left = run(on, [CLIP]), run(off, [CLIP])
     first = np.linalg.norm(lifted.vertices[0] - left.vertices[0], axis=-1)  # later frames begin where these ended
@@ -194,7 +195,7 @@ def test_constants_are_made_when_a_plan_is_prepared_and_once(runtime: DrapeRunti
     def never(*_: object) -> None:
         raise AssertionError("constants made in a frame")
 
-    monkeypatch.setattr("service.stages.folds.fold_constants", never)
+    monkeypatch.setattr("drape.live.two_level.two_level", never)
     run(plan, [CLIP])
 
 
@@ -203,8 +204,8 @@ def test_frames_do_not_wait_for_constants_of_others(runtime: DrapeRuntime, monke
     plan, other = (runtime.plan(entry, DrapeOptions(folds=1, fabric=name)) for name in (None, "chiffon"))
     stage = next(one for one in plan.stages if one.name == "folds")
     stage.prepare(plan)
-    made, begun, through = folds_stage.fold_constants, threading.Event(), threading.Event()
-    monkeypatch.setattr(folds_stage, "fold_constants", lambda *of: begun.set() or (through.wait() and made(*of)))
+    made, begun, through = two_level.two_level, threading.Event(), threading.Event()
+    monkeypatch.setattr(two_level, "two_level", lambda *of: begun.set() or (through.wait() and made(*of)))
     making = threading.Thread(target=stage.prepare, args=(other,))
     making.start()
     begun.wait()
@@ -216,8 +217,8 @@ def test_frames_do_not_wait_for_constants_of_others(runtime: DrapeRuntime, monke
 
 def test_constants_are_kept_up_to_a_size_those_in_use_always(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
     entry, made = runtime.garments.get("tube"), []
-    counted = folds_stage.fold_constants
-    monkeypatch.setattr(folds_stage, "fold_constants", lambda *of: made.append(of) or counted(*of))
+    counted = two_level.two_level
+    monkeypatch.setattr(two_level, "two_level", lambda *of: made.append(of) or counted(*of))
     stage = next(one for one in runtime.plan(entry, DrapeOptions(folds=1)).stages if one.name == "folds")
     assert isinstance(stage, Folds)
     for named, kept_bytes, wanted in (("swim", 1 << 30, 1), ("rib", 0, 2), ("rib", 0, 2), ("swim", 0, 3)):

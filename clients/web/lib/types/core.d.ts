@@ -19,7 +19,7 @@ export interface Access {
   worker?: (() => Worker | null) | null;
 }
 
-export type TierName = "fast" | "balanced" | "accurate";
+export type TierName = "instant" | "fast" | "balanced" | "accurate";
 export type FabricChoice = string | Record<string, number>;
 
 /** Options of a drape by their names on the wire; what is left out is the service's choice. */
@@ -30,6 +30,7 @@ export interface DrapeOptions {
   fabric?: FabricChoice | (FabricChoice | null)[];
   passes?: number;
   folds?: number;
+  coarse?: boolean;
   safe_folds?: number;
   settle?: number;
   push_out?: boolean;
