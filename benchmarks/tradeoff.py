@@ -4,12 +4,11 @@
     python -m benchmarks.tradeoff --garments tshirt dress trousers --fabrics jersey denim satin --save
     python -m benchmarks.tradeoff --garments tshirt --quick
 
-Every combination of passes, folds and push-out drapes the same clips, frame by frame through the stages of the service
-(with folds, the push-out is their lift off the skin). Combinations take turns with each other and with the rival:
-skinning and a SciPy push-out. ``time_ratio`` is processor time over the rival's. The rival (``skinning_push``) and the
-optimum (``physics``) have rows too, as ends of the axis. Figures are those of ``benchmarks.folds``, over frames at rest
-(motion 0) whose physics was minimised. Cloth of that physics may pass through itself, served cloth may not; rows
-"through itself" tell what the difference costs.
+Every combination of passes and folds, of the fine cloth or a coarse one, drapes the same clips through the stages of
+the service, clip after clip, and so does the rival: skinning and a SciPy push-out. ``time_ratio`` is processor time
+over the rival's. The rival (``skinning_push``) and the optimum (``physics``) have rows too, as ends of the axis.
+Figures are those of ``benchmarks.folds``, over frames at rest (motion 0) whose physics was minimised: cloth that does
+not pass through itself, as served cloth does not.
 
 ``tiers`` of the record are chosen by one rule (``tiers_of``); ``--write`` puts them into the model's manifest.
 """
@@ -43,11 +42,11 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES, Tier, read_tiers
 from service.settings import Settings
 
-PASSES = tuple(folds.PASSES.values())
+PASSES = (0, 1, None)
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
 TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
 ENOUGH = 0.002  # of gain: what gives less is not worth more time
-KNOBS = ("passes", "folds", "push_out", "cloth_contact")
+KNOBS = ("passes", "folds", "coarse")
 COLUMNS = {
     "tier": "s", "knobs": "s", "garment": "s", "fabric": "s", "clip": "s", "p50_ms": ".2f", "p95_ms": ".2f",
     "cpu_ms": ".2f", "time_ratio": ".2f", "gain": ".3f", "error_mm": ".2f", "edge_pct": ".2f", "detail_share": ".2f",
@@ -60,24 +59,23 @@ MEANS = ("p50_ms", "p95_ms", "cpu_ms", "time_ratio", "gain", "error_mm", "edge_p
 
 @dataclass(frozen=True)
 class Knobs:
-    """One combination: ``passes`` of the network, None all; steps of ``folds``; whether the push-out runs, and whether
-    cloth feels cloth there."""
+    """One combination: ``passes`` of the network, None all; steps of ``folds``, 0 the lift alone; whether a ``coarse``
+    cloth takes them."""
 
     passes: int | None
     folds: int
-    push_out: bool
-    cloth_contact: bool = True
+    coarse: bool
 
     def options(self, pass_count: int, **others: Any) -> DrapeOptions:
         """As a request says it, of cloth that does not swing; ``pass_count`` are all passes."""
         passes = pass_count if self.passes is None else self.passes
-        ways = {"push_out": self.push_out, "cloth_contact": self.cloth_contact, "motion": 0.0}
-        return DrapeOptions(passes=passes, folds=self.folds, **ways, **others)
+        if not self.folds:
+            return DrapeOptions(tier="instant", passes=passes, motion=0.0, **others)
+        return DrapeOptions(passes=passes, folds=self.folds, coarse=self.coarse, motion=0.0, **others)
 
     def __str__(self) -> str:
         passes = "all" if self.passes is None else self.passes
-        alone = ", through itself" if self.folds and not self.cloth_contact else ""
-        return f"passes {passes}, folds {self.folds}{alone}{', push-out' if self.push_out else ''}"
+        return f"passes {passes}, folds {self.folds}{' coarse' if self.folds and self.coarse else ''}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +87,10 @@ class Case:
     least: Bound
 
     @classmethod
-    def of(cls, scene: Scene, networks: dict[str, Network]) -> Case:
-        """``scene`` with its physics, which starts from skinning and from the last of ``networks``."""
+    def of(cls, scene: Scene, networks: dict[str, Network], *, keeps_apart: bool = True) -> Case:
+        """``scene`` with its physics, which starts from the last of ``networks``, of cloth that ``keeps_apart``."""
         starts = scene.starts(networks)
-        return cls(scene, starts["skinning"], folds.bound(scene, starts))
+        return cls(scene, starts["skinning"], folds.bound(scene, starts, keeps_apart=keeps_apart))
 
     def row(self, vertices: np.ndarray, start: np.ndarray) -> Row:
         """The measures of the clip's ``vertices`` [m] (F, V, 3); jitter is against ``start``."""
@@ -122,13 +120,14 @@ def measure(case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs]) -> list[R
     streams = [Stream(plan, body.shape_count) for plan in plans]
     rival, clock = SkinningPush(garment, body), Clock()
     vertices: list[list[np.ndarray]] = [[] for _ in range(len(plans) + 1)]
-    for frame, pose in enumerate(clip.poses):
-        for stream, found in zip(streams, vertices, strict=False):
+    for stream, found in zip(streams, vertices, strict=False):
+        for frame, pose in enumerate(clip.poses):
             found.append(stream.pose(pose, frame / clip.fps).world()[0])
+    for pose in clip.poses:
         with clock:
             pushed = rival.push(rival.skin(pose[None]), pose[None])
         vertices[-1].append(pushed[0] + body.joints_template[0])
-    start = np.stack(vertices[0])  # the network alone
+    start = np.stack(vertices[0])  # the network and its lift
     named = [*({"tier": "", "knobs": str(one), **asdict(one)} for one in knobs), {"tier": "skinning_push", "knobs": ""}]
     rows = [
         name | times(one) | case.row(np.stack(found), start)
@@ -154,7 +153,7 @@ def times(clock: Clock) -> dict[str, float]:
 
 def means(rows: Sequence[Row]) -> list[Row]:
     """One row for each combination and each end of the axis: the mean over what was measured; ``pareto`` where nothing
-    is both as cheap and better, among what feels its own cloth and among what may pass through itself."""
+    is both as cheap and better."""
     found: list[Row] = []
     for tier, knobs in dict.fromkeys((row["tier"], row["knobs"]) for row in rows):
         same = [row for row in rows if (row["tier"], row["knobs"]) == (tier, knobs)]
@@ -163,44 +162,56 @@ def means(rows: Sequence[Row]) -> list[Row]:
         worst = {"gain_p05": float(np.percentile([row["gain"] for row in same], 5.0))}
         found.append(first | {name: float(np.mean(values)) for name, values in kept.items() if values} | worst)
     for row in found:
-        alike = [other for other in found if row["cloth_contact"] in (None, other["cloth_contact"])]
         row["pareto"] = not any(
-            other["time_ratio"] <= row["time_ratio"] and other["gain"] > row["gain"] for other in alike
+            other["time_ratio"] <= row["time_ratio"] and other["gain"] > row["gain"] for other in found
         )
     return found
 
 
 def tiers_of(mean: Sequence[Row]) -> list[Row]:
-    """A row of ``mean`` for each tier, of the combinations that are served: with folds, push-out and cloth contact.
+    """A row of ``mean`` for each tier.
 
-    The least is the cheapest. The last is the cheapest that has all but ``ENOUGH`` of the best one's gain, and the
-    middle one the cheapest that has at least half of what the last gains over the least. A tier's folds and passes are
-    never less than those of the one below. Times decide by their order only, so that the rule gives the same tiers on
-    processors on which the rival is faster or slower than here.
+    The least, ``instant``, is the cheapest without folds; the next one, ``fast``, the cheapest with folds. The last
+    folds all vertices: gain does not see fine folds and crossings. It is the cheapest of these that has all but
+    ``ENOUGH`` of their best gain. The one between it and ``fast`` is the cheapest that has at least half of what the
+    last gains over ``fast``. A tier's folds and passes are never less than those of the one below, and none is coarse
+    above a fine one. Times decide by their order only, so that the rule gives the same tiers on processors on which the
+    rival is faster or slower than here.
     """
-    served = [row for row in mean if row.get("folds") and row["push_out"] and row["cloth_contact"]]
-    if not served:
-        raise InputError("knobs", expected="combinations with folds", got="none", cure="Measure folds too.")
-    by_cost = sorted(served, key=lambda row: row["time_ratio"])
-    least, best = by_cost[0], max(row["gain"] for row in served)
-    above = [row for row in by_cost if _covers(row, least)]
-    last = next((row for row in above if row["gain"] >= best - ENOUGH), max(above, key=lambda row: row["gain"]))
+    by_order = sorted(mean, key=lambda row: row["time_ratio"])
+    lifted = [row for row in by_order if row.get("folds") == 0]
+    served = [row for row in by_order if row.get("folds")]
+    if not served or not lifted:
+        raise InputError("knobs", expected="combinations with folds and without", got="none", cure="Measure folds too.")
+    least, above = served[0], [row for row in served if _covers(row, served[0])]
+    fine = [row for row in above if not row["coarse"]] or above
+    best = max(row["gain"] for row in fine)
+    last = next(row for row in fine if row["gain"] >= best - ENOUGH)
     half = 0.5 * (least["gain"] + last["gain"])
     middle = next(row for row in above if row["gain"] >= half and _covers(last, row))
-    return [least, middle, last]
+    return [lifted[0], least, middle, last]
 
 
 def _covers(row: Row, below: Row) -> bool:
     more = row["passes"] is None or (below["passes"] is not None and below["passes"] <= row["passes"])
-    return more and row["folds"] >= below["folds"]
+    return more and row["folds"] >= below["folds"] and below["coarse"] >= row["coarse"]
 
 
 def manifest_tiers(chosen: Sequence[Row], where: dict[str, Any]) -> list[Row]:
-    """Rows of ``service.compute.tiers.Tier`` with their figures; jets get all passes, in the least tier none."""
+    """Rows of ``service.compute.tiers.Tier`` with their figures; jets get all passes, in the two least tiers none."""
     kept = ("time_ratio", "cpu_ms", "gain", "gain_p05", "error_mm", "edge_pct", "detail_share", "jitter_ratio")
     return finite(
         [
-            asdict(Tier(name, row["passes"], row["folds"], None if i else 0, {key: row[key] for key in kept} | where))
+            asdict(
+                Tier(
+                    name,
+                    row["passes"],
+                    row["folds"],
+                    None if i > 1 else 0,
+                    {key: row[key] for key in kept} | where,
+                    row["coarse"],
+                )
+            )
             for i, (name, row) in enumerate(zip(NAMES, chosen, strict=True))
         ]
     )
@@ -214,10 +225,9 @@ def write_tiers(folder: Path, tiers: list[Row]) -> None:
 
 
 def combinations(steps: Sequence[int]) -> list[Knobs]:
-    """The combinations with each number of ``steps``: as served, without push-out, and without push-out in cloth that
-    does not feel itself."""
-    found = [Knobs(passes, n, push) for push in (False, True) for passes in PASSES for n in steps]
-    return found + [Knobs(passes, n, False, cloth_contact=False) for passes in PASSES for n in steps if n]
+    """The combinations with each number of ``steps``, of the coarse cloth and of the fine one."""
+    lifted = [Knobs(passes, 0, coarse=True) for passes in PASSES]
+    return lifted + [Knobs(passes, n, coarse) for coarse in (True, False) for passes in PASSES for n in steps]
 
 
 @Benchmark(
@@ -226,7 +236,7 @@ def combinations(steps: Sequence[int]) -> list[Knobs]:
     COLUMNS,
     *inputs(("tshirt", "dress", "trousers"), ("walk", "squat"), quick_garments=("tshirt",), quick_motions=("walk",)),
     fabrics_option("jersey", "denim", "satin"),
-    Option("--folds", (0, 1, 2, 4, 8, 16), "steps of folds", (0, 1, 2)),
+    Option("--folds", (1, 2, 4), "steps of folds", (1, 2)),
     Option("--frames", 48, "of a clip at most", 8),
     Option("--write", False, "put the tiers into the model's manifest"),
 )

@@ -39,22 +39,25 @@ def drapery(make_settings):
 def case(body, tube, tiny_folder):
     folder = tiny_folder / "models" / TINY
     networks = {name: Network(folder, body, threads=1, passes=passes) for name, passes in folds.PASSES.items()}
-    return Case.of(Scene(tube, fabric("jersey"), Clip.read(find_motions(["walk"])[0], 30.0, FRAMES, body)), networks)
+    scene = Scene(tube, fabric("jersey"), Clip.read(find_motions(["walk"])[0], 30.0, FRAMES, body))
+    return Case.of(scene, networks, keeps_apart=False)  # which takes minutes: tests/benchmarks/test_folds.py has it
 
 
 @pytest.fixture(scope="module")
 def rows(case, drapery):
-    return tradeoff.measure(case, drapery, [Knobs(0, n, push) for push in (False, True) for n in (0, 2, 8)])
+    knobs = [Knobs(0, 0, coarse=True), *(Knobs(0, n, coarse) for coarse in (True, False) for n in (2, 8))]
+    return tradeoff.measure(case, drapery, knobs)
 
 
 def test_every_combination_is_measured_beside_the_rival_and_physics(rows):
-    assert [row["tier"] for row in rows] == [*[""] * 6, "skinning_push", "physics"]
-    assert [row["knobs"] for row in rows[:2]] == ["passes 0, folds 0", "passes 0, folds 2"]
+    assert [row["tier"] for row in rows] == [*[""] * 5, "skinning_push", "physics"]
+    assert [row["knobs"] for row in rows[:2]] == ["passes 0, folds 0", "passes 0, folds 2 coarse"]
     rival, physics = rows[-2:]
     assert rival["time_ratio"] == 1.0 and rival["gain"] < 1.0 == physics["gain"]
     by_knobs = {row["knobs"]: row for row in rows}
-    for push in ("", ", push-out"):
-        none, two, eight = (by_knobs[f"passes 0, folds {n}{push}"] for n in (0, 2, 8))
+    for level in (" coarse", ""):
+        none, *more = "passes 0, folds 0", f"passes 0, folds 2{level}", f"passes 0, folds 8{level}"
+        none, two, eight = (by_knobs[name] for name in (none, *more))
         assert none["gain"] < two["gain"] < eight["gain"] <= 1.0, "more steps are nearer to physics"
         assert two["error_mm"] > 0.0
     assert by_knobs["passes 0, folds 0"]["jitter_ratio"] == 1.0
@@ -68,8 +71,8 @@ def test_a_stream_goes_the_services_own_road(drapery, body, tube):
     assert np.isfinite(stream.pose(pose, 1.0 / 30.0).world()).all() and min(stream.clock.cpu_ms) > 0.0
     stream.forget()
     assert_array_equal(stream.pose(pose, 0.0).world(), first.world())
-    every = Knobs(None, 0, True).options(drapery.engine.pass_count)
-    assert drapery.plan(scene, every).options.passes is None
+    every = drapery.plan(scene, Knobs(None, 0, coarse=True).options(drapery.engine.pass_count))
+    assert every.options.passes is None and every.lifted and not every.projected
 
 
 def test_the_first_frame_is_not_timed():
@@ -78,8 +81,8 @@ def test_the_first_frame_is_not_timed():
     }  # fmt: skip
 
 
-def row(n: int, ratio: float, gain: float, *, passes: int | None = 0, push: bool = True, contact: bool = True) -> dict:
-    knobs = Knobs(passes, n, push, contact)
+def row(n: int, ratio: float, gain: float, *, passes: int | None = 0, coarse: bool = False) -> dict:
+    knobs = Knobs(passes, n, coarse)
     found = {"tier": "", "knobs": str(knobs), **asdict(knobs), "time_ratio": ratio, "gain": gain, "jitter_ratio": 1.0}
     found |= {"cpu_ms": 10.0 * ratio, "gain_p05": gain - 0.1, "error_mm": 1.0, "edge_pct": 1.0, "detail_share": 1.0}
     return found
@@ -94,35 +97,41 @@ def test_means_are_over_all_that_was_measured_and_mark_the_front():
 
 
 def test_tiers_are_the_cheapest_the_nearest_and_half_way_between():
-    rows = [row(0, 0.1, 0.99), row(1, 0.4, 0.90), row(2, 0.6, 0.93), row(3, 0.74, 0.951), row(8, 1.5, 0.98)]
-    rows += [row(16, 1.9, 0.9815), row(4, 0.7, 0.999, push=False), row(5, 0.5, 0.999, contact=False)]
-    assert [found["folds"] for found in tiers_of(rows)] == [1, 3, 8]
-    assert [found["folds"] for found in tiers_of(rows[::-1])] == [1, 3, 8], "in any order"
-    assert [found["folds"] for found in tiers_of(rows[:2])] == [1, 1, 1], "there is but one"
-    more = [row(2, 0.4, 0.9, passes=None), row(4, 0.6, 0.95, passes=0), row(4, 0.7, 0.94, passes=None)]
-    assert [found["passes"] for found in tiers_of(more)] == [None] * 3, "never less than below"
-    cheap = [row(4, 0.4, 0.9), row(2, 0.5, 0.99, passes=None), row(4, 0.8, 0.95, passes=None)]
-    assert [(found["passes"], found["folds"]) for found in tiers_of(cheap)] == [(0, 4), (None, 4), (None, 4)]
-    with pytest.raises(InputError, match="combinations with folds"):
-        tiers_of([row(0, 0.1, 0.9)])
+    lift = row(0, 0.1, 0.99, coarse=True)
+    rows = [lift, row(1, 0.4, 0.90), row(2, 0.6, 0.93), row(3, 0.74, 0.951), row(8, 1.5, 0.98), row(16, 1.9, 0.9815)]
+    assert [found["folds"] for found in tiers_of(rows)] == [0, 1, 3, 8]
+    assert [found["folds"] for found in tiers_of(rows[::-1])] == [0, 1, 3, 8], "in any order"
+    assert [found["folds"] for found in tiers_of(rows[:2])] == [0, 1, 1, 1], "there is but one"
+    more = [lift, row(2, 0.4, 0.9, passes=None), row(4, 0.6, 0.95, passes=0), row(4, 0.7, 0.94, passes=None)]
+    assert [found["passes"] for found in tiers_of(more)] == [0, None, None, None], "never less than below"
+    cheap = [lift, row(4, 0.4, 0.9), row(2, 0.5, 0.99, passes=None), row(4, 0.8, 0.95, passes=None)]
+    assert [(found["passes"], found["folds"]) for found in tiers_of(cheap)][1:] == [(0, 4), (None, 4), (None, 4)]
+    levels = [lift, row(1, 0.3, 0.9), row(2, 0.4, 0.99, coarse=True), row(2, 0.5, 0.98)]
+    assert [found["time_ratio"] for found in tiers_of(levels)][1:] == [0.3, 0.5, 0.5], "not coarse over fine"
+    levels = [lift, row(1, 0.3, 0.9, coarse=True), row(2, 0.4, 0.99, coarse=True), row(2, 0.5, 0.98)]
+    assert [found["time_ratio"] for found in tiers_of(levels)][1:] == [0.3, 0.4, 0.5], "the last one is fine"
+    for few in ([lift], rows[1:]):
+        with pytest.raises(InputError, match="combinations with"):
+            tiers_of(few)
 
 
-def test_what_is_served_and_what_may_pass_through_itself_are_measured():
-    found = [str(knobs) for knobs in tradeoff.combinations((0, 2))]
-    assert found[:2] == ["passes 0, folds 0", "passes 0, folds 2"] and len(found) == len(set(found)) == 10
-    assert found[-1] == "passes all, folds 2, through itself" and "passes all, folds 2, push-out" in found
+def test_what_is_served_is_measured():
+    found = [str(knobs) for knobs in tradeoff.combinations((1, 2))]
+    assert found[:3] == ["passes 0, folds 0", "passes 1, folds 0", "passes all, folds 0"]
+    assert found[3] == "passes 0, folds 1 coarse" and found[-1] == "passes all, folds 2"
+    assert len(found) == len(set(found)) == 15
 
 
 def test_tiers_are_written_into_the_manifest_and_refused_where_the_service_would(tmp_path, body):
     folder = write_tiny_model(tmp_path, body)
-    chosen = [row(1, 0.4, 0.9), row(2, 0.6, 0.95), row(8, 1.5, 0.98)]
+    chosen = [row(0, 0.1, 0.5, coarse=True), row(1, 0.4, 0.9, coarse=True), row(2, 0.6, 0.95), row(8, 1.5, 0.98)]
     tiers = manifest_tiers(chosen, {"machine": "here"})
     write_tiers(folder, tiers)
     read = load_manifest(folder).tiers
     assert [(tier["name"], tier["folds"], tier["alone"]) for tier in read] == [
-        ("fast", 1, 0), ("balanced", 2, None), ("accurate", 8, None),
+        ("instant", 0, 0), ("fast", 1, 0), ("balanced", 2, None), ("accurate", 8, None),
     ]  # fmt: skip
-    assert read[1]["figures"]["gain"] == 0.95 and read[1]["figures"]["machine"] == "here"
+    assert read[2]["figures"]["gain"] == 0.95 and read[2]["figures"]["machine"] == "here"
     json.dumps(read)
     with pytest.raises(ArtifactError, match="tiers of the manifest"):
         write_tiers(folder, [{**tier, "folds": 0} for tier in tiers])
