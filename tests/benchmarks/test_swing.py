@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from benchmarks.judge.newton import Cloth, Descent
 from benchmarks.judge.simulator import SLIP_M, Motion, Moving, Sheet, Skin, grip, simulate, slowed
 from benchmarks.scenes import FPS
 from benchmarks.swing import spin
@@ -13,6 +12,7 @@ from drape.body.assets import load_body
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
+from drape.exact.newton import Cloth, Descent
 from drape.live.swing_step import AIR_KG_M3
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.drape.live.swing_setup import strip
