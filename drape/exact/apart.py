@@ -30,8 +30,8 @@ REACH_M = 0.002  # distance at which cloth feels cloth: about two layers of it
 NEAR_M = 0.009  # distance up to which pairs are looked at
 STEP_M = 0.5 * (NEAR_M - REACH_M)  # the most that a vertex moves: what is not looked at stays out of reach
 SHARE = 0.45  # of the distance to what is nearest: two that come towards each other do not meet
-# The share of a pair's distance that a step leaves at least; below the floor, where many steps one after the other would
-# come to the last digits of a number, more of it. Near to what it leaves the search ends.
+# The share of a pair's distance that a step leaves at least; below the floor more of it, or many steps one after the
+# other would come to the last digits of a number. Near to what it leaves the search ends.
 KEPT, LATE, FLOOR_M, NEARLY = 0.2, 0.9, 1e-4, 1.01
 STIFFNESS = 1.0 / 6.0  # of the body's contact at a mean vertex: k, per pair; b'' at half of the reach is 6.4 k
 

@@ -56,7 +56,8 @@ def read_accepted(folder: Path) -> Accepted | None:
         accepted = Accepted(**json.loads((folder / ABOUT).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
         return None
-    return accepted if folder.name == accepted.id and (folder / CLIP).is_file() else None
+    known = accepted.problem is not None or (folder / CLIP).is_file()
+    return accepted if folder.name == accepted.id and known else None
 
 
 def frame_path(folder: Path, number: int) -> Path:
@@ -94,6 +95,13 @@ def stored_bytes(root: Path) -> int:
         except FileNotFoundError:  # removed meanwhile
             continue
     return total
+
+
+def clear(folder: Path) -> None:
+    """Takes what was computed off the disk, and the request; what is told of the clip stays."""
+    for path in folder.glob("*"):
+        if path.name not in (ABOUT, LOCK):
+            path.unlink(missing_ok=True)
 
 
 def remove(folder: Path) -> None:

@@ -12,7 +12,7 @@ import signal
 import sys
 import uuid
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -238,13 +238,12 @@ class ExactClips:
 
     async def _failed(self, job: ClipJob, problem: dict[str, Any]) -> None:
         """Keeps the ``problem`` of ``job``, and nothing else of it."""
-        job.problem, job.state = problem, "failed"
+        job.problem, job.state, job.told = problem, "failed", {}
 
         def clear() -> None:
-            for number in range(job.accepted.frames):
-                on_disk.frame_path(job.folder, number).unlink(missing_ok=True)
+            on_disk.clear(job.folder)
             with contextlib.suppress(OSError):  # a full disk: it is known here as long as this service runs
-                Accepted(**{**vars(job.accepted), "problem": problem}).write(job.folder)
+                replace(job.accepted, problem=problem).write(job.folder)
 
         await asyncio.to_thread(clear)
 

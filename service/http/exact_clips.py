@@ -16,7 +16,7 @@ from service.compute.tiers import EXACT
 from service.exact.jobs import ClipJob as ExactJob
 from service.exact.jobs import Work
 from service.http import schemas
-from service.http.clip_jobs import ClipJob, plan_headers
+from service.http.clip_jobs import ClipJob
 from service.stages.batch import Batch, Layer, PoseInput, shape_array
 
 if TYPE_CHECKING:
@@ -93,7 +93,8 @@ async def finished(job: ExactJob, state: State, client: Client) -> tuple[ClipJob
     vertices = await asyncio.to_thread(partial(state.exact.vertices, job, plan))
     root = clip.trans + state.runtime.on(plan.scene).body.rest_joints(clip.betas)[0]
     batch = replace(Batch.of(plan, [clip]), layers=(Layer(vertices),), root=root)
-    headers = plan_headers(plan, state.runtime) | {
+    headers = {
+        "X-Drape-Model": state.runtime.engine.manifest.digest[:16],
         "X-Drape-Tier": EXACT,
         "X-Drape-Force-Left": f"{max(frame['force_share'] for frame in job.told.values()):.5f}",
         "X-Drape-Crossings": str(max(frame["crossings"] for frame in job.told.values())),

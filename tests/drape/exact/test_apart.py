@@ -18,9 +18,7 @@ def test_the_barriers_force_is_the_slope_of_its_energy(rng):
     assert (np.linalg.norm(ways, axis=1) < apart.REACH_M).any()
     gradient, way, step = np.zeros_like(x), rng.normal(size=x.shape), 1e-9
     apart.push_apart(x, *pairs, 30.0, gradient)
-    ahead, behind = (
-        apart.push_apart(x + sign * step * way, *pairs, 30.0, np.zeros_like(x)) for sign in (1.0, -1.0)
-    )
+    ahead, behind = (apart.push_apart(x + sign * step * way, *pairs, 30.0, np.zeros_like(x)) for sign in (1.0, -1.0))
     assert_allclose((gradient * way).sum(), (ahead - behind) / (2.0 * step), rtol=1e-4)
     assert_allclose(gradient.sum(axis=0), 0.0, atol=1e-9 * np.abs(gradient).sum())
 
@@ -57,7 +55,7 @@ def two_grids() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A sheet 3 mm over another, shifted; both in one mesh, and which vertices are the upper ones."""
     rest, faces = grid(4, 4, cell_m=0.01)
     rest = rest[:, [0, 2, 1]]
-    both = np.concatenate([rest, rest + [0.003, 0.003, 0.004]])
+    both = np.concatenate([rest, rest + np.array([0.003, 0.003, 0.004])])
     return both, np.concatenate([faces, faces + len(rest)]), np.arange(len(both)) >= len(rest)
 
 
