@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drape.arrays import check_finite
 from drape.body.model import BodyModel
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
@@ -106,11 +107,12 @@ def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None
     """The drape of a ``pose`` (24, 3) [rad], and what is told of it, from ``start`` [m] (V, 3) relative to the root.
 
     Where ``start`` passes through itself the cloth comes from ``before``, or from the T-pose. Raises ``MeshError``
-    where it comes to no finite place.
+    where ``start`` is not finite.
     """
     start = np.ascontiguousarray(start, np.float64)
+    check_finite("start of a frame", start, error=MeshError)
     cloth, posed, band = sheet.cloth, sheet.body.posed(pose), sheet.band(start)
-    crossed = len(crossing_pairs(start, sheet.faces)) if np.isfinite(start).all() else 0
+    crossed = len(crossing_pairs(start, sheet.faces))
     x = start
     if crossed:
         come = before or _at_rest(sheet, pose)
@@ -118,10 +120,6 @@ def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None
         x = drawn_to(cloth, sheet.contact, posed, x, start, band)
     one = apart.Descent(cloth, sheet.contact, posed, x, band=band)
     end = one.run(STEPS, TOLERANCE * cloth.weight_n)
-    if not np.isfinite(end.energy) or not np.isfinite(end.x).all():
-        raise MeshError(
-            "frame", expected="a drape at rest", got="no finite place", cure="Leave the pose out, or ask for accurate."
-        )
     x = end.x.astype(np.float32).astype(np.float64)  # what is stored, and what the next frame may come from
     energy_j, start_j = (newton.Descent(cloth, sheet.contact, posed, each, band=band).now.energy for each in (x, start))
     told = Told(
