@@ -106,7 +106,8 @@ class Lain:
 def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
     """The drape of a ``pose`` (24, 3) [rad], and what is told of it, from ``start`` [m] (V, 3) relative to the root.
 
-    Where ``start`` passes through itself the cloth comes from ``before``, or from the T-pose. Raises ``MeshError``
+    Where ``start`` passes through itself the cloth comes from ``before`` if that does not, or from the T-pose.
+    Raises ``MeshError``
     where ``start`` is not finite.
     """
     start = np.ascontiguousarray(start, np.float64)
@@ -115,8 +116,9 @@ def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None
     crossed = len(crossing_pairs(start, sheet.faces))
     x = start
     if crossed:
-        come = before or _at_rest(sheet, pose)
-        x = led(cloth, sheet.contact, sheet.body, come.x, (come.pose, pose))
+        if before is None or len(crossing_pairs(before.x, sheet.faces)):
+            before = _at_rest(sheet, pose)
+        x = led(cloth, sheet.contact, sheet.body, before.x, (before.pose, pose))
         x = drawn_to(cloth, sheet.contact, posed, x, start, band)
     one = apart.Descent(cloth, sheet.contact, posed, x, band=band)
     end = one.run(STEPS, TOLERANCE * cloth.weight_n)
