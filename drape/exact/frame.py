@@ -21,7 +21,7 @@ from drape.cloth.waistband import STIFFNESS_N_M2, Waistband, waistband
 from drape.errors import MeshError
 from drape.exact import apart, newton
 from drape.exact.linear import Charts
-from drape.exact.newton import TOLERANCE, Band, Cloth
+from drape.exact.newton import TOLERANCE, Band, Cloth, Found
 from drape.exact.path import Body, drawn_to, led
 from drape.garment.cache import Garment
 from drape.geometry.rotations import rotvec_to_matrix
@@ -106,9 +106,9 @@ class Lain:
 def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
     """The drape of a ``pose`` (24, 3) [rad], and what is told of it, from ``start`` [m] (V, 3) relative to the root.
 
-    Where ``start`` passes through itself the cloth comes from ``before`` if that does not, or from the T-pose.
-    Raises ``MeshError``
-    where ``start`` is not finite.
+    Where ``start`` passes through itself the cloth comes from ``before`` if that does not, or from the T-pose. Where it
+    would end above ``start`` so, it goes down from there and still crosses. Raises ``MeshError`` where ``start`` is not
+    finite.
     """
     start = np.ascontiguousarray(start, np.float64)
     check_finite("start of a frame", start, error=MeshError)
@@ -120,19 +120,31 @@ def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None
             before = _at_rest(sheet, pose)
         x = led(cloth, sheet.contact, sheet.body, before.x, (before.pose, pose))
         x = drawn_to(cloth, sheet.contact, posed, x, start, band)
-    one = apart.Descent(cloth, sheet.contact, posed, x, band=band)
-    end = one.run(STEPS, TOLERANCE * cloth.weight_n)
+    start_j = _energy_j(sheet, posed, start, band)
+    end = _down(sheet, posed, x, band)
+    if crossed and _energy_j(sheet, posed, end.x, band) > start_j:
+        end = _down(sheet, posed, start, band)  # never above the start, though what crosses there goes on to
     x = end.x.astype(np.float32).astype(np.float64)  # what is stored, and what the next frame may come from
-    energy_j, start_j = (newton.Descent(cloth, sheet.contact, posed, each, band=band).now.energy for each in (x, start))
     told = Told(
         force_share=float(np.linalg.norm(end.force)) / cloth.weight_n,
-        energy_j=energy_j,
+        energy_j=_energy_j(sheet, posed, x, band),
         start_j=start_j,
         crossings=len(crossing_pairs(x, sheet.faces)),
         start_crossings=crossed,
         steps=end.steps,
     )
     return Lain(pose, x), told
+
+
+def _down(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> Found:
+    """Where the cloth comes down to from ``x`` [m] (V, 3) over the ``posed`` body."""
+    one = apart.Descent(sheet.cloth, sheet.contact, posed, x, band=band)
+    return one.run(STEPS, TOLERANCE * sheet.cloth.weight_n)
+
+
+def _energy_j(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> float:
+    """The energy [J] of cloth and body at ``x`` [m] (V, 3), without the barrier's."""
+    return newton.Descent(sheet.cloth, sheet.contact, posed, x, band=band).now.energy
 
 
 def _at_rest(sheet: Sheet, pose: np.ndarray) -> Lain:

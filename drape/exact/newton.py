@@ -135,6 +135,12 @@ class Descent:
         energy = descent.energy_and_gradient(x, self.problem, self.around(x)[0], gradient)
         return Found(x, energy, gradient, False, self.steps)
 
+    def deepest_m(self) -> float:
+        """How deep [m] the cloth lies in the skin where it lies deepest."""
+        around, _ = self.around(self.now.x)
+        size = np.maximum(np.linalg.norm(around.normal, axis=1), 1e-12)
+        return float((((around.point - self.now.x) * around.normal).sum(axis=1) / size).max())
+
     def settle(self, rounds: int) -> None:
         """Sweeps, and then goes on as ``settling`` does, for ``rounds`` at most."""
         for _ in range(SWEEPS):

@@ -24,6 +24,7 @@ from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
 
 WAY_M = 0.02  # of the furthest body vertex in a step
 CARRIED, STEPS = 6, 3  # moves without, and steps with, an energy in each of these
+ROUNDS, DEEP_M = 6, 0.002  # so many times as many steps at most, while cloth is deeper than this in the skin
 HOLD_N_PER_M = 2.0  # of the springs to where the skin would take the cloth, at a mean vertex
 DRAWN_STEPS, DRAWN_N_PER_M = 30, 10.0  # of the way to the drape that crosses
 
@@ -88,7 +89,10 @@ def led(
         one = apart.Descent(cloth, contact, posed, x, drawn=Band(goal, HOLD_N_PER_M * share))
         for _ in range(CARRIED):
             one.go(goal - one.now.x)
-        one.run(STEPS, 0.0)
+        for number in range(1, ROUNDS + 1):
+            one.run(number * STEPS, 0.0)
+            if one.deepest_m() < DEEP_M:
+                break
         x = one.now.x
     return x
 

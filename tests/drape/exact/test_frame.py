@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import fabric
 from drape.errors import MeshError
+from drape.exact import frame
 from drape.exact.frame import Lain, Sheet, exact
 from drape.exact.path import WAY_M, Body, between, poses_between
 from drape.garment.cache import Garment
@@ -57,6 +58,15 @@ def test_a_start_that_crosses_comes_to_rest_apart(sheet: Sheet):
     assert_array_equal(again.x, lain.x)
     near, told = exact(sheet, POSE, start, Lain(POSE, lain.x))
     assert told.crossings == 0 and np.linalg.norm(near.x - lain.x, axis=1).mean() < 0.01
+
+
+def test_no_frame_ends_above_its_start(sheet: Sheet, monkeypatch: pytest.MonkeyPatch):
+    start = tangled(sheet, sheet.body.carried(sheet.rest, np.zeros((24, 3)), POSE))
+    monkeypatch.setattr(frame, "led", lambda *_: 2.0 * sheet.rest)  # a way that leads astray
+    monkeypatch.setattr(frame, "drawn_to", lambda cloth, contact, posed, x, goal, band: x)
+    monkeypatch.setattr(frame, "STEPS", 1)
+    _, told = exact(sheet, POSE, start)
+    assert told.energy_j <= told.start_j and told.start_crossings > 0
 
 
 def test_cloth_that_crosses_at_rest_and_numbers_that_are_none_are_refused(sheet: Sheet, tube: Garment, body: BodyModel):
