@@ -64,7 +64,12 @@ def finished(job: dict[str, Any], kind: str = "garment") -> str | None:
     if job["state"] == "failed":
         raise problem_error(job["problem"])
     if job["state"] == "cancelled":
-        raise Unavailable(f"job {job['name']}", expected="its end", got="one that was cancelled", cure="Ask again.")
+        raise Unavailable(
+            f"{'clip' if kind == 'clip' else 'upload'} {job['name']}",
+            expected="its end",
+            got="one that was cancelled",
+            cure="Ask again.",
+        )
     return job[kind] if job["state"] == "done" else None
 
 
