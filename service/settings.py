@@ -89,7 +89,7 @@ class Settings(BaseSettings):
     intake_queue: int = Field(default=8, ge=1)
     exact_workers: int = Field(default=1, ge=1, le=256)
     exact_queue: int = Field(default=8, ge=1)
-    exact_frame_s: float = Field(default=1800.0, gt=0.0)
+    exact_frame_s: float = Field(default=3600.0, gt=0.0)
     garments_look_s: float = Field(default=0.0, ge=0.0)
 
     stream_step_down: bool = True
