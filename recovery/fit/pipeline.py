@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +23,13 @@ from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
 from recovery.fit.cloth import Fabric, FreeCloth, bolt_name, named, nearest_fabric
-from recovery.fit.contours import Match, match_contours, open_contours
+from recovery.fit.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
 from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
 from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSearch
 from recovery.fit.seams import SeamConstraint, sewable
+from recovery.fit.starts import Start, drape_at_rest, worn_drape
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls, symmetrised
@@ -35,9 +37,11 @@ from recovery.sim.sdf import SignedDistance
 
 DEFAULT_DRAPE = DrapeOptions()
 GRADINGS = 2  # one is linear: a second one halves what the first one left
-LENGTHS_TRIED = (1.0, 0.93, 1.07, 0.87)  # of the edge length asked for
 ROUNDS = 3
 SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
+# A round that ends with surfaces this far apart (root mean square) may have been held back by the reach: the next one
+# has as many times more. With the first reach alone what a drape hardly shows stays as in the graded base.
+FAR_MM, REACH_GROWS = 3.0, 3.0
 TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: its signature is mixed with the size's
 
 NOT_AT_REST = "no drape at rest"
@@ -67,6 +71,12 @@ class Round:
     def least(self) -> np.ndarray:
         """The row of the search's history that its pattern is of."""
         return self.fitted.history[self.fitted.history[:, 0].argmin()]
+
+    @property
+    def apart_m2(self) -> float:
+        """The loss of its pattern but for the reach, which may differ from round to round."""
+        weights = self.search.objective.weights
+        return float(self.least[1:4] @ (1.0, weights.contours, weights.seam_term))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +161,7 @@ def recover_pattern(
         say=say,
     )
     with watch.stage("drape of the base"):
-        first = drape_pattern(base, body, drape, pose=pose, skin=bare)
+        first = worn_drape(base, task.start(drape))
     graded, start = ungraded(base), first
     with watch.stage("drape of the graded base"):
         if grading:
@@ -187,7 +197,7 @@ def _recovered(
     task: _Task, base: Draped, graded: Graded, rounds: list[Round], left: str, losses: dict[str, float]
 ) -> Recovered:
     """The best of ``rounds`` with all that led there."""
-    best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.least[0])
+    best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.apart_m2)
     cloth = best.fitted.cloth
     fabric = nearest_fabric(cloth)
     # The base's own note is of another cloth than the one that was draped.
@@ -243,6 +253,12 @@ class _Task:
     free_cloth: bool
     say: Say
 
+    @cached_property
+    def places(self) -> list[Place]:
+        """Where the target's contours lie on the body."""
+        chains = bone_chains(posed_joints(self.body, self.pose))
+        return [place_of(contour, chains) for contour in self.target.contours]
+
     @property
     def sewable(self) -> bool:
         """Whether seams are a constraint."""
@@ -250,7 +266,12 @@ class _Task:
 
     def draped(self, pattern: Pattern) -> Draped:
         """The drape of ``pattern`` at rest, ready to be searched from."""
-        return drape_at_rest(pattern, self.body, self.drape, self.pose, self.bare)
+        return drape_at_rest(pattern, self.start(self.drape))
+
+    def start(self, drape: DrapeOptions, cloth: OrthotropicMaterial | None = None) -> Start:
+        """How drapes begin on this body; what the target goes round, they should."""
+        parts = [place.part for place in self.places if place.part is not None]
+        return Start(self.body, drape, self.pose, self.bare, tuple(parts), cloth)
 
     def matches(self, draped: Draped) -> tuple[list[Match], list[int]]:
         """Pairs of the contours of a drape and those of the target, and the target's that are left."""
@@ -297,12 +318,14 @@ class _Task:
         *,
         free: FreeCloth | None = None,
         likely: OrthotropicMaterial | None = None,
+        reach_m: float | None = None,
     ) -> tuple[PatternSearch, list[Match]]:
-        """The search from ``start`` in ``cloth``, and how its contours are paired.
+        """The search from ``start`` in ``cloth`` with this reach [m], and how its contours are paired.
 
         Seams keep the ratios of lengths of ``ratios``. The corners of ``centre`` and the cloth ``likely`` are what the
         reach of the loss is counted from.
         """
+        weights = self.weights if reach_m is None else self.weights._replace(reach_m=reach_m)
         contours = open_contours(start.nodes, start.mesh.faces)
         matches, _ = self.matches(start)
         controls = free_controls(start.mesh.pattern, self.symmetries)
@@ -313,7 +336,7 @@ class _Task:
             start.mesh,
             controls,
             RestDrape(start.mesh, self.skin, cloth, held=start.rest.held),
-            Objective(start.mesh, self.target, contours, matches, self.weights, base=ratios),
+            Objective(start.mesh, self.target, contours, matches, weights, base=ratios),
             cloth=free,
             seams=SeamConstraint(start.mesh.pattern, controls, self.base) if self.sewable else None,
             likely=unknowns,
@@ -346,7 +369,7 @@ class _Task:
         The first goes from the drape ``start`` of the pattern ``graded``; its clocks ``began`` earlier.
         """
         likely = named(self.drape.fabric)
-        cloth, pattern, ratios = likely, graded, base
+        cloth, pattern, ratios, reach_m = likely, graded, base, self.weights.reach_m
         rounds: list[Round] = []
         for number, length in enumerate(lengths_m):
             if number and watch.over():
@@ -355,16 +378,18 @@ class _Task:
                 if number:
                     options = replace(self.drape, edge_length_m=length)
                     with watch.stage(f"drape of round {number + 1}"):
-                        start = drape_pattern(pattern, self.body, options, pose=self.pose, cloth=cloth, skin=self.bare)
+                        start = worn_drape(pattern, self.start(options, cloth))
                 start = self.held(start, cloth)
             except InputError as error:
                 if not number:
                     raise
                 return rounds, self._left(number, len(lengths_m), f"the pattern sewn anew is not worn so: {error}")
-            if number and (why := self.why_left(rounds, start)):
+            held_back = bool(number) and _apart_mm(rounds[-1].least[1]) > FAR_MM
+            if number and (why := self.why_left(rounds, start)) and not (why == SAME and held_back):
                 return rounds, self._left(number, len(lengths_m), why)
+            reach_m *= REACH_GROWS if held_back else 1.0
             free = FreeCloth(cloth) if self.free_cloth and (number or len(lengths_m) == 1) else None
-            search, matches = self.search(start, ratios, graded, cloth, free=free, likely=likely)
+            search, matches = self.search(start, ratios, graded, cloth, free=free, likely=likely, reach_m=reach_m)
             if number and not _comes_to_rest(search, start):
                 return rounds, self._left(number, len(lengths_m), NOT_AT_REST)
             nodes = start.mesh.node_count
@@ -400,27 +425,3 @@ class _Task:
 def _comes_to_rest(search: PatternSearch, start: Draped) -> bool:
     """Whether the simulator of ``search`` finds a drape at its ``start``."""
     return search.evaluate(np.zeros(search.count), start.nodes) is not None
-
-
-def drape_at_rest(
-    pattern: Pattern, body: BodyModel, drape: DrapeOptions, pose: np.ndarray | None, skin: SignedDistance
-) -> Draped:
-    """The drape of ``pattern`` at rest, on a mesh a little finer or coarser where Newton sticks on its own.
-
-    Raises ``InputError`` where none comes to rest.
-    """
-    left: list[float] = []
-    for share in LENGTHS_TRIED:
-        length = share * drape.edge_length_m
-        start = drape_pattern(pattern, body, replace(drape, edge_length_m=length), pose=pose, skin=skin)
-        if start.at_rest:
-            return start
-        left.append(max(one.report.residual_n for one in (start.rest, start.posed) if one is not None))
-        if watch.over():
-            break
-    raise InputError(
-        "graded pattern",
-        expected="a drape at rest to start from",
-        got=f"{min(left):.1e} N left at a node, on the best of {len(left)} meshes",
-        cure="Take another mesh (edge_length_m), more iterations, or a base nearer to the target.",
-    )

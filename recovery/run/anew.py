@@ -14,9 +14,9 @@ from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
 from recovery.fit.chamfer import SurfaceDistance, surface_distance
-from recovery.fit.contours import match_contours, open_contours
-from recovery.fit.pipeline import LENGTHS_TRIED, Recovered
-from recovery.run.retarget import lost_parts
+from recovery.fit.contours import lost_parts, match_contours, open_contours
+from recovery.fit.pipeline import Recovered
+from recovery.fit.starts import LENGTHS_TRIED
 
 
 class SewnAnew(NamedTuple):

@@ -27,6 +27,7 @@ from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
 from recovery.fit.cloth import named
+from recovery.fit.contours import lost_parts
 from recovery.fit.pipeline import Recovered
 from recovery.pattern.bases import tshirt
 from recovery.pattern.coordinates import control_points
@@ -40,7 +41,7 @@ from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
 from recovery.run.report_pieces import scaled_drawing
 from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
-from recovery.run.retarget import lost_parts, retargeted
+from recovery.run.retarget import retargeted
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements, tube
 
