@@ -123,7 +123,7 @@ def fitted(body: BodyMeasurements, cut: SkirtCut) -> Design:
     farther behind, the narrower they are, by one width from waist to hem, so that only mirrored gores are alike.
     """
     top = body.waist_y - cut.drop_m
-    rise, hem = top - body.hip_y, top - cut.length_m
+    rise, hem = top - body.hip_y, top - cut.length_m - body.longer_m
     if cut.hip_ease_m < 0.0 or rise < 0.0 or hem > body.hip_y - 0.01 or cut.panels < 2:
         raise InputError(
             cut.name,

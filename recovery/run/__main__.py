@@ -28,6 +28,7 @@ from recovery.drape.posing import read_pose
 from recovery.fit.objective import DEFAULT_WEIGHTS
 from recovery.fit.optimise import FitOptions
 from recovery.pattern.bases import BASES
+from recovery.pattern.sizes import PATTERN_STEPS
 from recovery.run.job import FIT_INSIDE, MINUTES, Job, run_job
 from recovery.scan.places import ScanFault
 
@@ -46,6 +47,7 @@ OF_JOB = (
     "retarget",
     "garment",
     "minutes",
+    "sizes",
 )
 CHOOSE_FABRIC = "auto"
 EDGE_LENGTH_M = 0.05
@@ -100,6 +102,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     )
     parser.add_argument(
         "--minutes", type=float, default=MINUTES, help="after which the best so far is written (%(default)g)"
+    )
+    parser.add_argument(
+        "--sizes", nargs="+", default=[], choices=PATTERN_STEPS, help="write the pattern, which is M, in these as well"
     )
     parser.add_argument("--no-retarget", dest="retarget", action="store_false", help="leave out other bodies and poses")
     parser.add_argument("--no-garment", dest="garment", action="store_false", help="write no garment cache")

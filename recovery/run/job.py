@@ -33,6 +33,7 @@ from recovery.run.anew import SewnAnew, sewn_anew
 from recovery.run.cut import Cut, differences, kind_of, panel_count, told_base
 from recovery.run.drafted import drafted
 from recovery.run.identify import Identifiability, identifiability
+from recovery.run.nested import in_other_size
 from recovery.run.retarget import Worn, retargeted
 from recovery.run.seen import Seen, pieces
 from recovery.run.target import OPENINGS, check_base, opened, placed_target, read_target
@@ -54,7 +55,7 @@ class Job:
 
     ``settings`` of a base are texts NAME=NUMBER, lengths in metres. With ``find_fabric`` the cloth is unknown as well.
     ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``. After ``minutes``
-    the best so far is written.
+    the best so far is written. The pattern is written in ``sizes`` beside M, which fits the body.
     """
 
     target: Path
@@ -76,6 +77,7 @@ class Job:
     retarget: bool = True
     garment: bool = True
     minutes: float = MINUTES
+    sizes: Sequence[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +176,8 @@ def prepare(job: Job) -> Prepared:
     if job.base is not None:
         check_base(job.base, there)
     base, cut = _near_target(job, mesh, wearer, joints, shown)
+    for size in job.sizes:  # refused before an hour of drapes, not after it
+        in_other_size(base, cut.base, measure(wearer.shaped), cut.settings, size)
     notes = [f"On reading: {note}." for note in mesh.notes]
     if cut.told:
         notes.append(f"The base was chosen by the target's openings: {cut.base}.")
@@ -266,6 +270,9 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
         warnings.append(stopped_words(job.minutes, clock.stopped_in))
     fitted = found.fitted
     files = export_pattern(fitted.pattern, job.out)
+    for size in job.sizes:
+        graded = in_other_size(fitted.pattern, cut.base, measure(wearer.shaped), cut.settings, size)
+        files += export_pattern(replace(graded, name=f"{name}_{size}"), job.out)
     cloth = replace(found.search.mesh, pattern=fitted.pattern, rest=found.search.mesh.rest_at(fitted.positions))
     files += write_shape(job.out, name, cloth, fitted.nodes + wearer.trans, panel_texture(cloth))
     there = (mesh.vertices, mesh.faces)

@@ -13,14 +13,13 @@ from recovery.fit.pipeline import Recovered
 from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
 from recovery.run import pictures
-from recovery.run.anew import SewnAnew
+from recovery.run.anew import ANEW_MM, SewnAnew
 from recovery.run.identify import CAP_M, corner_names, weak_words
 from recovery.run.job import Outcome, describe_worn
 from recovery.run.report import Page
 from recovery.run.report_pieces import add_pieces
 
 SEAM_PCT = 0.5  # of length, beside the ease that the base asks for: more cannot be sewn as it is drawn
-ANEW_MM = 3.0  # more between the report's drape and the pattern sewn anew is worth a warning
 BELT_M = 0.005
 GOOD_RMS_MM, FAIR_RMS_MM = 2.0, 8.0
 UNSURE_M = 0.01

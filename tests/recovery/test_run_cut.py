@@ -14,10 +14,15 @@ from drape.errors import InputError
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from recovery.fit.contours import TRUNK
+from recovery.fit.seams import ease_left
+from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
+from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.mesh import mesh_pattern
+from recovery.pattern.sizes import in_size
 from recovery.run.cut import differences, has_collar, kind_of, panel_count, told_base
 from recovery.run.drafted import RANGES, drafted, own_settings, read_settings
+from recovery.run.nested import in_other_size
 from recovery.run.seen import Seen, girth_round, pieces
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements
@@ -171,3 +176,27 @@ def test_what_differs_from_the_target_has_a_sentence():
     kind, collar = differences("tank", BASES["tank"](body), shirt, seen(shirt), body, 2)
     assert "--base tshirt" in kind and "collar" in collar
     assert differences("mine.json", two, skirt, seen(skirt), body, 2) == ()
+
+
+@pytest.mark.parametrize("name", sorted(BASES))
+def test_a_recovered_pattern_grows_as_its_base_does_and_can_still_be_sewn(name):
+    body = default_measurements()
+    base = BASES[name](body)
+    controls = control_points(base)
+    moved = with_controls(base, controls, 1.03 * controls.positions)  # what a search might find
+    areas = []
+    for size in ("S", "M", "L", "XL", "XXL"):
+        made = in_other_size(moved, name, body, {}, size)
+        geometry.check_pattern(made)
+        assert np.abs(ease_left(made, base)).max() < 1e-9
+        areas.append(sum(geometry.area(panel) for panel in made.panels))
+    assert (np.diff(areas) > 0.0).all()
+    assert_allclose(areas[1], sum(geometry.area(panel) for panel in moved.panels), rtol=1e-9)
+    same = in_other_size(base, name, body, {}, "XXL")
+    grown = sum(geometry.area(panel) for panel in BASES[name](in_size(body, "XXL")).panels)
+    assert_allclose(sum(geometry.area(panel) for panel in same.panels), grown, rtol=5e-3)
+
+
+def test_a_pattern_of_a_file_does_not_say_how_it_grows():
+    with pytest.raises(InputError, match="--sizes: expected a base that is drafted"):
+        in_other_size(BASES["skirt"](default_measurements()), "mine.json", default_measurements(), {}, "L")
