@@ -28,7 +28,10 @@ COUNT, MOST_PANELS = "panels", 12  # the one setting that is a number of pieces
 
 @dataclass(frozen=True)
 class Base:
-    """A base: the design that ``draft`` makes of ``cut``; ``settings`` names what a caller may set, lengths [m]."""
+    """A base: the design that ``draft`` makes of ``cut``; ``settings`` names what a caller may set, lengths [m].
+
+    A ``gather`` is a share, ``panels`` a number.
+    """
 
     draft: Callable[[BodyMeasurements, Any], Design]
     cut: TopCut | LegCut | SkirtCut
@@ -57,7 +60,7 @@ class Base:
 OF_TOP = ("length_m", "chest_ease_m", "flare_m", "shoulder_out_m", "shoulder_drop_m", "armhole_drop_m", "neck_out_m")
 OF_TOP = (*OF_TOP, "neck_depth_m", "back_neck_depth_m")
 OF_SLEEVES = ("sleeve_length_m", "sleeve_arm_ease_m", "sleeve_hem_girth_m")
-OF_DRESS = ("waist_ease_m", "waist_drop_m", "hip_ease_m")
+OF_DRESS = ("waist_ease_m", "waist_drop_m", "hip_ease_m", "gather")
 SLEEVE = Sleeve(0.21, 0.07, 0.35, halves=True)
 tshirt = Base(
     top,

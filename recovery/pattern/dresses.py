@@ -20,8 +20,8 @@ LEAST_M = 0.03  # from underarm to waist, from waist to hips and from hips to he
 class DressCut(TopCut):
     """A top's measures, and lengths [m] of the skirt.
 
-    The waist's seam lies ``waist_drop_m`` below the body's waist. ``flare_m`` is added to each panel's half from hips
-    to hem.
+    The waist's seam lies ``waist_drop_m`` below the body's waist; there the skirt is wider by the share ``gather``.
+    ``flare_m`` is added to each panel's half from hips to hem.
     """
 
     waist_ease_m: float = 0.06
@@ -40,11 +40,11 @@ def dress(body: BodyMeasurements, cut: DressCut) -> Design:
     seam = body.waist_y - cut.waist_drop_m
     waist, hips = (0.25 * (body.girth_at(seam) + cut.waist_ease_m), 0.25 * (body.hip_girth + cut.hip_ease_m))
     heights = (underarm[1], seam, body.hip_y, hem)
-    if cut.hip_ease_m < 0.0 or any(above - below < LEAST_M for above, below in pairwise(heights)):
+    if min(cut.hip_ease_m, cut.gather) < 0.0 or any(above - below < LEAST_M for above, below in pairwise(heights)):
         raise InputError(
             cut.name,
-            expected="ease at the hips, and underarm, waist, hips, hem one below the other",
-            got=f"{cut.hip_ease_m:.3f} m of ease; y " + ", ".join(f"{y:.3f}" for y in heights) + " m",
+            expected="ease at the hips, no gather below 0, and underarm, waist, hips, hem one below the other",
+            got=f"{cut.hip_ease_m:.3f} m of ease, {cut.gather:g}; y " + ", ".join(f"{y:.3f}" for y in heights) + " m",
             cure="Add ease or length, or change waist_drop_m.",
         )
     work = Assembly()
@@ -52,11 +52,19 @@ def dress(body: BodyMeasurements, cut: DressCut) -> Design:
     name_openings(work, bodices, "neck", "opening_neck", "opening_neck")
     below = seam - BETWEEN_M
     sides = below_waist(
-        (waist, below), (hips, body.hip_y), hem, flare=cut.flare_m, dip=0.0, curved=False, upper="waist"
+        (waist * (1.0 + cut.gather), below),
+        (hips, body.hip_y),
+        hem,
+        flare=cut.flare_m,
+        dip=0.0,
+        curved=False,
+        upper="waist",
     )
     skirts = []
     for (label, face, z), above in zip(before_and_behind(body), bodices, strict=True):
         skirts.append(work.add(draft(f"skirt_{label}", sides, rotation=face, z=z)))
         work.sew("waist_seam", above, "waistline", skirts[-1], "waist")
     work.sew_sides(["side", "hip"], *skirts)
+    if cut.gather:
+        work.eased["waist_seam"] = cut.gather
     return work.design(cut.name, cut.fabric, cut.ease_m)

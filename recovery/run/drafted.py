@@ -25,6 +25,10 @@ UNDER_ARM_M = 0.03  # that an armhole ends above its cut, lifted by the arm
 ARMS = (0.25, 0.5, 0.75)  # of the upper arm: where a sleeve's girth is taken, the first clear of the trunk
 MOST_SLEEVE = 1.8  # of the arm's girth: more is a sleeve and the trunk
 WAISTS_M = 0.01  # between heights at which a waist is looked for
+GATHERS_M, LEAST_GATHER = (
+    0.02,
+    0.12,
+)  # half the height in which a gathered seam widens the cloth, by this share at least
 CLEAR_M = 0.08  # of a waist from underarm and hips
 Range = tuple[float, float]
 RANGES: dict[str, Range] = {  # that a reading may lie in; beyond it something else was read
@@ -41,6 +45,7 @@ RANGES: dict[str, Range] = {  # that a reading may lie in; beyond it something e
     "sleeve_hem_girth_m": (0.12, 0.8),
     "waist_ease_m": (-0.1, 0.5),
     "waist_drop_m": (-0.15, 0.1),
+    "gather": (0.0, 0.8),
     "hip_ease_m": (0.0, 0.8),
     "inseam_m": (0.03, 0.9),
     "rise_drop_m": (-0.02, 0.2),
@@ -119,9 +124,12 @@ def _of_top(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> To
     told["chest_ease_m"] = chest
     upper = 0.25 * (body.chest_girth + (chest or 0.0))
     if "waist_drop_m" in settings:
-        waist = _waist(body, seen, low)
-        told["waist_drop_m"] = body.waist_y - waist
-        told["waist_ease_m"] = _ease(seen, waist, body.girth_at)
+        waist, told["gather"] = gathered(body, seen, low)
+        drawn = waist - (OVER_CHEST_M if told["gather"] else 0.0)
+        told["waist_drop_m"] = body.waist_y - drawn
+        told["waist_ease_m"] = _ease(
+            seen, waist + (GATHERS_M if told["gather"] else 0.0), lambda y: body.girth_at(drawn)
+        )
         told["hip_ease_m"] = hips = _ease(seen, body.hip_y, lambda y: body.hip_girth)
         upper = 0.25 * (body.hip_girth + max(0.0, hips or 0.0))
     told["flare_m"] = 0.25 * hem.contour.length_m - upper
@@ -176,8 +184,20 @@ def _ease(seen: Seen, y: float, girth: Callable[[float], float]) -> float | None
     return None if found is None else found - girth(y)
 
 
-def _waist(body: BodyMeasurements, seen: Seen, low: float) -> float:
-    """The height [m] at which the cloth is narrowest between the armholes' ends at ``low`` and the hips."""
-    heights = np.arange(body.hip_y + CLEAR_M, low - CLEAR_M, WAISTS_M)
-    girths = [(girth, y) for y in heights.tolist() if (girth := seen.girth(TRUNK, 1, y)) is not None]
-    return min(girths)[1] if girths else body.waist_y
+def gathered(body: BodyMeasurements, seen: Seen, low: float) -> tuple[float, float]:
+    """The height [m] of the waist's seam below armholes that end at ``low``, and the share of cloth gathered there.
+
+    A gathered seam is where the girth grows at once; without one the waist is where the cloth is narrowest.
+    """
+    heights = np.arange(body.hip_y + CLEAR_M, low - GATHERS_M, WAISTS_M)
+    girths = {y: girth for y in heights.tolist() if (girth := seen.girth(TRUNK, 1, y)) is not None}
+    jumps = {}
+    for y in girths:
+        above, below = (seen.girth(TRUNK, 1, y + way) for way in (GATHERS_M, -GATHERS_M))
+        if above is not None and below is not None:
+            jumps[y] = below / above - 1.0
+    seam = max(jumps, key=lambda y: jumps[y], default=body.waist_y)
+    if jumps.get(seam, 0.0) >= LEAST_GATHER:
+        return seam, jumps[seam]
+    narrow = {y: girth for y, girth in girths.items() if y < low - CLEAR_M}
+    return min(narrow, key=lambda y: narrow[y], default=body.waist_y), 0.0

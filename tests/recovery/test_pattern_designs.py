@@ -171,6 +171,7 @@ def test_a_cone_goes_round_its_circle_and_opens_downward():
         (lambda body: tank(body, sleeve_length_m=0.2), "--set: expected one of"),
         (lambda body: dress(body, waist_drop_m=0.24), "underarm, waist, hips, hem one below the other"),
         (lambda body: dress(body, hip_ease_m=-0.1), "dress: expected ease at the hips"),
+        (lambda body: dress(body, gather=-0.1), "no gather below 0"),
         (lambda body: dress(body, length_m=0.6), "underarm, waist, hips, hem one below the other"),
     ],
 )
@@ -283,6 +284,9 @@ def test_a_dress_has_the_girths_of_body_and_ease():
     assert_allclose(np.ptp(bodice.vertices[:, 0]), 0.5 * (body.chest_girth + 0.08))
     widths = np.sort(np.unique(np.round(2.0 * np.abs(lower.vertices[:, 0]), 9)))
     assert_allclose(widths[:2], [0.5 * (body.waist_girth + 0.05), 0.5 * (body.hip_girth + 0.09)], atol=1e-8)
+    for seam in geometry.seams(dress(body, gather=0.3)):
+        waist = "bodice" in seam.stitch.first.panel and "skirt" in seam.stitch.second.panel
+        assert_allclose(seam.second_m / seam.first_m, 1.3 if waist else 1.0, rtol=1e-9)
 
 
 @pytest.mark.parametrize("shape", [(2.0,), (-2.0,), (0.0, 2.0), (0.0, -2.0, 1.0)])

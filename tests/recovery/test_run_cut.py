@@ -115,6 +115,7 @@ READINGS_M = {  # what garments of the catalogue were cut with, and how far thei
     "longsleeve": {"length_m": 0.65, "sleeve_hem_girth_m": 0.213, "chest_ease_m": 0.08},
     "shorts": {"inseam_m": 0.20, "hem_girth_m": 0.64, "hip_ease_m": 0.10},
     "skirt": {"length_m": 0.585, "hip_ease_m": 0.06},
+    "dress": {"length_m": 1.02, "gather": 0.25, "waist_drop_m": -0.057, "chest_ease_m": 0.14, "sleeve_length_m": 0.2},
 }
 
 
