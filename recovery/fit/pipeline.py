@@ -161,12 +161,12 @@ def recover_pattern(
         say=say,
     )
     with watch.stage("drape of the base"):
-        first = worn_drape(base, task.start(drape))
+        first = worn_drape(base, task.start(drape), rest=False)
     graded, start = ungraded(base), first
     with watch.stage("drape of the graded base"):
         if grading:
-            for _ in range(GRADINGS):
-                graded, start = task.graded(graded, start)
+            for number in range(GRADINGS):
+                graded, start = task.graded(graded, start, rest=number == GRADINGS - 1)
         else:
             start = task.draped(base)
     losses, fabric = {}, drape.fabric
@@ -278,13 +278,15 @@ class _Task:
         contours = open_contours(draped.nodes, draped.mesh.faces)
         return match_contours(contours, self.target.contours, posed_joints(self.body, self.pose))
 
-    def graded(self, before: Graded, draped: Draped) -> tuple[Graded, Draped]:
-        """``before`` graded once more by its drape ``draped``, and the drape of that."""
+    def graded(self, before: Graded, draped: Draped, *, rest: bool = True) -> tuple[Graded, Draped]:
+        """``before`` graded once more by its drape ``draped``, and the drape of that, which must be at ``rest``."""
         matches, _ = self.matches(draped)
         contours = open_contours(draped.nodes, draped.mesh.faces)
         after = graded_again(before, grade(draped.mesh, draped.nodes, contours, matches, self.symmetries))
         if self.sewable:
             after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
+        if not rest:
+            return after, worn_drape(after.pattern, self.start(self.drape), rest=False)
         return after, self.draped(after.pattern)
 
     def best_fabric(

@@ -41,8 +41,8 @@ class Start:
         return lost_parts(draped.nodes, draped.mesh.faces, posed_joints(self.body, self.pose), self.parts)
 
 
-def worn_drape(pattern: Pattern, start: Start) -> Draped:
-    """The drape of ``pattern``, on a mesh a little finer or coarser where it is not at rest or a part is lost.
+def worn_drape(pattern: Pattern, start: Start, *, rest: bool = True) -> Draped:
+    """The drape of ``pattern``, on a mesh a little finer or coarser where a part is lost or, with ``rest``, it moves.
 
     The best of them where none is right: one with all parts before one at rest. Raises ``InputError`` where the
     pattern cannot be sewn on any.
@@ -57,7 +57,8 @@ def worn_drape(pattern: Pattern, start: Start) -> Draped:
             refused.append(error)
             continue
         tried.append(((len(start.lost(one)), int(not one.at_rest), number), one))
-        if tried[-1][0][:2] == (0, 0) or watch.over():
+        lost, moves, _ = tried[-1][0]
+        if (not lost and not (rest and moves)) or watch.over():
             break
     if not tried:
         raise refused[0]

@@ -107,7 +107,7 @@ def differences(
         if nearest != base:
             found.append(f"The target looks like a {nearest.replace('_', ' ')}: its base is --base {nearest}")
         if TRUNK in seen.openings and "left_arm" in seen.openings and has_collar(mesh, seen, body):
-            found.append("The target has a collar, which no base has: the pattern ends at the neckline")
+            found.append("The target has a collar, which no base has: the neckline is drawn to its edge")
     panels = len(pattern.panels)
     if shown is None:
         found.append("The target does not show its seams: panels and seams are the base's")
