@@ -14,6 +14,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from drape.body.model import BodyModel
 from drape.cloth.material import OrthotropicMaterial
@@ -39,9 +40,9 @@ DEFAULT_DRAPE = DrapeOptions()
 GRADINGS = 2  # one is linear: a second one halves what the first one left
 ROUNDS = 3
 SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
-# A round that ends with surfaces this far apart (root mean square) may have been held back by the reach: the next one
-# has as many times more. With the first reach alone what a drape hardly shows stays as in the graded base.
-FAR_MM, REACH_GROWS = 3.0, 3.0
+# Where surfaces are this far apart (root mean square) at the first round's start or the end of one, the reach may hold
+# the search back: the next one has as many times more. Else what a drape hardly shows stays as in the graded base.
+START_FAR_MM, FAR_MM, REACH_GROWS = 10.0, 3.0, 3.0
 TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: its signature is mixed with the size's
 
 NOT_AT_REST = "no drape at rest"
@@ -307,6 +308,11 @@ class _Task:
         self.say(f"fabric    {best}; left to the target [mm]: {told}")
         return losses, best, drapes[best]
 
+    def surface(self, draped: Draped) -> float:
+        """The squared distance [m^2] of a drape and the target, both directions summed, as the loss has it."""
+        objective = Objective(draped.mesh, self.target, [], [], self.weights)
+        return float(objective.surface(torch.from_numpy(draped.nodes)))
+
     def held(self, draped: Draped, cloth: OrthotropicMaterial) -> Draped:
         """``draped`` with its belt where the target's is."""
         return held_as_target(draped, self.matches(draped)[0], self.target.contours, self.skin, cloth)
@@ -386,7 +392,10 @@ class _Task:
                 if not number:
                     raise
                 return rounds, self._left(number, len(lengths_m), f"the pattern sewn anew is not worn so: {error}")
-            held_back = bool(number) and _apart_mm(rounds[-1].least[1]) > FAR_MM
+            if number:
+                held_back = _apart_mm(rounds[-1].least[1]) > FAR_MM
+            else:
+                held_back = _apart_mm(self.surface(start)) > START_FAR_MM
             if number and (why := self.why_left(rounds, start)) and not (why == SAME and held_back):
                 return rounds, self._left(number, len(lengths_m), why)
             reach_m *= REACH_GROWS if held_back else 1.0

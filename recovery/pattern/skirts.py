@@ -135,15 +135,18 @@ def fitted(body: BodyMeasurements, cut: SkirtCut) -> Design:
     waist, hips = half * (body.girth_at(top) + cut.waist_ease_m), half * (body.hip_girth + cut.hip_ease_m)
     work, panels = Assembly(), []
     for number in range(cut.panels):
-        stand, dip = _stand(body, number, cut.panels, 0.5 * (top + hem))
+        stand, dip = _stand(body, number, cut.panels)
         wider = _wider(number, cut.panels)
         at = ((waist + wider, top), (hips + wider, body.hip_y))
         sides = below_waist(*at, hem, flare=4.0 * half * cut.flare_m, dip=dip, curved=True)
-        drafted = draft(stand.name, sides, rotation=stand.placement.rotation_deg, z=0.0)
-        panels.append(work.add(replace(drafted, panel=replace(drafted.panel, placement=stand.placement))))
-    for number, panel in enumerate(panels):
+        drafted = draft(stand.name, sides, rotation=stand.rotation_deg, z=0.0)
+        place = Placement(stand.rotation_deg, (stand.x, drafted.panel.placement.translation_m[1], stand.z))
+        panels.append(work.add(replace(drafted, panel=replace(drafted.panel, placement=place))))
+    for number, panel in enumerate(panels[1:]):
         for part in ("side", "hip"):
-            work.sew(f"{part}_{number}", panel, f"{part}_right", panels[(number + 1) % cut.panels], f"{part}_left")
+            work.sew(f"{part}_{number}", panels[number], f"{part}_right", panel, f"{part}_left")
+    for part in ("side", "hip"):
+        work.sew(f"{part}_last", panels[0], f"{part}_left", panels[-1], f"{part}_right")
     return work.design(cut.name, cut.fabric, {"hips": cut.hip_ease_m, "waist": cut.waist_ease_m})
 
 
@@ -172,19 +175,21 @@ def below_waist(
 
 class _Stand(NamedTuple):
     name: str
-    placement: Placement
+    rotation_deg: tuple[float, float, float]
+    x: float
+    z: float
 
 
-def _stand(body: BodyMeasurements, number: int, count: int, y: float) -> tuple[_Stand, float]:
-    """Name and place of a skirt's panel whose middle lies at the height ``y`` [m], and the dip of its waist [m]."""
+def _stand(body: BodyMeasurements, number: int, count: int) -> tuple[_Stand, float]:
+    """Name and place of a skirt's panel round the body, and the dip of its waist [m]."""
     if count == 2:
         label, face, z = before_and_behind(body)[number]
-        return _Stand(label, Placement(face, (0.0, y, z))), WAIST_DIPS_M[number]
+        return _Stand(label, face, 0.0, z), WAIST_DIPS_M[number]
     angle = 2.0 * np.pi * number / count
     radius = body.hip_girth / (2.0 * np.pi) + STAND_OFF_M
-    place = (radius * np.sin(angle), y, 0.5 * (body.front_z + body.back_z) + radius * np.cos(angle))
+    x, z = radius * float(np.sin(angle)), 0.5 * (body.front_z + body.back_z) + radius * float(np.cos(angle))
     dip = float(np.mean(WAIST_DIPS_M)) * (2.0 / count) ** 2  # of an arc that is as much shorter
-    return _Stand(f"gore_{number + 1}", Placement((0.0, float(np.degrees(angle)), 0.0), place)), dip
+    return _Stand(f"gore_{number + 1}", (0.0, float(np.degrees(angle)), 0.0), x, z), dip
 
 
 def _wider(number: int, count: int) -> float:
