@@ -20,7 +20,8 @@ from recovery.run.seen import Opening, Seen
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of the way from a base's own settings to what the target tells
 BELOW_UNDERARM_M = 0.05  # where the chest's girth is taken, clear of armholes
 SIDES = 0.95  # of the half width of a neckline: beside the neck
-OVER_CHEST_M, OVER_BACK_M = 0.055, 0.03  # that cloth is longer than it is high, over shoulder and chest or back
+OVER_CHEST_M, OVER_BACK_M = 0.05, 0.03  # that cloth is longer than it is high, over shoulder and chest or back
+PULLED_M = 0.02  # towards the neck, of a sleeve that hangs from the shoulder
 UNDER_ARM_M = 0.03  # that an armhole ends above its cut, lifted by the arm
 ARMS = (0.25, 0.5, 0.75)  # of the upper arm: where a sleeve's girth is taken, the first clear of the trunk
 MOST_SLEEVE = 1.8  # of the arm's girth: more is a sleeve and the trunk
@@ -146,7 +147,7 @@ def _of_sleeves(body: BodyMeasurements, seen: Seen, arms: list[Opening]) -> Told
     ]
     girth = next((one for one in there if one is not None and one < MOST_SLEEVE * body.arm_girth), None)
     return {
-        "sleeve_length_m": reach,
+        "sleeve_length_m": reach + PULLED_M,
         "sleeve_hem_girth_m": hem,
         "sleeve_arm_ease_m": None if girth is None else girth - body.arm_girth,
     }
