@@ -38,7 +38,8 @@ from recovery.sim.sdf import SignedDistance
 
 DEFAULT_DRAPE = DrapeOptions()
 GRADINGS = 2  # one is linear: a second one halves what the first one left
-ROUNDS = 3
+ROUNDS, MORE_ROUNDS = 3, 3  # more where the last one still gained and surfaces are farther apart than GAINING_MM
+GAINING_MM, GAIN = 8.0, 0.95
 SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
 # Where surfaces are this far apart (root mean square) at the first round's start or the end of one, the reach may hold
 # the search back: the next one has as many times more. Else what a drape hardly shows stays as in the graded base.
@@ -129,11 +130,12 @@ def recover_pattern(
 
     The target, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), is one garment's surface, open where the garment is;
     ``base`` is a pattern of its kind with the same panels. ``meshes_m`` are the edge lengths [m] of the rounds, by
-    default three times that of ``drape``; Adam's steps are taken in the first alone. Of ``fabrics`` and that of
-    ``drape`` the one that comes nearest in a short search is taken; with ``free_cloth`` its constants are
-    unknowns after the first round. Without ``grading`` the search begins at the base. Faces that are not ``known`` (F,)
-    close holes and have no weight. Raises ``InputError`` where contours have no counterpart or a drape does not come
-    to rest. When the time is up (``recovery.progress``) the best so far is given.
+    default three times that of ``drape``, and up to three more where they help; Adam's steps are taken in the first
+    alone. Of ``fabrics`` and that of ``drape`` the one that comes nearest in a short search is taken; with
+    ``free_cloth`` its constants are unknowns after the first round. Without ``grading`` the search begins at the
+    base. Faces that are not ``known`` (F,) close holes and have no weight. Raises ``InputError`` where contours
+    have no counterpart or a drape does not come to rest. When the time is up (``recovery.progress``) the best so
+    far is given.
     """
     say = report or (lambda line: None)
     began = _clocks()
@@ -190,7 +192,8 @@ def recover_pattern(
         with watch.stage(f"round {number + 1}"):
             return found.run(nodes, steps, state_file=file, progress=progress)
 
-    rounds, left = task.rounds(start, graded.pattern, base, lengths, search, began)
+    more = MORE_ROUNDS if meshes_m is None else 0
+    rounds, left = task.rounds(start, graded.pattern, base, lengths, search, began, more=more)
     return _recovered(task, first, graded, rounds, left, losses)
 
 
@@ -369,17 +372,21 @@ class _Task:
         lengths_m: list[float],
         run: Callable[[PatternSearch, np.ndarray, int], Fitted],
         began: np.ndarray,
+        *,
+        more: int = 0,
     ) -> tuple[list[Round], str]:
         """The searches, ``run`` one after the other, each on a new mesh of the pattern that the one before found.
 
-        With them why the last ones were left out, empty for none.
+        With them why the last ones were left out, empty for none. Up to ``more`` follow while they help.
 
         The first goes from the drape ``start`` of the pattern ``graded``; its clocks ``began`` earlier.
         """
         likely = named(self.drape.fabric)
         cloth, pattern, ratios, reach_m = likely, graded, base, self.weights.reach_m
         rounds: list[Round] = []
-        for number, length in enumerate(lengths_m):
+        for number, length in enumerate([*lengths_m, *[lengths_m[-1]] * more]):
+            if number >= len(lengths_m) and not still_gaining(rounds):
+                break
             if number and watch.over():
                 return rounds, self._left(number, len(lengths_m), "the time is up")
             try:
@@ -431,6 +438,12 @@ class _Task:
         same = np.array_equal(last.start.mesh.faces, start.mesh.faces) and moved <= SETTLED_M
         frees_cloth = self.free_cloth and len(rounds) == 1
         return SAME if same and not frees_cloth else ""
+
+
+def still_gaining(rounds: Sequence[Round]) -> bool:
+    """Whether the last of ``rounds`` ended far from the target, and nearer than the one before."""
+    before, last = (_apart_mm(one.least[1]) for one in rounds[-2:])
+    return last > GAINING_MM and last < GAIN * before
 
 
 def _comes_to_rest(search: PatternSearch, start: Draped) -> bool:
