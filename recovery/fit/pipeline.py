@@ -23,12 +23,13 @@ from recovery import progress as watch
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
-from recovery.fit.cloth import Fabric, FreeCloth, bolt_name, named, nearest_fabric
+from recovery.fit.cloth import FreeCloth, bolt_name, named, nearest_fabric
 from recovery.fit.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
 from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
 from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSearch
+from recovery.fit.recovered import Recovered, Round, apart_mm, still_gaining
 from recovery.fit.seams import SeamConstraint, sewable
 from recovery.fit.starts import Start, drape_at_rest, worn_drape
 from recovery.pattern.coordinates import control_points
@@ -38,8 +39,7 @@ from recovery.sim.sdf import SignedDistance
 
 DEFAULT_DRAPE = DrapeOptions()
 GRADINGS = 2  # one is linear: a second one halves what the first one left
-ROUNDS, MORE_ROUNDS = 3, 3  # more where the last one still gained and surfaces are farther apart than GAINING_MM
-GAINING_MM, GAIN = 8.0, 0.95
+ROUNDS, MORE_ROUNDS = 3, 3  # more while they help
 SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
 # Where surfaces are this far apart (root mean square) at the first round's start or the end of one, the reach may hold
 # the search back: the next one has as many times more. Else what a drape hardly shows stays as in the graded base.
@@ -50,61 +50,6 @@ NOT_AT_REST = "no drape at rest"
 SAME = "it would find the same"  # no fault
 
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """One search: the drape at its ``start``, how contours were paired there, and what was ``fitted``.
-
-    Its mesh was asked for with ``edge_length_m`` [m]. It took ``seconds`` by the clock and ``processor_s`` of the
-    processor, over all threads; its mesh and the drape at its start count with it. Base, grading and choice of the
-    fabric count with the first round.
-    """
-
-    start: Draped
-    matches: list[Match]
-    search: PatternSearch
-    fitted: Fitted
-    edge_length_m: float
-    seconds: float
-    processor_s: float
-
-    @property
-    def least(self) -> np.ndarray:
-        """The row of the search's history that its pattern is of."""
-        return self.fitted.history[self.fitted.history[:, 0].argmin()]
-
-    @property
-    def apart_m2(self) -> float:
-        """The loss of its pattern but for the reach, which may differ from round to round."""
-        weights = self.search.objective.weights
-        return float(self.least[1:4] @ (1.0, weights.contours, weights.seam_term))
-
-
-@dataclass(frozen=True, eq=False)
-class Recovered:
-    """A recovery: the drape of the ``base``, the ``graded`` pattern, and what was ``fitted``.
-
-    ``start``, ``matches``, ``search``, ``fitted`` and ``edge_length_m`` are those of the best of the ``rounds``; rounds
-    with a free cloth go before others. ``left`` says which rounds were left out and why, empty for none or where they
-    would find the same. ``matches`` pair the start's contours with the target's; ``holes`` are contours of the target
-    without a partner. ``fabric`` is the named one nearest to the cloth of the drape; ``fabric_losses`` [m^2] is the
-    loss that was left with each fabric that was tried.
-    """
-
-    symmetries: Symmetries
-    base: Draped
-    graded: Graded
-    start: Draped
-    matches: list[Match]
-    holes: list[int]
-    search: PatternSearch
-    fitted: Fitted
-    edge_length_m: float
-    rounds: tuple[Round, ...]
-    left: str
-    fabric: Fabric
-    fabric_losses: dict[str, float]
 
 
 def recover_pattern(
@@ -206,7 +151,7 @@ def _recovered(
     fabric = nearest_fabric(cloth)
     # The base's own note is of another cloth than the one that was draped.
     fitted = replace(best.fitted, pattern=replace(best.fitted.pattern, material=bolt_name(fabric.name, cloth)))
-    first, last = _apart_mm(rounds[0].fitted.history[0, 1]), _apart_mm(best.least[1])
+    first, last = apart_mm(rounds[0].fitted.history[0, 1]), apart_mm(best.least[1])
     task.say(f"fitted    surfaces {first:.2f} mm apart at the start, {last:.2f} mm at the end (root mean square)")
     if task.free_cloth:
         task.say(f"cloth     {fabric.describe()}")
@@ -230,11 +175,6 @@ def _recovered(
 def _clocks() -> np.ndarray:
     """Seconds of the clock and of the processor."""
     return np.array([time.perf_counter(), time.process_time()])
-
-
-def _apart_mm(squared: float) -> float:
-    """Root mean square distance [mm] of two surfaces whose squared distances of both directions sum to this [m^2]."""
-    return 1e3 * float(np.sqrt(0.5 * squared))
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,7 +247,7 @@ class _Task:
             drapes.setdefault(name, drape_pattern(pattern, self.body, options, pose=self.pose, skin=self.bare))
         losses = {name: self.loss_of(one, base, named(name)) for name, one in drapes.items()}
         best = min(losses, key=lambda name: losses[name])
-        told = ", ".join(f"{name} {_apart_mm(loss):.2f}" for name, loss in losses.items())
+        told = ", ".join(f"{name} {apart_mm(loss):.2f}" for name, loss in losses.items())
         self.say(f"fabric    {best}; left to the target [mm]: {told}")
         return losses, best, drapes[best]
 
@@ -400,9 +340,9 @@ class _Task:
                     raise
                 return rounds, self._left(number, len(lengths_m), f"the pattern sewn anew is not worn so: {error}")
             if number:
-                held_back = _apart_mm(rounds[-1].least[1]) > FAR_MM
+                held_back = apart_mm(rounds[-1].least[1]) > FAR_MM
             else:
-                held_back = _apart_mm(self.surface(start)) > START_FAR_MM
+                held_back = apart_mm(self.surface(start)) > START_FAR_MM
             if number and (why := self.why_left(rounds, start)) and not (why == SAME and held_back):
                 return rounds, self._left(number, len(lengths_m), why)
             reach_m *= REACH_GROWS if held_back else 1.0
@@ -417,7 +357,7 @@ class _Task:
             now = _clocks()
             rounds.append(Round(start, matches, search, fitted, length, *(now - began).tolist()))
             began = now
-            apart = [_apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].least[1])]
+            apart = [apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].least[1])]
             self.say(f"round {number + 1}   {nodes} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
             # Grading has scaled the base's seams; from here on they keep what the target tells of them.
             pattern = ratios = fitted.pattern
@@ -438,12 +378,6 @@ class _Task:
         same = np.array_equal(last.start.mesh.faces, start.mesh.faces) and moved <= SETTLED_M
         frees_cloth = self.free_cloth and len(rounds) == 1
         return SAME if same and not frees_cloth else ""
-
-
-def still_gaining(rounds: Sequence[Round]) -> bool:
-    """Whether the last of ``rounds`` ended far from the target, and nearer than the one before."""
-    before, last = (_apart_mm(one.least[1]) for one in rounds[-2:])
-    return last > GAINING_MM and last < GAIN * before
 
 
 def _comes_to_rest(search: PatternSearch, start: Draped) -> bool:

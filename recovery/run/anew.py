@@ -16,7 +16,7 @@ from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
 from recovery.fit.chamfer import SurfaceDistance, surface_distance
 from recovery.fit.contours import lost_parts, match_contours, open_contours
-from recovery.fit.pipeline import Recovered
+from recovery.fit.recovered import Recovered
 from recovery.fit.starts import LENGTHS_TRIED
 
 ANEW_MM = 3.0  # more between the report's drape and the pattern sewn anew is worth another try, and a warning

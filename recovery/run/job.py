@@ -23,7 +23,8 @@ from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surf
 from recovery.fit.contours import lost_parts
 from recovery.fit.objective import DEFAULT_WEIGHTS, Weights
 from recovery.fit.optimise import FitOptions
-from recovery.fit.pipeline import Recovered, recover_pattern
+from recovery.fit.pipeline import recover_pattern
+from recovery.fit.recovered import Recovered
 from recovery.pattern.bases import BASES, base_pattern, read_values
 from recovery.pattern.export import export_pattern
 from recovery.pattern.garmentcode import read_pattern

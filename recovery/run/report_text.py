@@ -9,7 +9,7 @@ import numpy as np
 
 from drape.cloth.material import MEASURED
 from drape.geometry import meshes
-from recovery.fit.pipeline import Recovered
+from recovery.fit.recovered import Recovered
 from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
 from recovery.run import pictures

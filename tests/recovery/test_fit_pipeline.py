@@ -21,7 +21,8 @@ from recovery.fit.cloth import named
 from recovery.fit.contours import match_contours, open_contours
 from recovery.fit.objective import nearest_on_line
 from recovery.fit.optimise import FitOptions
-from recovery.fit.pipeline import Recovered, Round, recover_pattern, still_gaining
+from recovery.fit.pipeline import recover_pattern
+from recovery.fit.recovered import Recovered, Round, still_gaining
 from recovery.pattern.bases import skirt, tshirt
 from recovery.run.anew import sewn_anew
 from recovery.sim.sdf import GridDistance

@@ -28,7 +28,7 @@ from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
 from recovery.fit.cloth import named
 from recovery.fit.contours import lost_parts
-from recovery.fit.pipeline import Recovered
+from recovery.fit.recovered import Recovered
 from recovery.pattern.bases import BASES, tshirt
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.garmentcode import read_pattern
