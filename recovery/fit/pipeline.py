@@ -29,7 +29,7 @@ from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
 from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
 from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSearch
-from recovery.fit.recovered import Recovered, Round, apart_mm, still_gaining
+from recovery.fit.recovered import Recovered, Round, apart_mm
 from recovery.fit.seams import SeamConstraint, sewable
 from recovery.fit.starts import Start, drape_at_rest, worn_drape
 from recovery.pattern.coordinates import control_points
@@ -39,7 +39,7 @@ from recovery.sim.sdf import SignedDistance
 
 DEFAULT_DRAPE = DrapeOptions()
 GRADINGS = 2  # one is linear: a second one halves what the first one left
-ROUNDS, MORE_ROUNDS = 3, 3  # more while they help
+ROUNDS = 3
 SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
 # Where surfaces are this far apart (root mean square) at the first round's start or the end of one, the reach may hold
 # the search back: the next one has as many times more. Else what a drape hardly shows stays as in the graded base.
@@ -75,7 +75,7 @@ def recover_pattern(
 
     The target, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), is one garment's surface, open where the garment is;
     ``base`` is a pattern of its kind with the same panels. ``meshes_m`` are the edge lengths [m] of the rounds, by
-    default three times that of ``drape``, and up to three more where they help; Adam's steps are taken in the first
+    default three times that of ``drape``; Adam's steps are taken in the first
     alone. Of ``fabrics`` and that of ``drape`` the one that comes nearest in a short search is taken; with
     ``free_cloth`` its constants are unknowns after the first round. Without ``grading`` the search begins at the
     base. Faces that are not ``known`` (F,) close holes and have no weight. Raises ``InputError`` where contours
@@ -137,8 +137,7 @@ def recover_pattern(
         with watch.stage(f"round {number + 1}"):
             return found.run(nodes, steps, state_file=file, progress=progress)
 
-    more = MORE_ROUNDS if meshes_m is None else 0
-    rounds, left = task.rounds(start, graded.pattern, base, lengths, search, began, more=more)
+    rounds, left = task.rounds(start, graded.pattern, base, lengths, search, began)
     return _recovered(task, first, graded, rounds, left, losses)
 
 
@@ -312,21 +311,17 @@ class _Task:
         lengths_m: list[float],
         run: Callable[[PatternSearch, np.ndarray, int], Fitted],
         began: np.ndarray,
-        *,
-        more: int = 0,
     ) -> tuple[list[Round], str]:
         """The searches, ``run`` one after the other, each on a new mesh of the pattern that the one before found.
 
-        With them why the last ones were left out, empty for none. Up to ``more`` follow while they help.
+        With them why the last ones were left out, empty for none.
 
         The first goes from the drape ``start`` of the pattern ``graded``; its clocks ``began`` earlier.
         """
         likely = named(self.drape.fabric)
         cloth, pattern, ratios, reach_m = likely, graded, base, self.weights.reach_m
         rounds: list[Round] = []
-        for number, length in enumerate([*lengths_m, *[lengths_m[-1]] * more]):
-            if number >= len(lengths_m) and not still_gaining(rounds):
-                break
+        for number, length in enumerate(lengths_m):
             if number and watch.over():
                 return rounds, self._left(number, len(lengths_m), "the time is up")
             try:

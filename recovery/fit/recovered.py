@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +12,6 @@ from recovery.fit.contours import Match
 from recovery.fit.grading import Graded
 from recovery.fit.optimise import Fitted, PatternSearch
 from recovery.pattern.symmetry import Symmetries
-
-GAINING_MM, GAIN = 8.0, 0.95  # a round is worth another one if it ends farther than this, and nearer by this factor
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +72,3 @@ class Recovered:
 def apart_mm(squared: float) -> float:
     """Root mean square distance [mm] of two surfaces whose squared distances of both directions sum to this [m^2]."""
     return 1e3 * float(np.sqrt(0.5 * squared))
-
-
-def still_gaining(rounds: Sequence[Round]) -> bool:
-    """Whether the last of ``rounds`` ended far from the target, and nearer than the one before."""
-    before, last = (apart_mm(one.least[1]) for one in rounds[-2:])
-    return last > GAINING_MM and last < GAIN * before

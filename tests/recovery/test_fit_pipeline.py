@@ -22,7 +22,7 @@ from recovery.fit.contours import match_contours, open_contours
 from recovery.fit.objective import nearest_on_line
 from recovery.fit.optimise import FitOptions
 from recovery.fit.pipeline import recover_pattern
-from recovery.fit.recovered import Recovered, Round, still_gaining
+from recovery.fit.recovered import Recovered
 from recovery.pattern.bases import skirt, tshirt
 from recovery.run.anew import sewn_anew
 from recovery.sim.sdf import GridDistance
@@ -170,9 +170,3 @@ def test_a_belt_is_held_where_the_waist_of_the_target_is(body):
     anew = sewn_anew(report, body, DrapeOptions(edge_length_m=0.1, grid_m=0.02), None)
     assert anew.distance.rms_mm < min(3.0, 0.8 * anew.by_itself.rms_mm)
     assert_allclose(anew.belt_moved_m, (found.nodes - draped.nodes)[held, 1].mean(), atol=1e-3)
-
-
-@pytest.mark.parametrize(("apart_mm", "gains"), [((30.0, 24.0), True), ((30.0, 29.0), False), ((9.0, 5.0), False)])
-def test_rounds_go_on_while_they_bring_a_far_target_nearer(apart_mm, gains):
-    rounds = [SimpleNamespace(least=np.array([0.0, 2e-6 * apart**2])) for apart in apart_mm]
-    assert still_gaining(cast(list[Round], rounds)) == gains
