@@ -27,7 +27,7 @@ COPY --from=page /page/dist clients/web/dist
 RUN useradd --create-home --uid 10001 drape && mkdir -p .cache runs && chown drape .cache runs
 USER drape
 # Kernels; on a processor of another kind the first start compiles them anew, some 25 seconds.
-RUN python -m drape.live && python -m drape.network && python -c "from drape.graph.blend import warm_up; warm_up()"
+RUN python -m drape.live && python -m drape.network && python -m drape.exact && python -c "from drape.graph.blend import warm_up; warm_up()"
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=3s --start-period=60s --retries=3 \
     CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8000/livez', timeout=2)"]

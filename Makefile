@@ -47,6 +47,7 @@ $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
 	$(PIP) install --quiet -e '.[service,cpu,clients]'
 	$(BIN)/python -m drape.live
 	$(BIN)/python -m drape.network
+	$(BIN)/python -m drape.exact
 	@touch $@
 
 # Kernels are compiled once: those of the service, which its first start would wait for, beside those that tests take in
@@ -55,7 +56,7 @@ $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
 $(VENV)/.setup-stamp: pyproject.toml | $(BIN)/python
 	@scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
 	$(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
-	$(BIN)/python -m tests.fixtures.kernels & tests=$$!; $(BIN)/python -m drape.live; $(BIN)/python -m drape.network; wait $$tests
+	$(BIN)/python -m tests.fixtures.kernels & tests=$$!; $(BIN)/python -m drape.live; $(BIN)/python -m drape.network; $(BIN)/python -m drape.exact; wait $$tests
 	@touch $(VENV)/.serve-stamp $@
 
 setup: $(VENV)/.setup-stamp

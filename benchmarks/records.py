@@ -299,6 +299,13 @@ def targets_table(record: Record) -> str:
     return markdown_table(titles, lines, record)
 
 
+CUTS = {
+    "target": ("target", "s"), "from": ("from", "s"), "base": ("base", "s"), "told": ("cut told", "s"),
+    "panels": ("panels", "d"), "mean_mm": ("mean distance [mm]", ".1f"), "chamfer_cm2": ("Chamfer [cm²]", ".2f"),
+    "seam_max_pct": ("seams differ by [%]", ".2f"), "anew_mm": ("sewn anew [mm]", ".1f"), "minutes": ("minutes", ".1f"),
+}  # fmt: skip
+
+
 def rounds_table(record: Record) -> str:
     """A line for every round of every recovery, and one for its whole time."""
     lines = []
@@ -326,6 +333,7 @@ QUALITY_PAGE, FOLDS_PAGE, SPEED_PAGE = (
     "docs/reference/quality.md", "docs/explanation/folds.md", "docs/reference/performance.md",
 )  # fmt: skip
 TRAINING_PAGE, FIT_PAGE = "docs/guide/training.md", "docs/explanation/recovery_fit.md"
+RUN_PAGE = "docs/guide/recovery_run.md"
 TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("quality", QUALITY_PAGE, "quality", quality_table),
     ("quality", QUALITY_PAGE, "quality_network", network_table),
@@ -350,4 +358,5 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("training", TRAINING_PAGE, "throughput", throughput_table),
     ("recovery_targets", FIT_PAGE, "recovery_targets", targets_table),
     ("recovery_rounds", FIT_PAGE, "recovery_rounds", rounds_table),
+    ("recovery_cuts", RUN_PAGE, "recovery_cuts", partial(alike, CUTS)),
 )

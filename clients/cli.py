@@ -18,7 +18,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 from pydantic.fields import FieldInfo
@@ -106,10 +106,11 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--betas", help="body shape, comma-separated")
     drape.add_argument("--body", action="store_true", help="include the body in the GLB")
     drape.add_argument("--rig", action="store_true", help="with --on: the GLB on the character's own skeleton")
+    drape.add_argument("--job", metavar="ID", help="with --tier exact: the job that was begun before with the same")
     drape.add_argument("--float32", action="store_true", help="the GLB in float32, twice as large")
     for name, field in _options().items():
         flag = "--" + name.replace("_", "-")
-        kind = next(kind for kind in get_args(field.annotation) if kind is not type(None))
+        kind, *others = (kind for kind in get_args(field.annotation) if kind is not type(None))
         if name == "hidden":
             drape.add_argument(flag, nargs="+", metavar="NAME", help=field.description)
         elif name == "fabric":
@@ -117,7 +118,11 @@ def _parser() -> argparse.ArgumentParser:
         elif name == "colliders":
             drape.add_argument(flag, type=_read_json, metavar="FILE", help="a JSON list of what else cloth lies on")
         elif isinstance(kind, str):
-            drape.add_argument(flag, choices=get_args(field.annotation), help=field.description)
+            drape.add_argument(flag, choices=(kind, *others), help=field.description)
+        elif get_origin(kind) is Literal:
+            drape.add_argument(
+                flag, choices=sum((get_args(each) for each in (kind, *others)), ()), help=field.description
+            )
         elif kind is bool:
             drape.add_argument(flag, action=argparse.BooleanOptionalAction, help=field.description)
         else:
@@ -165,6 +170,23 @@ def _avatars(client: DrapeClient, options: argparse.Namespace) -> None:
             print(f"{avatar['id']:<28} {avatar['height_m']:.2f} m, fits to {fit:.1f} mm, {kind}")
 
 
+def _told() -> Callable[[dict[str, Any]], None]:
+    """Says on standard error each frame of a job as it is there. Ctrl-C leaves the job as it is."""
+    seen: set[int] = set()
+
+    def tell(job: dict[str, Any]) -> None:
+        for frame in job["told"]:
+            if frame["frame"] not in seen:
+                seen.add(frame["frame"])
+                left, crossed = 100 * frame["force_share"], frame["crossings"]
+                line = (
+                    f"job {job['id']}: frame {frame['frame']}, {len(seen)} of {job['frames']}: force left {left:.2f} %"
+                )
+                print(f"{line} of the weight, {frame['energy_j']:.4f} J, {crossed} crossings", file=sys.stderr)
+
+    return tell
+
+
 def _progress() -> Callable[[dict[str, Any]], None]:
     """Says on standard error where an upload is, whenever that changes. Ctrl-C cancels it."""
     said = ""
@@ -203,15 +225,24 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
             garment = client.upload_garment(garment, options.avatar)
             print(f"taken in as {garment}")
         worn.append(garment)
-    if suffix == ".glb":
+    if options.tier == "exact":
+        if len(worn) > 1:
+            raise InputError("--garment", expected="one with tier exact", got=str(len(worn)), cure="Drape one of them.")
+        more = {} if options.job is None else {"job": options.job}
+        more |= {"body": options.body, "quantised": not options.float32} if suffix == ".glb" else {}
+        exact = client.exact(worn[0], clip, betas=betas, glb=suffix == ".glb", more=more, progress=_told(), **choices)
+    if suffix == ".glb" and options.tier == "exact":
+        write_atomic(options.out, [exact])
+    elif suffix == ".glb":
         garments = worn[0] if len(worn) == 1 else worn
         more = {"body": options.body, "quantised": not options.float32, "rig": options.rig}
         write_atomic(options.out, [client.drape_glb(garments, clip, betas=betas, **more, **choices)])
     elif suffix == ".usda":
-        layers = client.drape_outfit(worn, clip, betas=betas, **choices)
+        layers = [exact] if options.tier == "exact" else client.drape_outfit(worn, clip, betas=betas, **choices)
         write_atomic(options.out, usda_pieces(_moving(client, worn, layers, choices), clip.fps))
     else:
         frames = client.drape_frames(worn, clip, betas=betas, **choices)
+        frames = iter([[exact]]) if options.tier == "exact" else frames
         first = next(frames)
         joined = (np.concatenate(layers, axis=1) for layers in itertools.chain([first], frames))
         head, packed = {

@@ -19,7 +19,8 @@ import httpx
 
 from clients.avatar import Avatar
 from clients.calls import DEFAULT_URL, Answer, Call, key_headers
-from clients.methods import Methods, Pause, Steps
+from clients.jobs import Pause, Steps
+from clients.methods import Methods
 from clients.refusals import unreachable
 from drape.errors import DrapeError
 from drape.files.formats import AVATAR_SUFFIXES
@@ -152,6 +153,7 @@ class DrapeClient:
     drape_frames = _waiting_in_parts(Methods.drape_frames)
     drape_jets = _waiting(Methods.drape_jets)
     drape_glb = _waiting(Methods.drape_glb)
+    exact = _waiting(Methods.exact)
     body_mesh = _waiting(Methods.body_mesh)
     posed_body = _waiting(Methods.posed_body)
     posed_avatar = _waiting(Methods.posed_avatar)
@@ -224,6 +226,7 @@ class AsyncDrapeClient:
     drape_frames = _awaited_in_parts(Methods.drape_frames)
     drape_jets = _awaited(Methods.drape_jets)
     drape_glb = _awaited(Methods.drape_glb)
+    exact = _awaited(Methods.exact)
     body_mesh = _awaited(Methods.body_mesh)
     posed_body = _awaited(Methods.posed_body)
     posed_avatar = _awaited(Methods.posed_avatar)

@@ -6,37 +6,23 @@ the time of a ``Pause`` pass, and returns its own answer.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+import httpx
 import numpy as np
 
 from clients import calls, pieces
 from clients.calls import BINARY, GLB, Answer, Body, Call, Motion, at_root, draped, fetched, path_of, sent, sized
+from clients.jobs import Progress, Steps, exact_clip, made
 from clients.meshes import check_at_once, glb_of, surface_of
-from clients.refusals import problem_error
-from drape.errors import Unavailable
 from drape.motion.clip import MotionClip
 from drape.wire.clips import frame_bytes
 from drape.wire.jets import JetFrame
 from drape.wire.layout import JetLayout
 from drape.wire.options import Resolution
-
-POLL_S = 0.25
-Progress = Callable[[dict[str, Any]], None]
-
-
-@dataclass(frozen=True)
-class Pause:
-    """A step that waits."""
-
-    seconds: float
-
-
-Steps = Generator[Call[Any] | Pause, Any, Answer]
 
 
 class Methods:
@@ -163,7 +149,7 @@ class Methods:
 
         ``progress`` is told the job as often as it is asked for; what it raises ends the upload too.
         """
-        return (yield from _made(calls.upload(Path(path), avatar, name), "garment", wait_s, progress))
+        return (yield from made(calls.upload(Path(path), avatar, name), "garment", wait_s, progress))
 
     def upload_avatar(
         self,
@@ -177,7 +163,7 @@ class Methods:
 
         ``progress`` as in ``upload_garment``.
         """
-        return (yield from _made(calls.upload_avatar(Path(path), name), "avatar", wait_s, progress))
+        return (yield from made(calls.upload_avatar(Path(path), name), "avatar", wait_s, progress))
 
     def posed_avatar(self, avatar: str, motion: Motion, *, trans: np.ndarray | None = None) -> Steps[np.ndarray]:
         """World vertices [m] (F, V, 3) float32 of a character's own surface."""
@@ -294,6 +280,27 @@ class Methods:
             meshes.append(surface_of((yield self.mesh(name, options.get("resolution") or "delivered", size))))
         return glb_of(call, meshes, vertices, roots)
 
+    def exact(
+        self,
+        garment: str,
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        glb: bool = False,
+        more: calls.Options = MappingProxyType({}),
+        progress: Progress = lambda job: None,
+        **options: Any,
+    ) -> Steps[Any]:
+        """``drape`` in tier exact: a job, whose end this waits for; with ``glb`` an animated GLB, as bytes.
+
+        ``progress`` is told the job; what it raises ends the waiting alone. The same call with ``more`` as
+        ``{"job": id}`` goes on waiting for a job that there is.
+        """
+        options = {**options, "tier": "exact"}
+        asked = draped(httpx.Response.json, garment, motion, Body(trans, betas), options, more=more)
+        return (yield from exact_clip(asked, GLB if glb else BINARY, progress))
+
     def body_mesh(self, body: str) -> Call[dict[str, Any]]:
         """The mesh of a body at rest: vertices [m] and faces."""
         return fetched("bodies", body, "mesh")
@@ -345,40 +352,3 @@ class Methods:
 
 def _listed(garment: str | Sequence[str]) -> Sequence[str]:
     return [garment] if isinstance(garment, str) else garment
-
-
-def _made(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress: Progress) -> Steps[str]:
-    """The id of the ``kind`` of thing that the upload ``sent`` becomes."""
-    job = yield sent
-    deadline = time.monotonic() + wait_s
-    while (made := finished(job, kind)) is None:
-        check_deadline(job, deadline, wait_s)
-        try:
-            progress(job)
-            yield Pause(POLL_S)
-        except BaseException:
-            yield Call("DELETE", path_of("jobs", job["id"]), calls.read_bytes)
-            raise
-        job = yield fetched("jobs", job["id"])
-    return made
-
-
-def finished(job: dict[str, Any], kind: str = "garment") -> str | None:
-    """The garment, or the avatar, of a job that is done, None while it goes on.
-
-    Raises its refusal where it failed or was cancelled.
-    """
-    if job["state"] == "failed":
-        raise problem_error(job["problem"])
-    if job["state"] == "cancelled":
-        raise Unavailable(
-            f"upload {job['name']}", expected="its end", got="one that was cancelled", cure="Upload again."
-        )
-    return job[kind] if job["state"] == "done" else None
-
-
-def check_deadline(job: dict[str, Any], deadline: float, wait_s: float) -> None:
-    """Refuses to wait longer."""
-    if time.monotonic() > deadline:
-        name, cure = f"upload {job['name']}", f"Ask again later: GET /jobs/{job['id']}."
-        raise Unavailable(name, expected=f"an end within {wait_s:g} s", got=f"state {job['state']}", cure=cure)

@@ -11,12 +11,14 @@ from fastapi.middleware.cors import CORSMiddleware
 
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
+from service.exact.jobs import ExactClips
 from service.guard.access import Access
 from service.guard.limits import BodyLimit
 from service.guard.origin_guard import OriginGuard
 from service.http import (
     avatar_routes,
     clip_routes,
+    exact_clips,
     fit_routes,
     garment_routes,
     info_routes,
@@ -64,7 +66,7 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         state = make_state(runtime or DrapeRuntime(settings, metrics=metrics, tracing=tracing), access, life)
         app.state.drape = state
-        state.start()
+        state.start(exact_clips.opener(state))
         ticking = asyncio.create_task(life.tick(metrics.loop_lag.set), name="ticking")
         life.ready()
         try:
@@ -120,6 +122,7 @@ def make_state(runtime: DrapeRuntime, access: Access, life: Lifecycle) -> State:
         continuations=Continuations(runtime.settings),
         previews=Previews(),
         fold_messages=FoldMessages(),
+        exact=ExactClips(runtime),
     )
 
 

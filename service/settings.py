@@ -87,6 +87,9 @@ class Settings(BaseSettings):
     intake_memory_mb: int = Field(default=6144, ge=256)
     intake_workers: int = Field(default=1, ge=1, le=16)
     intake_queue: int = Field(default=8, ge=1)
+    exact_workers: int = Field(default=1, ge=1, le=256)
+    exact_queue: int = Field(default=8, ge=1)
+    exact_frame_s: float = Field(default=3600.0, gt=0.0)
     garments_look_s: float = Field(default=0.0, ge=0.0)
 
     stream_step_down: bool = True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from service.compute.drape_runtime import DrapeRuntime
     from service.compute.sizes import SizeChoice
     from service.compute.threads import SlicedThread
+    from service.exact.jobs import ExactClips, Work
     from service.guard.access import Access
     from service.http.continuations import Continuations
     from service.http.fold_messages import FoldMessages
@@ -39,7 +40,7 @@ STREAMS_S = 2.0  # for streams to go
 @dataclass(eq=False)
 class State:
     """Body, model and garments; uploads, here and elsewhere; streams and what they take along; the thread for JSON;
-    ends of clips; pictures of garments and what their folds need; how many clips are computed."""
+    ends of clips; pictures of garments and what their folds need; clips of tier exact; how many clips are computed."""
 
     runtime: DrapeRuntime
     uploads: Uploads
@@ -52,6 +53,7 @@ class State:
     continuations: Continuations
     previews: Previews
     fold_messages: FoldMessages
+    exact: ExactClips
     clips: int = 0
 
     async def garment(self, garment_id: str, client: Client) -> Entry:
@@ -96,17 +98,19 @@ class State:
             garments=lambda: len(runtime.garments.entries()),
         )
         self.life.works |= {"streams": lambda: streams.runs, "uploads": lambda: uploads.runs}
+        self.life.works["exact clips"] = lambda: self.exact.runs
         self.life.works["shared folder"] = lambda: self.shared_folder.runs
 
-    def start(self) -> None:
-        """Begins to take work."""
+    def start(self, opened: Callable[[bytes, str | None], Awaitable[Work]]) -> None:
+        """Begins to take work; ``opened`` as in ``ExactClips.start``."""
         for part in (self.uploads, self.streams, self.shared_folder):
             part.start()
+        self.exact.start(opened)
         self.watch()
 
     async def stop(self) -> None:
         """Ends all that ``start`` began, and what computes."""
-        for part in (self.shared_folder, self.uploads, self.streams):
+        for part in (self.shared_folder, self.uploads, self.exact, self.streams):
             await part.stop()
         self.sliced_thread.close()
         self.runtime.close()
@@ -116,6 +120,7 @@ class State:
         ``HURRY_S`` is told that it ends."""
         self.life.draining = True
         self.uploads.pause()
+        self.exact.pause()
         self.streams.move(Draining())
         asyncio.get_running_loop().call_later(HURRY_S, self._hurry)
         until_s = time.monotonic() + STREAMS_S

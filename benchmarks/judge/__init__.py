@@ -1,7 +1,5 @@
-"""The judge: solvers that run until cloth is at rest, over the core alone. The product imports none of it.
+"""The judge of accuracy. The product imports none of it; the solvers that both use are ``drape.exact``.
 
-``physics`` finds the optimum of a drape by ``newton``, from where ``settling`` has brought it; both work on the
-``hessian`` and the linear systems of ``linear``, and ``descent`` sweeps what is under the most force. ``ipc_optimum``
-does the same for cloth that may not pass through itself, ``simulator`` for every frame of a motion. All of them meet
-the body by ``blended_planes``. ``physics_cache`` keeps optima on disk.
+``physics`` finds the optimum of a drape from several starts, ``ipc_optimum`` that of cloth that may not pass through
+itself, ``simulator`` that of every frame of a motion. ``physics_cache`` keeps optima on disk.
 """

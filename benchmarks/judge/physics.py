@@ -1,6 +1,6 @@
 """The physics optimum of a drape: every vertex is free, and each frame's energy is minimised by itself.
 
-``benchmarks.judge.newton`` goes down from the lowest of the starts, with the garment's charts as coarse level. The
+``drape.exact.newton`` goes down from the lowest of the starts, with the garment's charts as coarse level. The
 optimum never lies above its starts. It says of every frame whether it came to rest; a garment that ends far from rest
 is refused by its name. docs/reference/quality.md tells how the method was chosen.
 """
@@ -14,9 +14,6 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.judge.blended_planes import blended_distance
-from benchmarks.judge.linear import Charts
-from benchmarks.judge.newton import Band, Cloth, Found, minimum
 from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact
@@ -24,11 +21,13 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.cloth.waistband import STIFFNESS_N_M2, band_energy, waistband
 from drape.errors import MeshError
+from drape.exact.blended_planes import blended_distance
+from drape.exact.linear import Charts
+from drape.exact.newton import TOLERANCE, Band, Cloth, Found, minimum
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 
 STEPS = 250  # at most
-TOLERANCE = 0.01  # of the weight: the norm of the force left at rest
 LEFT_LIMIT_J_M2 = 0.05  # skinning costs 1 to 5 J per m^2 of cloth
 
 

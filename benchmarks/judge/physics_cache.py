@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import ROOT
-from benchmarks.judge import blended_planes, descent, hessian, linear, newton, physics, settling, surroundings
+from benchmarks.judge import physics
 from benchmarks.judge.physics import Optimum, Task
 from drape.cloth import bending, contact, energies, membrane, waistband
+from drape.exact import blended_planes, descent, hessian, linear, newton, settling, surroundings
 from drape.files.atomic import whole_file
 from drape.geometry import meshes
 from drape.kernels import elements, grid, problem

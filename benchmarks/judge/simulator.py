@@ -1,7 +1,7 @@
 """The simulator that judges motion: the full mesh by implicit Euler, with the fabric's friction on the skin.
 
 Each frame is the minimum of energy, contact, inertia and friction: it settles under the cloth's stiffness and mass
-(``benchmarks.judge.settling``) and goes on by Newton's method. Friction is Coulomb's: a vertex that slips along the
+(``drape.exact.settling``) and goes on by Newton's method. Friction is Coulomb's: a vertex that slips along the
 skin, which its bones carry on between frames, is held by mu times the force of contact, and by less where it slips by
 less than ``SLIP_M``. Friction acts as a spring, whose stiffness and place each of ``ROUNDS`` rounds takes anew.
 """
@@ -9,19 +9,17 @@ less than ``SLIP_M``. Friction acts as a spring, whose stiffness and place each 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from benchmarks.judge import newton, settling
-from benchmarks.judge.newton import Cloth, Descent
 from benchmarks.judge.physics import Held
-from benchmarks.judge.surroundings import Surroundings
 from drape.body.model import BodyModel
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
+from drape.exact import newton, settling
+from drape.exact.newton import Band, Cloth, Descent
 from drape.geometry import meshes
 from drape.live.swing_step import AIR_KG_M3
 
@@ -49,18 +47,6 @@ class Motion:
     poses: np.ndarray
     trans: np.ndarray
     fps: float
-
-
-class Moving(Descent):
-    """The descent of one frame. Springs of ``n_per_m`` (V,) to ``target`` [m] (V, 3) stand for inertia and friction."""
-
-    def __init__(self, *inputs: Any, target: np.ndarray, n_per_m: np.ndarray, **others: Any) -> None:
-        self._target, self._n_per_m = target, n_per_m
-        super().__init__(*inputs, **others)
-
-    def around(self, x: np.ndarray) -> tuple[Surroundings, np.ndarray]:
-        planes, bend = super().around(x)
-        return planes._replace(target=self._target, target_n_per_m=self._n_per_m), bend
 
 
 class Skin:
@@ -125,7 +111,8 @@ def simulate(sheet: Sheet, motion: Motion, start: np.ndarray, held: Held | None)
                 place, spring = grip(probe, now, stuck, sheet.friction)
                 n_per_m = inertia + spring
                 target = (inertia[:, None] * ahead + spring[:, None] * place) / n_per_m[:, None]
-            step = Moving(moving, contact, skin.posed[i], now, band=bands[i], target=target, n_per_m=n_per_m)
+            drawn = Band(target, n_per_m)  # inertia and friction
+            step = Descent(moving, contact, skin.posed[i], now, band=bands[i], drawn=drawn)
             step.settle(SETTLE)
             end = step.run(STEPS, limit_n)
             now, at_rest = end.x, end.at_rest

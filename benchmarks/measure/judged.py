@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.judge import physics
-from benchmarks.judge.blended_planes import blended_distance
 from benchmarks.judge.physics_cache import stored_minimum
 from benchmarks.measure.detail import LowPass, dihedral_deg
 from benchmarks.measure.hem import hang_mm
@@ -28,6 +27,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.material import Material
 from drape.cloth.rest_state import modelled
+from drape.exact.blended_planes import blended_distance
 from drape.garment.cache import Garment
 
 FEW = 3  # frames, about, of measures that take long

@@ -29,7 +29,8 @@ from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.objective import Weights
 from recovery.fit.optimise import FitOptions, Fitted
-from recovery.fit.pipeline import ROUNDS, Recovered, recover_pattern
+from recovery.fit.pipeline import ROUNDS, recover_pattern
+from recovery.fit.recovered import Recovered
 from recovery.pattern import geometry
 from recovery.pattern.bases import skirt, tshirt
 from recovery.pattern.measurements import measure

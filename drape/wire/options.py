@@ -83,10 +83,11 @@ class DrapeOptions(BaseModel):
         description="The source of inertia: the cloth's own mass on a coarse mesh, or the network, where the model "
         "knows motion; the service's setting if left out, network for jets.",
     )
-    tier: TierName | None = Field(
+    tier: TierName | Literal["exact"] | None = Field(
         default=None,
         description="How much is computed: a name for values of passes and folds (GET /tiers). Values named beside it "
-        "win; the service's setting, balanced, if left out.",
+        "win; the service's setting, balanced, if left out. exact, of clips alone: cloth at rest that does not pass "
+        "through itself, as a job.",
     )
     budget_ms: float | None = Field(
         default=None,

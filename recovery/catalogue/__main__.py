@@ -27,7 +27,7 @@ from recovery.catalogue.garments import CATALOGUE
 from recovery.catalogue.grading import grade
 from recovery.commands import ended, parser_of
 from recovery.pattern.measurements import measure
-from recovery.pattern.sizes import STEPS
+from recovery.pattern.sizes import PATTERN_STEPS
 from recovery.progress import watched
 
 
@@ -40,7 +40,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     builder.add_argument("names", nargs="*", metavar="NAME", help="all of the catalogue where none is named")
     builder.add_argument("--out", type=Path, required=True, help="folder of the files")
     builder.add_argument("--garments", type=Path, help="folder of caches: what is written is taken in, too")
-    builder.add_argument("--size", default="M", help=", ".join(STEPS))
+    builder.add_argument("--size", default="M", help=", ".join(PATTERN_STEPS))
     builder.add_argument("--body", default=DEFAULT_BODY, help="name or file of a body; it is size M")
     builder.add_argument("--edge-length", type=float, default=default.fine_m, help="of the finished mesh [m]")
     builder.add_argument("--quick", action="store_true", help="a look on a coarse mesh, not at rest")

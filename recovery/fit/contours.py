@@ -7,6 +7,8 @@ continues the trunk, so that the hem of a shirt has one coordinate whether it en
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -191,3 +193,13 @@ def match_contours(source: list[Contour], target: list[Contour], joints: np.ndar
         for i, j in zip(rows.tolist(), columns.tolist(), strict=True)
     ]
     return matches, sorted(set(range(len(target))) - set(columns.tolist()))
+
+
+def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: Sequence[str]) -> tuple[str, ...]:
+    """Those of ``parts`` that do not go through an opening of a garment at ``nodes`` [m] (N, 3), one opening for each.
+
+    ``joints`` [m] (24, 3) are those of the body in its pose.
+    """
+    chains = bone_chains(joints)
+    there = Counter(filter(None, (part_round(contour, chains) for contour in open_contours(nodes, faces))))
+    return tuple(sorted((Counter(parts) - there).elements()))

@@ -10,9 +10,11 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from drape.body.model import BodyModel
 from drape.cloth.material import OrthotropicMaterial
@@ -21,13 +23,15 @@ from recovery import progress as watch
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
-from recovery.fit.cloth import Fabric, FreeCloth, bolt_name, named, nearest_fabric
-from recovery.fit.contours import Match, match_contours, open_contours
+from recovery.fit.cloth import FreeCloth, bolt_name, named, nearest_fabric
+from recovery.fit.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
 from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
 from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSearch
+from recovery.fit.recovered import Recovered, Round, apart_mm
 from recovery.fit.seams import SeamConstraint, sewable
+from recovery.fit.starts import Start, drape_at_rest, worn_drape
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls, symmetrised
@@ -35,64 +39,17 @@ from recovery.sim.sdf import SignedDistance
 
 DEFAULT_DRAPE = DrapeOptions()
 GRADINGS = 2  # one is linear: a second one halves what the first one left
-LENGTHS_TRIED = (1.0, 0.93, 1.07, 0.87)  # of the edge length asked for
 ROUNDS = 3
 SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
+# Where surfaces are this far apart (root mean square) at the first round's start or the end of one, the reach may hold
+# the search back: the next one has as many times more. Else what a drape hardly shows stays as in the graded base.
+START_FAR_MM, FAR_MM, REACH_GROWS = 10.0, 3.0, 3.0
 TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: its signature is mixed with the size's
 
 NOT_AT_REST = "no drape at rest"
 SAME = "it would find the same"  # no fault
 
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """One search: the drape at its ``start``, how contours were paired there, and what was ``fitted``.
-
-    Its mesh was asked for with ``edge_length_m`` [m]. It took ``seconds`` by the clock and ``processor_s`` of the
-    processor, over all threads; its mesh and the drape at its start count with it. Base, grading and choice of the
-    fabric count with the first round.
-    """
-
-    start: Draped
-    matches: list[Match]
-    search: PatternSearch
-    fitted: Fitted
-    edge_length_m: float
-    seconds: float
-    processor_s: float
-
-    @property
-    def least(self) -> np.ndarray:
-        """The row of the search's history that its pattern is of."""
-        return self.fitted.history[self.fitted.history[:, 0].argmin()]
-
-
-@dataclass(frozen=True, eq=False)
-class Recovered:
-    """A recovery: the drape of the ``base``, the ``graded`` pattern, and what was ``fitted``.
-
-    ``start``, ``matches``, ``search``, ``fitted`` and ``edge_length_m`` are those of the best of the ``rounds``; rounds
-    with a free cloth go before others. ``left`` says which rounds were left out and why, empty for none or where they
-    would find the same. ``matches`` pair the start's contours with the target's; ``holes`` are contours of the target
-    without a partner. ``fabric`` is the named one nearest to the cloth of the drape; ``fabric_losses`` [m^2] is the
-    loss that was left with each fabric that was tried.
-    """
-
-    symmetries: Symmetries
-    base: Draped
-    graded: Graded
-    start: Draped
-    matches: list[Match]
-    holes: list[int]
-    search: PatternSearch
-    fitted: Fitted
-    edge_length_m: float
-    rounds: tuple[Round, ...]
-    left: str
-    fabric: Fabric
-    fabric_losses: dict[str, float]
 
 
 def recover_pattern(
@@ -118,11 +75,12 @@ def recover_pattern(
 
     The target, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), is one garment's surface, open where the garment is;
     ``base`` is a pattern of its kind with the same panels. ``meshes_m`` are the edge lengths [m] of the rounds, by
-    default three times that of ``drape``; Adam's steps are taken in the first alone. Of ``fabrics`` and that of
-    ``drape`` the one that comes nearest in a short search is taken; with ``free_cloth`` its constants are
-    unknowns after the first round. Without ``grading`` the search begins at the base. Faces that are not ``known`` (F,)
-    close holes and have no weight. Raises ``InputError`` where contours have no counterpart or a drape does not come
-    to rest. When the time is up (``recovery.progress``) the best so far is given.
+    default three times that of ``drape``; Adam's steps are taken in the first
+    alone. Of ``fabrics`` and that of ``drape`` the one that comes nearest in a short search is taken; with
+    ``free_cloth`` its constants are unknowns after the first round. Without ``grading`` the search begins at the
+    base. Faces that are not ``known`` (F,) close holes and have no weight. Raises ``InputError`` where contours
+    have no counterpart or a drape does not come to rest. When the time is up (``recovery.progress``) the best so
+    far is given.
     """
     say = report or (lambda line: None)
     began = _clocks()
@@ -151,12 +109,12 @@ def recover_pattern(
         say=say,
     )
     with watch.stage("drape of the base"):
-        first = drape_pattern(base, body, drape, pose=pose, skin=bare)
+        first = worn_drape(base, task.start(drape), rest=False)
     graded, start = ungraded(base), first
     with watch.stage("drape of the graded base"):
         if grading:
-            for _ in range(GRADINGS):
-                graded, start = task.graded(graded, start)
+            for number in range(GRADINGS):
+                graded, start = task.graded(graded, start, rest=number == GRADINGS - 1)
         else:
             start = task.draped(base)
     losses, fabric = {}, drape.fabric
@@ -187,12 +145,12 @@ def _recovered(
     task: _Task, base: Draped, graded: Graded, rounds: list[Round], left: str, losses: dict[str, float]
 ) -> Recovered:
     """The best of ``rounds`` with all that led there."""
-    best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.least[0])
+    best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.apart_m2)
     cloth = best.fitted.cloth
     fabric = nearest_fabric(cloth)
     # The base's own note is of another cloth than the one that was draped.
     fitted = replace(best.fitted, pattern=replace(best.fitted.pattern, material=bolt_name(fabric.name, cloth)))
-    first, last = _apart_mm(rounds[0].fitted.history[0, 1]), _apart_mm(best.least[1])
+    first, last = apart_mm(rounds[0].fitted.history[0, 1]), apart_mm(best.least[1])
     task.say(f"fitted    surfaces {first:.2f} mm apart at the start, {last:.2f} mm at the end (root mean square)")
     if task.free_cloth:
         task.say(f"cloth     {fabric.describe()}")
@@ -218,11 +176,6 @@ def _clocks() -> np.ndarray:
     return np.array([time.perf_counter(), time.process_time()])
 
 
-def _apart_mm(squared: float) -> float:
-    """Root mean square distance [mm] of two surfaces whose squared distances of both directions sum to this [m^2]."""
-    return 1e3 * float(np.sqrt(0.5 * squared))
-
-
 @dataclass(frozen=True, eq=False)
 class _Task:
     """The facts that no round changes: the target, and the body with its distances in the T-pose and in its pose.
@@ -243,6 +196,12 @@ class _Task:
     free_cloth: bool
     say: Say
 
+    @cached_property
+    def places(self) -> list[Place]:
+        """Where the target's contours lie on the body."""
+        chains = bone_chains(posed_joints(self.body, self.pose))
+        return [place_of(contour, chains) for contour in self.target.contours]
+
     @property
     def sewable(self) -> bool:
         """Whether seams are a constraint."""
@@ -250,20 +209,27 @@ class _Task:
 
     def draped(self, pattern: Pattern) -> Draped:
         """The drape of ``pattern`` at rest, ready to be searched from."""
-        return drape_at_rest(pattern, self.body, self.drape, self.pose, self.bare)
+        return drape_at_rest(pattern, self.start(self.drape))
+
+    def start(self, drape: DrapeOptions, cloth: OrthotropicMaterial | None = None) -> Start:
+        """How drapes begin on this body; what the target goes round, they should."""
+        parts = [place.part for place in self.places if place.part is not None]
+        return Start(self.body, drape, self.pose, self.bare, tuple(parts), cloth)
 
     def matches(self, draped: Draped) -> tuple[list[Match], list[int]]:
         """Pairs of the contours of a drape and those of the target, and the target's that are left."""
         contours = open_contours(draped.nodes, draped.mesh.faces)
         return match_contours(contours, self.target.contours, posed_joints(self.body, self.pose))
 
-    def graded(self, before: Graded, draped: Draped) -> tuple[Graded, Draped]:
-        """``before`` graded once more by its drape ``draped``, and the drape of that."""
+    def graded(self, before: Graded, draped: Draped, *, rest: bool = True) -> tuple[Graded, Draped]:
+        """``before`` graded once more by its drape ``draped``, and the drape of that, which must be at ``rest``."""
         matches, _ = self.matches(draped)
         contours = open_contours(draped.nodes, draped.mesh.faces)
         after = graded_again(before, grade(draped.mesh, draped.nodes, contours, matches, self.symmetries))
         if self.sewable:
             after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
+        if not rest:
+            return after, worn_drape(after.pattern, self.start(self.drape), rest=False)
         return after, self.draped(after.pattern)
 
     def best_fabric(
@@ -280,9 +246,14 @@ class _Task:
             drapes.setdefault(name, drape_pattern(pattern, self.body, options, pose=self.pose, skin=self.bare))
         losses = {name: self.loss_of(one, base, named(name)) for name, one in drapes.items()}
         best = min(losses, key=lambda name: losses[name])
-        told = ", ".join(f"{name} {_apart_mm(loss):.2f}" for name, loss in losses.items())
+        told = ", ".join(f"{name} {apart_mm(loss):.2f}" for name, loss in losses.items())
         self.say(f"fabric    {best}; left to the target [mm]: {told}")
         return losses, best, drapes[best]
+
+    def surface(self, draped: Draped) -> float:
+        """The squared distance [m^2] of a drape and the target, both directions summed, as the loss has it."""
+        objective = Objective(draped.mesh, self.target, [], [], self.weights)
+        return float(objective.surface(torch.from_numpy(draped.nodes)))
 
     def held(self, draped: Draped, cloth: OrthotropicMaterial) -> Draped:
         """``draped`` with its belt where the target's is."""
@@ -297,12 +268,14 @@ class _Task:
         *,
         free: FreeCloth | None = None,
         likely: OrthotropicMaterial | None = None,
+        reach_m: float | None = None,
     ) -> tuple[PatternSearch, list[Match]]:
-        """The search from ``start`` in ``cloth``, and how its contours are paired.
+        """The search from ``start`` in ``cloth`` with this reach [m], and how its contours are paired.
 
         Seams keep the ratios of lengths of ``ratios``. The corners of ``centre`` and the cloth ``likely`` are what the
         reach of the loss is counted from.
         """
+        weights = self.weights if reach_m is None else self.weights._replace(reach_m=reach_m)
         contours = open_contours(start.nodes, start.mesh.faces)
         matches, _ = self.matches(start)
         controls = free_controls(start.mesh.pattern, self.symmetries)
@@ -313,7 +286,7 @@ class _Task:
             start.mesh,
             controls,
             RestDrape(start.mesh, self.skin, cloth, held=start.rest.held),
-            Objective(start.mesh, self.target, contours, matches, self.weights, base=ratios),
+            Objective(start.mesh, self.target, contours, matches, weights, base=ratios),
             cloth=free,
             seams=SeamConstraint(start.mesh.pattern, controls, self.base) if self.sewable else None,
             likely=unknowns,
@@ -346,7 +319,7 @@ class _Task:
         The first goes from the drape ``start`` of the pattern ``graded``; its clocks ``began`` earlier.
         """
         likely = named(self.drape.fabric)
-        cloth, pattern, ratios = likely, graded, base
+        cloth, pattern, ratios, reach_m = likely, graded, base, self.weights.reach_m
         rounds: list[Round] = []
         for number, length in enumerate(lengths_m):
             if number and watch.over():
@@ -355,16 +328,21 @@ class _Task:
                 if number:
                     options = replace(self.drape, edge_length_m=length)
                     with watch.stage(f"drape of round {number + 1}"):
-                        start = drape_pattern(pattern, self.body, options, pose=self.pose, cloth=cloth, skin=self.bare)
+                        start = worn_drape(pattern, self.start(options, cloth))
                 start = self.held(start, cloth)
             except InputError as error:
                 if not number:
                     raise
                 return rounds, self._left(number, len(lengths_m), f"the pattern sewn anew is not worn so: {error}")
-            if number and (why := self.why_left(rounds, start)):
+            if number:
+                held_back = apart_mm(rounds[-1].least[1]) > FAR_MM
+            else:
+                held_back = apart_mm(self.surface(start)) > START_FAR_MM
+            if number and (why := self.why_left(rounds, start)) and not (why == SAME and held_back):
                 return rounds, self._left(number, len(lengths_m), why)
+            reach_m *= REACH_GROWS if held_back else 1.0
             free = FreeCloth(cloth) if self.free_cloth and (number or len(lengths_m) == 1) else None
-            search, matches = self.search(start, ratios, graded, cloth, free=free, likely=likely)
+            search, matches = self.search(start, ratios, graded, cloth, free=free, likely=likely, reach_m=reach_m)
             if number and not _comes_to_rest(search, start):
                 return rounds, self._left(number, len(lengths_m), NOT_AT_REST)
             nodes = start.mesh.node_count
@@ -374,7 +352,7 @@ class _Task:
             now = _clocks()
             rounds.append(Round(start, matches, search, fitted, length, *(now - began).tolist()))
             began = now
-            apart = [_apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].least[1])]
+            apart = [apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].least[1])]
             self.say(f"round {number + 1}   {nodes} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
             # Grading has scaled the base's seams; from here on they keep what the target tells of them.
             pattern = ratios = fitted.pattern
@@ -400,27 +378,3 @@ class _Task:
 def _comes_to_rest(search: PatternSearch, start: Draped) -> bool:
     """Whether the simulator of ``search`` finds a drape at its ``start``."""
     return search.evaluate(np.zeros(search.count), start.nodes) is not None
-
-
-def drape_at_rest(
-    pattern: Pattern, body: BodyModel, drape: DrapeOptions, pose: np.ndarray | None, skin: SignedDistance
-) -> Draped:
-    """The drape of ``pattern`` at rest, on a mesh a little finer or coarser where Newton sticks on its own.
-
-    Raises ``InputError`` where none comes to rest.
-    """
-    left: list[float] = []
-    for share in LENGTHS_TRIED:
-        length = share * drape.edge_length_m
-        start = drape_pattern(pattern, body, replace(drape, edge_length_m=length), pose=pose, skin=skin)
-        if start.at_rest:
-            return start
-        left.append(max(one.report.residual_n for one in (start.rest, start.posed) if one is not None))
-        if watch.over():
-            break
-    raise InputError(
-        "graded pattern",
-        expected="a drape at rest to start from",
-        got=f"{min(left):.1e} N left at a node, on the best of {len(left)} meshes",
-        cure="Take another mesh (edge_length_m), more iterations, or a base nearer to the target.",
-    )

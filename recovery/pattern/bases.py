@@ -11,6 +11,8 @@ from typing import Any
 
 from drape.errors import InputError, NotFound
 from recovery.pattern.design import Design
+from recovery.pattern.dresses import DressCut
+from recovery.pattern.dresses import dress as draft_dress
 from recovery.pattern.legs import LegCut
 from recovery.pattern.legs import trousers as draft_trousers
 from recovery.pattern.measurements import BodyMeasurements
@@ -21,11 +23,15 @@ from recovery.pattern.tops import Sleeve, TopCut, top
 LONGEST_M = 3.0  # that a setting may be
 POSITIVE = ("length", "depth", "girth", "inseam")  # words in the names of settings that are no differences
 OF_SLEEVE = "sleeve_"  # begins the names of a sleeve's settings
+COUNT, MOST_PANELS = "panels", 12  # the one setting that is a number of pieces
 
 
 @dataclass(frozen=True)
 class Base:
-    """A base: the design that ``draft`` makes of ``cut``; ``settings`` names the lengths [m] that a caller may set."""
+    """A base: the design that ``draft`` makes of ``cut``; ``settings`` names what a caller may set, lengths [m].
+
+    A ``gather`` is a share, ``panels`` a number.
+    """
 
     draft: Callable[[BodyMeasurements, Any], Design]
     cut: TopCut | LegCut | SkirtCut
@@ -36,6 +42,9 @@ class Base:
         for name, value in settings.items():
             if name not in self.settings:
                 raise NotFound("--set", expected=f"one of {', '.join(self.settings)}", got=name, cure="Check the name.")
+            if name == COUNT:
+                settings[name] = whole(value)
+                continue
             low = 0.0 if any(part in name for part in POSITIVE) else -LONGEST_M
             if not low < value < LONGEST_M:
                 range_m = f"a length in ({low:g}, {LONGEST_M:g}) m"
@@ -48,21 +57,50 @@ class Base:
         return self.draft(body, cut).pattern
 
 
+OF_TOP = ("length_m", "chest_ease_m", "flare_m", "shoulder_out_m", "shoulder_drop_m", "armhole_drop_m", "neck_out_m")
+OF_TOP = (*OF_TOP, "neck_depth_m", "back_neck_depth_m")
+OF_SLEEVES = ("sleeve_length_m", "sleeve_arm_ease_m", "sleeve_hem_girth_m")
+OF_DRESS = ("waist_ease_m", "waist_drop_m", "hip_ease_m", "gather")
+SLEEVE = Sleeve(0.21, 0.07, 0.35, halves=True)
 tshirt = Base(
     top,
     TopCut(
-        *("tshirt", "jersey", 0.66, 0.10, Sleeve(0.21, 0.07, 0.35, halves=True)),
+        *("tshirt", "jersey", 0.66, 0.10, SLEEVE),
         shoulder_out_m=0.015,
         shoulder_drop_m=0.03,
         armhole_drop_m=0.02,
         neck_out_m=0.015,
         back_neck_depth_m=0.02,
     ),
-    (
-        *("length_m", "chest_ease_m", "flare_m", "shoulder_out_m", "shoulder_drop_m", "armhole_drop_m"),
-        *("neck_out_m", "neck_depth_m", "back_neck_depth_m"),
-        *("sleeve_length_m", "sleeve_arm_ease_m", "sleeve_hem_girth_m"),
+    (*OF_TOP, *OF_SLEEVES),
+)
+tank = Base(
+    top,
+    TopCut(
+        *("tank", "rib", 0.64, 0.05),
+        shoulder_out_m=-0.03,
+        shoulder_drop_m=0.025,
+        neck_out_m=0.02,
+        neck_depth_m=0.13,
+        back_neck_depth_m=0.05,
+        armhole_inset=0.08,
     ),
+    OF_TOP,
+)
+DRESS_CUT = DressCut(
+    *("dress", "satin", 1.05, 0.08),
+    shoulder_out_m=-0.01,
+    shoulder_drop_m=0.03,
+    armhole_drop_m=0.015,
+    neck_out_m=0.02,
+    neck_depth_m=0.11,
+    flare_m=0.10,
+)
+dress = Base(draft_dress, DRESS_CUT, (*OF_TOP, *OF_DRESS))
+sleeved_dress = Base(
+    draft_dress,
+    replace(DRESS_CUT, name="sleeved_dress", sleeve=SLEEVE, shoulder_out_m=0.015, armhole_drop_m=0.02),
+    (*OF_TOP, *OF_SLEEVES, *OF_DRESS),
 )
 trousers = Base(
     draft_trousers,
@@ -72,13 +110,22 @@ trousers = Base(
 skirt = Base(
     fitted,
     SkirtCut("skirt", "twill", 0.55, drop_m=0.05, waist_ease_m=0.01, flare_m=0.08),
-    ("length_m", "drop_m", "waist_ease_m", "hip_ease_m", "flare_m"),
+    ("length_m", "drop_m", "waist_ease_m", "hip_ease_m", "flare_m", COUNT),
 )
-BASES = {base.cut.name: base for base in (tshirt, trousers, skirt)}
+BASES = {base.cut.name: base for base in (tshirt, tank, dress, sleeved_dress, trousers, skirt)}
 
 
-def base_pattern(name: str, body: BodyMeasurements, settings: Sequence[str] = ()) -> Pattern:
-    """The base pattern ``name`` for ``body`` with ``settings`` as a command line gives them, each NAME=NUMBER."""
+def whole(value: float) -> int:
+    """The number of panels that a setting says. Raises ``InputError`` for none that a skirt has."""
+    if value not in range(2, MOST_PANELS + 1):
+        raise InputError(
+            COUNT, expected=f"a whole number from 2 to {MOST_PANELS}", got=f"{value:g}", cure="Count the target's."
+        )
+    return int(value)
+
+
+def read_values(settings: Sequence[str]) -> dict[str, float]:
+    """Settings as a command line gives them, each NAME=NUMBER, as numbers by name."""
     values = {}
     for setting in settings:
         key, _, text = setting.partition("=")
@@ -86,4 +133,9 @@ def base_pattern(name: str, body: BodyMeasurements, settings: Sequence[str] = ()
             values[key] = float(text)
         except ValueError as error:
             raise InputError("--set", expected="NAME=NUMBER", got=setting, cure="Write lengths in metres.") from error
-    return BASES[name](body, **values)
+    return values
+
+
+def base_pattern(name: str, body: BodyMeasurements, settings: Sequence[str] = ()) -> Pattern:
+    """The base pattern ``name`` for ``body`` with ``settings`` as a command line gives them, each NAME=NUMBER."""
+    return BASES[name](body, **read_values(settings))

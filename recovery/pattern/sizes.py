@@ -1,4 +1,4 @@
-"""Sizes S, M, L and XL: the measurements that a pattern is drafted for, from those of one body, which is M.
+"""Sizes S to XXL: the measurements that a pattern is drafted for, from those of one body, which is M.
 
 Girths of the trunk grow by a letter of EN 13402-3 (``drape.garment.size_chart``). The other steps are proportional to
 these, as in tailors' grading tables, and lengths grow by what makers of T-shirts print.
@@ -9,9 +9,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from drape.errors import NotFound
-from drape.garment.size_chart import GIRTH_STEP_M, SIZES, STEPS
+from drape.garment.size_chart import GIRTH_STEP_M, STEPS
 from recovery.pattern.measurements import BodyMeasurements
 
+# Patterns come in one more than garments that are sewn and stored.
+PATTERN_STEPS = STEPS | {"XXL": 3}
 # Growth [m] per size; girths whole, half widths half.
 GROWTH_M = {
     "chest_girth": GIRTH_STEP_M,
@@ -35,14 +37,14 @@ def in_size(body: BodyMeasurements, size: str) -> BodyMeasurements:
 
     Raises ``NotFound`` for a size beyond the grade.
     """
-    if size not in STEPS:
+    if size not in PATTERN_STEPS:
         raise NotFound(
             "size",
-            expected=f"one of {', '.join(SIZES)}",
+            expected=f"one of {', '.join(PATTERN_STEPS)}",
             got=size,
             cure="Beyond the grade, draft for a body of that size: measure it and make its M.",
         )
-    step = STEPS[size]
+    step = PATTERN_STEPS[size]
     if step == 0:
         return body
     grown = {name: getattr(body, name) + step * growth for name, growth in GROWTH_M.items()}

@@ -1,8 +1,9 @@
-"""Skirts: an A-line of two panels and a full circle of two halves, both with a waistband, and a fitted one without."""
+"""Skirts: an A-line of two panels and a full circle, both with a waistband; a fitted one of any number, without."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,12 +11,23 @@ from drape.errors import InputError
 from recovery.pattern.bands import sew_waistband
 from recovery.pattern.darts import waist_pieces
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import Drafted, Side, before_and_behind, draft, on_ring, ring_handles
+from recovery.pattern.drafting import (
+    STAND_OFF_M,
+    Drafted,
+    Point,
+    Side,
+    before_and_behind,
+    draft,
+    on_ring,
+    ring_handles,
+)
 from recovery.pattern.measurements import BodyMeasurements
+from recovery.pattern.model import Placement
 from recovery.pattern.wrapping import Flutes, draft_round
 
 QUARTER = 0.5 * np.pi
 WAIST_DIPS_M = (0.012, 0.018)  # of a fitted skirt's waist in the middle, in front and behind
+GORES_DIFFER_M = 0.005  # by which half of the front's gore is wider than the mean, and the back's narrower
 
 
 @dataclass(frozen=True)
@@ -23,7 +35,7 @@ class SkirtCut:
     """Lengths [m]: ``length_m`` from waistband to hem, ``drop_m`` of the skirt's upper edge below the waist.
 
     ``flare_m`` is added to the half width of each panel from waist to hem at least; a circle starts in ``flutes``.
-    A fitted skirt has neither.
+    A fitted skirt has neither, but any number of ``panels``.
     """
 
     name: str
@@ -35,6 +47,7 @@ class SkirtCut:
     flare_m: float = 0.15
     band_m: float = 0.035
     flutes: int = 9
+    panels: int = 2
 
 
 def a_line(body: BodyMeasurements, cut: SkirtCut) -> Design:
@@ -104,35 +117,84 @@ def circle(body: BodyMeasurements, cut: SkirtCut) -> Design:
 
 
 def fitted(body: BodyMeasurements, cut: SkirtCut) -> Design:
-    """A skirt of two panels without band: curved from waist to hips, straight to the hem, ``flare_m`` wider there."""
+    """A skirt of ``cut.panels`` panels without band: curved from waist to hips, straight to the hem, wider there.
+
+    Two are front and back. More are gores, the first in the middle of the front and the next to the wearer's left. The
+    farther behind, the narrower they are, by one width from waist to hem, so that only mirrored gores are alike.
+    """
     top = body.waist_y - cut.drop_m
-    rise, hem = top - body.hip_y, top - cut.length_m
-    if cut.hip_ease_m < 0.0 or rise < 0.0 or hem > body.hip_y - 0.01:
+    rise, hem = top - body.hip_y, top - cut.length_m - body.longer_m
+    if cut.hip_ease_m < 0.0 or rise < 0.0 or hem > body.hip_y - 0.01 or cut.panels < 2:
         raise InputError(
             cut.name,
-            expected="ease at the hips, a waist above and a hem below them",
-            got=f"{cut.hip_ease_m:.3f} m of ease, {rise:.3f} m above and {body.hip_y - hem:.3f} m below",
+            expected="ease at the hips, a waist above and a hem below them, two panels or more",
+            got=f"{cut.hip_ease_m:.3f} m of ease, {rise:.3f} m above and {body.hip_y - hem:.3f} m below, {cut.panels}",
             cure="Add ease or length, or lessen drop_m.",
         )
-    waist, hips = 0.25 * (body.girth_at(top) + cut.waist_ease_m), 0.25 * (body.hip_girth + cut.hip_ease_m)
-    # The side swings up so that the hem stays square to it.
-    lift = cut.flare_m * cut.flare_m / (2.0 * (body.hip_y - hem)) + 0.05 * cut.flare_m
-    x, y = hips + cut.flare_m, hem + lift
-    bend = ((hips, body.hip_y + 0.45 * rise), (waist + 0.4 * (hips - waist), top - 0.3 * rise))
-    work = Assembly()
-    panels = []
-    for (label, face, z), dip in zip(before_and_behind(body), WAIST_DIPS_M, strict=True):
-        sides = [
-            Side("hem", (-x, y), ((0.0, hem - lift),)),
-            Side("side_right", (x, y)),
-            Side("hip_right", (hips, body.hip_y), bend),
-            Side("opening_waist", (waist, top), ((0.0, top - 2.0 * dip),)),
-            Side("hip_left", (-waist, top), tuple((-a, b) for a, b in reversed(bend))),
-            Side("side_left", (-hips, body.hip_y)),
-        ]
-        panels.append(work.add(draft(label, sides, rotation=face, z=z)))
-    work.sew_sides(["side", "hip"], *panels)
+    half = 0.5 / cut.panels
+    waist, hips = half * (body.girth_at(top) + cut.waist_ease_m), half * (body.hip_girth + cut.hip_ease_m)
+    work, panels = Assembly(), []
+    for number in range(cut.panels):
+        stand, dip = _stand(body, number, cut.panels)
+        wider = _wider(number, cut.panels)
+        at = ((waist + wider, top), (hips + wider, body.hip_y))
+        sides = below_waist(*at, hem, flare=4.0 * half * cut.flare_m, dip=dip, curved=True)
+        drafted = draft(stand.name, sides, rotation=stand.rotation_deg, z=0.0)
+        place = Placement(stand.rotation_deg, (stand.x, drafted.panel.placement.translation_m[1], stand.z))
+        panels.append(work.add(replace(drafted, panel=replace(drafted.panel, placement=place))))
+    for number, panel in enumerate(panels[1:]):
+        for part in ("side", "hip"):
+            work.sew(f"{part}_{number}", panels[number], f"{part}_right", panel, f"{part}_left")
+    for part in ("side", "hip"):
+        work.sew(f"{part}_last", panels[0], f"{part}_left", panels[-1], f"{part}_right")
     return work.design(cut.name, cut.fabric, {"hips": cut.hip_ease_m, "waist": cut.waist_ease_m})
+
+
+def below_waist(
+    waist: Point, hips: Point, hem: float, *, flare: float, dip: float, curved: bool, upper: str = "opening_waist"
+) -> list[Side]:
+    """The sides of a skirt's panel from ``waist`` and ``hips`` on the viewer's right to the height ``hem`` [m].
+
+    The hem is ``flare`` wider on either side. Its ends swing up so that it stays square to the sides. The edge
+    ``upper`` sinks by ``dip`` in the middle; from there to the hips the side is ``curved`` or straight.
+    """
+    (x, top), (wide, hip_y) = waist, hips
+    lift = flare * flare / (2.0 * (hip_y - hem)) + 0.05 * flare
+    low = (wide + flare, hem + lift)
+    rise = top - hip_y
+    bend = ((wide, hip_y + 0.45 * rise), (x + 0.4 * (wide - x), top - 0.3 * rise)) if curved else ()
+    return [
+        Side("hem", (-low[0], low[1]), ((0.0, hem - lift),)),
+        Side("side_right", low),
+        Side("hip_right", hips, bend),
+        Side(upper, waist, ((0.0, top - 2.0 * dip),) if dip else ()),
+        Side("hip_left", (-x, top), tuple((-a, b) for a, b in reversed(bend))),
+        Side("side_left", (-wide, hip_y)),
+    ]
+
+
+class _Stand(NamedTuple):
+    name: str
+    rotation_deg: tuple[float, float, float]
+    x: float
+    z: float
+
+
+def _stand(body: BodyMeasurements, number: int, count: int) -> tuple[_Stand, float]:
+    """Name and place of a skirt's panel round the body, and the dip of its waist [m]."""
+    if count == 2:
+        label, face, z = before_and_behind(body)[number]
+        return _Stand(label, face, 0.0, z), WAIST_DIPS_M[number]
+    angle = 2.0 * np.pi * number / count
+    radius = body.hip_girth / (2.0 * np.pi) + STAND_OFF_M
+    x, z = radius * float(np.sin(angle)), 0.5 * (body.front_z + body.back_z) + radius * float(np.cos(angle))
+    dip = float(np.mean(WAIST_DIPS_M)) * (2.0 / count) ** 2  # of an arc that is as much shorter
+    return _Stand(f"gore_{number + 1}", (0.0, float(np.degrees(angle)), 0.0), x, z), dip
+
+
+def _wider(number: int, count: int) -> float:
+    """By how much each half of a gore is wider [m] than their mean; the sum over all is zero."""
+    return 0.0 if count == 2 else GORES_DIFFER_M * float(np.cos(2.0 * np.pi * number / count))
 
 
 def _banded(

@@ -96,17 +96,41 @@ def lines(body: BodyMeasurements, cut: TopCut) -> tuple[Point, Point, Point, Poi
 
 def top(body: BodyMeasurements, cut: TopCut) -> Design:
     """The top that ``cut`` describes, for ``body``. Raises ``InputError`` where its lines do not meet."""
-    neck, tip, underarm, hem = lines(body, cut)
+    _, _, underarm, hem = lines(body, cut)
     work = Assembly()
     waist = (underarm[0], underarm[1] - cut.skirt_m)
     lower = "waistline" if cut.skirt_m else ("hemline" if cut.hem_band_m else "hem")
+    front, back = bodices = bodices_to(work, body, cut, waist if cut.skirt_m else hem, lower)
+    if cut.neck_band_m:
+        edges = [(back, "neck_right"), (front, "neck_left"), (front, "neck_right"), (back, "neck_left")]
+        tube = Tube((0.0, body.neck_y - 0.02, 0.3 * (body.front_z + body.back_z)), UP, FORWARD, 0.11)
+        sew_band(work, "neckband", edges, tube, width_m=cut.neck_band_m, shorter=cut.neck_shorter, above=True)
+    else:
+        name_openings(work, bodices, "neck", "opening_neck", "opening_neck")
+    if cut.skirt_m:
+        _gathered_skirt(work, body, cut, waist, hem[1], bodices)
+    if cut.hem_band_m:
+        tube = Tube((0.0, hem[1] - cut.hem_band_m, 0.0), UP, (1.0, 0.0, 0.0), 0.26)
+        # The strip starts at one side seam.
+        edges = [(front, "hemline"), (back, "hemline")]
+        sew_band(work, "hemband", edges, tube, width_m=cut.hem_band_m, shorter=cut.hem_shorter, above=False, free="hem")
+    return work.design(cut.name, cut.fabric, cut.ease_m)
+
+
+def bodices_to(
+    work: Assembly, body: BodyMeasurements, cut: TopCut, bottom: Point, lower: str, prefix: str = ""
+) -> tuple[Drafted, Drafted]:
+    """Front and back down to ``bottom`` on the wearer's left [m], sewn, with sleeves where ``cut`` has them.
+
+    ``lower`` names their lower edges, ``prefix`` begins the names of the panels.
+    """
+    neck, tip, underarm, _ = lines(body, cut)
     bodices = []
     for (label, face, z), depth, hollow in zip(
         before_and_behind(body), (cut.neck_depth_m, cut.back_neck_depth_m), HOLLOWS, strict=True
     ):
-        bottom = waist if cut.skirt_m else hem
         sides = bodice(neck, tip, underarm, bottom, depth=depth, hollow=hollow, inset=cut.armhole_inset, lower=lower)
-        bodices.append(work.add(draft(label, sides, rotation=face, z=z)))
+        bodices.append(work.add(draft(f"{prefix}{label}", sides, rotation=face, z=z)))
     front, back = bodices
     work.sew_sides(["side", "shoulder"], front, back)
     if cut.sleeve is not None:
@@ -116,21 +140,8 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
         }
         set_sleeves(work, body, cut.sleeve, tip, armholes)
     else:
-        _name_openings(work, bodices, "armhole", "opening_armhole_left", "opening_armhole_right")
-    if cut.neck_band_m:
-        edges = [(back, "neck_right"), (front, "neck_left"), (front, "neck_right"), (back, "neck_left")]
-        tube = Tube((0.0, body.neck_y - 0.02, 0.3 * (body.front_z + body.back_z)), UP, FORWARD, 0.11)
-        sew_band(work, "neckband", edges, tube, width_m=cut.neck_band_m, shorter=cut.neck_shorter, above=True)
-    else:
-        _name_openings(work, bodices, "neck", "opening_neck", "opening_neck")
-    if cut.skirt_m:
-        _gathered_skirt(work, body, cut, waist, hem[1], bodices)
-    if cut.hem_band_m:
-        tube = Tube((0.0, hem[1] - cut.hem_band_m, 0.0), UP, (1.0, 0.0, 0.0), 0.26)
-        # The strip starts at one side seam.
-        edges = [(front, "hemline"), (back, "hemline")]
-        sew_band(work, "hemband", edges, tube, width_m=cut.hem_band_m, shorter=cut.hem_shorter, above=False, free="hem")
-    return work.design(cut.name, cut.fabric, cut.ease_m)
+        name_openings(work, bodices, "armhole", "opening_armhole_left", "opening_armhole_right")
+    return front, back
 
 
 def bodice(
@@ -158,7 +169,8 @@ def bodice(
     return [*right, *left, Side(lower, (-hem[0], hem[1]), bend)]
 
 
-def _name_openings(work: Assembly, bodices: Sequence[Drafted], part: str, left: str, right: str) -> None:
+def name_openings(work: Assembly, bodices: Sequence[Drafted], part: str, left: str, right: str) -> None:
+    """Names the edges ``part`` of the ``bodices`` on the viewer's ``left`` and ``right``."""
     for panel in bodices:
         work.edge_names[panel.edge(f"{part}_left")] = left
         work.edge_names[panel.edge(f"{part}_right")] = right

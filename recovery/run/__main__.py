@@ -1,6 +1,6 @@
 """From a scan or a draped mesh to a sewing pattern and a garment that moves.
 
-python -m recovery.run TARGET.obj --base tshirt --body BODY [--pose CLIP:FRAME] --out DIR
+python -m recovery.run TARGET.obj [--base tshirt] --body BODY [--pose CLIP:FRAME] --out DIR
 
 Writes NAME.json, .svg, .dxf, .pdf (the pattern), NAME.obj and NAME.glb (the simulated garment), NAME_rest.obj and
 NAME-DIGEST.npz (the garment cache that the service reads), report.html and report.json. NAME.search.npz holds the
@@ -27,6 +27,8 @@ from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.objective import DEFAULT_WEIGHTS
 from recovery.fit.optimise import FitOptions
+from recovery.pattern.bases import BASES
+from recovery.pattern.sizes import PATTERN_STEPS
 from recovery.run.job import FIT_INSIDE, MINUTES, Job, run_job
 from recovery.scan.places import ScanFault
 
@@ -45,6 +47,7 @@ OF_JOB = (
     "retarget",
     "garment",
     "minutes",
+    "sizes",
 )
 CHOOSE_FABRIC = "auto"
 EDGE_LENGTH_M = 0.05
@@ -57,7 +60,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser = parser_of("recovery.run", __doc__)
     parser.add_argument("target", type=Path, help="OBJ, GLB, PLY or STL of one garment on its body")
     parser.add_argument("--out", type=Path, required=True, help="folder of the files")
-    parser.add_argument("--base", required=True, help="tshirt, trousers, skirt, or a pattern as JSON")
+    parser.add_argument("--base", help=f"{', '.join(BASES)}, or a pattern as JSON; by default what the openings tell")
     parser.add_argument(
         "--set", nargs="+", default=[], dest="settings", metavar="NAME=VALUE", help="parameters of the base [m]"
     )
@@ -99,6 +102,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     )
     parser.add_argument(
         "--minutes", type=float, default=MINUTES, help="after which the best so far is written (%(default)g)"
+    )
+    parser.add_argument(
+        "--sizes", nargs="+", default=[], choices=PATTERN_STEPS, help="write the pattern, which is M, in these as well"
     )
     parser.add_argument("--no-retarget", dest="retarget", action="store_false", help="leave out other bodies and poses")
     parser.add_argument("--no-garment", dest="garment", action="store_false", help="write no garment cache")

@@ -10,13 +10,16 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.errors import InputError
+from recovery import progress as watch
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
 from recovery.fit.chamfer import SurfaceDistance, surface_distance
-from recovery.fit.contours import match_contours, open_contours
-from recovery.fit.pipeline import LENGTHS_TRIED, Recovered
-from recovery.run.retarget import lost_parts
+from recovery.fit.contours import lost_parts, match_contours, open_contours
+from recovery.fit.recovered import Recovered
+from recovery.fit.starts import LENGTHS_TRIED
+
+ANEW_MM = 3.0  # more between the report's drape and the pattern sewn anew is worth another try, and a warning
 
 
 class SewnAnew(NamedTuple):
@@ -38,11 +41,13 @@ def sewn_anew(
     """The pattern of ``found`` meshed, placed and sewn from nothing round ``body``, its belt at the report's waist.
 
     Without friction a belt closes where the body happens to be as wide as the waist, centimetres from where the wearer
-    had it, and the whole garment hangs as much higher or lower. Closing threads can pull a sleeve past its arm, on one
-    mesh and not on the next: if one of the body's ``parts`` is lost or the cloth does not come to rest, a little finer
-    or coarser one is tried. Raises ``InputError`` where the panels cannot be sewn.
+    had it, and the whole garment hangs as much higher or lower. Closing threads can pull a sleeve past its arm, and a
+    wide skirt falls into one set of folds or another, on one mesh and not on the next. If one of the body's ``parts``
+    is lost, the cloth does not come to rest, or it lies more than ``ANEW_MM`` from the report's garment, a little finer
+    or coarser mesh is tried, and the nearest of those that are worn is taken. Raises ``InputError`` where the panels
+    cannot be sewn.
     """
-    tried: list[SewnAnew] = []
+    tried: list[tuple[tuple[bool, float], SewnAnew]] = []
     refused: list[InputError] = []
     for share in LENGTHS_TRIED:
         length = share * options.edge_length_m
@@ -52,12 +57,14 @@ def sewn_anew(
             refused.append(error)
             continue
         draped = one.draped
-        tried.append(one)
-        if draped.at_rest and not lost_parts(draped.nodes, draped.mesh.faces, posed_joints(body, pose), parts):
-            return one
+        lost = lost_parts(draped.nodes, draped.mesh.faces, posed_joints(body, pose), parts)
+        rank = (bool(lost) or not draped.at_rest, one.distance.mean_mm)
+        tried.append((rank, one))
+        if rank <= (False, ANEW_MM) or watch.over():
+            break
     if not tried:
         raise refused[0]
-    return tried[0]
+    return min(tried, key=lambda pair: pair[0])[1]
 
 
 def _sewn(found: Recovered, body: BodyModel, options: DrapeOptions, pose: np.ndarray | None) -> SewnAnew:

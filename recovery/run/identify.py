@@ -17,7 +17,7 @@ from drape.geometry import meshes
 from recovery.fit.contours import open_contours
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.objective import Objective
-from recovery.fit.pipeline import Recovered
+from recovery.fit.recovered import Recovered
 from recovery.pattern.model import EdgeRef, Pattern
 
 RIGID = 1e-6  # singular values below: the change is a rigid motion of panels

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,17 +20,23 @@ from recovery.drape.output import panel_texture, write_rest, write_shape
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import posed_joints
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
+from recovery.fit.contours import lost_parts
 from recovery.fit.objective import DEFAULT_WEIGHTS, Weights
 from recovery.fit.optimise import FitOptions
-from recovery.fit.pipeline import Recovered, recover_pattern
-from recovery.pattern.bases import BASES, base_pattern
+from recovery.fit.pipeline import recover_pattern
+from recovery.fit.recovered import Recovered
+from recovery.pattern.bases import BASES, base_pattern, read_values
 from recovery.pattern.export import export_pattern
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
 from recovery.run.anew import SewnAnew, sewn_anew
+from recovery.run.cut import Cut, differences, kind_of, panel_count, told_base
+from recovery.run.drafted import drafted
 from recovery.run.identify import Identifiability, identifiability
-from recovery.run.retarget import Worn, lost_parts, retargeted
+from recovery.run.nested import in_other_size
+from recovery.run.retarget import Worn, retargeted
+from recovery.run.seen import Seen, pieces
 from recovery.run.target import OPENINGS, check_base, opened, placed_target, read_target
 from recovery.run.wearer import Wearer, inside_wearer, read_wearer
 from recovery.scan.holes import known_faces
@@ -44,16 +51,17 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """The request: ``body`` is a name, a file, or ``fit``; ``base`` is a base pattern's name or a JSON file.
+    """The request: ``body`` is a name, a file, or ``fit``; ``base`` is a base pattern's name or a JSON file, None
+    for the one that the target tells.
 
     ``settings`` of a base are texts NAME=NUMBER, lengths in metres. With ``find_fabric`` the cloth is unknown as well.
     ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``. After ``minutes``
-    the best so far is written.
+    the best so far is written. The pattern is written in ``sizes`` beside M, which fits the body.
     """
 
     target: Path
     out: Path
-    base: str
+    base: str | None
     body: str
     betas: np.ndarray | None = None
     pose: np.ndarray | None = None
@@ -70,6 +78,7 @@ class Job:
     retarget: bool = True
     garment: bool = True
     minutes: float = MINUTES
+    sizes: Sequence[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +93,7 @@ class Outcome:
     target: GarmentMesh
     wearer: Wearer
     base: Pattern
+    cut: Cut
     found: Recovered
     distance: SurfaceDistance
     before: SurfaceDistance
@@ -126,12 +136,23 @@ def read_base(source: str, wearer: Wearer, settings: Sequence[str] = ()) -> Patt
     return read_pattern(path)
 
 
-def prepare(job: Job) -> tuple[GarmentMesh, Wearer, Pattern, list[str]]:
-    """The target in the wearer's frame, the wearer, the base, and notes on what was repaired; all checks are here."""
+class Prepared(NamedTuple):
+    """The target in the wearer's frame, the wearer, the base, notes on what was repaired, and the cut."""
+
+    mesh: GarmentMesh
+    wearer: Wearer
+    base: Pattern
+    notes: list[str]
+    cut: Cut
+
+
+def prepare(job: Job) -> Prepared:
+    """What a recovery begins with; all checks are here."""
     try:
         mesh = read_target(job.target, label=job.label)
     except ScanFault as fault:
         raise _placed_fault(fault, job) from fault
+    shown = pieces(mesh)
     if job.body == FIT_INSIDE:
         if job.betas is not None or job.pose is not None:
             raise InputError(
@@ -141,20 +162,46 @@ def prepare(job: Job) -> tuple[GarmentMesh, Wearer, Pattern, list[str]]:
                 cure="Leave them out, or name the body.",
             )
         standard = read_wearer("anny_default")
-        base = read_base(job.base, standard, job.settings)
-        mesh, wearer = inside_wearer(mesh, base, unit=job.unit, up=job.up, wanted=OPENINGS.get(job.base))
+        kind = job.base or kind_of(mesh)
+        base = read_base(kind, standard, job.settings if job.base else ())
+        mesh, wearer = inside_wearer(mesh, base, unit=job.unit, up=job.up, wanted=OPENINGS.get(kind))
         mesh = placed_target(mesh, wearer.skin, unit="m", up="y")
     else:
+        kind = job.base
         wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
         mesh = placed_target(mesh, wearer.skin, unit=job.unit, up=job.up)
     mesh = replace(mesh, vertices=mesh.vertices - wearer.trans)
+    joints = posed_joints(wearer.shaped, wearer.pose)
     with watch.stage("openings are told from holes"):
-        mesh, there = opened(mesh, posed_joints(wearer.shaped, wearer.pose), OPENINGS.get(job.base))
-    check_base(job.base, there)
+        mesh, there = opened(mesh, joints, None if kind is None else OPENINGS.get(kind))
+    if job.base is not None:
+        check_base(job.base, there)
+    base, cut = _near_target(job, mesh, wearer, joints, shown)
+    for size in job.sizes:  # refused before an hour of drapes, not after it
+        in_other_size(base, cut.base, measure(wearer.shaped), cut.settings, size)
     notes = [f"On reading: {note}." for note in mesh.notes]
+    if cut.told:
+        notes.append(f"The base was chosen by the target's openings: {cut.base}.")
     if wearer.residual_mm > 0.0:
         notes.append(f"The wearer is {wearer.source}. What it lacks in shape, the pattern makes up for.")
-    return mesh, wearer, read_base(job.base, wearer, job.settings), notes
+    notes += [f"{sentence}." for sentence in cut.differs]
+    return Prepared(mesh, wearer, base, notes, cut)
+
+
+def _near_target(
+    job: Job, mesh: GarmentMesh, wearer: Wearer, joints: np.ndarray, shown: int | None
+) -> tuple[Pattern, Cut]:
+    """The base drafted near the target ``mesh``, whose texture shows ``shown`` panels, and the cut."""
+    body = measure(wearer.shaped)
+    seen = Seen(mesh.vertices, mesh.faces, joints, wearer.shaped.joints_template)
+    name = job.base or told_base(seen, body)
+    settings: dict[str, float] = {}
+    if name in BASES:
+        given = read_values(job.settings)
+        pattern, settings = drafted(name, body, seen, panel_count(name, shown) | given)
+    else:
+        pattern = read_base(name, wearer, job.settings)
+    return pattern, Cut(name, job.base is None, settings, differences(name, pattern, mesh, seen, body, shown))
 
 
 def _placed_fault(fault: ScanFault, job: Job) -> ScanFault:
@@ -195,7 +242,7 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
 
 def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
     started = time.perf_counter()
-    mesh, wearer, base, warnings = prepare(job)
+    mesh, wearer, base, warnings, cut = prepare(job)
     name = garment_name(job.name or job.target.stem)
     base = replace(base, name=name)
     for note in warnings:
@@ -224,6 +271,9 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
         warnings.append(stopped_words(job.minutes, clock.stopped_in))
     fitted = found.fitted
     files = export_pattern(fitted.pattern, job.out)
+    for size in job.sizes:
+        graded = in_other_size(fitted.pattern, cut.base, measure(wearer.shaped), cut.settings, size)
+        files += export_pattern(replace(graded, name=f"{name}_{size}"), job.out)
     cloth = replace(found.search.mesh, pattern=fitted.pattern, rest=found.search.mesh.rest_at(fitted.positions))
     files += write_shape(job.out, name, cloth, fitted.nodes + wearer.trans, panel_texture(cloth))
     there = (mesh.vertices, mesh.faces)
@@ -246,6 +296,7 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
         target=mesh,
         wearer=wearer,
         base=base,
+        cut=cut,
         found=found,
         distance=distance,
         before=surface_distance((found.base.nodes, found.base.mesh.faces), there, known=known),

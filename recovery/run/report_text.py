@@ -9,18 +9,17 @@ import numpy as np
 
 from drape.cloth.material import MEASURED
 from drape.geometry import meshes
-from recovery.fit.pipeline import Recovered
+from recovery.fit.recovered import Recovered
 from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
 from recovery.run import pictures
-from recovery.run.anew import SewnAnew
+from recovery.run.anew import ANEW_MM, SewnAnew
 from recovery.run.identify import CAP_M, corner_names, weak_words
 from recovery.run.job import Outcome, describe_worn
 from recovery.run.report import Page
 from recovery.run.report_pieces import add_pieces
 
 SEAM_PCT = 0.5  # of length, beside the ease that the base asks for: more cannot be sewn as it is drawn
-ANEW_MM = 3.0  # more between the report's drape and the pattern sewn anew is worth a warning
 BELT_M = 0.005
 GOOD_RMS_MM, FAIR_RMS_MM = 2.0, 8.0
 UNSURE_M = 0.01
@@ -81,7 +80,7 @@ def summary(outcome: Outcome) -> list[str]:
     pattern, distance, graded = outcome.pattern, outcome.distance, outcome.found.graded
     return [
         f"A pattern of {len(pattern.panels)} panels and {len(pattern.stitches)} seams was found from the base "
-        f"{outcome.job.base}.",
+        f"{outcome.cut.base}.",
         f"Draped on the same body, the garment lies {distance.mean_mm:.1f} mm from the target on average; the base lay "
         f"{outcome.before.mean_mm:.0f} mm away.",
         f"On the way panels became {_percent(graded.widths)} in width and {_percent(graded.heights)} in height, before "
@@ -90,7 +89,7 @@ def summary(outcome: Outcome) -> list[str]:
 
 
 def _percent(factors: np.ndarray) -> str:
-    low, high = 100.0 * (factors.min() - 1.0), 100.0 * (factors.max() - 1.0)
+    low, high = (100.0 * (factor - 1.0) for factor in (factors.min(), factors.max()))
     return f"{low:+.0f} %" if high - low < 1.0 else f"{low:+.0f} to {high:+.0f} %"
 
 
@@ -169,9 +168,10 @@ def seam_max_pct(outcome: Outcome) -> float:
 
 
 def cut_of(outcome: Outcome) -> str:
-    """The cut in words: its base, its panels and seams."""
+    """The cut in words: its base, its panels and seams, and what of the target's it is not."""
     pattern = outcome.pattern
-    return f"{outcome.job.base}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
+    words = f"{outcome.cut.base}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
+    return ". ".join((words, *outcome.cut.differs))
 
 
 def cut_words(edges_in_body_pct: float, edge_length_m: float) -> list[str]:
@@ -335,7 +335,7 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
             "vertices": len(outcome.target.vertices),
             "area_m2": float(meshes.face_areas(outcome.target.vertices, outcome.target.faces).sum()),
         },
-        "base": outcome.job.base,
+        "base": {"name": outcome.cut.base, "told": outcome.cut.told, "settings": outcome.cut.settings},
         "body": {
             "source": outcome.wearer.source,
             "betas": outcome.wearer.betas.tolist(),

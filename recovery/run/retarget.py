@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +13,7 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_in_pose, drape_pattern
 from recovery.drape.posing import posed_joints, read_pose
-from recovery.fit.contours import bone_chains, open_contours, part_round
+from recovery.fit.contours import lost_parts
 from recovery.pattern.model import Pattern
 from recovery.run.wearer import shaped_body
 
@@ -72,13 +71,3 @@ def retargeted(
             continue
         lost = lost_parts(nodes, faces, posed_joints(wearer, pose), parts)
         yield Worn(what, skin, wearer.faces, nodes, faces, figures, lost=lost)
-
-
-def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: Sequence[str]) -> tuple[str, ...]:
-    """Those of ``parts`` that do not go through an opening of a garment at ``nodes`` [m] (N, 3), one opening for each.
-
-    ``joints`` [m] (24, 3) are those of the body in its pose.
-    """
-    chains = bone_chains(joints)
-    there = Counter(filter(None, (part_round(contour, chains) for contour in open_contours(nodes, faces))))
-    return tuple(sorted((Counter(parts) - there).elements()))

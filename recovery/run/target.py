@@ -37,8 +37,9 @@ FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer
 DEEP_M, DEEP_SHARE = 0.02, 0.2  # the target goes through the body where more than this share lies deeper than that
 TWISTED_SHARE = 0.02  # of the faces: more edges to be cut, and the scan is no cloth
 # Openings round each part of the body, by base.
+OF_TOPS = {TRUNK: 2, "left_arm": 1, "right_arm": 1}
 OPENINGS = {
-    "tshirt": {TRUNK: 2, "left_arm": 1, "right_arm": 1},
+    **dict.fromkeys(("tshirt", "tank", "dress", "sleeved_dress"), OF_TOPS),
     "trousers": {TRUNK: 1, "left_leg": 1, "right_leg": 1},
     "skirt": {TRUNK: 2},
 }
@@ -200,7 +201,7 @@ def check_base(base: str, found: dict[str, int]) -> None:
             "target",
             expected=f"the openings of a {base}: {describe_openings(wanted)}",
             got=describe_openings(found) or "no opening that the body goes through",
-            cure=f"Take --base {fitting[0]}."
+            cure=f"Take --base {' or '.join(fitting)}."
             if fitting
             else "Take a base of the target's kind, and open what is shut.",
         )

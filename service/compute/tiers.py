@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, get_args
 
-from drape.errors import ArtifactError
+from drape.errors import ArtifactError, InputError
 from drape.wire.options import DrapeOptions, TierName
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 FAR_PIXELS_PER_M = 100.0  # below it a pixel is more than a centimetre
 NAMES: tuple[str, ...] = get_args(TierName)  # the least first
+EXACT = "exact"  # a job (``service.exact``)
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,12 @@ def read_tiers(rows: Sequence[Mapping[str, Any]]) -> tuple[Tier, ...]:
 def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pass_count: int) -> DrapeOptions:
     """``options`` with passes and folds, no tier and no budget: what a client named, else its tier, else the settings.
 
-    ``pass_count``: the passes that the model leaves to choose; a tier asks for no more.
+    ``pass_count``: the passes that the model leaves to choose; a tier asks for no more. Refuses (``InputError``) the
+    tier exact, which no stream and no answer waits for.
     """
+    if options.tier == EXACT:
+        cure = "POST /drape with tier exact: the answer is a job. Or ask for accurate here."
+        raise InputError("tier", expected=f"one of {', '.join(NAMES)}", got=EXACT, cure=cure)
     tier = tiers[NAMES.index(options.tier or settings.tier)]
     own = None if options.tier else settings.folds
     folds, passes, bits = options.folds, options.passes, options.bits

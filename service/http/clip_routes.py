@@ -17,9 +17,10 @@ from drape.export.usda import POINT_BYTES
 from drape.wire.clips import of_rig, unpack_clip
 from drape.wire.jets import message_bytes
 from service.compute.threads import BRIEF_BYTES
+from service.compute.tiers import EXACT
 from service.errors import NotAcceptable, TooLarge, TooSlow
 from service.guard.limits import check_answer
-from service.http import schemas
+from service.http import exact_clips, schemas
 from service.http.answers import BINARY, GLB, JSON, PC2, USDA, binary_answer, choose, file_answer, json_answer
 from service.http.clip_files import body_file, export_answer, garment_file, on_rig_file
 from service.http.clip_jobs import ClipJob, floor_headers, jets_response, plan_headers, quality_headers, streamed_answer
@@ -56,10 +57,14 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry "jets"
     the answer holds a JETS message per frame (docs/reference/wire.md), binary only. With streamed frames leave as they
     are ready; with keep and past a clip comes in pieces that are the whole clip. With rig_poses in place of poses an
-    avatar moves by its own rig (docs/guide/avatars.md).
+    avatar moves by its own rig (docs/guide/avatars.md). With tier exact the answer is 202 and a job.
     """
     state.check_slot()  # before anything is read
     asked, clip, turns, told_where = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
+    if asked.tier == EXACT:
+        job = exact_clips.job_info(await exact_clips.submitted(asked, clip, state, client))
+        where = {"Location": f"/jobs/{job.id}"}
+        return Response(job.model_dump_json(), status_code=202, media_type=JSON, headers=where)
     kind = choose(request.headers.get("accept"), _offered(asked))
     check_rig(asked, kind)
     scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar, size=asked.size)
@@ -76,6 +81,24 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
         headers |= await asyncio.to_thread(floor_headers, clip, state.runtime.on(scene).body) if told_where else {}
         if asked.geometry == "jets":
             return jets_response(draped, headers, state.sliced_thread)
+        return await _clip_answer(job, draped, kind, headers, state)
+
+
+@router.get(
+    "/jobs/{job_id}/clip",
+    response_model=schemas.VerticesDocument,
+    responses=responses(NotFound, NotAcceptable, TooLarge, kinds=(*KINDS, PC2, USDA)),
+)
+async def exact_clip(job_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
+    """The finished clip of tier exact, as POST /drape answers, with what its request said of the answer."""
+    found = state.exact.find(job_id, client.name)
+    if found is None:
+        cure = "POST /drape with tier exact."
+        raise NotFound("job", expected="the id of a clip of tier exact", got=job_id[:120], cure=cure)
+    kind = choose(request.headers.get("accept"), (*KINDS, PC2, USDA))
+    with state.access.using(client, "clips"), state.slot():
+        job, draped, headers = await exact_clips.finished(found, state, client)
+        check_clip_size(job, kind, state.runtime.settings)
         return await _clip_answer(job, draped, kind, headers, state)
 
 

@@ -249,9 +249,22 @@ class GarmentInfo(BaseModel):
         )
 
 
+class FrameTold(BaseModel):
+    """What is told of a frame of tier exact."""
+
+    frame: int
+    force_share: float = Field(description="The norm of the forces left at all vertices, over the cloth's weight.")
+    energy_j: float = Field(description="Of cloth and body [J]; heights count from the root.")
+    start_j: float = Field(description="That of the drape of tier accurate, which the frame starts from.")
+    crossings: int = Field(description="Pairs of triangles of the cloth that cross.")
+    start_crossings: int = Field(description="Those of the drape of tier accurate.")
+    steps: int = Field(description="Steps of Newton's method.")
+
+
 class JobInfo(BaseModel):
-    """The state of an upload. ``problem`` is the refusal where it failed, ``garment`` or ``avatar`` the id where it is
-    done; while it runs, ``stage`` is what its process does now and ``share`` how much lies behind it."""
+    """The state of an upload, or of a clip of tier exact. ``problem`` is the refusal where it failed, ``garment`` or
+    ``avatar`` the id where an upload is done; while it runs, ``stage`` is what its process does now and ``share`` how
+    much lies behind it. Of a clip, ``told`` has the frames that are there."""
 
     id: str
     name: str
@@ -262,6 +275,8 @@ class JobInfo(BaseModel):
     avatar: str | None = None
     problem: dict[str, Any] | None = None
     notes: list[str] = Field(default=[], description="Of one that is done: what was left out or looks wrong, in words.")
+    frames: int | None = Field(default=None, description="Of a clip: how many it has.")
+    told: list[FrameTold] = Field(default=[], description="Of a clip: its frames that are there, in order.")
 
 
 class AvatarInfo(BaseModel):

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from drape.errors import BodyError, InputError, NotFound
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from service.errors import Full, TooLarge, TooSlow
-from service.http import schemas
+from service.http import exact_clips, schemas
 from service.http.answers import BINARY, JSON
 from service.http.json_body import content_type
 from service.http.openapi import BYTES, body_schema, responses
@@ -62,13 +62,17 @@ async def upload(
 
 @router.get("/jobs/{job_id}", responses=responses(NotFound))
 async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobInfo:
-    """The state of an upload."""
-    return job_info(state.uploads.get(job_id, client.name))
+    """The state of an upload, or of a clip of tier exact."""
+    clip = state.exact.find(job_id, client.name)
+    return job_info(state.uploads.get(job_id, client.name)) if clip is None else exact_clips.job_info(clip)
 
 
 @router.delete("/jobs/{job_id}", status_code=204, responses=responses(NotFound))
 async def cancel_job(job_id: str, state: StateHere, client: ClientHere) -> None:
-    """Ends an upload and removes its files; one that has ended is forgotten, and its garment stays."""
+    """Ends an upload and removes its files; one that has ended is forgotten, and its garment stays. Of a clip of tier
+    exact nothing stays."""
+    if (clip := state.exact.find(job_id, client.name)) is not None:
+        return await asyncio.shield(state.exact.remove(clip))
     await asyncio.shield(state.uploads.cancel(state.uploads.get(job_id, client.name)))
 
 

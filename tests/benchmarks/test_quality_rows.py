@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.judge.blended_planes import blended_distance
 from benchmarks.measure.detail import LowPass, dihedral_deg
 from benchmarks.measure.hem import hang_mm
 from benchmarks.measure.intersections import intersection_count
@@ -21,6 +20,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.cloth.rest_state import modelled
+from drape.exact.blended_planes import blended_distance
 from tests.benchmarks.quality_setup import bench, body, tube
 from training.disagreement import disagreement
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from benchmarks.judge.newton import Cloth, Descent
-from benchmarks.judge.simulator import SLIP_M, Motion, Moving, Sheet, Skin, grip, simulate, slowed
+from benchmarks.judge.simulator import SLIP_M, Motion, Sheet, Skin, grip, simulate, slowed
 from benchmarks.scenes import FPS
 from benchmarks.swing import spin
 from drape.body.assets import load_body
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
+from drape.exact.newton import Band, Cloth, Descent
 from drape.live.swing_step import AIR_KG_M3
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.drape.live.swing_setup import strip
@@ -31,13 +31,12 @@ def test_cloth_far_from_a_body_falls():
     rest, faces = strip(0.1)
     mesh, material = ClothMesh.from_rest(rest, faces), Material()
     ahead = rest + np.array([3.0, 0.0, 0.0])
-    step = Moving(
+    step = Descent(
         Cloth.of(mesh, material, None),
         BodyContact(body.faces, body.vertex_count),
         body.posed_vertices(np.zeros((1, 24, 3)))[0],
         ahead,
-        target=ahead,
-        n_per_m=mesh.vertex_mass(material) * FPS**2,
+        drawn=Band(ahead, mesh.vertex_mass(material) * FPS**2),
     ).run(20, 1e-6)
     assert step.at_rest
     assert_allclose(step.x, ahead - np.array([0.0, 9.81 / FPS**2, 0.0]), atol=1e-5)

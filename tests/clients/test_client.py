@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from clients import calls
 from clients.client import AsyncDrapeClient, DrapeClient
-from clients.methods import check_deadline, finished
+from clients.jobs import check_deadline, finished
 from clients.refusals import ServiceError, problem_error
 from clients.stream import DrapeStream
 from drape.body.model import BodyModel

@@ -15,13 +15,14 @@ from benchmarks.recovery.compare import pattern_error
 from drape.errors import InputError
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.drape.placement import scaled
-from recovery.fit import pipeline
+from recovery.fit import starts
 from recovery.fit.belt import held_as_target
 from recovery.fit.cloth import named
 from recovery.fit.contours import match_contours, open_contours
 from recovery.fit.objective import nearest_on_line
 from recovery.fit.optimise import FitOptions
-from recovery.fit.pipeline import Recovered, recover_pattern
+from recovery.fit.pipeline import recover_pattern
+from recovery.fit.recovered import Recovered
 from recovery.pattern.bases import skirt, tshirt
 from recovery.run.anew import sewn_anew
 from recovery.sim.sdf import GridDistance
@@ -112,12 +113,27 @@ def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(body, mo
         first = len(lengths) == 1
         return drape_pattern(pattern, body, replace(drape, iteration_limit=0) if first else drape, **given)
 
-    monkeypatch.setattr(pipeline, "drape_pattern", stopped_at_first)
-    assert pipeline.drape_at_rest(pattern, body, very_coarse, None, skin).at_rest
+    monkeypatch.setattr(starts, "drape_pattern", stopped_at_first)
+    start = starts.Start(body, very_coarse, None, skin, ("trunk", "trunk"))
+    assert starts.drape_at_rest(pattern, start).at_rest
     assert_allclose(lengths, [0.12, 0.93 * 0.12])
     monkeypatch.undo()
     with pytest.raises(InputError, match=r"graded pattern: .* N left at a node, on the best of 4 meshes"):
-        pipeline.drape_at_rest(pattern, body, replace(very_coarse, iteration_limit=0), None, skin)
+        starts.drape_at_rest(pattern, replace(start, drape=replace(very_coarse, iteration_limit=0)))
+    # One that no arm goes through is tried on every mesh; the first of equals is taken.
+    lengths.clear()
+    monkeypatch.setattr(starts, "drape_pattern", stopped_at_first)
+    found = starts.worn_drape(pattern, replace(start, parts=("left_arm",)))
+    assert len(lengths) == 4 and found.at_rest and replace(start, parts=("left_arm",)).lost(found) == ("left_arm",)
+
+
+def test_a_pattern_that_no_mesh_can_be_sewn_of_is_refused(body, monkeypatch: pytest.MonkeyPatch):
+    def refused(*given, **more):
+        raise InputError("stitch", expected="edges that meet", got="a body", cure="Check it.")
+
+    monkeypatch.setattr(starts, "drape_pattern", refused)
+    with pytest.raises(InputError, match="edges that meet"):
+        starts.worn_drape(skirt(default_measurements()), starts.Start(body, DrapeOptions(), None, None))
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
 from recovery.catalogue.garments import CATALOGUE
 from recovery.pattern import geometry
-from recovery.pattern.bases import BASES, skirt, trousers, tshirt
+from recovery.pattern.bases import BASES, dress, skirt, sleeved_dress, tank, trousers, tshirt
 from recovery.pattern.darts import Dart, waist_with_darts
 from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.legs import LegCut
@@ -25,7 +25,7 @@ from recovery.pattern.measurements import measure
 from recovery.pattern.mesh import mesh_pattern
 from recovery.pattern.model import Pattern
 from recovery.pattern.sizes import GROWTH_M, in_size
-from recovery.pattern.skirts import SkirtCut, a_line, circle
+from recovery.pattern.skirts import SkirtCut, a_line, circle, fitted
 from recovery.pattern.tops import CAP_EASE, Sleeve, TopCut, cap, lines, top
 from recovery.pattern.wrapping import Cone, Flutes, Tube
 from recovery.run.wearer import shaped_body
@@ -59,7 +59,7 @@ def test_a_garment_sews_up_to_one_surface_with_its_openings(name):
 def test_sizes_grow_by_the_grade_and_their_seams_still_match(name):
     body = default_measurements()
     areas = []
-    for size in ("S", "XL"):
+    for size in ("S", "XXL"):
         made = CATALOGUE[name](in_size(body, size))
         check_seams(made)
         areas.append(sum(geometry.area(panel) for panel in made.pattern.panels))
@@ -126,7 +126,7 @@ def test_a_cone_goes_round_its_circle_and_opens_downward():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda body: in_size(body, "XXL"), "size: expected one of S, M, L, XL, got XXL"),
+        (lambda body: in_size(body, "XXXL"), "size: expected one of S, M, L, XL, XXL, got XXXL"),
         (lambda body: check_seams(without_ease(CATALOGUE["sweat"](body), "hemband_seam")), "seam hemband_seam of"),
         (lambda body: check_laid_flat(circle(body, SkirtCut("wide", "satin", 0.85))), r"panel front of wide: .*1\.5"),
         (lambda body: top(body, TopCut("t", "jersey", 0.66, -0.1)), "t: expected ease"),
@@ -165,6 +165,14 @@ def test_a_cone_goes_round_its_circle_and_opens_downward():
         (lambda body: skirt(body, length_m=0.1), "a waist above and a hem below them"),
         (lambda body: skirt(body, drop_m=0.4), "a waist above and a hem below them"),
         (lambda body: skirt(body, hip_ease_m=-0.1), "Add ease"),
+        (lambda body: skirt(body, panels=2.5), "panels: expected a whole number from 2 to 12, got 2.5"),
+        (lambda body: fitted(body, SkirtCut("s", "twill", 0.55, drop_m=0.05, panels=1)), "two panels or more"),
+        (lambda body: tshirt(body, panels=4), "--set: expected one of"),
+        (lambda body: tank(body, sleeve_length_m=0.2), "--set: expected one of"),
+        (lambda body: dress(body, waist_drop_m=0.24), "underarm, waist, hips, hem one below the other"),
+        (lambda body: dress(body, hip_ease_m=-0.1), "dress: expected ease at the hips"),
+        (lambda body: dress(body, gather=-0.1), "no gather below 0"),
+        (lambda body: dress(body, length_m=0.6), "underarm, waist, hips, hem one below the other"),
     ],
 )
 def test_cuts_that_no_garment_has_are_refused(make, message):
@@ -176,10 +184,14 @@ def patterns() -> dict[str, Pattern]:
     body = default_measurements()
     return {
         "tshirt": tshirt(body),
-        "dress": tshirt(body, length_m=1.05, flare_m=0.12),
+        "long": tshirt(body, length_m=1.05, flare_m=0.12),
+        "tank": tank(body),
+        "dress": dress(body),
+        "sleeved_dress": sleeved_dress(body, waist_drop_m=-0.1, hip_ease_m=0.4),
         "trousers": trousers(body),
         "shorts": trousers(body, inseam_m=0.25, hem_girth_m=0.62),
         "skirt": skirt(body),
+        "gores": skirt(body, panels=8.0, flare_m=0.2),
     }
 
 
@@ -187,23 +199,31 @@ def test_seams_of_the_bases_match():
     for pattern in patterns().values():
         geometry.check_pattern(pattern)
         for seam in geometry.seams(pattern):
-            is_cap = "sleeve" in seam.stitch.first.panel and seam.stitch.second.panel in ("front", "back")
+            upper = seam.stitch.second.panel.removeprefix("bodice_")
+            is_cap = "sleeve" in seam.stitch.first.panel and upper in ("front", "back")
             assert_allclose(seam.mismatch, -CAP_EASE / (1.0 + 0.5 * CAP_EASE) if is_cap else 0.0, rtol=0, atol=1e-8)
             ends = geometry.stitch_ends(pattern, seam.stitch).sum()
             assert ends < geometry.stitch_ends(pattern, seam.stitch, reverse=True).sum()
+
+
+def mirrored(name: str, count: int) -> str:
+    """The panel on the other side of the wearer; gores are numbered round from the front."""
+    if name.startswith("gore_"):
+        return f"gore_{(count + 1 - int(name[5:])) % count + 1}"
+    return name.replace("left", "right") if "left" in name else name.replace("right", "left")
 
 
 def test_left_and_right_are_mirror_images():
     for pattern in patterns().values():
         world = {panel.name: panel.placement.apply(geometry.outline(panel)) for panel in pattern.panels}
         for name, points in world.items():
-            other = world[name.replace("left", "right") if "left" in name else name.replace("right", "left")]
+            other = world[mirrored(name, len(world))]
             image = points * [-1.0, 1.0, 1.0]
             gap = np.linalg.norm(image[:, None] - other[None], axis=2).min(axis=1)
             assert gap.max() < 1e-3
 
 
-@pytest.mark.parametrize("name", ["tshirt", "trousers", "skirt"])
+@pytest.mark.parametrize("name", ["tshirt", "trousers", "skirt", "tank", "dress"])
 def test_a_base_is_sewn_into_a_garment_that_clears_the_body(body, name):
     pattern = patterns()[name]
     mesh = mesh_pattern(pattern, 0.04)
@@ -239,11 +259,34 @@ def test_finished_girths_are_the_body_and_its_ease():
 
 def test_a_longer_tshirt_is_a_dress_and_shorter_trousers_are_shorts():
     all_patterns = patterns()
-    for long, short, panel in (("dress", "tshirt", "front"), ("trousers", "shorts", "front_left")):
+    for long, short, panel in (("long", "tshirt", "front"), ("trousers", "shorts", "front_left")):
         heights = [np.ptp(all_patterns[name].panel(panel).vertices[:, 1]) for name in (long, short)]
         assert heights[0] > heights[1] + 0.3
-    sleeves = [all_patterns[name].panel("sleeve_left_front").vertices for name in ("dress", "tshirt")]
+    sleeves = [all_patterns[name].panel("sleeve_left_front").vertices for name in ("long", "tshirt")]
     assert_allclose(sleeves[0], sleeves[1])
+
+
+def test_gores_have_the_girths_of_a_skirt_of_two_panels():
+    body = default_measurements()
+    two, eight = skirt(body), skirt(body, panels=8.0)
+    assert len(eight.panels) == 8 and len(eight.stitches) == 16
+    for number, tolerance in ((0, 0.01), (3, 0.01)):  # hem and waist, which are arcs
+        girths = [sum(geometry.edge_length(panel, number) for panel in made.panels) for made in (two, eight)]
+        assert_allclose(girths[1], girths[0], rtol=tolerance)
+    mesh = mesh_pattern(eight, 0.05)
+    assert len(meshes.boundary_loops(mesh.faces)) == 2
+
+
+def test_a_dress_has_the_girths_of_body_and_ease():
+    body = default_measurements()
+    made = dress(body, waist_ease_m=0.05, hip_ease_m=0.09)
+    bodice, lower = made.panel("bodice_front"), made.panel("skirt_front")
+    assert_allclose(np.ptp(bodice.vertices[:, 0]), 0.5 * (body.chest_girth + 0.08))
+    widths = np.sort(np.unique(np.round(2.0 * np.abs(lower.vertices[:, 0]), 9)))
+    assert_allclose(widths[:2], [0.5 * (body.waist_girth + 0.05), 0.5 * (body.hip_girth + 0.09)], atol=1e-8)
+    for seam in geometry.seams(dress(body, gather=0.3)):
+        waist = "bodice" in seam.stitch.first.panel and "skirt" in seam.stitch.second.panel
+        assert_allclose(seam.second_m / seam.first_m, 1.3 if waist else 1.0, rtol=1e-9)
 
 
 @pytest.mark.parametrize("shape", [(2.0,), (-2.0,), (0.0, 2.0), (0.0, -2.0, 1.0)])

@@ -27,20 +27,22 @@ from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
 from recovery.fit.cloth import named
-from recovery.fit.pipeline import Recovered
-from recovery.pattern.bases import tshirt
+from recovery.fit.contours import lost_parts
+from recovery.fit.recovered import Recovered
+from recovery.pattern.bases import BASES, tshirt
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.pieces import make_sheet
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.run import __main__ as command
 from recovery.run.anew import SewnAnew, sewn_anew
+from recovery.run.drafted import own_settings
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
 from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
 from recovery.run.report_pieces import scaled_drawing
 from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
-from recovery.run.retarget import lost_parts, retargeted
+from recovery.run.retarget import retargeted
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements, tube
 
@@ -112,6 +114,7 @@ def test_files_have_words():
 
 
 COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)
+TOLD = dict.fromkeys(BASES["tshirt"].settings, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -128,9 +131,9 @@ def run(tmp_path_factory):
         patch.setattr(
             command, "run_job", lambda *given, **more: outcomes.append(run_job(*given, **more)) or outcomes[0]
         )
-        code = command.main(
-            [str(path), "--base", "tshirt", "--set", "length_m=0.66", "--out", str(folder / "out"), *coarse]
-        )
+        # All that would be read off the target is named, so that the search has something to find.
+        own = [f"{key}={value}" for key, value in own_settings("tshirt", default_measurements(), TOLD).items()]
+        code = command.main([str(path), "--base", "tshirt", "--set", *own, "--out", str(folder / "out"), *coarse])
     assert code == 0 and len(outcomes[0].found.rounds) == 1
     return folder, outcomes[0], truth
 

@@ -14,6 +14,7 @@ from drape.errors import BodyError, InputError, MeshError
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.geometry import meshes
 from recovery.pattern.bases import base_pattern
+from recovery.pattern.export import export_pattern
 from recovery.run.job import Job, prepare, read_base
 from recovery.run.target import OPENINGS, check_base, check_near, one_sheet, opened, placed_target, read_target
 from recovery.run.wearer import check_closed, inside_wearer, read_wearer, shaped_body
@@ -199,3 +200,18 @@ def test_a_body_is_found_inside_a_garment_in_another_unit_and_place(body):
     # In a narrow one no body fits.
     with pytest.raises(BodyError, match="cloth that a body fits in"):
         inside_wearer(plain_mesh("scan", vertices * [0.35, 1.0, 0.35], faces.reshape(-1, 3)), base, unit="m")
+
+
+def test_without_a_base_the_target_tells_it_and_its_settings(tmp_path):
+    path = write_obj(tmp_path / "t.obj", skirt_tube())
+    found = prepare(Job(target=path, out=tmp_path, base=None, body="anny_default"))
+    assert (found.cut.base, found.cut.told, found.base.name) == ("skirt", True, "skirt")
+    assert_allclose(found.cut.settings["length_m"], 0.5, atol=1e-6)
+    assert any("chosen by the target's openings: skirt" in note for note in found.notes)
+    named = prepare(Job(target=path, out=tmp_path, base="skirt", body="anny_default", settings=["length_m=0.4"]))
+    assert not named.cut.told and named.cut.settings["length_m"] == 0.4
+    with pytest.raises(InputError, match=r"--set: expected NAME=NUMBER"):
+        prepare(Job(target=path, out=tmp_path, base=None, body="anny_default", settings=["length_m"]))
+    pattern = export_pattern(found.base, tmp_path, ["json"])[0]
+    with pytest.raises(InputError, match=r"--sizes: expected a base that is drafted"):
+        prepare(Job(target=path, out=tmp_path, base=str(pattern), body="anny_default", sizes=["L"]))

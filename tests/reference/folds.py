@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.judge.surroundings import Surroundings, surroundings
 from drape.cloth.energies import ClothMesh
+from drape.exact.surroundings import Surroundings, surroundings
 from drape.geometry import meshes
 from drape.kernels.problem import Problem, problem
 from drape.live.clock import FIRST_STEP_S, step_between

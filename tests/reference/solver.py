@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.judge.surroundings import Surroundings
+from drape.exact.surroundings import Surroundings
 from drape.kernels.problem import Problem
 
 

@@ -19,7 +19,20 @@ from tests.fixtures.streams import raw_stream
 
 ROOT = Path(service.__file__).parent
 # A room may import those before it. Files beside the folders are rooms of their own; ``app`` stands above all folders.
-ORDER = ("errors", "settings", "graphs", "stages", "watch", "compute", "guard", "state", "uploads", "http", "stream")
+ORDER = (
+    "errors",
+    "settings",
+    "graphs",
+    "stages",
+    "watch",
+    "compute",
+    "guard",
+    "state",
+    "uploads",
+    "exact",
+    "http",
+    "stream",
+)
 ABOVE = ("server", "app", "ray_app", "keys", "static", "__main__")
 # Files whose code runs between a pose's coming and its frame's leaving: twelve that make the frame, two that watch.
 ROAD = {

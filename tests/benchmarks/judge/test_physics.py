@@ -9,8 +9,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks.judge import physics
-from benchmarks.judge.blended_planes import BlendedPlanes
-from benchmarks.judge.newton import Cloth, Descent
 from benchmarks.judge.physics import Task
 from drape.catalog import find_garments, open_garment
 from drape.cloth import energies, metrics
@@ -21,6 +19,8 @@ from drape.cloth.material import Material, material
 from drape.cloth.rest_state import flat
 from drape.cloth.waistband import SLACK_M, STIFFNESS_N_M2
 from drape.errors import MeshError
+from drape.exact.blended_planes import BlendedPlanes
+from drape.exact.newton import Cloth, Descent
 from drape.geometry import meshes
 from drape.geometry.skinning import skin_points
 from tests.benchmarks.quality_setup import body as standard_body

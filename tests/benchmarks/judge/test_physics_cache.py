@@ -10,13 +10,13 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from benchmarks.judge import physics, physics_cache
-from benchmarks.judge.linear import Charts
 from benchmarks.judge.physics_cache import cache_key, cached
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material, material
 from drape.cloth.rest_state import flat, grain_along, modelled
+from drape.exact.linear import Charts
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.geometry.geometry_shapes import icosphere
 
@@ -120,5 +120,5 @@ def test_a_changed_source_changes_the_key(tmp_path, monkeypatch):
 
 def test_the_sources_hold_minimiser_energy_and_contact():
     names = {module.__name__ for module in physics_cache.SOURCES}
-    assert {"benchmarks.judge.physics", "benchmarks.judge.newton", "drape.cloth.energies"} <= names
-    assert {"drape.cloth.contact", "benchmarks.judge.descent", "benchmarks.judge.hessian"} <= names
+    assert {"benchmarks.judge.physics", "drape.exact.newton", "drape.cloth.energies"} <= names
+    assert {"drape.cloth.contact", "drape.exact.descent", "drape.exact.hessian"} <= names

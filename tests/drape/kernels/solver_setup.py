@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.judge.surroundings import Surroundings, surroundings
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.cloth.rest_state import flat, grain_along, modelled
+from drape.exact.surroundings import Surroundings, surroundings
 from drape.kernels.problem import Problem, problem
 from tests.drape.cloth.cloth_shapes import grid
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from benchmarks.judge.surroundings import surroundings
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.errors import InputError
+from drape.exact.surroundings import surroundings
 from drape.kernels.problem import problem, stencil
 from tests.drape.cloth.cloth_shapes import grid, tube
 

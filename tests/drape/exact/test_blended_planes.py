@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from benchmarks.judge.blended_planes import FADED, FAR_M, REACH_M, WIDTH_M, BlendedPlanes
 from drape.cloth.contact import BodyContact
+from drape.exact.blended_planes import FADED, FAR_M, REACH_M, WIDTH_M, BlendedPlanes
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.geometry.geometry_shapes import icosphere
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.judge import descent, hessian, linear
+from drape.exact import descent, hessian, linear
 from tests.drape.kernels.solver_setup import MATERIALS, crumpled
 
 

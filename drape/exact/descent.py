@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.judge.surroundings import outside
+from drape.exact.surroundings import outside
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import (
     add,

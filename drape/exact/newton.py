@@ -1,8 +1,8 @@
 """Newton's method for one drape over one posed body: conjugate gradients, charts, and a line search on the energy.
 
-Far from rest the cloth first settles under its own stiffness (``benchmarks.judge.settling``).
+Far from rest the cloth first settles under its own stiffness (``drape.exact.settling``).
 
-The energy is that of ``drape.cloth.energies``, over the blended planes of ``benchmarks.judge.blended_planes``: those of
+The energy is that of ``drape.cloth.energies``, over the blended planes of ``drape.exact.blended_planes``: those of
 the nearest body vertices step where a vertex comes nearer to another one, and then there is no place of rest.
 """
 
@@ -14,15 +14,16 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
-from benchmarks.judge import descent, hessian, linear, settling
-from benchmarks.judge.blended_planes import BlendedPlanes
-from benchmarks.judge.linear import Charts
-from benchmarks.judge.surroundings import Surroundings, surroundings
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
+from drape.exact import descent, hessian, linear, settling
+from drape.exact.blended_planes import BlendedPlanes
+from drape.exact.linear import Charts
+from drape.exact.surroundings import Surroundings, surroundings
 from drape.kernels.problem import Problem, problem
 
+TOLERANCE = 0.01  # of the weight: the norm of the force left at rest
 REACH_M = 0.01  # the most that one step moves a vertex
 SWEEPS = 4  # of vertex block descent before settling and before the first step: they take the worst away
 WORST, WORST_SWEEPS = 0.05, 4  # share of the vertices, those under the most force, swept after every step, so often
@@ -66,7 +67,8 @@ class Cloth(NamedTuple):
 
 
 class Band(NamedTuple):
-    """A waistband over one body: the ``anchor`` (V, 3) [m] of every vertex and its spring (V,) [N/m], zero off it."""
+    """Springs of one drape: the ``anchor`` (V, 3) [m] of every vertex and its stiffness (V,) [N/m], zero where there is
+    none."""
 
     anchor: np.ndarray
     n_per_m: np.ndarray
@@ -83,14 +85,24 @@ class Found(NamedTuple):
 
 
 class Descent:
-    """One drape on its way down: ``now`` is its place, ``best`` the place of least energy that it has met."""
+    """One drape on its way down: ``now`` is its place, ``best`` the place of least energy that it has met.
+
+    A waistband ``band`` has slack; the springs that it is ``drawn`` by have none, and count as energy.
+    """
 
     reach_m: float | np.ndarray = REACH_M
 
     def __init__(
-        self, cloth: Cloth, contact: BodyContact, posed: np.ndarray, start: np.ndarray, *, band: Band | None = None
+        self,
+        cloth: Cloth,
+        contact: BodyContact,
+        posed: np.ndarray,
+        start: np.ndarray,
+        *,
+        band: Band | None = None,
+        drawn: Band | None = None,
     ) -> None:
-        self.cloth, self.problem, self.band = cloth, cloth.problem, band
+        self.cloth, self.problem, self.band, self.drawn = cloth, cloth.problem, band, drawn
         self._planes = BlendedPlanes.of_body(contact, posed, len(start), float(cloth.problem.constants.gap))
         self._met: tuple[np.ndarray, Surroundings, np.ndarray] | None = None  # what ``around`` gave last, of what
         self.steps = self._layings = 0
@@ -112,6 +124,8 @@ class Descent:
         planes = surroundings(self.problem, point, normal)
         if self.band is not None:
             planes = planes._replace(band=self.band.anchor, band_n_per_m=self.band.n_per_m)
+        if self.drawn is not None:
+            planes = planes._replace(target=self.drawn.anchor, target_n_per_m=self.drawn.n_per_m)
         self._met = x, planes, bend
         return planes, bend
 
@@ -120,6 +134,12 @@ class Descent:
         gradient = np.empty_like(x)
         energy = descent.energy_and_gradient(x, self.problem, self.around(x)[0], gradient)
         return Found(x, energy, gradient, False, self.steps)
+
+    def deepest_m(self) -> float:
+        """How deep [m] the cloth lies in the skin where it lies deepest."""
+        around, _ = self.around(self.now.x)
+        size = np.maximum(np.linalg.norm(around.normal, axis=1), 1e-12)
+        return float((((around.point - self.now.x) * around.normal).sum(axis=1) / size).max())
 
     def settle(self, rounds: int) -> None:
         """Sweeps, and then goes on as ``settling`` does, for ``rounds`` at most."""

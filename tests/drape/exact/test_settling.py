@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.testing import assert_allclose
 
-from benchmarks.judge import settling
-from benchmarks.judge.newton import Cloth, Descent
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.cloth.rest_state import flat
+from drape.exact import settling
+from drape.exact.newton import Cloth, Descent
 from drape.live.whole import stiffness
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.geometry.geometry_shapes import icosphere

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.judge.surroundings import outside
 from drape.cloth.energies import ClothMesh
+from drape.exact.surroundings import outside
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import (
     angle_gradient,

@@ -1,0 +1,154 @@
+"""One frame of a clip as physics itself: cloth at rest over a posed body, which nowhere passes through itself.
+
+A frame starts from a drape of its pose. Where that passes through itself, the cloth is led there from another pose
+(``drape.exact.path``) and drawn to it as far as it can come; then it goes down until the force left is at most
+``TOLERANCE`` of the weight (``drape.exact.apart``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.arrays import check_finite
+from drape.body.model import BodyModel
+from drape.cloth.contact import BodyContact
+from drape.cloth.energies import ClothMesh
+from drape.cloth.fabric import Fabric
+from drape.cloth.material import Material
+from drape.cloth.waistband import STIFFNESS_N_M2, Waistband, waistband
+from drape.errors import MeshError
+from drape.exact import apart, newton
+from drape.exact.linear import Charts
+from drape.exact.newton import TOLERANCE, Band, Cloth, Found
+from drape.exact.path import Body, drawn_to, led
+from drape.garment.cache import Garment
+from drape.geometry.rotations import rotvec_to_matrix
+from drape.kernels.triangle_pairs import crossing_pairs
+
+STEPS = 400  # of Newton's method, at most
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A garment's ``cloth`` with its triangles (F, 3) over a ``body``, and its waistband, if shoulders do not hold it.
+
+    ``rest`` [m] (V, 3) is a drape of the T-pose; all places count from the root joint.
+    """
+
+    cloth: Cloth
+    faces: np.ndarray
+    body: Body
+    contact: BodyContact
+    waist: Waistband | None
+    rest: np.ndarray
+
+    @classmethod
+    def of(cls, garment: Garment, fabric: Fabric, model: BodyModel, betas: np.ndarray, rest: np.ndarray) -> Sheet:
+        """``garment`` made of ``fabric`` on ``model`` in the shape ``betas`` (S,), with the first of its rests in which
+        nothing crosses: ``rest`` (V, 3), or its own.
+
+        Raises ``MeshError`` where the cloth passes through itself in both.
+        """
+        faces, own = garment.fine_faces.astype(np.int64), garment.vertices.astype(np.float64)
+        mesh, material = ClothMesh.of(garment.rest_state(), faces, len(own)), Material.of(fabric)
+        rests = (np.ascontiguousarray(rest, np.float64), own - model.rest_joints(betas)[0])
+        counts = [len(crossing_pairs(each, faces)) for each in rests]
+        if min(counts) > 0:
+            raise MeshError(
+                f"garment {garment.name}",
+                expected="cloth that does not pass through itself in the T-pose",
+                got=f"{min(counts)} pairs of triangles that cross",
+                cure="Mend the garment, or drape it with tier accurate.",
+            )
+        return cls(
+            Cloth.of(mesh, material, Charts(garment.chart_patch, garment.chart_weight)),
+            faces,
+            Body(model, betas),
+            BodyContact(model.faces, model.vertex_count),
+            waistband(own, faces, model),
+            rests[int(np.argmin(counts))],
+        )
+
+    def band(self, start: np.ndarray) -> Band | None:
+        """The springs of the waistband, which hold it where it is in ``start`` [m] (V, 3)."""
+        if self.waist is None:
+            return None
+        n_per_m = np.zeros(len(start))
+        n_per_m[self.waist.vertex] = STIFFNESS_N_M2 * self.waist.length_m
+        return Band(start, n_per_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What became of a frame. ``force_share``: the norm of the forces left at all vertices over the weight of the
+    cloth, those of contact with itself among them. ``energy_j`` [J] of cloth and body, heights counting from the root,
+    and ``start_j`` that of the start. ``crossings``: pairs of triangles that cross, ``start_crossings`` in the start.
+    ``steps`` of Newton's method."""
+
+    force_share: float
+    energy_j: float
+    start_j: float
+    crossings: int
+    start_crossings: int
+    steps: int
+
+
+@dataclass(frozen=True, eq=False)
+class Lain:
+    """A pose (24, 3) [rad] and the cloth ``x`` [m] (V, 3) that lies there, apart, relative to the root."""
+
+    pose: np.ndarray
+    x: np.ndarray
+
+
+def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
+    """The drape of a ``pose`` (24, 3) [rad], and what is told of it, from ``start`` [m] (V, 3) relative to the root.
+
+    Where ``start`` passes through itself the cloth comes from ``before`` if that does not, or from the T-pose. Where it
+    would end above ``start`` so, it goes down from there and still crosses. Raises ``MeshError`` where ``start`` is not
+    finite.
+    """
+    start = np.ascontiguousarray(start, np.float64)
+    check_finite("start of a frame", start, error=MeshError)
+    cloth, posed, band = sheet.cloth, sheet.body.posed(pose), sheet.band(start)
+    crossed = len(crossing_pairs(start, sheet.faces))
+    x = start
+    if crossed:
+        if before is None or len(crossing_pairs(before.x, sheet.faces)):
+            before = _at_rest(sheet, pose)
+        x = led(cloth, sheet.contact, sheet.body, before.x, (before.pose, pose))
+        x = drawn_to(cloth, sheet.contact, posed, x, start, band)
+    start_j = _energy_j(sheet, posed, start, band)
+    end = _down(sheet, posed, x, band)
+    if crossed and _energy_j(sheet, posed, end.x, band) > start_j:
+        end = _down(sheet, posed, start, band)  # never above the start, though what crosses there goes on to
+    x = end.x.astype(np.float32).astype(np.float64)  # what is stored, and what the next frame may come from
+    told = Told(
+        force_share=float(np.linalg.norm(end.force)) / cloth.weight_n,
+        energy_j=_energy_j(sheet, posed, x, band),
+        start_j=start_j,
+        crossings=len(crossing_pairs(x, sheet.faces)),
+        start_crossings=crossed,
+        steps=end.steps,
+    )
+    return Lain(pose, x), told
+
+
+def _down(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> Found:
+    """Where the cloth comes down to from ``x`` [m] (V, 3) over the ``posed`` body."""
+    one = apart.Descent(sheet.cloth, sheet.contact, posed, x, band=band)
+    return one.run(STEPS, TOLERANCE * sheet.cloth.weight_n)
+
+
+def _energy_j(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> float:
+    """The energy [J] of cloth and body at ``x`` [m] (V, 3), without the barrier's."""
+    return newton.Descent(sheet.cloth, sheet.contact, posed, x, band=band).now.energy
+
+
+def _at_rest(sheet: Sheet, pose: np.ndarray) -> Lain:
+    """The T-pose with the root turned as in ``pose`` (24, 3)."""
+    t_pose = np.zeros_like(pose)
+    t_pose[0] = pose[0]
+    return Lain(t_pose, np.ascontiguousarray(sheet.rest @ np.asarray(rotvec_to_matrix(pose[0])).T))

@@ -1,0 +1,109 @@
+"""The way to a pose from one in which the cloth is apart: the body moves in small steps and takes the cloth along.
+
+A drape that passes through itself can rarely be brought apart where it is: sheets that lie deep in each other have no
+short way out. So the cloth comes to the pose from another one in which nothing crosses, such as the T-pose. In each
+step every vertex is drawn towards where the skin that is nearest to it would take it, on a way on which nothing passes
+through anything (``drape.exact.apart``). At the end the cloth is drawn to the drape of the pose that crosses, where it
+stays as near as it can come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from drape.body.model import BodyModel
+from drape.cloth.contact import BodyContact
+from drape.exact import apart
+from drape.exact.newton import Band, Cloth
+from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
+
+WAY_M = 0.02  # of the furthest body vertex in a step
+CARRIED, STEPS = 6, 3  # moves without, and steps with, an energy in each of these
+ROUNDS, DEEP_M = 6, 0.002  # so many times as many steps at most, while cloth is deeper than this in the skin
+HOLD_N_PER_M = 2.0  # of the springs to where the skin would take the cloth, at a mean vertex
+DRAWN_STEPS, DRAWN_N_PER_M = 30, 10.0  # of the way to the drape that crosses
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A ``model`` in the shape ``betas`` (S,), whose root is where vertices count from."""
+
+    model: BodyModel
+    betas: np.ndarray
+
+    def bones(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotations (24, 3, 3) and translations [m] (24, 3) of the bones in a ``pose`` (24, 3) [rad]."""
+        rotation, translation = self.model.bones(pose[None], self._centred, self.betas)
+        return rotation[0], translation[0]
+
+    def posed(self, pose: np.ndarray) -> np.ndarray:
+        """Vertices [m] (Vb, 3) in a ``pose`` (24, 3) [rad]."""
+        return self.model.posed_vertices(pose[None], self._centred, self.betas)[0]
+
+    @property
+    def _centred(self) -> np.ndarray:
+        return -self.model.rest_joints(self.betas)[:1]
+
+    def carried(self, x: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Points ``x`` [m] (V, 3) at the pose ``before``, each moved on to ``after`` with the nearest vertex's skin."""
+        near = self.model.weights[KDTree(self.posed(before)).query(x)[1]]
+        (old, old_way), (new, new_way) = (
+            (np.einsum("vj,jab->vab", near, rotation), near @ way)
+            for rotation, way in (self.bones(before), self.bones(after))
+        )
+        rest = np.linalg.solve(old, (x - old_way)[..., None])
+        return (new @ rest)[..., 0] + new_way
+
+
+def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
+    """The pose (24, 3) [rad] that is ``share`` of the way from ``before`` to ``after``, joint by joint."""
+    first, last = rotvec_to_matrix(before), rotvec_to_matrix(after)
+    turn = matrix_to_rotvec(np.swapaxes(first, -1, -2) @ last)
+    return matrix_to_rotvec(first @ rotvec_to_matrix(share * turn))
+
+
+def poses_between(body: Body, before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of poses (24, 3) [rad] one after the other on the way from ``before`` to ``after``, near to each other."""
+    way_m = float(np.linalg.norm(body.posed(after) - body.posed(before), axis=1).max())
+    count = max(1, int(np.ceil(way_m / WAY_M)))
+    poses = [between(before, after, number / count) for number in range(count + 1)]
+    return pairwise(poses)
+
+
+def led(
+    cloth: Cloth,
+    contact: BodyContact,
+    body: Body,
+    x: np.ndarray,
+    ends: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """The cloth ``x`` [m] (V, 3), apart at the first pose of ``ends`` (24, 3), taken along to the second one."""
+    share = cloth.problem.contact_n_per_m / cloth.problem.contact_n_per_m.mean()
+    for before, after in poses_between(body, *ends):
+        goal, posed = body.carried(x, before, after), body.posed(after)
+        one = apart.Descent(cloth, contact, posed, x, drawn=Band(goal, HOLD_N_PER_M * share))
+        for _ in range(CARRIED):
+            one.go(goal - one.now.x)
+        for number in range(1, ROUNDS + 1):
+            one.run(number * STEPS, 0.0)
+            if one.deepest_m() < DEEP_M:
+                break
+        x = one.now.x
+    return x
+
+
+def drawn_to(
+    cloth: Cloth, contact: BodyContact, posed: np.ndarray, x: np.ndarray, goal: np.ndarray, band: Band | None
+) -> np.ndarray:
+    """The cloth ``x`` [m] (V, 3), apart over the ``posed`` body, as near to ``goal`` (V, 3) as it comes."""
+    share = cloth.problem.contact_n_per_m / cloth.problem.contact_n_per_m.mean()
+    one = apart.Descent(cloth, contact, posed, x, band=band, drawn=Band(goal, DRAWN_N_PER_M * share))
+    for _ in range(CARRIED):
+        one.go(goal - one.now.x)
+    one.run(DRAWN_STEPS, 0.0)
+    return one.now.x

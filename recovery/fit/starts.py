@@ -1,0 +1,79 @@
+"""Drapes that a search can start from: at rest, and with every part of the body in the opening that is meant for it.
+
+Closing threads can pull a sleeve past its arm, and Newton can stick, on one mesh and not on the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.cloth.material import OrthotropicMaterial
+from drape.errors import InputError
+from recovery import progress as watch
+from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.drape.posing import posed_joints
+from recovery.fit.contours import lost_parts
+from recovery.pattern.model import Pattern
+from recovery.sim.sdf import SignedDistance
+
+LENGTHS_TRIED = (1.0, 0.93, 1.07, 0.87)  # of the edge length asked for
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What drapes have in common: ``body``, options, ``pose`` (24, 3), and the body's distance ``skin`` in the T-pose.
+
+    ``parts`` of the body should go through the garment's openings. ``cloth`` replaces the fabric of the options.
+    """
+
+    body: BodyModel
+    drape: DrapeOptions
+    pose: np.ndarray | None
+    skin: SignedDistance | None
+    parts: tuple[str, ...] = ()
+    cloth: OrthotropicMaterial | None = None
+
+    def lost(self, draped: Draped) -> tuple[str, ...]:
+        """Those of ``parts`` that are beside their openings."""
+        return lost_parts(draped.nodes, draped.mesh.faces, posed_joints(self.body, self.pose), self.parts)
+
+
+def worn_drape(pattern: Pattern, start: Start, *, rest: bool = True) -> Draped:
+    """The drape of ``pattern``, on a mesh a little finer or coarser where a part is lost or, with ``rest``, it moves.
+
+    The best of them where none is right: one with all parts before one at rest. Raises ``InputError`` where the
+    pattern cannot be sewn on any.
+    """
+    tried: list[tuple[tuple[int, int, int], Draped]] = []
+    refused: list[InputError] = []
+    for number, share in enumerate(LENGTHS_TRIED):
+        options = replace(start.drape, edge_length_m=share * start.drape.edge_length_m)
+        try:
+            one = drape_pattern(pattern, start.body, options, pose=start.pose, cloth=start.cloth, skin=start.skin)
+        except InputError as error:
+            refused.append(error)
+            continue
+        tried.append(((len(start.lost(one)), int(not one.at_rest), number), one))
+        lost, moves, _ = tried[-1][0]
+        if (not lost and not (rest and moves)) or watch.over():
+            break
+    if not tried:
+        raise refused[0]
+    return min(tried, key=lambda pair: pair[0])[1]
+
+
+def drape_at_rest(pattern: Pattern, start: Start) -> Draped:
+    """``worn_drape`` of ``pattern``. Raises ``InputError`` where it does not come to rest."""
+    found = worn_drape(pattern, start)
+    if not found.at_rest:
+        left = max(one.report.residual_n for one in (found.rest, found.posed) if one is not None)
+        raise InputError(
+            "graded pattern",
+            expected="a drape at rest to start from",
+            got=f"{left:.1e} N left at a node, on the best of {len(LENGTHS_TRIED)} meshes",
+            cure="Take another mesh (edge_length_m), more iterations, or a base nearer to the target.",
+        )
+    return found

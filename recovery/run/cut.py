@@ -1,0 +1,118 @@
+"""The cut of a target: the base that it is nearest to, and sentences on what the base does not have.
+
+Openings tell tops, trousers and skirts apart, places of openings tops with sleeves and without and tops and dresses.
+A surface alone does not show its seams; a texture laid out as it was cut does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.errors import InputError
+from drape.garment.files.mesh import GarmentMesh
+from recovery.fit.contours import TRUNK, open_contours
+from recovery.pattern.bases import COUNT, MOST_PANELS
+from recovery.pattern.measurements import BodyMeasurements
+from recovery.pattern.model import Pattern
+from recovery.run.seen import Seen
+from recovery.run.target import OPENINGS, describe_openings
+
+SLEEVE_M = 0.06  # from the shoulder's joint to a cuff; an armhole lies within 3 cm of it
+DRESS_M = 0.12  # below the crotch: no shirt's hem
+COLLAR_M = 0.02  # that cloth stands above the edge of a neckline that is folded over
+STANDS_M = 0.04  # above the neck's joint: no neckline lies there
+CUFF_SHARE = 0.12  # of the longest opening: cuffs have a fifth of a hem, and holes that were not closed less
+KINDS = {2: "skirt", 3: "trousers", 4: "tshirt"}  # by the number of openings, where nothing more is known
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The base taken, whether it was ``told`` by the target, the settings it was drafted with, and ``differs``.
+
+    These are sentences on what of the target's cut the base does not have.
+    """
+
+    base: str
+    told: bool
+    settings: dict[str, float]
+    differs: tuple[str, ...]
+
+
+def kind_of(mesh: GarmentMesh) -> str:
+    """A base with as many openings as ``mesh`` has long borders, before a body and a unit are known."""
+    lengths = [contour.length_m for contour in open_contours(mesh.vertices, mesh.faces)]
+    count = sum(length > CUFF_SHARE * max(lengths) for length in lengths)
+    if count not in KINDS:
+        raise InputError(
+            "target",
+            expected="two openings (a skirt), three (trousers) or four (a top)",
+            got=f"{count}",
+            cure="Name the base (--base), and open what is shut.",
+        )
+    return KINDS[count]
+
+
+def told_base(seen: Seen, body: BodyMeasurements) -> str:
+    """The base whose openings lie where those of the target do. Raises ``InputError`` where none has them."""
+    counts = seen.counts()
+    fitting = [name for name, wanted in OPENINGS.items() if wanted == counts]
+    if not fitting or (fitting == ["skirt"] and seen.openings[TRUNK][0].centre[1] > _above(body)):
+        raise InputError(
+            "target",
+            expected="; ".join(dict.fromkeys(describe_openings(wanted) for wanted in OPENINGS.values())),
+            got=(describe_openings(counts) or "no opening that the body goes through")
+            + (", the upper one at the chest" if fitting else ""),
+            cure="Open what is shut, or pass a pattern of the target's kind (--base FILE.json).",
+        )
+    if len(fitting) == 1:
+        return fitting[0]
+    reach = np.mean([one.along_m for part in ("left_arm", "right_arm") for one in seen.openings[part]])
+    long = seen.openings[TRUNK][-1].centre[1] < body.crotch_y - DRESS_M
+    return (("tank", "dress"), ("tshirt", "sleeved_dress"))[int(reach > SLEEVE_M)][int(long)]
+
+
+def _above(body: BodyMeasurements) -> float:
+    """The height [m] beyond which a garment's upper opening is no waist."""
+    return 0.5 * (body.waist_y + body.underarm_y)
+
+
+def has_collar(mesh: GarmentMesh, seen: Seen, body: BodyMeasurements) -> bool:
+    """Whether the cloth at the neck stands up, or is folded over so that its edge lies below its top."""
+    neck = seen.openings[TRUNK][0]
+    if neck.centre[1] > body.neck_y + STANDS_M:
+        return True
+    edge = neck.contour.points
+    radius = np.linalg.norm((edge - neck.contour.centre)[:, [0, 2]], axis=1).max()
+    near = np.linalg.norm((mesh.vertices - neck.contour.centre)[:, [0, 2]], axis=1) < radius
+    return bool(mesh.vertices[near, 1].max() > edge[:, 1].max() + COLLAR_M)
+
+
+def panel_count(base: str, shown: int | None) -> dict[str, float]:
+    """The setting of a skirt whose texture shows its gores; nothing for other bases or where it is the base's."""
+    return {COUNT: float(shown)} if base == "skirt" and shown is not None and 2 < shown <= MOST_PANELS else {}
+
+
+def differences(
+    base: str, pattern: Pattern, mesh: GarmentMesh, seen: Seen, body: BodyMeasurements, shown: int | None
+) -> tuple[str, ...]:
+    """Sentences on how the cut of a target that lies on ``body`` differs from ``pattern``, drafted from ``base``.
+
+    ``shown`` is the number of panels that its texture shows, None for none.
+    """
+    found = []
+    if base in OPENINGS:
+        nearest = told_base(seen, body)
+        if nearest != base:
+            found.append(f"The target looks like a {nearest.replace('_', ' ')}: its base is --base {nearest}")
+        if TRUNK in seen.openings and "left_arm" in seen.openings and has_collar(mesh, seen, body):
+            found.append("The target has a collar, which no base has: the neckline is drawn to its edge")
+    panels = len(pattern.panels)
+    if shown is None:
+        found.append("The target does not show its seams: panels and seams are the base's")
+    elif shown != panels:
+        found.append(
+            f"The target's texture is laid out in {shown} panels, this pattern has {panels}: seams lie elsewhere"
+        )
+    return tuple(found)

@@ -1,0 +1,128 @@
+"""A clip of tier exact on disk, a folder: what was asked for, and its frames as they come.
+
+``job.json`` tells whose it is, ``clip.bin`` is the CLIP message (docs/reference/wire.md) that asks for it, and
+``frame-00012.npz`` a frame with what is told of it. All are written whole or not at all. The process that computes the
+clip holds a lock on the folder, which ends with that process.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drape.files.atomic import whole_file
+
+FOLDER = ".clips"
+ABOUT, CLIP, LOCK = "job.json", "clip.bin", "lock"
+COUNTS = ("crossings", "start_crossings", "steps")
+FIGURES = ("force_share", "energy_j", "start_j", *COUNTS)
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """An accepted clip: its job's id and name, its key, its number of frames, how often it was begun, and the
+    ``problem`` that ended it."""
+
+    id: str
+    name: str
+    owner: str | None
+    frames: int
+    attempts: int = 0
+    problem: dict[str, Any] | None = None
+
+    def tried(self, folder: Path) -> Accepted:
+        """The same with one attempt more, written to ``folder``."""
+        again = replace(self, attempts=self.attempts + 1)
+        again.write(folder)
+        return again
+
+    def write(self, folder: Path) -> None:
+        """Puts it into ``folder``."""
+        with whole_file(folder / ABOUT) as stream:
+            stream.write(json.dumps(asdict(self)).encode())
+
+
+def read_accepted(folder: Path) -> Accepted | None:
+    """The clip that was accepted in ``folder``, if one was."""
+    try:
+        accepted = Accepted(**json.loads((folder / ABOUT).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+    known = accepted.problem is not None or (folder / CLIP).is_file()
+    return accepted if folder.name == accepted.id and known else None
+
+
+def frame_path(folder: Path, number: int) -> Path:
+    """The file of a frame."""
+    return folder / f"frame-{number:05d}.npz"
+
+
+def write_frame(folder: Path, number: int, x: np.ndarray, told: dict[str, Any]) -> None:
+    """Stores the vertices ``x`` [m] (V, 3) float32 of a frame, relative to the root, and what is ``told`` of it."""
+    with whole_file(frame_path(folder, number)) as stream:
+        np.savez(stream, x=x, told=np.array([told[name] for name in FIGURES], np.float64))
+
+
+def read_frame(folder: Path, number: int) -> tuple[np.ndarray, dict[str, Any]] | None:
+    """What ``write_frame`` stored; None where there is no such frame."""
+    try:
+        with np.load(frame_path(folder, number), allow_pickle=False) as stored:
+            told: dict[str, Any] = dict(zip(FIGURES, stored["told"].tolist(), strict=True))
+            return stored["x"], told | {name: int(told[name]) for name in COUNTS}
+    except (OSError, ValueError, KeyError, EOFError):
+        return None
+
+
+def folders(root: Path) -> Iterator[Path]:
+    """The folders of all clips under ``root``, the oldest first."""
+    yield from sorted((root / FOLDER).glob("*/"), key=lambda one: one.stat().st_mtime)
+
+
+def stored_bytes(root: Path) -> int:
+    """Bytes of all clips under ``root``."""
+    total = 0
+    for path in (root / FOLDER).glob("*/*"):
+        try:
+            total += path.stat().st_size
+        except FileNotFoundError:  # removed meanwhile
+            continue
+    return total
+
+
+def clear(folder: Path) -> None:
+    """Takes what was computed off the disk, and the request; what is told of the clip stays."""
+    for path in folder.glob("*"):
+        if path.name not in (ABOUT, LOCK):
+            path.unlink(missing_ok=True)
+
+
+def remove(folder: Path) -> None:
+    """Takes a clip off the disk."""
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+class Lock:
+    """The right to compute the clip in ``folder``, of one process at a time."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = os.open(folder / LOCK, os.O_CREAT | os.O_RDWR)
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self.held = True
+        except OSError:
+            self.held = False
+            self.release()
+
+    def release(self) -> None:
+        """Gives it up."""
+        if self._file >= 0:
+            os.close(self._file)
+        self._file = -1

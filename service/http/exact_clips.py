@@ -1,0 +1,110 @@
+"""Clips of tier exact: what may be asked of one, the message that asks for it on disk, and the finished clip."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drape.errors import InputError, Unavailable
+from drape.wire.clips import pack_clip, unpack_clip
+from service.compute.tiers import EXACT
+from service.exact.jobs import ClipJob as ExactJob
+from service.exact.jobs import Work
+from service.http import schemas
+from service.http.clip_jobs import ClipJob
+from service.stages.batch import Batch, Layer, PoseInput, shape_array
+
+if TYPE_CHECKING:
+    from service.guard.keys import Client
+    from service.state import State
+
+# What a clip of tier exact has none of, and what it always has.
+WITHOUT = (
+    *("budget_ms", "passes", "folds", "safe_folds", "settle", "inertia", "colliders", "hidden", "pixels_per_m"),
+    *("still_mm", "bits", "streamed", "keep", "past", "rig"),
+)
+ALWAYS = {"push_out": True, "cloth_contact": True, "knob": 0.0, "geometry": "vertices", "folds_by": "server"}
+START = {"tier": "accurate", "knob": 0.0, "resolution": "fine"}  # the drape that a frame starts from
+
+
+def check_exact(asked: schemas.ClipOptions) -> None:
+    """Refuses (``InputError``) what no clip of tier exact has."""
+    cure = "Leave it out, or ask for tier accurate."
+    if asked.garments is not None and len(asked.garments) > 1:
+        cure = "Ask for one garment, or for tier accurate."
+        raise InputError("garments", expected="one with tier exact", got=str(len(asked.garments)), cure=cure)
+    for name in WITHOUT:
+        if getattr(asked, name):
+            raise InputError(name, expected="none with tier exact", got=f"{getattr(asked, name)!r:.40}", cure=cure)
+    for name, value in ALWAYS.items():
+        got, known = getattr(asked, name), "motion" if name == "knob" else name
+        if got not in (None, value):
+            raise InputError(known, expected=f"{value} with tier exact", got=str(got), cure=cure)
+
+
+async def submitted(asked: schemas.ClipOptions, clip: PoseInput, state: State, client: Client) -> ExactJob:
+    """The job of the ``clip`` that is ``asked`` for, checked and on disk."""
+    check_exact(asked)
+    scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar, size=asked.size)
+    state.runtime.plan(scene, asked.model_copy(update=START))  # refused now rather than in the job
+    (entry,) = scene.layers
+    state.exact.check_place(len(clip.poses), entry.fine.vertex_count)
+    left_out = {"poses", "trans", "rig_poses"}
+    about = asked.model_dump(mode="json", by_alias=True, exclude_none=True, exclude=left_out)
+    message = await asyncio.to_thread(pack_clip, about, clip.poses, clip.trans)
+    return await state.exact.submit(entry.id, client.name, message, len(clip.poses))
+
+
+async def _read(message: bytes, state: State, client: Client) -> ClipJob:
+    """What ``message`` asks for; refuses (``NotFound``) a garment or an avatar that is gone."""
+    text, poses, trans = unpack_clip(message)
+    asked = schemas.ClipOptions.model_validate_json(text)
+    scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar, size=asked.size)
+    betas = shape_array(asked.betas, state.runtime.on(scene).body)
+    assert trans is not None
+    clip = PoseInput(poses, trans, betas, np.arange(len(poses)) / asked.fps)
+    update = START | {"resolution": asked.resolution}
+    return ClipJob(state.runtime.plan(scene, asked.model_copy(update=update)), clip, asked, client)
+
+
+def opener(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
+    """What a message on disk asks to compute."""
+
+    async def opened(message: bytes, owner: str | None) -> Work:
+        job = await _read(message, state, state.access.client(owner))
+        scene, asked = job.plan.scene, job.asked.model_copy(update=START)
+        return Work(state.runtime.plan(scene, asked), job.clip)
+
+    return opened
+
+
+async def finished(job: ExactJob, state: State, client: Client) -> tuple[ClipJob, Batch, dict[str, str]]:
+    """The clip of ``job`` as one that was draped, and the headers of its answer; refuses one that is not done."""
+    if job.state != "done":
+        cure = f"Ask GET /jobs/{job.accepted.id} until it is done."
+        raise Unavailable("clip", expected="one that is done", got=job.state, cure=cure)
+    asked_for = await _read(await asyncio.to_thread(state.exact.message, job), state, client)
+    clip, plan = asked_for.clip, asked_for.plan
+    vertices = await asyncio.to_thread(partial(state.exact.vertices, job, plan))
+    root = clip.trans + state.runtime.on(plan.scene).body.rest_joints(clip.betas)[0]
+    batch = replace(Batch.of(plan, [clip]), layers=(Layer(vertices),), root=root)
+    headers = {
+        "X-Drape-Model": state.runtime.engine.manifest.digest[:16],
+        "X-Drape-Tier": EXACT,
+        "X-Drape-Force-Left": f"{max(frame['force_share'] for frame in job.told.values()):.5f}",
+        "X-Drape-Crossings": str(max(frame["crossings"] for frame in job.told.values())),
+    }
+    return asked_for, batch, headers
+
+
+def job_info(job: ExactJob) -> schemas.JobInfo:
+    """The answer about ``job``."""
+    accepted = job.accepted
+    told = [schemas.FrameTold(frame=number, **figures) for number, figures in sorted(job.told.items())]
+    about = {"stage": job.stage, "share": round(job.share, 4), "problem": job.problem, "frames": accepted.frames}
+    return schemas.JobInfo(id=accepted.id, name=accepted.name, state=job.state, told=told, **about)

@@ -1,0 +1,44 @@
+"""The benchmark of cuts: what it writes as targets, and how it judges the cut that was told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import recovery_cuts
+from drape.garment.files.mesh import read_mesh
+from recovery.run.cut import Cut
+
+
+def test_a_garment_of_the_catalogue_is_a_plain_surface(tmp_path: Path):
+    path, source = recovery_cuts.written("tank", tmp_path)
+    mesh = read_mesh(path)
+    assert source == "catalogue" and len(mesh.uv) == 0 and len(mesh.vertices) > 4000
+    assert np.ptp(mesh.vertices[:, 1]) == pytest.approx(0.586, abs=0.01)
+
+
+def test_without_data_the_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delenv("DRAPE_DATA", raising=False)
+    with pytest.raises(SystemExit, match="DRAPE_DATA"):
+        recovery_cuts.written("tee", tmp_path)
+
+
+def test_a_cut_is_right_where_base_and_panels_are_or_a_sentence_says_what_is_not_seen():
+    unseen = ("The target does not show its seams: panels and seams are the base's",)
+    assert recovery_cuts.told_words("tee", Cut("tshirt", True, {}, ()), 6) == "yes"
+    assert recovery_cuts.told_words("tee", Cut("tank", True, {}, ()), 2) == "no, tshirt"
+    assert recovery_cuts.told_words("tank", Cut("tank", True, {}, unseen), 2) == "base; seams unseen"
+    assert recovery_cuts.told_words("skirt_4_panels", Cut("skirt", True, {}, ()), 2) == "base"
+
+
+def test_a_target_that_is_refused_has_its_reason_in_the_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def open_nowhere(name, folder):
+        folder.mkdir(exist_ok=True)
+        (folder / "t.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        return folder / "t.obj", "drape"
+
+    monkeypatch.setattr(recovery_cuts, "written", open_nowhere)
+    row = recovery_cuts.recovered("tank", tmp_path, None)
+    assert row["base"] == "refused" and row["told"] == "no" and row["why"]

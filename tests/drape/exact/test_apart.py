@@ -1,0 +1,63 @@
+"""The barrier of cloth that is apart, and steps on which nothing passes through anything."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from drape.exact import apart
+from drape.geometry import meshes
+from drape.kernels.triangle_pairs import Pairs, crossing_pairs, pairs_within, ways
+from tests.drape.cloth.cloth_shapes import grid
+from tests.drape.kernels.test_triangle_pairs import crumpled
+
+
+def test_the_barriers_force_is_the_slope_of_its_energy(rng):
+    x, faces, edges = crumpled(rng)
+    pairs, _, ways = pairs_within(x, faces, edges, apart.NEAR_M)
+    assert (np.linalg.norm(ways, axis=1) < apart.REACH_M).any()
+    gradient, way, step = np.zeros_like(x), rng.normal(size=x.shape), 1e-9
+    apart.push_apart(x, *pairs, 30.0, gradient)
+    ahead, behind = (apart.push_apart(x + sign * step * way, *pairs, 30.0, np.zeros_like(x)) for sign in (1.0, -1.0))
+    assert_allclose((gradient * way).sum(), (ahead - behind) / (2.0 * step), rtol=1e-4)
+    assert_allclose(gradient.sum(axis=0), 0.0, atol=1e-9 * np.abs(gradient).sum())
+
+
+def test_a_free_share_of_a_step_keeps_every_pair_apart(rng):
+    x, faces, _ = two_grids()
+    edges = meshes.unique_edges(faces)
+    pairs, _, ways = pairs_within(x, faces, edges, apart.NEAR_M)
+    before = np.linalg.norm(ways, axis=1)
+    for size in (1e-4, 1e-3, 1e-2):
+        step = size * rng.normal(size=x.shape)
+        share = np.empty(len(x))
+        least = apart.free_shares(x, step, *pairs, share)
+        assert 0.0 < least <= 1.0 and least == share.min()
+        for part in np.linspace(0.0, 1.0, 5):
+            _, way = ways_of(x + part * least * step, pairs)
+            assert (np.linalg.norm(way, axis=1) >= apart.KEPT * before - 1e-12).all()
+    assert apart.free_shares(x, np.zeros_like(x), *pairs, np.empty(len(x))) == 1.0
+
+
+def test_a_sheet_that_goes_through_another_stops_before_it():
+    x, faces, upper = two_grids()
+    step = np.zeros_like(x)
+    step[upper, 1] = -0.5 * x[upper, 0]
+    assert len(crossing_pairs(x + 0.3 * step, faces)) > 0
+    pairs, _, _ = pairs_within(x, faces, meshes.unique_edges(faces), apart.NEAR_M)
+    for _ in range(40):  # as often as anybody asks: never to the last digits of a number
+        x = x + apart.free_shares(x, step, *pairs, np.empty(len(x))) * step
+    _, way = ways_of(x, pairs)
+    assert len(crossing_pairs(x, faces)) == 0 and np.linalg.norm(way, axis=1).min() > 1e-6
+
+
+def two_grids() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A sheet 3 mm over another, shifted; both in one mesh, and which vertices are the upper ones."""
+    rest, faces = grid(4, 4, cell_m=0.01)
+    rest = rest[:, [0, 2, 1]]
+    both = np.concatenate([rest, rest + np.array([0.003, 0.003, 0.004])])
+    return both, np.concatenate([faces, faces + len(rest)]), np.arange(len(both)) >= len(rest)
+
+
+def ways_of(x: np.ndarray, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
+    return ways(np.ascontiguousarray(x), *pairs)

@@ -1,0 +1,203 @@
+"""The cut that a target tells: its base, where its openings lie, girths between, the panels of its texture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.body.assets import load_body
+from drape.errors import InputError
+from drape.garment.cache import load_garment
+from drape.garment.files.mesh import GarmentMesh, plain_mesh
+from recovery.fit.contours import TRUNK
+from recovery.fit.seams import ease_left
+from recovery.pattern import geometry
+from recovery.pattern.bases import BASES
+from recovery.pattern.coordinates import control_points, with_controls
+from recovery.pattern.mesh import mesh_pattern
+from recovery.pattern.sizes import in_size
+from recovery.run.cut import differences, has_collar, kind_of, panel_count, told_base
+from recovery.run.drafted import RANGES, drafted, own_settings, read_settings
+from recovery.run.nested import in_other_size
+from recovery.run.seen import Seen, girth_round, pieces
+from tests.drape.cloth.cloth_shapes import round_tube
+from tests.recovery.pattern_setup import default_measurements
+
+SHIPPED = Path("assets/garments")
+CUTS = {
+    "tshirt": "tshirt",
+    "longsleeve": "tshirt",
+    "sweat": "tshirt",
+    "shirt": "tshirt",
+    "tank": "tank",
+    "dress": "sleeved_dress",
+    "trousers": "trousers",
+    "shorts": "trousers",
+    "skirt": "skirt",
+    "circle_skirt": "skirt",
+}
+
+
+def worn(name: str) -> GarmentMesh:
+    """A garment of the catalogue on the shipped body in the T-pose."""
+    (path,) = SHIPPED.glob(f"{name}-*.npz")
+    garment = load_garment(path)
+    return plain_mesh(name, garment.vertices, garment.faces)
+
+
+def seen(mesh: GarmentMesh) -> Seen:
+    joints = load_body().joints_template
+    return Seen(mesh.vertices, mesh.faces, joints, joints)
+
+
+@pytest.mark.parametrize("name", CUTS)
+def test_the_base_is_told_by_openings_and_their_places(name):
+    assert told_base(seen(worn(name)), default_measurements()) == CUTS[name]
+
+
+def test_a_sleeveless_dress_is_told_from_one_with_sleeves():
+    tank = worn("tank")
+    low = tank.vertices[:, 1] < 0.1
+    longer = replace(tank, vertices=tank.vertices - np.where(low, 0.3, 0.0)[:, None] * [0.0, 1.0, 0.0])
+    assert told_base(seen(longer), default_measurements()) == "dress"
+
+
+def test_a_tube_at_the_chest_and_a_top_with_one_sleeve_have_no_base():
+    joints = load_body().joints_template
+    chest = plain_mesh("tube", *round_tube([0.25] * 21, np.linspace(-0.1, 0.38, 21), 40))
+    with pytest.raises(InputError, match=r"2 round the trunk, the upper one at the chest.*--base FILE\.json"):
+        told_base(Seen(chest.vertices, chest.faces, joints, joints), default_measurements())
+    tshirt = seen(worn("tshirt"))
+    del tshirt.openings["left_arm"]
+    with pytest.raises(InputError, match="got 1 round the right arm, 2 round the trunk"):
+        told_base(tshirt, default_measurements())
+
+
+def test_without_a_body_the_number_of_long_borders_tells_the_kind():
+    assert [kind_of(worn(name)) for name in ("tank", "shorts", "skirt")] == ["tshirt", "trousers", "skirt"]
+    shut = worn("skirt").take_faces(np.arange(1))
+    with pytest.raises(InputError, match="Name the base"):
+        kind_of(shut)
+
+
+def test_a_collar_is_told_from_a_neckline():
+    body = default_measurements()
+    told = {
+        name: has_collar(worn(name), seen(worn(name)), body) for name in ("tshirt", "sweat", "tank", "dress", "shirt")
+    }
+    assert told == {"tshirt": False, "sweat": False, "tank": False, "dress": False, "shirt": True}
+    raised = worn("tshirt")
+    ring = seen(raised).openings[TRUNK][0].contour.loop
+    vertices = raised.vertices.copy()
+    vertices[ring, 1] += 0.06
+    standing = replace(raised, vertices=vertices)
+    assert has_collar(standing, seen(standing), body)
+
+
+def test_a_girth_is_the_length_of_the_loop_round_a_point():
+    vertices, faces = round_tube([0.2] * 9, np.linspace(-0.4, 0.4, 9), 200)
+    up, inside = np.array([0.0, 1.0, 0.0]), np.array([0.05, 0.03, 0.02])
+    assert girth_round(vertices, faces, inside, up) == pytest.approx(0.4 * np.pi, rel=1e-3)
+    assert girth_round(vertices, faces, np.array([0.5, 0.03, 0.0]), up) is None
+    assert girth_round(vertices, faces, np.array([0.0, 2.0, 0.0]), up) is None
+    two = np.concatenate([vertices, vertices * [1.5, 1.0, 1.5]])
+    both = np.concatenate([faces, faces + len(vertices)])
+    assert girth_round(two, both, inside, up) == pytest.approx(0.6 * np.pi, rel=1e-3)
+
+
+READINGS_M = {  # what garments of the catalogue were cut with, and how far their readings may be off
+    "tank": {"length_m": 0.64, "neck_depth_m": 0.15, "shoulder_out_m": -0.052, "chest_ease_m": 0.05},
+    "tshirt": {"length_m": 0.65, "sleeve_length_m": 0.225, "sleeve_arm_ease_m": 0.085, "chest_ease_m": 0.10},
+    "longsleeve": {"length_m": 0.65, "sleeve_hem_girth_m": 0.213, "chest_ease_m": 0.08},
+    "shorts": {"inseam_m": 0.20, "hem_girth_m": 0.64, "hip_ease_m": 0.10},
+    "skirt": {"length_m": 0.585, "hip_ease_m": 0.06},
+    "dress": {"length_m": 1.02, "gather": 0.25, "waist_drop_m": -0.057, "chest_ease_m": 0.14, "sleeve_length_m": 0.2},
+}
+
+
+@pytest.mark.parametrize("name", READINGS_M)
+def test_settings_are_read_off_a_garment_within_centimetres(name):
+    told = read_settings(CUTS[name], default_measurements(), seen(worn(name)))
+    for key, value in READINGS_M[name].items():
+        assert_allclose(told[key], value, atol=0.036, err_msg=key)
+
+
+@pytest.mark.parametrize("name", CUTS)
+def test_a_base_is_drafted_near_its_target_and_keeps_what_is_given(name):
+    body, there = default_measurements(), seen(worn(name))
+    given = {"length_m": 0.777} if "length_m" in BASES[CUTS[name]].settings else {"inseam_m": 0.333}
+    pattern, settings = drafted(CUTS[name], body, there, given)
+    assert pattern.name == CUTS[name] and given.items() <= settings.items()
+    assert all(RANGES[key][0] <= value <= RANGES[key][1] for key, value in settings.items() if key not in given)
+    told = read_settings(CUTS[name], body, there)
+    own = own_settings(CUTS[name], body, told)
+    assert sum(settings[key] == told[key] for key in told) > 0.7 * len(own)
+
+
+def test_where_nothing_can_be_drafted_the_last_refusal_is_told():
+    with pytest.raises(InputError, match="an upper arm of"):
+        drafted("tshirt", default_measurements(), seen(worn("tshirt")), {"sleeve_arm_ease_m": 0.9})
+
+
+def laid_out(count: int) -> GarmentMesh:
+    """A skirt of ``count`` panels, sewn in thought: its panels as they stand, with the texture of the cloth."""
+    mesh = mesh_pattern(BASES["skirt"](default_measurements(), panels=float(count)), 0.08)
+    shift = mesh.panel[:, None] * np.array([2.0, 0.0])
+    plain = plain_mesh("skirt", mesh.placed(), mesh.panel_faces)
+    return replace(plain, uv=0.1 * (mesh.rest + shift), uv_faces=mesh.panel_faces)
+
+
+def test_a_texture_laid_out_as_panels_counts_them_and_another_does_not():
+    assert [pieces(laid_out(count)) for count in (2, 8)] == [2, 8]
+    mesh = laid_out(8)
+    assert pieces(replace(mesh, uv=np.zeros((0, 2)), uv_faces=np.zeros((0, 3), int))) is None
+    assert pieces(replace(mesh, uv=mesh.uv**3)) is None
+    assert pieces(replace(mesh, uv=0.0 * mesh.uv)) is None
+
+
+def test_a_skirt_takes_its_panels_from_the_texture():
+    assert panel_count("skirt", 8) == {"panels": 8.0}
+    assert panel_count("skirt", None) == panel_count("skirt", 2) == panel_count("skirt", 99) == {}
+    assert panel_count("trousers", 8) == {}
+
+
+def test_what_differs_from_the_target_has_a_sentence():
+    body = default_measurements()
+    skirt, shirt = worn("skirt"), worn("shirt")
+    two, eight = (BASES["skirt"](body, panels=count) for count in (2.0, 8.0))
+    (unseen,) = differences("skirt", two, skirt, seen(skirt), body, None)
+    assert "does not show its seams" in unseen
+    assert differences("skirt", eight, skirt, seen(skirt), body, 8) == ()
+    (other,) = differences("skirt", two, skirt, seen(skirt), body, 8)
+    assert "8 panels, this pattern has 2" in other
+    kind, collar = differences("tank", BASES["tank"](body), shirt, seen(shirt), body, 2)
+    assert "--base tshirt" in kind and "collar" in collar
+    assert differences("mine.json", two, skirt, seen(skirt), body, 2) == ()
+
+
+@pytest.mark.parametrize("name", sorted(BASES))
+def test_a_recovered_pattern_grows_as_its_base_does_and_can_still_be_sewn(name):
+    body = default_measurements()
+    base = BASES[name](body)
+    controls = control_points(base)
+    moved = with_controls(base, controls, 1.03 * controls.positions)  # what a search might find
+    areas = []
+    for size in ("S", "M", "L", "XL", "XXL"):
+        made = in_other_size(moved, name, body, {}, size)
+        geometry.check_pattern(made)
+        assert np.abs(ease_left(made, base)).max() < 1e-9
+        areas.append(sum(geometry.area(panel) for panel in made.panels))
+    assert (np.diff(areas) > 0.0).all()
+    assert_allclose(areas[1], sum(geometry.area(panel) for panel in moved.panels), rtol=1e-9)
+    same = in_other_size(base, name, body, {}, "XXL")
+    grown = sum(geometry.area(panel) for panel in BASES[name](in_size(body, "XXL")).panels)
+    assert_allclose(sum(geometry.area(panel) for panel in same.panels), grown, rtol=5e-3)
+
+
+def test_a_pattern_of_a_file_does_not_say_how_it_grows():
+    with pytest.raises(InputError, match="--sizes: expected a base that is drafted"):
+        in_other_size(BASES["skirt"](default_measurements()), "mine.json", default_measurements(), {}, "L")
