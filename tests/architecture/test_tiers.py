@@ -85,8 +85,8 @@ def test_the_default_is_stated_where_readers_look_for_it(page: str):
 
 @each(
     said=[
-        "`balanced` = all corrections and 1 step of folds",
-        "The default, `balanced` = all\ncorrections and 1 step of folds.",
+        "`balanced` = 1 correction and 1 step of folds",
+        "The default, `balanced` = 1\ncorrection and 1 step of folds.",
         "`accurate` = all corrections and 2 steps of folds; `fast` = no corrections and 1 step of folds",
     ]
 )
@@ -98,7 +98,7 @@ def test_a_true_statement_is_read_and_kept(said: str):
     said=[
         "`balanced` = all corrections and 2 steps of folds",
         "`balanced` = no corrections and 1 step of folds",
-        "`balanced` = 1 correction and 1 step of folds",
+        "`balanced` = all corrections and 1 step of folds",
         "`quick` = all corrections and 1 step of folds",
         "the default `fast` = no corrections and 1 step of folds",
     ]
