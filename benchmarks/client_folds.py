@@ -50,7 +50,7 @@ def case(worn: Worn, tier: str, frames: int, browser: str | None) -> Row:
     network, server, usual, jets = worn.streamed(
         frames,
         {"tier": tier, "folds": 0, "push_out": False, "inertia": "network", **passes},
-        {"tier": tier, "inertia": "network"},
+        {"tier": tier, "inertia": "network", "coarse": False},  # as clients fold
         {"tier": tier},
         {"tier": tier, "geometry": "jets", "folds_by": "client"},
     )

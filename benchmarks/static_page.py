@@ -55,7 +55,7 @@ def case(asked: Asked, frames: int, card_frames: int, browser: str, model: str) 
     passes = {} if known.passes is None else {"passes": known.passes}
     alone = {"inertia": "network", "push_out": False, **NO_FOLDS, **passes}
     count = len(clip.poses)
-    server, network = worn.streamed(count, {"tier": tier, "inertia": "network"}, alone)
+    server, network = worn.streamed(count, {"tier": tier, "inertia": "network", "coarse": False}, alone)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "folder"
         write_static(runtime, asked, folder)

@@ -143,9 +143,7 @@ class ExactClips:
         if there + wanted > self._settings.max_stored_bytes or wanted > room:
             expected = f"room for {wanted} bytes"
             got = f"{there} bytes of clips of at most {self._settings.max_stored_bytes}, {room} free on disk"
-            raise errors.Full(
-                "disk", expected=expected, got=got, cure="Delete clips that were fetched: DELETE /jobs/ID."
-            )
+            raise errors.Full("disk", expected=expected, got=got, cure=MAKE_ROOM)
 
     async def submit(self, name: str, owner: str | None, message: bytes, frames: int) -> ClipJob:
         """Stores the ``message`` that asks for a clip of so many ``frames``, and queues it."""

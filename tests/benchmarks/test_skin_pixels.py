@@ -168,7 +168,7 @@ def test_what_is_measured_is_what_is_served(
 ):
     drapery = DrapeRuntime(make_settings())
     scene = drapery.garments.add(coarse, "user")
-    options = DrapeOptions(passes=drapery.engine.pass_count, folds=folds, resolution=resolution)
+    options = DrapeOptions(passes=drapery.engine.pass_count, folds=folds, coarse=False, resolution=resolution)
     plan = drapery.plan(scene, options)
     drapery.add_missing(plan)
     for stage in plan.stages:

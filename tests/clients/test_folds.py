@@ -22,7 +22,9 @@ def shirt(tmp_path_factory: pytest.TempPathFactory) -> Worn:
 
 
 def test_the_client_s_shirt_in_a_walk_is_that_of_the_service(shirt: Worn):
-    server, jets = shirt.streamed(FRAMES, {"inertia": "network"}, {"geometry": "jets", "folds_by": "client"})
+    server, jets = shirt.streamed(
+        FRAMES, {"inertia": "network", "coarse": False}, {"geometry": "jets", "folds_by": "client"}
+    )
     assert len(jets.messages[0]) < 0.25 * len(server.messages[0])
     try:
         with client_folder(shirt, jets.messages, jets.options) as folder:

@@ -132,7 +132,7 @@ REFUSED = """(async () => {
 @pytest.mark.browser
 def test_a_folder_drapes_as_the_service_does_and_its_page_shows_it(shirt: Worn, tmp_path: Path):
     clip = shirt.clip
-    (server,) = shirt.streamed(FRAMES, {"inertia": "network"})
+    (server,) = shirt.streamed(FRAMES, {"inertia": "network", "coarse": False})
     folder = tmp_path / "folder"
     (tmp_path / "other").mkdir()
     (tmp_path / "other/file").touch()

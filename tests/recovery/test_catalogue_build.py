@@ -152,5 +152,5 @@ def test_the_command_lists_the_catalogue(capsys):
 def test_unknown_garments_and_sizes_are_refused(tmp_path, capsys):
     with pytest.raises(NotFound, match="garment: expected one of tshirt"):
         design("cape", default_measurements())
-    assert main(["build", "tank", "--size", "XXL", "--out", str(tmp_path)]) == 2
+    assert main(["build", "tank", "--size", "XXXL", "--out", str(tmp_path)]) == 2
     assert "Beyond the grade" in capsys.readouterr().err

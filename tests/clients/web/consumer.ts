@@ -61,7 +61,7 @@ const drapeBoth = async (options: WearOptions): Promise<[string, number[]]> => {
   worn.close();
   return found;
 };
-const [server, client] = [await drapeBoth({}), await drapeBoth({ folds_by: "client" })];
+const [server, client] = [await drapeBoth({ coarse: false }), await drapeBoth({ folds_by: "client" })];
 const several = await core.wear("tube", { colliders: [{ kind: "plane" }], folds: 1, folds_by: "auto" });
 const fallen = several.foldsBy;
 several.close();

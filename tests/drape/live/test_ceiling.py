@@ -54,14 +54,14 @@ _, SKIN = floor()
 
 def over(height_m: float = 0.02) -> np.ndarray:
     """The ceiling below the outer cloth at ``height_m``."""
-    return ceiling_over(OUTER[0] + (height_m - 0.02) * UP, worn(*OUTER), SKIN)
+    return ceiling_over(OUTER[0] + (height_m - 0.02) * UP, worn(*OUTER).laid, SKIN)
 
 
 def press(vertices: np.ndarray, ceiling: np.ndarray) -> np.ndarray:
     """The inner cloth, with ``vertices``, below the ``ceiling``."""
     made = worn(*INNER)
     own = nearest_at_rest(vertices, floor()[0])[made.sheet.vertex]
-    return pressed(vertices, made, own, SKIN, ceiling)
+    return pressed(vertices, made.laid, own, SKIN, ceiling)
 
 
 def test_the_ceiling_is_the_lowest_of_the_outer_cloth_over_a_sample():
@@ -70,14 +70,14 @@ def test_the_ceiling_is_the_lowest_of_the_outer_cloth_over_a_sample():
     assert np.isinf(ceiling[SKIN[:, 2] > 0.5 * SIDE_M + 2.0 * SPACING_M, 0]).all()
     dented = OUTER[0].copy()
     dented[np.argmin(np.linalg.norm(dented[:, [0, 2]] - [0.1, 0.06], axis=1)), 1] = 0.011
-    found = ceiling_over(dented, worn(*OUTER), SKIN)
+    found = ceiling_over(dented, worn(*OUTER).laid, SKIN)
     assert found[:, 0].min() == pytest.approx(0.011)
     assert np.isinf(over(HIGHEST_M + 0.01)[:, 0]).all(), "what is farther out covers nothing"
 
 
 def test_planes_of_the_ceiling_touch_the_outer_cloth():
     slope = OUTER[0] + 0.3 * OUTER[0][:, :1] * UP
-    found = ceiling_over(slope, worn(*OUTER), SKIN)
+    found = ceiling_over(slope, worn(*OUTER).laid, SKIN)
     found = found[np.isfinite(found[:, 0])]
     assert_allclose(found[:, 1:4] @ slope.T - found[:, 4:], 0.0, atol=1e-9)
 
@@ -94,7 +94,7 @@ def test_a_hole_among_covered_samples_is_filled():
     middle = np.linalg.norm(vertices[:, [0, 2]] - [0.1, 0.06], axis=1) < 0.75 * SPACING_M
     kept = faces[~middle[faces].any(axis=1)]
     holed, renumbered = vertices[~middle], np.cumsum(~middle) - 1
-    found = ceiling_over(holed, worn(holed, renumbered[kept]), SKIN)
+    found = ceiling_over(holed, worn(holed, renumbered[kept]).laid, SKIN)
     assert_allclose(found[SKIN[:, 2] < 0.5 * SIDE_M - 0.01, 0], 0.02, atol=1e-9)
 
 
@@ -154,7 +154,7 @@ def test_skin_that_is_aslant_below_the_planes_bounds_no_way():
     leaning[:, 4:7] = [1.0, 0.0, 0.0]
     made = worn(*INNER)
     own = nearest_at_rest(INNER[0], floor()[0])[made.sheet.vertex]
-    after = pressed(INNER[0], made, own, leaning, over())
+    after = pressed(INNER[0], made.laid, own, leaning, over())
     assert_allclose(after[COVERED, 1], 0.02 - GAP_M, atol=2e-3)
 
 
@@ -170,7 +170,7 @@ def test_numbers_that_are_none_press_nothing():
     broken[7] = np.nan
     made = worn(*INNER)
     own = nearest_at_rest(INNER[0], floor()[0])[made.sheet.vertex]
-    after = pressed(broken, made, own, SKIN, over(0.05))
+    after = pressed(broken, made.laid, own, SKIN, over(0.05))
     assert np.isfinite(np.delete(after, 7, axis=0)).all()
 
 
@@ -180,7 +180,7 @@ def test_an_outfit_finds_its_kernels_compiled():
     warm = [set(kernel.signatures) for kernel in kernels]
     made = worn(*INNER, dtype=np.float32)
     own = nearest_at_rest(INNER[0], floor()[0])[made.sheet.vertex]
-    over_it = ceiling_over(OUTER[0].astype(np.float32), worn(*OUTER, dtype=np.float32), SKIN)
-    after = pressed(INNER[0].astype(np.float32), made, own, SKIN, over_it)
+    over_it = ceiling_over(OUTER[0].astype(np.float32), worn(*OUTER, dtype=np.float32).laid, SKIN)
+    after = pressed(INNER[0].astype(np.float32), made.laid, own, SKIN, over_it)
     assert not np.array_equal(after, INNER[0].astype(np.float32)) and all(warm)
     assert [set(kernel.signatures) for kernel in kernels] == warm
