@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from drape.cloth.rest_state import RestState
 from drape.geometry import meshes
+from drape.geometry.closest import nearest_vertices
 from drape.kernels.compiled import kernel, part
 
 EDGE_M = 0.026
@@ -60,7 +60,7 @@ def coarse_mesh(rest: RestState, vertices: np.ndarray, faces: np.ndarray, edge_m
     edges = corner[:, 1:] - corner[:, :1]
     found = meshes.hinges(small)
     ends = vertex[found[:, :2]]
-    near = KDTree(vertices[hinges[:, :2]].mean(axis=1)).query(vertices[ends].mean(axis=1))[1]
+    _, near = nearest_vertices(vertices[ends].mean(axis=1), vertices[hinges[:, :2]].mean(axis=1))
     on_line = (lines[ends[:, 0]] == ends[:, 1:]).any(axis=1)
     angle = np.where(on_line, rest.hinge_angle[near], 0.0)
     return CoarseMesh(vertex, small, RestState(edges, angle, rest.stiffening[near]))

@@ -12,9 +12,9 @@ pole of w at 0 a coarse vertex all but keeps its own.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from drape.geometry import mesh_graphs, meshes
+from drape.geometry.closest import nearest_vertices
 from drape.live.room import reached
 
 NEAREST = 8  # coarse vertices
@@ -51,7 +51,7 @@ def coarse_weights(
     normals = meshes.vertex_normals(vertices, faces)
     weight[~few] = _weights(vertices[~few], normals[~few], vertices[kept][index[~few]], far[~few])
     index[few] = 0
-    index[few, 0] = KDTree(vertices[kept]).query(vertices[few])[1]
+    _, index[few, 0] = nearest_vertices(vertices[few], vertices[kept])
     return index, weight
 
 
