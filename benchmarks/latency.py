@@ -1,6 +1,6 @@
 """Latency and throughput of the packed graph, beside its rivals in the same run, and how cost grows.
 
-    python -m benchmarks.latency [--quick] [--threads 2] [--model FOLDER] [--save]
+    python -m benchmarks.latency [--quick] [--threads 2] [--provider cuda [--half]] [--model FOLDER] [--save]
 
 A row's times are those of one call: pose in, vertices of ``batch`` frames out, without push-out. ``push_out_ms`` comes
 on top; rows "onnx_pushed" are both in one, with all passes of the network and with fewer. Rows whose count of vertices,
@@ -274,12 +274,13 @@ def with_patches(garment: Garment, count: int) -> Garment:
     COLUMNS,
     Option("--model", MODELS_DIR / "onefit", "a model folder", kind=Path),
     Option("--provider", "cpu", "what graphs run on", choices=list(PROVIDER_NAMES)),
+    Option("--half", False, "the network's matrices in float16"),
 )
 def main(run: Run) -> None:
     """Rows of single frames, of batches, and of growing garments and stores."""
     options, body, load = run.options, load_body(), os.getloadavg()[0]
     device = Device(options.provider, options.threads)
-    engine = Engine(options.model, device=device, half=False)
+    engine = Engine(options.model, device=device, half=options.half)
     seconds, model = 0.3 if options.quick else 3.0, network_of(options.model)
     bench = Bench(engine, model, body, pack_body(body), seconds, options.threads)
     run.rows = [row for name in SINGLE for row in single_rows(bench, name)]
@@ -289,7 +290,7 @@ def main(run: Run) -> None:
         run.notes.append(f"the machine was busy: load {load:.1f} when this began; such times are provisional")
     graph = "packed" if engine.compiled is None else "compiled"
     run.extra |= {"device": options.provider, "provider": engine.provider, "load_before": load}
-    run.extra |= {"model": options.model.name, "graph": graph}
+    run.extra |= {"model": options.model.name, "graph": graph, "half": options.half}
 
 
 if __name__ == "__main__":

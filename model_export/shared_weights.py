@@ -85,7 +85,8 @@ def _find(value: np.ndarray, store: _Store) -> ParameterSpec:
 
 
 def forget_origin(proto: onnx.ModelProto) -> None:
-    """Drops the exporter's notes on the Python code behind the graph and its nodes."""
+    """Drops the exporter's notes: the Python code behind the graph and its nodes, and shapes that a runtime infers."""
+    proto.graph.ClearField("value_info")
     for part in (proto.graph, *proto.graph.node):
         part.ClearField("doc_string")
         part.ClearField("metadata_props")

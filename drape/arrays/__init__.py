@@ -12,7 +12,7 @@ from drape.errors import InputError
 
 Array = Any  # a numpy or torch array
 
-__all__ = ["Array", "check_finite", "check_shape", "device", "like", "namespace", "identity3"]
+__all__ = ["Array", "check_finite", "check_shape", "count_of", "device", "like", "namespace", "identity3"]
 
 
 def check_shape(
@@ -45,6 +45,16 @@ def like(reference: Array, value: Any) -> Array:
     """``value`` as an array of the namespace, dtype and device of ``reference``."""
     xp = namespace(reference)
     return xp.asarray(value, dtype=reference.dtype, device=device(reference))
+
+
+def count_of(rows: Array, dtype: Any) -> Array:
+    """The number of ``rows`` (n,) as an array () of ``dtype``, made where they are.
+
+    A length read off a shape is a number of the host: in a graph on a GPU each product with it waits for a copy, and
+    such a graph cannot be captured.
+    """
+    xp = namespace(rows)
+    return xp.sum(xp.ones_like(rows, dtype=dtype), dtype=dtype)
 
 
 def identity3(reference: Array) -> Array:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drape.arrays import Array, namespace
+from drape.arrays import Array, count_of, namespace
 from drape.arrays.tensors import Tensors, tensor
 from drape.contact.field import attend_columns, columns, largest, query_columns, ramp, surface, take
 from drape.contact.push_tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
@@ -213,7 +213,7 @@ def samples_in(top: Array, skin: Array, other: Array, groups: int) -> tuple[Arra
     """The samples in the regions ``top`` (F, G, 2), which each of ``groups`` has chosen: rows (F, G, 24, 8) of ``skin``
     (F, R, 12, 8), and how much each is another part (F, G, 24) by ``other`` (G, ...)."""
     xp = namespace(skin)
-    frames, regions, count = skin.shape[0], skin.shape[1], REGION_COUNT * REGION_SIZE
+    frames, regions, count = skin.shape[0], count_of(skin[0, :, 0, 0], top.dtype), REGION_COUNT * REGION_SIZE
     frame = regions * xp.arange(frames, dtype=top.dtype)[:, None, None]
     group = regions * xp.arange(groups, dtype=top.dtype)[:, None]
     rows = take(xp.reshape(skin, (-1, 8 * REGION_SIZE)), _flat(top + frame))

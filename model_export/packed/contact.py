@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from drape.arrays import count_of
 from drape.contact.field import attend, queries, surface
 from drape.contact.projection import REGION_BIAS_M2, REGION_COUNT
 from drape.contact.proximity import GAP_M, UNIT_M, attend_others, from_halves, plane_share
@@ -109,7 +110,8 @@ def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: StoredProxim
     query = queries(places.mT).mT
     body = patch_body.to(torch.int64)
     clusters = skin.reshape(-1, 8 * CLUSTER_SIZE)
-    first = body * (regions * (REGION_SIZE // CLUSTER_SIZE))
+    stride = count_of(skin[0, :, 0, 0], torch.int64)  # of a body's regions
+    first = body * (stride * (REGION_SIZE // CLUSTER_SIZE))
     own = torch.index_select(clusters, 0, (lists.cluster.to(torch.int64) + first[:, None]).reshape(-1))
     own_means = attend(query, own.reshape(-1, lists.bias.shape[1], 8), lists.bias)
 
@@ -119,9 +121,9 @@ def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: StoredProxim
     squared = (seen @ middle[:, :, None]).reshape(-1, regions)
     bias = lists.region.reshape(-1, regions).to(places.dtype)
     top = torch.topk(REGION_BIAS_M2 * bias - squared, REGION_COUNT, dim=-1, sorted=False)[1]
-    table = torch.index_select(skin.reshape(-1, 8 * REGION_SIZE), 0, (top + (regions * body)[:, None]).reshape(-1))
+    table = torch.index_select(skin.reshape(-1, 8 * REGION_SIZE), 0, (top + (stride * body)[:, None]).reshape(-1))
     # 0, 1, 2, ... counted out: the number of patches would be read off an index that a call of one garment lacks.
-    patch = regions * (torch.cumsum(torch.ones_like(body), dim=0) - 1)
+    patch = stride * (torch.cumsum(torch.ones_like(body), dim=0) - 1)
     row = (top + patch[:, None]).reshape(-1)
     other = torch.index_select(lists.other.reshape(-1, REGION_SIZE // 2), 0, row).to(places.dtype)
     count = REGION_COUNT * REGION_SIZE

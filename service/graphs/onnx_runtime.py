@@ -145,6 +145,8 @@ def open_session(
     """
     import onnxruntime
 
+    if device.provider == "cuda" and "CUDAExecutionProvider" in onnxruntime.get_available_providers():
+        onnxruntime.preload_dlls()  # the libraries of the extra gpu lie beside it, where no loader looks
     options = _session_options(weights, device)
     name = PROVIDER_NAMES[device.provider]
     # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
