@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drape.arrays import Array, count_of, namespace
+from drape.arrays import Array, count_of, device, namespace
 from drape.arrays.tensors import Tensors, tensor
 from drape.contact.field import attend_columns, columns, largest, query_columns, ramp, surface, take
 from drape.contact.push_tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
@@ -214,8 +214,8 @@ def samples_in(top: Array, skin: Array, other: Array, groups: int) -> tuple[Arra
     (F, R, 12, 8), and how much each is another part (F, G, 24) by ``other`` (G, ...)."""
     xp = namespace(skin)
     frames, regions, count = skin.shape[0], count_of(skin[0, :, 0, 0], top.dtype), REGION_COUNT * REGION_SIZE
-    frame = regions * xp.arange(frames, dtype=top.dtype)[:, None, None]
-    group = regions * xp.arange(groups, dtype=top.dtype)[:, None]
+    frame = regions * xp.arange(frames, dtype=top.dtype, device=device(top))[:, None, None]
+    group = regions * xp.arange(groups, dtype=top.dtype, device=device(top))[:, None]
     rows = take(xp.reshape(skin, (-1, 8 * REGION_SIZE)), _flat(top + frame))
     parts = take(xp.reshape(other, (-1, REGION_SIZE)), _flat(top + group))
     return xp.reshape(rows, (frames, groups, count, 8)), xp.reshape(parts, (frames, groups, count))
