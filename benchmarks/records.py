@@ -351,6 +351,8 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("latency", SPEED_PAGE, "latency_stages", stage_table),
     ("latency", SPEED_PAGE, "latency_batches", partial(_only, BATCHES, "garment", "mixed")),
     ("latency", SPEED_PAGE, "latency_growth", growth_table),
+    ("latency_gpu", SPEED_PAGE, "latency_gpu_single", single_table),
+    ("latency_gpu", SPEED_PAGE, "latency_gpu_batches", partial(_only, BATCHES, "garment", "mixed")),
     ("serving", SPEED_PAGE, "serving", serving_table),
     ("client_folds", "docs/guide/web.md", "client_folds", partial(alike, CLIENT_FOLDS)),
     ("static_page", "docs/guide/web.md", "static_page", partial(alike, STATIC_PAGE)),
