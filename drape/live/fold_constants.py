@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,9 @@ from drape.live.whole import StiffnessFactor, stiffness_factor
 # rest has all of it, cloth that hangs has the least.
 LEASH_N_M3 = 1000.0
 LYING_M, HANGING_M, LEAST = 0.01, 0.025, 0.03
+# Samples of the skin blend into a surface that lies inside the body's, 0.4 mm under a T-shirt and 0.9 under trousers in
+# the mean. Contact begins so much farther out than in the energy of cloth.
+INSIDE_M = 0.0008
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +139,9 @@ def worn_mesh(cloth: ClothMesh, vertices: np.ndarray, body: BodyModel, fabric: F
     band = waistband(vertices, cloth.faces, body)
     if band is not None:
         held[band.vertex] += STIFFNESS_N_M2 * band.length_m
-    return WornCloth(cloth, Material.of(fabric), held, skin_graph(skin), index, fabric.friction)
+    material = Material.of(fabric)
+    outside = replace(material, contact_gap_m=material.contact_gap_m + INSIDE_M)
+    return WornCloth(cloth, outside, held, skin_graph(skin), index, fabric.friction)
 
 
 def leash_n_per_m(vertices: np.ndarray, area: np.ndarray, skin: Samples, index: np.ndarray) -> np.ndarray:
