@@ -346,6 +346,7 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("folds", FOLDS_PAGE, "folds", folds_table),
     ("moving", FOLDS_PAGE, "moving", partial(alike, MOVING)),
     ("tradeoff", "docs/reference/tradeoff.md", "tradeoff", trade_table),
+    ("yardsticks", "docs/reference/tradeoff.md", "yardsticks", trade_table),
     ("skin_pixels", FOLDS_PAGE, "skin", skin_table),
     ("latency", SPEED_PAGE, "latency_single", single_table),
     ("latency", SPEED_PAGE, "latency_stages", stage_table),
