@@ -218,8 +218,9 @@ class Packer:
         )
 
     def _parts(self, items: Sequence[Item]) -> list[list[Item]]:
-        """``items`` in parts that fit a call; a part has at least one."""
-        if len(items) == 1:
+        """``items`` in parts that fit a call, each of one at least; compiled kernels have one item a call anyway, and all
+        garments of a body share what they feel of it."""
+        if len(items) == 1 or self._engine.compiled is not None:
             return [list(items)]
         parts: list[list[Item]] = []
         tiles = self._tiles_per_call

@@ -146,13 +146,13 @@ class Folds(Stage):
                 ground = raised(ground, lain[i].heights(layers[i]))
             if i < len(layers) - 1:
                 yield replace(batch, layers=tuple(layers), quality=told.quality(batch.quality))
-        folded = replace(batch, layers=tuple(layers))
-        if effort.cloth_contact:
+        folded, read = replace(batch, layers=tuple(layers)), _read(plan)
+        if effort.cloth_contact and any(read[:-1]):  # what nobody reads need not lie below the others
             for i, ceiling in enumerate(self._ceilings(folded, lain[0].ground)):
-                layers[i] = layers[i] if ceiling is None else lain[i].below(layers[i], ceiling)
-        each = zip(plan.draped_keys, plan.keys, _read(plan), strict=True)
-        for i, (key, sent, read) in enumerate(each):
-            if sent != key and read:
+                if ceiling is not None and read[i]:
+                    layers[i] = lain[i].below(layers[i], ceiling)
+        for i, (key, sent) in enumerate(zip(plan.draped_keys, plan.keys, strict=True)):
+            if sent != key and read[i]:
                 layers[i] = self._wrapped(layers[i], sent)
         yield replace(batch, layers=tuple(layers), quality=told.quality(batch.quality))
 
