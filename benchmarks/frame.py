@@ -2,14 +2,15 @@
 
     python -m benchmarks.frame [--quick] [--save]
 
-Rows "kernel": a walk in jersey with motion, as a stream has it, by stage and compiled kernel; ``Python`` is the rest of
-the stage, NumPy with it. Times are medians over frames, ``share`` is of the frame. ``floor_ms``: the bytes of all arrays
-that a kernel is given and gives at this machine's rate of copying as many, or the multiply-adds of its matrices at its
-rate of a large product, whichever takes longer. Kernels below a hundredth of the frame stand together. The row of the
-stage ``frame`` is the whole; ``bare_ms`` is a stream beside it whose kernels nobody times.
+Rows "kernel": a walk in jersey with motion, as a stream has it, by stage and compiled kernel; ``Python`` is the rest
+of the stage, NumPy with it. Times are medians over frames, ``share`` is of the frame. ``floor_ms``: the bytes of all
+arrays that a kernel is given and gives at this machine's rate of copying as many, or the multiply-adds of its matrices
+at its rate of a large product, whichever takes longer. Kernels below a hundredth of the frame stand together. The row
+of the stage ``frame`` is the whole, its ``share`` what the rows add up to; ``bare_ms`` is a stream beside it whose
+kernels nobody times.
 
-Rows "threads": two streams' frames, and a clip, on one thread and on two. Rows "view": scenes in full and with what
-nobody sees left out; ``saving`` is the share of processor time that this saves. Both of a pair run side by side.
+Rows "threads": two streams' frames, and a clip, on one thread and on two. Rows "view": scenes of which less is asked;
+``full_ms`` is the same in full, side by side, and ``saving`` the share of processor time that this saves.
 """
 
 from __future__ import annotations
@@ -47,11 +48,11 @@ WARM, PART = 12, 6  # frames before the first that counts; frames of one stream 
 REST = max(REST_FRAMES, int(REST_S * FPS)) + 2  # frames until a body that stands has come to rest
 OTHERS, LEAST_SHARE = "others", 0.01
 OUTFIT = ("trousers", "tshirt")
-WAVED = tuple(JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("wrist", "hand"))
+WAVED, WAVE_RAD = [JOINT_NAMES.index(name) for name in ("left_hand", "right_hand")], 0.3
 COLUMNS = {
     "kind": "s", "garment": "s", "tier": "s", "stage": "s", "kernel": "s", "case": "s", "what": "s", "threads": "d",
     "calls": ".0f", "cpu_ms": ".3f", "wall_ms": ".3f", "share": ".3f", "floor_ms": ".4f", "bare_ms": ".3f",
-    "frames_per_s": ".0f", "saving": ".2f",
+    "frames_per_s": ".0f", "full_ms": ".3f", "saving": ".2f",
 }  # fmt: skip
 
 
@@ -102,8 +103,8 @@ def kernel_rows(bench: Bench, garment: str, tier: str) -> list[Row]:
                 seen.pose(bench.pose(frame), frame / FPS)
     end = WARM + bench.frames
     floors = _floors(seen, bench.pose(end), end / FPS)
-    spent = _medians(trace.frames[WARM:])
-    whole = sum(spent.values())
+    spent = _medians(trace.frames()[WARM:])
+    whole = np.sum(list(spent.values()), axis=0)
     named = {"kind": "kernel", "garment": garment, "tier": tier}
     rows = [
         {
@@ -142,10 +143,9 @@ def _floors(stream: Stream, pose: np.ndarray, time_s: float) -> dict[tuple[str, 
             found.setdefault((stage, name), []).append(least_ms)
         calls.clear()
 
-    beside = Stream(stream.plan, len(stream._betas), took=took)
-    beside.memories = stream.memories
+    stream.took = took
     with replaced(weighed):
-        beside.pose(pose, time_s)
+        stream.pose(pose, time_s)
     return found
 
 
@@ -214,8 +214,8 @@ def _threads_row(garment: str, what: str, threads: int, wall_s: float, cpu_s: fl
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A scene of ``garments`` under the options ``full``, and ``what`` of it is left out: by the options ``less``, or by
-    a body that does not move as in full. ``pose`` gives its pose in a frame, and ``warm`` the frames before it counts;
+    """A scene of ``garments`` under the options ``full``, and ``what`` is less in it: the options ``less``, or a body
+    that does not move as in full. ``pose`` gives the pose of a frame, and ``warm`` frames come before those that count;
     ``moving`` is the pose in full, where that is another."""
 
     case: str
@@ -232,7 +232,9 @@ def views(bench: Bench) -> Iterator[View]:
     """Distance, hidden garments, a body that stands, and limbs that hardly move cloth."""
     walk, shirt, far = bench.pose, ["tshirt"], {"pixels_per_m": 50.0}
     yield View("distance", "far away", shirt, walk, {}, far)
-    yield View("distance", "far away, no motion, no push-out", shirt, walk, {}, far | {"motion": 0.0, "push_out": False})
+    yield View(
+        "distance", "far away, no motion, no push-out", shirt, walk, {}, far | {"motion": 0.0, "push_out": False}
+    )
     for apart, said in (({}, ""), ({"cloth_contact": False}, ", layers do not feel each other")):
         for hidden in OUTFIT:
             yield View("hidden", f"{hidden}{said}", OUTFIT, walk, apart, apart | {"hidden": (hidden,)})
@@ -246,27 +248,23 @@ def views(bench: Bench) -> Iterator[View]:
 
 
 def waving(bench: Bench, frame: int) -> np.ndarray:
-    """The first pose of the walk with both hands turning to and fro, by half a radian."""
+    """The first pose of the walk with both hands turning to and fro."""
     pose = bench.poses[0].copy()
-    pose[list(WAVED), 2] += 0.5 * np.sin(frame / FPS * 2.0 * np.pi)
+    pose[WAVED, 2] += WAVE_RAD * np.sin(frame / FPS * 2.0 * np.pi)
     return pose
 
 
-def view_rows(bench: Bench, view: View) -> list[Row]:
-    """The scene in full and with less."""
+def view_row(bench: Bench, view: View) -> Row:
+    """The scene with less, beside what it takes in full."""
     pairs = ((view.full, view.moving or view.pose), (view.less, view.pose))
     streams = [(bench.stream(bench.plan(view.garments, **options)), pose) for options, pose in pairs]
     for part in bench.parts(view.warm):
         for stream, pose in streams:
             for frame in part:
                 stream.message(pose(frame), frame / FPS)
-    named = {"kind": "view", "garment": " + ".join(view.garments), "case": view.case}
-    cpu, wall = ([float(np.median(getattr(s.clock, key)[view.warm :])) for s, _ in streams] for key in _TIMES)
-    full = {**named, "what": "in full", "cpu_ms": cpu[0], "wall_ms": wall[0]}
-    return [full, {**named, "what": view.what, "cpu_ms": cpu[1], "wall_ms": wall[1], "saving": 1.0 - cpu[1] / cpu[0]}]
-
-
-_TIMES = ("cpu_ms", "wall_ms")
+    full_ms, cpu_ms = (float(np.median(stream.clock.cpu_ms[view.warm :])) for stream, _ in streams)
+    took = {"full_ms": full_ms, "cpu_ms": cpu_ms, "saving": 1.0 - cpu_ms / full_ms}
+    return {"kind": "view", "garment": " + ".join(view.garments), "case": view.case, "what": view.what, **took}
 
 
 @Benchmark(
@@ -293,8 +291,7 @@ def main(run: Run) -> None:
     for garment in options.garments:
         run.add(stream_thread_rows(alone, garment))
         run.add(clip_thread_row(one, garment, threads) for threads, one in ((1, alone), (2, both)))
-    for view in views(alone):
-        run.add(view_rows(alone, view))
+    run.add(view_row(alone, view) for view in views(alone))
     for one in (alone, both):
         one.drapery.close()
     run.extra |= {"frames": options.frames, "model": options.model, "gemm_gflops": 2e-9 * multiply_adds_per_s(1)}

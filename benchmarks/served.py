@@ -23,7 +23,7 @@ class Stream:
     def __init__(
         self, plan: Plan, shape_count: int, *, took: Callable[[str, float], None] = lambda name, s: None
     ) -> None:
-        self.plan, self.clock, self._betas, self._took = plan, Clock(), np.zeros(shape_count), took
+        self.plan, self.clock, self._betas, self.took = plan, Clock(), np.zeros(shape_count), took
         self.memories: Memories = {}
         for stage in plan.stages:
             stage.prepare(plan)
@@ -32,7 +32,7 @@ class Stream:
         """The drape of ``one``, which is timed; the memories that it holds are replaced by the stream's."""
         one = replace(one, memories=self.memories)
         with self.clock:
-            batch = run(self.plan, [one], self._took)
+            batch = run(self.plan, [one], self.took)
         self.memories = batch.memories[0]
         return batch
 
@@ -47,7 +47,7 @@ class Stream:
             before = idle_before(self.plan, one)
             again = answer_again(self.plan, one, before)
             if again is None:
-                batch = run(self.plan, [one], self._took)
+                batch = run(self.plan, [one], self.took)
                 message = batch.messages[0]
                 again = message, remember(self.plan, one, before, batch.memories[0], message)
         message, self.memories = again

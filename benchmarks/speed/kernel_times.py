@@ -1,8 +1,8 @@
 """Compiled kernels as Python calls them: how long each call takes, and how many bytes it is given and gives.
 
 A kernel is a name in a module. While names are ``replaced``, calls from Python go through what stands in their place;
-kernels that kernels call are compiled into these and seen as part of them. All kernels must have been called before: one
-that is compiled meanwhile would read the names.
+kernels that kernels call are compiled into these and seen as part of them. All kernels must have been called before:
+one that is compiled meanwhile would read the names.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numba.core.registry import CPUDispatcher
 
 PACKAGES = ("drape", "service")
 PYTHON = "Python"
+Calls = list[tuple[str, float, float]]  # names, processor [s], wall [s]
 Spent = dict[tuple[str, str], np.ndarray]  # by stage and kernel: calls, processor [ms], wall [ms]
 
 
@@ -44,31 +45,38 @@ def replaced(make: Callable[[str, Any], Callable[..., Any]]) -> Iterator[int]:
 class Trace:
     """Where the time of this thread's frames goes.
 
-    ``begin`` comes before a frame and ``took`` after each of its stages; between them ``timed`` kernels run. ``frames``
-    has what each frame spent; what a stage spends outside of kernels is ``PYTHON``.
+    ``begin`` comes before a frame and ``took`` after each of its stages; between them ``timed`` kernels run.
     """
 
     def __init__(self) -> None:
-        self.frames: list[Spent] = []
-        self._calls: list[tuple[str, float, float]] = []
+        self._frames: list[list[tuple[str, float, float, Calls]]] = []
+        self._calls: Calls = []
         self._mark = _now()
 
     def begin(self) -> None:
         """A frame begins."""
-        self.frames.append({})
+        self._frames.append([])
         self._calls, self._mark = [], _now()
 
     def took(self, stage: str, _: float) -> None:
         """The calls since the last mark were those of ``stage``, which ends."""
-        cpu, wall = _now()
-        spent = self.frames[-1]
-        rest = np.array([1.0, 1e3 * (cpu - self._mark[0]), 1e3 * (wall - self._mark[1])])
-        for name, cpu_s, wall_s in self._calls:
-            one = np.array([1.0, 1e3 * cpu_s, 1e3 * wall_s])
-            spent[stage, name] = spent.get((stage, name), 0.0) + one
-            rest[1:] -= one[1:]
-        spent[stage, PYTHON] = rest
-        self._calls, self._mark = [], _now()
+        now = _now()
+        self._frames[-1].append((stage, now[0] - self._mark[0], now[1] - self._mark[1], self._calls))
+        self._calls, self._mark = [], now
+
+    def frames(self) -> list[Spent]:
+        """What each frame spent; of what a stage spends, that outside of kernels is ``PYTHON``."""
+        found: list[Spent] = []
+        for frame in self._frames:
+            found.append({})
+            for stage, cpu_s, wall_s, calls in frame:
+                rest = np.array([1.0, 1e3 * cpu_s, 1e3 * wall_s])
+                for name, cpu, wall in calls:
+                    one = np.array([1.0, 1e3 * cpu, 1e3 * wall])
+                    found[-1][stage, name] = found[-1].get((stage, name), 0.0) + one
+                    rest[1:] -= one[1:]
+                found[-1][stage, PYTHON] = rest
+        return found
 
     def timed(self, name: str, kernel: Any) -> Callable[..., Any]:
         """``kernel``, whose calls are told to the trace."""
