@@ -332,15 +332,13 @@ def test_what_is_far_away_has_no_folds_and_8_bits_but_for_what_is_named(asked: d
 
 
 def test_what_is_far_away_is_lifted_off_the_skin_as_the_least_tier_is():
-    def coarse(**asked: object) -> bool | None:
-        return chosen(DrapeOptions(pixels_per_m=FAR, **asked), TIERS, Settings(), 4).coarse
+    def found(**asked: object) -> DrapeOptions:
+        return chosen(DrapeOptions.model_validate(asked), TIERS, Settings(), 4)
 
-    assert coarse() and coarse(tier="accurate")
-    assert not any((coarse(push_out=False), coarse(folds=0), coarse(geometry="jets"), coarse(coarse=False)))
-    least, far = (
-        chosen(DrapeOptions(**asked), TIERS, Settings(), 4) for asked in ({"tier": "instant"}, {"pixels_per_m": FAR})
-    )
-    assert far == least.model_copy(update={"bits": 8})
+    assert found(pixels_per_m=FAR).coarse and found(pixels_per_m=FAR, tier="accurate").coarse
+    for named in ({"push_out": False}, {"folds": 0}, {"geometry": "jets"}, {"coarse": False}):
+        assert not found(pixels_per_m=FAR, **named).coarse
+    assert found(pixels_per_m=FAR) == found(tier="instant").model_copy(update={"bits": 8})
 
 
 def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(views_runtime: DrapeRuntime):
