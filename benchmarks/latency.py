@@ -81,15 +81,14 @@ class Bench:
 
 
 def single_rows(bench: Bench, name: str) -> list[Row]:
-    """One frame of one garment: ours by plan, with its stages, and every rival."""
+    """One frame of one garment: ours by plan, and every rival."""
     garment = shipped(name)
     packer = bench.packer({name: garment})
     size = {"garment": name, "vertices": garment.vertex_count, "patches": garment.patch_count, "batch": 1}
     pose = poses(5)[2:3]
     skinning = SkinningPush(garment, bench.body)
-    whole = bench.clock(packer, [name], ScenePlan())
     rows: list[Row] = [
-        {"name": "onnx", **whole.row(), "stage_ms": stages(bench, packer, name, pose, whole)},
+        {"name": "onnx", **bench.clock(packer, [name], ScenePlan()).row()},
         *pushed_rows(bench, packer, name, garment),
     ]
     rows[0]["push_out_ms"] = rows[1]["push_out_ms"]
@@ -141,13 +140,6 @@ def pushing(bench: Bench, key: str, garment: Garment) -> Callable[..., None]:
         pusher.push([key], vertices, skin)
 
     return push
-
-
-def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timing) -> dict[str, float]:
-    """Milliseconds of one frame by stage, as differences of calls that end after each; ``whole`` is of all."""
-    first = timed(lambda: bench.shape.rows(pose), seconds=bench.seconds / 4).p50_ms
-    jets_ms = bench.clock(packer, [key], ScenePlan("jets")).p50_ms
-    return {"pose": first, "patches": jets_ms - first, "vertices": whole.p50_ms - jets_ms}
 
 
 def batch_rows(bench: Bench, batches: Sequence[int]) -> list[Row]:

@@ -185,6 +185,20 @@ NAMES = {
     "newton_vbd": "Newton VBD", "floor": "floor",
 }  # fmt: skip
 TIMES = {"p50_ms": "p50 [ms]", "p95_ms": "p95", "p99_ms": "p99", "min_ms": "least"}
+KERNELS = {
+    "garment": ("garment", "s"), "tier": ("tier", "s"), "stage": ("stage", "s"), "kernel": ("kernel", "s"),
+    "calls": ("calls", ".0f"), "cpu_ms": ("processor [ms]", ".3f"), "wall_ms": ("wall [ms]", ".3f"),
+    "share": ("of the frame", ".2f"), "floor_ms": ("floor [ms]", ".3f"), "bare_ms": ("not traced [ms]", ".3f"),
+}  # fmt: skip
+THREADS = {
+    "garment": ("garment", "s"), "what": ("what", "s"), "threads": ("threads", "d"),
+    "cpu_ms": ("processor a frame [ms]", ".2f"), "wall_ms": ("wall a frame [ms]", ".2f"),
+    "frames_per_s": ("frames/s", ".0f"),
+}  # fmt: skip
+VIEWS = {
+    "garment": ("garment", "s"), "case": ("case", "s"), "what": ("what", "s"), "full_ms": ("in full [ms]", ".2f"),
+    "cpu_ms": ("so [ms]", ".2f"), "saving": ("saved", ".2f"),
+}  # fmt: skip
 BATCHES = {"batch": ("frames in a call", "d"), "p50_ms": ("p50 [ms]", ".2f"), "frames_per_s": ("frames/s", ".0f")}
 GROWTH = {
     "garment": ("what", "s"), "vertices": ("vertices", "d"), "patches": ("patches", "d"), "p50_ms": ("p50 [ms]", ".2f"),
@@ -242,14 +256,9 @@ def single_table(record: Record) -> str:
     return markdown_table(["garment", "what", *TIMES.values()], lines, record)
 
 
-def stage_table(record: Record) -> str:
-    """Where the milliseconds of a frame go, and the push-out that comes on top."""
-    rows = [row for row in record["rows"] if row["name"] == "onnx" and "stage_ms" in row]
-    lines = (
-        [row["garment"], str(row["vertices"]), *(f"{ms:.2f}" for ms in (*row["stage_ms"].values(), row["push_out_ms"]))]
-        for row in rows
-    )
-    return markdown_table(["garment", "vertices", *rows[0]["stage_ms"], "push-out"], lines)
+def views_table(record: Record) -> str:
+    """What is saved of a frame, and where all of the record was measured."""
+    return rows_table(VIEWS, [row for row in record["rows"] if row["kind"] == "view"], record)
 
 
 def growth_table(record: Record) -> str:
@@ -348,8 +357,10 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("tradeoff", "docs/reference/tradeoff.md", "tradeoff", trade_table),
     ("yardsticks", "docs/reference/tradeoff.md", "yardsticks", trade_table),
     ("skin_pixels", FOLDS_PAGE, "skin", skin_table),
+    ("frame", SPEED_PAGE, "frame_kernels", partial(_only, KERNELS, "kind", "kernel")),
+    ("frame", SPEED_PAGE, "frame_threads", partial(_only, THREADS, "kind", "threads")),
+    ("frame", SPEED_PAGE, "frame_views", views_table),
     ("latency", SPEED_PAGE, "latency_single", single_table),
-    ("latency", SPEED_PAGE, "latency_stages", stage_table),
     ("latency", SPEED_PAGE, "latency_batches", partial(_only, BATCHES, "garment", "mixed")),
     ("latency", SPEED_PAGE, "latency_growth", growth_table),
     ("latency_gpu", SPEED_PAGE, "latency_gpu_single", single_table),

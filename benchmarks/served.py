@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from benchmarks.clock import Clock
 from service.stages.batch import Batch, Memories, PoseInput
+from service.stages.encode import answer_again, idle_before, remember
 from service.stages.plan import Plan
 from service.stages.stage import run
 
 
 class Stream:
-    """Frames under one plan, one after the other; each goes on from what the stages remember of those before."""
+    """Frames under one plan, one after the other; each goes on from what the stages remember of those before.
 
-    def __init__(self, plan: Plan, shape_count: int) -> None:
-        self.plan, self.clock, self._betas = plan, Clock(), np.zeros(shape_count)
+    ``took`` is told the name of each stage and how long it took [s].
+    """
+
+    def __init__(
+        self, plan: Plan, shape_count: int, *, took: Callable[[str, float], None] = lambda name, s: None
+    ) -> None:
+        self.plan, self.clock, self._betas, self.took = plan, Clock(), np.zeros(shape_count), took
         self.memories: Memories = {}
         for stage in plan.stages:
             stage.prepare(plan)
@@ -25,14 +32,30 @@ class Stream:
         """The drape of ``one``, which is timed; the memories that it holds are replaced by the stream's."""
         one = replace(one, memories=self.memories)
         with self.clock:
-            batch = run(self.plan, [one])
+            batch = run(self.plan, [one], self.took)
         self.memories = batch.memories[0]
         return batch
 
     def pose(self, pose: np.ndarray, time_s: float) -> Batch:
         """The drape of ``pose`` (24, 3) at ``time_s`` on the body of mean shape, its root in its place."""
-        return self.frame(PoseInput(pose[None], np.zeros((1, 3)), self._betas, np.array([time_s])))
+        return self.frame(self._input(pose, time_s))
+
+    def message(self, pose: np.ndarray, time_s: float) -> bytes:
+        """The message of the frame of ``pose``, timed: for a body that has come to rest the last one again."""
+        one = replace(self._input(pose, time_s), memories=self.memories)
+        with self.clock:
+            before = idle_before(self.plan, one)
+            again = answer_again(self.plan, one, before)
+            if again is None:
+                batch = run(self.plan, [one], self.took)
+                message = batch.messages[0]
+                again = message, remember(self.plan, one, before, batch.memories[0], message)
+        message, self.memories = again
+        return message
 
     def forget(self) -> None:
         """Leaves the next frame without a past."""
         self.memories = {}
+
+    def _input(self, pose: np.ndarray, time_s: float) -> PoseInput:
+        return PoseInput(pose[None], np.zeros((1, 3)), self._betas, np.array([time_s]))

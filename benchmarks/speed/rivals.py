@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.clock import timed
+from benchmarks.speed.rates import copied_per_s, multiply_adds_per_s
 from benchmarks.tables import Row
 from drape.arrays.subnormals import flushed
 from drape.body.model import BodyModel
@@ -82,12 +83,7 @@ def multiply_adds(model: OneFit, garment: PackedGarment) -> float:
 
 def floor_row(model: OneFit, garment: PackedGarment, *, threads: int) -> Row:
     """The larger of multiply-adds over the measured matrix rate and bytes over the measured copy rate."""
-    torch.set_num_threads(threads)
-    a, b = torch.rand(1024, 1024), torch.rand(1024, 1024)
-    gemm = 1024**3 / (1e-3 * timed(lambda: a @ b, seconds=1.0).p50_ms)
-    source = torch.rand(1 << 24)
-    target = torch.empty_like(source)
-    copy = 2 * source.nbytes / (1e-3 * timed(lambda: target.copy_(source), seconds=1.0).p50_ms)
+    gemm, copy = multiply_adds_per_s(threads), copied_per_s(1 << 27, threads)
     graph = PackedGraph(model)
     weights = sum(p.numel() * 4 for p in graph.parameters())
     moved = weights + garment.bytes + 12 * garment.vertex_count

@@ -27,6 +27,7 @@ import numpy as np
 
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import add, at, dot, scaled, sub
+from drape.live.clock import writable
 from drape.live.fold_constants import LaidCloth
 from drape.live.sheet import LANES
 from drape.live.skin_contact import NEIGHBOURS, TouchedSamples, follow
@@ -50,7 +51,7 @@ def ceiling_over(vertices: np.ndarray, outer: LaidCloth, skin: np.ndarray) -> np
     offset d [m]: n . x - d is how far x is above it.
     """
     dtype = outer.sheet.own.dtype
-    x, samples = np.take(vertices, outer.sheet.vertex, axis=0).astype(dtype), np.ascontiguousarray(skin, dtype)
+    x, samples = np.take(vertices, outer.sheet.vertex, axis=0).astype(dtype, copy=False), writable(skin, dtype)
     own = outer.index.copy()
     follow(x, samples, outer.graph, TouchedSamples(own, own))
     ceiling = np.zeros((len(samples), 5), dtype)
@@ -70,8 +71,8 @@ def pressed(
     """The ``vertices`` [m] (V, 3) of the garment ``inner`` below the ``ceiling`` (S, 5) over ``ground`` (S, 8), with
     the cloth around; themselves where nothing is too high. ``own`` (P,) is the sample that each place is at."""
     dtype = inner.sheet.own.dtype
-    x, samples = np.take(vertices, inner.sheet.vertex, axis=0).astype(dtype), np.ascontiguousarray(ground, dtype)
-    down, ceiling = np.zeros_like(x), ceiling.astype(dtype)
+    x, samples = np.take(vertices, inner.sheet.vertex, axis=0).astype(dtype, copy=False), writable(ground, dtype)
+    down, ceiling = np.zeros_like(x), writable(ceiling, dtype)
     if not _too_high(x, own, samples, inner.graph, ceiling, down):
         return vertices
     _spread(x, inner.sheet, down)
@@ -110,12 +111,15 @@ def _lower(x, sheet, own, skin, graph, ceiling):
             for n in range(NEIGHBOURS):
                 other = graph.neighbour[s, n]
                 if before[other, 0] < np.inf:
-                    total, covered = total + before[other], covered + 1
+                    covered += 1
+                    for i in range(len(total)):  # no sum of arrays, which would be a new one each time
+                        total[i] += before[other, i]
             normal = (total[1], total[2], total[3])
             length = np.sqrt(dot(normal, normal))
             if covered >= MOST and length > 0:
                 ceiling[s, 0] = total[0] / kind(covered)
-                ceiling[s, 1:] = total[1:] / length
+                for i in range(1, len(total)):
+                    ceiling[s, i] = total[i] / length
 
 
 @kernel

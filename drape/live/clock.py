@@ -33,8 +33,14 @@ class Frame:
 
     def around(self, dtype: np.dtype) -> Surroundings:
         """What is around the cloth, its skin of ``dtype``."""
-        # Copies: kernels are compiled for arrays that may be written.
-        return Surroundings(np.array(self.skin, dtype, order="C"), np.array(self.colliders, np.float64, order="C"))
+        return Surroundings(writable(self.skin, dtype), np.array(self.colliders, np.float64, order="C"))
+
+
+def writable(array: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """``array`` in C order and of ``dtype``, as kernels are compiled for it: such that it may be written. It is copied
+    only where it is not so."""
+    fits = array.dtype == dtype and array.flags.c_contiguous and array.flags.writeable
+    return array if fits else np.array(array, dtype, order="C")
 
 
 class Surroundings(NamedTuple):

@@ -23,6 +23,7 @@ from drape.contact.samples import sample_table
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import add, at, dot, scaled, sub
 from drape.kernels.grid import cells_within, column, grid_of
+from drape.live.clock import writable
 from drape.live.sheet import LANES, Sheet
 from drape.live.skin_contact import NEIGHBOURS, PER_CELL, SkinGraph
 from drape.live.surface_frames import FRAMES, surface_frames
@@ -36,7 +37,7 @@ ASIDE = 3.0  # in spacings: skin farther than that off a sample's normal does no
 def raised(skin: np.ndarray, height: np.ndarray) -> np.ndarray:
     """``skin`` (..., S, 8), a ``drape.contact.samples.sample_table``, ``height`` [m] (..., S) out along its normals."""
     normal = skin[..., 4:7]
-    return np.asarray(sample_table(skin[..., :3] + height[..., None] * normal, normal))
+    return np.ascontiguousarray(sample_table(skin[..., :3] + height[..., None] * normal, normal))
 
 
 def heights_over(vertices: np.ndarray, sheet: Sheet, own: np.ndarray, skin: np.ndarray, graph: SkinGraph) -> np.ndarray:
@@ -47,7 +48,7 @@ def heights_over(vertices: np.ndarray, sheet: Sheet, own: np.ndarray, skin: np.n
     """
     x = np.take(vertices, sheet.vertex, axis=0)
     height = np.zeros(len(skin), x.dtype)
-    _raise(x, sheet, own, np.array(skin, dtype=x.dtype, order="C"), graph, height)
+    _raise(x, sheet, own, writable(skin, x.dtype), graph, height)
     return height
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import at, dot, farthest_m, scaled, sub
-from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between
+from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between, writable
 from drape.live.colliders import write_planes
 from drape.live.skin_contact import NEIGHBOURS, SkinGraph, TouchedSamples, follow
 from drape.live.swing_carry import move_vertices
@@ -89,7 +89,7 @@ def swing(
     """
     vertices, time_s = frame.vertices, frame.time_s
     dtype = constants.mesh.mass_kg.dtype
-    network = vertices[constants.mesh.vertex].astype(dtype)
+    network = np.take(vertices, constants.mesh.vertex, axis=0).astype(dtype, copy=False)
     around = frame.around(dtype)
     past = memory if memory is not None and memory.time_s != time_s and follows(memory, network, time_s) else None
     if past is None:
@@ -102,8 +102,8 @@ def swing(
     if far < LEAST_M:
         return vertices, after
     out = np.empty(vertices.shape, dtype)
-    move_vertices(vertices.astype(dtype), network, after.swung, constants.mesh, dtype.type(share), out)
-    return out.astype(vertices.dtype), after
+    move_vertices(writable(vertices, dtype), network, after.swung, constants.mesh, dtype.type(share), out)
+    return out.astype(vertices.dtype, copy=False), after
 
 
 def _after(

@@ -192,12 +192,12 @@ def fold_two_level(
     dtype = fine.sheet.own.dtype
     network, planes = np.empty((len(vertex), 3), dtype), constants.coarse.sheet.planes()
     put_places(frame.vertices, vertex, network)
-    under = frame.vertices[constants.kept]
+    under = np.take(frame.vertices, constants.kept, axis=0)
     before = None if memory is None else memory.coarse
     coarsely = effort if effort.steps else replace(effort, clearance_m=0.0)  # what nothing moved the fine cloth lifts
     folded, coarse, report = fold_among(constants.coarse, before, replace(frame, vertices=under), coarsely, planes)
-    off = np.zeros((len(constants.coarse.sheet.vertex), 3), dtype)
-    off[constants.coarse.sheet.place] = folded - under
+    off = np.empty((len(constants.coarse.sheet.vertex), 3), dtype)
+    put_places(folded - under, constants.coarse.sheet.vertex, off)
     sweeps, way_m = effort.steps * (effort.settle if report.settled else 1), WAY_M
     if memory is None or report.settled:
         added, share = np.zeros_like(network), 0.0

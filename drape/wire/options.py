@@ -168,8 +168,8 @@ class DrapeOptions(BaseModel):
         default=None,
         gt=0.0,
         allow_inf_nan=False,
-        description="Pixels of the picture per metre of the garment. Below 100 it is far away: no folds, no "
-        "corrections and coordinates of 8 bits, unless they are named beside it; left out, it is near.",
+        description="Pixels of the picture per metre of the garment. Below 100 it is far away: the least "
+        "tier and coordinates of 8 bits, unless passes, folds or bits are named beside it; left out, it is near.",
     )
     still_mm: float | None = Field(
         default=None,

@@ -77,15 +77,17 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
     if options.tier == EXACT:
         cure = "POST /drape with tier exact: the answer is a job. Or ask for accurate here."
         raise InputError("tier", expected=f"one of {', '.join(NAMES)}", got=EXACT, cure=cure)
-    tier = tiers[NAMES.index(options.tier or settings.tier)]
     own = None if options.tier else settings.folds
     folds, passes, bits = options.folds, options.passes, options.bits
+    far = options.pixels_per_m is not None and options.pixels_per_m < FAR_PIXELS_PER_M
+    tier = tiers[0 if far and folds is None else NAMES.index(options.tier or settings.tier)]
     lifts = folds is None and own is None and not tier.folds and options.geometry == "vertices"
-    if options.pixels_per_m is not None and options.pixels_per_m < FAR_PIXELS_PER_M:
+    if far:
+        # A lift in place of a projection, which costs more than what is left; with neither nothing is looked at.
+        lifts = lifts and (settings.push_out if options.push_out is None else options.push_out)
         folds, bits = 0 if folds is None else folds, bits or 8
         passes = tiers[0].alone if passes is None and not folds else passes
         passes = None if passes is None or passes >= pass_count else passes
-        own, lifts = None, False
     if folds is None:
         smooth = options.geometry == "jets" and options.folds_by == "server"
         folds = 0 if smooth else tier.folds if own is None else own

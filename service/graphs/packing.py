@@ -218,9 +218,10 @@ class Packer:
         )
 
     def _parts(self, items: Sequence[Item]) -> list[list[Item]]:
-        """``items`` in parts that fit a call; a part has at least one."""
-        if len(items) == 1:
-            return [list(items)]
+        """``items`` in parts that fit a call, each of one at least. Compiled kernels have one item a call anyway, and a
+        body is posed once for all of a part."""
+        if len(items) == 1 or self._engine.compiled is not None:
+            return [list(items)] if items else []
         parts: list[list[Item]] = []
         tiles = self._tiles_per_call
         for item in items:

@@ -131,14 +131,15 @@ class Folds(Stage):
             effort = safe = replace(effort, steps=0)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty]
         layers, told, lain = list(batch.layers), _Told.of(batch), []
+        felt = _feel_each_other(plan)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
-        ceilings = self._ceilings(batch, ground) if effort.cloth_contact else [None] * len(layers)
+        ceilings = self._ceilings(batch, ground) if felt else [None] * len(layers)
         for i, (key, fabric, ceiling) in enumerate(zip(plan.draped_keys, plan.fabrics, ceilings, strict=True)):
             memories = batch.remembered((self.name, key))
             made = self._of(key, fabric, coarse=plan.options.coarse)
             layers[i], own, memories, reports = self._folded(batch, i, made, efforts, memories, ground)
-            told.add(reports, own.shape[1], seen=plan.visible[i])
+            told.add(reports, len(made.laid.sheet.vertex), seen=plan.visible[i])
             lain.append(_Lain(made.laid, own, ground))
             batch = batch.remember((self.name, key), memories)
             if ceiling is not None:
@@ -146,13 +147,13 @@ class Folds(Stage):
                 ground = raised(ground, lain[i].heights(layers[i]))
             if i < len(layers) - 1:
                 yield replace(batch, layers=tuple(layers), quality=told.quality(batch.quality))
-        folded = replace(batch, layers=tuple(layers))
-        if effort.cloth_contact:
+        folded, read = replace(batch, layers=tuple(layers)), _read(plan)
+        if felt and any(read[:-1]):  # what nobody reads need not lie below the others
             for i, ceiling in enumerate(self._ceilings(folded, lain[0].ground)):
-                layers[i] = layers[i] if ceiling is None else lain[i].below(layers[i], ceiling)
-        each = zip(plan.draped_keys, plan.keys, _read(plan), strict=True)
-        for i, (key, sent, read) in enumerate(each):
-            if sent != key and read:
+                if ceiling is not None and read[i]:
+                    layers[i] = lain[i].below(layers[i], ceiling)
+        for i, (key, sent) in enumerate(zip(plan.draped_keys, plan.keys, strict=True)):
+            if sent != key and read[i]:
                 layers[i] = self._wrapped(layers[i], sent)
         yield replace(batch, layers=tuple(layers), quality=told.quality(batch.quality))
 
@@ -166,8 +167,9 @@ class Folds(Stage):
         ground: np.ndarray,
     ) -> tuple[Layer, np.ndarray, list[Memory | None], list[FoldReport]]:
         """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the samples that its places are
-        at (F, P), the memories of the inputs after it, and a report of each frame."""
-        drape = batch.layers[i].vertices
+        at (F, P), none where layers do not feel each other, the memories of the inputs after it, and a report of each
+        frame."""
+        drape, felt = batch.layers[i].vertices, _feel_each_other(batch.plan)
         assert drape is not None
         vertices, own, reports, after = np.empty_like(drape), [], [], []
         for (one, rows), memory in zip(batch.rows(), memories, strict=True):
@@ -175,10 +177,12 @@ class Folds(Stage):
                 solid = seen_from(batch.plan.colliders, batch.root[row])
                 frame = Frame(drape[row], ground[row], float(one.times_s[number]), solid)
                 vertices[row], memory, report = made.fold(memory, frame, efforts[row])
-                own.append(made.own(memory))
+                if felt:
+                    own.append(made.own(memory))
                 reports.append(report)
             after.append(memory)
-        return replace(batch.layers[i], vertices=vertices), np.stack(own), after, reports
+        at = np.stack(own) if felt else np.empty((len(drape), 0), np.int32)
+        return replace(batch.layers[i], vertices=vertices), at, after, reports
 
     def _ceilings(self, batch: Batch, skin: np.ndarray) -> list[np.ndarray | None]:
         """The ceiling (F, S, 5) over ``skin`` (F, S, 8) that is over each layer; None where no layer is."""
@@ -223,6 +227,11 @@ def check_client_folds(plan: Plan) -> None:
     for wrong, expected, got in unmet:
         if wrong:
             raise InputError("folds_by", expected=f"for client: {expected}", got=got, cure="Let the server fold.")
+
+
+def _feel_each_other(plan: Plan) -> bool:
+    """Whether layers press each other."""
+    return bool(plan.options.cloth_contact) and len(plan.draped) > 1
 
 
 def _read(plan: Plan) -> list[bool]:

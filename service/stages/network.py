@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ SHAPES: dict[frozenset[str], Shape] = {
     frozenset({"jets"}): "jets",
     frozenset({"vertices", "jets"}): "both",
 }
+SHAPES_KEPT = 64  # bodies' rest joints, a kilobyte each
 REACHES_KEPT = 256  # garments in fabrics, 192 bytes each
 Measured = tuple[str, str, int | None]  # a garment, its fabric, passes
 
@@ -60,6 +62,7 @@ class Network(Stage):
         super().__init__(setup)
         self.packer = Packer(self.engine, self.body)
         self._reach_m: dict[Measured, np.ndarray] = {}
+        self._shape = lru_cache(SHAPES_KEPT)(lambda betas: pack_body(self.body, np.frombuffer(betas, np.float64)))
         self._skin_in_graph = self.engine.feels_body and self.body.posedirs is None
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
@@ -125,7 +128,7 @@ class Network(Stage):
 
     def run(self, batch: Batch) -> Batch:
         plan, needs = batch.plan, batch.plan.needs
-        shapes = [pack_body(self.body, one.betas) for one in batch.inputs]
+        shapes = [self._shape(np.asarray(one.betas, np.float64).tobytes()) for one in batch.inputs]
         parts = [shape.rows(one.poses) for shape, one in zip(shapes, batch.inputs, strict=True)]
         bodies = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         root = np.concatenate([one.trans + shape.root for shape, one in zip(shapes, batch.inputs, strict=True)])

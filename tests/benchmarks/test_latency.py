@@ -45,7 +45,6 @@ def test_rows_hold_together(record: dict):
     assert [row["passes"] for row in pushed] == [1, 0]
     assert all(row["min_ms"] > row["push_out_ms"] / 10 > 0.0 for row in pushed)
     ours = rows["onnx"]
-    assert_allclose(sum(ours["stage_ms"].values()), ours["p50_ms"], rtol=1e-4)
     assert ours["push_out_ms"] > 0.0
     assert rows["floor"]["p50_ms"] < ours["p50_ms"]
     batches = [row for row in record["rows"] if row["garment"] == "mixed"]
@@ -59,7 +58,6 @@ def test_tables_come_from_the_record(record: dict):
     made = {name: table for _, _, name, table in records.TABLES}
     single = records.single_table(record)
     assert "| shorts | packed graph: vertices | " in single and "| shorts | floor | " in single
-    assert records.stage_table(record).count("\n") == 2
     assert made["latency_batches"](record).count("| 8 | ") == 1
     assert "all 4 in store" in records.growth_table(record)
 

@@ -185,6 +185,16 @@ def test_parts_of_a_batch_and_threads_change_no_bit(bodies):
         assert_array_equal(a, c)
 
 
+def test_a_body_is_posed_once_for_all_that_it_wears(bodies, monkeypatch: pytest.MonkeyPatch):
+    packer, posed = make_packer(compiled=True, tiles_per_call=1), []
+    network = packer._engine.compiled
+    assert network is not None
+    body = network.body
+    monkeypatch.setattr(network, "body", lambda feed, row, counts: posed.append(row) or body(feed, row, counts))
+    packer.run(ScenePlan(), bodies, [(kind, row) for kind in KINDS for row in (0, 1)])
+    assert posed == [0, 1]
+
+
 def kernels(packer: Packer, plan: ScenePlan, alone: bool, folder: Path) -> list[str]:
     """Names of the nodes that ONNX Runtime ran for ``plan``, from its own profile."""
     engine, fetched = packer._engine, packer._fetched(plan)

@@ -125,6 +125,20 @@ def test_bits_depend_neither_on_chunks_nor_on_who_else_is_there(runtime: DrapeRu
     assert together.memories[0].keys() == together.memories[1].keys() == {("folds", plan.keys[0])}
 
 
+def test_nobody_presses_a_hidden_garment_below_the_folds_of_what_is_over_it(
+    outfit_settings: Settings, monkeypatch: pytest.MonkeyPatch
+):
+    runtime, pressed = DrapeRuntime(outfit_settings), []
+    scene = runtime.garments.scene(None, ["tube", "coat"])
+    seen, hidden = (runtime.plan(scene, DrapeOptions(folds=1, hidden=one)) for one in (None, ("tube",)))
+    monkeypatch.setattr(folds_stage, "pressed", lambda x, *_: pressed.append(len(x)) or x)
+    inner = scene.layers[0].vertex_count
+    both, outer = run(seen, [CLIP]), run(hidden, [CLIP])
+    assert_array_equal(outer.vertices, both.vertices[:, inner:])
+    assert pressed == [inner] * 3 * len(POSES), "twice where it is seen, once where it is not"
+    runtime.close()
+
+
 def test_every_layer_has_a_memory_of_its_own(outfit_settings: Settings):
     runtime = DrapeRuntime(outfit_settings)
     apart = DrapeOptions(folds=1, push_out=False, cloth_contact=False)

@@ -331,6 +331,16 @@ def test_what_is_far_away_has_no_folds_and_8_bits_but_for_what_is_named(asked: d
     assert found.pixels_per_m is None, "distances on one side of the limit are one plan"
 
 
+def test_what_is_far_away_is_lifted_off_the_skin_as_the_least_tier_is():
+    def found(**asked: object) -> DrapeOptions:
+        return chosen(DrapeOptions.model_validate(asked), TIERS, Settings(), 4)
+
+    assert found(pixels_per_m=FAR).coarse and found(pixels_per_m=FAR, tier="accurate").coarse
+    for named in ({"push_out": False}, {"folds": 0}, {"geometry": "jets"}, {"coarse": False}):
+        assert not found(pixels_per_m=FAR, **named).coarse
+    assert found(pixels_per_m=FAR) == found(tier="instant").model_copy(update={"bits": 8})
+
+
 def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(views_runtime: DrapeRuntime):
     near, far = (views_draped(views_runtime, folds=0, bits=bits) for bits in (16, 8))
     assert_array_equal(near.vertices, far.vertices)
@@ -347,7 +357,8 @@ def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(views
         ({"inertia": "mesh"}, "network swing folds encode"),
         ({"inertia": "network"}, "motion network folds encode"),
         ({"motion": 0.0}, "network folds encode"),
-        ({"motion": 0.0, "pixels_per_m": FAR}, "network collision encode"),
+        ({"motion": 0.0, "pixels_per_m": FAR}, "network folds encode"),
+        ({"motion": 0.0, "pixels_per_m": FAR, "folds": 0}, "network collision encode"),
         ({"motion": 0.0, "pixels_per_m": FAR, "push_out": False}, "network encode"),
         ({"motion": 0.0, "geometry": "jets", "push_out": False}, "network encode"),
     ],
