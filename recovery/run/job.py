@@ -245,17 +245,17 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
     mesh, wearer, base, warnings, cut = prepare(job)
     name = garment_name(job.name or job.target.stem)
     base = replace(base, name=name)
-    for note in warnings:
-        say(f"note      {note}")
-    say(f"target    {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, on {wearer.source}")
-    job.out.mkdir(parents=True, exist_ok=True)
     known = known_faces(mesh)
     more_m = off_skin(replace(mesh, vertices=mesh.vertices + wearer.trans), wearer.skin, known)
     job = replace(job, drape=replace(job.drape, off_skin_m=more_m))
     if more_m:
-        say(
-            f"skin      the target's cloth lies {1e3 * more_m:.1f} mm farther off it than ours would; so does the drape"
+        warnings.append(
+            f"The target lies {1e3 * more_m:.1f} mm farther off the skin than our cloth; the drape does too."
         )
+    for note in warnings:
+        say(f"note      {note}")
+    say(f"target    {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, on {wearer.source}")
+    job.out.mkdir(parents=True, exist_ok=True)
     with watch.within(SEARCH_SHARE):
         found = recover_pattern(
             mesh.vertices,
