@@ -24,7 +24,7 @@ from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
 from recovery.drape.sewing import Sewn, in_numpy, sew
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
-from recovery.sim.sdf import GridDistance, SignedDistance
+from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
 from recovery.sim.siren import DEFAULT_SIREN, SirenOptions, stored_siren
 
 SIREN_FOLDER = Path(".cache") / "siren"  # of the folder that a command is called in
@@ -51,7 +51,8 @@ class DrapeOptions:
     """``edge_length_m`` of the cloth's mesh, ``fabric`` by name, ``scale`` of the pattern.
 
     The body's ``distance`` is a grid of ``grid_m``, or a network trained as ``siren`` says, kept in ``siren_folder``.
-    ``iteration_limit`` is that of Newton; 0 leaves the garment where the quasi-static steps end.
+    ``iteration_limit`` is that of Newton; 0 leaves the garment where the quasi-static steps end. Cloth rests
+    ``off_skin_m`` farther off the skin than the contact's own gap.
     """
 
     edge_length_m: float = 0.025
@@ -64,6 +65,7 @@ class DrapeOptions:
     distance: DistanceKind = DistanceKind.GRID
     siren: SirenOptions = DEFAULT_SIREN
     siren_folder: Path = SIREN_FOLDER
+    off_skin_m: float = 0.0
 
     def __post_init__(self) -> None:
         if self.iteration_limit < 0:
@@ -74,12 +76,15 @@ class DrapeOptions:
     def skin(self, vertices: np.ndarray, faces: np.ndarray, report: Report | None = None) -> SignedDistance:
         """The signed distance of a closed surface, ``vertices`` [m] (V, 3) and ``faces`` (F, 3).
 
+        It is grown by ``off_skin_m``.
         A grid is made anew. A network is read from its folder, or trained, which takes minutes, and written there.
         Raises ``MeshError`` for an open surface and ``ArtifactError`` for a damaged file.
         """
         if self.distance is DistanceKind.SIREN:
-            return stored_siren(vertices, faces, self.siren_folder, self.siren, report=report)
-        return GridDistance.from_mesh(vertices, faces, spacing_m=self.grid_m)
+            found: SignedDistance = stored_siren(vertices, faces, self.siren_folder, self.siren, report=report)
+        else:
+            found = GridDistance.from_mesh(vertices, faces, spacing_m=self.grid_m)
+        return Grown(found, self.off_skin_m) if self.off_skin_m else found
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +133,7 @@ def drape_pattern(
     mesh = mesh_pattern(pattern if options.scale == 1.0 else scaled(pattern, options.scale), options.edge_length_m)
     say(f"meshed    {mesh.node_count} nodes, {len(mesh.faces)} triangles, {len(pattern.stitches)} seams")
     skin = skin or options.skin(body.v_template, body.faces, say)
-    distance = in_numpy(skin)
+    distance = in_numpy(bare(skin))  # panels stand and close as they do for any cloth
     placed = place_panels(mesh, body, distance, axes=options.axes)
     say(
         f"placed    in the axes {placed.axes}, lifted by {100 * placed.lift_m:.0f} cm, moved outward by at most "
@@ -186,8 +191,11 @@ def drape_in_pose(
 
 
 def drape_figures(mesh: PatternMesh, drape: Drape, skin: SignedDistance) -> dict[str, Any]:
-    """The figures by which a drape can be trusted: force left, strain, distances of nodes and of edges' middles."""
-    distance = in_numpy(skin)
+    """The figures by which a drape can be trusted: force left, strain, distances of nodes and of edges' middles.
+
+    Distances are from the bare skin, not from one that was grown.
+    """
+    distance = in_numpy(bare(skin))
     edges = meshes.unique_edges(mesh.faces)
     middles = distance(drape.nodes[edges].mean(axis=1))[0]
     stretch = principal_stretches(mesh.faces, mesh.rest[mesh.panel_faces], drape.nodes)

@@ -30,7 +30,7 @@ COUNT, MOST_PANELS = "panels", 12  # the one setting that is a number of pieces
 class Base:
     """A base: the design that ``draft`` makes of ``cut``; ``settings`` names what a caller may set, lengths [m].
 
-    A ``gather`` is a share, ``panels`` a number.
+    ``gather`` and ``spread`` are shares, ``panels`` a number.
     """
 
     draft: Callable[[BodyMeasurements, Any], Design]
@@ -105,12 +105,12 @@ sleeved_dress = Base(
 trousers = Base(
     draft_trousers,
     LegCut("trousers", "twill", 0.07, 0.44, rise_drop_m=0.09, band_m=0.0, waist_ease_m=0.01, darts=False),
-    ("inseam_m", "rise_drop_m", "waist_ease_m", "hip_ease_m", "hem_girth_m", "crotch_ease_m"),
+    ("inseam_m", "rise_drop_m", "waist_ease_m", "hip_ease_m", "hem_girth_m", "knee_girth_m", "crotch_ease_m"),
 )
 skirt = Base(
     fitted,
     SkirtCut("skirt", "twill", 0.55, drop_m=0.05, waist_ease_m=0.01, flare_m=0.08),
-    ("length_m", "drop_m", "waist_ease_m", "hip_ease_m", "flare_m", COUNT),
+    ("length_m", "drop_m", "waist_ease_m", "hip_ease_m", "flare_m", "spread", COUNT),
 )
 BASES = {base.cut.name: base for base in (tshirt, tank, dress, sleeved_dress, trousers, skirt)}
 

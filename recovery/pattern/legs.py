@@ -84,6 +84,11 @@ def trousers(body: BodyMeasurements, cut: LegCut) -> Design:
     return work.design(cut.name, cut.fabric, {"hips": cut.hip_ease_m, "waist": cut.waist_ease_m})
 
 
+def thigh_girth(body: BodyMeasurements, hip_ease_m: float) -> float:
+    """Girth [m] of the cloth of a leg at the crotch."""
+    return 0.5 * (body.hip_girth + hip_ease_m) + sum(EXTENSION.values()) * body.hip_girth
+
+
 class _LegLines:
     """The lines of a leg of ``cut`` for ``body``, drawn with the body's middle at x = 0 and its side to the right [m].
 
@@ -179,10 +184,8 @@ def _check(body: BodyMeasurements, cut: LegCut, top: float, hem: float) -> None:
             got=f"{body.waist_y - top:.3f} m below it",
             cure="Lessen the drop.",
         )
-    thigh = body.hip_girth + cut.hip_ease_m
-    thigh = 0.5 * thigh + sum(EXTENSION.values()) * body.hip_girth
     least = {
-        "hip_ease_m": (thigh, body.thigh_girth),
+        "hip_ease_m": (thigh_girth(body, cut.hip_ease_m), body.thigh_girth),
         "hem_girth_m": (cut.hem_girth_m, 1.8 * body.wrist_girth),  # a foot passes
     }
     if hem < body.knee_y and cut.knee_girth_m is not None:

@@ -27,6 +27,7 @@ from recovery.pattern.wrapping import Flutes, draft_round
 
 QUARTER = 0.5 * np.pi
 WAIST_DIPS_M = (0.012, 0.018)  # of a fitted skirt's waist in the middle, in front and behind
+WIDEST_TURN = 0.6  # [rad] of a spread panel's side, beyond which parabolas are no arcs
 GORES_DIFFER_M = 0.005  # by which half of the front's gore is wider than the mean, and the back's narrower
 
 
@@ -35,7 +36,8 @@ class SkirtCut:
     """Lengths [m]: ``length_m`` from waistband to hem, ``drop_m`` of the skirt's upper edge below the waist.
 
     ``flare_m`` is added to the half width of each panel from waist to hem at least; a circle starts in ``flutes``.
-    A fitted skirt has neither, but any number of ``panels``.
+    A fitted skirt has neither, but any number of ``panels``, which are slashed and ``spread`` for that share of what
+    the hem has more than the waist; 0 leaves it to the side seams, and 1 makes them sectors of a ring.
     """
 
     name: str
@@ -48,6 +50,7 @@ class SkirtCut:
     band_m: float = 0.035
     flutes: int = 9
     panels: int = 2
+    spread: float = 0.0
 
 
 def a_line(body: BodyMeasurements, cut: SkirtCut) -> Design:
@@ -137,8 +140,8 @@ def fitted(body: BodyMeasurements, cut: SkirtCut) -> Design:
     for number in range(cut.panels):
         stand, dip = _stand(body, number, cut.panels)
         wider = _wider(number, cut.panels)
-        at = ((waist + wider, top), (hips + wider, body.hip_y))
-        sides = below_waist(*at, hem, flare=4.0 * half * cut.flare_m, dip=dip, curved=True)
+        widths = (waist, hips, hips + 4.0 * half * cut.flare_m)
+        sides = _spread_panel(widths, (top, body.hip_y, hem), cut.spread, dip=dip, wider=wider)
         drafted = draft(stand.name, sides, rotation=stand.rotation_deg, z=0.0)
         place = Placement(stand.rotation_deg, (stand.x, drafted.panel.placement.translation_m[1], stand.z))
         panels.append(work.add(replace(drafted, panel=replace(drafted.panel, placement=place))))
@@ -148,6 +151,39 @@ def fitted(body: BodyMeasurements, cut: SkirtCut) -> Design:
     for part in ("side", "hip"):
         work.sew(f"{part}_last", panels[0], f"{part}_left", panels[-1], f"{part}_right")
     return work.design(cut.name, cut.fabric, {"hips": cut.hip_ease_m, "waist": cut.waist_ease_m})
+
+
+def _spread_panel(
+    widths: tuple[float, float, float], heights: tuple[float, float, float], share: float, *, dip: float, wider: float
+) -> list[Side]:
+    """The sides of a panel whose half ``widths`` at waist, hips and hem, at three ``heights`` [m], are ``wider``.
+
+    Spreading by ``share`` turns what stood upright about one centre above the waist, so that widths grow evenly with
+    the depth. The panel is drawn as much narrower before.
+    """
+    (waist, hips, low), (top, hip_y, hem) = widths, heights
+    spread = min(share * max(0.0, low / waist - 1.0) / (top - hem), WIDEST_TURN / waist)  # of the width by depth [1/m]
+    hips, low = hips / (1.0 + spread * (top - hip_y)), low / (1.0 + spread * (top - hem))
+    at, flare = ((waist + wider, top), (hips + wider, hip_y)), max(0.0, low - hips)
+    if spread == 0.0:
+        return below_waist(*at, hem, flare=flare, dip=dip, curved=True)
+    # A ring has its own dip, and a straight edge would not turn into it.
+    sides = below_waist(*at, hem, flare=flare, dip=max(dip * (1.0 - share), 1e-9), curved=True)
+
+    def turned(point: Point) -> Point:
+        angle, radius = point[0] * spread, 1.0 / spread + top - point[1]
+        return radius * float(np.sin(angle)), top + 1.0 / spread - radius * float(np.cos(angle))
+
+    found = []
+    for side, following in zip(sides, (*sides[1:], sides[0]), strict=True):
+        ends = np.array([turned(side.start), turned(following.start)])
+        handles = tuple(turned(handle) for handle in side.handles)
+        if len(handles) == 1:  # of a parabola, whose middle is kept
+            middle = 0.5 * np.array(side.handles[0]) + 0.25 * (np.array(side.start) + np.array(following.start))
+            x, y = 2.0 * np.array(turned((float(middle[0]), float(middle[1])))) - 0.5 * ends.sum(axis=0)
+            handles = ((float(x), float(y)),)
+        found.append(replace(side, start=turned(side.start), handles=handles))
+    return found
 
 
 def below_waist(

@@ -12,6 +12,7 @@ import numpy as np
 from drape.errors import InputError
 from recovery.fit.contours import TRUNK
 from recovery.pattern.bases import BASES, COUNT, OF_SLEEVE
+from recovery.pattern.legs import thigh_girth
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.model import Pattern
 from recovery.pattern.tops import NECK_SLOPE
@@ -30,7 +31,8 @@ GATHERS_M, LEAST_GATHER = (
     0.02,
     0.12,
 )  # half the height in which a gathered seam widens the cloth, by this share at least
-CLEAR_M = 0.08  # of a waist from underarm and hips
+CLEAR_M = 0.08  # of a waist from underarm and hips, and of a hem from the knee
+SHAPED = 0.04  # share by which a girth between openings is off the straight line, so that the cut has a bend there
 Range = tuple[float, float]
 RANGES: dict[str, Range] = {  # that a reading may lie in; beyond it something else was read
     "length_m": (0.3, 1.6),
@@ -51,7 +53,9 @@ RANGES: dict[str, Range] = {  # that a reading may lie in; beyond it something e
     "inseam_m": (0.03, 0.9),
     "rise_drop_m": (-0.02, 0.2),
     "hem_girth_m": (0.2, 1.5),
+    "knee_girth_m": (0.25, 1.2),
     "drop_m": (-0.05, 0.2),
+    "spread": (0.0, 1.0),
 }
 
 
@@ -80,7 +84,8 @@ def own_settings(name: str, body: BodyMeasurements, told: dict[str, float]) -> d
     for key in told:
         part = getattr(cut, "sleeve", None) if key.startswith(OF_SLEEVE) else cut
         value = getattr(part, key.removeprefix(OF_SLEEVE))
-        found[key] = ankles if value is None else float(value)
+        unset = told[key] if key == "knee_girth_m" else ankles
+        found[key] = unset if value is None else float(value)
     return found
 
 
@@ -156,26 +161,47 @@ def _of_sleeves(body: BodyMeasurements, seen: Seen, arms: list[Opening]) -> Told
 def _of_trousers(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> Told:
     waist = seen.openings[TRUNK][0]
     legs = [opening for part in ("left_leg", "right_leg") for opening in seen.openings.get(part, ())]
-    top = float(waist.centre[1])
+    top, low = float(waist.centre[1]), float(np.mean([one.centre[1] for one in legs]))
+    hips, hem = (
+        _ease(seen, body.hip_y, lambda y: body.hip_girth),
+        float(np.mean([one.contour.length_m for one in legs])),
+    )
     return {
         "rise_drop_m": body.waist_y - top,
         "waist_ease_m": waist.contour.length_m - body.girth_at(top),
-        "hip_ease_m": _ease(seen, body.hip_y, lambda y: body.hip_girth),
-        "inseam_m": body.crotch_y - float(np.mean([one.centre[1] for one in legs])),
-        "hem_girth_m": float(np.mean([one.contour.length_m for one in legs])),
+        "hip_ease_m": hips,
+        "inseam_m": body.crotch_y - low,
+        "hem_girth_m": hem,
+        "knee_girth_m": _knee(body, seen, thigh_girth(body, hips or 0.0), hem, low),
     }
+
+
+def _knee(body: BodyMeasurements, seen: Seen, thigh: float, hem: float, low: float) -> float | None:
+    """The girth [m] of legs at the knee; None where they end above it or go straight from ``thigh`` to ``hem``.
+
+    Their hem lies at the height ``low``.
+    """
+    there = [girth for part in ("left_leg", "right_leg") if (girth := seen.girth(part, 1, body.knee_y)) is not None]
+    if low > body.knee_y - CLEAR_M or not there:
+        return None
+    straight = float(np.interp(body.knee_y, (low, body.crotch_y), (hem, thigh)))
+    knee = float(np.mean(there))
+    return knee if abs(knee / straight - 1.0) > SHAPED else None
 
 
 def _of_skirt(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> Told:
     waist, hem = seen.openings[TRUNK][0], seen.openings[TRUNK][-1]
     top = float(waist.centre[1])
-    hips = _ease(seen, body.hip_y, lambda y: body.hip_girth)
+    hips, low = _ease(seen, body.hip_y, lambda y: body.hip_girth), float(hem.centre[1])
+    even = float(np.interp(body.hip_y, (low, top), (hem.contour.length_m, waist.contour.length_m)))
     return {
         "drop_m": body.waist_y - top,
-        "length_m": top - float(hem.centre[1]),
+        "length_m": top - low,
         "waist_ease_m": waist.contour.length_m - body.girth_at(top),
         "hip_ease_m": hips,
         "flare_m": 0.25 * (hem.contour.length_m - body.hip_girth - max(0.0, hips or 0.0)),
+        # One that widens evenly was spread over its width; one that is wider at the hips was cut to them.
+        "spread": None if hips is None or hips + body.hip_girth > (1.0 + SHAPED) * even else 1.0,
     }
 
 

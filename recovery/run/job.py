@@ -37,7 +37,7 @@ from recovery.run.identify import Identifiability, identifiability
 from recovery.run.nested import in_other_size
 from recovery.run.retarget import Worn, retargeted
 from recovery.run.seen import Seen, pieces
-from recovery.run.target import OPENINGS, check_base, opened, placed_target, read_target
+from recovery.run.target import OPENINGS, check_base, off_skin, opened, placed_target, read_target
 from recovery.run.wearer import Wearer, inside_wearer, read_wearer
 from recovery.scan.holes import known_faces
 from recovery.scan.places import ScanFault, on_body
@@ -245,11 +245,17 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
     mesh, wearer, base, warnings, cut = prepare(job)
     name = garment_name(job.name or job.target.stem)
     base = replace(base, name=name)
+    known = known_faces(mesh)
+    more_m = off_skin(replace(mesh, vertices=mesh.vertices + wearer.trans), wearer.skin, known)
+    job = replace(job, drape=replace(job.drape, off_skin_m=more_m))
+    if more_m:
+        warnings.append(
+            f"The target lies {1e3 * more_m:.1f} mm farther off the skin than our cloth; the drape does too."
+        )
     for note in warnings:
         say(f"note      {note}")
     say(f"target    {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, on {wearer.source}")
     job.out.mkdir(parents=True, exist_ok=True)
-    known = known_faces(mesh)
     with watch.within(SEARCH_SHARE):
         found = recover_pattern(
             mesh.vertices,

@@ -31,10 +31,13 @@ from recovery.scan.holes import Loop, borders, closed, plainly_hole, plainly_ope
 from recovery.scan.places import ScanFault, in_box
 from recovery.scan.sheets import agreeing, cut_branches, main_sheet, without_copies
 from recovery.scan.thin import calmed, thinned
+from recovery.sim.contact import SkinContact
 
 SCAN_VERTEX_LIMIT = 3_300_000  # 1,000,000 triangles of an STL, which does not share vertices
 FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer
 DEEP_M, DEEP_SHARE = 0.02, 0.2  # the target goes through the body where more than this share lies deeper than that
+LYING_SHARE = 0.05  # of the cloth, nearest to the skin, lies on it
+LEAST_OFF_M, MOST_OFF_M = 0.001, 0.006  # beyond our own gap: less is the same, more is a garment that lies nowhere
 TWISTED_SHARE = 0.02  # of the faces: more edges to be cut, and the scan is no cloth
 # Openings round each part of the body, by base.
 OF_TOPS = {TRUNK: 2, "left_arm": 1, "right_arm": 1}
@@ -210,3 +213,18 @@ def check_base(base: str, found: dict[str, int]) -> None:
 def describe_openings(found: dict[str, int]) -> str:
     """A phrase such as "2 round the trunk, 1 round the left arm"."""
     return ", ".join(f"{count} round the {part.replace('_', ' ')}" for part, count in sorted(found.items()))
+
+
+def off_skin(mesh: GarmentMesh, skin: Avatar, known: np.ndarray) -> float:
+    """How much farther [m] off the skin the cloth of ``mesh`` rests than ours: its thickness, or its simulator's gap.
+
+    The distance below which ``LYING_SHARE`` of the area of the faces ``known`` (F,) lies, less our contact's gap; 0
+    where it is less than a millimetre, as with cloth that cuts the body.
+    """
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    distance = closest.signed_distance(middles, skin.vertices, skin.faces)
+    order = np.argsort(distance)
+    area = (meshes.face_areas(mesh.vertices, mesh.faces) * known)[order]
+    lies = float(distance[order][np.searchsorted(np.cumsum(area), LYING_SHARE * area.sum())])
+    more = lies - SkinContact.gap_m
+    return min(more, MOST_OFF_M) if more >= LEAST_OFF_M else 0.0

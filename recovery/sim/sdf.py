@@ -50,6 +50,23 @@ class Sphere:
         return length - self.radius_m, arm / length[:, None]
 
 
+@dataclass(frozen=True)
+class Grown:
+    """The body ``bare`` grown by ``by_m`` [m] on all sides: cloth rests that much farther off its skin."""
+
+    bare: SignedDistance
+    by_m: float
+
+    def __call__(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        distance, gradient = self.bare(points)
+        return distance - self.by_m, gradient
+
+
+def bare(body: SignedDistance) -> SignedDistance:
+    """``body`` as it was before it was grown."""
+    return body.bare if isinstance(body, Grown) else body
+
+
 class GridDistance:
     """A C2 tricubic B-spline through distances sampled on a grid.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -42,3 +43,12 @@ def test_a_target_that_is_refused_has_its_reason_in_the_row(tmp_path: Path, monk
     monkeypatch.setattr(recovery_cuts, "written", open_nowhere)
     row = recovery_cuts.recovered("tank", tmp_path, None)
     assert row["base"] == "refused" and row["told"] == "no" and row["why"]
+
+
+def test_a_run_of_some_targets_keeps_the_rows_of_others_with_their_commit(tmp_path: Path):
+    record = tmp_path / "record.json"
+    rows = [{"target": name, "mean_mm": 1.0} for name in ("skirt", "tee", "tank")]
+    rows[1]["commit"] = "older"
+    record.write_text(json.dumps({"rows": rows, "commit": "old"}))
+    found = recovery_cuts.with_others([{"target": "tank", "mean_mm": 2.0}], record)
+    assert found == [rows[1], {"target": "tank", "mean_mm": 2.0}, {"commit": "old", **rows[0]}]

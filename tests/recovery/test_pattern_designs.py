@@ -192,6 +192,8 @@ def patterns() -> dict[str, Pattern]:
         "shorts": trousers(body, inseam_m=0.25, hem_girth_m=0.62),
         "skirt": skirt(body),
         "gores": skirt(body, panels=8.0, flare_m=0.2),
+        "spread": skirt(body, spread=1.0, flare_m=0.12),
+        "half_spread": skirt(body, spread=0.5, panels=4.0),
     }
 
 
@@ -275,6 +277,24 @@ def test_gores_have_the_girths_of_a_skirt_of_two_panels():
         assert_allclose(girths[1], girths[0], rtol=tolerance)
     mesh = mesh_pattern(eight, 0.05)
     assert len(meshes.boundary_loops(mesh.faces)) == 2
+
+
+def test_a_spread_skirt_is_a_ring_and_keeps_its_girths():
+    made = {share: skirt(default_measurements(), flare_m=0.12, spread=share) for share in (0.0, 0.5, 1.0)}
+    hem, waist = ([[geometry.edge_length(p, n) for p in one.panels] for one in made.values()] for n in (0, 3))
+    assert_allclose(hem, [hem[0]] * 3, rtol=6e-3)
+    assert_allclose(waist, [waist[0]] * 3, rtol=6e-3)
+    swing, even = [], []
+    for one in made.values():
+        panel = one.panel("front")
+        low, high = panel.vertices[1:3]  # of the side seam; both meet in the ring's centre
+        centre = low - low[0] / (high - low)[0] * (high - low)
+        points = geometry.outline(panel)
+        radius = np.linalg.norm(points[points[:, 1] <= low[1]] - centre, axis=1)
+        swing.append(low[1] - points[:, 1].min())
+        even.append(np.ptp(radius))
+    assert swing[0] < swing[1] < swing[2] and swing[2] > 0.05
+    assert even[2] < 0.004 < even[0]
 
 
 def test_a_dress_has_the_girths_of_body_and_ease():

@@ -113,6 +113,7 @@ READINGS_M = {  # what garments of the catalogue were cut with, and how far thei
     "tank": {"length_m": 0.64, "neck_depth_m": 0.15, "shoulder_out_m": -0.052, "chest_ease_m": 0.05},
     "tshirt": {"length_m": 0.65, "sleeve_length_m": 0.225, "sleeve_arm_ease_m": 0.085, "chest_ease_m": 0.10},
     "longsleeve": {"length_m": 0.65, "sleeve_hem_girth_m": 0.213, "chest_ease_m": 0.08},
+    "trousers": {"knee_girth_m": 0.66, "hem_girth_m": 0.72, "hip_ease_m": 0.13},
     "shorts": {"inseam_m": 0.20, "hem_girth_m": 0.64, "hip_ease_m": 0.10},
     "skirt": {"length_m": 0.585, "hip_ease_m": 0.06},
     "dress": {"length_m": 1.02, "gather": 0.25, "waist_drop_m": -0.057, "chest_ease_m": 0.14, "sleeve_length_m": 0.2},
@@ -136,6 +137,14 @@ def test_a_base_is_drafted_near_its_target_and_keeps_what_is_given(name):
     told = read_settings(CUTS[name], body, there)
     own = own_settings(CUTS[name], body, told)
     assert sum(settings[key] == told[key] for key in told) > 0.7 * len(own)
+
+
+def test_shaped_legs_have_a_knee_and_straight_ones_none():
+    body = default_measurements()
+    assert "knee_girth_m" not in read_settings("trousers", body, seen(worn("shorts")))
+    straight, shaped = BASES["trousers"](body), drafted("trousers", body, seen(worn("trousers")), {})[0]
+    assert [len(panel.edges) for panel in straight.panels] == [6] * 4
+    assert [len(panel.edges) for panel in shaped.panels] == [8] * 4 and len(shaped.stitches) == 12
 
 
 def test_where_nothing_can_be_drafted_the_last_refusal_is_told():

@@ -11,12 +11,23 @@ from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
 from drape.errors import BodyError, InputError, MeshError
+from drape.garment.cache import load_garment
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
-from drape.geometry import meshes
+from drape.geometry import closest, meshes
 from recovery.pattern.bases import base_pattern
 from recovery.pattern.export import export_pattern
 from recovery.run.job import Job, prepare, read_base
-from recovery.run.target import OPENINGS, check_base, check_near, one_sheet, opened, placed_target, read_target
+from recovery.run.target import (
+    MOST_OFF_M,
+    OPENINGS,
+    check_base,
+    check_near,
+    off_skin,
+    one_sheet,
+    opened,
+    placed_target,
+    read_target,
+)
 from recovery.run.wearer import check_closed, inside_wearer, read_wearer, shaped_body
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements
@@ -133,6 +144,21 @@ def test_the_base_must_have_the_openings_of_the_target():
         check_base("tshirt", found)
     with pytest.raises(InputError, match="Take a base of the target's kind"):
         check_base("tshirt", {"trunk": 1})
+
+
+def test_cloth_that_lies_off_the_skin_tells_how_far():
+    skin = read_wearer("anny_default").skin
+    (path,) = Path("assets/garments").glob("tank-*.npz")
+    tank = load_garment(path)
+    mesh, known = plain_mesh("tank", tank.vertices, tank.faces), np.ones(len(tank.faces))
+    assert_allclose(off_skin(mesh, skin, known), 0.0035, atol=3e-4)  # the catalogue's gap of 7.5 mm, less our 4
+    # What closes a hole does not count, loose cloth lies nowhere, and cloth that cuts the body tells nothing.
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    far = closest.signed_distance(middles, skin.vertices, skin.faces) > 0.02
+    assert off_skin(mesh, skin, far) == MOST_OFF_M
+    for radius, told in ((0.3, MOST_OFF_M), (0.1, 0.0)):
+        tube = skirt_tube(radius)
+        assert off_skin(tube, skin, np.ones(len(tube.faces))) == told
 
 
 def test_a_hole_is_noted_and_closed():

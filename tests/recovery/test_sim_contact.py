@@ -17,7 +17,7 @@ from recovery.sim.contact import SkinContact
 from recovery.sim.linearised import linearised_step, simulate
 from recovery.sim.model import ClothModel, ClothState
 from recovery.sim.newton import equilibrium, newton_step
-from recovery.sim.sdf import GridDistance, Plane, Sphere
+from recovery.sim.sdf import GridDistance, Grown, Plane, Sphere
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.recovery.sim_setup import WOVEN, advance, lifted, strip
 
@@ -72,11 +72,12 @@ def test_outside_the_grid_the_distance_goes_on():
     assert (slope * far).sum(dim=1).min() > 0.0
 
 
-@pytest.mark.parametrize("shape", ["plane", "sphere", "grid", "outside"])
+@pytest.mark.parametrize("shape", ["plane", "sphere", "grown", "grid", "outside"])
 def test_the_gradient_is_that_of_the_distance(rng, shape):
     body = {
         "plane": Plane((0.0, 0.1, 0.0), (1.0, 2.0, 0.5)),
         "sphere": Sphere((0.01, 0.0, 0.02), RADIUS_M),
+        "grown": Grown(Sphere((0.01, 0.0, 0.02), RADIUS_M), 0.003),
     }.get(shape) or meshed_sphere()
     points = shell(rng, 20) * (4.0 if shape == "outside" else 1.0)
     leaf = points.clone().requires_grad_(True)
