@@ -171,12 +171,12 @@ def means(rows: Sequence[Row]) -> list[Row]:
 def tiers_of(mean: Sequence[Row]) -> list[Row]:
     """A row of ``mean`` for each tier.
 
-    The least, ``instant``, is the cheapest without folds; the next one, ``fast``, the cheapest with folds. The last
-    folds all vertices: gain does not see fine folds and crossings. It is the cheapest of these that has all but
-    ``ENOUGH`` of their best gain. The one between it and ``fast`` is the cheapest that has at least half of what the
-    last gains over ``fast``. A tier's folds and passes are never less than those of the one below, and none is coarse
-    above a fine one. Times decide by their order only, so that the rule gives the same tiers on processors on which the
-    rival is faster or slower than here.
+    The least, ``instant``, is the cheapest without folds that has half of what all corrections gain over none; the next
+    one, ``fast``, the cheapest with folds. The last folds all vertices: gain does not see fine folds and crossings. It
+    is the cheapest of these that has all but ``ENOUGH`` of their best gain. The one between it and ``fast`` is the
+    cheapest that has at least half of what the last gains over ``fast``. A tier's folds, and its passes under folds,
+    are never less than those of the one below, and none is coarse above a fine one. Times decide by their order only,
+    so that the rule gives the same tiers on processors on which the rival is faster or slower than here.
     """
     by_order = sorted(mean, key=lambda row: row["time_ratio"])
     lifted = [row for row in by_order if row.get("folds") == 0]
@@ -189,7 +189,8 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
     last = next(row for row in fine if row["gain"] >= best - ENOUGH)
     half = 0.5 * (least["gain"] + last["gain"])
     middle = next(row for row in above if row["gain"] >= half and _covers(last, row))
-    return [lifted[0], least, middle, last]
+    enough = 0.5 * (lifted[0]["gain"] + max(row["gain"] for row in lifted))
+    return [next(row for row in lifted if row["gain"] >= enough), least, middle, last]
 
 
 def _covers(row: Row, below: Row) -> bool:
@@ -198,16 +199,18 @@ def _covers(row: Row, below: Row) -> bool:
 
 
 def manifest_tiers(chosen: Sequence[Row], where: dict[str, Any]) -> list[Row]:
-    """Rows of ``service.compute.tiers.Tier`` with their figures; jets get all passes, in the two least tiers none."""
+    """Rows of ``service.compute.tiers.Tier`` with their figures; without folds the two least tiers have the passes of
+    the least, the others all."""
+    alone, above = (row["passes"] for row in chosen[:2])
     kept = ("time_ratio", "cpu_ms", "gain", "gain_p05", "error_mm", "edge_pct", "detail_share", "jitter_ratio")
     return finite(
         [
             asdict(
                 Tier(
                     name,
-                    row["passes"],
+                    row["passes"] if i else above,
                     row["folds"],
-                    None if i > 1 else 0,
+                    None if i > 1 else alone,
                     {key: row[key] for key in kept} | where,
                     row["coarse"],
                 )

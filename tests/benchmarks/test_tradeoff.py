@@ -110,6 +110,8 @@ def test_tiers_are_the_cheapest_the_nearest_and_half_way_between():
     assert [found["time_ratio"] for found in tiers_of(levels)][1:] == [0.3, 0.5, 0.5], "not coarse over fine"
     levels = [lift, row(1, 0.3, 0.9, coarse=True), row(2, 0.4, 0.99, coarse=True), row(2, 0.5, 0.98)]
     assert [found["time_ratio"] for found in tiers_of(levels)][1:] == [0.3, 0.4, 0.5], "the last one is fine"
+    lifts = [row(0, 0.1, 0.6), row(0, 0.2, 0.75, passes=1), row(0, 0.3, 0.8, passes=None), *rows[1:]]
+    assert tiers_of(lifts)[0]["passes"] == 1, "half of what all corrections gain"
     for few in ([lift], rows[1:]):
         with pytest.raises(InputError, match="combinations with"):
             tiers_of(few)
@@ -124,12 +126,17 @@ def test_what_is_served_is_measured():
 
 def test_tiers_are_written_into_the_manifest_and_refused_where_the_service_would(tmp_path, body):
     folder = write_tiny_model(tmp_path, body)
-    chosen = [row(0, 0.1, 0.5, coarse=True), row(1, 0.4, 0.9, coarse=True), row(2, 0.6, 0.95), row(8, 1.5, 0.98)]
+    chosen = [
+        row(0, 0.1, 0.5, passes=1, coarse=True),
+        row(1, 0.4, 0.9, coarse=True),
+        row(2, 0.6, 0.95),
+        row(8, 1.5, 0.98),
+    ]
     tiers = manifest_tiers(chosen, {"machine": "here"})
     write_tiers(folder, tiers)
     read = load_manifest(folder).tiers
     assert [(tier["name"], tier["folds"], tier["alone"]) for tier in read] == [
-        ("instant", 0, 0), ("fast", 1, 0), ("balanced", 2, None), ("accurate", 8, None),
+        ("instant", 0, 1), ("fast", 1, 1), ("balanced", 2, None), ("accurate", 8, None),
     ]  # fmt: skip
     assert read[2]["figures"]["gain"] == 0.95 and read[2]["figures"]["machine"] == "here"
     json.dumps(read)
