@@ -328,6 +328,14 @@ def rounds_table(record: Record) -> str:
     return markdown_table(["target, base", *heads(ROUNDS)], lines, record)
 
 
+EXACT = {
+    "garment": ("garment", "s"), "clip": ("clip", "s"), "frame": ("frame", "d"), "method": ("method", "s"),
+    "energy_j": ("energy [J]", ".4f"), "gain": ("gain", ".4f"), "crossings": ("crossings", "d"),
+    "force_share": ("force left, of the weight", ".4f"), "steps": ("steps", "d"),
+    "skin_pixels_pct": ("skin, pixels %", ".3f"), "processor_s": ("processor [s]", ".0f"),
+}  # fmt: skip
+
+
 def alike(columns: Columns, record: Record, *, sourced: bool = True) -> str:
     """A line for each row of ``record``, and where it was measured."""
     return rows_table(columns, record["rows"], record if sourced else None)
@@ -372,5 +380,6 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("training", TRAINING_PAGE, "throughput", throughput_table),
     ("recovery_targets", FIT_PAGE, "recovery_targets", targets_table),
     ("recovery_rounds", FIT_PAGE, "recovery_rounds", rounds_table),
+    ("exact", "docs/guide/options.md", "exact", partial(alike, EXACT)),
     ("recovery_cuts", RUN_PAGE, "recovery_cuts", partial(alike, CUTS)),
 )

@@ -6,12 +6,12 @@ al. 2020, "Incremental Potential Contact", ACM TOG 39(4))
 
     b(d) = -k (d - r)^2 ln(d / r).
 
-No step lets anything pass through anything. Pairs that do not push yet bound the way of each of their vertices by a
-share of their distance (Wu, Parker and Kim 2020, "A Safe and Fast Repulsion Method for GPU-based Cloth Self
-Collisions", ACM TOG 40(1)); a step that brings pairs that push too near to each other is shortened as a whole, since a
-direction that is bent at its stiffest pairs leads nowhere (additive continuous detection: Li, Kaufman and Jiang 2021,
-"Codimensional Incremental Potential Contact", ACM TOG 40(4)). Cloth that is apart in the start ends apart; cloth that
-crosses in the start still crosses in the end.
+No step lets anything pass through anything. Where cloth is in its own way, a step yields: the least change of it, to
+first order, with which no pair comes nearer than a share of its distance, so that layers that lie on each other move
+together (Harmon et al. 2008, "Robust treatment of simultaneous collisions", ACM TOG 27(3), does so with velocities).
+What is left over is shortened as a whole (additive continuous detection: Li, Kaufman and Jiang 2021, "Codimensional
+Incremental Potential Contact", ACM TOG 40(4)). A step that is shortened alone is stopped by a few pairs of ten
+thousand. Cloth that is apart in the start ends apart; cloth that crosses in the start still crosses in the end.
 """
 
 from __future__ import annotations
@@ -29,10 +29,16 @@ from drape.kernels.triangle_pairs import pairs_within, way_between
 REACH_M = 0.002  # distance at which cloth feels cloth: about two layers of it
 NEAR_M = 0.009  # distance up to which pairs are looked at
 STEP_M = 0.5 * (NEAR_M - REACH_M)  # the most that a vertex moves: what is not looked at stays out of reach
-SHARE = 0.45  # of the distance to what is nearest: two that come towards each other do not meet
+SHARE = 0.45  # of the distance to what is nearest, in a sweep: two that come towards each other do not meet
 # The share of a pair's distance that a step leaves at least; below the floor more of it, or many steps one after the
 # other would come to the last digits of a number. Near to what it leaves the search ends.
 KEPT, LATE, FLOOR_M, NEARLY = 0.2, 0.9, 1e-4, 1.01
+# A step that may go by less than ``ENOUGH`` yields, in so many sweeps over the pairs, and slows down where that is too
+# little, ``BENDS`` times at most. Pairs nearer than the first of its distances come no nearer, and open by the second:
+# carried cloth has no energy that would keep it away from the floor.
+ENOUGH, BENDS, SWEEPS = 0.5, 3, 40
+PRESSED_M, CARRIED_M = (1e-4, 0.0), (5e-4, 1e-4)
+SLIGHT_M = 1e-7  # a lack that counts as none
 STIFFNESS = 1.0 / 6.0  # of the body's contact at a mean vertex: k, per pair; b'' at half of the reach is 6.4 k
 
 
@@ -126,6 +132,38 @@ def free_shares(x, step, corner, triangles, share):
     return share.min()
 
 
+@kernel
+def yield_to(x, step, corner, triangles, wanted):
+    """Bends ``step`` [m] (V, 3) until, to first order, every pair keeps ``KEPT`` of its distance, and where it is
+    nearer than the first of ``wanted`` [m] gains the second: projections onto one pair after the other."""
+    count = len(corner)
+    weights, normals, least = np.empty((count, 4)), np.empty((count, 3)), np.empty(count)
+    for n in range(count):
+        weight, way = way_between(x, corner[n], n < triangles)
+        d = max(np.sqrt(dot(way, way)), 1e-12)
+        for c in range(4):
+            weights[n, c] = weight[c]
+        for i in range(3):
+            normals[n, i] = way[i] / d
+        least[n] = max(KEPT * d, min(wanted[0], d + wanted[1])) - d
+    for _ in range(SWEEPS):
+        enough = True
+        for n in range(count):
+            gain = size = 0.0
+            for c in range(4):
+                size += weights[n, c] * weights[n, c]
+                for i in range(3):
+                    gain += weights[n, c] * normals[n, i] * step[corner[n, c], i]
+            lack = least[n] - gain
+            if lack > SLIGHT_M:
+                enough = False
+                for c in range(4):
+                    for i in range(3):
+                        step[corner[n, c], i] += lack / size * weights[n, c] * normals[n, i]
+        if enough:
+            break
+
+
 class Descent(newton.Descent):
     """A descent that keeps the cloth apart from itself."""
 
@@ -171,13 +209,28 @@ class Descent(newton.Descent):
 
     def go(self, step: np.ndarray) -> None:
         """Moves by as much of ``step`` [m] (V, 3) as lets nothing pass through anything, whatever its energy."""
-        step = step * min(1.0, STEP_M / max(float(np.linalg.norm(step, axis=1).max()), 1e-12))
-        share = np.empty(len(step))
-        free_shares(self.now.x, step, *self._pairs, share)
-        step = share[:, None] * step
-        x = self.now.x + free_shares(self.now.x, step, *self._pairs, share) * step
+        x = self.now.x + self._free(self._yielded(_short(step), CARRIED_M))
         self._look(x)
         self.now = self.best = self.found(x)
+
+    def _yielded(self, step: np.ndarray, wanted: tuple[float, float]) -> np.ndarray:
+        bent = step.copy()
+        yield_to(self.now.x, bent, *self._pairs, wanted)
+        return _short(bent)
+
+    def _free(self, step: np.ndarray) -> np.ndarray:
+        """``step`` [m] (V, 3), bent and shortened so that nothing passes through anything."""
+        share = np.empty(len(step))
+        least = free_shares(self.now.x, step, *self._pairs, share)
+        for _ in range(BENDS):
+            if least >= ENOUGH:
+                break
+            step = self._yielded(step, PRESSED_M)
+            least = free_shares(self.now.x, step, *self._pairs, share)
+            if least < ENOUGH:
+                step = share[:, None] * step
+                least = free_shares(self.now.x, step, *self._pairs, share)
+        return least * step
 
     def _sweep(self, order: np.ndarray, times: int = 1) -> None:
         super()._sweep(order[~np.isin(order, self._held)].astype(np.int32), times)
@@ -186,8 +239,7 @@ class Descent(newton.Descent):
         return origin + super()._limited(x - origin)
 
     def _limited(self, step: np.ndarray) -> np.ndarray:
-        step = super()._limited(step)
-        return step * free_shares(self.now.x, step, *self._pushing, np.empty(len(step)))
+        return self._free(_short(step))
 
     def _lay_out(self) -> bool:
         return False  # a triangle laid out anew may pass through others
@@ -210,3 +262,8 @@ class Descent(newton.Descent):
         blocks = np.zeros((len(keys), 3, 3))
         _add_curvature(self.now.x, corner, triangles, self._stiffness, np.searchsorted(keys, wanted), blocks)
         return pattern, blocks
+
+
+def _short(step: np.ndarray) -> np.ndarray:
+    """``step`` [m] (V, 3) with no vertex's way longer than ``STEP_M``."""
+    return step * np.minimum(1.0, STEP_M / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12))

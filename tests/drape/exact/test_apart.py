@@ -39,6 +39,24 @@ def test_a_free_share_of_a_step_keeps_every_pair_apart(rng):
     assert apart.free_shares(x, np.zeros_like(x), *pairs, np.empty(len(x))) == 1.0
 
 
+def test_a_step_that_yields_takes_along_what_is_in_its_way(rng):
+    x, faces, upper = two_grids()
+    pairs, weight, way = pairs_within(x, faces, meshes.unique_edges(faces), apart.NEAR_M)
+    distance = np.linalg.norm(way, axis=1)
+    step = 1e-4 * rng.normal(size=x.shape)
+    step[upper, 1] -= 0.008
+    assert apart.free_shares(x, step, *pairs, np.empty(len(x))) < apart.ENOUGH
+    for least_m, more_m in (apart.PRESSED_M, apart.CARRIED_M, (0.005, 0.001)):
+        bent = step.copy()
+        apart.yield_to(x, bent, *pairs, (least_m, more_m))
+        gained = np.einsum("nc,nci,ni->n", weight, bent[pairs.corner], way) / distance
+        wanted = np.maximum(apart.KEPT * distance, np.minimum(least_m, distance + more_m)) - distance
+        assert (gained >= wanted - 20.0 * apart.SLIGHT_M).all()
+        assert apart.free_shares(x, bent, *pairs, np.empty(len(x))) > apart.ENOUGH
+        assert_allclose(bent.sum(axis=0), step.sum(axis=0), atol=1e-12)  # what one gives the other takes
+        assert bent[~upper, 1].mean() < -0.001
+
+
 def test_a_sheet_that_goes_through_another_stops_before_it():
     x, faces, upper = two_grids()
     step = np.zeros_like(x)
