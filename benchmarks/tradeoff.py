@@ -45,7 +45,8 @@ from service.settings import Settings
 PASSES = (0, 1, None)
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
 TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
-ENOUGH = 0.002  # of gain: what gives less is not worth more time
+ENOUGH = 0.004  # of gain: what gives less is not worth more time
+LIFTED = 0.4  # of what all corrections gain over none without folds: ``instant`` has it
 KNOBS = ("passes", "folds", "coarse")
 COLUMNS = {
     "tier": "s", "knobs": "s", "garment": "s", "fabric": "s", "clip": "s", "p50_ms": ".2f", "p95_ms": ".2f",
@@ -171,7 +172,7 @@ def means(rows: Sequence[Row]) -> list[Row]:
 def tiers_of(mean: Sequence[Row]) -> list[Row]:
     """A row of ``mean`` for each tier.
 
-    The least, ``instant``, is the cheapest without folds that has half of what all corrections gain over none; the next
+    The least, ``instant``, is the cheapest without folds that has ``LIFTED`` of what all corrections gain; the next
     one, ``fast``, the cheapest with folds. The last folds all vertices: gain does not see fine folds and crossings. It
     is the cheapest of these that has all but ``ENOUGH`` of their best gain. The one between it and ``fast`` is the
     cheapest that has at least half of what the last gains over ``fast``. A tier's folds, and its passes under folds,
@@ -189,7 +190,7 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
     last = next(row for row in fine if row["gain"] >= best - ENOUGH)
     half = 0.5 * (least["gain"] + last["gain"])
     middle = next(row for row in above if row["gain"] >= half and _covers(last, row))
-    enough = 0.5 * (lifted[0]["gain"] + max(row["gain"] for row in lifted))
+    enough = (1.0 - LIFTED) * lifted[0]["gain"] + LIFTED * max(row["gain"] for row in lifted)
     return [next(row for row in lifted if row["gain"] >= enough), least, middle, last]
 
 
