@@ -118,4 +118,4 @@ def multiply_adds(name: str, arguments: tuple[Any, ...]) -> int:
         once = sum(layer.weight.size for layer in layers)
         each = sum(layer.weight[0].size for layer in weights.corrections)
         return len(rows.scale) * (once + passes * each)
-    return 3 * arguments[1].size if name == "blend._say" else 0
+    return 3 * arguments[1][1].size if name == "blend._blend" else 0

@@ -25,11 +25,11 @@ PARTS = ("legs", "trunk", "tilt")
 SIXD = 6  # numbers of a rotation
 STEPS = 127  # of a stored number, which is one of a rotation matrix
 _FIRST_COLUMNS, _UP = (0, 3, 6, 1, 4, 7), (3, 4, 5)  # entries of a matrix: its 6D form; the world's up in its frame
-_ENTRIES = (*([9 * joint + i for joint in joints for i in _FIRST_COLUMNS] for joints in (LEGS, TRUNK)), _UP)
-_TAKEN = np.concatenate(_ENTRIES)  # the entries of a pose's matrices that are compared, part after part
-_ENDS = np.cumsum([len(part) for part in _ENTRIES]).tolist()
-_SLICES = tuple(slice(end - len(part), end) for part, end in zip(_ENTRIES, _ENDS, strict=True))
-_JOINTS = np.array([max(1, len(part) // SIXD) for part in _ENTRIES], dtype=np.float32)
+PART_ENTRIES = (*([9 * joint + i for joint in joints for i in _FIRST_COLUMNS] for joints in (LEGS, TRUNK)), _UP)
+_TAKEN = np.concatenate(PART_ENTRIES)  # the entries of a pose's matrices that are compared, part after part
+_ENDS = np.cumsum([len(part) for part in PART_ENTRIES]).tolist()
+_SLICES = tuple(slice(end - len(part), end) for part, end in zip(PART_ENTRIES, _ENDS, strict=True))
+PART_JOINTS = np.array([max(1, len(part) // SIXD) for part in PART_ENTRIES], dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class PoseSupport:
     limits: np.ndarray
 
     @cached_property
-    def _kept(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    def columns(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
         """The kept rows of each part, transposed (n, m), and the squares of their lengths (m,), float32."""
         rows = [getattr(self, name).astype(np.float32) / np.float32(STEPS) for name in PARTS]
         return tuple((np.ascontiguousarray(one.T), (one**2).sum(axis=1)) for one in rows)
@@ -55,10 +55,10 @@ class PoseSupport:
     def distances(self, poses: np.ndarray) -> np.ndarray:
         """From each part of ``poses`` (F, 24, 3) [rad] to the nearest kept one (F, 3): root mean square of joints."""
         rows, squared = pose_rows(poses).astype(np.float32), np.empty((len(poses), len(PARTS)), dtype=np.float32)
-        for number, (part, (turned, squares)) in enumerate(zip(_SLICES, self._kept, strict=True)):
+        for number, (part, (turned, squares)) in enumerate(zip(_SLICES, self.columns, strict=True)):
             one = rows[:, part]
             squared[:, number] = (squares - 2.0 * one @ turned).min(axis=1) + (one * one).sum(axis=1)
-        return np.sqrt(np.maximum(squared, 0.0) / _JOINTS)
+        return np.sqrt(np.maximum(squared, 0.0) / PART_JOINTS)
 
     def novelty(self, poses: np.ndarray) -> np.ndarray:
         """The largest of the ``distances`` of ``poses`` (F, 24, 3) over its limit, (F,): above 1 unlike training."""

@@ -23,15 +23,25 @@ def blended(garment: PackedGarment, jet: np.ndarray, rotation: np.ndarray, centr
     ``jet`` (K, 27 or 45), ``rotation`` (K, 3, 3) and ``centre`` [m] (K, 3) are float32 as the packed graph gives them;
     vertices are relative to what ``centre`` is relative to. The same input gives the same bits.
     """
-    stored = garment.stored
-    posed = np.empty((garment.patch_count, 3, COLUMNS), dtype=np.float32)
-    said = np.empty((3, garment.tile_count, CHARTS_PER_TILE), dtype=np.float32)
+    stored, charts = garment.stored, garment.vertex_charts
     vertices = np.empty((garment.vertex_count, 3), dtype=np.float32)
+    tiles = stored["patch_scale"], stored["tile_positions"], garment.tile_patch, charts.reshape(len(charts), -1)
     with flushed():
-        _pose(jet, rotation, centre, stored["patch_scale"], posed)
-        _say(posed, stored["tile_positions"], garment.tile_patch, said)
-        _add(said.reshape(3, -1), garment.vertex_charts.reshape(len(garment.vertex_charts), -1), vertices)
+        _blend((jet, rotation, centre), tiles, vertices)
     return vertices
+
+
+@kernel
+def _blend(posed_jets, tiles, vertices):
+    """Writes the ``vertices`` (V, 3) of ``posed_jets``: jet, rotation and centre; ``tiles``: the patches' scales, the
+    columns of the tiles and the patch of each, and the charts of the vertices."""
+    jet, rotation, centre = posed_jets
+    scale, columns, tile_patch, charts = tiles
+    posed = np.empty((len(jet), 3, COLUMNS), np.float32)
+    said = np.empty((3, len(columns), CHARTS_PER_TILE), np.float32)
+    _pose(jet, rotation, centre, scale, posed)
+    _say(posed, columns, tile_patch, said)
+    _add(said.reshape(3, -1), charts, vertices)
 
 
 @kernel
@@ -77,8 +87,8 @@ def _add(said, charts, vertices):
 def warm_up() -> None:
     """Compiles the kernels, or reads them where they are stored, so that no frame waits for that."""
     one = np.zeros((1, 3, 3), dtype=np.float32)
-    posed, said = np.zeros((1, 3, COLUMNS), dtype=np.float32), np.zeros((3, 1, CHARTS_PER_TILE), dtype=np.float32)
-    _pose(np.zeros((1, jets.FULL_COUNT), dtype=np.float32), one, one[:, 0], one[:, 0, :1].copy(), posed)
-    _say(posed, np.zeros((1, COLUMNS, CHARTS_PER_TILE), dtype=np.float32), np.zeros(1, dtype=np.int32), said)
+    columns, patch = np.zeros((1, COLUMNS, CHARTS_PER_TILE), dtype=np.float32), np.zeros(1, dtype=np.int32)
+    posed = np.zeros((1, jets.FULL_COUNT), dtype=np.float32), one, one[:, 0]
     for index in (np.uint16, np.int32):  # of a small garment and of a large one
-        _add(said.reshape(3, -1), np.zeros((4, 1), dtype=index), np.zeros((1, 3), dtype=np.float32))
+        tiles = one[:, 0, :1].copy(), columns, patch, np.zeros((4, 1), dtype=index)
+        _blend(posed, tiles, np.zeros((1, 3), dtype=np.float32))

@@ -22,7 +22,6 @@ from drape.errors import ArtifactError
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.consensus import MEMBERS
 from drape.geometry import jets
-from drape.geometry.rotations import rotvec_to_quaternion
 from drape.graph.feeds import shape_numbers
 from drape.graph.inputs import PARTS
 from drape.graph.packed import (
@@ -34,6 +33,7 @@ from drape.graph.packed import (
     StoredProximity,
     StoredTiles,
 )
+from drape.kernels.rotations import put_quaternions
 
 KINDS = {spec.name: spec.dtype for kind in (StoredPatches, StoredTiles) for spec in kind.specs(PARTS)}
 
@@ -56,7 +56,7 @@ class PackedBody:
     def rows(self, poses: np.ndarray) -> dict[str, np.ndarray]:
         """Inputs of the packed graph for ``poses`` (F, 24, 3) [rad], float32."""
         quaternion = np.empty((len(poses), JOINT_COUNT + 1, 4), dtype=np.float32)
-        quaternion[:, :JOINT_COUNT] = rotvec_to_quaternion(poses)
+        put_quaternions(np.array(poses, np.float64, order="C"), quaternion)
         quaternion[:, JOINT_COUNT] = (1.0, 0.0, 0.0, 0.0)  # the ancestor of joints that have none
         return {
             "joint_quaternion": quaternion,

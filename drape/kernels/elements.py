@@ -115,6 +115,15 @@ def farthest_m(x, y):
     return np.sqrt(most)
 
 
+@kernel
+def are_finite(values):
+    """Whether all of the flat ``values`` are finite."""
+    wrong = False
+    for i in range(len(values)):  # no way out of the loop: it is done in rows
+        wrong |= values[i] - values[i] != 0
+    return not wrong
+
+
 # --- membrane --------------------------------------------------------------------------------------------------------
 
 

@@ -14,6 +14,7 @@ that the descent has the memory of a heavy ball. The lift ends the frame, and th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -34,7 +35,7 @@ from drape.live.places import counted, moved_m, put_places, put_vertices
 from drape.live.raised_skin import heights_over
 from drape.live.residual import keep_residual
 from drape.live.room import hold_within
-from drape.live.sheet import LANES
+from drape.live.sheet import LANES, Sheet
 from drape.live.skin_contact import (
     NEIGHBOURS,
     TURNS,
@@ -121,59 +122,78 @@ def fold(
 
     The same input gives the same bits. ``memory`` is not written to.
     """
-    return fold_among(constants, memory, frame, effort, constants.sheet.planes())
+    sheet, dtype = constants.sheet, constants.sheet.own.dtype
+    placed = PlacedFrame(np.empty((len(sheet.vertex), 3), dtype), frame.around(dtype), frame.time_s)
+    put_places(frame.vertices, sheet.vertex, placed.network)
+    x, after, lifted_m, report = fold_places(constants, memory, placed, effort, sheet.planes())
+    if x is None:
+        return frame.vertices, after, report
+    return delivered(x, sheet), after, with_lift(report, lifted_m, sheet)
 
 
-def fold_among(
-    constants: FoldConstants, memory: FoldMemory | None, frame: Frame, effort: FoldEffort, planes: np.ndarray
-) -> tuple[np.ndarray, FoldMemory, FoldReport]:
-    """``fold``, which leaves what held the cloth in this frame in ``planes`` (``Sheet.planes``)."""
-    dtype = constants.sheet.own.dtype
-    network = np.empty((len(constants.sheet.vertex), 3), dtype)
-    put_places(frame.vertices, constants.sheet.vertex, network)
-    around = frame.around(dtype)
-    none = _without_past(constants, network, frame.time_s)
-    past = memory if memory is not None and follows(memory, network, frame.time_s) else none
-    x, after, report = _advanced(constants, past, network, around, frame.time_s, effort, planes)
+class PlacedFrame(NamedTuple):
+    """A frame at the places of a cloth: the ``network``'s [m] (P, 3), what is ``around``, and the time [s]."""
+
+    network: np.ndarray
+    around: Surroundings
+    time_s: float
+
+
+def fold_places(
+    constants: FoldConstants, memory: FoldMemory | None, frame: PlacedFrame, effort: FoldEffort, planes: np.ndarray
+) -> tuple[np.ndarray | None, FoldMemory, np.ndarray, FoldReport]:
+    """``fold`` from place to place: where cloth is [m] (P, 3), None where that is no fold, the memory, how far [m] (P,)
+    it was lifted, and a report without that. What held the cloth is left in ``planes`` (``Sheet.planes``)."""
+    past = memory if memory is not None and follows(memory, frame.network, frame.time_s) else None
+    if past is not None:
+        x, after, lifted_m = _advanced(constants, past, frame, effort, planes)
+        if x is not None:
+            return x, after, lifted_m, FoldReport(settled=False)
+    none = _without_past(constants, frame)
+    x, after, lifted_m = _advanced(constants, none, frame, effort, planes)
     if x is None:
-        x, after, report = _advanced(constants, none, network, around, frame.time_s, effort, planes)
-        report = replace(report, reset=True)
-    if x is None:
-        return frame.vertices, none, FoldReport(settled=True, reset=True)
-    return x, after, report
+        return None, none, lifted_m, FoldReport(settled=True, reset=True)
+    return x, after, lifted_m, FoldReport(settled=True, reset=past is not None)
+
+
+def delivered(x: np.ndarray, sheet: Sheet) -> np.ndarray:
+    """The vertices [m] (V, 3) of the cloth ``x`` [m] (P, 3)."""
+    vertices = np.empty((len(sheet.place), 3), x.dtype)
+    put_vertices(x, sheet.place, vertices)
+    return vertices
+
+
+def with_lift(report: FoldReport, lifted_m: np.ndarray, sheet: Sheet) -> FoldReport:
+    """``report`` with what ``lifted_m`` [m] (P,) says of the vertices."""
+    count, most_m = counted(lifted_m, sheet.place, MOVED_M)
+    return FoldReport(report.settled, report.reset, count / len(sheet.place), float(most_m))
 
 
 def calmness(way_m: float) -> float:
     """1 where the network moves its vertices slowly, by ``way_m`` [m] (``moved_m``), 0 where fast."""
-    return float(np.clip((FAST_M - way_m) / (FAST_M - SLOW_M), 0.0, 1.0))
+    return min(max((FAST_M - way_m) / (FAST_M - SLOW_M), 0.0), 1.0)
 
 
-def _without_past(constants: FoldConstants, network: np.ndarray, time_s: float) -> FoldMemory:
-    still = np.zeros_like(network)
+def _without_past(constants: FoldConstants, frame: PlacedFrame) -> FoldMemory:
+    still = np.zeros_like(frame.network)
     touched = TouchedSamples(constants.index, np.full_like(constants.index, -1))
-    return FoldMemory(time_s, network, still, still, touched, still, 0)
+    return FoldMemory(frame.time_s, frame.network, still, still, touched, still, 0)
 
 
 def _advanced(
-    constants: FoldConstants,
-    past: FoldMemory,
-    network: np.ndarray,
-    around: Surroundings,
-    time_s: float,
-    effort: FoldEffort,
-    planes: np.ndarray,
-) -> tuple[np.ndarray | None, FoldMemory, FoldReport]:
-    """Vertices [m] (V, 3) of the frame after ``past``, None where they are no folds, its memory, and a report."""
-    dtype = network.dtype.type
+    constants: FoldConstants, past: FoldMemory, frame: PlacedFrame, effort: FoldEffort, planes: np.ndarray
+) -> tuple[np.ndarray | None, FoldMemory, np.ndarray]:
+    """The cloth [m] (P, 3) of the frame after ``past``, None where that is no fold, its memory, and how far [m] (P,) it
+    was lifted."""
+    network, time_s, dtype = frame.network, frame.time_s, frame.network.dtype.type
     settled = past.network is network
     step_s = FIRST_STEP_S if settled else step_between(past.time_s, time_s)
     rounds = 0 if effort.steps == 0 else effort.settle if settled else 1
     share = fading(effort, step_s)
-    place = constants.sheet.place
-    way_m = moved_m(past.network, network, place)
-    calm = calmness(way_m)
+    way_m = moved_m(past.network, network, constants.sheet.place)
     k = constants.sheet.constants
-    pace = paced(effort.steps, calm, stiff=float(k.warp + k.weft) > STIFF_N_PER_M)  # each is half of the fabric's
+    # Each is half of the fabric's.
+    pace = paced(effort.steps, calmness(way_m), stiff=float(k.warp + k.weft) > STIFF_N_PER_M)
     momentum = SETTLING_MOMENTUM if settled and rounds >= LONG_ROUNDS else pace.momentum
     schedule = FoldSchedule(
         dtype(step_s), dtype(momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
@@ -183,20 +203,15 @@ def _advanced(
     )  # fmt: skip
     touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
     state = FoldState(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())
-    x, far, lifted_m = advance(FoldPlaces(past.network, network, planes), state, touched, around, constants, schedule)
-    count, most_m = counted(lifted_m, place, MOVED_M)
+    places = FoldPlaces(past.network, network, planes)
+    x, far, lifted_m = advance(places, state, touched, frame.around, constants, schedule)
     after = FoldMemory(time_s, network, state.residual, state.velocity, touched, state.grip, (past.turn + 1) % TURNS)
-    report = FoldReport(settled, False, count / len(place), float(most_m))
-    if not far <= FAR_M:
-        return None, after, report
-    vertices = np.empty((len(place), 3), x.dtype)
-    put_vertices(x, place, vertices)
-    return vertices, after, report
+    return x if far <= FAR_M else None, after, lifted_m
 
 
 def fading(effort: FoldEffort, step_s: float) -> float:
     """The share of the residual that is left after ``step_s`` [s]: 1 where there are steps, less where folds fade."""
-    return 1.0 if effort.steps else float(np.exp(-step_s / FADE_S))
+    return 1.0 if effort.steps else math.exp(-step_s / FADE_S)
 
 
 class Pace(NamedTuple):

@@ -14,6 +14,7 @@ apart (``untangle``). The lift ends the frame.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -26,12 +27,11 @@ from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric as fabric_named
 from drape.cloth.material import Material
 from drape.cloth.rest_state import RestState, modelled
-from drape.contact.projection import MOVED_M
 from drape.garment.cache import Garment
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import add, farthest_m, scaled
 from drape.kernels.lanes import points_at, points_in, put_points, row_at
-from drape.live.clock import Frame, step_between
+from drape.live.clock import Frame, FrameMemory, follows, step_between
 from drape.live.coarse_mesh import coarse_mesh
 from drape.live.coarse_weights import NEAREST, coarse_weights
 from drape.live.colliders import leave, put_planes
@@ -44,11 +44,22 @@ from drape.live.fold_constants import (
     worn_cloth,
     worn_mesh,
 )
-from drape.live.fold_step import FAR_M, FoldEffort, FoldMemory, FoldReport, fading, fold, fold_among
+from drape.live.fold_step import (
+    FAR_M,
+    FoldEffort,
+    FoldMemory,
+    FoldReport,
+    PlacedFrame,
+    delivered,
+    fading,
+    fold,
+    fold_places,
+    with_lift,
+)
 from drape.live.lift import lift
-from drape.live.places import counted, moved_m, put_places, put_vertices
+from drape.live.places import moved_m, put_places
 from drape.live.sheet import LANES, Sheet, sheet
-from drape.live.skin_contact import NEIGHBOURS, SkinGraph, put_own_planes
+from drape.live.skin_contact import NEIGHBOURS, SkinGraph, TouchedSamples, follow, put_own_planes, write_grip
 from drape.live.sweeps import HELD_ROW, PLANES, SCRATCH, SLACK_ROW, descend, leash
 from drape.live.untangle import WAY_M, Tangles, tangles_of, untangle
 
@@ -65,6 +76,21 @@ class TwoLevelMemory:
     def at(self, time_s: float) -> TwoLevelMemory:
         """The same at another time [s]."""
         return replace(self, coarse=self.coarse.at(time_s))
+
+
+@dataclass(frozen=True, eq=False)
+class LiftMemory(FrameMemory):
+    """A frame of cloth that has no folds and was lifted alone: at the coarse cloth's places the network's points, and
+    the samples ``own`` (P,)."""
+
+    own: np.ndarray
+
+    def at(self, time_s: float) -> LiftMemory:
+        """The same at another time [s]."""
+        return replace(self, time_s=time_s)
+
+
+Memory = FoldMemory | TwoLevelMemory | LiftMemory
 
 
 class FineLevel(NamedTuple):
@@ -95,13 +121,13 @@ class OneLevel:
         """The cloth as garments over and below it read it."""
         return self.constants.laid
 
-    def own(self, memory: FoldMemory | TwoLevelMemory) -> np.ndarray:
+    def own(self, memory: Memory) -> np.ndarray:
         """The sample (P,) that each place is at in a ``memory`` that ``fold`` made."""
         assert isinstance(memory, FoldMemory)
         return memory.touched.own
 
     def fold(
-        self, memory: FoldMemory | TwoLevelMemory | None, frame: Frame, effort: FoldEffort
+        self, memory: Memory | None, frame: Frame, effort: FoldEffort
     ) -> tuple[np.ndarray, FoldMemory, FoldReport]:
         """``fold_step.fold``; a memory of two levels is none."""
         return fold(self.constants, memory if isinstance(memory, FoldMemory) else None, frame, effort)
@@ -109,8 +135,8 @@ class OneLevel:
 
 @dataclass(frozen=True, eq=False)
 class TwoLevel:
-    """The ``coarse`` cloth, the fine vertices ``kept`` (n,) in it, the ``fine`` level, and the sample nearest to each
-    of its places at rest, ``index`` (P,)."""
+    """The ``coarse`` cloth, the fine vertex ``kept`` (n,) at each of its places, the ``fine`` level, and the sample
+    nearest to each place of that at rest, ``index`` (P,)."""
 
     coarse: FoldConstants
     kept: np.ndarray
@@ -127,16 +153,20 @@ class TwoLevel:
         """The fine cloth as garments over and below it read it."""
         return LaidCloth(self.fine.sheet, self.coarse.graph, self.index)
 
-    def own(self, memory: FoldMemory | TwoLevelMemory) -> np.ndarray:
+    def own(self, memory: Memory) -> np.ndarray:
         """The sample (P,) that each place of the fine cloth is at in a ``memory`` that ``fold`` made."""
-        assert isinstance(memory, TwoLevelMemory)
-        return memory.coarse.touched.own[self.fine.parent]
+        assert not isinstance(memory, FoldMemory)
+        own = memory.own if isinstance(memory, LiftMemory) else memory.coarse.touched.own
+        return own[self.fine.parent]
 
     def fold(
-        self, memory: FoldMemory | TwoLevelMemory | None, frame: Frame, effort: FoldEffort
-    ) -> tuple[np.ndarray, TwoLevelMemory, FoldReport]:
-        """``fold_two_level``; a memory of one level is none."""
-        return fold_two_level(self, memory if isinstance(memory, TwoLevelMemory) else None, frame, effort)
+        self, memory: Memory | None, frame: Frame, effort: FoldEffort
+    ) -> tuple[np.ndarray, TwoLevelMemory | LiftMemory, FoldReport]:
+        """``fold_two_level``, or the lift alone where there are neither steps nor folds that fade; a memory of one
+        level is none."""
+        if effort.steps or isinstance(memory, TwoLevelMemory):
+            return fold_two_level(self, None if isinstance(memory, FoldMemory) else memory, frame, effort)
+        return lifted_alone(self, memory if isinstance(memory, LiftMemory) else None, frame, effort.clearance_m)
 
 
 def one_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> OneLevel:
@@ -173,7 +203,7 @@ def _around(
         np.take_along_axis(taken, most, axis=1)[:, 0].astype(np.int32),
         tangles_of(worn.cloth.faces, fine.place),
     )
-    return TwoLevel(coarse, made.vertex, level, worn.index[fine.vertex])
+    return TwoLevel(coarse, made.vertex[coarse.sheet.vertex].astype(np.int32), level, worn.index[fine.vertex])
 
 
 def _in_blocks(table: np.ndarray, dtype: Any) -> np.ndarray:
@@ -181,42 +211,67 @@ def _in_blocks(table: np.ndarray, dtype: Any) -> np.ndarray:
     return np.ascontiguousarray(table.reshape(-1, LANES, table.shape[1]).transpose(0, 2, 1), dtype).reshape(-1)
 
 
+def lifted_alone(
+    constants: TwoLevel, memory: LiftMemory | None, frame: Frame, clearance_m: float
+) -> tuple[np.ndarray, LiftMemory, FoldReport]:
+    """The vertices [m] (V, 3) of ``frame``, lifted up to the clearance and out of its colliders, the memory for the
+    next frame, and a report: what ``fold_two_level`` without steps makes of a frame without a past."""
+    fine, dtype = constants.fine, constants.fine.sheet.own.dtype
+    x, under = np.empty((len(fine.parent), 3), dtype), np.empty((len(constants.kept), 3), dtype)
+    put_places(frame.vertices, fine.sheet.vertex, x)
+    put_places(frame.vertices, constants.kept, under)
+    around = frame.around(dtype)
+    goes_on = memory is not None and follows(memory, under, frame.time_s)
+    own = (memory.own if memory is not None and goes_on else constants.coarse.index).copy()
+    touched, clearance = TouchedSamples(own, own), dtype.type(clearance_m)
+    lifted_m = lift_off(x, touched, under, around, fine, constants.coarse.graph, clearance)
+    report = with_lift(FoldReport(settled=not goes_on), lifted_m, fine.sheet)
+    return delivered(x, fine.sheet), LiftMemory(frame.time_s, under, own), report
+
+
 def fold_two_level(
-    constants: TwoLevel, memory: TwoLevelMemory | None, frame: Frame, effort: FoldEffort
+    constants: TwoLevel, memory: TwoLevelMemory | LiftMemory | None, frame: Frame, effort: FoldEffort
 ) -> tuple[np.ndarray, TwoLevelMemory, FoldReport]:
     """The vertices [m] (V, 3) of ``frame`` with their folds, the memory for the next frame, and a report.
 
     ``effort`` has as many sweeps of the fine cloth as steps of the coarse one. The same input gives the same bits.
     """
-    fine, vertex = constants.fine, constants.fine.sheet.vertex
-    dtype = fine.sheet.own.dtype
-    network, planes = np.empty((len(vertex), 3), dtype), constants.coarse.sheet.planes()
-    put_places(frame.vertices, vertex, network)
-    under = np.take(frame.vertices, constants.kept, axis=0)
+    fine, below, dtype = constants.fine, constants.coarse, constants.fine.sheet.own.dtype
+    network, under = np.empty((len(fine.parent), 3), dtype), np.empty((len(constants.kept), 3), dtype)
+    put_places(frame.vertices, fine.sheet.vertex, network)
+    put_places(frame.vertices, constants.kept, under)
+    around, planes = frame.around(dtype), below.sheet.planes()
+    if isinstance(memory, LiftMemory):
+        memory = _unfolded(below, memory, under, around.skin, np.zeros_like(network))
     before = None if memory is None else memory.coarse
     coarsely = effort if effort.steps else replace(effort, clearance_m=0.0)  # what nothing moved the fine cloth lifts
-    folded, coarse, report = fold_among(constants.coarse, before, replace(frame, vertices=under), coarsely, planes)
-    off = np.empty((len(constants.coarse.sheet.vertex), 3), dtype)
-    put_places(folded - under, constants.coarse.sheet.vertex, off)
+    folded, coarse, _, report = fold_places(below, before, PlacedFrame(under, around, frame.time_s), coarsely, planes)
+    off = np.zeros_like(under) if folded is None else folded - under
     sweeps, way_m = effort.steps * (effort.settle if report.settled else 1), WAY_M
     if memory is None or report.settled:
         added, share = np.zeros_like(network), 0.0
     else:
         step_s = step_between(memory.coarse.time_s, frame.time_s)
-        added, share = memory.added.copy(), float(np.exp(-step_s / KEPT_S)) if effort.steps else fading(effort, step_s)
-        way_m = min(WAY_M, moved_m(memory.coarse.network, coarse.network, constants.coarse.sheet.place))
+        added, share = memory.added.copy(), math.exp(-step_s / KEPT_S) if effort.steps else fading(effort, step_s)
+        way_m = min(WAY_M, moved_m(memory.coarse.network, under, below.sheet.place))
     apart_m = way_m if sweeps and effort.cloth_contact else 0.0
     schedule = FineSchedule(dtype.type(share), dtype.type(apart_m), dtype.type(effort.clearance_m), sweeps)
-    held = CoarseHold(constants.coarse.sheet, planes, off, coarse.touched.own)
-    x, far, lifted_m = settle_fine(network, added, held, frame.around(dtype), fine, constants.coarse.graph, schedule)
-    place = fine.sheet.place
+    held = CoarseHold(below.sheet, planes, off, coarse.touched.own)
+    x, far, lifted_m = settle_fine(network, added, held, around, fine, below.graph, schedule)
     if not far <= FAR_M:
         return frame.vertices, TwoLevelMemory(coarse, np.zeros_like(network)), replace(report, reset=True)
-    count, most_m = counted(lifted_m, place, MOVED_M)
-    vertices = np.empty((len(place), 3), dtype)
-    put_vertices(x, place, vertices)
-    report = replace(report, lifted_share=count / len(place), lifted_max_m=float(most_m))
-    return vertices, TwoLevelMemory(coarse, added), report
+    return delivered(x, fine.sheet), TwoLevelMemory(coarse, added), with_lift(report, lifted_m, fine.sheet)
+
+
+def _unfolded(
+    coarse: FoldConstants, memory: LiftMemory, under: np.ndarray, skin: np.ndarray, added: np.ndarray
+) -> TwoLevelMemory:
+    """The ``memory`` of a lift as one of folds, which are none yet: nothing moves, and the skin holds each place where
+    the network has it now, ``under`` [m] (P, 3). ``added`` is all zeros."""
+    still, grip = np.zeros_like(under), np.zeros_like(under)
+    touched = TouchedSamples(memory.own, np.full_like(memory.own, -1))
+    write_grip(under, under.copy(), touched, skin, coarse.graph, grip)
+    return TwoLevelMemory(FoldMemory(memory.time_s, memory.network, still, still, touched, grip, 0), added)
 
 
 class CoarseHold(NamedTuple):
@@ -272,6 +327,20 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
 
 
 @kernel
+def lift_off(x, touched, under, around, fine, graph, clearance):
+    """How far [m] (P,) each place of ``x`` [m] (P, 3) was lifted up to the ``clearance``, in place, and out of the
+    colliders. ``touched`` is moved on below the coarse places ``under``."""
+    lifted, planes = np.zeros(len(x), x.dtype), np.zeros(PLANES // LANES * len(x), x.dtype)
+    follow(under, around.skin, graph, touched)
+    put_own_planes(x, around.skin, graph, touched.own[fine.parent], planes)
+    put_planes(x, around.colliders, planes)
+    leave(x, around.colliders, planes, clearance)
+    if clearance > 0.0:
+        lift(x, planes, clearance, lifted)
+    return lifted
+
+
+@kernel
 def hold_as(parent, coarse, sheet, planes):
     """Tightens the leash of each place as the room of its ``parent`` (P,) did there: by as much of contact's
     stiffness."""
@@ -315,4 +384,5 @@ def warm_up() -> None:
 
     made = _around(hung(ClothMesh.from_rest(vertices, faces), vertices), modelled(vertices, faces), vertices, hung)
     frame = Frame(vertices.astype(np.float32), np.ones((1, 8)), 0.0)
-    fold_two_level(made, None, frame, FoldEffort(1, cloth_contact=True))
+    _, memory, _ = lifted_alone(made, None, frame, 0.001)
+    fold_two_level(made, memory, frame, FoldEffort(1, cloth_contact=True))

@@ -17,6 +17,7 @@ from drape.graph.inputs import SLOPE
 from drape.graph.packed import PART_SIZE
 from drape.kernels.compiled import kernel
 from drape.kernels.lanes import LANES, most, put, put_points, root, row_at
+from drape.kernels.rotations import put_matrix, put_product, put_quaternion
 from drape.network.dense import run_body_layer
 
 _PARENTS = np.array(PARENTS)
@@ -83,13 +84,13 @@ def _pose_bones(local, rest, quaternion, rotation, place):
         if parent < 0:
             own[:] = local[joint]
         else:
-            _multiply(quaternion[parent], local[joint], own)
+            put_product(quaternion[parent], local[joint], own)
             for axis in range(3):
                 total = place[parent, axis]
                 for i in range(3):
                     total += rotation[parent, 3 * axis + i] * (rest[joint, i] - rest[parent, i])
                 place[joint, axis] = total
-        _matrix(own, rotation[joint])
+        put_matrix(own, rotation[joint])
 
 
 def moments(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> Kinematics:
@@ -111,12 +112,7 @@ def _write_moments(poses, trans, rest, static, joints, rotations):
     local, quaternion = np.empty((JOINT_COUNT, 4)), np.empty((JOINT_COUNT, 4))
     for frame in range(len(poses)):
         for joint in range(JOINT_COUNT):
-            turn = poses[frame, joint]
-            angle = np.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
-            share = np.sin(0.5 * angle) / angle if angle > 1e-8 else 0.5
-            local[joint, 0] = np.cos(0.5 * angle)
-            for i in range(3):
-                local[joint, 1 + i] = share * turn[i]
+            put_quaternion(poses[frame, joint], local[joint])
         for i in range(3):
             joints[frame, 0, i] = rest[0, i] + trans[frame, i]
         _pose_bones(local, rest, quaternion, rotations[frame], joints[frame])
@@ -129,31 +125,12 @@ def _describe(local, rotation, features):
     kind, matrix = local.dtype.type, np.empty(9, local.dtype)
     for joint in range(JOINT_COUNT):
         own = features[STATIC_PER_JOINT * joint :]
-        _matrix(local[joint], matrix)
+        put_matrix(local[joint], matrix)
         for i in range(3):
             # The root's own turn is not told.
             own[i] = matrix[3 * i] if joint else kind(i == 0)
             own[3 + i] = matrix[3 * i + 1] if joint else kind(i == 1)
             own[6 + i] = -rotation[joint, 3 + i]
-
-
-@kernel
-def _multiply(a, b, out):
-    out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
-    out[1] = a[1] * b[0] + a[0] * b[1] - a[3] * b[2] + a[2] * b[3]
-    out[2] = a[2] * b[0] + a[3] * b[1] + a[0] * b[2] - a[1] * b[3]
-    out[3] = a[3] * b[0] - a[2] * b[1] + a[1] * b[2] + a[0] * b[3]
-
-
-@kernel
-def _matrix(q, out):
-    """Writes the rotation matrix of a quaternion of any length."""
-    kind = q.dtype.type
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    two = kind(2) / (w * w + x * x + y * y + z * z)
-    out[0], out[1], out[2] = kind(1) - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y)
-    out[3], out[4], out[5] = two * (x * y + w * z), kind(1) - two * (x * x + z * z), two * (y * z - w * x)
-    out[6], out[7], out[8] = two * (x * z - w * y), two * (y * z + w * x), kind(1) - two * (x * x + y * y)
 
 
 @kernel

@@ -14,6 +14,7 @@ a client makes folds by itself. The conversation: docs/reference/wire.md.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
@@ -32,6 +33,7 @@ FLAG_BYTES = 8  # steps of a FRAME are bytes
 BYTE_COUNT = 255
 NOVELTY_SHIFT, NOVELTY_STEPS = 8, 32  # the upper byte of the flags: steps of 1/32, 255 for all that is more
 STEP_COUNT = 65535
+FLAT_M = 1e-9  # the least step: a box may be flat
 POSE_SIZE = 72
 
 # name, type, count; each layout starts with PREFIX. Types: u8 u16 u32 f32 f64.
@@ -216,7 +218,7 @@ def quantise(positions: np.ndarray, count: int = STEP_COUNT) -> tuple[np.ndarray
     # By columns, a copy: along rows of three NumPy takes eight times as long.
     columns = np.array(positions.T, dtype=np.float32, order="C")
     low = columns.min(axis=1)
-    step = np.maximum((columns.max(axis=1) - low) / np.float32(count), np.float32(1e-9))  # a flat box: not by zero
+    step = np.maximum((columns.max(axis=1) - low) / np.float32(count), np.float32(FLAT_M))
     columns -= low[:, None]
     columns /= step[:, None]
     np.rint(columns, out=columns)  # within 0 and count: the division is off by two roundings at most
@@ -225,13 +227,19 @@ def quantise(positions: np.ndarray, count: int = STEP_COUNT) -> tuple[np.ndarray
     return steps, low, step
 
 
+Quantise = Callable[[np.ndarray, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
 def dequantise(steps: np.ndarray, low: np.ndarray, step: np.ndarray) -> np.ndarray:
     """The quantised columns (V, n), float32."""
     return low + step * steps.astype(np.float32)
 
 
-def pack_frame(frame: Frame) -> bytes:
-    """The FRAME message: header, then 3 uint16 or bytes per vertex, padded to a multiple of 4 bytes."""
+def pack_frame(frame: Frame, quantise: Quantise = quantise) -> bytes:
+    """The FRAME message: header, then 3 uint16 or bytes per vertex, padded to a multiple of 4 bytes.
+
+    ``quantise`` may be another function with the same results.
+    """
     bytes_each = frame.bits == 8
     steps, low, step = quantise(frame.positions, BYTE_COUNT if bytes_each else STEP_COUNT)
     flags = frame_flags(frame.pushed, frame.stepped, frame.novelty) | FLAG_BYTES * bytes_each

@@ -64,8 +64,9 @@ class CompiledNetwork:
         count = self._corrections if passes is None else passes
         with flushed():
             jet, rotation, centre = posed_jets(self._weights, rows, body, count, garment.patch_count)
-        return dict(zip(JETS, (jet, rotation.reshape(-1, 3, 3), centre), strict=True))
+        return {JETS[0]: jet, JETS[1]: rotation.reshape(-1, 3, 3), JETS[2]: centre}
 
 
 def _plain(*arrays: np.ndarray) -> list[np.ndarray]:
-    return [np.ascontiguousarray(array, np.float32) for array in arrays]
+    """Copies, C-contiguous float32: kernels are compiled for arrays that may be written."""
+    return [np.array(array, np.float32, order="C") for array in arrays]

@@ -29,6 +29,7 @@ from drape.graph.buckets import filled, filled_rows
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import Composition, PackedGarment, Place, compose
 from drape.graph.push_feed import SkinShapes
+from drape.kernels.elements import are_finite
 from service.graphs.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
 from service.graphs.store import Store
 
@@ -189,6 +190,8 @@ class Packer:
                 raise InputError(
                     "body row", expected=f"a row in [0, {count})", got=str(row), cure="Give each item its body's row."
                 )
+        if self._engine.compiled is not None:
+            return self._run_compiled(self._engine.compiled, plan, bodies, items)
         results: list[Result] = []
         for part in self._parts(items):
             rows = {row: i for i, row in enumerate(dict.fromkeys(row for _, row in part))}
@@ -218,10 +221,9 @@ class Packer:
         )
 
     def _parts(self, items: Sequence[Item]) -> list[list[Item]]:
-        """``items`` in parts that fit a call, each of one at least. Compiled kernels have one item a call anyway, and a
-        body is posed once for all of a part."""
-        if len(items) == 1 or self._engine.compiled is not None:
-            return [list(items)] if items else []
+        """``items`` in parts that fit a call, each of one at least."""
+        if len(items) == 1:
+            return [list(items)]
         parts: list[list[Item]] = []
         tiles = self._tiles_per_call
         for item in items:
@@ -238,11 +240,8 @@ class Packer:
             bodies = filled_rows(bodies)
         skin_given, one_shape = SKIN in bodies, False
         if self._skins is not None:
-            with self._lock:
-                bodies = bodies | self._skins.feed(bodies["betas"])
+            bodies = self._with_skins(bodies)
             one_shape = len(bodies["skin_rows"]) == 1
-        if self._engine.compiled is not None:
-            return self._run_compiled(self._engine.compiled, plan, bodies, items)
         call = self._call(plan, items, one_shape=one_shape, skin_given=skin_given)
         given = call.feed | bodies
         feed = {name: given[name] for name in call.session.inputs}
@@ -254,11 +253,18 @@ class Packer:
         answers = [{name: arrays[name] for name in plan.outputs} for arrays in results]
         return [Result(arrays, _finite(arrays)) for arrays in answers]
 
-    def _run_compiled(
-        self, network: CompiledNetwork, plan: ScenePlan, bodies: dict[str, np.ndarray], items: tuple[Item, ...]
-    ) -> list[Result]:
-        """``_run_part`` without a graph: body after body, garment after garment, in as many threads as there are."""
+    def _with_skins(self, bodies: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """``bodies`` with the skins of their shapes."""
         assert self._skins is not None
+        with self._lock:
+            return bodies | self._skins.feed(bodies["betas"])
+
+    def _run_compiled(
+        self, network: CompiledNetwork, plan: ScenePlan, bodies: dict[str, np.ndarray], items: Sequence[Item]
+    ) -> list[Result]:
+        """``run`` without a graph: body after body, garment after garment, in as many threads as there are."""
+        assert self._skins is not None
+        bodies = self._with_skins(bodies)
         counts, rows = self._skins.counts, list(dict.fromkeys(row for _, row in items))
         posed = dict(zip(rows, self._each(lambda row: network.body(bodies, row, counts), rows), strict=True))
         garments = {key: self._garment_rows(network, key) for key, _ in items}
@@ -266,7 +272,7 @@ class Packer:
         def drape(item: Item) -> Result:
             (garment, patches), body = garments[item[0]], posed[item[1]]
             arrays = network.jets(garment, patches, body, plan.passes)
-            finite = _finite(arrays)
+            finite = all(are_finite(array.reshape(-1)) for array in arrays.values())
             if "vertices" in plan.outputs:
                 arrays["vertices"] = blended(garment, *(arrays[name] for name in JETS))
             if plan.skin:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from service.stages.placing import Origin, Placed
 from service.stages.plan import Plan
 
 Memories = Mapping[tuple[str, str], Any]  # by stage and owner; values are never changed in place
+Record = TypeVar("Record", "Batch", "Layer", "Quality")
 
 # Beyond these the numbers are a mistake of unit, and squares overflow.
 ANGLE_LIMIT_RAD = 1000.0
@@ -204,7 +205,7 @@ class Batch:
     def answer(self) -> Batch:
         """The batch without what only stages read; of hidden layers nothing is kept."""
         of = zip(self.layers, self.plan.visible, strict=bool(self.layers))  # none before the network
-        return replace(self, codes=None, skin=None, layers=tuple(layer if seen else Layer() for layer, seen in of))
+        return changed(self, codes=None, skin=None, layers=tuple(layer if seen else Layer() for layer, seen in of))
 
     def rows(self) -> Iterator[tuple[PoseInput, slice]]:
         """Each input with its rows of the frames."""
@@ -220,7 +221,7 @@ class Batch:
     def remember(self, key: tuple[str, str], values: Sequence[Any]) -> Batch:
         """The batch with ``values``, one of each input, in the memories under ``key``."""
         after = ({**memories, key: value} for memories, value in zip(self.memories, values, strict=True))
-        return replace(self, memories=tuple(after))
+        return changed(self, memories=tuple(after))
 
     @property
     def shown(self) -> list[Layer]:
@@ -245,6 +246,18 @@ class Batch:
     def world(self) -> np.ndarray:
         """World positions [m] (F, V, 3) float32."""
         return (self.vertices + self.root[:, None, :]).astype(np.float32)
+
+
+def changed(record: Record, **values: Any) -> Record:
+    """``dataclasses.replace`` in a tenth of its time, for records without slots that check nothing when made."""
+    made = object.__new__(type(record))
+    vars(made).update(vars(record), **values)
+    return made
+
+
+def stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """``arrays`` of frames as one (F, ...); that of one frame is not copied."""
+    return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
 
 
 def joined(parts: Sequence[np.ndarray | None], axis: int = 1) -> np.ndarray:

@@ -24,7 +24,7 @@ from drape.graph.layer_feed import Sheet, pack_layer
 from drape.graph.push_feed import pack_push, pushed_jets
 from drape.wire.options import DrapeOptions
 from service.graphs.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
-from service.stages.batch import Batch, Jets, Layer, joined
+from service.stages.batch import Batch, Jets, Layer, changed, joined
 from service.stages.plan import Plan
 from service.stages.stage import KeptConstants, Make, Stage, StageSetup, call_here
 
@@ -92,8 +92,8 @@ class Collision(Stage):
         way = joined(ways)
         share, furthest = (way > MOVED_M).mean(axis=1), way.max(axis=1)
         left_m = np.max(left, axis=0) if left else batch.quality.left_m
-        quality = replace(batch.quality, pushed_share=share, push_max_m=furthest, left_m=left_m)
-        return replace(batch, layers=tuple(layers), quality=quality)
+        quality = changed(batch.quality, pushed_share=share, push_max_m=furthest, left_m=left_m)
+        return changed(batch, layers=tuple(layers), quality=quality)
 
     def _pushed(self, batch: Batch, count: int, under: np.ndarray | None, rows: slice, jets: Jets | None) -> Pushed:
         """The frames ``rows`` of the layer ``count - 1``, one body's, and of its ``jets`` where they come: as many

@@ -8,15 +8,16 @@ older meanwhile (``Stage.rested``), so that the first frame that moves again goe
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from drape.kernels.quantised import quantise
 from drape.wire.jets import JetFrame, pack_jets
 from drape.wire.messages import Answer, Frame, pack_frame, pack_same, resent
-from service.stages.batch import Batch, Memories, PoseInput
+from service.stages.batch import Batch, Memories, PoseInput, changed
 from service.stages.plan import Plan
-from service.stages.stage import BODY, Stage
+from service.stages.stage import BODY, Stage, StageSetup
 
 KEY = ("idle", BODY)
 REST_S = 2.0  # of the same pose, until cloth has come to rest, by the client's clock
@@ -27,6 +28,10 @@ class Encode(Stage):
     """Packs every frame as a FRAME or JETS message with its client's sequence and time."""
 
     name = "encode"
+
+    def __init__(self, setup: StageSetup) -> None:
+        super().__init__(setup)
+        quantise(np.zeros((1, 3), np.float32))  # so that no frame waits for the kernel
 
     def wanted(self, plan: Plan) -> bool:
         return plan.messages
@@ -57,10 +62,9 @@ class Encode(Stage):
                     posed = {name: array[row] for name, array in vars(jets).items()}
                     messages.append(pack_jets(JetFrame(**said, **posed, left_m=float(batch.quality.left_m[row]))))
                 elif vertices is not None:
-                    messages.append(
-                        pack_frame(Frame(**said, positions=vertices[row], bits=batch.plan.options.bits or 16))
-                    )
-        return replace(batch, messages=tuple(messages))
+                    frame = Frame(**said, positions=vertices[row], bits=batch.plan.options.bits or 16)
+                    messages.append(pack_frame(frame, quantise))
+        return changed(batch, messages=tuple(messages))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,9 +20,9 @@ from drape.live.fold_constants import LaidCloth
 from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, warm_up
 from drape.live.raised_skin import heights_over, raised
 from drape.live.skin_contact import TouchedSamples
-from drape.live.two_level import OneLevel, TwoLevel, TwoLevelMemory
+from drape.live.two_level import LiftMemory, Memory, OneLevel, TwoLevel, TwoLevelMemory
 from drape.wire.options import DrapeOptions
-from service.stages.batch import Batch, Layer, Quality
+from service.stages.batch import Batch, Layer, Quality, changed, stacked
 from service.stages.plan import FINE, SKIN, Plan
 from service.stages.stage import KeptConstants, Stage, StageSetup
 
@@ -31,7 +31,6 @@ KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use
 
 
 Constants = OneLevel | TwoLevel
-Memory = FoldMemory | TwoLevelMemory
 
 
 class Folds(Stage):
@@ -43,7 +42,7 @@ class Folds(Stage):
     """
 
     name = "folds"
-    kept = (FoldMemory, TwoLevelMemory, TouchedSamples)
+    kept = (FoldMemory, TwoLevelMemory, LiftMemory, TouchedSamples)
 
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
@@ -146,8 +145,8 @@ class Folds(Stage):
                 layers[i] = lain[i].below(layers[i], ceiling)
                 ground = raised(ground, lain[i].heights(layers[i]))
             if i < len(layers) - 1:
-                yield replace(batch, layers=tuple(layers), quality=told.quality(batch.quality))
-        folded, read = replace(batch, layers=tuple(layers)), _read(plan)
+                yield changed(batch, layers=tuple(layers), quality=told.quality(batch.quality))
+        folded, read = changed(batch, layers=tuple(layers)), _read(plan)
         if felt and any(read[:-1]):  # what nobody reads need not lie below the others
             for i, ceiling in enumerate(self._ceilings(folded, lain[0].ground)):
                 if ceiling is not None and read[i]:
@@ -155,7 +154,7 @@ class Folds(Stage):
         for i, (key, sent) in enumerate(zip(plan.draped_keys, plan.keys, strict=True)):
             if sent != key and read[i]:
                 layers[i] = self._wrapped(layers[i], sent)
-        yield replace(batch, layers=tuple(layers), quality=told.quality(batch.quality))
+        yield changed(batch, layers=tuple(layers), quality=told.quality(batch.quality))
 
     def _folded(
         self,
@@ -171,18 +170,19 @@ class Folds(Stage):
         frame."""
         drape, felt = batch.layers[i].vertices, _feel_each_other(batch.plan)
         assert drape is not None
-        vertices, own, reports, after = np.empty_like(drape), [], [], []
+        folded, own, reports, after = [], [], [], []
         for (one, rows), memory in zip(batch.rows(), memories, strict=True):
             for number, row in enumerate(range(rows.start, rows.stop)):
                 solid = seen_from(batch.plan.colliders, batch.root[row])
                 frame = Frame(drape[row], ground[row], float(one.times_s[number]), solid)
-                vertices[row], memory, report = made.fold(memory, frame, efforts[row])
+                vertices, memory, report = made.fold(memory, frame, efforts[row])
+                folded.append(vertices)
                 if felt:
                     own.append(made.own(memory))
                 reports.append(report)
             after.append(memory)
-        at = np.stack(own) if felt else np.empty((len(drape), 0), np.int32)
-        return replace(batch.layers[i], vertices=vertices), at, after, reports
+        at = stacked(own) if felt else np.empty((len(drape), 0), np.int32)
+        return changed(batch.layers[i], vertices=stacked(folded)), at, after, reports
 
     def _ceilings(self, batch: Batch, skin: np.ndarray) -> list[np.ndarray | None]:
         """The ceiling (F, S, 5) over ``skin`` (F, S, 8) that is over each layer; None where no layer is."""
@@ -199,7 +199,7 @@ class Folds(Stage):
         """``layer`` as the delivered mesh of the garment ``key``, around the finer cloth."""
         assert layer.vertices is not None
         wrapping = self._wrapping(key)
-        return replace(layer, vertices=np.stack([wrapping.wrap(cloth) for cloth in layer.vertices]))
+        return changed(layer, vertices=np.stack([wrapping.wrap(cloth) for cloth in layer.vertices]))
 
     def _wrapping(self, key: str) -> Wrapping:
         """The wrapping of the delivered mesh of the garment ``key``."""
@@ -252,7 +252,7 @@ class _Lain:
         """``layer`` pressed below the ``ceiling`` (F, S, 5)."""
         assert layer.vertices is not None
         each = zip(layer.vertices, self.own, self.ground, ceiling, strict=True)
-        return replace(layer, vertices=np.stack([pressed(one, self.made, *row) for one, *row in each]))
+        return changed(layer, vertices=np.stack([pressed(one, self.made, *row) for one, *row in each]))
 
     def heights(self, layer: Layer) -> np.ndarray:
         """How high [m] (F, S) over the ground ``layer`` lies."""
@@ -286,7 +286,7 @@ class _Told:
             self.lifted_max_m = np.maximum(self.lifted_max_m, [report.lifted_max_m for report in reports])
 
     def quality(self, before: Quality) -> Quality:
-        return replace(
+        return changed(
             before,
             folds_resets=self.resets.copy(),
             pushed_share=self.lifted / max(self.vertices, 1),

@@ -15,7 +15,7 @@ import numpy as np
 from drape.body.features import Kinematics, motion_features
 from drape.network.bodies import moments
 from drape.wire.options import DrapeOptions
-from service.stages.batch import Batch
+from service.stages.batch import Batch, changed
 from service.stages.plan import Plan
 from service.stages.stage import BODY, Stage, StageSetup
 
@@ -98,7 +98,7 @@ class Motion(Stage):
             for i, memory in zip(rows, after, strict=True):
                 memories[i] = memory
                 codes[i][frame] = knob * memory.code
-        return replace(batch, codes=np.concatenate(codes)).remember(self.key, memories)
+        return changed(batch, codes=np.concatenate(codes)).remember(self.key, memories)
 
 
 def advance(engine: Engine, memories: Sequence[Memory], moments: Sequence[Moment]) -> list[Memory]:

@@ -6,7 +6,6 @@ And how far poses are from those that it learned from (``drape.body.pose_support
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -17,10 +16,11 @@ from drape.contact.skin import posed_table
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.graph.packing import pack_body
+from drape.network.novelty import kept_poses, novelty
 from drape.wire.options import DrapeOptions
 from service.graphs.graph_names import JETS, SKIN
 from service.graphs.packing import Packer, Result, ScenePlan, Shape, check_finite
-from service.stages.batch import Batch, Jets, Layer, PoseInput, joined
+from service.stages.batch import Batch, Jets, Layer, PoseInput, changed, joined, stacked
 from service.stages.joint_reach import reach_m, turns_rad
 from service.stages.plan import Plan
 from service.stages.scene import check_known
@@ -41,13 +41,20 @@ class Novelty(Stage):
 
     name = "novelty"
 
+    def __init__(self, setup: StageSetup) -> None:
+        super().__init__(setup)
+        support = self.engine.pose_support
+        self._kept = None if support is None else kept_poses(support)
+        if self._kept is not None:  # so that no frame waits for the kernel
+            novelty(self._kept, np.zeros((1, JOINT_COUNT, 3)))
+
     def wanted(self, plan: Plan) -> bool:
-        return self.engine.pose_support is not None
+        return self._kept is not None
 
     def run(self, batch: Batch) -> Batch:
-        assert self.engine.pose_support is not None
-        found = self.engine.pose_support.novelty(joined([one.poses for one in batch.inputs], axis=0))
-        return replace(batch, quality=replace(batch.quality, novelty=found))
+        assert self._kept is not None
+        found = novelty(self._kept, joined([one.poses for one in batch.inputs], axis=0))
+        return changed(batch, quality=changed(batch.quality, novelty=found))
 
 
 class Network(Stage):
@@ -130,8 +137,8 @@ class Network(Stage):
         plan, needs = batch.plan, batch.plan.needs
         shapes = [self._shape(np.asarray(one.betas, np.float64).tobytes()) for one in batch.inputs]
         parts = [shape.rows(one.poses) for shape, one in zip(shapes, batch.inputs, strict=True)]
-        bodies = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        root = np.concatenate([one.trans + shape.root for shape, one in zip(shapes, batch.inputs, strict=True)])
+        bodies = {name: joined([part[name] for part in parts], axis=0) for name in parts[0]}
+        root = joined([one.trans + shape.root for shape, one in zip(shapes, batch.inputs, strict=True)], axis=0)
         if batch.codes is not None:
             bodies["dynamic_code"] = batch.codes
         skin = None
@@ -147,7 +154,7 @@ class Network(Stage):
         if scene.skin:
             skin = _stacked(results[:frames], SKIN)
         layers = [_layer(results[i : i + frames], needs) for i in range(0, len(items), frames)]
-        return replace(batch, root=root, skin=skin, layers=tuple(layers))
+        return changed(batch, root=root, skin=skin, layers=tuple(layers))
 
     def _dressed(self, plan: Plan) -> list[str]:
         """The keys of the garments of ``plan`` in the packer's store, in the fabrics that it names."""
@@ -169,6 +176,5 @@ def _layer(results: list[Result], needs: frozenset[str]) -> Layer:
 
 
 def _stacked(results: list[Result], name: str) -> np.ndarray:
-    """The array ``name`` of all frames; of one frame it is not copied."""
-    arrays = [result.arrays[name] for result in results]
-    return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
+    """The array ``name`` of all frames."""
+    return stacked([result.arrays[name] for result in results])

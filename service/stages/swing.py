@@ -14,7 +14,7 @@ from drape.geometry.colliders import seen_from
 from drape.live.clock import Frame
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import SwingConstants, SwingMemory, swing, warm_up
-from service.stages.batch import Batch
+from service.stages.batch import Batch, changed, stacked
 from service.stages.plan import SKIN, Plan
 from service.stages.stage import KeptConstants, Stage, StageSetup
 
@@ -77,18 +77,17 @@ class Swing(Stage):
         for i, (key, fabric) in enumerate(zip(plan.draped_keys, plan.fabrics, strict=True)):
             made, drape = self._of(key, fabric), layers[i].vertices
             if made is not None and drape is not None:
-                vertices, after = np.empty_like(drape), []
+                swung, after = [], []
                 for (one, rows), memory in zip(batch.rows(), batch.remembered((self.name, key)), strict=True):
                     for number, row in enumerate(range(rows.start, rows.stop)):
                         solid = seen_from(plan.colliders, batch.root[row])
                         frame = Frame(drape[row], skin[row], float(one.times_s[number]), solid)
-                        vertices[row], memory = swing(
-                            made, memory, frame, batch.root[row], share=float(plan.options.knob or 0.0)
-                        )
+                        vertices, memory = swing(made, memory, frame, batch.root[row], share=plan.options.knob or 0.0)
+                        swung.append(vertices)
                     after.append(memory)
-                layers[i] = replace(layers[i], vertices=vertices)
+                layers[i] = changed(layers[i], vertices=stacked(swung))
                 batch = batch.remember((self.name, key), after)
-            yield replace(batch, layers=tuple(layers))
+            yield changed(batch, layers=tuple(layers))
 
     def _of(self, key: str, fabric: Fabric | None) -> SwingConstants | None:
         """The constants of the garment ``key`` made of ``fabric``; None where nothing of it swings."""

@@ -14,7 +14,7 @@ from drape.contact.skin import shaped_skin
 from drape.live import two_level as levels
 from drape.live.clock import PAUSE_S, Frame
 from drape.live.fold_step import FADE_S, FoldEffort
-from drape.live.two_level import TwoLevel, TwoLevelMemory, fold_two_level, one_level, two_level
+from drape.live.two_level import LiftMemory, TwoLevel, TwoLevelMemory, fold_two_level, one_level, two_level
 from tests.fixtures.garments import shipped
 
 EFFORT = FoldEffort(steps=1, settle=2, cloth_contact=True)
@@ -62,6 +62,31 @@ def test_without_steps_the_drape_is_the_networks(tank: TwoLevel, still: Frame):
     way = np.linalg.norm(lifted - still.vertices, axis=1)
     assert_allclose(told.lifted_max_m, way.max(), rtol=1e-3)
     assert 0.0 < told.lifted_share < 1.0
+
+
+def test_the_lift_alone_is_what_folds_without_steps_begin_with(tank: TwoLevel, still: Frame):
+    """In every frame: cloth that was lifted is where the network has it as soon as it is off the skin."""
+    idle, memory = FoldEffort(0, clearance_m=0.004), None
+    moving = [replace(still, vertices=still.vertices + np.float32(0.002 * n), time_s=n / 30.0) for n in range(3)]
+    for frame in (*moving, replace(moving[0], time_s=9.0)):  # the last after a pause
+        got, memory, told = tank.fold(memory, frame, idle)
+        want, folds, report = fold_two_level(tank, None, frame, idle)
+        assert_array_equal(got, want)
+        assert replace(told, settled=True) == report and isinstance(memory, LiftMemory)
+        assert told.settled == (frame.time_s in (0.0, 9.0))
+        assert_array_equal(tank.own(memory), tank.own(folds))
+
+
+def test_steps_go_on_from_a_lift_and_fade_before_it_comes_back(tank: TwoLevel, still: Frame):
+    """No frame is settled anew when a stream steps up, and none loses its folds at once when it steps down."""
+    idle, later = FoldEffort(0, clearance_m=0.004), [replace(still, time_s=n / 30.0) for n in range(3)]
+    lifted, memory, _ = tank.fold(None, still, idle)
+    folded, after_step, report = tank.fold(memory, later[1], EFFORT)
+    assert not report.settled and isinstance(after_step, TwoLevelMemory)
+    assert 1e-4 < np.abs(folded - lifted).max() < 0.02
+    faded, last, _ = tank.fold(after_step, later[2], idle)
+    assert isinstance(last, TwoLevelMemory) and np.abs(faded - lifted).max() > 1e-4
+    assert isinstance(memory, LiftMemory) and memory.at(7.0).time_s == 7.0
 
 
 def test_steps_lower_the_strain_and_more_lower_it_further(tank: TwoLevel, still: Frame):
