@@ -23,6 +23,7 @@ PLACE_LIMIT_M = 1e6
 BETA_LIMIT = 20.0
 # Angles of so many joints beyond two whole turns, and of none beyond what a rotation in degrees has, are degrees.
 DEGREES_JOINTS, DEGREES_BEYOND_RAD, MOST_DEGREES = 4, 4.0 * np.pi, 360.0
+PLAIN_RAD = 7.0  # no rotation vector of such coordinates or smaller ones goes beyond two whole turns
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +59,9 @@ class PoseInput:
 
 def check_poses(poses: np.ndarray, trans: np.ndarray) -> None:
     """Refuses rotation vectors (F, 24, 3) [rad] and translations (F, 3) [m] that are finite but senseless."""
+    if len(poses) and np.abs(poses).max() <= PLAIN_RAD:  # nearly all: the checks that name what is wrong take longer
+        check_places(trans)
+        return
     _check_limit("poses", poses, ANGLE_LIMIT_RAD, "rad", "Send rotation vectors in radians.")
     _check_unit(poses)
     check_places(trans)
