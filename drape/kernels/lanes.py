@@ -190,6 +190,17 @@ def row_at(typing: Any, array: Any, start: Any) -> Any:
 
 
 @built
+def number_at(typing: Any, array: Any, start: Any) -> Any:
+    """The number at ``start`` of a flat ``array``; not negative, which an index in brackets is asked each time."""
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        place = context.cast(builder, args[1], signature.args[1], types.intp)
+        return builder.load(builder.gep(make_array(array)(context, builder, args[0]).data, [place]))
+
+    return array.dtype(array, start), code
+
+
+@built
 def put(typing: Any, array: Any, start: Any, row: Any) -> Any:
     """Writes a ``row``, or one number in all lanes, to a flat ``array`` from ``start`` on, which is not negative."""
 

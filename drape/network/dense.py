@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.kernels.compiled import kernel, part
-from drape.kernels.lanes import LANES, most, put, row_at
+from drape.kernels.lanes import LANES, most, number_at, put, row_at
 
-OUTPUTS = 4  # of a row of patches that are summed at once; with two rows that are eight sums, all in registers
+OUTPUTS = 4  # of a row of patches that are summed at once; with four rows that are sixteen sums, all in registers
 
 
 class Layer(NamedTuple):
@@ -43,10 +43,15 @@ def run_layer(layer, inputs, added, outputs):
     """Writes the ``layer`` of ``inputs``, plus ``added`` where that has numbers, to ``outputs``; all are ``Rows``."""
     count = len(layer.weight) // len(layer.bias)
     blocks = len(inputs.values) // (LANES * inputs.count)
-    for block in range(0, blocks - 1, 2):
-        _two_blocks(layer, inputs, added, outputs, block, count)
-    if blocks % 2:
-        _one_block(layer, inputs, added, outputs, blocks - 1, count)
+    whole = blocks - blocks % 4
+    for block in range(0, whole, 4):
+        _four_blocks(layer, inputs, added, outputs, block, count)
+    if blocks - whole == 3:
+        _three_blocks(layer, inputs, added, outputs, whole, count)
+    elif blocks - whole == 2:
+        _two_blocks(layer, inputs, added, outputs, whole, count)
+    elif blocks - whole == 1:
+        _one_block(layer, inputs, added, outputs, whole, count)
 
 
 @part
@@ -76,36 +81,103 @@ def _finish(layer, outputs, block, n, sums):
 
 
 @kernel
-def _two_blocks(layer, inputs, added, outputs, block, count):
-    x, y = _starts(inputs, block), _starts(inputs, block + 1)
+def _four_blocks(layer, inputs, added, outputs, block, count):
     weight, values = layer.weight, inputs.values
+    x, y = _starts(inputs, block), _starts(inputs, block + 1)
+    z, u = _starts(inputs, block + 2), _starts(inputs, block + 3)
     for n in range(0, len(layer.bias), OUTPUTS):
-        a, b, c, d = _begin(layer, added, block, n)
-        e, f, g, h = _begin(layer, added, block + 1, n)
+        a0, b0, c0, d0 = _begin(layer, added, block, n)
+        a1, b1, c1, d1 = _begin(layer, added, block + 1, n)
+        a2, b2, c2, d2 = _begin(layer, added, block + 2, n)
+        a3, b3, c3, d3 = _begin(layer, added, block + 3, n)
         w = n * count
         for k in range(count):
             p, q = row_at(values, x + LANES * k), row_at(values, y + LANES * k)
-            a, e = a + p * weight[w], e + q * weight[w]
-            b, f = b + p * weight[w + 1], f + q * weight[w + 1]
-            c, g = c + p * weight[w + 2], g + q * weight[w + 2]
-            d, h = d + p * weight[w + 3], h + q * weight[w + 3]
+            r, s = row_at(values, z + LANES * k), row_at(values, u + LANES * k)
+            m = number_at(weight, w)
+            a0, a1, a2, a3 = a0 + p * m, a1 + q * m, a2 + r * m, a3 + s * m
+            m = number_at(weight, w + 1)
+            b0, b1, b2, b3 = b0 + p * m, b1 + q * m, b2 + r * m, b3 + s * m
+            m = number_at(weight, w + 2)
+            c0, c1, c2, c3 = c0 + p * m, c1 + q * m, c2 + r * m, c3 + s * m
+            m = number_at(weight, w + 3)
+            d0, d1, d2, d3 = d0 + p * m, d1 + q * m, d2 + r * m, d3 + s * m
             w += OUTPUTS
-        _finish(layer, outputs, block, n, (a, b, c, d))
-        _finish(layer, outputs, block + 1, n, (e, f, g, h))
+        _finish(layer, outputs, block, n, (a0, b0, c0, d0))
+        _finish(layer, outputs, block + 1, n, (a1, b1, c1, d1))
+        _finish(layer, outputs, block + 2, n, (a2, b2, c2, d2))
+        _finish(layer, outputs, block + 3, n, (a3, b3, c3, d3))
+
+
+@kernel
+def _three_blocks(layer, inputs, added, outputs, block, count):
+    weight, values = layer.weight, inputs.values
+    x, y = _starts(inputs, block), _starts(inputs, block + 1)
+    z = _starts(inputs, block + 2)
+    for n in range(0, len(layer.bias), OUTPUTS):
+        a0, b0, c0, d0 = _begin(layer, added, block, n)
+        a1, b1, c1, d1 = _begin(layer, added, block + 1, n)
+        a2, b2, c2, d2 = _begin(layer, added, block + 2, n)
+        w = n * count
+        for k in range(count):
+            p, q = row_at(values, x + LANES * k), row_at(values, y + LANES * k)
+            r = row_at(values, z + LANES * k)
+            m = number_at(weight, w)
+            a0, a1, a2 = a0 + p * m, a1 + q * m, a2 + r * m
+            m = number_at(weight, w + 1)
+            b0, b1, b2 = b0 + p * m, b1 + q * m, b2 + r * m
+            m = number_at(weight, w + 2)
+            c0, c1, c2 = c0 + p * m, c1 + q * m, c2 + r * m
+            m = number_at(weight, w + 3)
+            d0, d1, d2 = d0 + p * m, d1 + q * m, d2 + r * m
+            w += OUTPUTS
+        _finish(layer, outputs, block, n, (a0, b0, c0, d0))
+        _finish(layer, outputs, block + 1, n, (a1, b1, c1, d1))
+        _finish(layer, outputs, block + 2, n, (a2, b2, c2, d2))
+
+
+@kernel
+def _two_blocks(layer, inputs, added, outputs, block, count):
+    weight, values = layer.weight, inputs.values
+    x, y = _starts(inputs, block), _starts(inputs, block + 1)
+    for n in range(0, len(layer.bias), OUTPUTS):
+        a0, b0, c0, d0 = _begin(layer, added, block, n)
+        a1, b1, c1, d1 = _begin(layer, added, block + 1, n)
+        w = n * count
+        for k in range(count):
+            p, q = row_at(values, x + LANES * k), row_at(values, y + LANES * k)
+            m = number_at(weight, w)
+            a0, a1 = a0 + p * m, a1 + q * m
+            m = number_at(weight, w + 1)
+            b0, b1 = b0 + p * m, b1 + q * m
+            m = number_at(weight, w + 2)
+            c0, c1 = c0 + p * m, c1 + q * m
+            m = number_at(weight, w + 3)
+            d0, d1 = d0 + p * m, d1 + q * m
+            w += OUTPUTS
+        _finish(layer, outputs, block, n, (a0, b0, c0, d0))
+        _finish(layer, outputs, block + 1, n, (a1, b1, c1, d1))
 
 
 @kernel
 def _one_block(layer, inputs, added, outputs, block, count):
-    x, weight, values = _starts(inputs, block), layer.weight, inputs.values
+    weight, values = layer.weight, inputs.values
+    x = _starts(inputs, block)
     for n in range(0, len(layer.bias), OUTPUTS):
-        a, b, c, d = _begin(layer, added, block, n)
+        a0, b0, c0, d0 = _begin(layer, added, block, n)
         w = n * count
         for k in range(count):
             p = row_at(values, x + LANES * k)
-            a, b = a + p * weight[w], b + p * weight[w + 1]
-            c, d = c + p * weight[w + 2], d + p * weight[w + 3]
+            m = number_at(weight, w)
+            a0 = a0 + p * m
+            m = number_at(weight, w + 1)
+            b0 = b0 + p * m
+            m = number_at(weight, w + 2)
+            c0 = c0 + p * m
+            m = number_at(weight, w + 3)
+            d0 = d0 + p * m
             w += OUTPUTS
-        _finish(layer, outputs, block, n, (a, b, c, d))
+        _finish(layer, outputs, block, n, (a0, b0, c0, d0))
 
 
 class BodyLayer(NamedTuple):

@@ -70,7 +70,7 @@ def patch_rows(garment: PackedGarment, first: np.ndarray) -> PatchRows:
         columns=_rows(stored["anchor_columns"].swapaxes(1, 2)),
         fit=_rows(stored["anchor_fit"]),
         rest=_rows(stored["anchor_rest"]),
-        anchor=np.ascontiguousarray(anchor, np.int32),
+        anchor=np.ascontiguousarray(anchor, np.uint32),
         member=_rows(garment.member_anchor.astype(np.int32)),
         tangent=_rows(stored["strain_tangent"]),
         unit=_rows(np.stack([a * a, a * b, a * c, b * b, b * c, c * c], axis=1)),

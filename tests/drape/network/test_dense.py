@@ -17,7 +17,7 @@ def bent(x: np.ndarray, slope: float) -> np.ndarray:
     return np.where(x > 0.0, x, slope * x)
 
 
-@pytest.mark.parametrize("blocks", [1, 2, 3])
+@pytest.mark.parametrize("blocks", [1, 2, 3, 4, 7])
 @pytest.mark.parametrize("outputs", [8, 6])  # the latter are filled up to eight
 @pytest.mark.parametrize("added", [False, True])
 def test_a_layer_of_patches(blocks: int, outputs: int, added: bool):
