@@ -14,6 +14,7 @@ from drape.kernels.lanes import (
     least,
     most,
     normals_at,
+    number_at,
     points_at,
     points_in,
     put,
@@ -42,7 +43,7 @@ def _computed(a, b, out):
     put(out, 4 * LANES, where_above(x, y, x, 3.0))
     put(out, 5 * LANES, most(x, 0.25))
     put(out, 6 * LANES, least(x, y))
-    put(out, 7 * LANES, 1.5)
+    put(out, 7 * LANES, number_at(b, 3))
 
 
 @njit(error_model="numpy", fastmath=FAST)
@@ -69,7 +70,7 @@ def test_numbers_are_those_of_each_lane(rng, dtype):
     x, y, found = a[1:], b[:-1], out.reshape(8, LANES)
     wanted = [x + y, 2.0 - x, x * 0.5 / y, -np.sqrt(y), np.where(x > y, x, 3.0)]
     # Of NaN the second one stays.
-    wanted += [np.where(x > 0.25, x, 0.25), np.where(y > x, x, y), np.full(LANES, 1.5)]
+    wanted += [np.where(x > 0.25, x, 0.25), np.where(y > x, x, y), np.full(LANES, b[3])]
     assert_allclose(found, wanted, rtol=2.0 * np.finfo(dtype).eps)
 
 
