@@ -86,16 +86,14 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
         # A lift in place of a projection, which costs more than what is left; with neither nothing is looked at.
         lifts = lifts and (settings.push_out if options.push_out is None else options.push_out)
         folds, bits = 0 if folds is None else folds, bits or 8
-        passes = tiers[0].alone if passes is None and not folds else passes
-        passes = None if passes is None or passes >= pass_count else passes
+        passes = _of_model(tiers[0].alone if passes is None and not folds else passes, pass_count)
     if folds is None:
         smooth = options.geometry == "jets" and options.folds_by == "server"
         folds = 0 if smooth else tier.folds if own is None else own
     if passes is None and not options.tier:
         passes = settings.passes
     if passes is None:
-        passes = tier.passes if folds else tier.alone
-        passes = None if passes is None or passes >= pass_count else passes
+        passes = _of_model(tier.passes if folds else tier.alone, pass_count)
     coarse = (tier.coarse if options.coarse is None else options.coarse) and (bool(folds) or lifts)
     coarse = coarse and options.folds_by == "server"
     told = {"tier": None, "budget_ms": None, "pixels_per_m": None, "folds": folds, "passes": passes, "coarse": coarse}
@@ -137,9 +135,14 @@ def tier_of(options: DrapeOptions, tiers: Sequence[Tier], pass_count: int) -> st
         folds = tier.folds if options.geometry == "vertices" or options.folds_by == "client" else 0
         passes, coarse = tier.passes if folds else tier.alone, tier.coarse and options.geometry == "vertices"
         same = options.folds == folds and (options.folds_by == "client" or bool(options.coarse) == coarse)
-        if same and options.passes == (None if passes is None or passes >= pass_count else passes):
+        if same and options.passes == _of_model(passes, pass_count):
             return tier.name
     return "custom"
+
+
+def _of_model(passes: int | None, pass_count: int) -> int | None:
+    """``passes`` of a model that leaves so many to choose: None for all of them."""
+    return None if passes is None or passes >= pass_count else passes
 
 
 def _at_most(passes: int | None, most: int | None) -> bool:

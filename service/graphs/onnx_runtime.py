@@ -6,6 +6,7 @@ import importlib.metadata
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -135,6 +136,15 @@ def _version(name: str) -> str | None:
         return None
 
 
+@cache
+def _load_cuda() -> None:
+    """Loads the libraries of the extra gpu, once: they lie where no loader looks."""
+    import onnxruntime
+
+    if "CUDAExecutionProvider" in onnxruntime.get_available_providers():
+        onnxruntime.preload_dlls()
+
+
 def open_session(
     label: str, model: bytes, weights: dict[str, bytes], device: Device, *, capture: bool = False
 ) -> onnxruntime.InferenceSession:
@@ -145,8 +155,8 @@ def open_session(
     """
     import onnxruntime
 
-    if device.provider == "cuda" and "CUDAExecutionProvider" in onnxruntime.get_available_providers():
-        onnxruntime.preload_dlls()  # the libraries of the extra gpu lie beside it, where no loader looks
+    if device.provider == "cuda":
+        _load_cuda()
     options = _session_options(weights, device)
     name = PROVIDER_NAMES[device.provider]
     # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
