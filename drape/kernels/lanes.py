@@ -235,20 +235,18 @@ def _gather(width: int, begin: int) -> Any:
             )
             start = context.cast(builder, args[2], signature.args[2], types.intp)
 
-            def numbers(first: Any, many: int) -> Any:
-                return builder.load(builder.bitcast(first, _vector(x.dtype, many).as_pointer()), align=size)
-
+            four, mask = _vector(x.dtype, 4), ir.VectorType(ir.IntType(1), 4)
+            kind = ir.FunctionType(four, [four.as_pointer(), ir.IntType(32), mask, four])
+            # A fourth number may be behind the array's end: what the mask leaves out is not touched.
+            some = cgutils.get_or_insert_function(builder.module, kind, f"llvm.masked.load.v4f{x.dtype.bitwidth}.p0")
+            known = [ir.IntType(32)(size), mask([1] * count + [0] * (4 - count)), four([0.0] * 4)]
             fours = []
             for lane in range(LANES):
                 place = builder.load(builder.gep(places, [builder.add(start, _int(lane))]))
                 place = builder.mul(builder.sext(place, start.type), _int(width))
                 first = builder.gep(data, [builder.add(place, _int(begin))])
-                if count == 4:
-                    fours.append(numbers(first, 4))
-                else:  # a fourth number would be behind the array's end
-                    two = numbers(first, 2)
-                    third = builder.load(builder.gep(first, [_int(2)]))
-                    fours.append(builder.insert_element(_shuffled(builder, two, two, range(4)), third, _int(2)))
+                first = builder.bitcast(first, four.as_pointer())
+                fours.append(builder.call(some, [first, *known]) if count < 4 else builder.load(first, align=size))
             return cgutils.pack_array(builder, _turned(builder, fours)[:count])
 
         return types.UniTuple(Row(x.dtype), count)(x, index, start), code

@@ -32,6 +32,7 @@ from drape.kernels.elements import (
     outer,
     scaled,
     solved,
+    squares,
     sub,
 )
 from drape.kernels.lanes import (
@@ -181,16 +182,7 @@ def _triangle(first, second, row, sheet, gradient, h, curvature):
     gradient = add(gradient, mix(cp, p, ct, t))
     if curvature:
         kpp, ktt, kpt = corner_stiffness(mp, mt, area, k)
-        pull = most(cp * mp + ct * mt, k.zero)
-        by_p, by_t = mix(kpp, p, kpt, t), mix(kpt, p, ktt, t)
-        h = (
-            h[0] + by_p[0] * p[0] + by_t[0] * t[0] + pull,
-            h[1] + by_p[0] * p[1] + by_t[0] * t[1],
-            h[2] + by_p[0] * p[2] + by_t[0] * t[2],
-            h[3] + by_p[1] * p[1] + by_t[1] * t[1] + pull,
-            h[4] + by_p[1] * p[2] + by_t[1] * t[2],
-            h[5] + by_p[2] * p[2] + by_t[2] * t[2] + pull,
-        )
+        h = squares(h, kpp, kpt, ktt, p, t, most(cp * mp + ct * mt, k.zero))
     return gradient, h
 
 
