@@ -95,6 +95,12 @@ def squares(h, kpp, kpt, ktt, p, t, s):
 
 
 @kernel
+def with_spare(x):
+    """Room for as many points as ``x`` (P, 3) has, and behind them for one more (``drape.kernels.lanes.spared_at``)."""
+    return np.empty((len(x) + 1, 3), x.dtype)[: len(x)]
+
+
+@kernel
 def shifted(h, s):
     """The symmetric matrix ``h`` plus s times the identity."""
     return h[0] + s, h[1], h[2], h[3] + s, h[4], h[5] + s

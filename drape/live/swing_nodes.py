@@ -57,7 +57,7 @@ CONTACT_J_M4 = 3.0e4  # a tenth of the folds': half a spacing of skin is behind 
 GAP_M = 0.004
 TOUCH_M = 0.06  # a sample farther away says nothing of the skin below a node
 REACH_M = 0.01  # a sweep moves no node farther
-SOLVED, LEAST = 1e-20, 1e-30  # a residual's square is small enough as a share of the first one, or by itself [N m]
+LEAST = 1e-30  # a residual's square that is small enough by itself [N m]
 COMPRESSED = 0.2
 LEAST_STRAIN = 1e-9  # a difference of principal strains that says nothing of their axes
 LOOSE = 0.05  # a loose triangle resists a step with this share of the stiffness of one that pulls
@@ -88,8 +88,9 @@ def fall_back(u, mesh, inertia, hold, rhs, rounds):
             old += r[i, axis] * p[i, axis]
     if old != old:
         u[:] = old  # NaN, which the caller looks for
-    # Beyond what floats can tell, squares of what is left would go under.
-    end = max(u.dtype.type(SOLVED) * old, u.dtype.type(LEAST))
+    # Nothing is won beyond what floats can tell of the first residual, and squares of what is left would go under.
+    least = np.finfo(u.dtype).eps
+    end = max(least * least * old, u.dtype.type(LEAST))
     for _ in range(rounds):
         if not old > end:
             return
