@@ -80,6 +80,26 @@ def outer(h, s, a):
     )
 
 
+@part
+def squares(h, kpp, kpt, ktt, p, t, s):
+    """The symmetric matrix ``h`` plus kpp p p^T + kpt (p t^T + t p^T) + ktt t t^T and s times the identity."""
+    by_p, by_t = mix(kpp, p, kpt, t), mix(kpt, p, ktt, t)
+    return (
+        h[0] + by_p[0] * p[0] + by_t[0] * t[0] + s,
+        h[1] + by_p[0] * p[1] + by_t[0] * t[1],
+        h[2] + by_p[0] * p[2] + by_t[0] * t[2],
+        h[3] + by_p[1] * p[1] + by_t[1] * t[1] + s,
+        h[4] + by_p[1] * p[2] + by_t[1] * t[2],
+        h[5] + by_p[2] * p[2] + by_t[2] * t[2] + s,
+    )
+
+
+@kernel
+def with_spare(x):
+    """Room for as many points as ``x`` (P, 3) has, and behind them for one more (``drape.kernels.lanes.spared_at``)."""
+    return np.empty((len(x) + 1, 3), x.dtype)[: len(x)]
+
+
 @kernel
 def shifted(h, s):
     """The symmetric matrix ``h`` plus s times the identity."""

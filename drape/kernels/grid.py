@@ -42,19 +42,20 @@ def grid_of(points, per_m):
     """
     low, count = np.empty(3), np.zeros(3, np.int64)
     for axis in range(3):
-        low[axis], high, finite = points[0, axis], points[0, axis], True
+        least, most, finite = points[0, axis], points[0, axis], True
         for s in range(len(points)):
-            low[axis], high = min(low[axis], points[s, axis]), max(high, points[s, axis])
-            finite &= points[s, axis] - points[s, axis] == 0.0
-        extent = high - low[axis]
+            value = points[s, axis]
+            least, most = value if value < least else least, value if value > most else most
+            finite &= value - value == 0.0
+        low[axis] = least
+        extent = most - low[axis]
         count[axis] = int(extent * per_m) + 1 if finite and extent < WIDEST_M else 0
     start, member = np.zeros(count[0] * count[1] * count[2] + 1, np.int32), np.empty(len(points), np.int32)
     if len(start) > 1:
-        cell = np.empty(len(points), np.int32)
+        cell, x, y, z, wide, deep = np.empty(len(points), np.int32), low[0], low[1], low[2], count[1], count[2]
         for s in range(len(points)):
-            c = 0
-            for axis in range(3):
-                c = c * count[axis] + int((points[s, axis] - low[axis]) * per_m)
+            a, b = int((points[s, 0] - x) * per_m), int((points[s, 1] - y) * per_m)
+            c = (a * wide + b) * deep + int((points[s, 2] - z) * per_m)
             cell[s] = c
             start[c + 1] += 1
         for c in range(len(start) - 1):

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import dot, scaled
+from drape.kernels.lane_masks import first_lane, lanes_above, lanes_before, lanes_from
 from drape.kernels.lanes import most, put, root, rows3_at, sums
 from drape.live.sheet import LANES
 
@@ -119,28 +120,25 @@ def _enclose(rows, lowest, highest, boxes, c):
 
 
 @part
-def find_close(a, count, boxes, groups, reach, hit, found):
+def find_close(a, count, boxes, groups, reach, found):
     """How many of the clusters ``a`` to ``count`` - 1 have a box within the root of ``reach`` [m^2] of that of ``a``.
 
-    They are written to ``found`` (C,); ``hit`` (2 ``LANES``,) is scratch.
+    They are written to ``found`` (C,).
     """
     own, filled = BOX_ROWS * (a // LANES) + a % LANES, 0
     low = (boxes[own], boxes[own + LANES], boxes[own + 2 * LANES])
     high = (boxes[own + 3 * LANES], boxes[own + 4 * LANES], boxes[own + 5 * LANES])
     for block in range(a // (LANES * LANES), len(groups) // BOX_ROWS):
-        if not _hits(low, high, groups, block, reach, hit, 0):
-            continue
-        for i in range(LANES):
-            group = LANES * block + i
-            if not hit[i] or group < a // LANES or group >= len(boxes) // BOX_ROWS:
-                continue
-            if not _hits(low, high, boxes, group, reach, hit, LANES):
-                continue
-            for j in range(LANES):
-                c = LANES * group + j
-                if hit[LANES + j] and a <= c < count:
-                    found[filled] = c
-                    filled += 1
+        near = lanes_from(_hits(low, high, groups, block, reach), a // LANES - LANES * block)
+        near &= lanes_before(len(boxes) // BOX_ROWS - LANES * block)
+        while near:
+            group, near = LANES * block + first_lane(near), near & (near - 1)
+            hit = lanes_from(_hits(low, high, boxes, group, reach), a - LANES * group)
+            hit &= lanes_before(count - LANES * group)
+            while hit:
+                found[filled] = LANES * group + first_lane(hit)
+                hit &= hit - 1
+                filled += 1
     return filled
 
 
@@ -155,19 +153,17 @@ def write_cones(rows, size, first, angle, cones):
     kind = rows.dtype.type
     one, two, tiny = kind(1), kind(2), kind(TINY)
     least, double, across = kind(np.cos(angle)), kind(np.cos(2.0 * angle)), kind(np.sin(2.0 * angle))
-    x, y, z = np.empty(LANES, rows.dtype), np.empty(LANES, rows.dtype), np.empty(LANES, rows.dtype)
+    cosines = np.empty(LANES, rows.dtype)
     for c in range(len(cones)):
         n = rows3_at(rows, size * c + first)
         n = scaled(one / root(most(dot(n, n), tiny)), n)
-        put(x, 0, n[0])
-        put(y, 0, n[1])
-        put(z, 0, n[2])
         axis = sums(n[0], n[1], n[2])
-        length, cosine = max(np.sqrt(dot(axis, axis)), tiny), one
+        axis = scaled(one / max(np.sqrt(dot(axis, axis)), tiny), axis)
+        put(cosines, 0, dot(axis, n))
+        cosine = one
         for lane in range(LANES):
-            cosine = min(cosine, (axis[0] * x[lane] + axis[1] * y[lane] + axis[2] * z[lane]) / length)
-        for i in range(3):
-            cones[c, i] = axis[i] / length
+            cosine = less(cosines[lane], cosine)
+        cones[c, 0], cones[c, 1], cones[c, 2] = axis
         # cos 2 (angle - a), a the largest angle of a normal to the axis
         sine = np.sqrt(max(one - cosine * cosine, kind(0)))
         limit = double * (two * cosine * cosine - one) + across * two * cosine * sine
@@ -185,17 +181,14 @@ def in_one_cone(cones, a, b):
 
 
 @part
-def _hits(low, high, boxes, block, reach, hit, level):
-    """Whether a box of a block is within the root of ``reach`` of that from ``low`` to ``high``; ``hit`` has which.
+def _hits(low, high, boxes, block, reach):
+    """The lanes of a block whose box is within the root of ``reach`` of that from ``low`` to ``high``.
 
     Rounding is monotone, so that two points are never nearer to each other than their boxes.
     """
-    zero, some, first = boxes.dtype.type(0), 0, BOX_ROWS * block
-    for lane in range(LANES):
-        x = more(more(boxes[first + lane] - high[0], low[0] - boxes[first + 3 * LANES + lane]), zero)
-        y = more(more(boxes[first + LANES + lane] - high[1], low[1] - boxes[first + 4 * LANES + lane]), zero)
-        z = more(more(boxes[first + 2 * LANES + lane] - high[2], low[2] - boxes[first + 5 * LANES + lane]), zero)
-        one = 1 if squared(x, y, z) < reach else 0
-        hit[level + lane] = one
-        some |= one
-    return some > 0
+    first = BOX_ROWS * block
+    lowest, highest = rows3_at(boxes, first), rows3_at(boxes, first + 3 * LANES)
+    x = most(most(lowest[0] - high[0], low[0] - highest[0]), 0.0)
+    y = most(most(lowest[1] - high[1], low[1] - highest[1]), 0.0)
+    z = most(most(lowest[2] - high[2], low[2] - highest[2]), 0.0)
+    return lanes_above(reach, squared(x, y, z))

@@ -24,14 +24,14 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.contact.projection import CLEARANCE_M, MOVED_M
 from drape.kernels.compiled import kernel
-from drape.kernels.elements import at, dot, farthest_m, scaled, sub
+from drape.kernels.elements import at, dot, scaled, sub, with_spare
 from drape.kernels.lanes import points_in, put_points
 from drape.live.ceiling import ceiling_over, pressed
 from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between
 from drape.live.colliders import leave, put_planes
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.lift import lift
-from drape.live.places import counted, moved_m, put_places, put_vertices
+from drape.live.places import counted, farthest_place_m, moved_m, put_places, put_vertices
 from drape.live.raised_skin import heights_over
 from drape.live.residual import keep_residual
 from drape.live.room import hold_within
@@ -298,7 +298,7 @@ def advance(places, state, touched, around, cloth, schedule):
     stuck_places(grip, touched, skin, cloth.graph, stuck)
     frames = np.empty(FRAMES // LANES * len(network), network.dtype)
     surface_frames(network, sheet, frames)
-    x, way = np.empty_like(network), np.empty_like(network)
+    x, way = with_spare(network), np.empty_like(network)
     for block in range(len(network) // LANES):
         first = LANES * block
         put_points(x, first, in_world(frames, block, points_in(residual, first)))
@@ -314,7 +314,7 @@ def advance(places, state, touched, around, cloth, schedule):
         first = LANES * block
         put_points(residual, first, in_frames(frames, block, sub(points_in(x, first), points_in(network, first))))
         put_points(velocity, first, in_frames(frames, block, scaled(k.one / schedule.step_s, points_in(way, first))))
-    return x, farthest_m(x, network), lifted
+    return x, farthest_place_m(x, network), lifted
 
 
 @kernel

@@ -6,6 +6,7 @@ import numpy as np
 
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import at, dot, sub
+from drape.kernels.lanes import LANES, most, points_in, put, row_at
 
 
 @kernel
@@ -25,6 +26,22 @@ def put_vertices(places, place, vertices):
 
 
 @kernel
+def farthest_place_m(x, y):
+    """The largest distance [m] between a place of ``x`` (P, 3) and that of ``y``, NaN where one is."""
+    numbers = np.zeros(2 * LANES, x.dtype)
+    worst, total = row_at(numbers, 0), row_at(numbers, LANES)
+    for block in range(len(x) // LANES):
+        way = sub(points_in(x, LANES * block), points_in(y, LANES * block))
+        worst, total = most(dot(way, way), worst), total + dot(way, way)
+    put(numbers, 0, worst)
+    put(numbers, LANES, total)
+    square, odd = numbers[0], False
+    for lane in range(LANES):
+        square, odd = max(square, numbers[lane]), odd or numbers[LANES + lane] != numbers[LANES + lane]
+    return np.sqrt(square) if not odd else x.dtype.type(np.nan)
+
+
+@kernel
 def moved_m(before, network, place):
     """RMS way [m] of the vertices at the ``place`` (V,) of each, from ``before`` to ``network`` [m] (P, 3)."""
     total = 0.0
@@ -37,9 +54,9 @@ def moved_m(before, network, place):
 @kernel
 def counted(lifted, place, least):
     """How many of the vertices are ``lifted`` [m] (P,) by more than ``least``, and the most of any."""
-    count, most = 0, lifted.dtype.type(0)
+    count, farthest = 0, lifted.dtype.type(0)
     for v in range(len(place)):
         own = lifted[place[v]]
         count += own > least
-        most = max(most, own)
-    return count, most
+        farthest = max(farthest, own)
+    return count, farthest

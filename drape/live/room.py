@@ -175,13 +175,13 @@ def rooms(points, neighbours, room):
     most = dtype(ROOM_M) * dtype(ROOM_M)
     square, bound = np.full(LANES * count, most), neighbours.bound.reshape(-1)
     table, s = np.full(count, -1, np.int32), np.empty(SCRATCH, points.dtype)
-    hit, found = np.empty(2 * LANES, np.int32), np.empty(count, np.int32)
+    found = np.empty(count, np.int32)
     for a in range(count):
         for entry in range(neighbours.other_start[a], neighbours.other_start[a + 1]):
             table[neighbours.other[entry]] = entry
         for entry in range(POINT_ROWS):
             s[OWN + entry] = rows[POINT_ROWS * a + entry]
-        for number in range(find_close(a, count, boxes, groups, most, hit, found)):
+        for number in range(find_close(a, count, boxes, groups, most, found)):
             b = found[number]
             for entry in range(POINT_ROWS):
                 s[OTHER + entry] = rows[POINT_ROWS * b + entry]

@@ -34,6 +34,7 @@ from drape.contact.samples import FACING, Samples
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import add, at, cross, dot, scaled, sub
 from drape.kernels.grid import cells_within, column, grid_of
+from drape.kernels.lane_masks import first_lane, lanes_above, lanes_before
 from drape.kernels.lanes import (
     least,
     most,
@@ -96,6 +97,13 @@ class TouchedSamples(NamedTuple):
 
     own: np.ndarray
     other: np.ndarray
+
+
+class ParentSamples(NamedTuple):
+    """The samples ``own`` (C,) of coarse places, and that one of these, ``parent`` (P,), which each place goes with."""
+
+    own: np.ndarray
+    parent: np.ndarray
 
 
 # Rows of the scratch: which neighbour of each lane's sample is nearer than it, or a foot and the normal there.
@@ -194,6 +202,7 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
     """
     k = sheet.constants
     grid = grid_of(skin, PER_CELL)
+    laid = _in_cells(skin, grid)
     # Few vertices are near another part: their planes wait until there are as many as lanes.
     lanes, late, waiting = _walk_lanes(skin), _walk_lanes(skin), 0
     own = lanes.sample
@@ -211,7 +220,7 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
             v = LANES * block + lane
             other = touched.other[v]
             if turn < 0 or sheet.vertex[v] % TURNS == turn:
-                other = _other(at(x, v), skin, graph, own[lane], grid)
+                other = _other(at(x, v), skin, graph, own[lane], grid, laid)
             elif other >= 0:
                 other = _nearest(at(x, v), skin, graph, other, STEPS)
                 if _square(at(x, v), skin, other) >= REACH_M * REACH_M or not _is_other(skin, graph, own[lane], other):
@@ -230,12 +239,13 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
 
 
 @kernel
-def put_own_planes(x, skin, graph, own, planes):
-    """Writes the planes below ``x`` [m] (P, 3) of the samples ``own`` (P,), blended with their neighbours'."""
+def put_own_planes(x, skin, graph, touched, planes):
+    """Writes the planes below ``x`` [m] (P, 3) of the samples ``touched.own`` (C,) of what each place has in
+    ``touched.parent`` (P,), blended with their neighbours'."""
     lanes = _walk_lanes(skin)
     for block in range(len(x) // LANES):
         for lane in range(LANES):
-            lanes.sample[lane] = own[LANES * block + lane]
+            lanes.sample[lane] = touched.own[touched.parent[LANES * block + lane]]
         foot, unit = _plane(points_in(x, LANES * block), lanes, skin, graph)
         put3(planes, PLANES * block, foot)
         put3(planes, PLANES * block + 3 * LANES, unit)
@@ -311,19 +321,35 @@ def _nearest(point, skin, graph, own, steps):
 
 
 @kernel
-def _other(point, skin, graph, own, grid):
-    """The sample nearest to ``point`` [m] that is of another part than ``own``, -1 where none is within reach."""
-    found, nearest = np.int32(-1), REACH_M * REACH_M
+def _in_cells(skin, grid):
+    """The points of the samples in the order of the ``grid``: three rows of all, each with room for ``LANES`` more."""
+    size = len(skin) + LANES
+    laid = np.zeros(3 * size, skin.dtype)
+    for entry in range(len(grid.member) if len(grid.start) > 1 else 0):
+        s = grid.member[entry]
+        laid[entry], laid[size + entry], laid[2 * size + entry] = skin[s, 0], skin[s, 1], skin[s, 2]
+    return laid
+
+
+@kernel
+def _other(point, skin, graph, own, grid, laid):
+    """The sample nearest to ``point`` [m] that is of another part than ``own``, -1 where none is within reach; ``laid``
+    are the samples in the order of the ``grid``."""
+    found, nearest, size = np.int32(-1), REACH_M * REACH_M, len(laid) // 3
     reach = (REACH_M, REACH_M, REACH_M)
     first, last = cells_within(grid, sub(point, reach), add(point, reach))
     for i in range(first[0], last[0]):
         for j in range(first[1], last[1]):
             begin, end = column(grid, i, j, first, last)
-            for entry in range(begin, end):
-                s = grid.member[entry]
-                square = _square(point, skin, s)
-                if square < nearest and _is_other(skin, graph, own, s):
-                    found, nearest = s, square
+            for entry in range(begin, end, LANES):
+                x, y, z = row_at(laid, entry), row_at(laid, size + entry), row_at(laid, 2 * size + entry)
+                way = sub((x, y, z), point)
+                near = lanes_above(nearest, dot(way, way)) & lanes_before(end - entry)
+                while near:
+                    s, near = grid.member[entry + first_lane(near)], near & (near - 1)
+                    square = _square(point, skin, s)
+                    if square < nearest and _is_other(skin, graph, own, s):
+                        found, nearest = s, square
     return found
 
 

@@ -32,18 +32,20 @@ from drape.kernels.elements import (
     outer,
     scaled,
     solved,
+    squares,
     sub,
 )
 from drape.kernels.lanes import (
     most,
-    points_at,
     points_in,
+    put,
     put3,
     put_points,
     root,
     row3,
     row_at,
     rows3_at,
+    spared_at,
     where_above,
 )
 from drape.live.sheet import LANES, PLANE_ROWS
@@ -59,7 +61,10 @@ HOLD = 0.4  # the share of contact's stiffness that steps of the whole cloth all
 
 @kernel
 def descend(x, sheet, planes, network, scratch):
-    """One sweep over ``x`` [m] (P, 3), in place, held by ``planes`` and to the places of the ``network`` [m] (P, 3)."""
+    """One sweep over ``x`` [m] (P, 3), in place, held by ``planes`` and to the places of the ``network`` [m] (P, 3).
+
+    ``x`` is ``with_spare``.
+    """
     k = sheet.constants
     for block in range(len(sheet.fan_start) - 1):
         gradient, hessian = _model(x, block, sheet, planes, network, scratch, True)
@@ -70,7 +75,7 @@ def descend(x, sheet, planes, network, scratch):
 
 @kernel
 def gradient_at(x, sheet, planes, network, scratch, gradient):
-    """Writes the gradient [N] at ``x`` that a step of the whole cloth starts from to ``gradient`` (P, 3).
+    """Writes the gradient [N] at ``x``, ``with_spare``, that a step of the whole starts from to ``gradient`` (P, 3).
 
     Stiffness that the matrix of those steps does not have would throw whole parts of a garment to and fro from step to
     step. So leash and friction together count no more than the leash at rest plus ``HOLD`` of contact, and two planes
@@ -84,20 +89,16 @@ def gradient_at(x, sheet, planes, network, scratch, gradient):
 def leash(sheet, planes):
     """Writes the stiffness and slack that hold each place: those of the waistband and of the leash."""
     for block in range(len(sheet.fan_start) - 1):
-        for lane in range(LANES):
-            planes[PLANES * block + HELD_ROW + lane] = sheet.own[4 * LANES * block + 3 * LANES + lane]
-            planes[PLANES * block + SLACK_ROW + lane] = sheet.constants.slack
+        put(planes, PLANES * block + HELD_ROW, row_at(sheet.own, 4 * LANES * block + 3 * LANES))
+        put(planes, PLANES * block + SLACK_ROW, sheet.constants.slack)
 
 
 @kernel
 def stick(sheet, stuck, friction, planes):
     """Writes where the skin has taken each place, ``stuck`` [m] (P, 3), and ``friction`` times contact's stiffness."""
     for block in range(len(sheet.fan_start) - 1):
-        for lane in range(LANES):
-            for axis in range(3):
-                planes[PLANES * block + STUCK + LANES * axis + lane] = stuck[LANES * block + lane, axis]
-            contact = sheet.own[4 * LANES * block + 2 * LANES + lane]
-            planes[PLANES * block + FRICTION_ROW + lane] = friction * contact
+        put3(planes, PLANES * block + STUCK, points_in(stuck, LANES * block))
+        put(planes, PLANES * block + FRICTION_ROW, friction * row_at(sheet.own, 4 * LANES * block + 2 * LANES))
 
 
 @part
@@ -110,12 +111,12 @@ def _model(x, block, sheet, planes, network, scratch, curvature):
     own = points_in(x, LANES * block)
     gradient, hessian = _outside(own, block, sheet, planes, network, curvature)
     for row in range(sheet.fan_start[block], sheet.fan_start[block + 1]):
-        first = sub(points_at(x, sheet.fan_other, 2 * LANES * row), own)
-        second = sub(points_at(x, sheet.fan_other, 2 * LANES * row + LANES), own)
+        first = sub(spared_at(x, sheet.fan_other, 2 * LANES * row), own)
+        second = sub(spared_at(x, sheet.fan_other, 2 * LANES * row + LANES), own)
         gradient, hessian = _triangle(first, second, row, sheet, gradient, hessian, curvature)
     for row in range(sheet.bend_start[block], sheet.bend_start[block + 1]):
         # The rows of the bending matrix sum to zero.
-        way = sub(points_at(x, sheet.bend_other, LANES * row), own)
+        way = sub(spared_at(x, sheet.bend_other, LANES * row), own)
         gradient = add(gradient, scaled(row_at(sheet.bend_value, LANES * row), way))
     begin, end = sheet.crease_start[block], sheet.crease_start[block + 1]
     if begin < end:
@@ -181,16 +182,7 @@ def _triangle(first, second, row, sheet, gradient, h, curvature):
     gradient = add(gradient, mix(cp, p, ct, t))
     if curvature:
         kpp, ktt, kpt = corner_stiffness(mp, mt, area, k)
-        pull = most(cp * mp + ct * mt, k.zero)
-        by_p, by_t = mix(kpp, p, kpt, t), mix(kpt, p, ktt, t)
-        h = (
-            h[0] + by_p[0] * p[0] + by_t[0] * t[0] + pull,
-            h[1] + by_p[0] * p[1] + by_t[0] * t[1],
-            h[2] + by_p[0] * p[2] + by_t[0] * t[2],
-            h[3] + by_p[1] * p[1] + by_t[1] * t[1] + pull,
-            h[4] + by_p[1] * p[2] + by_t[1] * t[2],
-            h[5] + by_p[2] * p[2] + by_t[2] * t[2] + pull,
-        )
+        h = squares(h, kpp, kpt, ktt, p, t, most(cp * mp + ct * mt, k.zero))
     return gradient, h
 
 

@@ -19,9 +19,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from drape.kernels.compiled import kernel
-from drape.kernels.elements import add, at, cross, dot, scaled, sub
-from drape.kernels.lanes import LANES, put, row_at
+from drape.kernels.affine import put_moved
+from drape.kernels.compiled import kernel, part
+from drape.kernels.elements import add, cross, dot, mix, scaled, sub
+from drape.kernels.lanes import (
+    LANES,
+    most,
+    points_at,
+    points_in,
+    put,
+    put3,
+    put_points,
+    root,
+    row_at,
+    where_above,
+)
+from drape.live.swing_mesh import SHARED
+from drape.live.swing_rows import placed
 
 ROUNDS, ENOUGH = 8, 1e-9  # of turning, fewer where the square of the last half turn was less [rad^2]
 LEAST = 1e-3  # of the squared sides: a smaller sum of r . m says little of a rotation, and turns it less
@@ -33,89 +47,100 @@ def move_vertices(vertices, still, swung, mesh, share, out):
     (N, 3), to ``out``."""
     table = np.zeros(LANES * len(still), vertices.dtype)
     _write_turns(still, swung, mesh, share, table)
-    sums = np.empty(LANES, vertices.dtype)
+    node, weight = mesh.weight_node.reshape(-1), mesh.weight.reshape(-1)
     for v in range(len(vertices)):
-        first, last = mesh.weight_start[v], mesh.weight_start[v + 1]
-        x = at(vertices, v)
-        if first == last:
-            out[v, 0], out[v, 1], out[v, 2] = x
-            continue
-        total = mesh.weight[first] * row_at(table, LANES * mesh.weight_node[first])
-        for e in range(first + 1, last):
-            total = total + mesh.weight[e] * row_at(table, LANES * mesh.weight_node[e])
-        put(sums, 0, total)
-        for axis in range(3):
-            turn = (sums[3 + 3 * axis], sums[4 + 3 * axis], sums[5 + 3 * axis])
-            out[v, axis] = x[axis] + sums[axis] + dot(turn, x)
+        e = SHARED * v
+        # Two sums, so that none waits for the one before.
+        first, second = weight[e] * row_at(table, LANES * node[e]), weight[e + 1] * row_at(table, LANES * node[e + 1])
+        for n in range(2, SHARED, 2):
+            first = first + weight[e + n] * row_at(table, LANES * node[e + n])
+            second = second + weight[e + n + 1] * row_at(table, LANES * node[e + n + 1])
+        put_moved(out, vertices, v, first + second)
 
 
 @kernel
 def _write_turns(still, swung, mesh, share, table):
-    """Writes a ``share`` of c - X - (R - 1) X and of R - 1 of every node to ``table``, ``LANES`` numbers each."""
-    one = still.dtype.type(1)
-    sides, square = np.zeros((len(still), 3, 3), still.dtype), np.zeros(len(still), still.dtype)
-    for i in range(len(still)):
-        square[i] = _sum_sides(still, swung, mesh, i, sides[i])
-    m = np.empty((3, 3), still.dtype)
-    for i in range(len(still)):
-        m[:] = sides[i]
-        for e in range(mesh.start[i], mesh.start[i + 1]):
-            m += sides[mesh.other[e, 0]]
-            m += sides[mesh.other[e, 1]]
-        r = rotation(m, still.dtype.type(LEAST) * square[i])
-        x, way = at(still, i), sub(at(swung, i), at(still, i))
-        for axis in range(3):
-            row = (r[0][axis], r[1][axis], r[2][axis])
-            table[LANES * i + axis] = share * (way[axis] + x[axis] - dot(row, x))
-            for other in range(3):
-                table[LANES * i + 3 + 3 * axis + other] = share * (row[other] - (one if axis == other else one - one))
+    """Writes a ``share`` of R - 1 and of c - X - (R - 1) X of every node to ``table``, ``LANES`` numbers each: four
+    columns of four numbers, as ``put_moved`` takes them."""
+    rows, x, c = mesh.rows, placed(still, mesh.rows), placed(swung, mesh.rows)
+    first, second, third = np.empty_like(x), np.empty_like(x), np.empty_like(x)
+    square, s = np.empty(len(x), x.dtype), np.empty(12 * LANES, x.dtype)
+    for block in range(len(rows.start) - 1):
+        m, found = _sides(x, c, block, rows)
+        put_points(first, LANES * block, m[0])
+        put_points(second, LANES * block, m[1])
+        put_points(third, LANES * block, m[2])
+        put(square, LANES * block, found)
+    for block in range(len(rows.start) - 1):
+        place = LANES * block
+        a, b, d = points_in(first, place), points_in(second, place), points_in(third, place)
+        for row in range(2 * rows.start[block], 2 * rows.start[block + 1]):
+            # An empty row has the place itself, and no area.
+            real = where_above(row_at(rows.slope, 5 * LANES * (row // 2) + 4 * LANES), 0.0, 1.0, 0.0)
+            a = add(a, scaled(real, points_at(first, rows.other, LANES * row)))
+            b = add(b, scaled(real, points_at(second, rows.other, LANES * row)))
+            d = add(d, scaled(real, points_at(third, rows.other, LANES * row)))
+        own = points_in(x, place)
+        e, f, g = rotation(a, b, d, LEAST * row_at(square, place), s)
+        e, f, g = (e[0] - 1.0, e[1], e[2]), (f[0], f[1] - 1.0, f[2]), (g[0], g[1], g[2] - 1.0)
+        turned = add(mix(own[0], e, own[1], f), scaled(own[2], g))
+        put3(s, 0, scaled(share, e))
+        put3(s, 3 * LANES, scaled(share, f))
+        put3(s, 6 * LANES, scaled(share, g))
+        put3(s, 9 * LANES, scaled(share, sub(sub(points_in(c, place), own), turned)))
+        for lane in range(LANES):
+            for column in range(4):
+                for axis in range(3):
+                    entry = LANES * rows.node[place + lane] + 4 * column + axis
+                    table[entry] = s[LANES * (3 * column + axis) + lane]
 
 
-@kernel
-def _sum_sides(still, swung, mesh, i, m):
-    """Writes the columns of M of node ``i`` to ``m`` (3, 3); the sum of the squares of its sides in still cloth."""
-    zero = still.dtype.type(0)
-    own, moved = at(still, i), at(swung, i)
-    before, after, square = (zero, zero, zero), (zero, zero, zero), zero
-    for e in range(mesh.start[i], mesh.start[i + 1]):
-        a, b = sub(at(still, mesh.other[e, 0]), own), sub(at(swung, mesh.other[e, 0]), moved)
-        p, q = sub(at(still, mesh.other[e, 1]), own), sub(at(swung, mesh.other[e, 1]), moved)
-        for column in range(3):
-            for row in range(3):
-                m[column, row] += b[row] * a[column] + q[row] * p[column]
+@part
+def _sides(x, c, block, rows):
+    """The columns of M of the nodes of a ``block``, and the sums of the squares of their sides in still cloth."""
+    own, moved = points_in(x, LANES * block), points_in(c, LANES * block)
+    none = 0.0 * own[0]
+    zero, square = (none, none, none), none
+    m, before, after = (zero, zero, zero), zero, zero
+    for row in range(rows.start[block], rows.start[block + 1]):
+        a = sub(points_at(x, rows.other, 2 * LANES * row), own)
+        b = sub(points_at(c, rows.other, 2 * LANES * row), moved)
+        p = sub(points_at(x, rows.other, 2 * LANES * row + LANES), own)
+        q = sub(points_at(c, rows.other, 2 * LANES * row + LANES), moved)
+        m = add(m[0], mix(a[0], b, p[0], q)), add(m[1], mix(a[1], b, p[1], q)), add(m[2], mix(a[2], b, p[2], q))
         before, after = add(before, cross(a, p)), add(after, cross(b, q))
-        square += dot(a, a) + dot(p, p)
-    length = np.sqrt(dot(before, before) * dot(after, after))
-    if length > zero:
-        for column in range(3):
-            for row in range(3):
-                m[column, row] += still.dtype.type(0.5) * square / length * after[row] * before[column]
-    return square
+        square = square + dot(a, a) + dot(p, p)
+    length = root(dot(before, before) * dot(after, after))
+    after = scaled(where_above(length, 0.0, 0.5 * square / where_above(length, 0.0, length, 1.0), 0.0), after)
+    m = add(m[0], scaled(before[0], after)), add(m[1], scaled(before[1], after)), add(m[2], scaled(before[2], after))
+    return m, square
 
 
-@kernel
-def rotation(m, least):
-    """The columns of the rotation nearest to the matrix with the columns ``m`` (3, 3); of 1 where that is zero.
+@part
+def rotation(a, b, c, least, s):
+    """The columns of the rotations nearest to matrices with the columns ``a``, ``b``, ``c``; of 1 where that is zero.
 
-    Sums of r . m below ``least`` turn it less.
+    Sums of r . m below ``least`` turn it less. ``s`` is scratch for a row.
     """
-    zero, one, half = m.dtype.type(0), m.dtype.type(1), m.dtype.type(0.5)
-    r = (one, zero, zero), (zero, one, zero), (zero, zero, one)
-    a, b, c = at(m, 0), at(m, 1), at(m, 2)
+    one, zero = 0.0 * least + 1.0, 0.0 * least
+    e, f, g = (one, zero, zero), (zero, one, zero), (zero, zero, one)
     for _ in range(ROUNDS):
-        turn = add(add(cross(r[0], a), cross(r[1], b)), cross(r[2], c))
-        along = max(abs(dot(r[0], a) + dot(r[1], b) + dot(r[2], c)), least)
-        if not along > zero:
+        turn = add(add(cross(e, a), cross(f, b)), cross(g, c))
+        along = dot(e, a) + dot(f, b) + dot(g, c)
+        along = most(most(along, -along), least)
+        q = scaled(0.5 / where_above(along, 0.0, along, 1.0), turn)
+        w = 1.0 / root(1.0 + dot(q, q))  # the unit quaternion (w, w q)
+        e, f, g = _turned(w, q, e), _turned(w, q, f), _turned(w, q, g)
+        put(s, 0, dot(q, q))
+        turns = 0
+        for lane in range(LANES):
+            turns |= 1 if s[lane] > ENOUGH else 0
+        if not turns:
             break
-        q = scaled(half / along, turn)
-        w = one / np.sqrt(one + dot(q, q))  # the unit quaternion (w, w q)
-        r = _turned(w, q, r[0]), _turned(w, q, r[1]), _turned(w, q, r[2])
-        if dot(q, q) < m.dtype.type(ENOUGH):
-            break
-    return r
+    return e, f, g
 
 
-@kernel
+@part
 def _turned(w, q, a):
     """The vector ``a`` turned by the quaternion ``w`` (1, ``q``) of length 1."""
     b = scaled(w + w, cross(scaled(w, q), a))

@@ -18,9 +18,11 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.geometry import meshes
 from drape.kernels.problem import rest_edges, unfolded
+from drape.live.swing_rows import SwingRows, swing_rows
 
 SPACING_M = 0.07  # between nodes; less gives the same swing for more time
 REACH = 1.5  # spacings within which a node moves a vertex
+SHARED = 8  # nodes that move a vertex, at most: the nearest ones
 DETOUR = 1.02  # a way over edges and diagonals is that much longer, on average, than the shortest along the cloth
 ACROSS = 0.05  # tension across the fall, per tension along it: columns of cloth hardly hold each other
 SLIVER = 0.15  # a coarse triangle with a corner of a smaller sine is left out
@@ -34,8 +36,8 @@ class SwingMesh(NamedTuple):
     that may move, from those next to held ones outwards. The coarse triangles of node i are rows ``start[i]`` to
     ``start[i + 1]`` of ``other`` (n, 2), the two other corners, and ``slope`` (n, 5): their slopes along both axes
     [1/m], and the area [m^2]. ``pull_start`` (N + 1,), ``pull_node``, ``pull`` [N/m]: rows of the matrix by which
-    weight pulls nodes back. ``weight_start`` (V + 1,), ``weight_node``, ``weight``: the shares of the nodes' ways by
-    which each vertex moves.
+    weight pulls nodes back. ``weight_node`` (V, ``SHARED``), ``weight``: the shares of the nodes' ways by which each
+    vertex moves. ``rows`` has nodes and triangles once more, in blocks.
     """
 
     vertex: np.ndarray
@@ -45,12 +47,12 @@ class SwingMesh(NamedTuple):
     start: np.ndarray
     other: np.ndarray
     slope: np.ndarray
-    weight_start: np.ndarray
     weight_node: np.ndarray
     weight: np.ndarray
     pull_start: np.ndarray
     pull_node: np.ndarray
     pull: np.ndarray
+    rows: SwingRows
 
 
 def swing_mesh(
@@ -84,13 +86,13 @@ def swing_mesh(
         np.bincount(cell, weights=values, minlength=len(chosen) + 1)[: len(chosen)]
         for values in (cloth.vertex_mass(material), cloth.vertex_area)
     )
-    weight_start, weight_node, weight = _weights(
-        away, rest, np.asarray(meshes.vertex_normals(rest, cloth.faces)), chosen
-    )
+    weight_node, weight = _weights(away, rest, np.asarray(meshes.vertex_normals(rest, cloth.faces)), chosen)
+    order = _outwards(faces, sides, movable)
     return SwingMesh(
-        chosen.astype(np.int32), mass.astype(dtype), area.astype(dtype), _outwards(faces, sides, movable),
-        start, other, slope.astype(dtype), weight_start, weight_node, weight.astype(dtype),
+        chosen.astype(np.int32), mass.astype(dtype), area.astype(dtype), order,
+        start, other, slope.astype(dtype), weight_node, weight.astype(dtype),
         *_pull(start, other, slope, _weight_below(graph, cloth, held, material)[chosen], float(area.sum()), dtype),
+        swing_rows(order, start, other, slope.astype(dtype)),
     )  # fmt: skip
 
 
@@ -174,23 +176,22 @@ def _outwards(faces: np.ndarray, sides: np.ndarray, movable: np.ndarray) -> np.n
 
 def _weights(
     away: np.ndarray, rest: np.ndarray, normals: np.ndarray, chosen: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``weight_start``, ``weight_node`` and ``weight`` of ``SwingMesh``: moving least squares of degree one at rest,
-    without a slope along the surface's ``normals`` (V, 3)."""
-    reach = REACH * SPACING_M
-    vertex, node = np.nonzero(away < reach)
-    bump = (1.0 - (away[vertex, node] / reach) ** 2) ** 2
-    basis = np.concatenate([np.ones((len(vertex), 1)), (rest[chosen[node]] - rest[vertex]) / SPACING_M], axis=1)
-    count = np.bincount(vertex, minlength=len(rest))
-    start = np.concatenate([[0], np.cumsum(count)])
-    some = np.flatnonzero(count)
-    moments = np.add.reduceat(bump[:, None, None] * basis[:, :, None] * basis[:, None, :], start[some], axis=0)
-    flat = normals[some, :, None] * normals[some, None, :] + LINE * np.eye(3)
+) -> tuple[np.ndarray, np.ndarray]:
+    """``weight_node`` and ``weight`` of ``SwingMesh``, (V, ``SHARED``) each: moving least squares of degree one at
+    rest, without a slope along the surface's ``normals`` (V, 3)."""
+    if away.shape[1] < SHARED:
+        away = np.pad(away, ((0, 0), (0, SHARED - away.shape[1])), constant_values=np.inf)
+    near = np.argsort(away, axis=1, kind="stable")[:, :SHARED]
+    bump = (1.0 - np.minimum(np.take_along_axis(away, near, axis=1) / (REACH * SPACING_M), 1.0) ** 2) ** 2
+    near = np.where(bump > 0.0, near, 0)
+    ways = (rest[chosen[near]] - rest[:, None]) / SPACING_M
+    basis = np.concatenate([np.ones((*near.shape, 1)), ways], axis=2)
+    moments = np.einsum("vk,vka,vkb->vab", bump, basis, basis)
+    flat = normals[:, :, None] * normals[:, None, :] + LINE * np.eye(3)
     moments[:, 1:, 1:] += moments[:, :1, :1] * flat
-    row = np.zeros((len(rest), 4))
-    row[some] = np.linalg.inv(moments)[:, 0]
-    weight = bump * np.einsum("ea,ea->e", basis, row[vertex])
-    return start.astype(np.int32), node.astype(np.int32), weight
+    row, some = np.zeros((len(rest), 4)), moments[:, 0, 0] > 0.0
+    row[some] = np.linalg.inv(moments[some])[:, 0]
+    return near.astype(np.int32), bump * np.einsum("vka,va->vk", basis, row)
 
 
 def _weight_below(graph: Any, cloth: ClothMesh, held: np.ndarray, material: Material) -> np.ndarray:

@@ -23,12 +23,15 @@ import numpy as np
 
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import at, dot, farthest_m, scaled, sub
+from drape.kernels.lanes import LANES
 from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between, writable
 from drape.live.colliders import write_planes
+from drape.live.fold_constants import array_bytes
 from drape.live.skin_contact import NEIGHBOURS, SkinGraph, TouchedSamples, follow
 from drape.live.swing_carry import move_vertices
-from drape.live.swing_mesh import SwingMesh
+from drape.live.swing_mesh import SHARED, SwingMesh
 from drape.live.swing_nodes import GAP_M, TOUCH_M, Ground, Springs, fall_back, keep_length, write_bounds
+from drape.live.swing_rows import swing_rows
 
 NEAR_M, FREE_M = 0.008, 0.04  # over the skin: lower nodes are held, higher ones free
 HOLD_N_PER_M, LEAST_FREE = 2.0, 0.01  # the hold of a node that is half free; the least that a node is free
@@ -62,7 +65,7 @@ class SwingConstants:
     @property
     def nbytes(self) -> int:
         """Memory of the mesh."""
-        return sum(array.nbytes for array in self.mesh) + self.index.nbytes + self.held.nbytes
+        return array_bytes(tuple(self.mesh)) + self.index.nbytes + self.held.nbytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +229,10 @@ def advance(before, network, around, hold, mesh, graph, schedule):
         for axis in range(3):
             swung[i, axis] += u[i, axis]
         inertia[i] += held[i]
-    springs, bound = Springs(swung.copy(), inertia), np.empty((len(mesh.other), 6), network.dtype)
+    springs, bound = (
+        Springs(swung.copy(), inertia),
+        np.empty(6 * LANES * mesh.rows.start[mesh.rows.moving], network.dtype),
+    )
     write_bounds(network, mesh, bound)
     here = touched.copy()
     follow(swung, skin, graph, TouchedSamples(here, here))
@@ -289,7 +295,8 @@ def warm_up() -> None:
     empty, nobody = np.zeros(0, np.float32), np.zeros(0, np.int32)
     mesh = SwingMesh(
         index, none, none, nobody, start, np.zeros((0, 2), np.int32), np.zeros((0, 5), np.float32),
-        start, nobody, empty, start, nobody, empty,
+        np.zeros((1, SHARED), np.int32), np.zeros((1, SHARED), np.float32), start, nobody, empty,
+        swing_rows(nobody, start, np.zeros((0, 2), np.int32), np.zeros((0, 5), np.float32)),
     )  # fmt: skip
     graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1, np.float32), zero)
     made = SwingConstants(mesh, graph, index, 1.0, 0.0, none)

@@ -29,8 +29,8 @@ from drape.cloth.material import Material
 from drape.cloth.rest_state import RestState, modelled
 from drape.garment.cache import Garment
 from drape.kernels.compiled import kernel
-from drape.kernels.elements import add, farthest_m, scaled
-from drape.kernels.lanes import points_at, points_in, put_points, row_at
+from drape.kernels.elements import add, scaled, sub, with_spare
+from drape.kernels.lanes import points_at, points_in, put, put_points, row_at, where_above
 from drape.live.clock import Frame, FrameMemory, follows, step_between
 from drape.live.coarse_mesh import coarse_mesh
 from drape.live.coarse_weights import NEAREST, coarse_weights
@@ -57,10 +57,18 @@ from drape.live.fold_step import (
     with_lift,
 )
 from drape.live.lift import lift
-from drape.live.places import moved_m, put_places
+from drape.live.places import farthest_place_m, moved_m, put_places
 from drape.live.sheet import LANES, Sheet, sheet
-from drape.live.skin_contact import NEIGHBOURS, SkinGraph, TouchedSamples, follow, put_own_planes, write_grip
-from drape.live.sweeps import HELD_ROW, PLANES, SCRATCH, SLACK_ROW, descend, leash
+from drape.live.skin_contact import (
+    NEIGHBOURS,
+    ParentSamples,
+    SkinGraph,
+    TouchedSamples,
+    follow,
+    put_own_planes,
+    write_grip,
+)
+from drape.live.sweeps import HELD_ROW, PLANES, SCRATCH, SLACK_ROW, descend
 from drape.live.untangle import WAY_M, Tangles, tangles_of, untangle
 
 KEPT_S = 0.15  # in which what sweeps added comes down to 1/e: more lets fine folds pass through each other
@@ -299,7 +307,7 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
     """``x`` [m] (P, 3), how far [m] the farthest vertex is from the ``network``, NaN where one is, and how far [m] each
     was lifted (P,). ``added`` is written anew."""
     sheet = fine.sheet
-    x, carried, lifted = np.empty_like(network), np.empty_like(network), np.zeros(len(network), network.dtype)
+    x, carried, lifted = with_spare(network), np.empty_like(network), np.zeros(len(network), network.dtype)
     for block in range(len(network) // LANES):
         points = points_in(network, LANES * block)
         for n in range(NEAREST):
@@ -307,11 +315,9 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
             points = add(points, scaled(row_at(fine.weight, row), points_at(coarse.off, fine.near, row)))
         put_points(carried, LANES * block, points)
         put_points(x, LANES * block, add(points, scaled(schedule.share, points_in(added, LANES * block))))
-    planes, scratch = np.zeros(PLANES // LANES * len(x), x.dtype), np.empty(SCRATCH, x.dtype)
-    leash(sheet, planes)
-    own = coarse.own[fine.parent]
+    planes, scratch = np.empty(PLANES // LANES * len(x), x.dtype), np.empty(SCRATCH, x.dtype)
     hold_as(fine.parent, coarse, sheet, planes)
-    put_own_planes(x, around.skin, graph, own, planes)
+    put_own_planes(x, around.skin, graph, ParentSamples(coarse.own, fine.parent), planes)
     put_planes(x, around.colliders, planes)
     for _ in range(schedule.sweeps):
         descend(x, sheet, planes, network, scratch)
@@ -320,10 +326,9 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
     leave(x, around.colliders, planes, schedule.clearance)
     if schedule.clearance > 0.0:
         lift(x, planes, schedule.clearance, lifted)
-    for v in range(len(x)):
-        for i in range(3):
-            added[v, i] = x[v, i] - carried[v, i]
-    return x, farthest_m(x, network), lifted
+    for block in range(len(x) // LANES):
+        put_points(added, LANES * block, sub(points_in(x, LANES * block), points_in(carried, LANES * block)))
+    return x, farthest_place_m(x, network), lifted
 
 
 @kernel
@@ -332,7 +337,7 @@ def lift_off(x, touched, under, around, fine, graph, clearance):
     colliders. ``touched`` is moved on below the coarse places ``under``."""
     lifted, planes = np.zeros(len(x), x.dtype), np.zeros(PLANES // LANES * len(x), x.dtype)
     follow(under, around.skin, graph, touched)
-    put_own_planes(x, around.skin, graph, touched.own[fine.parent], planes)
+    put_own_planes(x, around.skin, graph, ParentSamples(touched.own, fine.parent), planes)
     put_planes(x, around.colliders, planes)
     leave(x, around.colliders, planes, clearance)
     if clearance > 0.0:
@@ -342,19 +347,33 @@ def lift_off(x, touched, under, around, fine, graph, clearance):
 
 @kernel
 def hold_as(parent, coarse, sheet, planes):
-    """Tightens the leash of each place as the room of its ``parent`` (P,) did there: by as much of contact's
-    stiffness."""
-    tighter, slack = np.empty(len(coarse.own), planes.dtype), np.empty(len(coarse.own), planes.dtype)
-    for c in range(len(coarse.own)):
-        place, own = PLANES * (c // LANES) + c % LANES, 4 * LANES * (c // LANES) + c % LANES
-        contact = coarse.sheet.own[own + 2 * LANES]
-        more = coarse.planes[place + HELD_ROW] - coarse.sheet.own[own + 3 * LANES]
-        tighter[c], slack[c] = more / contact if contact > 0 else contact, coarse.planes[place + SLACK_ROW]
-    for v in range(len(parent)):
-        place = PLANES * (v // LANES) + v % LANES
-        contact = sheet.own[4 * LANES * (v // LANES) + v % LANES + 2 * LANES]
-        planes[place + HELD_ROW] += tighter[parent[v]] * contact
-        planes[place + SLACK_ROW] = slack[parent[v]]
+    """Writes the leash of each place, tightened as the room of its ``parent`` (P,) did there: by as much of contact's
+    stiffness. All else in ``planes`` becomes nothing."""
+    zero, tight = planes.dtype.type(0), np.empty((len(coarse.own), 2), planes.dtype)
+    rows = np.empty(2 * LANES, planes.dtype)
+    for block in range(len(tight) // LANES):
+        contact, held = (
+            row_at(coarse.sheet.own, (4 * block + 2) * LANES),
+            row_at(coarse.planes, PLANES * block + HELD_ROW),
+        )
+        more = held - row_at(coarse.sheet.own, (4 * block + 3) * LANES)
+        put(
+            rows,
+            0,
+            where_above(contact, zero, more / where_above(contact, zero, contact, planes.dtype.type(1)), contact),
+        )
+        put(rows, LANES, row_at(coarse.planes, PLANES * block + SLACK_ROW))
+        for lane in range(LANES):
+            tight[LANES * block + lane, 0], tight[LANES * block + lane, 1] = rows[lane], rows[LANES + lane]
+    for block in range(len(parent) // LANES):
+        for lane in range(LANES):
+            own = parent[LANES * block + lane]
+            rows[lane], rows[LANES + lane] = tight[own, 0], tight[own, 1]
+        for entry in range(PLANES * block, PLANES * (block + 1)):
+            planes[entry] = zero
+        held, contact = row_at(sheet.own, (4 * block + 3) * LANES), row_at(sheet.own, (4 * block + 2) * LANES)
+        put(planes, PLANES * block + HELD_ROW, held + row_at(rows, 0) * contact)
+        put(planes, PLANES * block + SLACK_ROW, row_at(rows, LANES))
 
 
 @kernel

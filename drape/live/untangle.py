@@ -26,6 +26,7 @@ import scipy.sparse
 from drape.geometry import meshes
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import add, at, cross, dot, mix, scaled, sub
+from drape.kernels.lane_masks import first_lane, lanes_above, lanes_from, other_lanes
 from drape.kernels.lanes import least, most, points_at, put, put3, rows3_at
 from drape.live.clusters import boxes_around, clusters, find_close, in_one_cone, less, more, write_cones
 from drape.live.sheet import LANES
@@ -120,30 +121,24 @@ def crossing(x, tangles, chosen):
     cones = np.empty((count, 4), x.dtype)
     write_cones(rows, ROWS, NORMAL, CONE_RAD, cones)
     joined = np.full(count, -1, np.int32)
-    hit, close = np.empty(2 * LANES, np.int32), np.empty(count, np.int32)
-    out, side = np.empty(LANES, x.dtype), np.empty(LANES, x.dtype)
+    close = np.empty(count, np.int32)
     for a in range(count):
         for entry in range(tangles.start[chosen[a]], tangles.start[chosen[a] + 1]):
             if number[tangles.beside[entry]] >= 0:
                 joined[number[tangles.beside[entry]]] = a
-        for found in range(find_close(a, count, boxes, groups, x.dtype.type(TOUCH_M2), hit, close)):
+        for found in range(find_close(a, count, boxes, groups, x.dtype.type(TOUCH_M2), close)):
             b = close[found]
             if joined[b] == a and in_one_cone(cones, a, b):
                 continue
-            _write_out_of_box(rows, ROWS * a, boxes, b, out)
-            for i in range(LANES):
-                if out[i] > 0:
-                    continue
-                _write_sides(rows, ROWS * a, i, ROWS * b, side)
-                some = 0
-                for j in range(LANES):  # most have none: a loop without branches is one comparison of a row
-                    some |= 1 if side[j] < 0 else 0
-                if not some:
-                    continue
-                for j in range(i + 1 if a == b else 0, LANES):
+            reach = _reach_box(rows, ROWS * a, boxes, b)
+            while reach:
+                i, reach = first_lane(reach), reach & (reach - 1)
+                sides = _have_sides(rows, ROWS * a, i, ROWS * b)
+                sides = lanes_from(sides, i + 1 if a == b else 0)
+                while sides:
+                    j, sides = first_lane(sides), sides & (sides - 1)
                     if (
-                        side[j] < 0
-                        and filled < MOST_PAIRS
+                        filled < MOST_PAIRS
                         and not _joined(corner, 3 * LANES * chosen[a] + i, 3 * LANES * chosen[b] + j)
                         and _is_parted(rows, ROWS * a, i, ROWS * b, j)
                     ):
@@ -174,21 +169,20 @@ def _corner(rows, first, lane):
 
 
 @part
-def _write_out_of_box(rows, own, boxes, b, out):
-    """Writes a positive number for each triangle of the cluster at ``own`` whose box does not reach that of cluster
-    ``b``."""
+def _reach_box(rows, own, boxes, b):
+    """The triangles of the cluster at ``own`` whose box reaches that of cluster ``b``."""
     box = 6 * LANES * (b // LANES) + b % LANES
     low, high = rows3_at(rows, own + LOW), rows3_at(rows, own + HIGH)
     x = most(low[0] - boxes[box + 3 * LANES], boxes[box] - high[0])
     y = most(low[1] - boxes[box + 4 * LANES], boxes[box + LANES] - high[1])
     z = most(low[2] - boxes[box + 5 * LANES], boxes[box + 2 * LANES] - high[2])
-    put(out, 0, most(most(x, y), z))
+    return other_lanes(lanes_above(most(most(x, y), z), 0.0))
 
 
 @part
-def _write_sides(rows, own, i, other, side):
-    """Writes a negative number for each triangle of the cluster at ``other`` that has corners on both sides of the
-    plane of triangle ``i`` and whose box overlaps that one's."""
+def _have_sides(rows, own, i, other):
+    """The triangles of the cluster at ``other`` that have corners on both sides of the plane of triangle ``i`` and
+    whose box overlaps that one's."""
     n, height = _corner(rows, own + NORMAL, i), rows[own + HEIGHT + i]
     a, b = dot(n, rows3_at(rows, other)), dot(n, rows3_at(rows, other + 3 * LANES))
     c = dot(n, rows3_at(rows, other + 6 * LANES))
@@ -198,7 +192,7 @@ def _write_sides(rows, own, i, other, side):
     x = most(lower[0] - high[0], low[0] - higher[0])
     y = most(lower[1] - high[1], low[1] - higher[1])
     z = most(lower[2] - high[2], low[2] - higher[2])
-    put(side, 0, most(apart, most(most(x, y), z)))
+    return lanes_above(0.0, most(apart, most(most(x, y), z)))
 
 
 @part

@@ -24,6 +24,7 @@ from drape.kernels.lanes import (
     row_at,
     rows3_at,
     samples_at,
+    spared_at,
     sums,
     tangent,
     where_above,
@@ -58,6 +59,7 @@ def _moved(x, skin, index, other, out):
     put3(out, 11 * LANES, points_in(x, 2))
     a, b, c = rows3_at(out, 0)
     out[14 * LANES], out[14 * LANES + 1], out[14 * LANES + 2] = sums(a, b, c)
+    put3(out, 15 * LANES, spared_at(x, index, 1))
     put_points(x, 2, points_at(x, index, 1))
 
 
@@ -76,14 +78,15 @@ def test_numbers_are_those_of_each_lane(rng, dtype):
 
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_points_come_from_their_places_and_go_there(rng, dtype):
-    x, skin = rng.normal(size=(24, 3)).astype(dtype), rng.normal(size=(24, 8)).astype(dtype)
+    x, skin = rng.normal(size=(25, 3)).astype(dtype)[:24], rng.normal(size=(24, 8)).astype(dtype)
     index = np.append(5, rng.permutation(24)[:LANES]).astype(np.int32)
     index[[2, 9]] = 23, 0  # the last row, behind which nothing may be read
-    other, out, before = index[1:].copy(), np.empty(15 * LANES, dtype), x.copy()
+    other, out, before = index[1:].copy(), np.empty(18 * LANES, dtype), x.copy()
     other[7] += 1
     _moved(x, skin, index, other, out)
-    taken, found = before[index[1:]], out.reshape(15, LANES)
+    taken, found = before[index[1:]], out.reshape(18, LANES)
     assert_array_equal(found[:3], taken.T)
+    assert_array_equal(found[15:], taken.T)
     assert_array_equal(found[3:6], skin[index[1:], :3].T)
     assert_array_equal(found[6:10], skin[index[1:], 4:].T)
     assert_array_equal(found[10], np.where(np.arange(LANES) == 7, taken[:, 0], 0.0))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.distance import pdist
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
+from drape.kernels.lanes import LANES
 from drape.live.swing_mesh import SPACING_M, along_cloth, swing_mesh
 from tests.drape.live.swing_setup import EDGE_M, LENGTH_M, WIDTH_M, hanging, strip
 from tests.reference.swing import pull_matrix, triangles
@@ -37,9 +38,8 @@ def test_weights_carry_what_is_linear():
     rest, mesh = hanging()
     way = rest @ np.array([[0.3, 0.0, 0.1], [0.2, 0.4, 0.0], [0.0, 0.0, 0.0]]) + 0.05
     for v in range(0, len(rest), 7):
-        entries = slice(mesh.weight_start[v], mesh.weight_start[v + 1])
-        assert_allclose(mesh.weight[entries].sum(), 1.0, atol=1e-12)
-        carried = mesh.weight[entries] @ way[mesh.vertex[mesh.weight_node[entries]]]
+        assert_allclose(mesh.weight[v].sum(), 1.0, atol=1e-12)
+        carried = mesh.weight[v] @ way[mesh.vertex[mesh.weight_node[v]]]
         assert_allclose(carried, way[v], atol=0.01)  # but for what keeps the fit regular
 
 
@@ -57,3 +57,23 @@ def test_the_weight_pulls_like_a_string():
 def test_what_is_held_everywhere_does_not_swing():
     rest, faces = strip()
     assert swing_mesh(ClothMesh.from_rest(rest, faces), Material(), rest, np.ones(len(rest), bool)) is None
+
+
+def test_blocks_keep_the_order_of_nodes():
+    """Of two nodes of one triangle that which comes first moves in an earlier block."""
+    _, mesh = hanging()
+    rows, rank = mesh.rows, {int(i): n for n, i in enumerate(mesh.order)}
+    assert sorted(rank) == sorted(set(rows.node[: LANES * rows.moving].tolist())), "what moves comes first"
+    assert_array_equal(rows.node[rows.place], np.arange(len(mesh.vertex)))
+    for i in range(len(mesh.vertex)):
+        near = {int(j) for j in np.unique(mesh.other[mesh.start[i] : mesh.start[i + 1]])}
+        earlier = {j for j in near & rank.keys() if rank[j] < rank.get(i, -1)}
+        assert all(rows.place[j] // LANES < rows.place[i] // LANES for j in earlier)
+        block, lane = divmod(int(rows.place[i]), LANES)
+        there = slice(rows.start[block], rows.start[block + 1])
+        other = rows.other.reshape(-1, 2, LANES)[there, :, lane]
+        slope = rows.slope.reshape(-1, 5, LANES)[there, :, lane]
+        count = mesh.start[i + 1] - mesh.start[i]
+        assert_array_equal(rows.node[other[:count]], mesh.other[mesh.start[i] : mesh.start[i + 1]])
+        assert_array_equal(slope[:count], mesh.slope[mesh.start[i] : mesh.start[i + 1]])
+        assert not slope[count:].any() and (other[count:] == rows.place[i]).all()

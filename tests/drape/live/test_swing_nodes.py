@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numba import njit
 from numpy.testing import assert_allclose
 
+from drape.kernels.compiled import FAST
+from drape.kernels.lanes import LANES, put3
 from drape.live.swing_mesh import SwingMesh
-from drape.live.swing_nodes import Ground, Springs, fall_back, keep_length, length, write_bounds
+from drape.live.swing_nodes import Ground, Springs, fall_back, keep_length, pull, write_bounds
+from drape.live.swing_rows import SwingRows, placed
 from tests.drape.live.swing_setup import hanging
 from tests.reference.swing import length_energy, pull_matrix
 
@@ -21,16 +25,27 @@ def moved() -> tuple[np.ndarray, np.ndarray, SwingMesh, np.ndarray]:
     random = np.random.default_rng(3)
     still = rest[mesh.vertex] + 0.004 * random.normal(size=(len(mesh.vertex), 3))
     c = still * [0.9, 1.03, 1.0] + 0.006 * random.normal(size=still.shape)
-    bound = np.empty((len(mesh.other), 6))
+    bound = np.empty(6 * LANES * mesh.rows.start[mesh.rows.moving])
     write_bounds(still, mesh, bound)
     return still, c, mesh, bound
 
 
+@njit(error_model="numpy", fastmath=FAST)
+def write_pulls(x: np.ndarray, rows: SwingRows, young: float, bound: np.ndarray, found: np.ndarray) -> None:
+    """Writes gradient and Hessian of the nodes that move to ``found``, nine rows a block."""
+    for block in range(rows.moving):
+        g, h = pull(x, block, rows, young, bound)
+        put3(found, 9 * LANES * block, g)
+        put3(found, 9 * LANES * block + 3 * LANES, h[:3])
+        put3(found, 9 * LANES * block + 6 * LANES, h[3:])
+
+
 def test_length_s_gradient_is_that_of_its_energy(moved: tuple[np.ndarray, np.ndarray, SwingMesh, np.ndarray]):
     still, c, mesh, bound = moved
-    seen = 0
-    for i in range(len(c)):
-        gradient, hessian = length(c, i, mesh, YOUNG, bound)
+    seen, found = 0, np.empty((mesh.rows.moving, 9, LANES))
+    write_pulls(placed(c, mesh.rows), mesh.rows, YOUNG, bound, found.reshape(-1))
+    for i in mesh.order:
+        gradient, hessian = np.split(found[mesh.rows.place[i] // LANES, :, mesh.rows.place[i] % LANES], [3])
         for axis in range(3):
             ahead, behind = c.copy(), c.copy()
             ahead[i, axis] += 1e-6
@@ -41,7 +56,7 @@ def test_length_s_gradient_is_that_of_its_energy(moved: tuple[np.ndarray, np.nda
         h = hessian
         full = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
         assert np.linalg.eigvalsh(full).min() > -1e-9 * abs(full).max()
-    assert seen > len(c), "most of it is pulled"
+    assert seen > len(mesh.order), "most of it is pulled"
 
 
 def test_cloth_is_free_between_still_and_flat(moved: tuple[np.ndarray, np.ndarray, SwingMesh, np.ndarray]):

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.energies import ClothMesh, membrane
 from drape.cloth.rest_state import flat
+from drape.kernels.elements import with_spare
 from drape.kernels.problem import problem
 from drape.live.fold_constants import WornCloth
 from drape.live.sheet import LANES
@@ -75,7 +76,8 @@ def pressed(depth_m: float, *, dtype: type[np.floating] = np.float64, factor: fl
     own = made.sheet.own.reshape(-1, 4, LANES).copy()
     own[:, 0] = 0.0
     sheet = made.sheet._replace(own=own.reshape(-1))
-    x = np.zeros((len(sheet.vertex), 3), dtype)
+    x = with_spare(np.zeros((len(sheet.vertex), 3), dtype))
+    x[:] = 0.0
     x[sheet.place] = sleeve(creased=False)[0]
     up = np.array([0.0, 0.0, 1.0], dtype)
     planes = planes_of(x + dtype(depth_m - 0.004) * up, up)  # contact begins at a gap of 4 mm
