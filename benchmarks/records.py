@@ -332,7 +332,8 @@ EXACT = {
     "garment": ("garment", "s"), "clip": ("clip", "s"), "frame": ("frame", "d"), "method": ("method", "s"),
     "energy_j": ("energy [J]", ".4f"), "gain": ("gain", ".4f"), "crossings": ("crossings", "d"),
     "force_share": ("force left, of the weight", ".4f"), "steps": ("steps", "d"),
-    "skin_pixels_pct": ("skin, pixels %", ".3f"), "processor_s": ("processor [s]", ".0f"),
+    "jitter_ratio": ("jitter, of accurate's", ".1f"), "skin_pixels_pct": ("skin, pixels %", ".3f"),
+    "first_s": ("first frame, processor [s]", ".0f"), "processor_s": ("processor [s]", ".0f"),
 }  # fmt: skip
 
 

@@ -178,11 +178,11 @@ def _told() -> Callable[[dict[str, Any]], None]:
         for frame in job["told"]:
             if frame["frame"] not in seen:
                 seen.add(frame["frame"])
-                left, crossed = 100 * frame["force_share"], frame["crossings"]
-                line = (
-                    f"job {job['id']}: frame {frame['frame']}, {len(seen)} of {job['frames']}: force left {left:.2f} %"
+                line = f"job {job['id']}: frame {frame['frame']}, {len(seen)} of {job['frames']}: force left"
+                line += (
+                    f" {100 * frame['force_share']:.2f} % of the weight, {1e3 * frame['depth_m']:.1f} mm in the skin"
                 )
-                print(f"{line} of the weight, {frame['energy_j']:.4f} J, {crossed} crossings", file=sys.stderr)
+                print(f"{line}, {frame['energy_j']:.4f} J, {frame['crossings']} crossings", file=sys.stderr)
 
     return tell
 

@@ -1,8 +1,9 @@
 """One frame of a clip as physics itself: cloth at rest over a posed body, which nowhere passes through itself.
 
-A frame starts from a drape of its pose. Where that passes through itself, the cloth is led there from another pose
-(``drape.exact.path``) and drawn to it as far as it can come; then it goes down until the force left is at most
-``TOLERANCE`` of the weight (``drape.exact.apart``).
+A clip's first frame starts from a drape of its pose. Where that passes through itself, the cloth is led there from the
+T-pose and drawn to it as far as it can come. Every later frame starts from the one before it, moved as the drapes move
+from frame to frame (``drape.exact.path``): cloth has many places of rest, and frames that each find their own one
+flicker. Then it goes down until the force left is at most ``TOLERANCE`` of the weight (``drape.exact.apart``).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from drape.errors import MeshError
 from drape.exact import apart, newton
 from drape.exact.linear import Charts
 from drape.exact.newton import TOLERANCE, Band, Cloth, Found
-from drape.exact.path import Body, drawn_to, led
+from drape.exact.path import Body, drawn_to, followed, led
 from drape.garment.cache import Garment
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.kernels.triangle_pairs import crossing_pairs
@@ -83,11 +84,12 @@ class Sheet:
 @dataclass(frozen=True, eq=False)
 class Told:
     """What became of a frame. ``force_share``: the norm of the forces left at all vertices over the weight of the
-    cloth, those of contact with itself among them. ``energy_j`` [J] of cloth and body, heights counting from the root,
-    and ``start_j`` that of the start. ``crossings``: pairs of triangles that cross, ``start_crossings`` in the start.
-    ``steps`` of Newton's method."""
+    cloth, those of contact with itself among them. ``depth_m`` [m]: how deep the cloth lies in the skin where it lies
+    deepest. ``energy_j`` [J] of cloth and body, heights counting from the root, and ``start_j`` that of the start.
+    ``crossings``: pairs of triangles that cross, ``start_crossings`` in the start. ``steps`` of Newton's method."""
 
     force_share: float
+    depth_m: float
     energy_j: float
     start_j: float
     crossings: int
@@ -97,43 +99,64 @@ class Told:
 
 @dataclass(frozen=True, eq=False)
 class Lain:
-    """A pose (24, 3) [rad] and the cloth ``x`` [m] (V, 3) that lies there, apart, relative to the root."""
+    """A pose (24, 3) [rad], the cloth ``x`` [m] (V, 3) that lies there, and the ``start`` (V, 3) that it was given.
+
+    Both are relative to the root.
+    """
 
     pose: np.ndarray
     x: np.ndarray
+    start: np.ndarray
 
 
 def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
     """The drape of a ``pose`` (24, 3) [rad], and what is told of it, from ``start`` [m] (V, 3) relative to the root.
 
-    Where ``start`` passes through itself the cloth comes from ``before`` if that does not, or from the T-pose. Where it
-    would end above ``start`` so, it goes down from there and still crosses. Raises ``MeshError`` where ``start`` is not
-    finite.
+    The cloth comes from the frame ``before``, if there is one and that or ``start`` crosses as little; otherwise from
+    ``start``, or from the T-pose where that passes through itself. Where it would end above ``start`` so, it goes down
+    from there and may still cross. Raises ``MeshError`` where ``start`` is not finite.
     """
     start = np.ascontiguousarray(start, np.float64)
     check_finite("start of a frame", start, error=MeshError)
-    cloth, posed, band = sheet.cloth, sheet.body.posed(pose), sheet.band(start)
+    posed, band = sheet.body.posed(pose), sheet.band(start)
     crossed = len(crossing_pairs(start, sheet.faces))
-    x = start
-    if crossed:
-        if before is None or len(crossing_pairs(before.x, sheet.faces)):
-            before = _at_rest(sheet, pose)
-        x = led(cloth, sheet.contact, sheet.body, before.x, (before.pose, pose))
-        x = drawn_to(cloth, sheet.contact, posed, x, start, band)
-    start_j = _energy_j(sheet, posed, start, band)
+    usable = crossed > 0 or _apart(sheet, before)
+    x = _arrived(sheet, pose, start, before if usable else None, crossed > 0)
+    start_j = _over(sheet, posed, start, band).now.energy
     end = _down(sheet, posed, x, band)
-    if crossed and _energy_j(sheet, posed, end.x, band) > start_j:
+    if x is not start and _over(sheet, posed, end.x, band).now.energy > start_j:
         end = _down(sheet, posed, start, band)  # never above the start, though what crosses there goes on to
-    x = end.x.astype(np.float32).astype(np.float64)  # what is stored, and what the next frame may come from
+    x = end.x.astype(np.float32).astype(np.float64)  # what is stored, and what the next frame comes from
+    over = _over(sheet, posed, x, band)
     told = Told(
-        force_share=float(np.linalg.norm(end.force)) / cloth.weight_n,
-        energy_j=_energy_j(sheet, posed, x, band),
+        force_share=float(np.linalg.norm(end.force)) / sheet.cloth.weight_n,
+        depth_m=max(over.deepest_m(), 0.0),
+        energy_j=over.now.energy,
         start_j=start_j,
         crossings=len(crossing_pairs(x, sheet.faces)),
         start_crossings=crossed,
         steps=end.steps,
     )
-    return Lain(pose, x), told
+    return Lain(pose, x, start), told
+
+
+def _apart(sheet: Sheet, before: Lain | None) -> bool:
+    """Whether there is a frame ``before``, and nothing crosses there."""
+    return before is not None and not len(crossing_pairs(before.x, sheet.faces))
+
+
+def _arrived(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None, crossed: bool) -> np.ndarray:
+    """The cloth [m] (V, 3) over the ``pose`` (24, 3) that goes down from there."""
+    cloth, contact, body = sheet.cloth, sheet.contact, sheet.body
+    if before is not None:
+        return followed(cloth, contact, body, before.x, start - before.start, (before.pose, pose))
+    if not crossed:
+        return start
+    t_pose = np.zeros_like(pose)
+    t_pose[0] = pose[0]  # the root turned as in ``pose``
+    rest = np.ascontiguousarray(sheet.rest @ np.asarray(rotvec_to_matrix(pose[0])).T)
+    x = led(cloth, contact, body, rest, (t_pose, pose))
+    return drawn_to(cloth, contact, body.posed(pose), x, start, sheet.band(start))
 
 
 def _down(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> Found:
@@ -142,13 +165,6 @@ def _down(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> 
     return one.run(STEPS, TOLERANCE * sheet.cloth.weight_n)
 
 
-def _energy_j(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> float:
-    """The energy [J] of cloth and body at ``x`` [m] (V, 3), without the barrier's."""
-    return newton.Descent(sheet.cloth, sheet.contact, posed, x, band=band).now.energy
-
-
-def _at_rest(sheet: Sheet, pose: np.ndarray) -> Lain:
-    """The T-pose with the root turned as in ``pose`` (24, 3)."""
-    t_pose = np.zeros_like(pose)
-    t_pose[0] = pose[0]
-    return Lain(t_pose, np.ascontiguousarray(sheet.rest @ np.asarray(rotvec_to_matrix(pose[0])).T))
+def _over(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> newton.Descent:
+    """The cloth ``x`` [m] (V, 3) over the ``posed`` body, whose energy is without the barrier's."""
+    return newton.Descent(sheet.cloth, sheet.contact, posed, x, band=band)

@@ -2,9 +2,11 @@
 
 A drape that passes through itself can rarely be brought apart where it is: sheets that lie deep in each other have no
 short way out. So the cloth comes to the pose from another one in which nothing crosses, such as the T-pose. In each
-step every vertex is drawn towards where the skin that is nearest to it would take it, on a way on which nothing passes
-through anything (``drape.exact.apart``). At the end the cloth is drawn to the drape of the pose that crosses, where it
-stays as near as it can come.
+step every vertex is drawn towards where the skin that is nearest to it would take it, but out of creases
+(``drape.exact.creases``), on a way on which nothing passes through anything (``drape.exact.apart``). At the end the
+cloth is drawn to the drape of the pose that crosses, where it stays as near as it can come.
+
+From frame to frame of a clip the way is short, and the drapes of the two frames tell it.
 """
 
 from __future__ import annotations
@@ -18,11 +20,11 @@ from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.cloth.contact import BodyContact
-from drape.exact import apart
+from drape.exact import apart, creases
 from drape.exact.newton import Band, Cloth
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
 
-WAY_M = 0.02  # of the furthest body vertex in a step
+WAY_M = 0.02  # of the cloth in a step of the body
 CARRIED, STEPS = 6, 3  # moves without, and steps with, an energy in each of these
 ROUNDS, DEEP_M = 6, 0.002  # so many times as many steps at most, while cloth is deeper than this in the skin
 HOLD_N_PER_M = 2.0  # of the springs to where the skin would take the cloth, at a mean vertex
@@ -67,9 +69,12 @@ def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
     return matrix_to_rotvec(first @ rotvec_to_matrix(share * turn))
 
 
-def poses_between(body: Body, before: np.ndarray, after: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of poses (24, 3) [rad] one after the other on the way from ``before`` to ``after``, near to each other."""
-    way_m = float(np.linalg.norm(body.posed(after) - body.posed(before), axis=1).max())
+def poses_between(
+    body: Body, x: np.ndarray, before: np.ndarray, after: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of poses (24, 3) [rad] one after the other on the way from ``before`` to ``after``, so near to each other
+    that the skin moves no part of the cloth ``x`` [m] (V, 3) much farther than ``WAY_M``."""
+    way_m = float(np.linalg.norm(body.carried(x, before, after) - x, axis=1).max())
     count = max(1, int(np.ceil(way_m / WAY_M)))
     poses = [between(before, after, number / count) for number in range(count + 1)]
     return pairwise(poses)
@@ -83,27 +88,63 @@ def led(
     ends: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
     """The cloth ``x`` [m] (V, 3), apart at the first pose of ``ends`` (24, 3), taken along to the second one."""
-    share = cloth.problem.contact_n_per_m / cloth.problem.contact_n_per_m.mean()
-    for before, after in poses_between(body, *ends):
-        goal, posed = body.carried(x, before, after), body.posed(after)
-        one = apart.Descent(cloth, contact, posed, x, drawn=Band(goal, HOLD_N_PER_M * share))
-        for _ in range(CARRIED):
-            one.go(goal - one.now.x)
-        for number in range(1, ROUNDS + 1):
-            one.run(number * STEPS, 0.0)
-            if one.deepest_m() < DEEP_M:
-                break
-        x = one.now.x
+    for before, after in poses_between(body, x, *ends):
+        goal = body.carried(x, before, after)
+        x = _taken(cloth, contact, body.posed(after), x, goal, least=1)
     return x
+
+
+def followed(
+    cloth: Cloth,
+    contact: BodyContact,
+    body: Body,
+    x: np.ndarray,
+    motion: np.ndarray,
+    ends: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """The cloth ``x`` [m] (V, 3), apart at the first pose of ``ends`` (24, 3), moved by ``motion`` [m] (V, 3) on the
+    way to the second one."""
+    count = max(1, int(np.ceil(np.linalg.norm(motion, axis=1).max() / WAY_M)))
+    for number in range(1, count + 1):
+        posed = body.posed(between(*ends, number / count))
+        x = _taken(cloth, contact, posed, x, x + motion / count, least=0)
+    return x
+
+
+def _taken(
+    cloth: Cloth, contact: BodyContact, posed: np.ndarray, x: np.ndarray, goal: np.ndarray, *, least: int
+) -> np.ndarray:
+    """The cloth ``x`` [m] (V, 3), moved towards ``goal`` (V, 3) over the ``posed`` body in ``least`` rounds of steps at
+    least, and more while it is in the skin."""
+    outer = creases.outside(contact, posed)
+    goal = creases.out_of(outer, posed, goal, float(cloth.problem.constants.gap))
+    one = apart.Descent(cloth, outer, posed, x, drawn=_towards(goal, cloth, HOLD_N_PER_M))
+    _go(one, goal)
+    for number in range(1, ROUNDS + 1):
+        if number > least and one.deepest_m() < DEEP_M:
+            break
+        one.run(number * STEPS, 0.0)
+    return one.now.x
 
 
 def drawn_to(
     cloth: Cloth, contact: BodyContact, posed: np.ndarray, x: np.ndarray, goal: np.ndarray, band: Band | None
 ) -> np.ndarray:
     """The cloth ``x`` [m] (V, 3), apart over the ``posed`` body, as near to ``goal`` (V, 3) as it comes."""
-    share = cloth.problem.contact_n_per_m / cloth.problem.contact_n_per_m.mean()
-    one = apart.Descent(cloth, contact, posed, x, band=band, drawn=Band(goal, DRAWN_N_PER_M * share))
-    for _ in range(CARRIED):
-        one.go(goal - one.now.x)
+    outer = creases.outside(contact, posed)
+    goal = creases.out_of(outer, posed, goal, float(cloth.problem.constants.gap))
+    one = apart.Descent(cloth, outer, posed, x, band=band, drawn=_towards(goal, cloth, DRAWN_N_PER_M))
+    _go(one, goal)
     one.run(DRAWN_STEPS, 0.0)
     return one.now.x
+
+
+def _towards(goal: np.ndarray, cloth: Cloth, n_per_m: float) -> Band:
+    """Springs to ``goal`` [m] (V, 3), of ``n_per_m`` at a mean vertex."""
+    return Band(goal, n_per_m * cloth.problem.contact_n_per_m / cloth.problem.contact_n_per_m.mean())
+
+
+def _go(one: apart.Descent, goal: np.ndarray) -> None:
+    """Moves towards ``goal`` [m] (V, 3), whatever the energy."""
+    for _ in range(CARRIED):
+        one.go(goal - one.now.x)

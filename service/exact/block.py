@@ -1,4 +1,4 @@
-"""Frames of a clip of tier exact, some that follow each other, in a process of their own.
+"""The frames of a clip of tier exact, each from the one before it, in a process of their own.
 
 ``python -m service.exact.block`` reads a pickled ``Block`` on its standard input and prints a line of JSON for each
 frame as it is on disk, ``{"frame": 12, ...}``, or ``{"problem": {kind, name, expected, got, cure}}`` as its last one.
@@ -29,8 +29,8 @@ from service.exact.folder import read_frame, write_frame
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """The frames ``numbers`` of a clip, with the ``poses`` (n, 24, 3) [rad] and the ``starts`` [m] (n, V, 3) that they
-    begin with, relative to the root; ``rest`` [m] (V, 3) is a drape of the T-pose. They go to ``folder``."""
+    """The frames of a clip, with the ``poses`` (n, 24, 3) [rad] and the ``starts`` [m] (n, V, 3) that they are given,
+    relative to the root; ``rest`` [m] (V, 3) is a drape of the T-pose. They go to ``folder``."""
 
     garment: Garment
     fabric: Fabric
@@ -38,7 +38,6 @@ class Block:
     betas: np.ndarray
     rest: np.ndarray
     folder: Path
-    numbers: range
     poses: np.ndarray
     starts: np.ndarray
 
@@ -46,7 +45,7 @@ class Block:
 def run(block: Block, say: Any = print) -> None:
     """Computes the frames of ``block`` that are not on disk, one after the other, and says each."""
     sheet, before = None, None
-    for number, pose, start in zip(block.numbers, block.poses, block.starts, strict=True):
+    for number, (pose, start) in enumerate(zip(block.poses, block.starts, strict=True)):
         kept = read_frame(block.folder, number)
         if kept is None:
             if sheet is None:
@@ -55,7 +54,7 @@ def run(block: Block, say: Any = print) -> None:
             write_frame(block.folder, number, before.x.astype(np.float32), asdict(told))
             say(json.dumps({"frame": number, **asdict(told)}), flush=True)
         else:
-            before = Lain(pose, kept[0].astype(np.float64))
+            before = Lain(pose, kept[0].astype(np.float64), start.astype(np.float64))
 
 
 def main() -> int:

@@ -23,7 +23,7 @@ from drape.files.atomic import whole_file
 FOLDER = ".clips"
 ABOUT, CLIP, LOCK = "job.json", "clip.bin", "lock"
 COUNTS = ("crossings", "start_crossings", "steps")
-FIGURES = ("force_share", "energy_j", "start_j", *COUNTS)
+FIGURES = ("force_share", "depth_m", "energy_j", "start_j", *COUNTS)
 
 
 @dataclass(frozen=True)

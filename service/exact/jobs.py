@@ -1,4 +1,4 @@
-"""Clips of tier exact: they wait, are computed frame by frame in processes, and are kept until they are fetched."""
+"""Clips of tier exact: they wait, are computed in processes, frame by frame, and are kept until they are fetched."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from service.compute.drape_runtime import DrapeRuntime
     from service.stages.plan import Plan
 
-BLOCK = 8  # frames that follow each other in one process: a frame may come from the one before it in its block
 KEPT = 32  # clips that have ended
 MOST_ATTEMPTS = 20  # starts of the service in which one clip is gone on with
 WAIT_S = 2.0  # until the drapes that frames start from are asked for again, where the service is busy
@@ -73,20 +72,20 @@ class ClipJob:
 
 
 class ExactClips:
-    """A queue of clips, one computed at a time by ``DRAPE_EXACT_WORKERS`` processes. ``opened`` makes of the message
-    that asked for a clip, and of whose it is, what is to be computed."""
+    """A queue of clips, of which ``DRAPE_EXACT_WORKERS`` are computed side by side, each by a process of its own."""
 
     def __init__(self, runtime: DrapeRuntime) -> None:
         self._runtime, self._settings = runtime, runtime.settings
         self._root = self._settings.garments_dir
         self._jobs: dict[str, ClipJob] = {}
         self._queue: asyncio.Queue[ClipJob] = asyncio.Queue()
-        self._worker: asyncio.Task[None] | None = None
+        self._workers: list[asyncio.Task[None]] = []
         self._begin = asyncio.Event()
         self._begin.set()
 
     def start(self, opened: Callable[[bytes, str | None], Awaitable[Work]]) -> None:
-        """Takes over what ended processes had accepted, and begins to compute."""
+        """Takes over what ended processes had accepted, and begins to compute. ``opened`` makes of the message that
+        asked for a clip, and of whose it is, what is to be computed."""
         for folder in on_disk.folders(self._root):
             accepted = on_disk.read_accepted(folder)
             lock = Lock(folder)
@@ -102,7 +101,8 @@ class ExactClips:
                 job.state = "done" if job.problem is None else "failed"
             else:
                 self._queue.put_nowait(job)
-        self._worker = asyncio.create_task(self._work(opened), name="exact clips")
+        for _ in range(self._settings.exact_workers):
+            self._workers.append(asyncio.create_task(self._work(opened), name="exact clips"))
 
     def pause(self) -> None:
         """Begins no further clip."""
@@ -110,9 +110,9 @@ class ExactClips:
 
     async def stop(self) -> None:
         """Ends the processes; what was accepted stays for the next start with the frames that it has."""
-        if self._worker is not None:
-            self._worker.cancel()
-            await asyncio.gather(self._worker, return_exceptions=True)
+        for worker in self._workers:
+            worker.cancel()
+        await asyncio.gather(*self._workers, return_exceptions=True)
         for job in self._jobs.values():
             if job.lock is not None:
                 job.lock.release()
@@ -125,7 +125,7 @@ class ExactClips:
     @property
     def runs(self) -> bool:
         """Whether clips are computed."""
-        return self._worker is not None and not self._worker.done()
+        return bool(self._workers) and not any(worker.done() for worker in self._workers)
 
     def find(self, job_id: str, viewer: str | None) -> ClipJob | None:
         """The clip ``job_id``, if it is one of the key ``viewer``."""
@@ -258,24 +258,8 @@ class ExactClips:
         cloth = fabric_named(entry.garment.fabric) if made_of is None else made_of
         model = self._runtime.on(work.plan.scene).body
         job.stage = "frames"
-        left = asyncio.Semaphore(self._settings.exact_workers)
-
-        async def block(first: int) -> None:
-            rows = range(first, min(first + BLOCK, job.accepted.frames))
-            if all(number in job.told for number in rows):
-                return
-            part = slice(rows.start, rows.stop)
-            made = (entry.garment, cloth, model, work.clip.betas, rest[0], job.folder)
-            async with left:
-                await self._computed(job, Block(*made, rows, work.clip.poses[part], starts[part]))
-
-        tasks = [asyncio.create_task(block(first)) for first in range(0, job.accepted.frames, BLOCK)]
-        try:
-            await asyncio.gather(*tasks)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+        made = (entry.garment, cloth, model, work.clip.betas, rest[0], job.folder)
+        await self._computed(job, Block(*made, work.clip.poses, starts))
 
     async def _starts(self, plan: Plan, clip: PoseInput) -> np.ndarray:
         """The drapes [m] (F, V, 3) that the frames of ``clip`` start from, relative to the roots."""
@@ -312,7 +296,7 @@ class ExactClips:
         except TimeoutError:
             expected = f"a frame within {self._settings.exact_frame_s:g} s"
             cure = "Leave the pose out, or raise DRAPE_EXACT_FRAME_S."
-            raise MotionError(f"frame {_next(job, block)}", expected=expected, got="none", cure=cure) from None
+            raise MotionError(f"frame {_next(job)}", expected=expected, got="none", cure=cure) from None
         finally:
             if process.returncode is None:
                 with contextlib.suppress(ProcessLookupError):
@@ -320,12 +304,12 @@ class ExactClips:
                 await process.wait()
         if process.returncode:
             got = f"a process that ended with status {process.returncode}"
-            raise Unavailable(f"frame {_next(job, block)}", expected="its drape", got=got, cure="Ask again.")
+            raise Unavailable(f"frame {_next(job)}", expected="its drape", got=got, cure="Ask again.")
 
 
-def _next(job: ClipJob, block: Block) -> int:
-    """The frame that ``block`` is at."""
-    return next((number for number in block.numbers if number not in job.told), block.numbers[-1])
+def _next(job: ClipJob) -> int:
+    """The frame that ``job`` is at."""
+    return next((number for number in range(job.accepted.frames) if number not in job.told), job.accepted.frames - 1)
 
 
 def _refusal(said: dict[str, str]) -> DrapeError:

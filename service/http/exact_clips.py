@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drape.errors import InputError, Unavailable
+from drape.exact.newton import TOLERANCE
 from drape.wire.clips import pack_clip, unpack_clip
 from service.compute.tiers import EXACT
 from service.exact.jobs import ClipJob as ExactJob
@@ -107,4 +108,17 @@ def job_info(job: ExactJob) -> schemas.JobInfo:
     accepted = job.accepted
     told = [schemas.FrameTold(frame=number, **figures) for number, figures in sorted(job.told.items())]
     about = {"stage": job.stage, "share": round(job.share, 4), "problem": job.problem, "frames": accepted.frames}
-    return schemas.JobInfo(id=accepted.id, name=accepted.name, state=job.state, told=told, **about)
+    notes = [] if job.state != "done" else [_unsolved(frame) for frame in told if _is_unsolved(frame)]
+    return schemas.JobInfo(id=accepted.id, name=accepted.name, state=job.state, told=told, notes=notes, **about)
+
+
+def _is_unsolved(frame: schemas.FrameTold) -> bool:
+    return frame.crossings > 0 or frame.force_share > TOLERANCE
+
+
+def _unsolved(frame: schemas.FrameTold) -> str:
+    """The sentence about a frame that is not at rest, or passes through itself."""
+    return (
+        f"Frame {frame.frame} is not solved: {frame.crossings} pairs of triangles cross, the cloth lies"
+        f" {1e3 * frame.depth_m:.1f} mm deep in the skin, and {100 * frame.force_share:.1f} % of its weight are left."
+    )

@@ -254,8 +254,9 @@ class FrameTold(BaseModel):
 
     frame: int
     force_share: float = Field(description="The norm of the forces left at all vertices, over the cloth's weight.")
+    depth_m: float = Field(description="How deep the cloth lies in the skin where it lies deepest [m].")
     energy_j: float = Field(description="Of cloth and body [J]; heights count from the root.")
-    start_j: float = Field(description="That of the drape of tier accurate, which the frame starts from.")
+    start_j: float = Field(description="That of the drape of tier accurate, which the frame is given.")
     crossings: int = Field(description="Pairs of triangles of the cloth that cross.")
     start_crossings: int = Field(description="Those of the drape of tier accurate.")
     steps: int = Field(description="Steps of Newton's method.")

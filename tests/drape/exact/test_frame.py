@@ -13,7 +13,7 @@ from drape.cloth.fabric_table import fabric
 from drape.errors import MeshError
 from drape.exact import frame
 from drape.exact.frame import Lain, Sheet, exact
-from drape.exact.path import WAY_M, Body, between, poses_between
+from drape.exact.path import WAY_M, Body, between, followed, poses_between
 from drape.garment.cache import Garment
 from drape.kernels.triangle_pairs import crossing_pairs
 
@@ -56,7 +56,7 @@ def test_a_start_that_crosses_comes_to_rest_apart(sheet: Sheet):
     assert len(crossing_pairs(lain.x, sheet.faces)) == 0
     again, _ = exact(sheet, POSE, start)
     assert_array_equal(again.x, lain.x)
-    near, told = exact(sheet, POSE, start, Lain(POSE, lain.x))
+    near, told = exact(sheet, POSE, start, Lain(POSE, lain.x, start))
     assert told.crossings == 0 and np.linalg.norm(near.x - lain.x, axis=1).mean() < 0.01
 
 
@@ -67,6 +67,31 @@ def test_no_frame_ends_above_its_start(sheet: Sheet, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(frame, "STEPS", 1)
     _, told = exact(sheet, POSE, start)
     assert told.energy_j <= told.start_j and told.start_crossings > 0
+
+
+def test_a_frame_comes_from_the_one_before_it_unless_only_that_crosses(sheet: Sheet, monkeypatch: pytest.MonkeyPatch):
+    start = sheet.body.carried(sheet.rest, np.zeros((24, 3)), POSE)
+    wrong, came = tangled(sheet, sheet.rest), []
+
+    def followed(cloth, contact, body, x, motion, ends) -> np.ndarray:
+        came.append(x)
+        assert_allclose(motion, start - sheet.rest)
+        return x + motion
+
+    monkeypatch.setattr(frame, "followed", followed)
+    monkeypatch.setattr(frame, "STEPS", 1)
+    exact(sheet, POSE, start, Lain(np.zeros((24, 3)), sheet.rest, sheet.rest))
+    exact(sheet, POSE, start, Lain(np.zeros((24, 3)), wrong, sheet.rest))
+    assert len(came) == 1 and came[0] is sheet.rest
+
+
+def test_cloth_follows_the_motion_that_it_is_given(sheet: Sheet):
+    motion = np.zeros_like(sheet.rest)
+    motion[:, 1] = np.where(sheet.rest[:, 1] < np.median(sheet.rest[:, 1]), -0.004, 0.0)
+    still = np.zeros((24, 3))
+    x = followed(sheet.cloth, sheet.contact, sheet.body, sheet.rest, motion, (still, still))
+    off = np.linalg.norm(x - sheet.rest - motion, axis=1)
+    assert (off < 1e-6).mean() > 0.9  # all but what lies in the skin
 
 
 def test_cloth_that_crosses_at_rest_and_numbers_that_are_none_are_refused(sheet: Sheet, tube: Garment, body: BodyModel):
@@ -87,7 +112,7 @@ def test_points_on_the_skin_go_with_it(body: BodyModel, rng: np.random.Generator
 def test_poses_on_the_way_are_near_to_each_other(body: BodyModel):
     one, far = Body(body, np.zeros(body.shape_count)), np.zeros((24, 3))
     far[16] = [0.0, 0.0, -1.2]
-    pairs = list(poses_between(one, np.zeros((24, 3)), far))
+    pairs = list(poses_between(one, one.posed(np.zeros((24, 3))), np.zeros((24, 3)), far))
     assert_allclose(pairs[0][0], 0.0, atol=1e-12)
     assert_allclose(pairs[-1][1], far, atol=1e-9)
     assert all(np.linalg.norm(one.posed(b) - one.posed(a), axis=1).max() < 1.2 * WAY_M for a, b in pairs)

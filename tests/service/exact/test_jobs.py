@@ -21,6 +21,7 @@ from service.exact import folder as on_disk
 from service.exact import jobs
 from service.exact.block import Block
 from service.exact.jobs import ExactClips
+from service.http.exact_clips import job_info
 from service.settings import Settings
 from tests.fixtures.serving import served
 from tests.fixtures.streams import raw_stream
@@ -74,7 +75,18 @@ def test_every_frame_is_told_and_comes_to_rest_apart(client: httpx.Client, done:
     assert [frame["frame"] for frame in job["told"]] == list(range(FRAMES)) and job["share"] == 1.0
     for frame in job["told"]:
         assert frame["crossings"] == 0 and frame["force_share"] <= 0.01
-        assert frame["energy_j"] < frame["start_j"]
+        assert frame["energy_j"] < frame["start_j"] and 0.0 <= frame["depth_m"] < 0.004
+    assert job["notes"] == []
+
+
+def test_a_frame_that_is_not_solved_is_named(tmp_path: Path):
+    told = {"force_share": 0.009, "depth_m": 0.0, "energy_j": 1.0, "start_j": 2.0, "start_crossings": 3, "steps": 4}
+    frames = {0: {**told, "crossings": 0}, 1: {**told, "crossings": 2, "depth_m": 0.0634}}
+    frames[2] = {**told, "crossings": 0, "force_share": 18.0}
+    job = jobs.ClipJob(on_disk.Accepted("a", "tube", None, 3), tmp_path, state="done", told=frames)
+    first, second = job_info(job).notes
+    assert first.startswith("Frame 1 is not solved: 2 pairs") and "63.4 mm deep" in first and "0.9 %" in first
+    assert second.startswith("Frame 2 is not solved: 0 pairs") and "1800.0 %" in second
 
 
 def test_the_clip_comes_in_the_formats_of_clips(client: httpx.Client, done: str):
@@ -156,7 +168,7 @@ def test_a_job_that_is_cancelled_leaves_nothing(client: httpx.Client, exact_sett
 
 def test_a_service_that_is_started_again_goes_on_from_the_frames_it_has(make_settings: Callable[..., Settings]):
     settings = make_settings()
-    asked = ASKED | {"poses": [*POSES.tolist() * 3]}  # nine frames: two blocks
+    asked = ASKED | {"poses": [*POSES.tolist() * 3]}  # nine frames
     with served(settings) as url, httpx.Client(base_url=url, timeout=60.0) as http:
         where = http.post("/drape", json=asked).headers["Location"]
         deadline = time.monotonic() + 120.0
@@ -239,7 +251,7 @@ def test_what_a_process_says_at_its_end_is_raised(make_settings: Callable[..., S
 
         monkeypatch.setattr(asyncio, "create_subprocess_exec", other)
         some = np.zeros(1)
-        block = Block(None, None, None, some, some, tmp_path, range(2), some, some)  # pyright: ignore[reportArgumentType]
+        block = Block(None, None, None, some, some, tmp_path, some, some)  # pyright: ignore[reportArgumentType]
         try:
             asyncio.run(clips._computed(job, block))
         finally:

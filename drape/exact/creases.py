@@ -1,0 +1,62 @@
+"""Skin in a body's own creases, where there is no room for cloth, and contact with the rest of it.
+
+Where a thigh meets the belly the two skins pass through each other. Cloth that goes with both of them is led into that
+place, where no plane of the skin tells it the way out: on the skin of the belly it is deep in the thigh. So the skin
+there takes no part in contact, and what is left, the outside of the body, pushes cloth out in front of the crease.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from drape.cloth.contact import BodyContact
+from drape.exact.blended_planes import BlendedPlanes
+from drape.geometry import meshes
+from drape.kernels.triangle_pairs import crossing_pairs
+
+ROOM_M = 0.006  # of cloth on either side: skins nearer than twice this have none between them
+PUSHES = 3  # of a point along the plane that it is under
+
+
+def outside(contact: BodyContact, posed: np.ndarray) -> BodyContact:
+    """``contact`` with the ``posed`` body (Vb, 3) [m] without the skin that lies in creases."""
+    hidden = hidden_skin(posed + ROOM_M * np.asarray(contact.normals(posed)), contact.faces)
+    taking_part = (
+        np.ones(len(posed), bool) if contact.vertices is None else np.isin(np.arange(len(posed)), contact.vertices)
+    )
+    return BodyContact(contact.faces, contact.vertex_count, vertices=np.flatnonzero(taking_part & ~hidden))
+
+
+def hidden_skin(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Whether each vertex of a closed surface ``x`` [m] (V, 3) lies in a part of it that is inside another one, (V,).
+
+    The curves along which ``faces`` (F, 3) cross cut a surface into pieces; all but the largest of each are hidden.
+    """
+    cut = np.zeros(len(x), bool)
+    cut[faces[np.unique(crossing_pairs(x, faces))]] = True
+    edges = meshes.unique_edges(faces)
+    whole, piece = _pieces(edges, len(x)), _pieces(edges[~cut[edges].any(axis=1)], len(x))
+    size = np.bincount(piece)[piece] * ~cut
+    largest = np.zeros(whole.max() + 1, piece.dtype)
+    order = np.argsort(size, kind="stable")
+    largest[whole[order]] = piece[order]  # the last one written is of the largest
+    return ~cut & (piece != largest[whole])
+
+
+def _pieces(edges: np.ndarray, count: int) -> np.ndarray:
+    """The number (V,) of the piece of a graph of ``edges`` (E, 2) that each of ``count`` vertices belongs to."""
+    graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
+
+
+def out_of(contact: BodyContact, posed: np.ndarray, x: np.ndarray, gap_m: float) -> np.ndarray:
+    """Points ``x`` [m] (V, 3), those in the ``posed`` body (Vb, 3) moved out by half of ``gap_m``."""
+    planes, x = BlendedPlanes.of_body(contact, posed, len(x), gap_m), x.copy()
+    for _ in range(PUSHES):
+        point, normal, _ = planes(x)
+        square = np.maximum((normal * normal).sum(axis=1, keepdims=True), 1e-12)
+        lack = 0.5 * gap_m * np.sqrt(square) - ((x - point) * normal).sum(axis=1, keepdims=True)
+        x += np.maximum(lack, 0.0) / square * normal
+    return x
