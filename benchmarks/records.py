@@ -311,7 +311,9 @@ def targets_table(record: Record) -> str:
 CUTS = {
     "target": ("target", "s"), "from": ("from", "s"), "base": ("base", "s"), "told": ("cut told", "s"),
     "panels": ("panels", "d"), "mean_mm": ("mean distance [mm]", ".1f"), "chamfer_cm2": ("Chamfer [cm²]", ".2f"),
-    "seam_max_pct": ("seams differ by [%]", ".2f"), "anew_mm": ("sewn anew [mm]", ".1f"), "minutes": ("minutes", ".1f"),
+    "seam_max_pct": ("seams differ by [%]", ".2f"), "anew_mm": ("sewn anew [mm]", ".1f"),
+    "sewn_mm": ("sewn, from the target [mm]", ".1f"), "minutes": ("minutes", ".1f"),
+    "processor_min": ("of the processor [min]", ".1f"),
 }  # fmt: skip
 
 

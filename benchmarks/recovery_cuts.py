@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -55,7 +56,8 @@ NAMES = (*DRAPED, *SCANS, *SHIPPED)
 
 COLUMNS = {
     "target": "s", "from": "s", "base": "s", "told": "s", "panels": "d", "mean_mm": ".1f", "chamfer_cm2": ".2f",
-    "seam_max_pct": ".2f", "anew_mm": ".1f", "minutes": ".1f",
+    "seam_max_pct": ".2f", "anew_mm": ".1f", "sewn_mm": ".1f",
+    "minutes": ".1f", "processor_min": ".1f",
 }  # fmt: skip
 
 
@@ -96,6 +98,7 @@ def recovered(name: str, folder: Path, pictures: Path | None) -> Row:
         garment=False,
     )
     row: Row = {"target": name, "from": source, "fabric": fabric}
+    began = time.process_time()
     try:
         outcome = run_job(job, progress=True)
     except InputError as error:
@@ -111,9 +114,11 @@ def recovered(name: str, folder: Path, pictures: Path | None) -> Row:
         "chamfer_cm2": top["chamfer_cm2"],
         "seam_max_pct": top["seam_max_pct"],
         "anew_mm": top["sewn_anew_mm"],
+        "sewn_mm": top["sewn_from_target_mm"],
         "cut": top["cut"],
         "rounds": len(outcome.found.rounds),
         "minutes": top["minutes"],
+        "processor_min": (time.process_time() - began) / 60.0,
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from recovery.pattern.model import Pattern
 from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
 from recovery.sim.siren import DEFAULT_SIREN, SirenOptions, stored_siren
 
+GRAVITY_M_S2, HANGS_LONGER = 9.81, 0.01
 SIREN_FOLDER = Path(".cache") / "siren"  # of the folder that a command is called in
 Report = Callable[[str], None]
 
@@ -87,6 +88,19 @@ class DrapeOptions:
         return Grown(found, self.off_skin_m) if self.off_skin_m else found
 
 
+def hanging(name: str) -> OrthotropicMaterial:
+    """The fabric called ``name`` as it is draped: no stiffer across and along than that a metre of it hangs 1 % longer.
+
+    Triangles that lie across the yarns cannot bend without stretching them, so that on long edges a stiff, light cloth
+    folds nowhere and hardly comes to rest (``Fabric.softened``).
+    """
+    cloth = material(name).woven
+    most = cloth.density_kg_m2 * GRAVITY_M_S2 * 1.0 / HANGS_LONGER
+    across, along = min(cloth.h00, most), min(cloth.h11, most)
+    coupled = float(np.sqrt(across * along / (cloth.h00 * cloth.h11)))
+    return replace(cloth, h00=across, h11=along, h01=coupled * cloth.h01)
+
+
 @dataclass(frozen=True, eq=False)
 class Draped:
     """The garment at ``rest`` in the T-pose and, if a pose was asked for, ``posed``; with what led there."""
@@ -126,7 +140,7 @@ def drape_pattern(
     body.
     """
     say = report or (lambda line: None)
-    cloth = cloth or material(options.fabric).woven
+    cloth = cloth or hanging(options.fabric)
     pattern, notes = uncrossed(pattern)
     for note in notes:
         say(f"repaired  {note}")
@@ -185,7 +199,7 @@ def drape_in_pose(
     pose = np.asarray(pose, dtype=np.float64).reshape(JOINT_COUNT, 3)
     moved = to_pose(mesh, rest.nodes, body, pose)
     skin = options.skin(body.posed_vertices(pose[None])[0], body.faces, report)
-    cloth = cloth or material(options.fabric).woven
+    cloth = cloth or hanging(options.fabric)
     posed = settle(mesh, moved, skin, cloth, held=rest.held, iteration_limit=options.iteration_limit)
     return posed, drape_figures(mesh, posed, skin)
 

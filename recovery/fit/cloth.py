@@ -12,8 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from drape.cloth.material import FABRICS, MEASURED, OrthotropicMaterial, material
+from drape.cloth.material import FABRICS, MEASURED, OrthotropicMaterial
 from drape.errors import InputError
+from recovery.drape.pipeline import hanging
 
 LOG_M = 0.01  # [m] of unknown per unit of a logarithm: a stiffness times e weighs as much as control points moved 1 cm
 NAMES = ("stretch across", "stretch along", "shear", "coupling", "bending")
@@ -91,8 +92,8 @@ class FreeCloth:
 
 
 def named(name: str) -> OrthotropicMaterial:
-    """The fabric called ``name`` (``drape.cloth.material``). Raises ``NotFound``."""
-    return material(name).woven
+    """The fabric called ``name`` as it is draped. Raises ``NotFound``."""
+    return hanging(name)
 
 
 class Fabric(NamedTuple):

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from drape.cloth.material import OrthotropicMaterial
+from recovery.fit.belt import Belt
 from recovery.fit.cloth import ClothTensors
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.contact import SkinContact
@@ -20,7 +21,7 @@ LEAVES = ("panels", "stretch", "bending_j")
 
 
 class RestDrape:
-    """The garment of ``mesh`` at rest on ``body``; ``held`` nodes stay where they are.
+    """The garment of ``mesh`` at rest on ``body``; ``held`` nodes stay where they are, those of a ``belt`` go with it.
 
     Without friction, so the shape depends on the panels and not on the way there, as long as it stays in one basin.
     ``drapes`` counts how often it was asked for one.
@@ -33,10 +34,12 @@ class RestDrape:
         cloth: OrthotropicMaterial,
         *,
         held: np.ndarray | None = None,
+        belt: Belt | None = None,
         tolerance_n: float = TOLERANCE_N,
         iteration_limit: int = ITERATION_LIMIT,
     ) -> None:
-        self.model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, fixed=held)
+        self.belt = belt
+        self.model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, fixed=held if belt is None else belt.held)
         self.contact = SkinContact(body, friction=0.0)
         self.cloth = cloth
         self.parameters = self.model.parameters(mesh.rest, cloth)
@@ -50,7 +53,7 @@ class RestDrape:
         it converged.
         """
         self.drapes += 1
-        x = torch.from_numpy(np.ascontiguousarray(near))
+        x = self._laid(torch.from_numpy(np.ascontiguousarray(near)), rest)
         state, report = equilibrium(
             self.model,
             ClothState(x, torch.zeros_like(x)),
@@ -82,21 +85,39 @@ class RestDrape:
         at = given._replace(**{name: getattr(given, name).detach() for name in LEAVES})
         solution = problem.solve(state, at)
         factor = problem.factor(solution, state, at)
+        held = self._held_moves(at.panels, nodes, moves)
         stretch, bending = (np.zeros((4, 0)), np.zeros(0)) if cloth_moves is None else cloth_moves
-        steps = [(moves[:, :, k], np.zeros(4), np.zeros(())) for k in range(moves.shape[2])]
-        steps += [(np.zeros(moves.shape[:2]), stretch[:, k], np.asarray(bending[k])) for k in range(len(bending))]
+        steps = [(held[:, :, k], moves[:, :, k], np.zeros(4), np.zeros(())) for k in range(moves.shape[2])]
+        still = np.zeros(nodes.shape), np.zeros(moves.shape[:2])
+        steps += [(*still, stretch[:, k], np.asarray(bending[k])) for k in range(len(bending))]
         with torch.enable_grad():
-            leaves = [leaf.clone().requires_grad_(True) for leaf in (at.panels, at.stretch, at.bending_j)]
+            leaves = [leaf.clone().requires_grad_(True) for leaf in (x, at.panels, at.stretch, at.bending_j)]
             weights = torch.zeros_like(x).requires_grad_(True)
-            scalar = problem.adjoint(weights, solution, state, at._replace(**dict(zip(LEAVES, leaves, strict=True))))
+            parameters = at._replace(**dict(zip(LEAVES, leaves[1:], strict=True)))
+            scalar = problem.adjoint(weights, solution, ClothState(leaves[0], state.v), parameters)
             slopes = torch.autograd.grad(scalar, leaves, create_graph=True)
             columns = []
             for step in steps:
                 parts = [torch.from_numpy(np.ascontiguousarray(part)) for part in step]
                 along = torch.stack([(slope * part).sum() for slope, part in zip(slopes, parts, strict=True)]).sum()
                 (right,) = torch.autograd.grad(along, weights, retain_graph=True)
-                columns.append(factor.solve(np.ascontiguousarray((problem.free * right).numpy()).reshape(-1)))
+                found = factor.solve(np.ascontiguousarray((problem.free * right).numpy()).reshape(-1))
+                columns.append(found + step[0].reshape(-1))
         return np.stack(columns, axis=1).reshape(len(nodes), 3, -1)
+
+    def _laid(self, x: Tensor, rest: Tensor) -> Tensor:
+        """``x`` with the nodes of the belt where they belong for ``rest``."""
+        if self.belt is None:
+            return x
+        return x.index_copy(0, torch.from_numpy(self.belt.held), self.belt.places(rest))
+
+    def _held_moves(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:
+        """Derivatives (N, 3, Z) of the nodes that the belt holds along ``moves``; zero at the others."""
+        found = np.zeros((*nodes.shape, moves.shape[2]))
+        if self.belt is not None:
+            slopes = torch.autograd.functional.jacobian(self.belt.places, rest)
+            found[self.belt.held] = np.einsum("hcpd,pdz->hcz", slopes.numpy(), moves)  # type: ignore[union-attr]
+        return found
 
     def _parameters(self, rest: Tensor, cloth: ClothTensors | None) -> Parameters:
         given = self.parameters._replace(panels=rest)

@@ -43,7 +43,7 @@ FLOOR = 0.1
 DAMPING = 1e-2  # of the closing steps, as a share of the mean curvature of the loss; at the beginning
 DAMPING_RANGE = (1e-4, 1e4)
 SAVE_EVERY = 10  # steps
-STATE_VERSION = 5
+STATE_VERSION = 6
 POINTS = ("now", "best")  # evaluations that a state holds
 
 

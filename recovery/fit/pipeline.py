@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,14 +23,14 @@ from drape.errors import InputError
 from recovery import progress as watch
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
-from recovery.fit.belt import held_as_target
+from recovery.fit.belt import belt_of, held_as_target
 from recovery.fit.cloth import FreeCloth, bolt_name, named, nearest_fabric
 from recovery.fit.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
 from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
 from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSearch
-from recovery.fit.recovered import Recovered, Round, apart_mm
+from recovery.fit.recovered import Recovered, Round, Sewn, apart_mm
 from recovery.fit.seams import SeamConstraint, sewable
 from recovery.fit.starts import Start, drape_at_rest, worn_drape
 from recovery.pattern.coordinates import control_points
@@ -138,6 +139,9 @@ def recover_pattern(
             return found.run(nodes, steps, state_file=file, progress=progress)
 
     rounds, left = task.rounds(start, graded.pattern, base, lengths, search, began)
+    if rounds[-1].sewn is None and not watch.over():
+        with watch.stage("the last round's pattern, sewn"), suppress(InputError):
+            rounds[-1] = task.sewn(rounds[-1], lengths[-1])[0]
     return _recovered(task, first, graded, rounds, left, losses)
 
 
@@ -145,13 +149,14 @@ def _recovered(
     task: _Task, base: Draped, graded: Graded, rounds: list[Round], left: str, losses: dict[str, float]
 ) -> Recovered:
     """The best of ``rounds`` with all that led there."""
-    best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.apart_m2)
+    best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.rank)
     cloth = best.fitted.cloth
     fabric = nearest_fabric(cloth)
     # The base's own note is of another cloth than the one that was draped.
     fitted = replace(best.fitted, pattern=replace(best.fitted.pattern, material=bolt_name(fabric.name, cloth)))
-    first, last = apart_mm(rounds[0].fitted.history[0, 1]), apart_mm(best.least[1])
-    task.say(f"fitted    surfaces {first:.2f} mm apart at the start, {last:.2f} mm at the end (root mean square)")
+    far = [apart_mm(squared) for squared in (rounds[0].fitted.history[0, 1], best.least[1], best.sewn_m2)]
+    ends = f"{far[0]:.2f} mm apart at the start, {far[1]:.2f} mm at the end, {far[2]:.2f} mm sewn"
+    task.say(f"fitted    surfaces {ends} (root mean square)")
     if task.free_cloth:
         task.say(f"cloth     {fabric.describe()}")
     return Recovered(
@@ -164,6 +169,7 @@ def _recovered(
         search=best.search,
         fitted=fitted,
         edge_length_m=best.edge_length_m,
+        sewn=best.sewn,
         rounds=tuple(rounds),
         left=left,
         fabric=fabric,
@@ -285,7 +291,9 @@ class _Task:
         found = PatternSearch(
             start.mesh,
             controls,
-            RestDrape(start.mesh, self.skin, cloth, held=start.rest.held),
+            RestDrape(
+                start.mesh, self.skin, cloth, held=start.rest.held, belt=belt_of(start, matches, self.target.contours)
+            ),
             Objective(start.mesh, self.target, contours, matches, weights, base=ratios),
             cloth=free,
             seams=SeamConstraint(start.mesh.pattern, controls, self.base) if self.sewable else None,
@@ -303,6 +311,17 @@ class _Task:
             return float("inf")
         return float(search.run(start.nodes, TRIED).history[:, 0].min())
 
+    def sewn(self, last: Round, length_m: float) -> tuple[Round, Draped]:
+        """``last`` with its pattern sewn on a mesh of edges ``length_m``, and that drape with its belt laid.
+
+        Raises ``InputError`` where it cannot be sewn.
+        """
+        cloth, start = last.fitted.cloth, self.start(replace(self.drape, edge_length_m=length_m), last.fitted.cloth)
+        loose = worn_drape(last.fitted.pattern, start)
+        worn = self.held(loose, cloth)
+        far = self.surface(worn) if worn.at_rest and not start.lost(worn) else math.inf
+        return replace(last, sewn=Sewn(loose, worn), sewn_m2=far), worn
+
     def rounds(
         self,
         start: Draped,
@@ -319,17 +338,17 @@ class _Task:
         The first goes from the drape ``start`` of the pattern ``graded``; its clocks ``began`` earlier.
         """
         likely = named(self.drape.fabric)
-        cloth, pattern, ratios, reach_m = likely, graded, base, self.weights.reach_m
+        cloth, ratios, reach_m = likely, base, self.weights.reach_m
         rounds: list[Round] = []
         for number, length in enumerate(lengths_m):
             if number and watch.over():
                 return rounds, self._left(number, len(lengths_m), "the time is up")
             try:
                 if number:
-                    options = replace(self.drape, edge_length_m=length)
                     with watch.stage(f"drape of round {number + 1}"):
-                        start = worn_drape(pattern, self.start(options, cloth))
-                start = self.held(start, cloth)
+                        rounds[-1], start = self.sewn(rounds[-1], length)
+                else:
+                    start = self.held(start, cloth)
             except InputError as error:
                 if not number:
                     raise
@@ -355,8 +374,7 @@ class _Task:
             apart = [apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].least[1])]
             self.say(f"round {number + 1}   {nodes} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
             # Grading has scaled the base's seams; from here on they keep what the target tells of them.
-            pattern = ratios = fitted.pattern
-            cloth = fitted.cloth
+            ratios, cloth = fitted.pattern, fitted.cloth
         return rounds, ""
 
     def _left(self, number: int, count: int, why: str) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,10 +16,19 @@ from recovery.fit.optimise import Fitted, PatternSearch
 from recovery.pattern.symmetry import Symmetries
 
 
+class Sewn(NamedTuple):
+    """A pattern sewn from flat panels: ``loose`` as it closes by itself, ``worn`` with its belt at the target's."""
+
+    loose: Draped
+    worn: Draped
+
+
 @dataclass(frozen=True, eq=False)
 class Round:
     """One search: the drape at its ``start``, how contours were paired there, and what was ``fitted``.
 
+    ``sewn`` is the pattern that it found sewn anew, which the next round starts from; ``sewn_m2`` is the squared
+    distance [m^2] of that from the target, both directions summed. Where nothing could be sewn it is None and infinite.
     Its mesh was asked for with ``edge_length_m`` [m]. It took ``seconds`` by the clock and ``processor_s`` of the
     processor, over all threads; its mesh and the drape at its start count with it. Base, grading and choice of the
     fabric count with the first round.
@@ -30,6 +41,8 @@ class Round:
     edge_length_m: float
     seconds: float
     processor_s: float
+    sewn: Sewn | None = None
+    sewn_m2: float = math.inf
 
     @property
     def least(self) -> np.ndarray:
@@ -42,13 +55,19 @@ class Round:
         weights = self.search.objective.weights
         return float(self.least[1:4] @ (1.0, weights.contours, weights.seam_term))
 
+    @property
+    def rank(self) -> tuple[float, float]:
+        """What the best round has least of: a pattern that falls into other folds when it is sewn is of no use."""
+        return self.apart_m2 + self.sewn_m2, self.apart_m2
+
 
 @dataclass(frozen=True, eq=False)
 class Recovered:
     """A recovery: the drape of the ``base``, the ``graded`` pattern, and what was ``fitted``.
 
-    ``start``, ``matches``, ``search``, ``fitted`` and ``edge_length_m`` are those of the best of the ``rounds``; rounds
-    with a free cloth go before others. ``left`` says which rounds were left out and why, empty for none or where they
+    ``start``, ``matches``, ``search``, ``fitted``, ``edge_length_m`` and ``sewn`` are those of the best of the
+    ``rounds``, whose distances from the target, searched and sewn, are least in sum; rounds with a free cloth go before
+    others. ``left`` says which rounds were left out and why, empty for none or where they
     would find the same. ``matches`` pair the start's contours with the target's; ``holes`` are contours of the target
     without a partner. ``fabric`` is the named one nearest to the cloth of the drape; ``fabric_losses`` [m^2] is the
     loss that was left with each fabric that was tried.
@@ -63,6 +82,7 @@ class Recovered:
     search: PatternSearch
     fitted: Fitted
     edge_length_m: float
+    sewn: Sewn | None
     rounds: tuple[Round, ...]
     left: str
     fabric: Fabric

@@ -49,10 +49,13 @@ def sewn_anew(
     """
     tried: list[tuple[tuple[bool, float], SewnAnew]] = []
     refused: list[InputError] = []
-    for share in LENGTHS_TRIED:
+    for number, share in enumerate(LENGTHS_TRIED):
         length = share * options.edge_length_m
         try:
-            one = _sewn(found, body, replace(options, edge_length_m=length), pose)
+            if number == 0 and found.sewn is not None:
+                one = _beside(found, *found.sewn)
+            else:
+                one = _sewn(found, body, replace(options, edge_length_m=length), pose)
         except InputError as error:
             refused.append(error)
             continue
@@ -69,18 +72,20 @@ def sewn_anew(
 
 def _sewn(found: Recovered, body: BodyModel, options: DrapeOptions, pose: np.ndarray | None) -> SewnAnew:
     cloth = found.fitted.cloth
-    draped = drape_pattern(found.fitted.pattern, body, options, pose=pose, cloth=cloth)
-    shown = (found.fitted.nodes, found.search.mesh.faces)
-    by_itself = surface_distance((draped.nodes, draped.mesh.faces), shown)
-    if not len(draped.rest.held):
-        return SewnAnew(draped, by_itself, by_itself, 0.0)
-    there = open_contours(*shown)
-    own = open_contours(draped.nodes, draped.mesh.faces)
+    loose = drape_pattern(found.fitted.pattern, body, options, pose=pose, cloth=cloth)
+    if not len(loose.rest.held):
+        return _beside(found, loose, loose)
+    there = open_contours(found.fitted.nodes, found.search.mesh.faces)
+    own = open_contours(loose.nodes, loose.mesh.faces)
     matches, _ = match_contours(own, there, posed_joints(body, pose))
     surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
-    worn = held_as_target(draped, matches, there, options.skin(surface, body.faces), cloth)
-    if worn is draped:
-        return SewnAnew(draped, by_itself, by_itself, 0.0)
-    held = draped.rest.held
-    moved = float((worn.nodes[held] - draped.nodes[held])[:, 1].mean())
-    return SewnAnew(worn, surface_distance((worn.nodes, worn.mesh.faces), shown), by_itself, moved)
+    return _beside(found, loose, held_as_target(loose, matches, there, options.skin(surface, body.faces), cloth))
+
+
+def _beside(found: Recovered, loose: Draped, worn: Draped) -> SewnAnew:
+    """The garment ``worn`` beside that of the report; ``loose`` is what it was before its belt was laid."""
+    shown = (found.fitted.nodes, found.search.mesh.faces)
+    distance, by_itself = (surface_distance((one.nodes, one.mesh.faces), shown) for one in (worn, loose))
+    held = loose.rest.held
+    moved = float((worn.nodes[held] - loose.nodes[held])[:, 1].mean()) if len(held) else 0.0
+    return SewnAnew(worn, distance, by_itself, moved)

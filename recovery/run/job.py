@@ -85,7 +85,8 @@ class Job:
 class Outcome:
     """The result of a job. ``target`` and ``nodes`` [m] (N, 3) lie in the body's frame, without ``wearer.trans``.
 
-    ``anew`` is the recovered pattern sewn from flat panels, None if that was refused. ``warnings`` are sentences.
+    ``anew`` is the recovered pattern sewn from flat panels, ``sewn_distance`` its distance from the target; None if
+    that was refused. ``warnings`` are sentences.
     """
 
     job: Job
@@ -101,6 +102,7 @@ class Outcome:
     floor: Chamfer
     told: Identifiability
     anew: SewnAnew | None
+    sewn_distance: SurfaceDistance | None
     worn: list[Worn]
     files: list[Path]
     warnings: list[str]
@@ -292,7 +294,10 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
     with watch.stage("what the target tells"):
         told = identifiability(found, max(LEAST_TOLERANCE_M, 1e-3 * distance.rms_mm))
     anew, worn = _sewn_anew(job, wearer, found, warnings, say)
+    sewn_distance = None
     if anew is not None:
+        sewn_distance = surface_distance((anew.draped.nodes, anew.draped.mesh.faces), there, known=known)
+        say(f"sewn      {sewn_distance.mean_mm:.2f} mm from the target on average")
         # In the cache the garment of a body of another shape is moved to the standard one.
         avatar = {"betas": wearer.betas.tolist()} if wearer.betas.any() else "standard"
         files += write_rest(job.out, name, anew.draped, wearer.standard, avatar=avatar, garment=job.garment, report=say)
@@ -310,6 +315,7 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
         floor=floor,
         told=told,
         anew=anew,
+        sewn_distance=sewn_distance,
         worn=worn,
         files=files,
         warnings=warnings,

@@ -46,19 +46,18 @@ def page_of(outcome: Outcome) -> str:
     return page.text()
 
 
-HEADS = ("cut", "from the target, mean", "Chamfer", "seams differ by at most", "sewn anew", "minutes")
+HEADS = ("cut", "from the target, mean", "Chamfer", "seams differ by", "sewn anew", "from the target, sewn", "minutes")
 
 
 def key_figures(outcome: Outcome) -> tuple[str, ...]:
     """The figures at the top of the record, as the first table of the page has them."""
     top = top_of(outcome)
-    anew = "refused" if top["sewn_anew_mm"] is None else f"{top['sewn_anew_mm']:.1f} mm"
     return (
         top["cut"],
         f"{top['distance_mean_mm']:.1f} mm",
         f"{top['chamfer_cm2']:.2f} cm²",
         f"{top['seam_max_pct']:.2f} %",
-        anew,
+        *("refused" if far is None else f"{far:.1f} mm" for far in (top["sewn_anew_mm"], top["sewn_from_target_mm"])),
         f"{top['minutes']:.1f}",
     )
 
@@ -70,6 +69,7 @@ def top_of(outcome: Outcome) -> dict[str, Any]:
         "chamfer_cm2": outcome.chamfer.squared_cm2,
         "seam_max_pct": round(seam_max_pct(outcome), 6),
         "sewn_anew_mm": None if outcome.anew is None else outcome.anew.distance.mean_mm,
+        "sewn_from_target_mm": None if outcome.sewn_distance is None else outcome.sewn_distance.mean_mm,
         "cut": cut_of(outcome),
         "minutes": round(outcome.seconds / 60.0, 2),
     }

@@ -10,7 +10,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from benchmarks.recovery.compare import pattern_error
-from drape.cloth.material import FABRICS
+from drape.cloth.material import FABRICS, MEASURED
 from drape.errors import InputError
 from recovery.fit.cloth import LOG_M, FreeCloth, logarithms, named, nearest_fabric
 from recovery.fit.contours import open_contours
@@ -116,3 +116,12 @@ def test_pattern_and_bending_are_found_together():
     assert far[0] < 1e-4 < 1e-3 < far[1]
     assert_allclose(with_it.cloth.bending_j, 3.0 * CLOTH.bending_j, rtol=0.01)
     assert without.cloth == CLOTH
+
+
+def test_a_stiff_cloth_is_draped_no_stiffer_than_its_weight_asks_for():
+    """A metre of satin hangs 1 % longer, its coupling and bending as they were; jersey is soft enough as it is."""
+    satin, hung = MEASURED["satin"].woven, named("satin")
+    assert hung.h00 == hung.h11 == satin.density_kg_m2 * 9.81 / 0.01 < min(satin.h00, satin.h11)
+    assert_allclose(hung.h01 / np.sqrt(hung.h00 * hung.h11), satin.h01 / np.sqrt(satin.h00 * satin.h11))
+    assert replace(hung, h00=satin.h00, h01=satin.h01, h11=satin.h11) == satin
+    assert all(named(name) == FABRICS[name].woven for name in FABRICS)

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 
 from benchmarks.recovery.compare import pattern_error
 from drape.errors import ArtifactError, InputError, MeshError
+from recovery.fit.belt import belt_on
 from recovery.fit.contours import Contour, Match, Place, open_contours
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
@@ -91,9 +92,20 @@ def scene() -> tuple[PatternMesh, RestDrape, np.ndarray, Target, list[Contour], 
     return mesh, forward, nodes, target, contours, matches
 
 
-def search(weights: Weights | None = None) -> tuple[PatternSearch, np.ndarray]:
+def belted() -> RestDrape:
+    """The tube of the scene hung from a ring along which its nodes go as the pattern says."""
+    mesh, forward, nodes = scene()[:3]
+    angle = 2.0 * np.pi * (np.arange(50) + 0.3) / 50
+    ring = np.stack([0.095 * np.sin(angle), np.full(50, 0.1), 0.095 * np.cos(angle)], axis=1)
+    belt = belt_on(mesh, nodes, np.flatnonzero(forward.model.fixed), ring)
+    assert belt is not None
+    return RestDrape(mesh, NOWHERE, CLOTH, belt=belt, tolerance_n=1e-10, iteration_limit=300)
+
+
+def search(weights: Weights | None = None, *, belt: bool = False) -> tuple[PatternSearch, np.ndarray]:
     """A search in the scene, and the nodes to start from."""
     mesh, forward, nodes, target, contours, matches = scene()
+    forward = belted() if belt else forward
     # Equal weights, so that the loss is smooth: that of the nearest point is held while differentiating.
     even = replace(target, weights=np.ones(len(target.weights)))
     free = free_controls(mesh.pattern, find_symmetries(mesh.pattern))
@@ -185,10 +197,11 @@ def test_seams_keep_the_ease_of_the_base():
     assert float(Objective(mesh, target, contours, matches, base=eased).seams(torch.from_numpy(taller))) < 1e-20
 
 
+@pytest.mark.parametrize("belt", [False, True])
 @pytest.mark.parametrize("weights", [Weights(0.0, 0.0), Weights(5.0, 0.0), Weights(0.0, 50.0), Weights()])
-def test_the_gradient_agrees_with_differences_through_the_drape(weights):
+def test_the_gradient_agrees_with_differences_through_the_drape(weights, belt):
     """Free control points to nodes at rest to the loss; every term alone and all of them."""
-    finder, nodes = search(weights)
+    finder, nodes = search(weights, belt=belt)
     rng = np.random.default_rng(0)
     values = 0.002 * rng.normal(size=finder.free.count)
     finder.likely = 0.002 * rng.normal(size=finder.free.count)
@@ -198,8 +211,9 @@ def test_the_gradient_agrees_with_differences_through_the_drape(weights):
     assert_allclose(at.gradient @ direction, slope(finder, at, direction), rtol=2e-5)
 
 
-def test_the_drape_moves_as_its_sensitivity_says():
-    finder, nodes = search()
+@pytest.mark.parametrize("belt", [False, True])
+def test_the_drape_moves_as_its_sensitivity_says(belt):
+    finder, nodes = search(belt=belt)
     mesh, forward = finder.mesh, finder.forward
     rng = np.random.default_rng(2)
     moves = np.stack([mesh.rest_at(c) for c in rng.normal(size=(2, *mesh.controls.positions.shape))], axis=2)
@@ -228,6 +242,25 @@ def test_where_the_fit_is_exact_the_matrix_is_the_second_derivative(weights):
         rest = torch.from_numpy(mesh.rest + directions @ step)
         loss = objective(torch.from_numpy(nodes + moves @ step), rest).total
         assert_allclose(float(loss), 0.5 * step @ matrix @ step, rtol=0.05)
+
+
+def test_pieces_take_their_share_of_the_belt():
+    """A front that is wider at the waist has as much more of the ring, its middle where it was, either way round."""
+    mesh, forward, nodes = scene()[:3]
+    belt = belted().belt
+    assert belt is not None
+    held = np.flatnonzero(forward.model.fixed)
+    front = np.isin(belt.held, mesh.node_of_panel_vertex[mesh.panel == 0])
+    wider = torch.from_numpy(mesh.rest * np.where(mesh.panel == 0, 1.2, 1.0)[:, None])
+    for one in (belt, belt_on(mesh, nodes, held, belt.line.numpy()[::-1].copy())):
+        assert one is not None and set(one.held) == set(held)
+        places = one.places(wider).numpy()
+        assert np.abs(np.linalg.norm(places[:, [0, 2]], axis=1) - 0.095).max() < 2.1e-4  # a chord's height
+        angle = np.degrees(np.arctan2(places[front, 0], places[front, 2]))
+        assert_allclose(np.ptp(angle), 360.0 * 1.2 / 2.2, atol=0.2)
+        assert_allclose(angle.max() + angle.min(), 0.0, atol=2.0)
+    assert belt_on(mesh, nodes, held[1:], belt.line.numpy()) is None
+    assert belt_on(mesh, nodes, held, belt.line.numpy() + np.array([1.0, 0.0, 0.0])) is None
 
 
 def test_a_search_finds_the_pattern_back():

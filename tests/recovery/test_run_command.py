@@ -170,9 +170,10 @@ def test_the_cloth_has_words(run):
 def test_the_report_says_what_was_found(run):
     folder, outcome, truth = run
     record = json.loads((folder / "out" / "report.json").read_text())
-    top = ["distance_mean_mm", "chamfer_cm2", "seam_max_pct", "sewn_anew_mm", "cut", "minutes"]
+    top = ["distance_mean_mm", "chamfer_cm2", "seam_max_pct", "sewn_anew_mm", "sewn_from_target_mm", "cut", "minutes"]
     assert list(record)[: len(top)] == top
     assert record["seam_max_pct"] <= 0.5 and record["sewn_anew_mm"] <= 3.0 and record["minutes"] > 0.0
+    assert record["sewn_from_target_mm"] < record["distance_mean_mm"] + 3.0
     assert record["cut"] == "tshirt: 6 panels, 12 seams"
     assert record["distance"]["mean_mm"] < 0.5 * record["base_distance"]["mean_mm"]
     assert record["chamfer_floor"]["mean_mm"] < record["chamfer"]["mean_mm"]
@@ -264,7 +265,8 @@ def test_a_pattern_whose_sleeve_misses_its_arm_is_sewn_on_another_mesh(lost_on, 
 
     apart = surface_distance((SQUARE, HALVES), (SQUARE, HALVES), count=10)
     monkeypatch.setattr("recovery.run.anew._sewn", sewn)
-    assert sewn_anew(cast(Recovered, None), body, COARSE, None, ["trunk"]).belt_moved_m == taken
+    found = cast(Recovered, SimpleNamespace(sewn=None))
+    assert sewn_anew(found, body, COARSE, None, ["trunk"]).belt_moved_m == taken
     assert len(lengths) == tries and len(set(lengths)) == tries
 
 
