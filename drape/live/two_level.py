@@ -8,8 +8,8 @@ cloth for it. So the coarse cloth, about a fifth of the vertices (``coarse_mesh`
 
 is where sweeps of vertex block descent begin. e is what the sweeps of the frame before added; it fades with the time
 ``KEPT_S``. No contact is looked for on the fine cloth. Its planes are those of the sample that its coarse vertex is at,
-blended anew, and it keeps within the room that its coarse vertex has. Only where that is less than all, crossings come
-apart (``untangle``). The lift ends the frame.
+blended anew. Where its coarse vertex is kept apart from others, crossings come apart (``untangle``). The lift ends the
+frame.
 """
 
 from __future__ import annotations
@@ -49,9 +49,10 @@ from drape.live.lift import lift
 from drape.live.places import counted, moved_m, put_places, put_vertices
 from drape.live.sheet import LANES, Sheet, sheet
 from drape.live.skin_contact import NEIGHBOURS, SkinGraph, put_own_planes
-from drape.live.sweeps import HELD_ROW, PLANES, SCRATCH, SLACK_ROW, descend, leash
-from drape.live.untangle import WAY_M, Tangles, tangles_of, untangle
+from drape.live.sweeps import APART_ROW, PLANES, SCRATCH, descend, leash
+from drape.live.untangle import WAY_M, Tangles, farthest_way, tangles_of, untangle
 
+APART_STEPS = 2  # of untangling: sweeps go on from what these moved, and more of them tremble
 KEPT_S = 0.15  # in which what sweeps added comes down to 1/e: more lets fine folds pass through each other
 
 
@@ -204,10 +205,10 @@ def fold_two_level(
     else:
         step_s = step_between(memory.coarse.time_s, frame.time_s)
         added, share = memory.added.copy(), float(np.exp(-step_s / KEPT_S)) if effort.steps else fading(effort, step_s)
-        way_m = min(WAY_M, moved_m(memory.coarse.network, coarse.network, constants.coarse.sheet.place))
+        way_m = farthest_way(moved_m(memory.coarse.network, coarse.network, constants.coarse.sheet.place))
     apart_m = way_m if sweeps and effort.cloth_contact else 0.0
     schedule = FineSchedule(dtype.type(share), dtype.type(apart_m), dtype.type(effort.clearance_m), sweeps)
-    held = CoarseHold(constants.coarse.sheet, planes, off, coarse.touched.own)
+    held = CoarseHold(planes, off, coarse.touched.own)
     x, far, lifted_m = settle_fine(network, added, held, frame.around(dtype), fine, constants.coarse.graph, schedule)
     place = fine.sheet.place
     if not far <= FAR_M:
@@ -220,10 +221,9 @@ def fold_two_level(
 
 
 class CoarseHold(NamedTuple):
-    """The coarse cloth as it lies: its ``sheet``, the ``planes`` that held it, its way ``off`` [m] (P, 3) the network's
-    drape, and the sample ``own`` (P,) of each place."""
+    """The coarse cloth as it lies: the ``planes`` that held it, its way ``off`` [m] (P, 3) the network's drape, and the
+    sample ``own`` (P,) of each place."""
 
-    sheet: Sheet
     planes: np.ndarray
     off: np.ndarray
     own: np.ndarray
@@ -255,13 +255,12 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
     planes, scratch = np.zeros(PLANES // LANES * len(x), x.dtype), np.empty(SCRATCH, x.dtype)
     leash(sheet, planes)
     own = coarse.own[fine.parent]
-    hold_as(fine.parent, coarse, sheet, planes)
     put_own_planes(x, around.skin, graph, own, planes)
     put_planes(x, around.colliders, planes)
     for _ in range(schedule.sweeps):
         descend(x, sheet, planes, network, scratch)
     if schedule.untangle > 0:
-        untangle(x, fine.tangles, tight_clusters(planes, fine.tangles, sheet.constants.slack), schedule.untangle)
+        untangle(x, fine.tangles, close_clusters(coarse.planes, fine), schedule.untangle, APART_STEPS)
     leave(x, around.colliders, planes, schedule.clearance)
     if schedule.clearance > 0.0:
         lift(x, planes, schedule.clearance, lifted)
@@ -272,32 +271,17 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
 
 
 @kernel
-def hold_as(parent, coarse, sheet, planes):
-    """Tightens the leash of each place as the room of its ``parent`` (P,) did there: by as much of contact's
-    stiffness."""
-    tighter, slack = np.empty(len(coarse.own), planes.dtype), np.empty(len(coarse.own), planes.dtype)
-    for c in range(len(coarse.own)):
-        place, own = PLANES * (c // LANES) + c % LANES, 4 * LANES * (c // LANES) + c % LANES
-        contact = coarse.sheet.own[own + 2 * LANES]
-        more = coarse.planes[place + HELD_ROW] - coarse.sheet.own[own + 3 * LANES]
-        tighter[c], slack[c] = more / contact if contact > 0 else contact, coarse.planes[place + SLACK_ROW]
-    for v in range(len(parent)):
-        place = PLANES * (v // LANES) + v % LANES
-        contact = sheet.own[4 * LANES * (v // LANES) + v % LANES + 2 * LANES]
-        planes[place + HELD_ROW] += tighter[parent[v]] * contact
-        planes[place + SLACK_ROW] = slack[parent[v]]
-
-
-@kernel
-def tight_clusters(planes, tangles, slack):
-    """The clusters of ``tangles`` (n,) with a triangle whose first corner has less than all of the ``slack``."""
-    found, filled = np.empty(len(tangles.start) - 1, np.int32), 0
+def close_clusters(planes, fine):
+    """The clusters of the tangles of ``fine`` (n,) with a triangle whose first corner's coarse place is kept apart by
+    its ``planes``."""
+    corner = fine.tangles.corner
+    found, filled = np.empty(len(fine.tangles.start) - 1, np.int32), 0
     for c in range(len(found)):
-        tight = False
+        close = False
         for lane in range(LANES):
-            v = tangles.corner[3 * LANES * c + lane]
-            tight |= planes[PLANES * (v // LANES) + v % LANES + SLACK_ROW] < slack
-        if tight:
+            v = fine.parent[corner[3 * LANES * c + lane]]
+            close |= planes[PLANES * (v // LANES) + v % LANES + APART_ROW] > 0
+        if close:
             found[filled] = c
             filled += 1
     return found[:filled]
