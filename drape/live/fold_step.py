@@ -33,8 +33,8 @@ from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.lift import lift
 from drape.live.places import counted, farthest_place_m, moved_m, put_places, put_vertices
 from drape.live.raised_skin import heights_over
-from drape.live.residual import keep_residual
-from drape.live.room import hold_within
+from drape.live.residual import EASE, ease, keep_residual
+from drape.live.room import keep_apart
 from drape.live.sheet import LANES, Sheet
 from drape.live.skin_contact import (
     NEIGHBOURS,
@@ -48,7 +48,7 @@ from drape.live.skin_contact import (
 )
 from drape.live.surface_frames import FRAMES, in_frames, in_world, surface_frames
 from drape.live.sweeps import SCRATCH, descend, gradient_at, leash, stick
-from drape.live.untangle import WAY_M, untangle
+from drape.live.untangle import WAY_M, farthest_way, untangle
 from drape.live.whole import whole_step
 
 # The share of the last step's way that comes before a step: in slow motion, and in fast motion of soft and stiff cloth.
@@ -105,7 +105,7 @@ class FoldEffort:
     fast motion. A frame without a past gets ``settle`` sweeps, and then ``settle`` times all of these. With 0 steps no
     energy is looked at: the folds go along with the network's surface and fade, and a frame without a past has none.
 
-    ``cloth_contact``: whether cloth keeps within the room that the network's drape leaves between its sheets.
+    ``cloth_contact``: whether cloth keeps apart from itself.
     ``clearance_m`` [m]: a vertex nearer to its own part of the skin is lifted; 0 lifts none.
     """
 
@@ -199,7 +199,7 @@ def _advanced(
         dtype(step_s), dtype(momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
         -1 if settled else past.turn, effort.cloth_contact and rounds > 0,
         dtype(0.0 if settled else constants.friction), dtype(effort.clearance_m),
-        dtype(WAY_M if settled else min(WAY_M, way_m)),
+        dtype(WAY_M if settled else farthest_way(way_m)),
     )  # fmt: skip
     touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
     state = FoldState(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())
@@ -270,9 +270,8 @@ class FoldState(NamedTuple):
 class FoldSchedule(NamedTuple):
     """The computation of a frame ``step_s`` [s] after the one before: ``rounds``, each of ``steps`` of the whole, a
     ``share`` of each, with ``momentum``, and of ``sweeps``. ``turn`` is that of ``touch``, negative without a past.
-    ``within``: whether cloth keeps within its room, and what crosses comes apart by ``untangle`` [m] at most in a step:
-    no farther than the network moved, or cloth on a body that stands still would not come to rest. ``friction`` with
-    the skin; the ``clearance`` [m] of the lift."""
+    ``within``: whether cloth keeps apart from itself, and what crosses comes apart by ``untangle`` [m] at most in a
+    step. ``friction`` with the skin; the ``clearance`` [m] of the lift."""
 
     step_s: np.floating
     momentum: np.floating
@@ -327,12 +326,12 @@ def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
     follow(network, skin, cloth.graph, touched)
     leash(sheet, planes)
     stick(sheet, guides.stuck, schedule.friction, planes)
-    if schedule.within:
-        hold_within(network, sheet, cloth.neighbours, planes)
     first, every = schedule.turn < 0, np.arange(len(cloth.tangles.start) - 1)
     for _ in range(schedule.rounds):
         touch(x, skin, cloth.graph, sheet, touched, schedule.turn, planes)
         put_planes(x, colliders, planes)
+        if schedule.within:
+            keep_apart(x, sheet, cloth.neighbours, planes)
         if first:
             # Triangles that the network stretches are stiffer than K knows, and steps would run away: sweeps first.
             for _ in range(schedule.rounds):
@@ -351,8 +350,9 @@ def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
             descend(x, sheet, planes, network, scratch)
             if schedule.steps == 0:
                 _set_way(way, x, before)
-        if schedule.within and schedule.untangle > 0.0:
-            untangle(x, cloth.tangles, every, schedule.untangle)
+        if schedule.within:
+            crossed = untangle(x, cloth.tangles, every, schedule.untangle)
+            ease(x, network, crossed, x.dtype.type(EASE / WAY_M) * schedule.untangle, sheet)
     if schedule.rounds == 0 and (schedule.clearance > 0.0 or len(colliders)):  # folds without steps have no planes yet
         touch(x, skin, cloth.graph, sheet, touched, schedule.turn, planes)
     leave(x, colliders, planes, schedule.clearance)

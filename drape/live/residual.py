@@ -16,6 +16,9 @@ a and b the sides of its triangles and A their areas at rest: there folds are ne
 
 Hems are sewn double and do not frill, but along a border the mesh has no hinges. Residuals there also go towards the
 mean of their two neighbours' along the border, by s / (1 + s) with s = HEM |e - e0| / |e|, e the way to the next one.
+
+Where cloth still crosses itself at the end of a frame its residual goes towards the mean as well (``ease``): the
+network's surface is smooth, and a crumple that has passed through itself goes back with it.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ from drape.live.surface_frames import COVER, FRAMES
 
 MEND_M = 0.03  # a residual that far from its neighbours' follows them
 FORGET, LACK, HEM = 24.0, 0.003, 24.0
+EASE = 0.5  # the share of its way to the mean where cloth crosses and the network moves by ``WAY_M`` or more
 
 
 @kernel
@@ -85,6 +89,23 @@ def mend(off, sheet, far, forget):
         share = where_above(dot(way, way), far * far, k.one, row_at(forget, LANES * block))
         share = where_above(count, k.zero, share, k.zero)
         put_points(off, LANES * block, add(own, scaled(share, way)))
+
+
+@kernel
+def ease(x, network, crossed, share, sheet):
+    """Moves the residuals of ``x`` [m] (P, 3) by a ``share`` of the way to their neighbours' mean, in place, where
+    ``crossed`` (P,) is above zero."""
+    if not crossed.any():
+        return
+    forget = np.zeros_like(crossed)
+    for v in range(len(x)):
+        forget[v] = share if crossed[v] > 0 else x.dtype.type(0)
+    off = x - network
+    mend(off, sheet, x.dtype.type(np.inf), forget)
+    for v in range(len(x)):
+        if crossed[v] > 0:
+            for i in range(3):
+                x[v, i] = network[v, i] + off[v, i]
 
 
 @kernel

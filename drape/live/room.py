@@ -1,18 +1,17 @@
-"""Room between sheets: cloth keeps within what the network's drape leaves it, so that a garment does not cross itself.
+"""Room between sheets: cloth that comes near to itself is kept apart, so that a garment does not cross itself.
 
-Under an arm, in a groin and behind a knee the network lays cloth close together, and hardly ever through itself. Such a
-place has too little room for the cloth there. Steps that give the cloth its area crumple it through itself, at the size
-of its triangles. A vertex is therefore held the closer to its place in the network's drape, the less room that drape
-has there. With d the distance from a vertex of the network to the nearest other one that is not of its sheet,
+Under an arm, in a groin and behind a knee the network lays cloth close together and leaves it too little area. Steps
+that give the cloth its area back crumple it through itself, at the size of its triangles. So vertices keep a distance.
+With u the vertex nearest to v that is not of its sheet, n the unit vector from u to v and R = ``SPACING`` mean edges,
+``ROOM_M`` at most, v stays half of R before the middle between them,
 
-    tight = (ROOM_M - d) / (ROOM_M - TIGHT_M), from 0 to 1,
-    slack = k.slack + tight (LEAST_M - k.slack),
-    stiffness = leash + HELD min(ROOM_M / d - 1, STIFFEST) contact's stiffness,
+    n . (x - (v + u) / 2) >= R / 2,
 
-and the leash's energy has these. Where there is room nothing changes. Two vertices are of one sheet where the way
-through the air is nearly as long as that along the cloth: the network only presses such cloth together. Sheets that the
-network keeps apart stay apart, from whichever side they are pressed. The room follows from the network alone, and needs
-neither a memory nor sides.
+with contact's energy. Both give way, and the middle is another one in every frame. Vertices that are R apart hardly let
+a triangle pass between them. The plane takes the place of that of another part of the body where it is the nearer one.
+Two vertices are of one sheet where the way through the air is nearly as long as that along the cloth: such cloth is
+only pressed together. Nothing is remembered. Where cloth already crosses itself these planes have no side to tell. What
+is left to do there is untangling (``untangle``), and to go back to the network's smooth surface (``residual``).
 """
 
 from __future__ import annotations
@@ -24,17 +23,18 @@ import scipy.sparse
 
 from drape.cloth.energies import ClothMesh
 from drape.kernels.compiled import kernel, part
+from drape.kernels.elements import at, dot, scaled, sub
 from drape.kernels.lanes import row3
 from drape.kernels.problem import rest_edges
 from drape.live.clusters import POINT_ROWS, boxes_around, clusters, find_close, laid, less, squared
 from drape.live.sheet import LANES
-from drape.live.sweeps import HELD_ROW, PLANES, SLACK_ROW
+from drape.live.sweeps import APART_ROW, OTHER_PLANE, PLANES
 
 NEAR_M = 0.02  # vertices nearer than that along the cloth, and those of one triangle, are one sheet
 FOLDED = 0.6  # so are those whose way through the air is at least this share of that along the cloth
-ROOM_M, TIGHT_M = 0.018, 0.012  # distance from which a vertex is held closer, and at which slack is the least
-LEAST_M = 0.0002
-HELD, STIFFEST = 1.5, 4.0  # times contact's stiffness; with more of either held cloth rattles
+# Mean edges: with less cloth passes through its triangles, with more it is kept from where physics lays it. Lists of
+# what is of one sheet reach as far as ROOM_M.
+SPACING, ROOM_M = 0.95, 0.018
 FREE = 255  # a bound that no pair within ROOM_M is below; FREE - 1 stands for ROOM_M
 BOUND_M2 = ROOM_M**2 / (FREE - 1)
 
@@ -141,39 +141,51 @@ def reached(start, other, length, most):
 
 
 @kernel
-def hold_within(network, sheet, neighbours, planes):
-    """Tightens the leash in ``planes`` where the drape of the ``network`` [m] (P, 3) comes near to itself."""
-    k = sheet.constants
-    points = np.empty((len(sheet.place), 3), network.dtype)
+def keep_apart(x, sheet, neighbours, planes):
+    """Writes the planes that keep ``x`` [m] (P, 3) apart to those of other parts in ``planes``, with a 1 in
+    ``APART_ROW``."""
+    k, dtype = sheet.constants, x.dtype.type
+    reach = min(dtype(SPACING) / k.per_edge, dtype(ROOM_M))
+    points, room = np.empty((len(sheet.place), 3), x.dtype), np.empty(len(sheet.place), x.dtype)
     for v in range(len(points)):
         for i in range(3):
-            points[v, i] = network[sheet.place[v], i]
-    room = np.empty(len(points), network.dtype)
-    rooms(points, neighbours, room)
-    dtype = network.dtype.type
+            points[v, i] = x[sheet.place[v], i]
+    nearest = np.empty(len(points), np.int32)
+    rooms(points, neighbours, reach, room, nearest)
     for v in range(len(points)):
-        tight = (dtype(ROOM_M) - room[v]) / dtype(ROOM_M - TIGHT_M)
-        if not tight > k.zero:
+        if nearest[v] < 0 or not room[v] > k.zero:
             continue
-        block, lane = sheet.place[v] // LANES, sheet.place[v] % LANES
-        contact = sheet.own[4 * LANES * block + 2 * LANES + lane]
-        stiff = min(dtype(ROOM_M) / max(room[v], dtype(LEAST_M)) - k.one, dtype(STIFFEST))
-        planes[PLANES * block + HELD_ROW + lane] += dtype(HELD) * stiff * contact
-        planes[PLANES * block + SLACK_ROW + lane] += min(tight, k.one) * (dtype(LEAST_M) - k.slack)
+        place = PLANES * (sheet.place[v] // LANES) + sheet.place[v] % LANES
+        here = at(points, v)
+        normal = scaled(k.one / room[v], sub(here, at(points, nearest[v])))
+        height = k.half * (room[v] - reach) + k.gap  # contact begins a gap over the plane
+        foot, other = _three(planes, place + OTHER_PLANE), _three(planes, place + OTHER_PLANE + 3 * LANES)
+        if dot(other, other) > k.zero and dot(sub(here, foot), other) < height:
+            continue
+        planes[place + APART_ROW] = k.one
+        for axis in range(3):
+            planes[place + OTHER_PLANE + LANES * axis] = here[axis] - height * normal[axis]
+            planes[place + OTHER_PLANE + LANES * (3 + axis)] = normal[axis]
+
+
+@part
+def _three(planes, place):
+    return planes[place], planes[place + LANES], planes[place + 2 * LANES]
 
 
 @kernel
-def rooms(points, neighbours, room):
+def rooms(points, neighbours, reach, room, nearest):
     """Writes the distance [m] from each of ``points`` (V, 3) to the nearest one that is not of its sheet to ``room``
-    (V,), ``ROOM_M`` where none is within that.
+    (V,), and that one to ``nearest`` (V,); ``reach`` [m], ``ROOM_M`` at most, and -1 where none is within that.
 
     Every pair of clusters whose boxes come near each other is tested once. Hardly any has vertices that count.
     """
     dtype, count = points.dtype.type, len(neighbours.clusters)
     rows = laid(points, neighbours.clusters)
     boxes, groups = boxes_around(rows, POINT_ROWS, 0, 0)
-    most = dtype(ROOM_M) * dtype(ROOM_M)
+    most = dtype(reach) * dtype(reach)
     square, bound = np.full(LANES * count, most), neighbours.bound.reshape(-1)
+    which, other = np.full(LANES * count, -1, np.int32), neighbours.clusters.reshape(-1)
     table, s = np.full(count, -1, np.int32), np.empty(SCRATCH, points.dtype)
     found = np.empty(count, np.int32)
     for a in range(count):
@@ -186,12 +198,22 @@ def rooms(points, neighbours, room):
             for entry in range(POINT_ROWS):
                 s[OTHER + entry] = rows[POINT_ROWS * b + entry]
             if _may_count(s, bound, table[b], most):
-                _count(s, neighbours, a, b, table[b] >= 0, square)
+                _count(s, neighbours, a, b, table[b] >= 0, NearestSoFar(most, square, which))
         for entry in range(neighbours.other_start[a], neighbours.other_start[a + 1]):
             table[neighbours.other[entry]] = -1
-    for e in range(LANES * count):
-        # The root of the square of ROOM_M may be less than ROOM_M.
-        room[neighbours.clusters[e // LANES, e % LANES]] = np.sqrt(square[e]) if square[e] < most else dtype(ROOM_M)
+    for e in range(LANES * count - 1, -1, -1):  # a lane that repeats a vertex comes before its own
+        # The root of the square of the reach may be less than the reach.
+        room[other[e]] = np.sqrt(square[e]) if square[e] < most else dtype(reach)
+        nearest[other[e]] = other[which[e]] if square[e] < most else -1
+
+
+class NearestSoFar(NamedTuple):
+    """For every lane of the clusters the ``square`` [m^2] of the distance to the nearest one, ``most`` at first, and
+    ``which`` lane that is."""
+
+    most: np.floating
+    square: np.ndarray
+    which: np.ndarray
 
 
 @part
@@ -236,19 +258,23 @@ def _may_count(s, bound, table, most):
 
 
 @kernel
-def _count(s, neighbours, a, b, listed, square):
-    """Lowers ``square`` [m^2] to the distances of all pairs of clusters a and b that count; ``listed``: whether some of
-    them may be of one sheet."""
+def _count(s, neighbours, a, b, listed, found):
+    """Lowers ``found`` to the distances of all pairs of clusters a and b that count; ``listed``: whether some of them
+    may be of one sheet."""
+    square, which = found.square, found.which
     for j in range(LANES):
         # A bound is no less than the square of its list: a point that is below no bound counts in no pair.
-        if not s[LEAST + j] < s.dtype.type(ROOM_M) * s.dtype.type(ROOM_M):
+        if not s[LEAST + j] < found.most:
             continue
         for i in range(LANES):
             own, other, far = LANES * a + i, LANES * b + j, _far(row3(s, OWN, i), s, j)
             if far < max(square[own], square[other]) and not (
                 listed and _is_near(neighbours, neighbours.clusters[a, i], neighbours.clusters[b, j], far)
             ):
-                square[own], square[other] = min(square[own], far), min(square[other], far)
+                if far < square[own]:
+                    square[own], which[own] = far, other
+                if far < square[other]:
+                    square[other], which[other] = far, own
 
 
 @kernel

@@ -52,7 +52,7 @@ from drape.kernels.lanes import (
 )
 from drape.live.sheet import LANES
 from drape.live.surface_frames import to_frame, to_world
-from drape.live.sweeps import HELD_ROW, OTHER_PLANE, PLANES, SLIP_M
+from drape.live.sweeps import APART_ROW, HELD_ROW, OTHER_PLANE, PLANES, SLIP_M
 
 NEIGHBOURS = 8
 CANDIDATES = 24  # nearest samples, from which those that face another way are left out
@@ -215,6 +215,8 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
         put3(planes, PLANES * block, foot)
         put3(planes, PLANES * block + 3 * LANES, unit)
         for entry in range(PLANES * block + OTHER_PLANE, PLANES * block + HELD_ROW):
+            planes[entry] = k.zero
+        for entry in range(PLANES * block + APART_ROW, PLANES * (block + 1)):
             planes[entry] = k.zero
         for lane in range(LANES):
             v = LANES * block + lane

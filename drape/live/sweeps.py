@@ -10,9 +10,10 @@ each vertex with weight w and contact's stiffness c
 
     w x_y + c/2 (gap - n.(x - p))+^2 for each of two planes + held/2 (|x - b| - slack)+^2 + friction.
 
-The first plane (p, n) is the tangent plane of the vertex's own part of the body, the second that of another part. b is
-where the network has the vertex. Friction pulls back to the place where the skin has taken the vertex, with a force of
-mu times that of contact, and less than ``SLIP_M`` from there with a share of it.
+The first plane (p, n) is the tangent plane of the vertex's own part of the body, the second that of another part or the
+one that keeps cloth apart from cloth (``room``). b is where the network has the vertex. Friction pulls back to the
+place where the skin has taken the vertex, with a force of mu times that of contact, and less than ``SLIP_M`` from there
+with a share of it.
 
 A block's vertices are the lanes of rows (``drape.kernels.lanes``): one formula computes all of them. Creases, which few
 vertices have, are added lane by lane in a flat scratch of rows.
@@ -52,8 +53,10 @@ from drape.live.sheet import LANES, PLANE_ROWS
 
 GRADIENT, HESSIAN, SCRATCH = 0, 3 * LANES, 9 * LANES  # rows of the scratch
 # The rows of a block in ``planes``: point p and normal n of the own part and of another one; the stiffness and slack
-# that hold the vertex to the network's place; where the skin has taken it, and friction times contact's stiffness.
+# that hold the vertex to the network's place; where the skin has taken it, and friction times contact's stiffness; 1
+# where the second plane keeps cloth apart from cloth (``room``).
 OTHER_PLANE, HELD_ROW, SLACK_ROW, STUCK, FRICTION_ROW = 6 * LANES, 12 * LANES, 13 * LANES, 14 * LANES, 17 * LANES
+APART_ROW = 18 * LANES
 PLANES = PLANE_ROWS * LANES
 SLIP_M = 1e-3  # friction is a spring up to here, and slips with the force that it has then
 HOLD = 0.4  # the share of contact's stiffness that steps of the whole cloth allow leash and friction

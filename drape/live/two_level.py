@@ -8,8 +8,8 @@ cloth for it. So the coarse cloth, about a fifth of the vertices (``coarse_mesh`
 
 is where sweeps of vertex block descent begin. e is what the sweeps of the frame before added; it fades with the time
 ``KEPT_S``. No contact is looked for on the fine cloth. Its planes are those of the sample that its coarse vertex is at,
-blended anew, and it keeps within the room that its coarse vertex has. Only where that is less than all, crossings come
-apart (``untangle``). The lift ends the frame.
+blended anew. Where its coarse vertex is kept apart from others, crossings come apart (``untangle``). The lift ends the
+frame.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from drape.cloth.rest_state import RestState, modelled
 from drape.garment.cache import Garment
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import add, scaled, sub, with_spare
-from drape.kernels.lanes import points_at, points_in, put, put_points, row_at, where_above
+from drape.kernels.lanes import points_at, points_in, put_points, row_at
 from drape.live.clock import Frame, FrameMemory, follows, step_between
 from drape.live.coarse_mesh import coarse_mesh
 from drape.live.coarse_weights import NEAREST, coarse_weights
@@ -68,9 +68,10 @@ from drape.live.skin_contact import (
     put_own_planes,
     write_grip,
 )
-from drape.live.sweeps import HELD_ROW, PLANES, SCRATCH, SLACK_ROW, descend
-from drape.live.untangle import WAY_M, Tangles, tangles_of, untangle
+from drape.live.sweeps import APART_ROW, PLANES, SCRATCH, descend, leash
+from drape.live.untangle import WAY_M, Tangles, farthest_way, tangles_of, untangle
 
+APART_STEPS = 2  # of untangling the fine cloth: four leave fewer crossings and cost time and gain
 KEPT_S = 0.15  # in which what sweeps added comes down to 1/e: more lets fine folds pass through each other
 
 
@@ -261,10 +262,10 @@ def fold_two_level(
     else:
         step_s = step_between(memory.coarse.time_s, frame.time_s)
         added, share = memory.added.copy(), math.exp(-step_s / KEPT_S) if effort.steps else fading(effort, step_s)
-        way_m = min(WAY_M, moved_m(memory.coarse.network, under, below.sheet.place))
+        way_m = farthest_way(moved_m(memory.coarse.network, under, below.sheet.place))
     apart_m = way_m if sweeps and effort.cloth_contact else 0.0
     schedule = FineSchedule(dtype.type(share), dtype.type(apart_m), dtype.type(effort.clearance_m), sweeps)
-    held = CoarseHold(below.sheet, planes, off, coarse.touched.own)
+    held = CoarseHold(planes, off, coarse.touched.own)
     x, far, lifted_m = settle_fine(network, added, held, around, fine, below.graph, schedule)
     if not far <= FAR_M:
         return frame.vertices, TwoLevelMemory(coarse, np.zeros_like(network)), replace(report, reset=True)
@@ -283,10 +284,9 @@ def _unfolded(
 
 
 class CoarseHold(NamedTuple):
-    """The coarse cloth as it lies: its ``sheet``, the ``planes`` that held it, its way ``off`` [m] (P, 3) the network's
-    drape, and the sample ``own`` (P,) of each place."""
+    """The coarse cloth as it lies: the ``planes`` that held it, its way ``off`` [m] (P, 3) the network's drape, and the
+    sample ``own`` (P,) of each place."""
 
-    sheet: Sheet
     planes: np.ndarray
     off: np.ndarray
     own: np.ndarray
@@ -315,14 +315,14 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
             points = add(points, scaled(row_at(fine.weight, row), points_at(coarse.off, fine.near, row)))
         put_points(carried, LANES * block, points)
         put_points(x, LANES * block, add(points, scaled(schedule.share, points_in(added, LANES * block))))
-    planes, scratch = np.empty(PLANES // LANES * len(x), x.dtype), np.empty(SCRATCH, x.dtype)
-    hold_as(fine.parent, coarse, sheet, planes)
+    planes, scratch = np.zeros(PLANES // LANES * len(x), x.dtype), np.empty(SCRATCH, x.dtype)
+    leash(sheet, planes)
     put_own_planes(x, around.skin, graph, ParentSamples(coarse.own, fine.parent), planes)
     put_planes(x, around.colliders, planes)
     for _ in range(schedule.sweeps):
         descend(x, sheet, planes, network, scratch)
     if schedule.untangle > 0:
-        untangle(x, fine.tangles, tight_clusters(planes, fine.tangles, sheet.constants.slack), schedule.untangle)
+        untangle(x, fine.tangles, close_clusters(coarse.planes, fine), schedule.untangle, APART_STEPS)
     leave(x, around.colliders, planes, schedule.clearance)
     if schedule.clearance > 0.0:
         lift(x, planes, schedule.clearance, lifted)
@@ -346,46 +346,17 @@ def lift_off(x, touched, under, around, fine, graph, clearance):
 
 
 @kernel
-def hold_as(parent, coarse, sheet, planes):
-    """Writes the leash of each place, tightened as the room of its ``parent`` (P,) did there: by as much of contact's
-    stiffness. All else in ``planes`` becomes nothing."""
-    zero, tight = planes.dtype.type(0), np.empty((len(coarse.own), 2), planes.dtype)
-    rows = np.empty(2 * LANES, planes.dtype)
-    for block in range(len(tight) // LANES):
-        contact, held = (
-            row_at(coarse.sheet.own, (4 * block + 2) * LANES),
-            row_at(coarse.planes, PLANES * block + HELD_ROW),
-        )
-        more = held - row_at(coarse.sheet.own, (4 * block + 3) * LANES)
-        put(
-            rows,
-            0,
-            where_above(contact, zero, more / where_above(contact, zero, contact, planes.dtype.type(1)), contact),
-        )
-        put(rows, LANES, row_at(coarse.planes, PLANES * block + SLACK_ROW))
-        for lane in range(LANES):
-            tight[LANES * block + lane, 0], tight[LANES * block + lane, 1] = rows[lane], rows[LANES + lane]
-    for block in range(len(parent) // LANES):
-        for lane in range(LANES):
-            own = parent[LANES * block + lane]
-            rows[lane], rows[LANES + lane] = tight[own, 0], tight[own, 1]
-        for entry in range(PLANES * block, PLANES * (block + 1)):
-            planes[entry] = zero
-        held, contact = row_at(sheet.own, (4 * block + 3) * LANES), row_at(sheet.own, (4 * block + 2) * LANES)
-        put(planes, PLANES * block + HELD_ROW, held + row_at(rows, 0) * contact)
-        put(planes, PLANES * block + SLACK_ROW, row_at(rows, LANES))
-
-
-@kernel
-def tight_clusters(planes, tangles, slack):
-    """The clusters of ``tangles`` (n,) with a triangle whose first corner has less than all of the ``slack``."""
-    found, filled = np.empty(len(tangles.start) - 1, np.int32), 0
+def close_clusters(planes, fine):
+    """The clusters of the tangles of ``fine`` (n,) with a triangle whose first corner's coarse place is kept apart by
+    its ``planes``."""
+    corner = fine.tangles.corner
+    found, filled = np.empty(len(fine.tangles.start) - 1, np.int32), 0
     for c in range(len(found)):
-        tight = False
+        close = False
         for lane in range(LANES):
-            v = tangles.corner[3 * LANES * c + lane]
-            tight |= planes[PLANES * (v // LANES) + v % LANES + SLACK_ROW] < slack
-        if tight:
+            v = fine.parent[corner[3 * LANES * c + lane]]
+            close |= planes[PLANES * (v // LANES) + v % LANES + APART_ROW] > 0
+        if close:
             found[filled] = c
             filled += 1
     return found[:filled]

@@ -8,7 +8,7 @@ Relative to the triangle the edge goes along
     G = sum R - 2 N (E . sum R) / (E . N),
 
 by which the contour grows shorter fastest. The edge's ends go one way and the triangle's corners the other way, each by
-the mean of its ways, ``WAY_M`` at most and no farther than the body moved. Both sheets stay as they are but for that:
+the mean of its ways, no farther than the body moved (``farthest_way``). Both sheets stay as they are but for that:
 there is neither an inside nor a side to remember. What crosses shallowly comes apart within a few frames; the memory of
 folds keeps it so. Sheets that lie deep in each other have no short way out, and stay.
 
@@ -31,7 +31,7 @@ from drape.kernels.lanes import least, most, points_at, put, put3, rows3_at
 from drape.live.clusters import boxes_around, clusters, find_close, in_one_cone, less, more, write_cones
 from drape.live.sheet import LANES
 
-STEPS, WAY_M = 2, 0.002
+STEPS, LEAST_M, WAY_M = 4, 0.0003, 0.002
 BORDER, OTHERS = -1, -2  # in ``Tangles.across``: nothing is across the edge; the edge is another triangle's
 MOST_PAIRS = 8192  # pairs of a frame: bounds its time
 OBLIQUE = 0.05  # the least cosine of edge and normal that counts
@@ -82,17 +82,26 @@ def tangles_of(faces: np.ndarray, place: np.ndarray) -> Tangles:
     return Tangles(*(np.ascontiguousarray(each, np.int32) for each in (*flat, beside.indptr, beside.indices)))
 
 
-@kernel
-def untangle(x, tangles, chosen, farthest):
-    """Moves ``x`` [m] (P, 3) in place where triangles of the clusters ``chosen`` (n,), in rising order, cross, by
-    ``farthest`` [m] at most in a step.
+def farthest_way(moved_m: float) -> float:
+    """How far [m] a step of ``untangle`` goes at most where the network moved by ``moved_m`` [m].
 
-    Returns how many pairs may have crossed at first.
+    That is no farther, or cloth on a body that stands still would not come to rest; but for ``LEAST_M``, or cloth would
+    crumple through itself there.
     """
-    pairs = crossing(x, tangles, chosen)
+    return min(WAY_M, max(moved_m, LEAST_M))
+
+
+@kernel
+def untangle(x, tangles, chosen, farthest, steps=STEPS):
+    """Moves ``x`` [m] (P, 3) in place where triangles of the clusters ``chosen`` (n,), in rising order, cross, by
+    ``farthest`` [m] at most in each of ``steps``.
+
+    Returns how many ways each place (P,) had in the last step: more than none where cloth crossed.
+    """
+    pairs, count = crossing(x, tangles, chosen), np.zeros(len(x), x.dtype)
     if len(pairs):
-        way, count = np.empty_like(x), np.empty(len(x), x.dtype)
-        for _ in range(STEPS):
+        way = np.empty_like(x)
+        for _ in range(steps):
             way[:], count[:] = 0, 0
             for n in range(len(pairs)):
                 _shorten(x, tangles, pairs[n, 0], pairs[n, 1], way, count)
@@ -101,7 +110,7 @@ def untangle(x, tangles, chosen, farthest):
                 if count[v] > 0:
                     for i in range(3):
                         x[v, i] += farthest / count[v] * way[v, i]
-    return len(pairs)
+    return count
 
 
 @kernel

@@ -26,7 +26,7 @@ from drape.live.fold_step import (
 from drape.live.lift import DEEP_M, OTHER, TOO_DEEP_M
 from drape.live.places import moved_m
 from drape.live.residual import FORGET, HEM, LACK, MEND_M
-from drape.live.room import FOLDED, HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
+from drape.live.room import FOLDED, NEAR_M, ROOM_M, SPACING
 from drape.live.sheet import ALIKE
 from drape.live.skin_contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, TouchedSamples
 from drape.live.sweeps import HOLD, SLIP_M
@@ -58,16 +58,14 @@ def fold(
     momentum = SETTLING_MOMENTUM if long else pace.momentum
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
-    held, slack = dressed.band_n_per_m, np.full(len(network), made.constants.slack)
-    if effort.cloth_contact:
-        held, slack = held_within(room(network, dressed.cloth), held, made)
     for number in range(0 if effort.steps == 0 else 1 if memory else effort.settle):
         here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
         touched = TouchedSamples(touched.own, here.other)
         around = touching(made, dressed, x, frame.skin, here)
-        around = around._replace(
-            own=around.own._replace(band=network, band_n_per_m=held), slack=slack, stuck=stuck, friction=friction
-        )
+        own = around.own._replace(band=network, band_n_per_m=dressed.band_n_per_m)
+        around = around._replace(own=own, stuck=stuck, friction=friction)
+        if effort.cloth_contact:
+            around = kept_apart(x, around, made, dressed.cloth)
         for _ in range(0 if memory or number else effort.settle):
             x = sweep(x, made, around)
         for _ in range(pace.steps):
@@ -135,16 +133,16 @@ def forgotten(before: np.ndarray, network: np.ndarray, cloth: ClothMesh) -> np.n
     return s / (1.0 + s)
 
 
-def mended(off: np.ndarray, faces: np.ndarray, lost: np.ndarray) -> np.ndarray:
+def mended(off: np.ndarray, faces: np.ndarray, lost: np.ndarray, *, far_m: float = MEND_M) -> np.ndarray:
     """``off`` (V, 3) moved by a share ``lost`` (V,) to the mean of the neighbours', each counted once for every
-    triangle that it shares, and all the way where it is farther than ``MEND_M`` from that."""
+    triangle that it shares, and all the way where it is farther than ``far_m`` from that."""
     total, count = np.zeros_like(off), np.zeros(len(off))
     for corner in range(3):
         for other in (corner - 1, corner - 2):
             np.add.at(total, faces[:, corner], off[faces[:, other]])
             np.add.at(count, faces[:, corner], 1.0)
     way = total / count[:, None] - off
-    return off + np.where(np.linalg.norm(way, axis=1) > MEND_M, 1.0, lost)[:, None] * way
+    return off + np.where(np.linalg.norm(way, axis=1) > far_m, 1.0, lost)[:, None] * way
 
 
 def evened(off: np.ndarray, before: np.ndarray, network: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -193,30 +191,24 @@ def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int, s
     return start
 
 
-def room(network: np.ndarray, cloth: ClothMesh) -> np.ndarray:
-    """Distances [m] (V,) of vertices of ``network`` [m] (V, 3) to the nearest that is not of the sheet."""
+def room(x: np.ndarray, cloth: ClothMesh, reach: float = ROOM_M) -> tuple[np.ndarray, np.ndarray]:
+    """Distances [m] (V,) of ``x`` [m] (V, 3) to the nearest that is not of the sheet, and that one: ``reach`` and -1
+    where none is within that."""
     a, b, c, d = cloth.inverse_shape
     shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))
     first, second = shape[..., 0], shape[..., 1]
-    along = np.full((len(network), len(network)), np.inf)
+    along = np.full((len(x), len(x)), np.inf)
     np.fill_diagonal(along, 0.0)
     for start, end, edge in ((0, 1, first), (1, 2, second - first), (0, 2, second)):
         i, j, length = cloth.faces[:, start], cloth.faces[:, end], np.linalg.norm(edge, axis=1)
         along[i, j] = along[j, i] = length
     beside = np.isfinite(along)
-    for middle in range(len(network)):
+    for middle in range(len(x)):
         along = np.minimum(along, along[:, middle, None] + along[None, middle])
-    apart = np.linalg.norm(network[:, None] - network[None], axis=2)
+    apart = np.linalg.norm(x[:, None] - x[None], axis=2)
     same = beside | (along <= NEAR_M) | (apart >= FOLDED * along)
-    return np.where(same, ROOM_M, np.minimum(apart, ROOM_M)).min(axis=1)
-
-
-def held_within(room_m: np.ndarray, held_n_per_m: np.ndarray, made: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness [N/m] and slack [m] (V,) of what holds vertices of ``room_m`` (V,), ``held_n_per_m`` where wide."""
-    tight = np.clip((ROOM_M - room_m) / (ROOM_M - TIGHT_M), 0.0, 1.0)
-    stiff = np.minimum(ROOM_M / np.maximum(room_m, LEAST_M) - 1.0, STIFFEST)
-    slack = made.constants.slack + tight * (LEAST_M - made.constants.slack)
-    return held_n_per_m + HELD * stiff * made.contact_n_per_m, slack
+    found = np.where(same | ~(apart < reach), np.inf, apart)
+    return np.minimum(found.min(axis=1), reach), np.where(np.isfinite(found.min(axis=1)), found.argmin(axis=1), -1)
 
 
 class Around(NamedTuple):
@@ -241,6 +233,21 @@ def touching(made: Problem, dressed: WornCloth, x: np.ndarray, skin: np.ndarray,
         *(point, normal, np.where(touched.other >= 0, made.contact_n_per_m, 0.0)),
         np.full(len(x), made.constants.slack),
         *(x, 0.0),
+    )
+
+
+def kept_apart(x: np.ndarray, around: Around, made: Problem, cloth: ClothMesh) -> Around:
+    """``around`` with the planes that keep ``x`` [m] (V, 3) apart where these are nearer than other parts'."""
+    reach = min(SPACING / float(made.constants.per_edge), ROOM_M)
+    room_m, nearest = room(x, cloth, reach)
+    height = 0.5 * (room_m - reach) + made.constants.gap
+    over = np.where(around.n_per_m > 0.0, ((x - around.point) * around.normal).sum(axis=1), np.inf)
+    taken = (nearest >= 0) & (height <= over)
+    normal = (x - x[nearest]) / room_m[:, None]
+    return around._replace(
+        point=np.where(taken[:, None], x - height[:, None] * normal, around.point),
+        normal=np.where(taken[:, None], normal, around.normal),
+        n_per_m=np.where(taken, made.contact_n_per_m, around.n_per_m),
     )
 
 

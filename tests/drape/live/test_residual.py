@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.live.residual import LACK, MEND_M, even_hem, keep_residual, mend, write_forget
+from drape.live.residual import LACK, MEND_M, ease, even_hem, keep_residual, mend, write_forget
 from drape.live.sheet import LANES
 from drape.live.surface_frames import FRAMES, surface_frames
 from tests.drape.live.folds_setup import constants, sleeve
@@ -92,3 +92,19 @@ def test_hems_are_evened_along_the_border_and_nothing_else_is(rng):
     assert border.sum() == len(made.hem) > 10
     assert_array_equal(found[place][~border], off[~border])
     assert np.linalg.norm(wanted[border]) < 0.9 * np.linalg.norm(off[border])
+
+
+def test_what_crosses_goes_back_with_its_neighbours_and_nothing_else_moves(rng):
+    rest, worn = sleeve()
+    made = constants(dtype=np.float64)
+    network, off = np.zeros((2, len(made.sheet.vertex), 3))
+    network[made.sheet.place], off[made.sheet.place] = rest, 0.01 * rng.normal(size=rest.shape)
+    x, crossed = network + off, np.zeros(len(network))
+    ease(x, network, crossed, 0.5, made.sheet)
+    assert_array_equal(x, network + off)
+    crossed[made.sheet.place[:3]] = 2.0
+    share = np.where(np.arange(len(rest)) < 3, 0.5, 0.0)
+    ease(x, network, crossed, 0.5, made.sheet)
+    wanted = reference.mended(off[made.sheet.place], worn.cloth.faces, share, far_m=np.inf)
+    assert_allclose((x - network)[made.sheet.place], wanted, rtol=0.0, atol=1e-12)
+    assert_array_equal(x[crossed == 0.0], (network + off)[crossed == 0.0])

@@ -13,6 +13,8 @@ const FORGET: f32 = 24;
 const LACK: f64 = 0.003;
 const HEM: f32 = 24;
 
+const eased: usize = memory.data(64, 16); // four points
+
 @inline function perLength(squared: v128): v128 {
   return above(squared, ZERO, div(ONE, root(above(squared, ZERO, squared, ONE))), ZERO);
 }
@@ -101,25 +103,52 @@ export function keepResidual(off: usize, before: usize, network: usize, blocks: 
     for (let q = 0; q < 4; q++) {
       const place = (4 * b + q) * 64, fan = at(A.FAN_OTHER) + q * QUAD;
       const forget = forgotten(before, network, place, fan + 2 * begin * ROW, frames + b * FRAMES + q * QUAD);
-      const own = i32x4.add(i32x4.splat(16 * b + 4 * q), i32x4(0, 1, 2, 3));
-      points(copy + place);
-      const ox = gx, oy = gy, oz = gz;
-      let mx = ZERO, my = ZERO, mz = ZERO, count = ZERO;
-      for (let row = 2 * begin; row < 2 * end; row++) {
-        const index = fan + row * ROW;
-        const real = v128.and(ONE, i32x4.ne(v128.load(index), own)); // an empty row has the place itself
-        gather(copy, index);
-        mx = mad(mx, real, gx); my = mad(my, real, gy); mz = mad(mz, real, gz);
-        count = add(count, real);
-      }
-      const per = div(ONE, above(count, ZERO, count, ONE));
-      const wx = sub(mul(per, mx), ox), wy = sub(mul(per, my), oy), wz = sub(mul(per, mz), oz);
-      let share = above(square(wx, wy, wz), all(MEND_M * MEND_M), ONE, forget);
-      share = above(count, ZERO, share, ZERO);
-      putPoints(off + place, mad(ox, share, wx), mad(oy, share, wy), mad(oz, share, wz));
+      toMean(copy, b, q, forget, all(MEND_M * MEND_M), off + place);
     }
   }
   evenHem(off, before, network, copy);
+}
+
+// Writes four vectors of off after a share of their way to the neighbours' mean, all of it where it is longer than the
+// root of far.
+@inline function toMean(off: usize, b: i32, q: i32, forget: v128, far: v128, to: usize): void {
+  const begin = whole(at(A.FAN_START), b), end = whole(at(A.FAN_START), b + 1);
+  const place = (4 * b + q) * 64, fan = at(A.FAN_OTHER) + q * QUAD;
+  const own = i32x4.add(i32x4.splat(16 * b + 4 * q), i32x4(0, 1, 2, 3));
+  points(off + place);
+  const ox = gx, oy = gy, oz = gz;
+  let mx = ZERO, my = ZERO, mz = ZERO, count = ZERO;
+  for (let row = 2 * begin; row < 2 * end; row++) {
+    const index = fan + row * ROW;
+    const real = v128.and(ONE, i32x4.ne(v128.load(index), own)); // an empty row has the place itself
+    gather(off, index);
+    mx = mad(mx, real, gx); my = mad(my, real, gy); mz = mad(mz, real, gz);
+    count = add(count, real);
+  }
+  const per = div(ONE, above(count, ZERO, count, ONE));
+  const wx = sub(mul(per, mx), ox), wy = sub(mul(per, my), oy), wz = sub(mul(per, mz), oz);
+  const share = above(count, ZERO, above(square(wx, wy, wz), far, ONE, forget), ZERO);
+  putPoints(to, mad(ox, share, wx), mad(oy, share, wy), mad(oz, share, wz));
+}
+
+// Moves the residuals of x a share of the way to their neighbours' mean where crossed is above zero; copy: room for as
+// many points.
+export function ease(x: usize, network: usize, crossed: usize, share: f32, blocks: i32, copy: usize): void {
+  for (let p: usize = 0; p < <usize>blocks * 1024; p += 16) {
+    v128.store(copy + p, sub(v128.load(x + p), v128.load(network + p)));
+  }
+  for (let b = 0; b < blocks; b++) {
+    for (let q = 0; q < 4; q++) {
+      const first = 16 * b + 4 * q, hit = f32x4.gt(v128.load(crossed + (<usize>first << 2)), ZERO);
+      if (!v128.any_true(hit)) continue;
+      toMean(copy, b, q, v128.and(hit, all(share)), all(Infinity), eased);
+      for (let lane = 0; lane < 4; lane++) {
+        if (!(load<f32>(crossed + (<usize>(first + lane) << 2)) > 0)) continue;
+        const to = <usize>(first + lane) << 4;
+        v128.store(x + to, add(v128.load(network + to), v128.load(eased + (<usize>lane << 4))));
+      }
+    }
+  }
 }
 
 @inline function forgotten(before: usize, network: usize, place: usize, index: usize, frame: usize): v128 {

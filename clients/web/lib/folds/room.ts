@@ -1,59 +1,64 @@
-// The room that the network leaves between sheets. A copy of drape/live/room.py for browsers.
+// Cloth that comes near to itself is kept apart. A copy of drape/live/room.py for browsers.
 import * as A from "./arrays";
 import { at, constant, reserved } from "./arrays";
 import { POINT_ROWS, boxBytes, boxesAround, findClose } from "./clusters";
-import { HELD_ROW, PLANES, SLACK_ROW } from "./sweeps";
+import { OTHER_PLANE, PLANES } from "./sweeps";
 import { LANES, QUAD, ROW, all, ax, ay, az, least, mul, number, square, sub, whole } from "./vectors";
 
-const ROOM_M: f32 = 0.018, TIGHT_M: f64 = 0.012;
-const LEAST_M: f32 = 0.0002;
-const HELD: f32 = 1.5, STIFFEST: f32 = 4;
+const SPACING: f32 = 0.95, ROOM_M: f32 = 0.018;
 const FREE: f64 = 255;
 const BOUND_M2: f32 = <f32>(0.018 * 0.018 / (FREE - 1));
 
 const nearest: usize = memory.data(64, 16);
 
 @inline export function roomBytes(clusters: i32): usize {
-  return <usize>clusters * (POINT_ROWS + ROW + 8) + boxBytes(clusters) + boxBytes((clusters + LANES - 1) / LANES) + 64;
+  return <usize>clusters * (POINT_ROWS + 2 * ROW + 8) + boxBytes(clusters) + boxBytes((clusters + LANES - 1) / LANES) + 64;
 }
 
-// Tightens the leash in planes where the network's drape comes near to itself.
-export function holdWithin(network: usize, planes: usize, room: usize): void {
-  const count = reserved(A.CLUSTERS) / LANES, square = rooms(network, count, room);
-  const clusters = at(A.CLUSTERS), place = at(A.PLACE), own = at(A.OWN), slack = constant(A.SLACK);
-  const far: f32 = ROOM_M * ROOM_M;
+// Writes the planes that keep x apart to those of other parts in planes.
+export function keepApart(x: usize, planes: usize, room: usize): void {
+  const reach: f32 = min<f32>(SPACING / constant(A.PER_EDGE), ROOM_M), far = reach * reach;
+  const count = reserved(A.CLUSTERS) / LANES, squares = rooms(x, count, far, room), which = squares + <usize>count * ROW;
+  const clusters = at(A.CLUSTERS), place = at(A.PLACE), gap = constant(A.GAP);
   for (let e = 0; e < LANES * count; e++) {
-    // Lanes that repeat a vertex come after its own: each vertex is held once.
+    // Lanes that repeat a vertex come after its own: each vertex has one plane.
     if (e % LANES > 0 && whole(clusters, e) == whole(clusters, e - 1)) continue;
-    const found = number(square, e), d: f32 = found < far ? Mathf.sqrt(found) : ROOM_M;
-    const tight: f32 = (ROOM_M - d) / <f32>(0.018 - TIGHT_M);
-    if (!(tight > 0)) continue;
-    const v = whole(place, whole(clusters, e)), block = v / LANES, lane = <usize>(v % LANES) << 2;
-    const contact = load<f32>(own + (4 * block + 2) * ROW + lane);
-    const stiff = min<f32>(ROOM_M / max<f32>(d, LEAST_M) - 1, STIFFEST);
-    const to = planes + block * PLANES + lane;
-    store<f32>(to + HELD_ROW, load<f32>(to + HELD_ROW) + HELD * stiff * contact);
-    store<f32>(to + SLACK_ROW, load<f32>(to + SLACK_ROW) + min<f32>(tight, 1) * (LEAST_M - slack));
+    const near = number(squares, e);
+    if (!(near < far && near > 0)) continue;
+    const v = whole(place, whole(clusters, e)), u = whole(place, whole(clusters, whole(which, e)));
+    const d: f32 = Mathf.sqrt(near), height: f32 = 0.5 * (d - reach) + gap; // contact begins a gap over the plane
+    const hx = ax(x, v), hy = ay(x, v), hz = az(x, v);
+    const nx = (hx - ax(x, u)) / d, ny = (hy - ay(x, u)) / d, nz = (hz - az(x, u)) / d;
+    const to = planes + (v / LANES) * PLANES + OTHER_PLANE + (<usize>(v % LANES) << 2);
+    const ox = load<f32>(to, 3 * ROW), oy = load<f32>(to, 4 * ROW), oz = load<f32>(to, 5 * ROW);
+    const over = (hx - load<f32>(to)) * ox + (hy - load<f32>(to, ROW)) * oy + (hz - load<f32>(to, 2 * ROW)) * oz;
+    if (ox * ox + oy * oy + oz * oz > 0 && over < height) continue;
+    store<f32>(to, hx - height * nx);
+    store<f32>(to, hy - height * ny, ROW);
+    store<f32>(to, hz - height * nz, 2 * ROW);
+    store<f32>(to, nx, 3 * ROW);
+    store<f32>(to, ny, 4 * ROW);
+    store<f32>(to, nz, 5 * ROW);
   }
 }
 
-// The squares of the distances to what is not of the same sheet, of every lane of the clusters.
-function rooms(network: usize, count: i32, memoryAt: usize): usize {
-  const rows = memoryAt, squares = rows + <usize>count * POINT_ROWS, table = squares + <usize>count * ROW;
-  const found = table + (<usize>count << 2), boxes = (found + (<usize>count << 2) + 15) & ~15;
+// The squares of the distances to what is not of the same sheet, most where none is so near, of every lane of the
+// clusters; behind them which lane is the nearest.
+function rooms(x: usize, count: i32, most: f32, memoryAt: usize): usize {
+  const rows = memoryAt, squares = rows + <usize>count * POINT_ROWS, which = squares + <usize>count * ROW;
+  const table = which + <usize>count * ROW, found = table + (<usize>count << 2), boxes = (found + (<usize>count << 2) + 15) & ~15;
   const groups = boxes + boxBytes(count);
   const clusters = at(A.CLUSTERS), place = at(A.PLACE), start = at(A.OTHER_START), other = at(A.OTHER), bound = at(A.BOUND);
   for (let c = 0; c < count; c++) {
     const to = rows + c * POINT_ROWS;
     for (let lane = 0; lane < LANES; lane++) {
       const v = whole(place, whole(clusters, LANES * c + lane)), p = to + (<usize>lane << 2);
-      store<f32>(p, ax(network, v));
-      store<f32>(p, ay(network, v), 64);
-      store<f32>(p, az(network, v), 128);
+      store<f32>(p, ax(x, v));
+      store<f32>(p, ay(x, v), 64);
+      store<f32>(p, az(x, v), 128);
     }
   }
   boxesAround(rows, count, POINT_ROWS, 0, 0, boxes, groups);
-  const most: f32 = ROOM_M * ROOM_M;
   for (let e = 0; e < LANES * count; e += 4) v128.store(squares + (<usize>e << 2), all(most));
   memory.fill(table, 255, <usize>count << 2);
   for (let a = 0; a < count; a++) {
@@ -64,7 +69,7 @@ function rooms(network: usize, count: i32, memoryAt: usize): usize {
       const b = whole(found, n), listed = whole(table, b);
       const bounds: usize = listed < 0 ? 0 : bound + (<usize>listed << 8);
       if (mayCount(rows + a * POINT_ROWS, rows + b * POINT_ROWS, bounds, most)) {
-        lower(rows, a, b, listed >= 0, squares, most);
+        lower(rows, a, b, listed >= 0, squares, which, most);
       }
     }
     for (let entry = whole(start, a); entry < end; entry++) store<i32>(table + (<usize>whole(other, entry) << 2), -1);
@@ -94,7 +99,7 @@ function mayCount(own: usize, other: usize, bounds: usize, most: f32): bool {
   return some != 0;
 }
 
-function lower(rows: usize, a: i32, b: i32, listed: bool, squares: usize, most: f32): void {
+function lower(rows: usize, a: i32, b: i32, listed: bool, squares: usize, which: usize, most: f32): void {
   const clusters = at(A.CLUSTERS);
   for (let j = 0; j < LANES; j++) {
     if (!(number(nearest, j) < most)) continue;
@@ -105,8 +110,14 @@ function lower(rows: usize, a: i32, b: i32, listed: bool, squares: usize, most: 
       const far = x * x + y * y + z * z;
       if (!(far < max<f32>(load<f32>(own), load<f32>(other)))) continue;
       if (listed && isNear(whole(clusters, LANES * a + i), whole(clusters, LANES * b + j), far)) continue;
-      store<f32>(own, min<f32>(load<f32>(own), far));
-      store<f32>(other, min<f32>(load<f32>(other), far));
+      if (far < load<f32>(own)) {
+        store<f32>(own, far);
+        store<i32>(which + (<usize>(LANES * a + i) << 2), LANES * b + j);
+      }
+      if (far < load<f32>(other)) {
+        store<f32>(other, far);
+        store<i32>(which + (<usize>(LANES * b + j) << 2), LANES * a + i);
+      }
     }
   }
 }

@@ -4,9 +4,9 @@
 import * as A from "./arrays";
 import { at, constant, reserve, reserved } from "./arrays";
 import { MOST_CELLS, SAMPLE, follow, stuckPlaces, touch, writeGrip } from "./contact";
-import { FRAMES, keepResidual, surfaceFrames, toFrames, toWorld } from "./frames";
+import { FRAMES, ease, keepResidual, surfaceFrames, toFrames, toWorld } from "./frames";
 import { lift } from "./lift";
-import { holdWithin, roomBytes } from "./room";
+import { keepApart, roomBytes } from "./room";
 import { poseSkin } from "./skin";
 import { PLANES, descend, gradientAt, leash, stick } from "./sweeps";
 import { tangleBytes, untangle } from "./untangle";
@@ -22,7 +22,7 @@ const SETTLING_MOMENTUM: f64 = 0.98, LONG_ROUNDS: i32 = 16;
 const FAR_M: f64 = 0.25, SLOW_M: f64 = 0.01, FAST_M: f64 = 0.02;
 const FAST_SWEEPS: i32 = 2;
 const STIFF_SHARE: f64 = 0.5, STIFF_N_PER_M: f64 = 1000;
-const WAY_M: f64 = 0.002;
+const LEAST_M: f64 = 0.0003, WAY_M: f64 = 0.002, EASE: f64 = 0.5;
 // What fold() says of a frame.
 const SETTLED: i32 = 1, RESET: i32 = 2, LOST: i32 = 4;
 
@@ -73,7 +73,7 @@ export function pose(): void { poseSkin(poseNumbers, skin); }
 // The frame before counts as one of the time [s]: nothing has moved since.
 export function rest(atS: f64): void { timeS = atS; }
 
-// Replaces the network's vertices by those with folds at the time [s]; says what happened. within: cloth keeps to its room.
+// Replaces the network's vertices by those with folds at the time [s]; says what happened. within: cloth keeps apart from itself.
 export function fold(atS: f64, steps: i32, settle: i32, within: bool, clearance: f32): i32 {
   for (let p = 0; p < places; p++) {
     const from = input + <usize>whole(at(A.VERTEX), p) * 12, to = network + (<usize>p << 4);
@@ -152,7 +152,7 @@ function advance(atS: f64, steps: i32, settle: i32, within: bool, clearance: f32
     sweeps = steps + FAST_SWEEPS;
   }
   if (settled && rounds >= LONG_ROUNDS) momentum = SETTLING_MOMENTUM;
-  const untangleM: f32 = settled ? <f32>WAY_M : <f32>min<f64>(WAY_M, wayM);
+  const untangleM: f32 = settled ? <f32>WAY_M : <f32>min<f64>(WAY_M, max<f64>(wayM, LEAST_M));
 
   stuckPlaces(grip, touched, places, skin, stuck);
   surfaceFrames(network, blocks, frames);
@@ -164,9 +164,9 @@ function advance(atS: f64, steps: i32, settle: i32, within: bool, clearance: f32
   follow(network, places, skin, touched);
   leash(blocks, planes);
   stick(blocks, stuck, settled ? 0 : constant(A.FRICTION), planes);
-  if (within) holdWithin(network, planes, room);
   for (let round = 0; round < rounds; round++) {
     touch(x, places, skin, touched, others, settled ? -1 : turn, planes, grid);
+    if (within) keepApart(x, planes, room);
     if (settled && round == 0) for (let sweep = 0; sweep < rounds; sweep++) descend(x, blocks, planes, network);
     for (let step = 0; step < wholes; step++) {
       memory.copy(last, x, <usize>places * POINT);
@@ -181,7 +181,10 @@ function advance(atS: f64, steps: i32, settle: i32, within: bool, clearance: f32
       descend(x, blocks, planes, network);
       if (wholes == 0) setWay();
     }
-    if (within && untangleM > 0) untangle(x, places, untangleM, tangleRoom);
+    if (within) {
+      const crossed = untangle(x, places, untangleM, tangleRoom);
+      if (crossed) ease(x, network, crossed, <f32>(EASE / WAY_M) * untangleM, blocks, last);
+    }
   }
   if (clearance > 0) lift(x, blocks, planes, clearance);
 

@@ -6,7 +6,7 @@ import {
   LANES, QUAD, ROW, ZERO, add, all, ax, ay, az, det, div, dot, gather, gx, gy, gz, least, mad, most, mul, number, putRows, root, rows as rows3, square, sub, whole,
 } from "./vectors";
 
-const STEPS: i32 = 2;
+const STEPS: i32 = 4;
 const BORDER: i32 = -1, OTHERS: i32 = -2;
 const MOST_PAIRS: i32 = 8192;
 const OBLIQUE: f32 = 0.05, SOFT: f32 = 0.25, TOUCH_M2: f32 = 1e-12;
@@ -29,10 +29,11 @@ const TEMP: usize = V + 144;
 
 let pairs: usize = 0;
 
-// Moves x where triangles cross, by farthest at most in a step.
-export function untangle(x: usize, places: i32, farthest: f32, room: usize): void {
+// Moves x where triangles cross, by farthest at most in a step. Where the ways of each place in the last step are counted;
+// 0 where nothing crossed.
+export function untangle(x: usize, places: i32, farthest: f32, room: usize): usize {
   const count = reserved(A.TANGLE_CORNER) / (3 * LANES), filled = crossing(x, count, room);
-  if (filled == 0) return;
+  if (filled == 0) return 0;
   const way = (pairs + <usize>MOST_PAIRS * 8 + 15) & ~15, times = way + (<usize>places << 4);
   for (let step = 0; step < STEPS; step++) {
     memory.fill(way, 0, <usize>places * 20);
@@ -48,6 +49,7 @@ export function untangle(x: usize, places: i32, farthest: f32, room: usize): voi
       v128.store(to, mad(v128.load(to), all(farthest / many), v128.load(way + (<usize>v << 4))));
     }
   }
+  return times;
 }
 
 function crossing(x: usize, count: i32, room: usize): i32 {
