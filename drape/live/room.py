@@ -235,7 +235,7 @@ def _may_count(s, bound, table, most):
     return some > 0
 
 
-@kernel
+@part
 def _count(s, neighbours, a, b, listed, square):
     """Lowers ``square`` [m^2] to the distances of all pairs of clusters a and b that count; ``listed``: whether some of
     them may be of one sheet."""
@@ -251,7 +251,7 @@ def _count(s, neighbours, a, b, listed, square):
                 square[own], square[other] = min(square[own], far), min(square[other], far)
 
 
-@kernel
+@part
 def _is_near(neighbours, v, u, far):
     hit = False
     for entry in range(neighbours.start[v], neighbours.start[v + 1]):

@@ -49,7 +49,7 @@ from drape.live.lift import lift
 from drape.live.places import counted, farthest_place_m, moved_m, put_places, put_vertices
 from drape.live.sheet import LANES, Sheet, sheet
 from drape.live.skin_contact import NEIGHBOURS, ParentSamples, SkinGraph, put_own_planes
-from drape.live.sweeps import HELD_ROW, PLANES, SCRATCH, SLACK_ROW, descend
+from drape.live.sweeps import HELD_ROW, OTHER_PLANE, PLANES, SCRATCH, SLACK_ROW, descend
 from drape.live.untangle import WAY_M, Tangles, tangles_of, untangle
 
 KEPT_S = 0.15  # in which what sweeps added comes down to 1/e: more lets fine folds pass through each other
@@ -271,7 +271,7 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
 @kernel
 def hold_as(parent, coarse, sheet, planes):
     """Writes the leash of each place, tightened as the room of its ``parent`` (P,) did there: by as much of contact's
-    stiffness. All else in ``planes`` becomes nothing."""
+    stiffness. There is neither another part nor friction; the planes of the own part are left as they are."""
     zero, tight = planes.dtype.type(0), np.empty((len(coarse.own), 2), planes.dtype)
     rows = np.empty(2 * LANES, planes.dtype)
     for block in range(len(tight) // LANES):
@@ -292,8 +292,8 @@ def hold_as(parent, coarse, sheet, planes):
         for lane in range(LANES):
             own = parent[LANES * block + lane]
             rows[lane], rows[LANES + lane] = tight[own, 0], tight[own, 1]
-        for entry in range(PLANES * block, PLANES * (block + 1)):
-            planes[entry] = zero
+        for row in range(PLANES * block + OTHER_PLANE, PLANES * (block + 1), LANES):
+            put(planes, row, zero)
         held, contact = row_at(sheet.own, (4 * block + 3) * LANES), row_at(sheet.own, (4 * block + 2) * LANES)
         put(planes, PLANES * block + HELD_ROW, held + row_at(rows, 0) * contact)
         put(planes, PLANES * block + SLACK_ROW, row_at(rows, LANES))
