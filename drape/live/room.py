@@ -277,7 +277,7 @@ def _count(s, neighbours, a, b, listed, found):
                     square[other], which[other] = far, own
 
 
-@kernel
+@part
 def _is_near(neighbours, v, u, far):
     hit = False
     for entry in range(neighbours.start[v], neighbours.start[v + 1]):

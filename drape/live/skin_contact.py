@@ -253,7 +253,7 @@ def put_own_planes(x, skin, graph, touched, planes):
         put3(planes, PLANES * block + 3 * LANES, unit)
 
 
-@kernel
+@part
 def _walk(points, lanes, skin, neighbour, steps):
     """``_nearest`` for a point in every lane, from ``lanes.sample``, moved in place."""
     own, near, nearer = lanes.sample, lanes.near, lanes.scratch
@@ -290,7 +290,7 @@ def _squares(points, skin, index, start):
     return dot(way, way)
 
 
-@kernel
+@part
 def _is_other(skin, graph, own, sample):
     """Whether ``sample`` is of another part of the body than ``own``, or the skin is hollow in between."""
     apart = sub(at(graph.rest, sample), at(graph.rest, own))
@@ -301,13 +301,13 @@ def _is_other(skin, graph, own, sample):
     return rest > HOLLOW_M * HOLLOW_M and rise > 0.0
 
 
-@kernel
+@part
 def _square(point, skin, sample):
     way = sub(point, at(skin, sample))
     return dot(way, way)
 
 
-@kernel
+@part
 def _nearest(point, skin, graph, own, steps):
     """Where a walk from the sample ``own`` ends, of ``steps`` at most."""
     nearest = _square(point, skin, own)
@@ -333,7 +333,7 @@ def _in_cells(skin, grid):
     return laid
 
 
-@kernel
+@part
 def _other(point, skin, graph, own, grid, laid):
     """The sample nearest to ``point`` [m] that is of another part than ``own``, -1 where none is within reach; ``laid``
     are the samples in the order of the ``grid``."""
@@ -355,7 +355,7 @@ def _other(point, skin, graph, own, grid, laid):
     return found
 
 
-@kernel
+@part
 def _put_late(x, lanes, skin, graph, planes):
     """Writes the planes of other parts below the vertices of ``lanes``."""
     foot, unit = _plane(points_at(x, lanes.vertex, 0), lanes, skin, graph)
@@ -368,7 +368,7 @@ def _put_late(x, lanes, skin, graph, planes):
             planes[place + LANES * row] = lanes.scratch[FOOT + LANES * row + lane]
 
 
-@kernel
+@part
 def _plane(points, lanes, skin, graph):
     """Foot and normal of the planes below ``points``, of the samples of ``lanes`` and their neighbours."""
     own, near = lanes.sample, lanes.near

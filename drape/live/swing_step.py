@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.kernels.compiled import kernel
+from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import at, dot, farthest_m, scaled, sub
 from drape.kernels.lanes import LANES
 from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between, writable
@@ -265,14 +265,14 @@ def _holds(network, skin, hold):
     return found
 
 
-@kernel
+@part
 def _lies(c, network, planes, i):
     """Whether node ``i`` lies on the first of its ``planes``, beyond which the network has it."""
     normal, where = at(planes[i], 0), planes[i, 0, 3]
     return dot(normal, at(c, i)) - where < c.dtype.type(LYING_M) and dot(normal, at(network, i)) < where
 
 
-@kernel
+@part
 def _normal(c, i, mesh):
     """The unit normal of the coarse triangles around node ``i``, zeros where they have no area."""
     zero = c.dtype.type(0)

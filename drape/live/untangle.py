@@ -103,9 +103,8 @@ def untangle(x, tangles, chosen, farthest, steps=STEPS):
         way = np.empty_like(x)
         for _ in range(steps):
             way[:], count[:] = 0, 0
-            for n in range(len(pairs)):
-                _shorten(x, tangles, pairs[n, 0], pairs[n, 1], way, count)
-                _shorten(x, tangles, pairs[n, 1], pairs[n, 0], way, count)
+            for n in range(2 * len(pairs)):
+                _shorten(x, tangles, pairs[n // 2, n % 2], pairs[n // 2, 1 - n % 2], way, count)
             for v in range(len(x)):
                 if count[v] > 0:
                     for i in range(3):
@@ -223,7 +222,7 @@ def _joined(corner, first, second):
     return same
 
 
-@kernel
+@part
 def _shorten(x, tangles, edged, through, way, count):
     """Adds the ways of the edges of the triangle ``edged`` that pass through the triangle ``through``."""
     corner = _threes(tangles.corner, edged)

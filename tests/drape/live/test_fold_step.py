@@ -29,7 +29,7 @@ from drape.live.fold_step import (
     fold,
     paced,
 )
-from drape.live.places import moved_m
+from drape.live.places import farthest_place_m, moved_m
 from drape.live.sheet import LANES
 from drape.live.skin_contact import TouchedSamples
 from tests.drape.live.folds_setup import (
@@ -238,3 +238,12 @@ def test_a_sleeve_that_slips_is_held_by_its_leash():
     one = without_body(frame(rest, 0, noise_m=0.0))
     sunk = (one.vertices - folded(made, held_for(one, 400))[-1][0])[:, 1]
     assert_allclose(np.average(sunk, weights=area), SLACK_M + weight / leash, rtol=0.02)
+
+
+@each(dtype=(np.float32, np.float64))
+def test_the_farthest_place_is_told(rng, dtype):
+    x, y = rng.normal(size=(2, 3 * LANES, 3)).astype(dtype)
+    wanted = np.linalg.norm(x - y, axis=1).max()
+    assert_allclose(farthest_place_m(x, y), wanted, rtol=4.0 * np.finfo(dtype).eps)
+    x[5, 1] = np.nan
+    assert np.isnan(farthest_place_m(x, y))
