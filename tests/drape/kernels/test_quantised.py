@@ -26,5 +26,5 @@ def test_a_flat_box_and_points_that_nobody_may_write():
     steps, low, size = quantise(positions)
     assert_array_equal(steps[:, 1:], 0)
     assert steps[0, 0] == 0 and steps[-1, 0] == messages.STEP_COUNT
-    assert_array_equal(low, np.float32([-1.0, 0.25, 0.25]))
+    assert_array_equal(low, np.array([-1.0, 0.25, 0.25], np.float32))
     assert_array_equal(size[1:], np.float32(messages.FLAT_M))
