@@ -6,8 +6,8 @@ network moves a vertex farther than any motion does.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -56,6 +56,10 @@ class FrameMemory:
 
     time_s: float
     network: np.ndarray
+
+    def at(self, time_s: float) -> Self:
+        """The same at another time [s]."""
+        return replace(self, time_s=time_s)
 
 
 def follows(memory: FrameMemory, network: np.ndarray, time_s: float) -> bool:

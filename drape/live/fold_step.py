@@ -15,7 +15,7 @@ that the descent has the memory of a heavy ball. The lift ends the frame, and th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -79,10 +79,6 @@ class FoldMemory(FrameMemory):
     touched: TouchedSamples
     grip: np.ndarray
     turn: int
-
-    def at(self, time_s: float) -> FoldMemory:
-        """The same at another time [s]."""
-        return replace(self, time_s=time_s)
 
 
 @dataclass(frozen=True)

@@ -94,10 +94,6 @@ class LiftMemory(FrameMemory):
 
     own: np.ndarray
 
-    def at(self, time_s: float) -> LiftMemory:
-        """The same at another time [s]."""
-        return replace(self, time_s=time_s)
-
 
 Memory = FoldMemory | TwoLevelMemory | LiftMemory
 

@@ -272,7 +272,7 @@ class Packer:
         def drape(item: Item) -> Result:
             (garment, patches), body = garments[item[0]], posed[item[1]]
             arrays = network.jets(garment, patches, body, plan.passes)
-            finite = all(are_finite(array.reshape(-1)) for array in arrays.values())
+            finite = _finite(arrays)
             if "vertices" in plan.outputs:
                 arrays["vertices"] = blended(garment, *(arrays[name] for name in JETS))
             if plan.skin:
@@ -372,7 +372,7 @@ def _apart(
 def _finite(arrays: dict[str, np.ndarray]) -> bool:
     """Whether the network's answer in the outputs of an item is finite."""
     checked = [arrays[name] for name in ("vertices", *JETS) if name in arrays]
-    return all(bool(np.isfinite(array).all()) for array in checked)
+    return all(are_finite(array.reshape(-1)) for array in checked)
 
 
 def check_finite(engine: Engine, finite: bool) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -52,7 +51,7 @@ class Swing(Stage):
         return plan.fabrics
 
     def rested(self, memory: SwingMemory, time_s: float) -> SwingMemory:
-        return replace(memory, time_s=time_s)
+        return memory.at(time_s)
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self._garments[garment.digest] = garment
