@@ -12,7 +12,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
-from drape.cloth.material import DEFAULT_MATERIAL, OrthotropicMaterial, material
+from drape.cloth.material import DEFAULT_MATERIAL, Material, OrthotropicMaterial, material
 from drape.errors import InputError
 from drape.geometry import meshes
 from recovery import progress
@@ -27,7 +27,7 @@ from recovery.pattern.model import Pattern
 from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
 from recovery.sim.siren import DEFAULT_SIREN, SirenOptions, stored_siren
 
-GRAVITY_M_S2, HANGS_LONGER = 9.81, 0.01
+HANGS_LONGER = 0.01  # cloth a metre long by its own weight, as a share
 SIREN_FOLDER = Path(".cache") / "siren"  # of the folder that a command is called in
 Report = Callable[[str], None]
 
@@ -95,7 +95,7 @@ def hanging(name: str) -> OrthotropicMaterial:
     folds nowhere and hardly comes to rest (``Fabric.softened``).
     """
     cloth = material(name).woven
-    most = cloth.density_kg_m2 * GRAVITY_M_S2 * 1.0 / HANGS_LONGER
+    most = cloth.density_kg_m2 * Material.gravity_m_s2 / HANGS_LONGER
     across, along = min(cloth.h00, most), min(cloth.h11, most)
     coupled = float(np.sqrt(across * along / (cloth.h00 * cloth.h11)))
     return replace(cloth, h00=across, h11=along, h01=coupled * cloth.h01)
