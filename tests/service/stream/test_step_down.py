@@ -94,7 +94,10 @@ def test_a_step_up_that_failed_is_tried_again_later_and_later():
 async def flood(
     socket: ClientConnection, sequence: int, seconds: float, rate: float, *, together: int = 1
 ) -> tuple[int, list[wire.Frame]]:
-    """The next sequence after ``seconds`` of poses at ``rate``, so many ``together``, and what came meanwhile."""
+    """The next sequence after ``seconds`` of poses at ``rate``, so many ``together``, and what came meanwhile.
+
+    One by one a quick processor would drape them all.
+    """
     frames: list[wire.Frame] = []
 
     async def take() -> None:
@@ -122,7 +125,7 @@ def test_a_stream_that_is_flooded_gets_less_and_later_all_again(
 
         async def talk(socket: ClientConnection) -> None:
             assert (await opened(socket, folds=16, settle=1))["tier"] == "custom"
-            sequence, flooded = await flood(socket, 1, 4.0 * WINDOW_S, 2000.0)
+            sequence, flooded = await flood(socket, 1, 4.0 * WINDOW_S, 2000.0, together=16)
             assert not flooded[0].stepped and flooded[-1].stepped
             deadline = time.monotonic() + 60.0
             while time.monotonic() < deadline:
@@ -134,7 +137,8 @@ def test_a_stream_that_is_flooded_gets_less_and_later_all_again(
         async def least(socket: ClientConnection) -> None:
             """What has no folds has nothing to lose."""
             assert (await opened(socket, folds=0, passes=0))["folds"] == 0
-            assert not any(one.stepped for one in (await flood(socket, 1, 3.0 * WINDOW_S, 2000.0))[1])
+            _, flooded = await flood(socket, 1, 3.0 * WINDOW_S, 2000.0, together=16)
+            assert flooded and not any(one.stepped for one in flooded)
 
         run(url, talk)
         run(url, least)
@@ -148,7 +152,6 @@ def test_below_the_least_tier_there_is_what_folds_can_spare(
 
         async def talk(socket: ClientConnection) -> None:
             assert (await opened(socket, tier="fast", cloth_contact=cloth_contact))["tier"] == "fast"
-            # One by one a quick processor would drape them all.
             _, flooded = await flood(socket, 1, 8.0 * WINDOW_S, 2000.0, together=16)
             assert not flooded[0].stepped and flooded[-1].stepped
 
