@@ -8,6 +8,7 @@ vertex; d is differentiable in x.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -59,6 +60,12 @@ class BodyContact:
     def of_body(cls, body: BodyModel) -> BodyContact:
         """Contact with ``body``, its head, hands and feet thinned."""
         return cls(body.faces, body.vertex_count, vertices=collider_vertices(body))
+
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """The edges (E, 2) of the faces between vertices that take part."""
+        found = meshes.unique_edges(self.faces)
+        return found if self.vertices is None else found[np.isin(found, self.vertices).all(axis=1)]
 
     def normals(self, body_vertices: Array) -> Array:
         """Unit vertex normals (..., Vb, 3) of posed body vertices [m] (..., Vb, 3)."""

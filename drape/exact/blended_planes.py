@@ -1,10 +1,14 @@
-"""A distance to a posed body that has no steps: the tangent planes of its vertices, blended.
+"""A distance to a posed body that has no steps: tangent planes of its skin, blended.
 
     d(x) = sum w_i n_i . (x - b_i) / sum w_i,   w_i = exp(-|x - b_i|^2 / h^2)
 
-over the body vertices b_i with normals n_i: implicit moving least squares (Kolluri 2008, "Provably good moving least
-squares", ACM Trans. Algorithms 4(2)). As h falls it comes near to the plane of the nearest body vertex
-(``drape.cloth.contact``), a distance that jumps where another vertex becomes the nearest.
+over points b_i of the skin with normals n_i, the body's vertices and the middles of its edges: implicit moving least
+squares (Kolluri 2008, "Provably good moving least squares", ACM Trans. Algorithms 4(2)). As h falls it comes near to
+the plane of the nearest point (``drape.cloth.contact`` has that of the nearest vertex), a distance that jumps where
+another one becomes the nearest.
+
+Vertices are 12 to 20 mm apart. The planes of vertices alone stand off the faces that are seen by 0.4 mm (0.9 mm on
+thighs) in the median and by 1.5 to 2.4 mm in one place of twenty; with the middles it is 0.2 to 0.3 and 0.9 mm.
 """
 
 from __future__ import annotations
@@ -19,29 +23,30 @@ from drape.kernels.grid import cells_within, column, grid_of
 
 WIDTH_M = 0.006  # h
 FADED = 14.0  # exponent at which a weight counts as none: 1e-6 of the nearest one's
-REACH_M = 0.04  # body vertices farther away are not blended, unless contact reaches nearly as far
+REACH_M = 0.04  # points of the skin farther away are not blended, unless contact reaches nearly as far
 REACH_GAPS = 1.25  # then so many times as far as contact
 BEHIND = -0.2  # cosine between a plane's normal and the way to a point beyond reach, below which that is inside
 CLEAR_M = 0.005  # the most that a point which does not touch moves before it is looked at again
-FAR_M = 0.02  # a point asks for its nearest body vertex again when it has moved by so much
+FAR_M = 0.02  # a point asks for what is nearest again when it has moved by so much
+TINY = 1e-12  # the length of a normal that is none
 
 
 class BlendedPlanes:
     """Planes under moving points. At its point a plane has the blended distance and its gradient.
 
-    A point with no body vertex within reach takes the plane of the nearest one if it lies behind it. Otherwise it takes
-    a plane that it does not touch: beside hands and feet the plane of a vertex decimetres away cuts through free
-    space. A point farther from the body than ``gap_m`` is looked at again only when it may have come nearer. The
-    distance of a point depends on its place and not on its way: a line search needs one energy for one place.
+    A point with no skin within reach takes the plane of what is nearest if it lies behind it. Otherwise it takes a
+    plane that it does not touch: beside hands and feet a plane from decimetres away cuts through free space. A point
+    farther from the body than ``gap_m`` is looked at again only when it may have come nearer. The distance of a point
+    depends on its place and not on its way: a line search needs one energy for one place.
     """
 
     def __init__(self, point: np.ndarray, normal: np.ndarray, point_count: int, gap_m: float) -> None:
         self._reach, self._gap = max(REACH_M, REACH_GAPS * gap_m), gap_m
         self._skin = np.ascontiguousarray(point, dtype=np.float64), np.ascontiguousarray(normal, dtype=np.float64)
         self._grid, self._tree = grid_of(self._skin[0], 1.0 / self._reach), KDTree(point)
-        self._asked = np.full((point_count, 3), np.inf)  # where the nearest body vertex was looked up
+        self._asked = np.full((point_count, 3), np.inf)  # where the nearest point of the skin was looked up
         self._free = np.zeros(point_count, dtype=bool)  # so far outside there that nothing is touched within FAR_M
-        self._beyond = np.zeros(point_count, dtype=bool)  # no body vertex is within reach
+        self._beyond = np.zeros(point_count, dtype=bool)  # no skin is within reach
         self._blended = np.full((point_count, 3), np.inf)  # where the blend was
         self._clear = np.zeros(point_count)  # how far from there it cannot touch
         self._point, self._normal = np.zeros((point_count, 3)), np.zeros((point_count, 3))
@@ -49,9 +54,13 @@ class BlendedPlanes:
 
     @classmethod
     def of_body(cls, contact: BodyContact, posed: np.ndarray, point_count: int, gap_m: float) -> BlendedPlanes:
-        """Those of the vertices of the posed body (Vb, 3) [m] that take part in ``contact``."""
+        """Those of the skin of the posed body (Vb, 3) [m] that takes part in ``contact``."""
         chosen = slice(None) if contact.vertices is None else contact.vertices
-        return cls(posed[chosen], np.asarray(contact.normals(posed))[chosen], point_count, gap_m)
+        normal = np.asarray(contact.normals(posed))
+        middle, across = posed[contact.edges].mean(axis=1), normal[contact.edges].sum(axis=1)
+        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), TINY)
+        points, normals = np.concatenate([posed[chosen], middle]), np.concatenate([normal[chosen], across])
+        return cls(points, normals, point_count, gap_m)
 
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Point [m], normal (V, 3) and second derivatives [1/m] (V, 3, 3) under ``x`` [m] (V, 3).
@@ -91,9 +100,9 @@ def blended_distance(
 def blend(x, skin, grid, ranges, last, planes):
     """Writes the ``planes``, point and normal (V, 3) and bend (V, 3, 3), of the points ``x`` [m] (V, 3).
 
-    ``skin`` are the body vertices and their normals in their ``grid``, ``ranges`` the reach of the blend and of contact
-    [m]. ``last`` are three records. A point keeps its plane while it is less than ``clear`` [m] (V,) from where it was
-    last ``blended`` (V, 3); otherwise both are renewed. A point with no body vertex within reach keeps its plane too,
+    ``skin`` are points of the skin and their normals in their ``grid``, ``ranges`` the reach of the blend and of
+    contact [m]. ``last`` are three records. A point keeps its plane while it is less than ``clear`` [m] (V,) from where
+    it was last ``blended`` (V, 3); otherwise both are renewed. A point with no skin within reach keeps its plane too,
     and is marked in ``beyond`` (V,).
     """
     (corner, skin_normal), (blended, clear, beyond) = skin, last

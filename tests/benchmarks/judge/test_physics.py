@@ -79,8 +79,7 @@ def test_a_sheet_on_a_sphere_comes_to_rest_in_the_gap_where_contact_carries_its_
     assert optimum.energy_j[0] < optimum.start_j[0]
     vertices, contact = sphere
     x = optimum.vertices[0]
-    planes = BlendedPlanes(vertices, np.asarray(contact.normals(vertices)), len(x), made_of.contact_gap_m)
-    point, normal, _ = planes(x)
+    point, normal, _ = BlendedPlanes.of_body(contact, vertices, len(x), made_of.contact_gap_m)(x)
     distance = ((x - point) * normal).sum(axis=1)
     assert distance.min() > 0.0
     depth = np.maximum(made_of.contact_gap_m - distance, 0.0)
@@ -265,5 +264,5 @@ def test_the_shipped_t_shirt_comes_to_rest_below_both_starts(made_of):
     assert total_j(optimum.vertices, cloth, contact, skin, of)[0] < min(starts)
     assert optimum.converged[0]
     assert optimum.residual_n[0] <= 0.01 * of.gravity_m_s2 * cloth.vertex_mass(of).sum()
-    # Blended planes and those of the nearest body vertices say the same of what was gained.
-    assert abs(optimum.energy_j[0] - optimum.nearest_j[0]) < 0.01 * (optimum.start_j[0] - optimum.energy_j[0])
+    # Planes of the nearest body vertices, which stand off the skin, say much the same of what was gained.
+    assert abs(optimum.energy_j[0] - optimum.nearest_j[0]) < 0.1 * (optimum.start_j[0] - optimum.energy_j[0])

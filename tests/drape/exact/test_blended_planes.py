@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.contact import BodyContact
-from drape.exact.blended_planes import FADED, FAR_M, REACH_M, WIDTH_M, BlendedPlanes
+from drape.exact.blended_planes import FADED, FAR_M, REACH_M, WIDTH_M, BlendedPlanes, blended_distance
+from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.geometry.geometry_shapes import icosphere
 
@@ -134,6 +135,22 @@ def test_a_place_has_one_blend_whatever_the_way_there(uneven, rng, place):
         assert_array_equal(normal[blended], slope[blended])
         assert_array_equal(bend[blended], second[blended])
     assert turned > 20
+
+
+def test_over_coarse_faces_the_distance_is_that_to_what_is_seen():
+    points, faces = icosphere(3, radius_m=0.1)  # edges of 16 to 20 mm
+    contact = BodyContact(faces, len(points))
+    middles = points[faces].mean(axis=1)
+    over = middles + GAP_M * meshes.face_normals(points, faces)
+    off = blended_distance(over[None], contact, points[None], gap_m=GAP_M)[0] - GAP_M
+    alone = distance((points, np.asarray(contact.normals(points))), over)[0] - GAP_M
+    assert abs(off).max() < 0.8e-3 < 2.5e-3 < abs(alone).max()
+    half = np.flatnonzero(points[:, 1] > 0.0)
+    some = BodyContact(faces, len(points), vertices=half)
+    assert_array_equal(np.unique(some.edges), np.unique(faces[np.isin(faces, half).all(axis=1)]))
+    high = middles[:, 1] > 0.05
+    near = blended_distance(over[None, high], some, points[None], gap_m=GAP_M)[0] - GAP_M
+    assert_allclose(near, off[high], rtol=0, atol=1e-12)
 
 
 def test_beyond_reach_the_nearest_plane_holds_what_is_behind_it_and_nothing_else():
