@@ -36,8 +36,9 @@ from drape.geometry import closest
 
 SPACING_LIMITS_M = (0.012, 0.020)
 SPACING_PER_RADIUS = 0.55  # a limb has eleven samples around it, whatever its thickness, within the limits
-HEAD_SPACING_M = 0.025
+HEAD_SPACING_M, FOOT_SPACING_M = 0.025, 0.014  # a heel and the edge of a sole turn within a centimetre or two
 HEAD = JOINT_NAMES.index("head")
+FEET = tuple(i for i, name in enumerate(JOINT_NAMES) if name.endswith(("ankle", "foot")))
 
 
 class Skin(Samples):
@@ -175,6 +176,8 @@ def skin_samples(body: BodyModel, *, seed: int = 0) -> Skin:
     rest, faces = body.v_template, body.faces
     spacing = np.clip(SPACING_PER_RADIUS * limb_radius(body), *SPACING_LIMITS_M)
     spacing[body.weights[:, HEAD] > 0.5] = HEAD_SPACING_M
+    foot = np.isin(body.weights.argmax(axis=1), FEET)
+    spacing[foot] = np.minimum(spacing[foot], FOOT_SPACING_M)
 
     def free(point: np.ndarray, normal: np.ndarray, face: np.ndarray, weight: np.ndarray) -> np.ndarray:
         return _faces_open_space(body, point, normal, np.einsum("nk,nk->n", weight, body.weights[faces[face], HEAD]))

@@ -30,7 +30,7 @@ from drape.kernels.elements import add, at, dot, scaled, sub
 from drape.live.clock import writable
 from drape.live.fold_constants import LaidCloth
 from drape.live.sheet import LANES
-from drape.live.skin_contact import NEIGHBOURS, TouchedSamples, follow
+from drape.live.skin_walks import NEIGHBOURS, TouchedSamples, follow
 from drape.live.surface_frames import FRAMES, surface_frames
 
 GAP_M = 0.003  # contact's gap: the ground then leaves the outer garment where its own drape is

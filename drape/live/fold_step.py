@@ -36,16 +36,8 @@ from drape.live.raised_skin import heights_over
 from drape.live.residual import EASE, ease, keep_residual
 from drape.live.room import keep_apart
 from drape.live.sheet import LANES, Sheet
-from drape.live.skin_contact import (
-    NEIGHBOURS,
-    TURNS,
-    SkinGraph,
-    TouchedSamples,
-    follow,
-    stuck_places,
-    touch,
-    write_grip,
-)
+from drape.live.skin_contact import TURNS, stuck_places, touch, write_grip
+from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples, follow
 from drape.live.surface_frames import FRAMES, in_frames, in_world, surface_frames
 from drape.live.sweeps import SCRATCH, descend, gradient_at, leash, stick
 from drape.live.untangle import WAY_M, farthest_way, untangle

@@ -25,7 +25,8 @@ from drape.kernels.elements import add, at, dot, scaled, sub
 from drape.kernels.grid import cells_within, column, grid_of
 from drape.live.clock import writable
 from drape.live.sheet import LANES, Sheet
-from drape.live.skin_contact import NEIGHBOURS, PER_CELL, SkinGraph
+from drape.live.skin_contact import PER_CELL
+from drape.live.skin_walks import NEIGHBOURS, SkinGraph
 from drape.live.surface_frames import FRAMES, surface_frames
 
 HIGHEST_M = 0.06  # cloth higher than that hangs free, and is left to the push-out

@@ -11,7 +11,7 @@ from drape.cloth.fabric_table import fabric as fabric_named
 from drape.cloth.material import Material
 from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
-from drape.live.skin_contact import nearest_at_rest, skin_graph
+from drape.live.skin_walks import nearest_at_rest, skin_graph
 from drape.live.swing_mesh import swing_mesh
 from drape.live.swing_nodes import STIFFEST_N_PER_M
 from drape.live.swing_slack import held_share

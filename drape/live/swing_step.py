@@ -27,7 +27,7 @@ from drape.kernels.lanes import LANES
 from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between, writable
 from drape.live.colliders import write_planes
 from drape.live.fold_constants import array_bytes
-from drape.live.skin_contact import NEIGHBOURS, SkinGraph, TouchedSamples, follow
+from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples, follow
 from drape.live.swing_carry import move_vertices
 from drape.live.swing_mesh import SHARED, SwingMesh
 from drape.live.swing_nodes import GAP_M, TOUCH_M, Ground, Springs, fall_back, keep_length, write_bounds

@@ -59,15 +59,8 @@ from drape.live.fold_step import (
 from drape.live.lift import lift
 from drape.live.places import farthest_place_m, moved_m, put_places
 from drape.live.sheet import LANES, Sheet, sheet
-from drape.live.skin_contact import (
-    NEIGHBOURS,
-    ParentSamples,
-    SkinGraph,
-    TouchedSamples,
-    follow,
-    put_own_planes,
-    write_grip,
-)
+from drape.live.skin_contact import ParentSamples, put_own_planes, write_grip
+from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples, follow
 from drape.live.sweeps import APART_ROW, PLANES, SCRATCH, descend, leash
 from drape.live.untangle import WAY_M, Tangles, farthest_way, tangles_of, untangle
 

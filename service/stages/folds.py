@@ -19,7 +19,7 @@ from drape.live.clock import Frame
 from drape.live.fold_constants import LaidCloth
 from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, warm_up
 from drape.live.raised_skin import heights_over, raised
-from drape.live.skin_contact import TouchedSamples
+from drape.live.skin_walks import TouchedSamples
 from drape.live.two_level import LiftMemory, Memory, OneLevel, TwoLevel, TwoLevelMemory
 from drape.wire.options import DrapeOptions
 from service.stages.batch import Batch, Layer, Quality, changed, stacked

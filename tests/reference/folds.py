@@ -28,7 +28,8 @@ from drape.live.places import moved_m
 from drape.live.residual import FORGET, HEM, LACK, MEND_M
 from drape.live.room import FOLDED, NEAR_M, ROOM_M, SPACING
 from drape.live.sheet import ALIKE
-from drape.live.skin_contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, TouchedSamples
+from drape.live.skin_contact import APART_M, BESIDE, FREE, HOLLOW_M, NEARER, REACH_M, STEPS, TURNS
+from drape.live.skin_walks import SkinGraph, TouchedSamples
 from drape.live.sweeps import HOLD, SLIP_M
 from drape.live.whole import CLAMP_M, stiffness
 from tests.reference import solver as reference
@@ -59,8 +60,7 @@ def fold(
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
     for number in range(0 if effort.steps == 0 else 1 if memory else effort.settle):
-        here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
-        touched = TouchedSamples(touched.own, here.other)
+        here, touched = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
         around = touching(made, dressed, x, frame.skin, here)
         own = around.own._replace(band=network, band_n_per_m=dressed.band_n_per_m)
         around = around._replace(own=own, stuck=stuck, friction=friction)
@@ -80,8 +80,7 @@ def fold(
             x, way = ahead, ahead - x
     if effort.clearance_m > 0.0:
         if effort.steps == 0:
-            here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
-            touched = TouchedSamples(touched.own, here.other)
+            here, touched = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
             around = touching(made, dressed, x, frame.skin, here)
         x = lifted(x, around, effort.clearance_m)
     residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
@@ -163,9 +162,12 @@ def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Tou
     return TouchedSamples(np.array(walks), touched.other)
 
 
-def touch(x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples, turn: int) -> TouchedSamples:
-    """The samples that ``x`` [m] (V, 3) is at, by walks from the network's and searches for other parts."""
-    own, other = touched.own.copy(), touched.other.copy()
+def touch(
+    x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples, turn: int
+) -> tuple[TouchedSamples, TouchedSamples]:
+    """The samples that ``x`` [m] (V, 3) is at, by walks from the network's and searches for other parts, and
+    ``touched`` moved on: where a search finds a nearer sample of the same part the next walk starts there."""
+    own, other, begins = touched.own.copy(), touched.other.copy(), touched.own.copy()
     for v, point in enumerate(x):
         own[v] = _walked(point, skin, graph, own[v], STEPS)
         apart = np.linalg.norm(graph.rest - graph.rest[own[v]], axis=1)
@@ -174,10 +176,12 @@ def touch(x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSam
         allowed = (distance < REACH_M) & (hollow | (apart > APART_M))
         if turn < 0 or v % TURNS == turn:
             other[v] = np.where(allowed, distance, np.inf).argmin() if allowed.any() else -1
+            same = ~(hollow | (apart > APART_M)) & (distance < REACH_M) & (distance**2 < NEARER * distance[own[v]] ** 2)
+            begins[v] = np.where(same, distance, np.inf).argmin() if same.any() else begins[v]
         elif other[v] >= 0:
             end = _walked(point, skin, graph, other[v], STEPS)
             other[v] = end if allowed[end] else -1
-    return TouchedSamples(own, other)
+    return TouchedSamples(own, other), TouchedSamples(begins, other)
 
 
 def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int, steps: int) -> int:
@@ -263,6 +267,9 @@ def planes(x: np.ndarray, skin: np.ndarray, dressed: WornCloth, index: np.ndarra
         normal = blended / np.linalg.norm(blended)
         chord = point - skin[around, :3]
         distance = 0.5 * weight @ ((skin[around, 4:7] + normal) * chord).sum(axis=1)
+        aside = (square[0] - (chord[0] @ skin[own, 4:7]) ** 2) / dressed.graph.reach_m2[own]
+        beside = np.clip((aside - BESIDE) / (FREE - BESIDE), 0.0, 1.0)
+        distance = (1.0 - beside) * distance + beside * REACH_M
         points[v], normals[v] = point - distance * normal, normal
     return points, normals
 

@@ -16,7 +16,7 @@ from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold
 from drape.live.sheet import LANES
-from drape.live.skin_contact import nearest_at_rest, skin_graph
+from drape.live.skin_walks import nearest_at_rest, skin_graph
 from drape.live.sweeps import PLANES
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.kernels.solver_setup import MATERIALS

@@ -7,7 +7,7 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.live.fold_step import Frame
-from drape.live.skin_contact import NEIGHBOURS, SkinGraph
+from drape.live.skin_walks import NEIGHBOURS, SkinGraph
 from drape.live.swing_mesh import SwingMesh, swing_mesh
 from drape.live.swing_step import SwingConstants
 

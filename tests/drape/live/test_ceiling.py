@@ -14,7 +14,7 @@ from drape.live import ceiling
 from drape.live.ceiling import FADE_M, GAP_M, HIGHEST_M, LEAST_M, _above_skin, ceiling_over, lower, pressed
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.fold_step import warm_up
-from drape.live.skin_contact import nearest_at_rest, skin_graph
+from drape.live.skin_walks import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import grid
 
 SIDE_M, SPACING_M = 0.3, 0.02

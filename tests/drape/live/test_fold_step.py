@@ -31,7 +31,7 @@ from drape.live.fold_step import (
 )
 from drape.live.places import farthest_place_m, moved_m
 from drape.live.sheet import LANES
-from drape.live.skin_contact import TouchedSamples
+from drape.live.skin_walks import TouchedSamples
 from tests.drape.live.folds_setup import (
     EFFORT,
     constants,
@@ -109,7 +109,7 @@ def test_folds_lower_the_energy_and_more_of_them_lower_it_further():
     made, flat = constants(creased=False, dtype=np.float64), problem(worn.cloth, worn.material, dtype=np.float64)
     one = frame(rest, 0)
     nowhere = TouchedSamples(worn.index, np.full_like(worn.index, -1))
-    touched = reference.touch(one.vertices, one.skin, worn.graph, nowhere, -1)
+    touched, _ = reference.touch(one.vertices, one.skin, worn.graph, nowhere, -1)
 
     def energy(x: np.ndarray) -> float:
         around = reference.touching(flat, worn, x, one.skin, touched)

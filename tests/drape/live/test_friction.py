@@ -14,7 +14,8 @@ from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.fold_step import FoldEffort, fold
 from drape.live.sheet import LANES
-from drape.live.skin_contact import SkinGraph, TouchedSamples, nearest_at_rest, skin_graph, stuck_places, write_grip
+from drape.live.skin_contact import stuck_places, write_grip
+from drape.live.skin_walks import SkinGraph, TouchedSamples, nearest_at_rest, skin_graph
 from drape.live.sweeps import SLIP_M
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.kernels.solver_setup import MATERIALS

@@ -14,7 +14,7 @@ from drape.contact.samples import sample_table
 from drape.live.fold_step import fold
 from drape.live.raised_skin import CLOSE_M, HIGHEST_M, STEEPEST, heights_over, raised
 from drape.live.sheet import sheet
-from drape.live.skin_contact import NEIGHBOURS, SkinGraph
+from drape.live.skin_walks import NEIGHBOURS, SkinGraph
 from tests.drape.live.folds_setup import EASE_M, HELD, RADIUS_M, constants, frame, sleeve
 
 SPACING_M = 0.02

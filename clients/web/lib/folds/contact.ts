@@ -1,4 +1,4 @@
-// Contact with the posed skin. A copy of drape/live/skin_contact.py for browsers.
+// Contact with the posed skin. A copy of drape/live/skin_contact.py and skin_walks.py for browsers.
 import * as A from "./arrays";
 import { at, constant, reserved } from "./arrays";
 import { HELD_ROW, OTHER_PLANE, PLANES, SLIP_M } from "./sweeps";
@@ -12,6 +12,8 @@ const STEPS: i32 = 3;
 const REACH_M: f64 = 0.03;
 const PER_CELL: f64 = 1 / (2 * 0.03);
 const TURNS: i32 = 4;
+const NEARER: f64 = 0.8;
+const BESIDE: f64 = 1.5, FREE: f64 = 2.5;
 const HOLLOW_M: f64 = 0.05, APART_M: f64 = 0.12;
 const WIDEST_M: f64 = 10;
 
@@ -123,6 +125,7 @@ function plane(x: v128, y: v128, z: v128, index: usize, skin: usize, to: usize):
   const ownSquare = square(sub(gx, x), sub(gy, y), sub(gz, z));
   samples(skin, index, 16);
   let mx = gx, my = gy, mz = gz, product = gw, total = ONE;
+  const height = sub(dot(gx, gy, gz, x, y, z), gw), aside = mul(sub(ownSquare, mul(height, height)), per);
   for (let n = 0; n < NEIGHBOURS; n++) {
     for (let lane = 0; lane < 4; lane++) {
       store<i32>(near + (<usize>lane << 2), whole(neighbour, (whole(index, lane) << 3) + n));
@@ -143,8 +146,9 @@ function plane(x: v128, y: v128, z: v128, index: usize, skin: usize, to: usize):
   const ux = mul(unit, mx), uy = mul(unit, my), uz = mul(unit, mz);
   const bySamples = mul(sub(dot(x, y, z, mx, my, mz), product), share);
   const byBlend = dot(ux, uy, uz, sub(x, mul(share, px)), sub(y, mul(share, py)), sub(z, mul(share, pz)));
-  const half = mul(all(0.5), add(bySamples, byBlend));
-  putRows(to, sub(x, mul(half, ux)), sub(y, mul(half, uy)), sub(z, mul(half, uz)));
+  const beside = least(most(mul(sub(aside, all(<f32>BESIDE)), all(<f32>(1 / (FREE - BESIDE)))), ZERO), ONE);
+  const far = add(mul(mul(sub(ONE, beside), all(0.5)), add(bySamples, byBlend)), mul(beside, all(<f32>REACH_M)));
+  putRows(to, sub(x, mul(far, ux)), sub(y, mul(far, uy)), sub(z, mul(far, uz)));
   putRows(to + 3 * ROW, ux, uy, uz);
 }
 
@@ -168,7 +172,8 @@ export function touch(
       const v = first + lane, a = ax(x, v), b = ay(x, v), c = az(x, v), self = whole(own, lane);
       let other = whole(others, v);
       if (turn < 0 || whole(vertex, v) % TURNS == turn) {
-        other = otherPart(a, b, c, skin, self);
+        other = nearSamples(a, b, c, skin, self);
+        if (same != self) store<i32>(touched + (<usize>v << 2), same);
       } else if (other >= 0) {
         other = nearest(a, b, c, skin, other, STEPS);
         if (<f64>squared(a, b, c, skin, other) >= REACH_M * REACH_M || !isOther(skin, self, other)) other = -1;
@@ -275,10 +280,14 @@ function makeGrid(skin: usize, count: i32, room: usize): void {
   return min<i32>(<i32>Math.floor((value + REACH_M - low) * PER_CELL) + 1, count);
 }
 
-// The nearest sample of another part within reach, -1 where there is none.
-function otherPart(x: f32, y: f32, z: f32, skin: usize, self: i32): i32 {
+let same: i32 = 0; // the nearest sample of the same part, the own one unless another is nearer
+
+// The nearest sample of another part within reach, -1 where there is none; writes the same part's.
+function nearSamples(x: f32, y: f32, z: f32, skin: usize, self: i32): i32 {
+  same = self;
   if (countX == 0 || countY == 0 || countZ == 0) return -1;
   let found = -1, least: f64 = REACH_M * REACH_M;
+  let beside = min<f64>(NEARER * <f64>squared(x, y, z, skin, self), least);
   const i1 = lastCell(<f64>x, lowX, countX), j1 = lastCell(<f64>y, lowY, countY);
   const k0 = firstCell(<f64>z, lowZ, countZ), k1 = lastCell(<f64>z, lowZ, countZ);
   const j0 = firstCell(<f64>y, lowY, countY);
@@ -288,7 +297,13 @@ function otherPart(x: f32, y: f32, z: f32, skin: usize, self: i32): i32 {
       const end = whole(cellStart, row + max<i32>(k1, k0));
       for (let entry = whole(cellStart, row + k0); entry < end; entry++) {
         const s = whole(cellMember, entry), square = <f64>squared(x, y, z, skin, s);
-        if (square < least && isOther(skin, self, s)) { found = s; least = square; }
+        if (!(square < max<f64>(least, beside))) continue;
+        if (isOther(skin, self, s)) {
+          if (square < least) { found = s; least = square; }
+        } else if (square < beside) {
+          same = s;
+          beside = square;
+        }
       }
     }
   }

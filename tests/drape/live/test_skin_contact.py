@@ -1,0 +1,70 @@
+"""Samples and planes below a vertex: where a walk is stuck, and where a plane ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.contact.samples import sample_table
+from drape.live.sheet import LANES
+from drape.live.skin_contact import APART_M, BESIDE, FREE, NEARER, REACH_M, touch
+from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples
+from drape.live.sweeps import PLANES
+from tests.drape.live.folds_setup import constants
+
+SPACING_M = 0.02
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def touched_by(
+    x: np.ndarray, point: np.ndarray, rest: np.ndarray, *, turn: int = -1
+) -> tuple[TouchedSamples, np.ndarray]:
+    """What all places at ``x`` [m] (3,) touch, which begin at the first of the samples ``point`` [m] (S, 3), and the
+    distances [m] (P,) to their own planes. No sample has a neighbour; all look up."""
+    made, count = constants(dtype=np.float64), len(point)
+    own = np.arange(count, dtype=np.int32)
+    graph = SkinGraph(np.tile(own[:, None], NEIGHBOURS), np.full(count, SPACING_M**2), rest)
+    places, planes = np.tile(x, (len(made.sheet.vertex), 1)), made.sheet.planes()
+    touched = TouchedSamples(np.zeros(len(places), np.int32), np.full(len(places), -1, np.int32))
+    touch(places, sample_table(point, np.tile(UP, (count, 1))), graph, made.sheet, touched, turn, planes)
+    rows = planes.reshape(-1, PLANES // LANES, LANES).transpose(0, 2, 1).reshape(len(places), -1)
+    return touched, ((places - rows[:, :3]) * rows[:, 3:6]).sum(axis=1)
+
+
+def test_a_walk_that_is_stuck_starts_at_a_nearer_sample_of_its_part():
+    x, point = np.array([0.0, 0.005, 0.0]), np.array([[0.024, 0.0, 0.0], [0.004, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    rest = point.copy()
+    found, _ = touched_by(x, point, rest)
+    assert_array_equal(found.own, 2)
+    assert_array_equal(found.other, -1)
+    asked = constants(dtype=np.float64).sheet.vertex % 4 == 1
+    found, _ = touched_by(x, point, rest, turn=1)
+    assert_array_equal(found.own, np.where(asked, 2, 0))
+    rest[2] += [APART_M + 0.03, 0.0, 0.0]  # of another part
+    found, _ = touched_by(x, point, rest)
+    assert_array_equal(found.own, 1)
+    assert_array_equal(found.other, 2)
+
+
+def test_a_sample_that_is_hardly_nearer_is_no_reason_to_leave():
+    x, far_m = np.zeros(3), 0.02
+    for share, own in ((1.05, 0), (0.95, 1)):
+        point = np.array([[far_m, 0.0, 0.0], [0.0, 0.0, share * np.sqrt(NEARER) * far_m]])
+        assert_array_equal(touched_by(x, point, point)[0].own, own)
+
+
+@pytest.mark.parametrize("height_m", [-0.005, 0.002])
+def test_a_plane_ends_beside_its_sample(height_m):
+    def distance_m(aside: float) -> float:
+        x = np.array([np.sqrt(aside) * SPACING_M, height_m, 0.0])
+        found, far_m = touched_by(x, np.zeros((1, 3)), np.zeros((1, 3)))
+        assert_array_equal(found.own, 0)
+        assert_allclose(far_m, far_m[0])
+        return float(far_m[0])
+
+    for aside in (0.0, 0.6, 0.99 * BESIDE):
+        assert_allclose(distance_m(aside), height_m, rtol=0, atol=1e-12)
+    assert_allclose(distance_m(0.5 * (BESIDE + FREE)), 0.5 * (height_m + REACH_M), rtol=0, atol=1e-9)
+    for aside in (1.01 * FREE, 9.0):
+        assert_allclose(distance_m(aside), REACH_M, rtol=0, atol=1e-12)
