@@ -29,8 +29,8 @@ from drape.live.whole import StiffnessFactor, stiffness_factor
 # rest has all of it, cloth that hangs has the least.
 LEASH_N_M3 = 1000.0
 LYING_M, HANGING_M, LEAST = 0.01, 0.025, 0.03
-# Planes of physics stand off the skin that is seen by 0.2 to 0.3 mm in the mean, those of samples do not. Contact begins
-# so much farther out than in the energy of cloth, and a little for steps that are few.
+# Planes of physics stand off the skin that is seen by 0.2 to 0.3 mm in the mean, those of samples do not. Contact
+# begins so much farther out than in the energy of cloth, and a little for steps that are few.
 INSIDE_M = 0.0004
 
 
