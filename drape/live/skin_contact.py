@@ -67,7 +67,8 @@ FOOT, UNIT = 0, 3 * LANES
 
 
 class ParentSamples(NamedTuple):
-    """The samples ``own`` (C,) of coarse places, and that one of these, ``parent`` (P,), which each place goes with."""
+    """The samples ``own`` (C,) of coarse places, of their own part or another one, and that one of these, ``parent``
+    (P,), which each place goes with."""
 
     own: np.ndarray
     parent: np.ndarray
@@ -168,23 +169,37 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
             if waiting == LANES:
                 _put_late(x, late, skin, graph, planes)
                 waiting = 0
-    if waiting > 0:
-        for lane in range(waiting, LANES):
-            late.vertex[lane], late.sample[lane] = late.vertex[0], late.sample[0]
-        _put_late(x, late, skin, graph, planes)
+    _put_rest(x, late, waiting, skin, graph, planes)
 
 
 @kernel
 def put_own_planes(x, skin, graph, touched, planes):
-    """Writes the planes below ``x`` [m] (P, 3) of the samples ``touched.own`` (C,) of what each place has in
-    ``touched.parent`` (P,), blended with their neighbours'."""
+    """Writes the planes below ``x`` [m] (P, 3), one step on from the samples ``touched.own`` (C,) of what each place
+    has in ``touched.parent`` (P,)."""
     lanes = walk_lanes(skin)
     for block in range(len(x) // LANES):
         for lane in range(LANES):
             lanes.sample[lane] = touched.own[touched.parent[LANES * block + lane]]
-        foot, unit = _plane(points_in(x, LANES * block), lanes, skin, graph)
+        points = points_in(x, LANES * block)
+        walk(points, lanes, skin, graph.neighbour, 1)
+        foot, unit = _plane(points, lanes, skin, graph)
         put3(planes, PLANES * block, foot)
         put3(planes, PLANES * block + 3 * LANES, unit)
+
+
+@kernel
+def put_other_planes(x, skin, graph, touched, planes):
+    """Writes the planes below ``x`` [m] (P, 3) of other parts, as ``put_own_planes`` does; of a sample -1 none."""
+    late, waiting = walk_lanes(skin), 0
+    for v in range(len(x)):
+        sample = touched.own[touched.parent[v]]
+        if sample >= 0:
+            late.vertex[waiting], late.sample[waiting] = v, sample
+            waiting += 1
+        if waiting == LANES:
+            _put_late(x, late, skin, graph, planes)
+            waiting = 0
+    _put_rest(x, late, waiting, skin, graph, planes)
 
 
 @part
@@ -249,6 +264,15 @@ def _put_late(x, lanes, skin, graph, planes):
         place = PLANES * (v // LANES) + OTHER_PLANE + v % LANES
         for row in range(6):
             planes[place + LANES * row] = lanes.scratch[FOOT + LANES * row + lane]
+
+
+@part
+def _put_rest(x, lanes, waiting, skin, graph, planes):
+    """``_put_late`` of the first lanes, so many as are ``waiting``."""
+    if waiting > 0:
+        for lane in range(waiting, LANES):
+            lanes.vertex[lane], lanes.sample[lane] = lanes.vertex[0], lanes.sample[0]
+        _put_late(x, lanes, skin, graph, planes)
 
 
 @part

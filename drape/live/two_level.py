@@ -59,7 +59,7 @@ from drape.live.fold_step import (
 from drape.live.lift import lift
 from drape.live.places import farthest_place_m, moved_m, put_places
 from drape.live.sheet import LANES, Sheet, sheet
-from drape.live.skin_contact import ParentSamples, put_own_planes, write_grip
+from drape.live.skin_contact import ParentSamples, put_other_planes, put_own_planes, write_grip
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples, follow
 from drape.live.sweeps import APART_ROW, PLANES, SCRATCH, descend, leash
 from drape.live.untangle import WAY_M, Tangles, farthest_way, tangles_of, untangle
@@ -254,7 +254,7 @@ def fold_two_level(
         way_m = farthest_way(moved_m(memory.coarse.network, under, below.sheet.place))
     apart_m = way_m if sweeps and effort.cloth_contact else 0.0
     schedule = FineSchedule(dtype.type(share), dtype.type(apart_m), dtype.type(effort.clearance_m), sweeps)
-    held = CoarseHold(planes, off, coarse.touched.own)
+    held = CoarseHold(planes, off, coarse.touched)
     x, far, lifted_m = settle_fine(network, added, held, around, fine, below.graph, schedule)
     if not far <= FAR_M:
         return frame.vertices, TwoLevelMemory(coarse, np.zeros_like(network)), replace(report, reset=True)
@@ -274,11 +274,11 @@ def _unfolded(
 
 class CoarseHold(NamedTuple):
     """The coarse cloth as it lies: the ``planes`` that held it, its way ``off`` [m] (P, 3) the network's drape, and the
-    sample ``own`` (P,) of each place."""
+    samples that are ``touched``."""
 
     planes: np.ndarray
     off: np.ndarray
-    own: np.ndarray
+    touched: TouchedSamples
 
 
 class FineSchedule(NamedTuple):
@@ -306,7 +306,8 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
         put_points(x, LANES * block, add(points, scaled(schedule.share, points_in(added, LANES * block))))
     planes, scratch = np.zeros(PLANES // LANES * len(x), x.dtype), np.empty(SCRATCH, x.dtype)
     leash(sheet, planes)
-    put_own_planes(x, around.skin, graph, ParentSamples(coarse.own, fine.parent), planes)
+    put_own_planes(x, around.skin, graph, ParentSamples(coarse.touched.own, fine.parent), planes)
+    put_other_planes(x, around.skin, graph, ParentSamples(coarse.touched.other, fine.parent), planes)
     put_planes(x, around.colliders, planes)
     for _ in range(schedule.sweeps):
         descend(x, sheet, planes, network, scratch)

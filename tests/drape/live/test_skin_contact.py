@@ -8,10 +8,21 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.contact.samples import sample_table
 from drape.live.sheet import LANES
-from drape.live.skin_contact import APART_M, BESIDE, FREE, NEARER, REACH_M, touch
+from drape.live.skin_contact import (
+    APART_M,
+    BESIDE,
+    FREE,
+    NEARER,
+    REACH_M,
+    ParentSamples,
+    put_other_planes,
+    put_own_planes,
+    touch,
+)
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples
-from drape.live.sweeps import PLANES
-from tests.drape.live.folds_setup import constants
+from drape.live.sweeps import OTHER_PLANE, PLANES
+from tests.drape.live.folds_setup import arm, constants, sleeve
+from tests.reference import folds as reference
 
 SPACING_M = 0.02
 UP = np.array([0.0, 1.0, 0.0])
@@ -28,7 +39,7 @@ def touched_by(
     places, planes = np.tile(x, (len(made.sheet.vertex), 1)), made.sheet.planes()
     touched = TouchedSamples(np.zeros(len(places), np.int32), np.full(len(places), -1, np.int32))
     touch(places, sample_table(point, np.tile(UP, (count, 1))), graph, made.sheet, touched, turn, planes)
-    rows = planes.reshape(-1, PLANES // LANES, LANES).transpose(0, 2, 1).reshape(len(places), -1)
+    rows = rows_of(planes)
     return touched, ((places - rows[:, :3]) * rows[:, 3:6]).sum(axis=1)
 
 
@@ -68,3 +79,34 @@ def test_a_plane_ends_beside_its_sample(height_m):
     assert_allclose(distance_m(0.5 * (BESIDE + FREE)), 0.5 * (height_m + REACH_M), rtol=0, atol=1e-9)
     for aside in (1.01 * FREE, 9.0):
         assert_allclose(distance_m(aside), REACH_M, rtol=0, atol=1e-12)
+
+
+def rows_of(planes: np.ndarray) -> np.ndarray:
+    """The rows of ``planes`` for each place."""
+    return planes.reshape(-1, PLANES // LANES, LANES).transpose(0, 2, 1).reshape(-1, PLANES // LANES)
+
+
+def test_fine_places_take_the_planes_of_their_parents_samples(rng):
+    rest, worn = sleeve(creased=False)
+    skin = sample_table(*(rows + 0.002 * rng.normal(size=rows.shape) for rows in (arm().point, arm().normal)))
+    x = np.resize(rest, (10 * LANES, 3)) + 0.003 * rng.normal(size=(10 * LANES, 3))
+    samples, parent = rng.integers(0, len(skin), size=40), rng.integers(0, 40, size=len(x))
+    samples[::5] = -1
+    planes = np.zeros(PLANES // LANES * len(x))
+    put_other_planes(x, skin, worn.graph, ParentSamples(samples, parent), planes)
+    there, rows = samples[parent] >= 0, rows_of(planes)
+    first = OTHER_PLANE // LANES
+    assert_array_equal(rows[~there], 0.0)
+    assert 0 < there.sum() < len(x)
+    point, normal = reference.planes(x[there], skin, worn, samples[parent][there])
+    assert_allclose(rows[there, first : first + 3], point, rtol=0, atol=1e-12)
+    assert_allclose(rows[there, first + 3 : first + 6], normal, rtol=0, atol=1e-12)
+
+    samples = np.maximum(samples, 0)
+    put_own_planes(x, skin, worn.graph, ParentSamples(samples, parent), planes)
+    around = np.concatenate([samples[parent][:, None], worn.graph.neighbour[samples[parent]]], axis=1)
+    nearest = np.linalg.norm(skin[around, :3] - x[:, None], axis=2).argmin(axis=1)
+    assert nearest.any()
+    point, normal = reference.planes(x, skin, worn, np.take_along_axis(around, nearest[:, None], axis=1)[:, 0])
+    assert_allclose(rows_of(planes)[:, :3], point, rtol=0, atol=1e-12)
+    assert_allclose(rows_of(planes)[:, 3:6], normal, rtol=0, atol=1e-12)
