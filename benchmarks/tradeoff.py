@@ -46,6 +46,7 @@ PASSES = (0, 1, None)
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
 TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
 ENOUGH = 0.004  # of gain: what gives less is not worth more time
+DETAIL_MOST = 1.2  # of physics' detail: more is a texture that physics does not have, and gain does not see it
 LIFTED = 0.4  # of what all corrections gain over none without folds: ``instant`` has it
 KNOBS = ("passes", "folds", "coarse")
 COLUMNS = {
@@ -173,9 +174,9 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
     """A row of ``mean`` for each tier.
 
     The least, ``instant``, is the cheapest without folds that has ``LIFTED`` of what all corrections gain; the next
-    one, ``fast``, the cheapest with folds. The last folds all vertices: gain does not see fine folds and crossings. It
-    is the cheapest of these that has all but ``ENOUGH`` of their best gain. The one between it and ``fast`` is the
-    cheapest that has at least half of what the last gains over ``fast``. A tier's folds, and its passes under folds,
+    one, ``fast``, the cheapest with folds. The last folds all vertices, without more than ``DETAIL_MOST``: gain does
+    not see fine folds and crossings. It is the cheapest of these that has all but ``ENOUGH`` of their best gain. The
+    one between it and ``fast`` is the cheapest that has at least half of what the last gains over ``fast``. A tier's folds, and its passes under folds,
     are never less than those of the one below, and none is coarse above a fine one. Times decide by their order only,
     so that the rule gives the same tiers on processors on which the rival is faster or slower than here.
     """
@@ -185,7 +186,7 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
     if not served or not lifted:
         raise InputError("knobs", expected="combinations with folds and without", got="none", cure="Measure folds too.")
     least, above = served[0], [row for row in served if _covers(row, served[0])]
-    fine = [row for row in above if not row["coarse"]] or above
+    fine = [row for row in above if not row["coarse"] and row["detail_share"] <= DETAIL_MOST] or above
     best = max(row["gain"] for row in fine)
     last = next(row for row in fine if row["gain"] >= best - ENOUGH)
     half = 0.5 * (least["gain"] + last["gain"])

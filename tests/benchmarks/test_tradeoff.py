@@ -110,6 +110,8 @@ def test_tiers_are_the_cheapest_the_nearest_and_half_way_between():
     assert [found["time_ratio"] for found in tiers_of(levels)][1:] == [0.3, 0.5, 0.5], "not coarse over fine"
     levels = [lift, row(1, 0.3, 0.9, coarse=True), row(2, 0.4, 0.99, coarse=True), row(2, 0.5, 0.98)]
     assert [found["time_ratio"] for found in tiers_of(levels)][1:] == [0.3, 0.4, 0.5], "the last one is fine"
+    rough = [lift, row(1, 0.3, 0.9, coarse=True), row(2, 0.4, 0.99) | {"detail_share": 1.3}, row(2, 0.5, 0.98)]
+    assert [found["time_ratio"] for found in tiers_of(rough)][1:] == [0.3, 0.4, 0.5], "the last one is not too rough"
     lifts = [row(0, 0.1, 0.6), row(0, 0.2, 0.75, passes=1), row(0, 0.3, 0.8, passes=None), *rows[1:]]
     assert tiers_of(lifts)[0]["passes"] == 1, "two fifths of what all corrections gain"
     for few in ([lift], rows[1:]):
