@@ -18,7 +18,6 @@ from drape.cloth.material import Material
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.newton import Report, equilibrium, newton_step
 
-GRAVITY_M_S2 = 9.81
 TOLERANCE_N = 1e-6  # of the cloth's weight per node, 1e-5 to 1e-4 N
 PEIRCE_ANGLE_DEG = 41.5
 STRIP_WIDTH_M, STRIP_LENGTH_M = 0.025, 0.15
@@ -126,7 +125,7 @@ def _doubled_area(corners: np.ndarray) -> np.ndarray:
 
 def simulated(fabric: Fabric, mesh: Mesh, *, angle_rad: float = 0.0) -> tuple[ClothModel, Parameters]:
     """The mesh cut with its x at ``angle_rad`` to the warp: rest panels in grain axes, a rigidity for each hinge."""
-    model = ClothModel(mesh.faces, fixed=mesh.held, gravity_m_s2=GRAVITY_M_S2)
+    model = ClothModel(mesh.faces, fixed=mesh.held, gravity_m_s2=Material.gravity_m_s2)
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     panels = mesh.points @ np.array([[s, c], [-c, s]])
     parameters = model.parameters(panels, Material.of(fabric).woven)
