@@ -37,7 +37,7 @@ class TPose:
 
     @property
     def height_m(self) -> float:
-        """From its lowest to its highest point [m]."""
+        """The height [m] from its lowest to its highest point."""
         return float(np.ptp(self.vertices[:, 1]))
 
 
