@@ -1,1 +1,1 @@
-"""Measurements of the product, by subject, and repeats of the papers' tables: ``python -m benchmarks.NAME``."""
+"""Measurements of the product, by subject: ``python -m benchmarks.NAME``."""

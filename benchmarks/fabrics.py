@@ -19,6 +19,7 @@ from benchmarks.cloth import fabric_tests
 from benchmarks.harness import Benchmark, Option, Run
 from drape.cloth.fabric import Fabric, plate_rigidity, tensile_modulus
 from drape.cloth.fabric_table import fabric
+from drape.cloth.material import Material
 
 
 class Published(NamedTuple):
@@ -62,7 +63,7 @@ def bending_lengths(cloth: Fabric, edge_m: float) -> dict[str, float]:
     """Bending length [m] by direction in the simulator, and Peirce's as "peirce_..."."""
     found = {}
     for name, angle in ANGLES.items():
-        weight = fabric_tests.GRAVITY_M_S2 * cloth.density_kg_m2
+        weight = Material.gravity_m_s2 * cloth.density_kg_m2
         closed = float(np.cbrt(plate_rigidity(cloth, np.asarray(angle)) / weight))
         found[name] = fabric_tests.bending_length(cloth, edge_m, angle_rad=angle, expected_m=closed)
         found[f"peirce_{name}"] = closed
@@ -84,7 +85,7 @@ def measure(name: str, edge_m: float, *, thorough: bool) -> dict[str, Any]:
     """The row of one fabric on one mesh; ``thorough`` adds further seeds and the whole membrane."""
     cloth = fabric(name)
     overhang = fabric_tests.DISC_RADIUS_M - fabric_tests.PEDESTAL_RADIUS_M
-    soft = cloth.softened(fabric_tests.GRAVITY_M_S2 * cloth.density_kg_m2 * overhang / OWN_WEIGHT_STRAIN)
+    soft = cloth.softened(Material.gravity_m_s2 * cloth.density_kg_m2 * overhang / OWN_WEIGHT_STRAIN)
     lengths = bending_lengths(soft, STRIP_SHARE * edge_m)
     error = {side: 100.0 * (lengths[side] / lengths[f"peirce_{side}"] - 1.0) for side in ANGLES}
     drape = fabric_tests.cusick(soft, edge_m)

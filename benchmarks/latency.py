@@ -1,4 +1,4 @@
-"""Latency and throughput of the packed graph, beside its rivals in the same run, and how cost grows.
+"""Latency and throughput of the packed graph, beside skinning and the floor in the same run, and how cost grows.
 
     python -m benchmarks.latency [--quick] [--threads 2] [--provider cuda [--half]] [--model FOLDER] [--save]
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.clock import Timing, timed
 from benchmarks.harness import Benchmark, Option, Run
-from benchmarks.speed import rivals
+from benchmarks.speed import floor
 from benchmarks.speed.skinning_push import SkinningPush
 from benchmarks.tables import Row
 from drape.artifacts import MODELS_DIR
@@ -81,7 +81,7 @@ class Bench:
 
 
 def single_rows(bench: Bench, name: str) -> list[Row]:
-    """One frame of one garment: ours by plan, and every rival."""
+    """One frame of one garment: ours by plan, skinning with a push, and the floor."""
     garment = shipped(name)
     packer = bench.packer({name: garment})
     size = {"garment": name, "vertices": garment.vertex_count, "patches": garment.patch_count, "batch": 1}
@@ -93,11 +93,10 @@ def single_rows(bench: Bench, name: str) -> list[Row]:
     ]
     rows[0]["push_out_ms"] = rows[1]["push_out_ms"]
     rows.append({"name": "onnx_jets", **bench.clock(packer, [name], ScenePlan("jets")).row()})
-    rows.append(rivals.torch_row(bench.model, garment, bench.body, pose, seconds=bench.seconds))
     skin = timed(lambda: skinning.skin(pose), seconds=bench.seconds)
     both = timed(lambda: skinning.push(skinning.skin(pose), pose), seconds=bench.seconds)
     rows.append({"name": "skinning_push", **both.row(), "push_out_ms": both.p50_ms - skin.p50_ms})
-    rows.append(rivals.floor_row(bench.model, packer.store.packed(name), threads=bench.threads))
+    rows.append(floor.floor_row(bench.model, packer.store.packed(name), threads=bench.threads))
     for row in rows:
         row.setdefault("frames_per_s", 1e3 / row["p50_ms"] if "p50_ms" in row else None)
     return [row | size for row in rows]

@@ -120,16 +120,6 @@ SWING = {
     "share": ("of the simulator's", ".2f"), "error_mm": ("hem off the simulator's [mm]", ".0f"),
     "hem_mm": ("hem off the still drape's [mm]", ".0f"), "ms": ("ms", ".1f"),
 }  # fmt: skip
-STOP = {
-    "garment": ("garment", "s"), "clip": ("clip", "s"), "swings": ("swings through", "d"),
-    "millimetre_s": ("within 1 mm after [s]", ".2f"), "rest_s": ("every bit still after [s]", ".2f"),
-    "peak_mm": ("hem: largest [mm]", ".1f"),
-}  # fmt: skip
-POTENTIAL = {
-    "garment": ("garment", "s"), "clip": ("clip", "s"),
-    "given_dynamic_j": ("after the same frames: moving [J]", ".4f"), "given_static_j": ("static", ".4f"),
-    "own_dynamic_j": ("each after its own: moving", ".4f"), "own_static_j": ("static", ".4f"),
-}  # fmt: skip
 
 
 def folds_table(record: Record) -> str:
@@ -165,13 +155,6 @@ def trade_table(record: Record) -> str:
     kept = [row for row in record["means"] if row["pareto"] or row["tier"]]
     ordered = sorted(kept, key=lambda row: row["time_ratio"])
     return rows_table(TRADE, ({**row, "tier": row["tier"].replace("_", " ")} for row in ordered), record)
-
-
-def stop_table(record: Record) -> str:
-    """One line per garment and clip: the hem after an abrupt stop."""
-    rows = [row for row in record["rows"] if row["kind"] == "stop"]
-    times = {key: (f"after {key}", ".1f") for key in rows[0] if key[0].isdigit()}
-    return rows_table(STOP | times, rows, record)
 
 
 # --- speed -----------------------------------------------------------------------------------------------------------
@@ -234,10 +217,6 @@ STATIC_PAGE = {
     "network_ms": ("network of it", ".1f"), "server_ms": ("the service's [ms]", ".1f"), "rms_mm": ("apart [mm]", ".3f"),
     "first_mm": ("first second", ".3f"), "network_mm": ("network alone", ".4f"),
 }  # fmt: skip
-THROUGHPUT = {
-    "processes": ("processes", "d"), "threads": ("threads each", "d"), "batch": ("frames a step", "d"),
-    "frames_per_s": ("frames/s", ".0f"), "spread": ("spread", ".0f"),
-}  # fmt: skip
 
 
 def single_table(record: Record) -> str:
@@ -273,13 +252,6 @@ def serving_table(record: Record) -> str:
     alone = ", ".join(f"{tier} {ms:.1f} ms" for tier, ms in record["model_ms"].items())
     rows = rows_table(SERVING, record["rows"])
     return f"{rows}\n\nClients carried: {carried}. A frame alone: {alone}.\n\n{provenance(record)}"
-
-
-def throughput_table(record: Record) -> str:
-    """One line per way to share a training step among cores, and where its time goes."""
-    stages = [key for key in record["rows"][0] if key.endswith("_ms")]
-    columns = {key: (f"{key.removesuffix('_ms')} [ms/frame]", ".2f") for key in stages}
-    return rows_table(THROUGHPUT | columns, record["rows"], record)
 
 
 # --- recovery --------------------------------------------------------------------------------------------------------
@@ -352,8 +324,7 @@ def _only(columns: Columns, key: str, value: str, record: Record) -> str:
 QUALITY_PAGE, FOLDS_PAGE, SPEED_PAGE = (
     "docs/reference/quality.md", "docs/explanation/folds.md", "docs/reference/performance.md",
 )  # fmt: skip
-TRAINING_PAGE, FIT_PAGE = "docs/guide/training.md", "docs/explanation/recovery_fit.md"
-RUN_PAGE = "docs/guide/recovery_run.md"
+FIT_PAGE, RUN_PAGE = "docs/explanation/recovery_fit.md", "docs/guide/recovery_run.md"
 TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("quality", QUALITY_PAGE, "quality", quality_table),
     ("quality", QUALITY_PAGE, "quality_network", network_table),
@@ -361,8 +332,6 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("quality_fabrics", QUALITY_PAGE, "quality_fabrics", fabrics_table),
     ("quality_four", QUALITY_PAGE, "quality_four", four_table),
     ("swing", "docs/explanation/swing.md", "swing", partial(alike, SWING, sourced=False)),
-    ("dynamics", TRAINING_PAGE, "dynamics_stop", stop_table),
-    ("dynamics", TRAINING_PAGE, "dynamics_potential", partial(_only, POTENTIAL, "kind", "potential")),
     ("folds", FOLDS_PAGE, "folds", folds_table),
     ("moving", FOLDS_PAGE, "moving", partial(alike, MOVING)),
     ("tradeoff", "docs/reference/tradeoff.md", "tradeoff", trade_table),
@@ -380,7 +349,6 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("client_folds", "docs/guide/web.md", "client_folds", partial(alike, CLIENT_FOLDS)),
     ("static_page", "docs/guide/web.md", "static_page", partial(alike, STATIC_PAGE)),
     ("churn", SPEED_PAGE, "churn", partial(alike, CHURN)),
-    ("training", TRAINING_PAGE, "throughput", throughput_table),
     ("recovery_targets", FIT_PAGE, "recovery_targets", targets_table),
     ("recovery_rounds", FIT_PAGE, "recovery_rounds", rounds_table),
     ("exact", "docs/guide/options.md", "exact", partial(alike, EXACT)),

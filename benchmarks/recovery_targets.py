@@ -35,7 +35,7 @@ from benchmarks.recovery.turning import turning_distance
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.cloth.material import material
+from drape.cloth.material import Material, material
 from drape.errors import Unavailable
 from drape.files.data import HOW_TO_SET_DATA, data_folder
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
@@ -116,7 +116,7 @@ def newton_target(
         "nodes": own.sewn.nodes, "faces": own.mesh.faces, "panels": own.mesh.rest, "held": own.rest.held,
         "panel_faces": own.mesh.panel_faces, "body_vertices": body.v_template, "body_faces": body.faces,
         "stretch": cloth.h00 - cloth.h01**2 / cloth.h11, "shear": 0.5 * cloth.h22, "bending": preset.bending_j,
-        "density": preset.density_kg_m2, "friction": 0.0, "gap_m": GAP_M,
+        "density": preset.density_kg_m2, "gravity": Material.gravity_m_s2, "friction": 0.0, "gap_m": GAP_M,
     }  # fmt: skip
     with tempfile.TemporaryDirectory() as scratch:
         found = newton_drape(garment, scene, python, Path(scratch) if folder is None else folder)

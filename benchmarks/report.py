@@ -9,10 +9,8 @@ import json
 from pathlib import Path
 
 from benchmarks.harness import RESULTS_DIR, ROOT
-from benchmarks.papers import records as papers
-from benchmarks.records import TABLES as TABLES_OF_OURS
+from benchmarks.records import TABLES
 
-TABLES = (*TABLES_OF_OURS, *papers.TABLES)
 FOLDER = ROOT / "docs" / "records"
 
 

@@ -33,9 +33,9 @@ MEASURED = 10  # frames of a clip that are looked at
 FPS = 30.0
 
 
-def fabrics_option(*names: str, quick: tuple[str, ...] | None = None) -> Option:
+def fabrics_option(*names: str) -> Option:
     """``--fabrics``, by default ``names``."""
-    return Option("--fabrics", names, "what garments are made of", names[:1] if quick is None else quick)
+    return Option("--fabrics", names, "what garments are made of", names[:1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -197,7 +197,8 @@ def _without(options: Options, *names: str) -> Options:
 
 
 def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
-    """``call`` for vertices [m] (F, V, 3) float32 counted from the roots [m] (F, 3) float64, and these."""
+    """``call`` for vertices [m] (F, V, 3) float32 counted from the roots, and for the roots [m] (F, 3)
+    float64."""
 
     def read(response: httpx.Response) -> tuple[np.ndarray, np.ndarray]:
         vertices = call.read(response)

@@ -18,7 +18,7 @@ UNASKED = 60
 
 
 def most_frames(health: dict[str, Any], frame_bytes: int) -> int:
-    """The most frames of so many bytes of a request to a service with this ``health``."""
+    """The most frames, each of ``frame_bytes``, that a request to a service of this ``health`` may have."""
     in_body = (int(health["max_body_bytes"]) - OPTION_BYTES) // frame_bytes
     return max(1, min(int(health["max_frames"]), in_body))
 

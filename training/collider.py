@@ -1,9 +1,8 @@
-"""The body as training collides with it: posed vertices, their normals, and the nearest vertices."""
+"""The body as training collides with it: posed vertices and their normals."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.cloth.contact import DETAIL_JOINTS
@@ -39,17 +38,6 @@ class BodySurface:
     def normals(self, posed: np.ndarray) -> np.ndarray:
         """Area-weighted unit normals (F, C, 3) of ``posed`` (F, C, 3)."""
         return meshes.vertex_normals(posed, self.faces, table=self._table)
-
-
-def nearest_rows(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Rows (F, n) of the ``vertices`` (F, C, 3) nearest to ``points`` (F, n, 3), frame by frame."""
-    index = np.empty(points.shape[:2], dtype=np.int64)
-    for n in range(len(points)):
-        # An unbalanced tree builds three times faster and queries as fast here, one of large leaves builds and queries
-        # a quarter faster than one of ten points each; threads cost more than they find.
-        tree = KDTree(vertices[n], balanced_tree=False, compact_nodes=False, leafsize=32)
-        index[n] = tree.query(points[n])[1]
-    return index
 
 
 def _surface(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:

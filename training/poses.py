@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
+from drape.body.pose_support import BODY_JOINTS, LEGS
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MotionError
 from drape.geometry.rotations import rotvec_to_matrix
@@ -14,11 +15,9 @@ from drape.motion.clip import MotionClip, flagged_steps
 from drape.motion.readers import MOTION_SUFFIXES, read_motion
 from training.config import DataConfig
 
-LEGS = tuple(i for i, n in enumerate(JOINT_NAMES) if n.split("_")[-1] in ("hip", "knee", "ankle", "foot"))
 MIRROR = tuple(
     JOINT_NAMES.index(n.replace("left", "#").replace("right", "left").replace("#", "right")) for n in JOINT_NAMES
 )
-BODY_JOINTS = slice(1, 22)  # without root and hands
 KIND_COUNT = 128  # of poses, drawn evenly in part
 STRIDE_S = 1.0 / 15.0
 

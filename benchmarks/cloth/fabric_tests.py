@@ -18,7 +18,6 @@ from drape.cloth.material import Material
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.newton import Report, equilibrium, newton_step
 
-GRAVITY_M_S2 = 9.81
 TOLERANCE_N = 1e-6  # of the cloth's weight per node, 1e-5 to 1e-4 N
 PEIRCE_ANGLE_DEG = 41.5
 STRIP_WIDTH_M, STRIP_LENGTH_M = 0.025, 0.15
@@ -55,7 +54,7 @@ class Drape:
 # --- meshes ----------------------------------------------------------------------------------------------------------
 
 
-def strip_mesh(length_m: float, edge_m: float, *, line: bool, seed: int = 0) -> Mesh:
+def strip_mesh(length_m: float, edge_m: float, *, line: bool) -> Mesh:
     """A strip about x = 0; held is its left end or, with ``line``, the line in its middle."""
     half, width = 0.5 * length_m, STRIP_WIDTH_M
     columns, rows = (max(round(size / edge_m), 2) for size in (half, width))
@@ -64,7 +63,7 @@ def strip_mesh(length_m: float, edge_m: float, *, line: bool, seed: int = 0) -> 
     sides = [np.stack([x[1:-1], np.full_like(x[1:-1], at)], axis=1) for at in (0.0, width)]
     if line:
         sides = [np.delete(side, columns - 1, axis=0) for side in sides]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     count = round(length_m * width / (ROW * edge_m**2)) - sum(map(len, ends + sides)) // 2
     inside = rng.uniform([-half, 0.0], [half, width], (max(count, 0), 2))
     return _even(np.concatenate([*ends, *sides]), inside, held=len(y), edge_m=edge_m)
@@ -126,7 +125,7 @@ def _doubled_area(corners: np.ndarray) -> np.ndarray:
 
 def simulated(fabric: Fabric, mesh: Mesh, *, angle_rad: float = 0.0) -> tuple[ClothModel, Parameters]:
     """The mesh cut with its x at ``angle_rad`` to the warp: rest panels in grain axes, a rigidity for each hinge."""
-    model = ClothModel(mesh.faces, fixed=mesh.held, gravity_m_s2=GRAVITY_M_S2)
+    model = ClothModel(mesh.faces, fixed=mesh.held, gravity_m_s2=Material.gravity_m_s2)
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     panels = mesh.points @ np.array([[s, c], [-c, s]])
     parameters = model.parameters(panels, Material.of(fabric).woven)
@@ -155,14 +154,14 @@ def peirce_share(angle_rad: float) -> float:
     return float((np.cos(0.5 * angle_rad) / (8.0 * np.tan(angle_rad))) ** (1.0 / 3.0))
 
 
-def bending_length(fabric: Fabric, edge_m: float, *, angle_rad: float, expected_m: float, seed: int = 0) -> float:
+def bending_length(fabric: Fabric, edge_m: float, *, angle_rad: float, expected_m: float) -> float:
     """Bending length [m] of a strip cut at ``angle_rad`` to the warp, measured as on a Shirley tester.
 
     A strip twice as long lies over a line, so that symmetry clamps it; the overhang is the one at which
     ``expected_m`` gives the tester's 41.5 degrees, and Peirce's formula takes the angle that it hangs at.
     """
     overhang = expected_m / peirce_share(np.radians(PEIRCE_ANGLE_DEG))
-    mesh = strip_mesh(2.0 * overhang, edge_m, line=True, seed=seed)
+    mesh = strip_mesh(2.0 * overhang, edge_m, line=True)
     model, parameters = simulated(fabric, mesh, angle_rad=angle_rad)
     x, report = _settled(model, model.state(_flat(mesh)), parameters)
     if not report.converged:
@@ -183,9 +182,9 @@ def stretch_under(modulus_n_per_m: float, load_n_per_m: float) -> float:
     return float(roots.real[np.abs(roots.imag) < 1e-9].max())
 
 
-def strip_stretch(fabric: Fabric, edge_m: float, *, angle_rad: float, load_n_per_m: float, seed: int = 0) -> float:
+def strip_stretch(fabric: Fabric, edge_m: float, *, angle_rad: float, load_n_per_m: float) -> float:
     """Stretch in the middle of a strip (25 by 150 mm) cut at ``angle_rad`` to the warp and pulled at one end."""
-    mesh = strip_mesh(STRIP_LENGTH_M, edge_m, line=False, seed=seed)
+    mesh = strip_mesh(STRIP_LENGTH_M, edge_m, line=False)
     model, parameters = simulated(fabric, mesh, angle_rad=angle_rad)
     model.gravity = torch.zeros(3, dtype=torch.float64)
     end = np.isclose(mesh.points[:, 0], 0.5 * STRIP_LENGTH_M)

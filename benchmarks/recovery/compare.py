@@ -30,12 +30,12 @@ class PatternError(NamedTuple):
         )
 
 
-def pattern_error(found: Pattern, truth: Pattern, *, free_curves: bool = False) -> PatternError:
+def pattern_error(found: Pattern, truth: Pattern) -> PatternError:
     """The error of ``found`` against ``truth``, which has the same panels in the same order.
 
     A panel's place in its own plane means nothing, so each is moved rigidly to where it fits best; it is not mirrored.
     """
-    own, true = (control_points(pattern, free_curves=free_curves) for pattern in (found, truth))
+    own, true = map(control_points, (found, truth))
     if not (np.array_equal(own.panel, true.panel) and np.array_equal(own.edge, true.edge)):
         raise InputError(
             "patterns",

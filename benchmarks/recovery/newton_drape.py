@@ -8,8 +8,8 @@ the cloth with itself, friction.
 
 SCENE: ``nodes`` [m] (N, 3) sewn round the body, ``faces`` (F, 3), ``panels`` [m] (P, 2) and ``panel_faces`` (F, 3) the
 flat panels, ``body_vertices``, ``body_faces``, ``held`` nodes of a belt (may be none), and the numbers ``stretch`` and
-``shear`` [N/m], ``bending`` [J], ``density`` [kg/m^2], ``friction``, ``gap_m`` from skin to cloth. A belt's garment
-first closes round the body without weight.
+``shear`` [N/m], ``bending`` [J], ``density`` [kg/m^2], ``gravity`` [m/s^2], ``friction``, ``gap_m`` from skin to cloth.
+A belt's garment first closes round the body without weight.
 
 OUT: ``nodes`` (N, 3), ``moved_mm`` the largest move of a node over the last second, ``seconds`` simulated.
 """
@@ -40,7 +40,8 @@ class Garment:
         style3d: Any = importlib.import_module("newton.solvers").style3d
         self.warp.config.quiet = True
         newton, warp = self.newton, self.warp
-        builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=(0.0, -9.81, 0.0))
+        self.gravity = (0.0, -float(scene["gravity"]), 0.0)
+        builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=self.gravity)
         newton.solvers.SolverStyle3D.register_custom_attributes(builder)
         panels, panel_faces = outward(scene["panels"], scene["panel_faces"])
         stretch = float(scene["stretch"])
@@ -118,7 +119,7 @@ def main() -> None:
     if len(scene["held"]):
         garment.model.set_gravity((0.0, 0.0, 0.0))
         garment.run(CLOSING_S)
-        garment.model.set_gravity((0.0, -9.81, 0.0))
+        garment.model.set_gravity(garment.gravity)
         garment.hold(scene["held"])
     seconds, moved = 0.0, np.inf
     while seconds < LONGEST_S and moved > AT_REST_MM:

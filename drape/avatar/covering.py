@@ -1,8 +1,8 @@
 """The body of a character brought out to all that stands out of it, in its T-pose and where joints bend.
 
-What garments lie on must hold everything that is seen. In each of ``POSES`` the character's vertices that stand out of
-the posed skin, of the same part or one that joins it and facing the same way, tell by how much the skin is short there;
-it goes out by that along its normal in T-pose, smoothly, in rounds.
+Garments lie on this skin, so nothing that is seen may stand out of it. In each of ``POSES`` some of the character's
+vertices stand out of the posed skin: those of the same part, or of one that joins it, that face the same way tell by
+how much the skin is short there. In rounds the skin goes out by that, smoothly, along its normal in T-pose.
 """
 
 from __future__ import annotations

@@ -31,13 +31,6 @@ class Mapped:
     notes: tuple[str, ...] = ()
 
 
-def rig_of(
-    character: Character, body: BodyModel, *, told: Mapping[str, str] | None = None, label: str = "avatar"
-) -> Rig:
-    """The rig alone of ``mapped``."""
-    return mapped(character, body, told=told, label=label).rig
-
-
 def mapped(
     character: Character, body: BodyModel, *, told: Mapping[str, str] | None = None, label: str = "avatar"
 ) -> Mapped:

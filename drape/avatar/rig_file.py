@@ -1,9 +1,9 @@
 """Draped garments as a GLB on the character's own rig: its nodes as they came, garments skinned to them, and morphs.
 
-A vertex v moves by the blend A = sum_j w_j W_j B_j of its joints' world transforms W and inverse bind matrices B. What
-was draped at x is thus the target A^-1 x - v of its frame: skinned and morphed it is x again, whatever the weights. So
-these may be plain ones, four joints near the vertex; without its targets the garment is the one at rest, and follows
-any animation of the rig as skinned garments do.
+A vertex v moves by the blend A = sum_j w_j W_j B_j of its joints' world transforms W and inverse bind matrices B. A
+vertex that was draped at x therefore gets the morph target A^-1 x - v in its frame: morphed and skinned it lies at x,
+whatever the weights. So the weights may be plain ones, of four joints near the vertex. Without its targets the garment
+is the one at rest, and follows any animation of the rig as skinned garments do.
 """
 
 from __future__ import annotations

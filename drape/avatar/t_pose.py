@@ -14,10 +14,10 @@ import scipy.sparse
 
 from drape.avatar.character import Character
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from drape.garment.registration import UNIT_SCALES
 from drape.motion.rig_poses import Rig
 
 HEIGHTS_M = (1.0, 2.3)  # of characters that are taken as they are
-UNIT_SCALES = (1.0, 0.01, 0.1, 0.001, 0.0254)
 ADULT_HEIGHT_M = 1.7  # of what is no person's height in any unit
 
 
@@ -37,7 +37,7 @@ class TPose:
 
     @property
     def height_m(self) -> float:
-        """From its lowest to its highest point [m]."""
+        """The height [m] from its lowest to its highest point."""
         return float(np.ptp(self.vertices[:, 1]))
 
 

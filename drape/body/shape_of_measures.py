@@ -30,8 +30,8 @@ STEPS, DONE = 12, 1e-4  # at most so many; a shape that changes less is found
 
 
 class FoundShape(NamedTuple):
-    """A shape ``betas`` (S,), the measures that it ``reached``, and of those that were asked for by how much [m, kg]
-    the ``missed`` ones lie above (positive) or below."""
+    """A shape ``betas`` (S,) and the measures that it ``reached``. ``missed`` says by how much [m, kg] a measure lies
+    above (positive) or below what was asked, for those that are off by more than ``MISSED``."""
 
     betas: np.ndarray
     reached: Measures
@@ -41,7 +41,7 @@ class FoundShape(NamedTuple):
 def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: float = LIMIT) -> FoundShape:
     """The likeliest shape of ``body`` that has the measures ``asked``, by their names in ``Measures``.
 
-    Measures that are left out come out as they are likely beside those that are given. Refuses (``BodyError``) none at
+    A measure that is left out gets its likeliest value beside those that are given. Refuses (``BodyError``) none at
     all, unknown names, and a measure that no shape within ``limit`` standard deviations has. Measures that exclude each
     other are not refused: what was missed is told.
     """

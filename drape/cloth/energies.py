@@ -18,7 +18,6 @@ from drape.cloth.material import Material
 from drape.cloth.membrane import RestTriangles, rest_triangles
 from drape.cloth.membrane import energy as membrane_energy
 from drape.cloth.rest_state import RestState, modelled
-from drape.errors import InputError
 from drape.geometry import meshes
 
 # Added to squared lengths in units of the mean edge: a collapsed triangle keeps a finite
@@ -180,13 +179,9 @@ def total(
     material: Material,
     *,
     distance: Array | None = None,
-    before: Array | None = None,
-    before_that: Array | None = None,
-    dt_s: float | Array | None = None,
-    dt_before_s: float | Array | None = None,
     height_m: float | Array = 0.0,
 ) -> dict[str, Array]:
-    """The parts by name; "contact" where ``distance`` is given, "inertia" where the two steps before are."""
+    """The static parts by name; "contact" where ``distance`` is given."""
     planes = _planes(positions)
     parts = {
         "membrane": _membrane(planes, mesh, material),
@@ -195,15 +190,6 @@ def total(
     }
     if distance is not None:
         parts["contact"] = contact(distance, mesh, material)
-    if before is not None and before_that is not None and dt_s is not None:
-        parts["inertia"] = inertia(positions, before, before_that, mesh, material, dt_s=dt_s, dt_before_s=dt_before_s)
-    elif not (before is None and before_that is None and dt_s is None):
-        raise InputError(
-            "before, before_that and dt_s",
-            expected="all three or none",
-            got="some of them",
-            cure="Pass the two earlier positions and the time step.",
-        )
     return parts
 
 

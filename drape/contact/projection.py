@@ -108,7 +108,7 @@ def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Arr
     own_share, other_share = share[:, None, :slots], share[:, None, slots:] * has_other
 
     def out(moved: Array | None) -> Array:
-        """``moved`` (F, 3, N), None at first, with the push by what it still lacks, to first order."""
+        """``moved`` (F, 3, N), None at first, pushed on by the distance that it still lacks, to first order."""
         lacking = other_missing if moved is None else other_missing - dot_columns(moved, other_normal)
         from_other = _way(lacking, other_share) * other_normal
         moved = from_other if moved is None else moved + from_other

@@ -167,7 +167,7 @@ def _spread(
 
 
 def thinned(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Indices of those of ``points`` (n, d), in their order, that no kept one before has within its ``radius`` (n,)."""
+    """Indices of the ``points`` (n, d) kept, in their order: none lies within ``radius`` (n,) of one before."""
     tree, alive, kept = KDTree(points), np.ones(len(points), dtype=bool), []
     for index in range(len(points)):
         if alive[index]:

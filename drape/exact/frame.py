@@ -99,9 +99,9 @@ class Told:
 
 @dataclass(frozen=True, eq=False)
 class Lain:
-    """A pose (24, 3) [rad], the cloth ``x`` [m] (V, 3) that lies there, and the ``start`` (V, 3) that it was given.
+    """A frame that is done: its ``pose`` (24, 3) [rad], its cloth ``x`` [m] (V, 3), and the ``start`` (V, 3) of that.
 
-    Both are relative to the root.
+    Cloth and start are relative to the root.
     """
 
     pose: np.ndarray
@@ -112,9 +112,10 @@ class Lain:
 def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
     """The drape of a ``pose`` (24, 3) [rad], and what is told of it, from ``start`` [m] (V, 3) relative to the root.
 
-    The cloth comes from the frame ``before``, if there is one and that or ``start`` crosses as little; otherwise from
-    ``start``, or from the T-pose where that passes through itself. Where it would end above ``start`` so, it goes down
-    from there and may still cross. Raises ``MeshError`` where ``start`` is not finite.
+    The cloth comes from the frame ``before``, if there is one and either ``start`` crosses itself or that frame does
+    not; otherwise from ``start``, or from the T-pose if ``start`` passes through itself. If it would end with more
+    energy than ``start``, it goes down from ``start`` instead and may still cross. Raises ``MeshError`` where ``start``
+    is not finite.
     """
     start = np.ascontiguousarray(start, np.float64)
     check_finite("start of a frame", start, error=MeshError)

@@ -2,11 +2,11 @@
 
 A drape that passes through itself can rarely be brought apart where it is: sheets that lie deep in each other have no
 short way out. So the cloth comes to the pose from another one in which nothing crosses, such as the T-pose. In each
-step every vertex is drawn towards where the skin that is nearest to it would take it, but out of creases
-(``drape.exact.creases``), on a way on which nothing passes through anything (``drape.exact.apart``). At the end the
-cloth is drawn to the drape of the pose that crosses, where it stays as near as it can come.
+step every vertex is drawn to where the skin nearest to it would take it; skin in creases takes no part
+(``drape.exact.creases``). On this way nothing passes through anything (``drape.exact.apart``). At the end the cloth is
+drawn towards the drape that crosses, as near as it can come.
 
-From frame to frame of a clip the way is short, and the drapes of the two frames tell it.
+Between two frames of a clip the way is short: the cloth moves as the drapes of the two frames do.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
 def poses_between(
     body: Body, x: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pairs of poses (24, 3) [rad] one after the other on the way from ``before`` to ``after``, so near to each other
-    that the skin moves no part of the cloth ``x`` [m] (V, 3) much farther than ``WAY_M``."""
+    """Pairs of neighbouring poses (24, 3) [rad] on the way from ``before`` to ``after``: between the two of a pair the
+    skin moves no part of the cloth ``x`` [m] (V, 3) much farther than ``WAY_M``."""
     way_m = float(np.linalg.norm(body.carried(x, before, after) - x, axis=1).max())
     count = max(1, int(np.ceil(way_m / WAY_M)))
     poses = [between(before, after, number / count) for number in range(count + 1)]

@@ -2,9 +2,10 @@
 
 A cache file is one npz of plain arrays (the fields of ``Garment``), packed by LZMA: a fifth smaller than numpy's own
 packing, and ``numpy.load`` reads it too. The bytes of the array ``header`` are one JSON object of all text, the
-manifest included. Where ``fine_faces`` equal ``faces`` they are left out, and the header says so. The file's name is
-``NAME-DIGEST16.npz``; the digest covers the source mesh, the body, the intake options and ``FORMAT_VERSION``, not the
-file's name or time. ``python -m drape.garment.cache FILE`` prints what a file holds.
+manifest included. Where ``fine_faces`` equal ``faces`` they are left out, and the header says so. Where each row of
+``uv`` is of one vertex, ``uv_vertex`` (T,) stands for ``faces``. The file's name is ``NAME-DIGEST16.npz``; the digest
+covers the source mesh, the body, the intake options and ``FORMAT_VERSION``, not the file's name or time.
+``python -m drape.garment.cache FILE`` prints what a file holds.
 """
 
 from __future__ import annotations
@@ -152,6 +153,8 @@ class Garment(Atlas):
         return f"{self.name}-{self.digest[:16]}.npz"
 
 
+_BY_COLUMNS = ("vertices", "uv", "skin_weights", "shapedirs", "chart_uv", "chart_weight", "chart_residual")
+"""Arrays that pack a twentieth smaller where each coordinate stands by itself."""
 _TEXT_FIELDS = ("name", "digest", "body_digest", "vertex_count", "material_names", "manifest", "fabric")
 
 
@@ -166,7 +169,13 @@ def save_garment(garment: Garment, folder: Path) -> Path:
     if np.array_equal(garment.fine_faces, garment.faces):
         del arrays["fine_faces"]
         header["fine_faces"] = "faces"
+    uv_vertex = np.zeros(len(garment.uv), dtype=garment.faces.dtype)
+    uv_vertex[garment.uv_faces.reshape(-1)] = garment.faces[: len(garment.uv_faces)].reshape(-1)
+    if np.array_equal(uv_vertex[garment.uv_faces], garment.faces):
+        del arrays["faces"]
+        arrays["uv_vertex"] = uv_vertex
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    arrays |= {name: np.asfortranarray(arrays[name]) for name in _BY_COLUMNS}
     content, path = packed(arrays), folder / garment.file_name()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -191,10 +200,13 @@ def load_garment(path: Path) -> Garment:
         raise _refused(f"garment cache {path.name} format_version", str(FORMAT_VERSION), version)
     try:
         header["material_names"] = tuple(header["material_names"])
+        if "uv_vertex" in arrays:
+            arrays["faces"] = arrays.pop("uv_vertex")[arrays["uv_faces"]]
         if header.pop("fine_faces", None) == "faces":
             arrays["fine_faces"] = arrays["faces"]
+        arrays |= {name: np.ascontiguousarray(arrays[name]) for name in _BY_COLUMNS}
         return Garment(**header, **arrays)
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, IndexError) as error:
         raise _refused(f"garment cache {path.name}", "the fields of Garment", error) from error
 
 

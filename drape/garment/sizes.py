@@ -201,7 +201,8 @@ def regraded(edges: np.ndarray, uv: np.ndarray, graded: np.ndarray, uv_faces: np
 
 def garment_measures(garment: Garment, body: BodyModel) -> dict[str, float]:
     """Girths [m] of ``garment`` without stress at the levels of ``body`` that it goes around, and ``length_m`` from its
-    highest to its lowest point as it hangs. What hangs from below the waist has its own upper end for ``waist_m``."""
+    highest to its lowest point as it hangs. For a garment that hangs from below the waist ``waist_m`` is the girth of
+    its upper end."""
     faces, vertices, rest = (
         garment.fine_faces.astype(np.int64),
         garment.vertices.astype(np.float64),

@@ -63,8 +63,8 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
 
 
 def stretched(edges: np.ndarray, before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The unstressed edges [m] (G, 2, 2) of triangles that have ``edges`` and move from ``before`` to ``after`` [m]
-    (N, 3), so that their strain stays; a row is an edge, as in ``RestState``."""
+    """The unstressed edges [m] (G, 2, 2) with which triangles have the strain at ``after`` [m] (N, 3) that they have
+    with ``edges`` at ``before``; a row is an edge, as in ``RestState``."""
     columns = np.swapaxes(edges, -1, -2)
     own, other = (_metric(points, faces, columns) for points in (before, after))
     root = _root(own)

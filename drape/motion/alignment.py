@@ -1,4 +1,4 @@
-"""What a skeleton's rest pose is worth: the rotations that bring the T-pose onto it.
+"""How a skeleton's rest pose differs from the T-pose: the rotations that bring the T-pose onto it.
 
 Skeletons rest in a T-pose, an A-pose, or in a frame of their own. Joint j's rotation
 ``A_j`` is the least turn, seen from the parent's ``A``, that lays j's T-pose bone on

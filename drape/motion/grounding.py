@@ -58,9 +58,8 @@ def sole_heights(local_rotations: np.ndarray, rest_joints: np.ndarray, *, floor:
 
 
 def floor_note(poses: np.ndarray, trans: np.ndarray, rest_joints: np.ndarray, *, floor: float) -> str:
-    """What is to be said where the soles of ``poses`` (F, 24, 3) [rad] at ``trans`` (F, 3) [m] never come near the
-    ground y = 0, or go far below it; empty where nothing is. ``rest_joints`` and ``floor`` as in
-    ``placed_on_ground``."""
+    """A sentence for the caller if the lowest sole of ``poses`` (F, 24, 3) [rad] at ``trans`` (F, 3) [m] is far above
+    or below the ground y = 0; otherwise an empty one. ``rest_joints`` and ``floor`` as in ``placed_on_ground``."""
     heights = sole_heights(rotvec_to_matrix(poses), rest_joints, floor=floor).min(axis=(1, 2)) + trans[:, 1]
     lowest = float(heights.min())
     if abs(lowest) <= NOTED_M:

@@ -9,6 +9,7 @@ import igl
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.body.pose_support import BODY_JOINTS
 from drape.errors import InputError
 from drape.geometry import meshes
 from drape.geometry.rotations import rotvec_to_matrix
@@ -17,7 +18,6 @@ from drape.motion.clip import MotionClip, clean_windows
 POOL_FPS = 10.0
 WINDOW = 5  # frames without a glitch around a pose
 UPRIGHT_COSINE = float(np.cos(np.deg2rad(45.0)))
-BODY_JOINTS = slice(1, 22)  # without root and hands
 OVERLAP_LIMIT_PCT = 2.5  # of the body's vertices that lie inside the body: cloth cannot be there
 SKIN_M = 0.002
 

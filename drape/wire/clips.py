@@ -30,7 +30,7 @@ def of_rig(poses: np.ndarray) -> bool:
 
 
 def frame_bytes(poses: np.ndarray) -> int:
-    """What a frame of ``poses`` takes at most."""
+    """The most bytes that a frame of ``poses`` takes."""
     return 8 * (4 * poses.shape[1] + 3) if of_rig(poses) else FRAME_BYTES
 
 

@@ -85,13 +85,13 @@ def quality_headers(draped: Batch) -> dict[str, str]:
 
 
 def floor_headers(clip: PoseInput, body: BodyModel) -> dict[str, str]:
-    """The header that says so where the feet of ``clip`` are not on the floor."""
+    """A header with a sentence if the feet of ``clip`` are not on the floor; otherwise none."""
     note = floor_note(clip.poses, clip.trans, body.rest_joints(clip.betas), floor=floor_m(body, clip.betas))
     return {"X-Drape-Note": note} if note else {}
 
 
 def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
-    """Headers of an answer of so many JETS messages."""
+    """Headers of an answer of ``frames`` JETS messages."""
     headers = {"X-Drape-Frames": str(frames), "X-Drape-Patches": str(scene.patch_count), "X-Drape-Origin": "root"}
     if isinstance(scene, Outfit):
         worn = layer_list(scene, patches=True)

@@ -55,9 +55,9 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
 
     With origin "root" positions count from each frame's root, and the roots follow them, float64 (frames, 3). The
     vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry "jets"
-    the answer holds a JETS message per frame (docs/reference/wire.md), binary only. With streamed frames leave as they
-    are ready; with keep and past a clip comes in pieces that are the whole clip. With rig_poses in place of poses an
-    avatar moves by its own rig (docs/guide/avatars.md). With tier exact the answer is 202 and a job.
+    the answer holds a JETS message per frame (docs/reference/wire.md), binary only. With streamed, frames leave as they
+    are ready; with keep and past a clip comes in pieces that together are the whole clip. With rig_poses in place of
+    poses an avatar moves by its own rig (docs/guide/avatars.md). With tier exact the answer is 202 and a job.
     """
     state.check_slot()  # before anything is read
     asked, clip, turns, told_where = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)

@@ -74,7 +74,7 @@ async def _read(message: bytes, state: State, client: Client) -> ClipJob:
 
 
 def opener(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
-    """What a message on disk asks to compute."""
+    """A function that reads what a stored request, of the key that asked, wants computed."""
 
     async def opened(message: bytes, owner: str | None) -> Work:
         job = await _read(message, state, state.access.client(owner))

@@ -79,8 +79,9 @@ async def body_shape(body_id: str, request: Request, state: StateHere, client: C
 async def garment_fit(garment_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
     """How a garment fits: words, ease at chest, waist and hip, strain and pressure by regions.
 
-    What is read is the network's smooth drape, without folds. Ease is that of the rest pose, strain and pressure are
-    those of ``pose``. By Accept binary: float32 (vertices, 3), strain along warp and weft, pressure [N/m2].
+    The fit is that of the network's smooth drape, without folds. Ease is that of the rest pose, strain and pressure are
+    those of ``pose``. A binary answer (by Accept) is float32 (vertices, 3): strain along warp, along weft, pressure
+    [N/m2].
     """
     runtime = state.runtime
     state.check_slot()

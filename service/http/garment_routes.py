@@ -34,7 +34,7 @@ KNOWN: Responses = {304: {"description": "What the client has is this one."}}
 
 
 class FoldsAsked(BaseModel):
-    """What the garment's folds are made for."""
+    """The fabric, shape, mesh, character and size that a garment's constants of folds are made for."""
 
     fabric: str | None = Field(default=None, max_length=1000, description="A name, or the numbers of one as JSON.")
     betas: str | None = Field(default=None, max_length=1000, description="Shape coefficients, comma-separated.")

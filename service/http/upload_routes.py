@@ -69,8 +69,8 @@ async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobI
 
 @router.delete("/jobs/{job_id}", status_code=204, responses=responses(NotFound))
 async def cancel_job(job_id: str, state: StateHere, client: ClientHere) -> None:
-    """Ends an upload and removes its files; one that has ended is forgotten, and its garment stays. Of a clip of tier
-    exact nothing stays."""
+    """Ends an upload and removes its files; one that has ended is forgotten, and its garment stays. A clip of
+    tier exact is removed with all its frames."""
     if (clip := state.exact.find(job_id, client.name)) is not None:
         return await asyncio.shield(state.exact.remove(clip))
     await asyncio.shield(state.uploads.cancel(state.uploads.get(job_id, client.name)))

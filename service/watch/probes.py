@@ -117,7 +117,7 @@ class Probes(ThreadingHTTPServer):
         self.server_close()
 
     def process_request(self, request, client_address) -> None:
-        """In a thread of its own; hangs up where ``MOST_CLIENTS`` are being answered."""
+        """Answers in a thread of its own; hangs up while ``MOST_CLIENTS`` are being answered."""
         if self._places.acquire(blocking=False):
             super().process_request(request, client_address)
         else:

@@ -10,6 +10,7 @@ from scipy.integrate import solve_bvp
 from benchmarks import fabrics
 from benchmarks.cloth import fabric_tests
 from drape.cloth.fabric_table import fabric
+from drape.cloth.material import Material
 
 POPLIN = fabric("poplin").softened(1e3)
 
@@ -46,7 +47,7 @@ def test_peirces_formula_is_within_two_percent_of_the_elastica(overhang: float):
 
 
 def test_bending_length_of_a_strip_is_peirces():
-    expected = (POPLIN.bending_warp_j / (fabric_tests.GRAVITY_M_S2 * POPLIN.density_kg_m2)) ** (1.0 / 3.0)
+    expected = (POPLIN.bending_warp_j / (Material.gravity_m_s2 * POPLIN.density_kg_m2)) ** (1.0 / 3.0)
     found = fabric_tests.bending_length(POPLIN, 0.005, angle_rad=0.0, expected_m=expected)
     assert_allclose(found, expected, rtol=0.04, atol=0.0)
 

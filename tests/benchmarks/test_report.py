@@ -8,15 +8,12 @@ from pathlib import Path
 import pytest
 
 from benchmarks import records, report
-from benchmarks.papers import loss_ablation
-from benchmarks.papers import records as papers
-from benchmarks.papers.representation_space import REPRESENTATIONS
 from benchmarks.tables import cells, rows_table
 
 WHERE = {"machine": "a machine", "commit": "abc", "command": "python -m benchmarks.quality"}
 
 
-@pytest.mark.parametrize("name", sorted({Path(document).name for _, document, _, _ in report.TABLES}))
+@pytest.mark.parametrize("name", sorted({Path(document).name for _, document, _, _ in records.TABLES}))
 def test_a_page_of_records_holds_what_the_records_give(name: str):
     text = (report.FOLDER / name).read_text(encoding="utf-8")
     assert text == report.pages()[name]
@@ -71,11 +68,6 @@ def test_detail_and_fabrics_stand_where_they_were_measured():
             assert any(line.startswith(f"| sash | {name} |") for line in now)
     assert "| 1.26 |" in records.quality_table({"rows": measured, **WHERE})
     assert "| 0.40 |" in records.network_table({"rows": measured, "summary": []})
-
-
-def test_every_form_and_every_loss_has_a_name_in_the_documents():
-    assert set(REPRESENTATIONS) < set(papers.FORM_NAMES)
-    assert {*loss_ablation.LOSS_SETS, "skinning", "skinning_push"} <= set(papers.LOSS_NAMES)
 
 
 def test_the_trade_is_shown_along_its_front_the_cheapest_first():

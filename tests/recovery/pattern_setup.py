@@ -60,3 +60,23 @@ def assert_same_pattern(first: Pattern, second: Pattern, atol: float = 1e-9) -> 
         for left, right in zip(one.edges, other.edges, strict=True):
             assert (left.start, left.end, left.kind, left.label) == (right.start, right.end, right.kind, right.label)
             np.testing.assert_allclose(left.handles, right.handles, rtol=0, atol=atol)
+
+
+def every_curve() -> Pattern:
+    """Two panels with all kinds of edges, large and small arcs to both sides, sewn once."""
+    round_ends = Panel(
+        "röund end",
+        np.array([(0.0, 0.0), (0.3, 0.0), (0.35, 0.5), (-0.05, 0.5)]),
+        (
+            Edge(0, 1, EdgeKind.CIRCLE, ((0.5, -0.2),)),
+            Edge(1, 2),
+            Edge(2, 3, EdgeKind.CIRCLE, ((0.5, -0.7),)),
+            Edge(3, 0, EdgeKind.CIRCLE, ((0.5, 0.1),)),
+        ),
+    )
+    stitch = Stitch(EdgeRef("curved", 1), EdgeRef("röund end", 1))
+    return Pattern("every curve", (curved(), round_ends), (stitch,), material="wool")
+
+
+def polygon_mm(points: np.ndarray) -> float:
+    return float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())

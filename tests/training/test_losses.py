@@ -16,7 +16,7 @@ from drape.geometry import jets, meshes
 from drape.geometry.closest import signed_distance
 from tests.training.training_setup import bank, body, garment, source
 from training import losses
-from training.collider import BodySurface, nearest_rows
+from training.collider import BodySurface
 from training.data import BodyBatch
 from training.model import Posed, pose_frames, posed_coefficients
 
@@ -151,13 +151,6 @@ def test_collider_normals_point_out_of_the_body():
     out = rest.collider[0] + 1e-3 * rest.collider_normals[0] + body().joints_template[0]
     inside = signed_distance(out[::7], body().v_template, body().faces) < 0
     assert inside.mean() < 0.02  # folds of the skin are the exception
-
-
-def test_nearest_rows_are_the_nearest():
-    rng = np.random.default_rng(0)
-    points, collider = rng.normal(size=(2, 30, 3)), rng.normal(size=(2, 50, 3))
-    distance = np.linalg.norm(points[:, :, None] - collider[:, None], axis=-1)
-    assert (nearest_rows(points, collider) == distance.argmin(axis=-1)).all()
 
 
 def test_the_collider_is_the_posed_body_without_head_hands_and_toes():

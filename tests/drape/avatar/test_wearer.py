@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.avatar import wearer as wearers
 from drape.avatar.body_fit import target_joints
 from drape.avatar.character import read_character
-from drape.avatar.mapping import rig_of
+from drape.avatar.mapping import mapped
 from drape.avatar.t_pose import t_posed
 from drape.avatar.wearer import Wearer, load_wearer, main, read_wearer, save_wearer, wearer_name
 from drape.body.model import BodyModel
@@ -38,7 +38,7 @@ def worn(body: BodyModel) -> Wearer:
 def test_a_character_in_an_a_pose_comes_to_the_t_pose(body: BodyModel):
     payload = character(body, arms_rad=ARMS_DOWN_RAD, yaw_rad=np.pi)
     found = read_character(payload)
-    pose = t_posed(found, rig_of(found, body))
+    pose = t_posed(found, mapped(found, body).rig)
     rest = body.v_template - [0.0, body.v_template[:, 1].min(), 0.0]
     distance, _ = nearest_vertices(pose.vertices, rest)
     # The arms of the body itself are not level to a degree: at a wrist, 0.6 m out, that is a centimetre.
@@ -114,12 +114,12 @@ def test_a_damaged_file_or_that_of_another_body_is_refused(worn: Wearer, body: B
 def test_a_joint_that_is_told_counts(body: BodyModel):
     found = read_character(character(body))
     told = {"spine3": "mixamorig:Spine1"}
-    rig = rig_of(found, body, told=told)
+    rig = mapped(found, body, told=told).rig
     assert found.names[rig.sources["spine3"]] == "mixamorig:Spine1"
     with pytest.raises(NotFound, match="joint"):
-        rig_of(found, body, told={"tail": "mixamorig:Spine1"})
+        mapped(found, body, told={"tail": "mixamorig:Spine1"})
     with pytest.raises(NotFound, match="a node"):
-        rig_of(found, body, told={"spine3": "Spine9"})
+        mapped(found, body, told={"spine3": "Spine9"})
 
 
 def test_bones_of_no_person_are_refused(body: BodyModel):

@@ -63,6 +63,23 @@ def test_fine_faces_that_are_the_faces_are_stored_once(tmp_path):
     same_garment(load_garment(path), garment)
 
 
+def test_faces_that_uv_tell_are_not_stored(tmp_path):
+    garment = barrel_garment()
+    uv = np.random.default_rng(0).random((garment.vertex_count + 1, 2)).astype(np.float32)
+    seam = garment.faces.copy()
+    seam[0, 0] = garment.vertex_count  # a vertex with two places in uv
+    together = np.zeros_like(seam)  # all vertices have one place: it tells none of them
+    for uv_faces, stored_as in ((seam, "uv_vertex"), (together, "faces")):
+        textured = dataclasses.replace(garment, uv=uv, uv_faces=uv_faces)
+        path = save_garment(textured, tmp_path)
+        with np.load(path) as data:
+            assert {"faces", "uv_vertex"} & set(data.files) == {stored_as}
+        same_garment(load_garment(path), textured)
+    rewrite(path, without=("faces",), uv_vertex=np.zeros(0, dtype=np.int32))
+    with pytest.raises(ArtifactError, match="the fields of Garment"):
+        load_garment(path)
+
+
 def with_rest(garment: Garment) -> Garment:
     state = rest_state.flat(garment.vertices, garment.fine_faces)
     arrays = {"rest_edges": state.edges, "rest_angle": state.hinge_angle, "rest_stiffening": 2.0 * state.stiffening}

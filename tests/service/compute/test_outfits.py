@@ -30,32 +30,20 @@ from service.stages.plan import Plan
 from service.stages.scene import Outfit
 from service.stages.stage import run
 from tests.fixtures.poses import random_motion, smooth_motion
-from tests.fixtures.serving import outfit_settings, outfit_url
+from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of
 from tests.fixtures.streams import raw_stream
 from tests.fixtures.tiny_model import TINY
 from tests.service.graphs.test_push import added
 
-__all__ = ["outfit_settings", "outfit_url"]  # fixtures
+__all__ = ["client", "outfit_settings", "outfit_url"]  # fixtures
 
 BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "application/json"
 POSES = random_motion(2, spread_rad=0.2)[0]
 
 
-@pytest.fixture(scope="module")
-def client(outfit_url: str) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=outfit_url, timeout=60.0) as made:
-        yield made
-
-
 def ask(client: httpx.Client, accept: str = BINARY, **fields: object) -> httpx.Response:
     document = {"poses": POSES.tolist(), **fields}
     return client.post("/drape", json=document, headers={"Accept": accept})
-
-
-def vertices_of(response: httpx.Response) -> np.ndarray:
-    assert response.status_code == 200, response.text
-    shape = int(response.headers["X-Drape-Frames"]), int(response.headers["X-Drape-Vertices"]), 3
-    return np.frombuffer(response.content, "<f4").reshape(shape)
 
 
 def test_layers_come_one_after_the_other_and_out_of_each_other(client: httpx.Client, tube: Garment):

@@ -276,22 +276,6 @@ def test_the_posed_skin_is_that_of_the_bones_and_bodies_may_differ_in_shape():
         assert_allclose(result.arrays["skin"], want[0], rtol=0, atol=5e-4)  # normals of folds are short cross products
 
 
-def test_onnxruntime_itself_would_run_everything(tmp_path: Path):
-    """Why graphs are cut: should this fail, a newer runtime prunes by itself and ``service.graphs.subgraph`` can go."""
-    values = {name: onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, [3]) for name in "xyz"}
-    nodes = [onnx.helper.make_node("Neg", ["x"], ["y"]), onnx.helper.make_node("Sin", ["x"], ["z"])]
-    graph = onnx.helper.make_graph(nodes, "two", [values["x"]], [values["y"], values["z"]])
-    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 20)], ir_version=10)
-    options = onnxruntime.SessionOptions()
-    options.enable_profiling, options.profile_file_prefix = True, str(tmp_path / "profile")
-    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    run_options = onnxruntime.RunOptions()
-    run_options.only_execute_path_to_fetches = True
-    session.run(["y"], {"x": np.ones(3, np.float32)}, run_options)
-    events = json.loads(Path(session.end_profiling()).read_text())
-    assert [e for e in events if e.get("args", {}).get("op_name") == "Sin" and "_kernel" in e["name"]]
-
-
 def test_memory_of_compositions_is_bounded_and_numbers_stay(bodies):
     bounded, free = make_packer(kept_bytes=300_000), make_packer()
     for batch in range(6):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -152,3 +153,19 @@ def test_tensors_outside_the_model_stay_where_they_are(tmp_path: Path):
     session = onnxruntime.InferenceSession(cut(data, ["turned"]), options, providers=["CPUExecutionProvider"])
     got = np.asarray(session.run(None, {"table": TABLE, "index": FEED["index"]})[0])
     assert_array_equal(got, run(model().SerializeToString(), ["turned"], FEED)[0])
+
+
+def test_onnxruntime_itself_would_run_everything(tmp_path: Path):
+    """Why graphs are cut: should this fail, a newer runtime prunes by itself and ``service.graphs.subgraph`` can go."""
+    values = {name: helper.make_tensor_value_info(name, FLOAT, [3]) for name in "xyz"}
+    nodes = [helper.make_node("Neg", ["x"], ["y"]), helper.make_node("Sin", ["x"], ["z"])]
+    graph = helper.make_graph(nodes, "two", [values["x"]], [values["y"], values["z"]])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
+    options = onnxruntime.SessionOptions()
+    options.enable_profiling, options.profile_file_prefix = True, str(tmp_path / "profile")
+    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    run_options = onnxruntime.RunOptions()
+    run_options.only_execute_path_to_fetches = True
+    session.run(["y"], {"x": np.ones(3, np.float32)}, run_options)
+    events = json.loads(Path(session.end_profiling()).read_text())
+    assert [e for e in events if e.get("args", {}).get("op_name") == "Sin" and "_kernel" in e["name"]]

@@ -21,7 +21,7 @@ from service.settings import Settings
 from service.stages.batch import Batch, PoseInput
 from service.stages.stage import run
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import outfit_settings
+from tests.fixtures.serving import outfit_settings, vertices_of
 from tests.fixtures.tiny_model import ROUNDING_M, expected_vertices
 
 __all__ = ["outfit_settings"]  # fixture
@@ -31,12 +31,6 @@ BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "applicatio
 def ask(api: httpx.Client, accept: str | None = None, path: str = "/drape", **fields: object) -> httpx.Response:
     document = {"garment": "tube", **fields} if path == "/drape" else fields
     return api.post(path, json=document, headers={} if accept is None else {"Accept": accept})
-
-
-def vertices_of(response: httpx.Response) -> np.ndarray:
-    assert response.status_code == 200, response.text
-    shape = int(response.headers["X-Drape-Frames"]), int(response.headers["X-Drape-Vertices"]), 3
-    return np.frombuffer(response.content, "<f4").reshape(shape)
 
 
 def test_answer_is_that_of_the_readable_graph(api: httpx.Client, body: BodyModel, tube: Garment):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import httpx
@@ -36,18 +36,12 @@ from service.stages.batch import PoseInput
 from service.stages.stage import run
 from tests.fixtures.garments import ship
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import outfit_settings, outfit_url
+from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of
 from tests.fixtures.streams import RawStream, raw_stream
 
-__all__ = ["outfit_settings", "outfit_url"]  # fixtures
+__all__ = ["client", "outfit_settings", "outfit_url"]  # fixtures
 QUANTISED_M = 1e-4  # at the 99th percentile
 POSES, TRANS = random_motion(3, spread_rad=0.5)
-
-
-@pytest.fixture(scope="module")
-def client(outfit_url: str) -> Iterator[httpx.Client]:
-    with httpx.Client(base_url=outfit_url, timeout=60.0) as made:
-        yield made
 
 
 @pytest.fixture(scope="module")
@@ -58,12 +52,6 @@ def layout(client: httpx.Client) -> JetLayout:
 def ask(client: httpx.Client, accept: str | None = BINARY, **fields: object) -> httpx.Response:
     document = {"poses": POSES.tolist(), "trans": TRANS.tolist(), **fields}
     return client.post("/drape", json=document, headers={} if accept is None else {"Accept": accept})
-
-
-def vertices_of(response: httpx.Response) -> np.ndarray:
-    assert response.status_code == 200, response.text
-    shape = int(response.headers["X-Drape-Frames"]), int(response.headers["X-Drape-Vertices"]), 3
-    return np.frombuffer(response.content, "<f4").reshape(shape)
 
 
 def jets_of(response: httpx.Response) -> list[JetFrame]:

@@ -1,1 +1,0 @@
-"""Repeats of the papers' tables and figures, and what only they need."""
