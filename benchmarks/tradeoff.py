@@ -176,9 +176,10 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
     The least, ``instant``, is the cheapest without folds that has ``LIFTED`` of what all corrections gain; the next
     one, ``fast``, the cheapest with folds. The last folds all vertices, without more than ``DETAIL_MOST``: gain does
     not see fine folds and crossings. It is the cheapest of these that has all but ``ENOUGH`` of their best gain. The
-    one between it and ``fast`` is the cheapest that has at least half of what the last gains over ``fast``. A tier's folds, and its passes under folds,
-    are never less than those of the one below, and none is coarse above a fine one. Times decide by their order only,
-    so that the rule gives the same tiers on processors on which the rival is faster or slower than here.
+    one between it and ``fast`` is the cheapest that has at least half of what the last gains over ``fast``. A tier's
+    folds, and its passes under folds, are never less than those of the one below, and none is coarse above a fine one.
+    Times decide by their order only, so that the rule gives the same tiers on processors on which the rival is faster
+    or slower than here.
     """
     by_order = sorted(mean, key=lambda row: row["time_ratio"])
     lifted = [row for row in by_order if row.get("folds") == 0]
