@@ -92,7 +92,7 @@ def _correction(layers, number):
 
 @kernel
 def _heads(weights, felt, nothing, blocks):
-    """The jets, 28 rows a block: the last row is zero."""
+    """The jets, 32 rows a block: the last five are zero."""
     x = felt
     for number in range(len(weights.heads)):
         layer = weights.heads[number]
