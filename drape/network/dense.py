@@ -8,24 +8,29 @@ import numpy as np
 
 from drape.kernels.compiled import kernel, part
 from drape.kernels.lanes import LANES, most, number_at, put, row_at
+from drape.kernels.tiles import has_tiles
+from drape.network.tiled import run_tiles, tiles_of
 
 OUTPUTS = 8  # of a row of patches that are summed at once; with three rows that are 24 sums, all in registers
 
 
 class Layer(NamedTuple):
     """A layer of patches: ``weight`` (outputs / 8, inputs, 8) flat and ``bias`` (outputs,), of outputs filled up to a
-    multiple of eight with zeros. A negative sum is multiplied by the ``slope``: 1 where nothing bends."""
+    multiple of eight with zeros. A negative sum is multiplied by the ``slope``: 1 where nothing bends. ``tiles``: the
+    same weights for a processor that has tiles, else none (``drape.network.tiled``)."""
 
     weight: np.ndarray
     bias: np.ndarray
     slope: np.floating
+    tiles: np.ndarray
 
 
 def layer(weight: np.ndarray, bias: np.ndarray, slope: float = 1.0) -> Layer:
     """The layer of ``weight`` (outputs, inputs) and ``bias`` (outputs,), in the type of ``weight``."""
     missing = -len(weight) % OUTPUTS
-    tiles = _tiles(np.pad(weight, ((0, missing), (0, 0))), OUTPUTS)
-    return Layer(tiles, np.pad(bias, (0, missing)), weight.dtype.type(slope))
+    columns = _columns(np.pad(weight, ((0, missing), (0, 0))), OUTPUTS)
+    tiles = tiles_of(weight) if has_tiles() and weight.dtype == np.float32 else np.empty(0, np.uint32)
+    return Layer(columns, np.pad(bias, (0, missing)), weight.dtype.type(slope), tiles)
 
 
 class Rows(NamedTuple):
@@ -40,6 +45,9 @@ class Rows(NamedTuple):
 @kernel
 def run_layer(layer, inputs, added, outputs):
     """Writes the ``layer`` of ``inputs``, plus ``added`` where that has numbers, to ``outputs``; all are ``Rows``."""
+    if len(layer.tiles):
+        run_tiles(layer, inputs, added, outputs)
+        return
     count = len(layer.weight) // len(layer.bias)
     blocks = len(inputs.values) // (LANES * inputs.count)
     # The last four go two by two: three and one would read an input for fewer products.
@@ -153,11 +161,11 @@ def body_layer(weight: np.ndarray, bias: np.ndarray | None = None) -> BodyLayer:
     """The layer of ``weight`` (outputs, inputs) and ``bias`` (outputs,), none of zeros."""
     missing = -len(weight) % LANES
     bias = np.zeros(len(weight), weight.dtype) if bias is None else bias
-    return BodyLayer(_tiles(np.pad(weight, ((0, missing), (0, 0))), LANES), np.pad(bias, (0, missing)))
+    return BodyLayer(_columns(np.pad(weight, ((0, missing), (0, 0))), LANES), np.pad(bias, (0, missing)))
 
 
-def _tiles(weight: np.ndarray, outputs: int) -> np.ndarray:
-    """``weight`` (outputs, inputs) as (tiles, inputs, ``outputs`` of a tile), flat."""
+def _columns(weight: np.ndarray, outputs: int) -> np.ndarray:
+    """``weight`` (outputs, inputs) as (n, inputs, ``outputs``), flat: ``outputs`` of one input side by side."""
     return np.ascontiguousarray(weight.reshape(-1, outputs, weight.shape[1]).transpose(0, 2, 1)).reshape(-1)
 
 
