@@ -8,25 +8,29 @@ import numpy as np
 
 from drape.kernels.compiled import kernel, part
 from drape.kernels.lanes import LANES, most, number_at, put, row_at
+from drape.kernels.tiles import has_tiles
+from drape.network.tiled import run_tiles, tiles_of
 
-OUTPUTS = 4  # of a row of patches that are summed at once; with four rows that are sixteen sums, all in registers
+OUTPUTS = 8  # of a row of patches that are summed at once; with three rows that are 24 sums, all in registers
 
 
 class Layer(NamedTuple):
-    """A layer of patches: ``weight`` (outputs / 4, inputs, 4) flat and ``bias`` (outputs,), of outputs filled up to a
-    multiple of four with zeros. A negative sum is multiplied by the ``slope``: 1 where nothing bends."""
+    """A layer of patches: ``weight`` (outputs / 8, inputs, 8) flat and ``bias`` (outputs,), of outputs filled up to a
+    multiple of eight with zeros. A negative sum is multiplied by the ``slope``: 1 where nothing bends. ``tiles``: the
+    same weights for a processor that has tiles, else none (``drape.network.tiled``)."""
 
     weight: np.ndarray
     bias: np.ndarray
     slope: np.floating
+    tiles: np.ndarray
 
 
 def layer(weight: np.ndarray, bias: np.ndarray, slope: float = 1.0) -> Layer:
     """The layer of ``weight`` (outputs, inputs) and ``bias`` (outputs,), in the type of ``weight``."""
     missing = -len(weight) % OUTPUTS
-    filled = np.pad(weight, ((0, missing), (0, 0)))
-    tiles = filled.reshape(-1, OUTPUTS, weight.shape[1]).transpose(0, 2, 1)
-    return Layer(np.ascontiguousarray(tiles).reshape(-1), np.pad(bias, (0, missing)), weight.dtype.type(slope))
+    columns = _columns(np.pad(weight, ((0, missing), (0, 0))), OUTPUTS)
+    tiles = tiles_of(weight) if has_tiles() and weight.dtype == np.float32 else np.empty(0, np.uint32)
+    return Layer(columns, np.pad(bias, (0, missing)), weight.dtype.type(slope), tiles)
 
 
 class Rows(NamedTuple):
@@ -41,17 +45,19 @@ class Rows(NamedTuple):
 @kernel
 def run_layer(layer, inputs, added, outputs):
     """Writes the ``layer`` of ``inputs``, plus ``added`` where that has numbers, to ``outputs``; all are ``Rows``."""
+    if len(layer.tiles):
+        run_tiles(layer, inputs, added, outputs)
+        return
     count = len(layer.weight) // len(layer.bias)
     blocks = len(inputs.values) // (LANES * inputs.count)
-    whole = blocks - blocks % 4
-    for block in range(0, whole, 4):
-        _four_blocks(layer, inputs, added, outputs, block, count)
-    if blocks - whole == 3:
-        _three_blocks(layer, inputs, added, outputs, whole, count)
-    elif blocks - whole == 2:
-        _two_blocks(layer, inputs, added, outputs, whole, count)
-    elif blocks - whole == 1:
-        _one_block(layer, inputs, added, outputs, whole, count)
+    # The last four go two by two: three and one would read an input for fewer products.
+    threes = blocks - (4 if blocks % 3 == 1 and blocks > 3 else blocks % 3)
+    for block in range(0, threes, 3):
+        _three_blocks(layer, inputs, added, outputs, block, count)
+    for block in range(threes, blocks - 1, 2):
+        _two_blocks(layer, inputs, added, outputs, block, count)
+    if blocks == 1:
+        _one_block(layer, inputs, added, outputs, 0, count)
 
 
 @part
@@ -61,15 +67,37 @@ def _starts(rows, block):
 
 @part
 def _begin(layer, added, block, n):
-    none = row_at(layer.weight, 0) * 0.0  # a layer has sixteen weights at least
+    """The biases of the eight outputs from ``n`` on of a block, plus what is ``added``."""
+    row, bias = row_at(layer.weight, 0) * 0.0, layer.bias  # a layer has sixteen weights at least
+    a, b, c, d = row + bias[n], row + bias[n + 1], row + bias[n + 2], row + bias[n + 3]
+    e, f, g, h = row + bias[n + 4], row + bias[n + 5], row + bias[n + 6], row + bias[n + 7]
     if len(added.values) == 0:
-        return none + layer.bias[n], none + layer.bias[n + 1], none + layer.bias[n + 2], none + layer.bias[n + 3]
-    place = _starts(added, block) + LANES * n
+        return a, b, c, d, e, f, g, h
+    rows, place = added.values, _starts(added, block) + LANES * n
     return (
-        row_at(added.values, place) + layer.bias[n],
-        row_at(added.values, place + LANES) + layer.bias[n + 1],
-        row_at(added.values, place + 2 * LANES) + layer.bias[n + 2],
-        row_at(added.values, place + 3 * LANES) + layer.bias[n + 3],
+        row_at(rows, place) + a,
+        row_at(rows, place + LANES) + b,
+        row_at(rows, place + 2 * LANES) + c,
+        row_at(rows, place + 3 * LANES) + d,
+        row_at(rows, place + 4 * LANES) + e,
+        row_at(rows, place + 5 * LANES) + f,
+        row_at(rows, place + 6 * LANES) + g,
+        row_at(rows, place + 7 * LANES) + h,
+    )
+
+
+@part
+def _plus(sums, row, weight, w):
+    """Eight ``sums`` with the products of a ``row`` of inputs and the weights from ``w`` on."""
+    return (
+        sums[0] + row * number_at(weight, w),
+        sums[1] + row * number_at(weight, w + 1),
+        sums[2] + row * number_at(weight, w + 2),
+        sums[3] + row * number_at(weight, w + 3),
+        sums[4] + row * number_at(weight, w + 4),
+        sums[5] + row * number_at(weight, w + 5),
+        sums[6] + row * number_at(weight, w + 6),
+        sums[7] + row * number_at(weight, w + 7),
     )
 
 
@@ -81,59 +109,20 @@ def _finish(layer, outputs, block, n, sums):
 
 
 @kernel
-def _four_blocks(layer, inputs, added, outputs, block, count):
-    weight, values = layer.weight, inputs.values
-    x, y = _starts(inputs, block), _starts(inputs, block + 1)
-    z, u = _starts(inputs, block + 2), _starts(inputs, block + 3)
-    for n in range(0, len(layer.bias), OUTPUTS):
-        a0, b0, c0, d0 = _begin(layer, added, block, n)
-        a1, b1, c1, d1 = _begin(layer, added, block + 1, n)
-        a2, b2, c2, d2 = _begin(layer, added, block + 2, n)
-        a3, b3, c3, d3 = _begin(layer, added, block + 3, n)
-        w = n * count
-        for k in range(count):
-            p, q = row_at(values, x + LANES * k), row_at(values, y + LANES * k)
-            r, s = row_at(values, z + LANES * k), row_at(values, u + LANES * k)
-            m = number_at(weight, w)
-            a0, a1, a2, a3 = a0 + p * m, a1 + q * m, a2 + r * m, a3 + s * m
-            m = number_at(weight, w + 1)
-            b0, b1, b2, b3 = b0 + p * m, b1 + q * m, b2 + r * m, b3 + s * m
-            m = number_at(weight, w + 2)
-            c0, c1, c2, c3 = c0 + p * m, c1 + q * m, c2 + r * m, c3 + s * m
-            m = number_at(weight, w + 3)
-            d0, d1, d2, d3 = d0 + p * m, d1 + q * m, d2 + r * m, d3 + s * m
-            w += OUTPUTS
-        _finish(layer, outputs, block, n, (a0, b0, c0, d0))
-        _finish(layer, outputs, block + 1, n, (a1, b1, c1, d1))
-        _finish(layer, outputs, block + 2, n, (a2, b2, c2, d2))
-        _finish(layer, outputs, block + 3, n, (a3, b3, c3, d3))
-
-
-@kernel
 def _three_blocks(layer, inputs, added, outputs, block, count):
     weight, values = layer.weight, inputs.values
-    x, y = _starts(inputs, block), _starts(inputs, block + 1)
-    z = _starts(inputs, block + 2)
+    x, y, z = _starts(inputs, block), _starts(inputs, block + 1), _starts(inputs, block + 2)
     for n in range(0, len(layer.bias), OUTPUTS):
-        a0, b0, c0, d0 = _begin(layer, added, block, n)
-        a1, b1, c1, d1 = _begin(layer, added, block + 1, n)
-        a2, b2, c2, d2 = _begin(layer, added, block + 2, n)
-        w = n * count
+        a, b = _begin(layer, added, block, n), _begin(layer, added, block + 1, n)
+        c = _begin(layer, added, block + 2, n)
         for k in range(count):
-            p, q = row_at(values, x + LANES * k), row_at(values, y + LANES * k)
-            r = row_at(values, z + LANES * k)
-            m = number_at(weight, w)
-            a0, a1, a2 = a0 + p * m, a1 + q * m, a2 + r * m
-            m = number_at(weight, w + 1)
-            b0, b1, b2 = b0 + p * m, b1 + q * m, b2 + r * m
-            m = number_at(weight, w + 2)
-            c0, c1, c2 = c0 + p * m, c1 + q * m, c2 + r * m
-            m = number_at(weight, w + 3)
-            d0, d1, d2 = d0 + p * m, d1 + q * m, d2 + r * m
-            w += OUTPUTS
-        _finish(layer, outputs, block, n, (a0, b0, c0, d0))
-        _finish(layer, outputs, block + 1, n, (a1, b1, c1, d1))
-        _finish(layer, outputs, block + 2, n, (a2, b2, c2, d2))
+            w = n * count + OUTPUTS * k
+            a = _plus(a, row_at(values, x + LANES * k), weight, w)
+            b = _plus(b, row_at(values, y + LANES * k), weight, w)
+            c = _plus(c, row_at(values, z + LANES * k), weight, w)
+        _finish(layer, outputs, block, n, a)
+        _finish(layer, outputs, block + 1, n, b)
+        _finish(layer, outputs, block + 2, n, c)
 
 
 @kernel
@@ -141,47 +130,28 @@ def _two_blocks(layer, inputs, added, outputs, block, count):
     weight, values = layer.weight, inputs.values
     x, y = _starts(inputs, block), _starts(inputs, block + 1)
     for n in range(0, len(layer.bias), OUTPUTS):
-        a0, b0, c0, d0 = _begin(layer, added, block, n)
-        a1, b1, c1, d1 = _begin(layer, added, block + 1, n)
-        w = n * count
+        a, b = _begin(layer, added, block, n), _begin(layer, added, block + 1, n)
         for k in range(count):
-            p, q = row_at(values, x + LANES * k), row_at(values, y + LANES * k)
-            m = number_at(weight, w)
-            a0, a1 = a0 + p * m, a1 + q * m
-            m = number_at(weight, w + 1)
-            b0, b1 = b0 + p * m, b1 + q * m
-            m = number_at(weight, w + 2)
-            c0, c1 = c0 + p * m, c1 + q * m
-            m = number_at(weight, w + 3)
-            d0, d1 = d0 + p * m, d1 + q * m
-            w += OUTPUTS
-        _finish(layer, outputs, block, n, (a0, b0, c0, d0))
-        _finish(layer, outputs, block + 1, n, (a1, b1, c1, d1))
+            w = n * count + OUTPUTS * k
+            a = _plus(a, row_at(values, x + LANES * k), weight, w)
+            b = _plus(b, row_at(values, y + LANES * k), weight, w)
+        _finish(layer, outputs, block, n, a)
+        _finish(layer, outputs, block + 1, n, b)
 
 
 @kernel
 def _one_block(layer, inputs, added, outputs, block, count):
-    weight, values = layer.weight, inputs.values
-    x = _starts(inputs, block)
+    weight, values, x = layer.weight, inputs.values, _starts(inputs, block)
     for n in range(0, len(layer.bias), OUTPUTS):
-        a0, b0, c0, d0 = _begin(layer, added, block, n)
-        w = n * count
+        a = _begin(layer, added, block, n)
         for k in range(count):
-            p = row_at(values, x + LANES * k)
-            m = number_at(weight, w)
-            a0 = a0 + p * m
-            m = number_at(weight, w + 1)
-            b0 = b0 + p * m
-            m = number_at(weight, w + 2)
-            c0 = c0 + p * m
-            m = number_at(weight, w + 3)
-            d0 = d0 + p * m
-            w += OUTPUTS
-        _finish(layer, outputs, block, n, (a0, b0, c0, d0))
+            a = _plus(a, row_at(values, x + LANES * k), weight, n * count + OUTPUTS * k)
+        _finish(layer, outputs, block, n, a)
 
 
 class BodyLayer(NamedTuple):
-    """A layer of a body's code: ``weight`` (inputs, outputs), outputs filled up to a multiple of sixteen, ``bias``."""
+    """A layer of a body's code: ``weight`` (outputs / 16, inputs, 16) flat, so that memory is read from end to end, and
+    ``bias`` (outputs,), of outputs filled up to a multiple of sixteen with zeros."""
 
     weight: np.ndarray
     bias: np.ndarray
@@ -191,18 +161,26 @@ def body_layer(weight: np.ndarray, bias: np.ndarray | None = None) -> BodyLayer:
     """The layer of ``weight`` (outputs, inputs) and ``bias`` (outputs,), none of zeros."""
     missing = -len(weight) % LANES
     bias = np.zeros(len(weight), weight.dtype) if bias is None else bias
-    return BodyLayer(np.ascontiguousarray(np.pad(weight, ((0, missing), (0, 0))).T), np.pad(bias, (0, missing)))
+    return BodyLayer(_columns(np.pad(weight, ((0, missing), (0, 0))), LANES), np.pad(bias, (0, missing)))
+
+
+def _columns(weight: np.ndarray, outputs: int) -> np.ndarray:
+    """``weight`` (outputs, inputs) as (n, inputs, ``outputs``), flat: ``outputs`` of one input side by side."""
+    return np.ascontiguousarray(weight.reshape(-1, outputs, weight.shape[1]).transpose(0, 2, 1)).reshape(-1)
 
 
 @kernel
 def run_body_layer(layer, inputs, slope, outputs):
     """Writes the ``layer`` of the numbers ``inputs`` of one body to ``outputs``, negative sums times ``slope``."""
+    count = len(layer.weight) // len(layer.bias)
     for n in range(0, len(layer.bias), LANES):
+        first = n * count
         total, other = row_at(layer.bias, n), row_at(layer.bias, n) * 0.0
-        for k in range(0, len(layer.weight) - 1, 2):  # two sums, since each addition waits for the one before
-            total = total + row_at(layer.weight[k], n) * inputs[k]
-            other = other + row_at(layer.weight[k + 1], n) * inputs[k + 1]
-        if len(layer.weight) % 2:
-            total = total + row_at(layer.weight[len(layer.weight) - 1], n) * inputs[len(layer.weight) - 1]
+        for k in range(0, count - 1, 2):  # two sums, since each addition waits for the one before
+            place = first + LANES * k
+            total = total + row_at(layer.weight, place) * number_at(inputs, k)
+            other = other + row_at(layer.weight, place + LANES) * number_at(inputs, k + 1)
+        if count % 2:
+            total = total + row_at(layer.weight, first + LANES * (count - 1)) * number_at(inputs, count - 1)
         total = total + other
         put(outputs, n, most(total, total * slope))

@@ -41,7 +41,7 @@ def posed_jets(weights, rows, body, passes, patches):
 
     width = len(weights.surroundings.bias)
     near = weights.surroundings
-    own = Layer(near.weight, near.bias + body.code[:width], near.slope)
+    own = Layer(near.weight, near.bias + body.code[:width], near.slope, near.tiles)
     x = Rows(np.empty(LANES * width * blocks, frames.dtype), width, 0)
     run_layer(own, seen, Rows(rows.first, width, 0), x)
     for number in range(len(weights.trunk) - 1):
@@ -87,12 +87,12 @@ def posed_jets(weights, rows, body, passes, patches):
 
 @part
 def _correction(layers, number):
-    return Layer(layers.weight[number], layers.bias[number], layers.slope)
+    return Layer(layers.weight[number], layers.bias[number], layers.slope, layers.tiles[number])
 
 
 @kernel
 def _heads(weights, felt, nothing, blocks):
-    """The jets, 28 rows a block: the last row is zero."""
+    """The jets, 32 rows a block: the last five are zero."""
     x = felt
     for number in range(len(weights.heads)):
         layer = weights.heads[number]

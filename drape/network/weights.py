@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.graph.inputs import SLOPE
+from drape.kernels.tiles import aligned
 from drape.network.dense import BodyLayer, Layer, body_layer, layer
 
 
@@ -17,6 +18,7 @@ class Corrections(NamedTuple):
     weight: np.ndarray
     bias: np.ndarray
     slope: np.floating
+    tiles: np.ndarray
 
 
 class Weights(NamedTuple):
@@ -56,7 +58,12 @@ def _stacked(parameters: Mapping[str, np.ndarray], gain: float) -> tuple[Correct
     count = len({name.split(".")[1] for name in parameters if name.startswith("corrections.")})
     pairs = [_made(_layers(parameters, f"corrections.{i}."), gain) for i in range(count)]
     first, last = (
-        Corrections(np.stack([one.weight for one in each]), np.stack([one.bias for one in each]), each[0].slope)
+        Corrections(
+            np.stack([one.weight for one in each]),
+            np.stack([one.bias for one in each]),
+            each[0].slope,
+            aligned(np.stack([one.tiles for one in each])),
+        )
         for each in zip(*pairs, strict=True)
     )
     return first, last

@@ -38,7 +38,7 @@ def test_kernels_are_counted_by_stage_and_put_back():
 
 
 def test_a_kernel_moves_each_of_its_arrays_once():
-    layer = Layer(np.zeros((4, 3), np.float32), np.zeros(4, np.float32), np.float32(0.1))
+    layer = Layer(np.zeros((4, 3), np.float32), np.zeros(4, np.float32), np.float32(0.1), np.zeros(0, np.uint32))
     assert moved_bytes((POINTS, (layer, 3, POINTS)), POINTS) == POINTS.nbytes + 4 * 12 + 4 * 4
     assert multiply_adds("blend._blend", ((), (POINTS, np.zeros((2, 18, 32))))) == 3 * 2 * 18 * 32
     assert multiply_adds("places.moved_m", (POINTS,)) == 0
