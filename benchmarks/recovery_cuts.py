@@ -59,7 +59,8 @@ SHIPPED = {  # garment of the catalogue: its base, and the fabric that it is sew
 }
 UNSEEN = "does not show its seams"
 NAMES = (*DRAPED, *SCANS, *SHIPPED)
-SHEET, TILE, ACROSS = "recovery_cuts.webp", (160, 180), 5  # all pictures in one; pixels of one; how many side by side
+SHEET = "recovery_cuts.webp"  # all pictures in one
+TILE, GAP, ACROSS = (150, 170), 10, 5  # pixels of half a picture and between two; how many stand side by side
 
 COLUMNS = {
     "target": "s", "from": "s", "base": "s", "told": "s", "panels": "d", "mean_mm": ".1f", "chamfer_cm2": ".2f",
@@ -151,7 +152,7 @@ def tile_of(outcome: Outcome) -> bytes:
 def sheet_of(folder: Path) -> bytes:
     """A WebP of the pictures of targets that ``folder`` has, ``ACROSS`` side by side. Needs one of them."""
     tiles = [Image.open(path) for name in NAMES if (path := folder / f"{name}.png").exists()]
-    width, height = tiles[0].size
+    width, height = (side + GAP for side in tiles[0].size)
     sheet = Image.new("RGB", (min(ACROSS, len(tiles)) * width, -(-len(tiles) // ACROSS) * height), "white")
     for number, tile in enumerate(tiles):
         sheet.paste(tile, (number % ACROSS * width, number // ACROSS * height))

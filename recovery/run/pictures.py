@@ -29,7 +29,7 @@ THIN_M, THIN_REACH_M = 0.012, 0.05
 TARGET_COLOUR = (0.62, 0.62, 0.66)
 SPOT_COLOUR, SPOT_SHARE = (0.9, 0.1, 0.1), 0.04  # of the scan's extent: a fault is shown as large as this
 SCALE_SHARE = 0.98  # of the vertices lie within the colour scale
-EDGE_SHARE = 0.08  # of a garment's extent, which is left free round it
+EDGE_SHARE = 0.14  # of a garment's extent, which is left free round it
 VIEWS = (("front", 0.0), ("side", 70.0), ("back", 180.0))
 
 
