@@ -5,10 +5,14 @@ writes. One is a scan without a body, five are garments of the catalogue, cut wi
 sewn and let fall with friction; these six have no texture. With some ``--targets``, ``--save`` keeps the other rows.
 
     python -m benchmarks.recovery_cuts [--targets tee tank] [--pictures FOLDER] [--save]
+
+The folder of ``--pictures`` gets the reports, target above result as NAME.png, and ``SHEET``: all of those that are
+there, also of runs before (docs/images/recovery_cuts.webp).
 """
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import tempfile
@@ -17,6 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run
 from benchmarks.tables import Row
@@ -33,7 +38,8 @@ from recovery.fit.objective import DEFAULT_WEIGHTS
 from recovery.pattern.garmentcode import read_pattern
 from recovery.run.__main__ import EDGE_LENGTH_M, SCAN_REACH_M
 from recovery.run.cut import Cut
-from recovery.run.job import FIT_INSIDE, Job, run_job
+from recovery.run.job import FIT_INSIDE, Job, Outcome, run_job
+from recovery.run.pictures import Mesh, target_above_result
 from recovery.run.report_text import page_of, top_of
 
 TARGET_EDGE_M = 0.025
@@ -53,6 +59,8 @@ SHIPPED = {  # garment of the catalogue: its base, and the fabric that it is sew
 }
 UNSEEN = "does not show its seams"
 NAMES = (*DRAPED, *SCANS, *SHIPPED)
+SHEET = "recovery_cuts.webp"  # all pictures in one
+TILE, GAP, ACROSS = (150, 170), 10, 5  # pixels of half a picture and between two; how many stand side by side
 
 COLUMNS = {
     "target": "s", "from": "s", "base": "s", "told": "s", "panels": "d", "mean_mm": ".1f", "chamfer_cm2": ".2f",
@@ -105,6 +113,7 @@ def recovered(name: str, folder: Path, pictures: Path | None) -> Row:
         return row | {"base": "refused", "told": "no", "why": str(error)}
     if pictures is not None:
         write_whole(pictures / f"{name}.html", page_of(outcome))
+        write_whole(pictures / f"{name}.png", tile_of(outcome))
     top, panels = top_of(outcome), len(outcome.pattern.panels)
     return row | {
         "base": outcome.cut.base,
@@ -132,6 +141,26 @@ def told_words(name: str, cut: Cut, panels: int) -> str:
     return "base; seams unseen" if any(UNSEEN in sentence for sentence in cut.differs) else "base"
 
 
+def tile_of(outcome: Outcome) -> bytes:
+    """A PNG of the target, and below it of what was recovered, from the front."""
+    skin = outcome.wearer.skin
+    there = Mesh(outcome.target.vertices, outcome.target.faces)
+    found = Mesh(outcome.nodes, outcome.found.search.mesh.faces)
+    return target_above_result(there, found, Mesh(skin.vertices - outcome.wearer.trans, skin.faces), TILE)
+
+
+def sheet_of(folder: Path) -> bytes:
+    """A WebP of the pictures of targets that ``folder`` has, ``ACROSS`` side by side. Needs one of them."""
+    tiles = [Image.open(path) for name in NAMES if (path := folder / f"{name}.png").exists()]
+    width, height = (side + GAP for side in tiles[0].size)
+    sheet = Image.new("RGB", (min(ACROSS, len(tiles)) * width, -(-len(tiles) // ACROSS) * height), "white")
+    for number, tile in enumerate(tiles):
+        sheet.paste(tile, (number % ACROSS * width, number // ACROSS * height))
+    packed = io.BytesIO()
+    sheet.save(packed, "webp", quality=80, method=6)
+    return packed.getvalue()
+
+
 def recover_all(names: Sequence[str], pictures: Path | None) -> list[Row]:
     """Rows of all targets."""
     with tempfile.TemporaryDirectory() as scratch:
@@ -156,12 +185,14 @@ def with_others(rows: Sequence[Row], record: Path) -> list[Row]:
     "Recovery of ten targets of other cuts, the base not named.",
     COLUMNS,
     Option("--targets", NAMES, "which", ("skirt_4_panels",), choices=NAMES),
-    Option("--pictures", None, "writes the reports into this folder", kind=Path),
+    Option("--pictures", None, "writes the reports and their pictures into this folder", kind=Path),
 )
 def main(run: Run) -> None:
     """Rows of every target."""
     os.environ["OMP_NUM_THREADS"] = str(run.options.threads)
-    run.rows += recover_all(run.options.targets, run.options.pictures)
+    run.rows += recover_all(run.options.targets, pictures := run.options.pictures)
+    if pictures is not None and any(row["base"] != "refused" for row in run.rows):
+        print(write_whole(pictures / SHEET, sheet_of(pictures)))
     if run.options.save and len(run.rows) < len(NAMES):
         run.rows[:] = with_others(run.rows, RESULTS_DIR / "recovery_cuts.json")
 

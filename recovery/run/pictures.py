@@ -29,6 +29,7 @@ THIN_M, THIN_REACH_M = 0.012, 0.05
 TARGET_COLOUR = (0.62, 0.62, 0.66)
 SPOT_COLOUR, SPOT_SHARE = (0.9, 0.1, 0.1), 0.04  # of the scan's extent: a fault is shown as large as this
 SCALE_SHARE = 0.98  # of the vertices lie within the colour scale
+EDGE_SHARE = 0.14  # of a garment's extent, which is left free round it
 VIEWS = (("front", 0.0), ("side", 70.0), ("back", 180.0))
 
 
@@ -62,6 +63,19 @@ def target_and_result(target: Mesh, result: Mesh, skin: Mesh) -> bytes:
     bar = ScalarMappable(scale, "turbo")
     figure.colorbar(bar, ax=axes[-1], label="distance from the target [mm]", shrink=0.9, extend="max")
     return png(figure)
+
+
+def target_above_result(target: Mesh, result: Mesh, skin: Mesh, size: tuple[int, int]) -> bytes:
+    """A PNG of the target and, below it, of the result from the front, each of ``size`` (height, width) in pixels."""
+    body, middle = _body(skin, target.vertices), 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))
+    extent = float(np.ptp(target.vertices, axis=0)[:2].max()) * (1.0 + EDGE_SHARE)
+    rows = [
+        render([body, Surface(*mesh, colour)], size=size, centre=middle, extent_m=extent)
+        for mesh, colour in ((target, TARGET_COLOUR), (result, CLOTH))
+    ]
+    packed = io.BytesIO()
+    Image.fromarray(np.rint(255.0 * np.concatenate(rows)).astype(np.uint8)).save(packed, "png", optimize=True)
+    return packed.getvalue()
 
 
 def fault_picture(mesh: GarmentMesh, points: np.ndarray) -> bytes:

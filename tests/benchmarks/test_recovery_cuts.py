@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from benchmarks import recovery_cuts
 from drape.garment.files.mesh import read_mesh
@@ -52,3 +53,14 @@ def test_a_run_of_some_targets_keeps_the_rows_of_others_with_their_commit(tmp_pa
     record.write_text(json.dumps({"rows": rows, "commit": "old"}))
     found = recovery_cuts.with_others([{"target": "tank", "mean_mm": 2.0}], record)
     assert found == [rows[1], {"target": "tank", "mean_mm": 2.0}, {"commit": "old", **rows[0]}]
+
+
+def test_a_sheet_shows_the_pictures_that_are_there_in_the_order_of_the_targets(tmp_path: Path):
+    for number, name in enumerate(recovery_cuts.NAMES[:6]):
+        Image.new("RGB", (22, 38), (40 * number, 0, 0)).save(tmp_path / f"{name}.png")
+    (tmp_path / recovery_cuts.SHEET).write_bytes(recovery_cuts.sheet_of(tmp_path))
+    with Image.open(tmp_path / recovery_cuts.SHEET) as sheet:
+        pixels = np.asarray(sheet.convert("RGB")).astype(int)
+    assert pixels.shape == (96, 160, 3)
+    assert np.allclose(pixels[20, 10::32, 0], 40 * np.arange(5), atol=12) and abs(pixels[68, 10, 0] - 200) <= 12
+    assert pixels[68, 58].min() > 240
