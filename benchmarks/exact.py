@@ -32,7 +32,7 @@ from drape.cloth import metrics
 from drape.exact.frame import Sheet, exact
 from drape.live.fold_step import FoldEffort, warm_up
 
-ACCURATE = FoldEffort(2, cloth_contact=True)
+ACCURATE = FoldEffort(4, cloth_contact=True)
 SEEN = ("skin_pixels_pct", "detail_mm", "colliding_triangle_pct")
 COLUMNS = {
     "garment": "s", "fabric": "s", "clip": "s", "frame": "d", "method": "s", "energy_j": ".4f", "gain": ".4f",
