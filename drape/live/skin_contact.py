@@ -39,6 +39,7 @@ from drape.kernels.lanes import (
     least,
     most,
     normals_at,
+    number_at,
     points_at,
     points_in,
     put,
@@ -269,7 +270,7 @@ def _walk(points, lanes, skin, neighbour, steps):
         moved = False
         for lane in range(LANES):
             if nearer[NEARER + lane] >= 0.0:
-                own[lane], moved = near[LANES * int(nearer[NEARER + lane]) + lane], True
+                own[lane], moved = number_at(near, LANES * int(nearer[NEARER + lane]) + lane), True
         if not moved:
             break
 
@@ -279,7 +280,7 @@ def _look_around(own, neighbour, near):
     """Writes the neighbours of the samples ``own`` (``LANES``,) to ``near``, a row each."""
     for lane in range(LANES):
         for n in range(NEIGHBOURS):
-            near[LANES * n + lane] = neighbour[own[lane], n]
+            near[LANES * n + lane] = number_at(neighbour, NEIGHBOURS * own[lane] + n)
 
 
 @part
@@ -376,7 +377,7 @@ def _plane(points, lanes, skin, graph):
     kind = skin.dtype.type
     zero, half, one = kind(0), kind(0.5), kind(1)
     for lane in range(LANES):
-        lanes.scratch[lane] = graph.reach_m2[own[lane]]
+        lanes.scratch[lane] = number_at(graph.reach_m2, own[lane])
     per_m2 = one / row_at(lanes.scratch, 0)
     x, y, z, _ = samples_at(skin, own, 0)
     a, b, c, product = normals_at(skin, own, 0)
