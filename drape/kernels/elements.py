@@ -17,15 +17,29 @@ with the stress times area spp, stt, spt.
 from __future__ import annotations
 
 import numpy as np
+from numba.extending import overload
 
 from drape.kernels.compiled import kernel, part
+from drape.kernels.lanes import number_at
 
 # --- vectors ---------------------------------------------------------------------------------------------------------
 
 
-@kernel
 def at(x, v):
+    """The vector in the row ``v`` of ``x``, which is not negative."""
     return x[v, 0], x[v, 1], x[v, 2]
+
+
+@overload(at)
+def _at(x, v):
+    if x.layout != "C":
+        return lambda x, v: (x[v, 0], x[v, 1], x[v, 2])
+
+    def chosen(x, v):
+        first = np.intp(v) * x.shape[1]
+        return number_at(x, first), number_at(x, first + 1), number_at(x, first + 2)
+
+    return chosen
 
 
 @kernel

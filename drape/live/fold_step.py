@@ -24,8 +24,8 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.contact.projection import CLEARANCE_M, MOVED_M
 from drape.kernels.compiled import kernel
-from drape.kernels.elements import at, dot, scaled, sub, with_spare
-from drape.kernels.lanes import points_in, put_points
+from drape.kernels.elements import add, dot, scaled, sub, with_spare
+from drape.kernels.lanes import most, points_in, put_points, root
 from drape.live.ceiling import ceiling_over, pressed
 from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between
 from drape.live.colliders import leave, put_planes
@@ -351,18 +351,16 @@ def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
 @kernel
 def _go_on(x, way, momentum, k):
     """Moves ``x`` by a share ``momentum`` of its ``way``, of which no more than the reach counts."""
-    for v in range(len(x)):
-        u = at(way, v)
-        share = momentum * k.reach / np.sqrt(max(dot(u, u), k.reach * k.reach))
-        for i in range(3):
-            x[v, i] += share * u[i]
+    for block in range(len(x) // LANES):
+        u = points_in(way, LANES * block)
+        share = momentum * k.reach / root(most(dot(u, u), k.reach * k.reach))
+        put_points(x, LANES * block, add(points_in(x, LANES * block), scaled(share, u)))
 
 
 @kernel
 def _set_way(way, x, before):
-    for v in range(len(x)):
-        for i in range(3):
-            way[v, i] = x[v, i] - before[v, i]
+    for block in range(len(x) // LANES):
+        put_points(way, LANES * block, sub(points_in(x, LANES * block), points_in(before, LANES * block)))
 
 
 def warm_up() -> None:

@@ -37,6 +37,7 @@ from drape.kernels.lanes import (
     least,
     most,
     normals_at,
+    number_at,
     points_at,
     points_in,
     put3,
@@ -283,7 +284,7 @@ def _plane(points, lanes, skin, graph):
     kind = skin.dtype.type
     zero, half, one = kind(0), kind(0.5), kind(1)
     for lane in range(LANES):
-        lanes.scratch[lane] = graph.reach_m2[own[lane]]
+        lanes.scratch[lane] = number_at(graph.reach_m2, own[lane])
     per_m2 = one / row_at(lanes.scratch, 0)
     x, y, z, _ = samples_at(skin, own, 0)
     a, b, c, product = normals_at(skin, own, 0)

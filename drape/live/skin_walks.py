@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from drape.contact.samples import FACING, Samples
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import at, dot, sub
-from drape.kernels.lanes import points_in, put, samples_at, where_above
+from drape.kernels.lanes import number_at, points_in, put, samples_at, where_above
 from drape.live.sheet import LANES
 
 NEIGHBOURS = 8
@@ -110,7 +110,7 @@ def walk(points, lanes, skin, neighbour, steps):
         moved = False
         for lane in range(LANES):
             if nearer[lane] >= 0.0:
-                own[lane], moved = near[LANES * int(nearer[lane]) + lane], True
+                own[lane], moved = number_at(near, LANES * int(nearer[lane]) + lane), True
         if not moved:
             break
 
@@ -120,7 +120,7 @@ def look_around(own, neighbour, near):
     """Writes the neighbours of the samples ``own`` (``LANES``,) to ``near``, a row each."""
     for lane in range(LANES):
         for n in range(NEIGHBOURS):
-            near[LANES * n + lane] = neighbour[own[lane], n]
+            near[LANES * n + lane] = number_at(neighbour, NEIGHBOURS * own[lane] + n)
 
 
 @part

@@ -30,7 +30,7 @@ from drape.cloth.rest_state import RestState, modelled
 from drape.garment.cache import Garment
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import add, scaled, sub, with_spare
-from drape.kernels.lanes import points_at, points_in, put_points, row_at
+from drape.kernels.lanes import number_at, points_at, points_in, put_points, row_at
 from drape.live.clock import Frame, FrameMemory, follows, step_between
 from drape.live.coarse_mesh import coarse_mesh
 from drape.live.coarse_weights import NEAREST, coarse_weights
@@ -339,13 +339,17 @@ def lift_off(x, touched, under, around, fine, graph, clearance):
 def close_clusters(planes, fine):
     """The clusters of the tangles of ``fine`` (n,) with a triangle whose first corner's coarse place is kept apart by
     its ``planes``."""
-    corner = fine.tangles.corner
-    found, filled = np.empty(len(fine.tangles.start) - 1, np.int32), 0
-    for c in range(len(found)):
-        close = False
+    corner, count = fine.tangles.corner, len(planes) // PLANES
+    apart, any_apart = np.empty(LANES * count, np.uint8), False
+    for block in range(count):
         for lane in range(LANES):
-            v = fine.parent[corner[3 * LANES * c + lane]]
-            close |= planes[PLANES * (v // LANES) + v % LANES + APART_ROW] > 0
+            apart[LANES * block + lane] = planes[PLANES * block + APART_ROW + lane] > 0
+            any_apart |= planes[PLANES * block + APART_ROW + lane] > 0
+    found, filled = np.empty(len(fine.tangles.start) - 1, np.int32), 0
+    for c in range(len(found) if any_apart else 0):
+        close = 0
+        for lane in range(LANES):
+            close |= number_at(apart, number_at(fine.parent, number_at(corner, 3 * LANES * c + lane)))
         if close:
             found[filled] = c
             filled += 1
