@@ -39,7 +39,6 @@ def test_an_upper_sheet_stays_over_a_lower_one(two_sheets):
         height[name] = above[upper].mean() - above[~upper].mean()
     assert found.energy_j[0] < found.start_j[0] and height["free"] < 0.0005 < height["apart"]
     assert_array_equal(intersection_count(found.vertices, task.cloth.faces), [0])
-    assert intersection_count(free.vertices, task.cloth.faces)[0] > 10
 
 
 def test_an_optimum_is_stored(two_sheets, tmp_path, monkeypatch):
