@@ -96,7 +96,7 @@ def follow(network, skin, graph, touched):
 
 @part
 def walk(points, lanes, skin, neighbour, steps):
-    """``_nearest`` for a point in every lane, from ``lanes.sample``, moved in place."""
+    """``walked`` for a point in every lane, from ``lanes.sample``, moved in place."""
     own, near, nearer = lanes.sample, lanes.near, lanes.scratch
     square = squares(points, skin, own, 0)
     for _ in range(steps):
