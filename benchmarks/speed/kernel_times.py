@@ -112,10 +112,10 @@ def moved_bytes(*values: Any) -> int:
 def multiply_adds(name: str, arguments: tuple[Any, ...]) -> int:
     """Multiply-adds of the matrices of the kernel ``name``, 0 where it has none: layers of the network, whose rows are
     the patches, and products with the columns of tiles."""
-    if name == "drape.posed_jets":
+    if name == "drape.checked_jets":
         weights, rows, _, passes, _ = arguments
         layers = (weights.surroundings, *weights.trunk, *weights.heads)
         once = sum(layer.weight.size for layer in layers)
         each = sum(layer.weight[0].size for layer in weights.corrections)
         return len(rows.scale) * (once + passes * each)
-    return 3 * arguments[1][1].size if name == "blend._blend" else 0
+    return 3 * arguments[1].columns.size if name == "blend.blend" else 0

@@ -6,6 +6,8 @@ The arrangement is that of ``drape.graph.packing``.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from drape.arrays.subnormals import flushed
@@ -17,31 +19,43 @@ from drape.kernels.compiled import kernel
 BASIS = jets.HEIGHT_COUNT
 
 
+class Tiles(NamedTuple):
+    """What vertices are made by: the ``scale`` (K, 4) of the patches, the ``columns`` (Q, 18, 32) of the tiles and the
+    ``patch`` (Q,) of each, and the ``charts`` (4, >= V) of the vertices."""
+
+    scale: np.ndarray
+    columns: np.ndarray
+    patch: np.ndarray
+    charts: np.ndarray
+
+    @classmethod
+    def of(cls, garment: PackedGarment) -> Tiles:
+        """Those of ``garment``."""
+        stored, charts = garment.stored, garment.vertex_charts
+        return cls(stored["patch_scale"], stored["tile_positions"], garment.tile_patch, charts.reshape(len(charts), -1))
+
+
 def blended(garment: PackedGarment, jet: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Vertices [m] (V, 3) float32 of one frame of ``garment``: the weighted sums over its charts.
 
     ``jet`` (K, 27 or 45), ``rotation`` (K, 3, 3) and ``centre`` [m] (K, 3) are float32 as the packed graph gives them;
     vertices are relative to what ``centre`` is relative to. The same input gives the same bits.
     """
-    stored, charts = garment.stored, garment.vertex_charts
     vertices = np.empty((garment.vertex_count, 3), dtype=np.float32)
-    tiles = stored["patch_scale"], stored["tile_positions"], garment.tile_patch, charts.reshape(len(charts), -1)
     with flushed():
-        _blend((jet, rotation, centre), tiles, vertices)
+        blend((jet, rotation, centre), Tiles.of(garment), vertices)
     return vertices
 
 
 @kernel
-def _blend(posed_jets, tiles, vertices):
-    """Writes the ``vertices`` (V, 3) of ``posed_jets``: jet, rotation and centre; ``tiles``: the patches' scales, the
-    columns of the tiles and the patch of each, and the charts of the vertices."""
+def blend(posed_jets, tiles, vertices):
+    """Writes the ``vertices`` (V, 3) of ``posed_jets``: jet, rotation (K, 3, 3) and centre; by ``tiles``."""
     jet, rotation, centre = posed_jets
-    scale, columns, tile_patch, charts = tiles
     posed = np.empty((len(jet), 3, COLUMNS), np.float32)
-    said = np.empty((3, len(columns), CHARTS_PER_TILE), np.float32)
-    _pose(jet, rotation, centre, scale, posed)
-    _say(posed, columns, tile_patch, said)
-    _add(said.reshape(3, -1), charts, vertices)
+    said = np.empty((3, len(tiles.columns), CHARTS_PER_TILE), np.float32)
+    _pose(jet, rotation, centre, tiles.scale, posed)
+    _say(posed, tiles.columns, tiles.patch, said)
+    _add(said.reshape(3, -1), tiles.charts, vertices)
 
 
 @kernel
@@ -90,5 +104,5 @@ def warm_up() -> None:
     columns, patch = np.zeros((1, COLUMNS, CHARTS_PER_TILE), dtype=np.float32), np.zeros(1, dtype=np.int32)
     posed = np.zeros((1, jets.FULL_COUNT), dtype=np.float32), one, one[:, 0]
     for index in (np.uint16, np.int32):  # of a small garment and of a large one
-        tiles = one[:, 0, :1].copy(), columns, patch, np.zeros((4, 1), dtype=index)
-        _blend(posed, tiles, np.zeros((1, 3), dtype=np.float32))
+        tiles = Tiles(one[:, 0, :1].copy(), columns, patch, np.zeros((4, 1), dtype=index))
+        blend(posed, tiles, np.zeros((1, 3), dtype=np.float32))

@@ -60,9 +60,14 @@ class PackedBody:
         quaternion[:, JOINT_COUNT] = (1.0, 0.0, 0.0, 0.0)  # the ancestor of joints that have none
         return {
             "joint_quaternion": quaternion,
-            "joint_rest": np.broadcast_to(self.joint_rest, (len(poses), *self.joint_rest.shape)),
-            "betas": np.broadcast_to(self.betas, (len(poses), *self.betas.shape)),
+            "joint_rest": _repeated(self.joint_rest, len(poses)),
+            "betas": _repeated(self.betas, len(poses)),
         }
+
+
+def _repeated(array: np.ndarray, count: int) -> np.ndarray:
+    """``array`` ``count`` times, without a copy."""
+    return array[None] if count == 1 else np.broadcast_to(array, (count, *array.shape))  # the latter takes 10 us
 
 
 def pack_body(body: BodyModel, betas: np.ndarray | None = None) -> PackedBody:

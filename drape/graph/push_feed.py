@@ -55,6 +55,9 @@ class SkinShapes:
 
     def feed(self, betas: np.ndarray) -> dict[str, np.ndarray]:
         """``skin_rows`` (U, P, n, 4, 144), ``skin_bones`` (P, n) and ``body_shape`` (B,) for ``betas`` (B, 10)."""
+        if len(betas) == 1:  # most frames of a stream
+            rows = self._rows(np.asarray(betas, np.float32).tobytes())[None]
+            return {"skin_rows": rows, "skin_bones": self._skin.bones, "body_shape": np.zeros(1, np.int32)}
         keys = [row.tobytes() for row in np.ascontiguousarray(betas, dtype=np.float32)]
         shapes = {key: i for i, key in enumerate(dict.fromkeys(keys))}
         rows = [self._rows(key) for key in shapes]

@@ -12,12 +12,13 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from drape.geometry.colliders import NONE
-from drape.kernels.elements import farthest_m
+from drape.kernels.compiled import kernel
 
 PAUSE_S = 0.25  # a frame that comes later than that after the one before has no past
 CUT_M = 0.30  # nor has one in which the network moved a vertex farther
 SHORTEST_STEP_S = 1.0 / 240.0  # frames that come closer together count as this far apart
 FIRST_STEP_S = 1.0 / 30.0  # the step of a frame without a past
+_FLOAT64 = np.dtype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class Frame:
 
     def around(self, dtype: np.dtype) -> Surroundings:
         """What is around the cloth, its skin of ``dtype``."""
-        return Surroundings(writable(self.skin, dtype), np.array(self.colliders, np.float64, order="C"))
+        return Surroundings(writable(self.skin, dtype), writable(self.colliders, _FLOAT64))
 
 
 def writable(array: np.ndarray, dtype: np.dtype) -> np.ndarray:
@@ -57,18 +58,16 @@ class FrameMemory:
     time_s: float
     network: np.ndarray
 
+    def leads_to(self, time_s: float) -> bool:
+        """Whether a frame at ``time_s`` [s] may go on from this one, if it is no cut."""
+        return 0.0 <= time_s - self.time_s <= PAUSE_S
+
     def at(self, time_s: float) -> Self:
         """The same at another time [s]."""
         return replace(self, time_s=time_s)
 
 
-def follows(memory: FrameMemory, network: np.ndarray, time_s: float) -> bool:
-    """Whether the frame at ``time_s`` [s] with the ``network``'s points [m] (P, 3) goes on from the remembered one."""
-    if not 0.0 <= time_s - memory.time_s <= PAUSE_S:
-        return False
-    return bool(farthest_m(network, memory.network) <= CUT_M)
-
-
-def step_between(before_s: float, after_s: float) -> float:
+@kernel
+def step_between(before_s, after_s):
     """The step [s] from one frame to the next one."""
     return max(after_s - before_s, SHORTEST_STEP_S)

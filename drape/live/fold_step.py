@@ -16,30 +16,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
-from drape.contact.projection import CLEARANCE_M, MOVED_M
+from drape.contact.projection import CLEARANCE_M
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import add, dot, scaled, sub, with_spare
 from drape.kernels.lanes import most, points_in, put_points, root
 from drape.live.ceiling import ceiling_over, pressed
-from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between
+from drape.live.clock import CUT_M, FIRST_STEP_S, Frame, FrameMemory, Surroundings, step_between, writable
 from drape.live.colliders import leave, put_planes
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.lift import lift
-from drape.live.places import counted, farthest_place_m, moved_m, put_places, put_vertices
+from drape.live.places import delivered, farthest_place_m, moved_m, placed
 from drape.live.raised_skin import heights_over
 from drape.live.residual import EASE, ease, keep_residual
 from drape.live.room import keep_apart
-from drape.live.sheet import LANES, Sheet
+from drape.live.sheet import LANES
 from drape.live.skin_contact import TURNS, stuck_places, touch, write_grip
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples, follow
 from drape.live.surface_frames import FRAMES, in_frames, in_world, surface_frames
-from drape.live.sweeps import SCRATCH, descend, gradient_at, leash, stick
+from drape.live.sweeps import PLANES, SCRATCH, descend, gradient_at, leash, stick
 from drape.live.untangle import WAY_M, farthest_way, untangle
 from drape.live.whole import whole_step
 
@@ -85,8 +86,15 @@ class FoldReport:
     lifted_max_m: float = 0.0
 
 
-@dataclass(frozen=True)
-class FoldEffort:
+class FoldState(NamedTuple):
+    """The arrays of ``FoldMemory`` that a frame writes anew."""
+
+    residual: np.ndarray
+    velocity: np.ndarray
+    grip: np.ndarray
+
+
+class FoldEffort(NamedTuple):
     """The work that a frame gets.
 
     ``steps`` of the whole cloth, and half as many sweeps over its vertices, at least one; ``paced`` changes both in
@@ -103,6 +111,37 @@ class FoldEffort:
     clearance_m: float = CLEARANCE_M
 
 
+class FoldPast(NamedTuple):
+    """What a frame goes on from: ``FoldMemory``, ``step_s`` [s] before. Where that is infinite there is none."""
+
+    network: np.ndarray
+    state: FoldState
+    touched: TouchedSamples
+    turn: int
+    step_s: float
+
+
+class FoldOutcome(NamedTuple):
+    """``FoldReport`` of a frame. ``turn`` is that of the memory, and what crosses came apart by ``untangle`` [m] at
+    most in a step. It was ``lost`` if even without a past its result was no fold."""
+
+    settled: bool
+    reset: bool
+    lost: bool
+    turn: int
+    untangle: float
+
+
+class Folded(NamedTuple):
+    """The cloth ``x`` [m] (P, 3) of a frame, how far [m] (P,) it was ``lifted``, and what the memory keeps of it."""
+
+    x: np.ndarray
+    lifted: np.ndarray
+    state: FoldState
+    touched: TouchedSamples
+    outcome: FoldOutcome
+
+
 def fold(
     constants: FoldConstants, memory: FoldMemory | None, frame: Frame, effort: FoldEffort
 ) -> tuple[np.ndarray, FoldMemory, FoldReport]:
@@ -110,94 +149,117 @@ def fold(
 
     The same input gives the same bits. ``memory`` is not written to.
     """
-    sheet, dtype = constants.sheet, constants.sheet.own.dtype
-    placed = PlacedFrame(np.empty((len(sheet.vertex), 3), dtype), frame.around(dtype), frame.time_s)
-    put_places(frame.vertices, sheet.vertex, placed.network)
-    x, after, lifted_m, report = fold_places(constants, memory, placed, effort, sheet.planes())
-    if x is None:
-        return frame.vertices, after, report
-    return delivered(x, sheet), after, with_lift(report, lifted_m, sheet)
+    dtype = constants.sheet.own.dtype
+    past, around = past_of(memory, frame.time_s, dtype), frame.around(dtype)
+    vertices, network, folded, moved = _fold(writable(frame.vertices, dtype), past, around, constants, effort)
+    report = report_of(folded.outcome, moved)
+    return frame.vertices if folded.outcome.lost else vertices, memory_of(frame.time_s, network, folded), report
 
 
-class PlacedFrame(NamedTuple):
-    """A frame at the places of a cloth: the ``network``'s [m] (P, 3), what is ``around``, and the time [s]."""
-
-    network: np.ndarray
-    around: Surroundings
-    time_s: float
-
-
-def fold_places(
-    constants: FoldConstants, memory: FoldMemory | None, frame: PlacedFrame, effort: FoldEffort, planes: np.ndarray
-) -> tuple[np.ndarray | None, FoldMemory, np.ndarray, FoldReport]:
-    """``fold`` from place to place: where cloth is [m] (P, 3), None where that is no fold, the memory, how far [m] (P,)
-    it was lifted, and a report without that. What held the cloth is left in ``planes`` (``Sheet.planes``)."""
-    past = memory if memory is not None and follows(memory, frame.network, frame.time_s) else None
-    if past is not None:
-        x, after, lifted_m = _advanced(constants, past, frame, effort, planes)
-        if x is not None:
-            return x, after, lifted_m, FoldReport(settled=False)
-    none = _without_past(constants, frame)
-    x, after, lifted_m = _advanced(constants, none, frame, effort, planes)
-    if x is None:
-        return None, none, lifted_m, FoldReport(settled=True, reset=True)
-    return x, after, lifted_m, FoldReport(settled=True, reset=past is not None)
+def past_of(memory: FoldMemory | None, time_s: float, dtype: np.dtype) -> FoldPast:
+    """What ``memory`` says to a frame at ``time_s`` [s], of ``dtype``."""
+    if memory is None or not memory.leads_to(time_s):
+        return _no_past(dtype)
+    state = FoldState(memory.residual, memory.velocity, memory.grip)
+    return FoldPast(memory.network, state, memory.touched, memory.turn, step_between(memory.time_s, time_s))
 
 
-def delivered(x: np.ndarray, sheet: Sheet) -> np.ndarray:
-    """The vertices [m] (V, 3) of the cloth ``x`` [m] (P, 3)."""
-    vertices = np.empty((len(sheet.place), 3), x.dtype)
-    put_vertices(x, sheet.place, vertices)
-    return vertices
+@cache
+def _no_past(dtype: np.dtype) -> FoldPast:
+    none, nowhere = np.zeros((0, 3), dtype), np.zeros(0, np.int32)
+    return FoldPast(none, FoldState(none, none, none), TouchedSamples(nowhere, nowhere), 0, math.inf)
 
 
-def with_lift(report: FoldReport, lifted_m: np.ndarray, sheet: Sheet) -> FoldReport:
-    """``report`` with what ``lifted_m`` [m] (P,) says of the vertices."""
-    count, most_m = counted(lifted_m, sheet.place, MOVED_M)
-    return FoldReport(report.settled, report.reset, count / len(sheet.place), float(most_m))
+def memory_of(time_s: float, network: np.ndarray, folded: Folded) -> FoldMemory:
+    """The memory of a frame at ``time_s`` [s] with the ``network``'s places [m] (P, 3)."""
+    residual, velocity, grip = folded.state
+    return FoldMemory(time_s, network, residual, velocity, folded.touched, grip, folded.outcome.turn)
 
 
-def calmness(way_m: float) -> float:
+def report_of(outcome: FoldOutcome, moved: tuple[float, float]) -> FoldReport:
+    """The report of ``outcome`` and of what the lift ``moved``: a share of the vertices, the farthest so far [m]."""
+    return FoldReport(outcome.settled, outcome.reset, *moved)
+
+
+@kernel
+def _fold(vertices, past, around, cloth, effort):
+    """The folded ``vertices`` [m] (V, 3), the network's places, ``Folded``, and what the lift moved (``delivered``)."""
+    sheet = cloth.sheet
+    network = placed(vertices, sheet.vertex)
+    folded = fold_places(network, past, around, cloth, effort, no_planes(network))
+    out = np.empty_like(vertices)
+    moved = delivered(folded.x, folded.lifted, sheet.place, out)
+    return out, network, folded, moved
+
+
+@kernel
+def no_planes(network):
+    """What holds cloth in a frame, ``PLANE_ROWS`` a block (``sweeps``): no planes, and nothing held."""
+    return np.zeros(PLANES // LANES * len(network), network.dtype)
+
+
+@kernel
+def fold_places(network, past, around, cloth, effort, planes):
+    """``Folded``: the cloth of a frame, from the ``network``'s places [m] (P, 3). What held it is left in ``planes``.
+
+    A frame whose result is no fold is computed once more without its past. What it leaves is nothing if that is none
+    either.
+    """
+    follows = past.step_s < np.inf and farthest_place_m(network, past.network) <= CUT_M
+    if follows:
+        folded = _advanced(network, past, around, cloth, effort, planes)
+        if not folded.outcome.lost:
+            return folded
+    folded = _advanced(network, _without_past(network, cloth), around, cloth, effort, planes)
+    x, lifted, state, touched, outcome = folded
+    if outcome.lost:
+        none = _without_past(network, cloth)
+        state, touched = none.state, none.touched
+    reset, turn = follows or outcome.lost, 0 if outcome.lost else outcome.turn
+    return Folded(x, lifted, state, touched, FoldOutcome(True, reset, outcome.lost, turn, outcome.untangle))
+
+
+@kernel
+def _without_past(network, cloth):
+    """A past in which the cloth lay where the network has it: its time is infinitely long ago."""
+    still = np.zeros_like(network)
+    touched = TouchedSamples(cloth.index, np.full_like(cloth.index, -1))
+    return FoldPast(network, FoldState(still, still, still), touched, 0, np.inf)
+
+
+@kernel
+def _advanced(network, past, around, cloth, effort, planes):
+    """``Folded`` of the frame after ``past``."""
+    kind, k, settled = network.dtype.type, cloth.sheet.constants, past.step_s == np.inf
+    step_s = FIRST_STEP_S if settled else past.step_s
+    rounds = 0 if effort.steps == 0 else effort.settle if settled else 1
+    share = fading(effort, step_s)
+    way_m = moved_m(past.network, network, cloth.sheet.place)
+    # Each is half of the fabric's.
+    pace = paced(effort.steps, calmness(way_m), k.warp + k.weft > STIFF_N_PER_M)
+    momentum = SETTLING_MOMENTUM if settled and rounds >= LONG_ROUNDS else pace.momentum
+    untangled_m = WAY_M if settled else farthest_way(way_m)
+    schedule = FoldSchedule(
+        kind(step_s), kind(momentum), kind(pace.share), rounds, pace.steps, pace.sweeps,
+        -1 if settled else past.turn, effort.cloth_contact and rounds > 0,
+        kind(0.0 if settled else cloth.friction), kind(effort.clearance_m), kind(untangled_m),
+    )  # fmt: skip
+    touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
+    still = kind(1.0 if share == 1.0 else 0.0)
+    state = FoldState(kind(share) * past.state.residual, still * past.state.velocity, past.state.grip.copy())
+    x, far, lifted = advance(FoldPlaces(past.network, network, planes), state, touched, around, cloth, schedule)
+    outcome = FoldOutcome(settled, False, not far <= FAR_M, (past.turn + 1) % TURNS, untangled_m)
+    return Folded(x, lifted, state, touched, outcome)
+
+
+@kernel
+def calmness(way_m):
     """1 where the network moves its vertices slowly, by ``way_m`` [m] (``moved_m``), 0 where fast."""
     return min(max((FAST_M - way_m) / (FAST_M - SLOW_M), 0.0), 1.0)
 
 
-def _without_past(constants: FoldConstants, frame: PlacedFrame) -> FoldMemory:
-    still = np.zeros_like(frame.network)
-    touched = TouchedSamples(constants.index, np.full_like(constants.index, -1))
-    return FoldMemory(frame.time_s, frame.network, still, still, touched, still, 0)
-
-
-def _advanced(
-    constants: FoldConstants, past: FoldMemory, frame: PlacedFrame, effort: FoldEffort, planes: np.ndarray
-) -> tuple[np.ndarray | None, FoldMemory, np.ndarray]:
-    """The cloth [m] (P, 3) of the frame after ``past``, None where that is no fold, its memory, and how far [m] (P,) it
-    was lifted."""
-    network, time_s, dtype = frame.network, frame.time_s, frame.network.dtype.type
-    settled = past.network is network
-    step_s = FIRST_STEP_S if settled else step_between(past.time_s, time_s)
-    rounds = 0 if effort.steps == 0 else effort.settle if settled else 1
-    share = fading(effort, step_s)
-    way_m = moved_m(past.network, network, constants.sheet.place)
-    k = constants.sheet.constants
-    # Each is half of the fabric's.
-    pace = paced(effort.steps, calmness(way_m), stiff=float(k.warp + k.weft) > STIFF_N_PER_M)
-    momentum = SETTLING_MOMENTUM if settled and rounds >= LONG_ROUNDS else pace.momentum
-    schedule = FoldSchedule(
-        dtype(step_s), dtype(momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
-        -1 if settled else past.turn, effort.cloth_contact and rounds > 0,
-        dtype(0.0 if settled else constants.friction), dtype(effort.clearance_m),
-        dtype(WAY_M if settled else farthest_way(way_m)),
-    )  # fmt: skip
-    touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
-    state = FoldState(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())
-    places = FoldPlaces(past.network, network, planes)
-    x, far, lifted_m = advance(places, state, touched, frame.around, constants, schedule)
-    after = FoldMemory(time_s, network, state.residual, state.velocity, touched, state.grip, (past.turn + 1) % TURNS)
-    return x if far <= FAR_M else None, after, lifted_m
-
-
-def fading(effort: FoldEffort, step_s: float) -> float:
+@kernel
+def fading(effort, step_s):
     """The share of the residual that is left after ``step_s`` [s]: 1 where there are steps, less where folds fade."""
     return 1.0 if effort.steps else math.exp(-step_s / FADE_S)
 
@@ -211,7 +273,8 @@ class Pace(NamedTuple):
     momentum: float
 
 
-def paced(steps: int, calm: float, *, stiff: bool) -> Pace:
+@kernel
+def paced(steps, calm, stiff):
     """The pace of an effort of ``steps`` in motion that is ``calm`` (``calmness``), for cloth that is ``stiff`` or not.
 
     A step of the whole answers to where soft cloth was, and in fast motion that is out of date: steps fade out, and
@@ -225,7 +288,7 @@ def paced(steps: int, calm: float, *, stiff: bool) -> Pace:
         return Pace(steps, sweeps, STIFF_SHARE + calm * (1.0 - STIFF_SHARE), momentum)
     momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM)
     if calm == 0.0:
-        return Pace(0, steps + FAST_SWEEPS, 0.0, momentum)
+        return Pace(0 * steps, steps + FAST_SWEEPS, calm, momentum)
     return Pace(steps, half + (FAST_SWEEPS if calm < 1.0 else 0), calm, momentum)
 
 
@@ -245,14 +308,6 @@ class FoldPlaces(NamedTuple):
     before: np.ndarray
     network: np.ndarray
     planes: np.ndarray
-
-
-class FoldState(NamedTuple):
-    """The arrays of ``FoldMemory`` that a frame writes anew."""
-
-    residual: np.ndarray
-    velocity: np.ndarray
-    grip: np.ndarray
 
 
 class FoldSchedule(NamedTuple):

@@ -19,6 +19,8 @@ from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import add, dot, scaled, sub
 from drape.kernels.lanes import least, most, points_in, put, put_points, root, rows3_at, where_above
 from drape.live.sheet import LANES
+from drape.live.skin_contact import own_plane
+from drape.live.skin_walks import walk_lanes
 from drape.live.sweeps import OTHER_PLANE, PLANES
 
 OTHER = 0.25  # the share of the way out of another part
@@ -29,27 +31,48 @@ DEEP_M, TOO_DEEP_M = 0.006, 0.02  # below the clearance
 def lift(x, planes, clearance, way):
     """Moves ``x`` [m] (P, 3) in place up to the ``clearance`` [m] over the ``planes`` that ``touch`` wrote, and writes
     how far each vertex went to ``way`` [m] (P,)."""
-    kind = x.dtype.type
-    one, other, deep = kind(1), kind(OTHER), kind(DEEP_M)
-    fade = one / (kind(TOO_DEEP_M) - deep)
+    share, own, fade = x.dtype.type(OTHER), x.dtype.type(1), _fade(x)
     for block in range(len(x) // LANES):
+        before, row = points_in(x, LANES * block), PLANES * block
+        other = row + OTHER_PLANE
+        after = _above(before, rows3_at(planes, other), rows3_at(planes, other + 3 * LANES), clearance, (share, fade))
+        after = _above(after, rows3_at(planes, row), rows3_at(planes, row + 3 * LANES), clearance, (own, fade))
+        _put(x, block, before, after, way)
+
+
+@kernel
+def lift_off_skin(x, skin, graph, touched, clearance, way):
+    """``lift`` over the planes of ``drape.live.skin_contact.put_own_planes``, none of which is kept."""
+    lanes, how = walk_lanes(skin), (x.dtype.type(1), _fade(x))
+    for block in range(len(x) // LANES if clearance > 0.0 else 0):
         before = points_in(x, LANES * block)
-        after = _above(before, planes, PLANES * block + OTHER_PLANE, clearance, (other, deep, fade))
-        after = _above(after, planes, PLANES * block, clearance, (one, deep, fade))
-        put_points(x, LANES * block, after)
-        moved = sub(after, before)
-        put(way, LANES * block, root(dot(moved, moved)))
+        foot, unit = own_plane(before, LANES * block, touched, lanes, skin, graph)
+        _put(x, block, before, _above(before, foot, unit, clearance, how), way)
 
 
 @part
-def _above(points, planes, row, clearance, how):
-    """``points`` after a share of their way up to ``clearance`` over the planes that begin at ``row``.
+def _put(x, block, before, after, way):
+    put_points(x, LANES * block, after)
+    moved = sub(after, before)
+    put(way, LANES * block, root(dot(moved, moved)))
+
+
+@part
+def _fade(x):
+    """The depth from which a lift fades, and by how much of it a metre."""
+    kind = x.dtype.type
+    deep = kind(DEEP_M)
+    return deep, kind(1) / (kind(TOO_DEEP_M) - deep)
+
+
+@part
+def _above(points, foot, normal, clearance, how):
+    """``points`` after a share of their way up to ``clearance`` over the planes through ``foot``.
 
     Points that are higher or too deep stay. Where there is no plane its normal is zero.
     """
-    share, deep, fade = how
+    share, (deep, fade) = how
     zero, one = share - share, share / share
-    normal = rows3_at(planes, row + 3 * LANES)
-    low = clearance - dot(sub(points, rows3_at(planes, row)), normal)
+    low = clearance - dot(sub(points, foot), normal)
     left = least(most(one - fade * (low - deep), zero), one)
     return add(points, scaled(where_above(low, zero, share * left * low, zero), normal))

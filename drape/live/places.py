@@ -4,25 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 
+from drape.contact.projection import MOVED_M
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import at, dot, sub
 from drape.kernels.lanes import LANES, most, points_in, put, row_at
 
 
 @kernel
-def put_places(vertices, vertex, places):
-    """Writes the ``vertices`` [m] (V, 3) to their ``places`` (P, 3); ``vertex`` (P,) is the one at each."""
+def placed(vertices, vertex):
+    """The ``vertices`` [m] (V, 3) at their places (P, 3); ``vertex`` (P,) is the one at each."""
+    places = np.empty((len(vertex), 3), vertices.dtype)
     for p in range(len(vertex)):
         for axis in range(3):
             places[p, axis] = vertices[vertex[p], axis]
+    return places
 
 
 @kernel
-def put_vertices(places, place, vertices):
-    """Writes what is at the ``place`` (V,) of each of the ``vertices`` [m] (V, 3)."""
+def delivered(x, lifted, place, vertices):
+    """The ``vertices`` [m] (V, 3) are written from what is at the ``place`` (V,) of each; and the share of them that
+    were ``lifted`` [m] (P,) by more than ``MOVED_M``, and the most of any."""
+    count, farthest = 0, lifted.dtype.type(0)
     for v in range(len(place)):
         for axis in range(3):
-            vertices[v, axis] = places[place[v], axis]
+            vertices[v, axis] = x[place[v], axis]
+        count += lifted[place[v]] > MOVED_M
+        farthest = max(farthest, lifted[place[v]])
+    return count / len(place), float(farthest)
 
 
 @kernel
@@ -49,14 +57,3 @@ def moved_m(before, network, place):
         way = sub(at(network, place[v]), at(before, place[v]))
         total += dot(way, way)
     return np.sqrt(total / len(place))
-
-
-@kernel
-def counted(lifted, place, least):
-    """How many of the vertices are ``lifted`` [m] (P,) by more than ``least``, and the most of any."""
-    count, farthest = 0, lifted.dtype.type(0)
-    for v in range(len(place)):
-        own = lifted[place[v]]
-        count += own > least
-        farthest = max(farthest, own)
-    return count, farthest

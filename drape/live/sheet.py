@@ -50,10 +50,6 @@ class Sheet(NamedTuple):
     crease_lane: np.ndarray
     crease_member: np.ndarray
 
-    def planes(self) -> np.ndarray:
-        """What holds the cloth in a frame, ``PLANE_ROWS`` a block (``sweeps``): no planes, and nothing held."""
-        return np.zeros(PLANE_ROWS * len(self.vertex), self.own.dtype)
-
 
 def sheet(
     cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray, *, dtype: type[np.floating] = np.float32

@@ -179,13 +179,18 @@ def put_own_planes(x, skin, graph, touched, planes):
     has in ``touched.parent`` (P,)."""
     lanes = walk_lanes(skin)
     for block in range(len(x) // LANES):
-        for lane in range(LANES):
-            lanes.sample[lane] = touched.own[touched.parent[LANES * block + lane]]
-        points = points_in(x, LANES * block)
-        walk(points, lanes, skin, graph.neighbour, 1)
-        foot, unit = _plane(points, lanes, skin, graph)
+        foot, unit = own_plane(points_in(x, LANES * block), LANES * block, touched, lanes, skin, graph)
         put3(planes, PLANES * block, foot)
         put3(planes, PLANES * block + 3 * LANES, unit)
+
+
+@part
+def own_plane(points, place, touched, lanes, skin, graph):
+    """Foot and normal of the planes of ``put_own_planes`` below ``points``, a block from ``place`` on."""
+    for lane in range(LANES):
+        lanes.sample[lane] = touched.own[touched.parent[place + lane]]
+    walk(points, lanes, skin, graph.neighbour, 1)
+    return _plane(points, lanes, skin, graph)
 
 
 @kernel

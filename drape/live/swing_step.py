@@ -24,9 +24,10 @@ import numpy as np
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import at, dot, farthest_m, scaled, sub
 from drape.kernels.lanes import LANES
-from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between, writable
+from drape.live.clock import CUT_M, FIRST_STEP_S, Frame, FrameMemory, Surroundings, step_between, writable
 from drape.live.colliders import write_planes
 from drape.live.fold_constants import array_bytes
+from drape.live.places import placed
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples, follow
 from drape.live.swing_carry import move_vertices
 from drape.live.swing_mesh import SHARED, SwingMesh
@@ -45,10 +46,10 @@ FAR_M = 1.0  # a node farther from still cloth does not swing any more
 LEAST_M = 1e-6  # a node nearer to it only rounds
 LYING_M, STUCK_N_PER_M = 0.008, 2.0  # a node lies on a collider that is nearer, and is held where it lay
 SETTLE = 60  # steps of a frame without a past whose cloth is in a collider
+CUT, LOST, STILL, MOVED = range(4)
 
 
-@dataclass(frozen=True, eq=False)
-class SwingConstants:
+class SwingConstants(NamedTuple):
     """The arrays and numbers that kernels read of a garment in a fabric.
 
     The coarse ``mesh``; the skin's ``graph`` and the sample ``index`` (N,) nearest to each node at rest; the fabric's
@@ -82,6 +83,32 @@ class SwingMemory(FrameMemory):
     colliders: np.ndarray
 
 
+class SwingPast(NamedTuple):
+    """What a frame goes on from: ``SwingMemory``, ``origin`` by which that of the coordinates has moved since [m] (3,),
+    and the times [s] of both frames."""
+
+    network: np.ndarray
+    swung: np.ndarray
+    speed: np.ndarray
+    touched: np.ndarray
+    colliders: np.ndarray
+    origin: np.ndarray
+    times_s: tuple[float, float]
+    still_since_s: float
+
+
+class Swung(NamedTuple):
+    """What a frame has become: ``CUT`` off from its past, ``LOST``, ``STILL`` or ``MOVED``; and the arrays of
+    ``SwingMemory``."""
+
+    kind: int
+    network: np.ndarray
+    swung: np.ndarray
+    speed: np.ndarray
+    touched: np.ndarray
+    still_since_s: float
+
+
 def swing(
     constants: SwingConstants, memory: SwingMemory | None, frame: Frame, origin: np.ndarray, *, share: float = 1.0
 ) -> tuple[np.ndarray, SwingMemory]:
@@ -90,57 +117,84 @@ def swing(
     ``origin`` [m] (3,) is that of the frame's coordinates in the world. The same input gives the same bits; ``memory``
     is not written to. In a frame without a past, and in one to which no swing leads, cloth hangs still.
     """
-    vertices, time_s = frame.vertices, frame.time_s
-    dtype = constants.mesh.mass_kg.dtype
-    network = np.take(vertices, constants.mesh.vertex, axis=0).astype(dtype, copy=False)
-    around = frame.around(dtype)
-    past = memory if memory is not None and memory.time_s != time_s and follows(memory, network, time_s) else None
-    if past is None:
-        after = _at_rest(constants, _still(constants, network, around, time_s, origin), around)
+    time_s, dtype = frame.time_s, constants.mesh.mass_kg.dtype
+    vertices, around, kind = writable(frame.vertices, dtype), frame.around(dtype), CUT
+    if memory is not None and memory.time_s != time_s and memory.leads_to(time_s):
+        past = SwingPast(
+            memory.network, memory.swung, memory.speed, memory.touched, memory.colliders, origin - memory.origin,
+            (memory.time_s, time_s), memory.still_since_s,
+        )  # fmt: skip
+        out, swung = _swing_on(vertices, past, around, constants, share)
+        kind = swung.kind
+        if kind >= STILL:
+            after = SwingMemory(time_s, swung.network, origin, *swung[2:], around.colliders)
+            return out if kind == MOVED else frame.vertices, after
+    network = placed(vertices, constants.mesh.vertex)
+    still = _still(constants, network, around, time_s, origin)
+    if kind == LOST:
+        return frame.vertices, still
+    after = _at_rest(constants, still, around)
+    out, kind = _moved(vertices, network, after.swung, constants.mesh, share)
+    return (frame.vertices, still) if kind == LOST else (out if kind == MOVED else frame.vertices, after)
+
+
+@kernel
+def _swing_on(vertices, past, around, cloth, share):
+    """The ``vertices`` [m] (V, 3) with a ``share`` of their swing after ``past``, and ``Swung``."""
+    mesh, kind = cloth.mesh, vertices.dtype.type
+    before_s, time_s = past.times_s
+    network = placed(vertices, mesh.vertex)
+    if not farthest_m(network, past.network) <= CUT_M:
+        return vertices, Swung(CUT, network, network, network, past.touched, time_s)
+    moved = past.origin.any() or not _same(network, past.network) or not _same(around.colliders, past.colliders)
+    since_s = time_s if moved else past.still_since_s
+    speed = np.zeros_like(network)
+    if not moved and time_s - since_s >= STILL_S:
+        swung, touched = past.swung if len(around.colliders) else network, past.touched
     else:
-        after = _after(constants, past, network, around, time_s, origin)
-    far = farthest_m(after.swung, network)
+        damping = cloth.damping_per_s + min(CALMER_PER_S2 * max(time_s - since_s - CALM_S, 0.0), CALMEST_PER_S)
+        touched, start = past.touched.copy(), past.swung.copy()
+        follow(network, around.skin, cloth.graph, TouchedSamples(touched, touched))
+        for i in range(len(start)):
+            for axis in range(3):
+                start[i, axis] -= kind(past.origin[axis])
+        before, hold = SwingState(past.network, start, past.speed), SkinHold(touched, cloth.held)
+        schedule = _schedule(network, step_between(before_s, time_s), damping, cloth.young_n_per_m, False)
+        swung, speed = advance(before, network, around, hold, mesh, cloth.graph, schedule)
+    out, found = _moved(vertices, network, swung, mesh, share)
+    return out, Swung(found, network, swung, speed, touched, since_s)
+
+
+@kernel
+def _same(one, other):
+    """Whether two tables have the same numbers."""
+    if one.shape != other.shape:
+        return False
+    for i in range(one.shape[0]):
+        for j in range(one.shape[1]):
+            if one[i, j] != other[i, j]:
+                return False
+    return True
+
+
+@kernel
+def _moved(vertices, network, swung, mesh, share):
+    """The ``vertices`` [m] (V, 3) moved as nodes of the ``network`` that ``swung``, and whether these are ``MOVED``,
+    ``STILL`` or ``LOST``."""
+    far = farthest_m(swung, network)
     if not far <= FAR_M:
-        return vertices, _still(constants, network, around, time_s, origin)
+        return vertices, LOST
     if far < LEAST_M:
-        return vertices, after
-    out = np.empty(vertices.shape, dtype)
-    move_vertices(writable(vertices, dtype), network, after.swung, constants.mesh, dtype.type(share), out)
-    return out.astype(vertices.dtype, copy=False), after
+        return vertices, STILL
+    out = np.empty_like(vertices)
+    move_vertices(vertices, network, swung, mesh, vertices.dtype.type(share), out)
+    return out, MOVED
 
 
-def _after(
-    constants: SwingConstants,
-    past: SwingMemory,
-    network: np.ndarray,
-    around: Surroundings,
-    time_s: float,
-    origin: np.ndarray,
-) -> SwingMemory:
-    """The memory of the frame after ``past``."""
-    dtype = network.dtype
-    stands = (
-        np.array_equal(network, past.network)
-        and np.array_equal(origin, past.origin)
-        and np.array_equal(around.colliders, past.colliders)
-    )
-    since_s = past.still_since_s if stands else time_s
-    if stands and time_s - since_s >= STILL_S:
-        rest = past.swung if len(around.colliders) else network
-        return replace(past, time_s=time_s, swung=rest, speed=np.zeros_like(network))
-    damping = constants.damping_per_s + min(CALMER_PER_S2 * max(time_s - since_s - CALM_S, 0.0), CALMEST_PER_S)
-    touched = past.touched.copy()
-    follow(network, around.skin, constants.graph, TouchedSamples(touched, touched))
-    before = SwingState(past.network, past.swung - (origin - past.origin).astype(dtype), past.speed)
-    schedule = _schedule(constants, step_between(past.time_s, time_s), damping, first=False)
-    hold = SkinHold(touched, constants.held)
-    swung, speed = advance(before, network, around, hold, constants.mesh, constants.graph, schedule)
-    return SwingMemory(time_s, network, origin, swung, speed, touched, since_s, around.colliders)
-
-
-def _schedule(constants: SwingConstants, step_s: float, damping_per_s: float, *, first: bool) -> SwingSchedule:
-    kind = constants.mesh.mass_kg.dtype.type
-    return SwingSchedule(kind(step_s), kind(damping_per_s), kind(constants.young_n_per_m), ROUNDS, TURNS, first)
+@kernel
+def _schedule(network, step_s, damping_per_s, young_n_per_m, first):
+    kind = network.dtype.type
+    return SwingSchedule(kind(step_s), kind(damping_per_s), kind(young_n_per_m), ROUNDS, TURNS, first)
 
 
 def _still(
@@ -159,7 +213,8 @@ def _at_rest(constants: SwingConstants, still: SwingMemory, around: Surroundings
     planes = np.empty((len(network), 2, 4), network.dtype)
     if not write_planes(network, network, True, around.colliders, around.skin, still.touched, planes):
         return still
-    schedule = _schedule(constants, FIRST_STEP_S, constants.damping_per_s + CALMEST_PER_S, first=True)
+    damping = constants.damping_per_s + CALMEST_PER_S
+    schedule = _schedule(network, FIRST_STEP_S, damping, constants.young_n_per_m, True)
     state, hold = SwingState(network, network, still.speed), SkinHold(still.touched, constants.held)
     for _ in range(SETTLE):
         swung, speed = advance(state, network, around, hold, constants.mesh, constants.graph, schedule)

@@ -31,7 +31,7 @@ from drape.garment.cache import Garment
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import add, scaled, sub, with_spare
 from drape.kernels.lanes import number_at, points_at, points_in, put_points, row_at
-from drape.live.clock import Frame, FrameMemory, follows, step_between
+from drape.live.clock import CUT_M, Frame, FrameMemory, writable
 from drape.live.coarse_mesh import coarse_mesh
 from drape.live.coarse_weights import NEAREST, coarse_weights
 from drape.live.colliders import leave, put_planes
@@ -49,20 +49,21 @@ from drape.live.fold_step import (
     FoldEffort,
     FoldMemory,
     FoldReport,
-    PlacedFrame,
-    delivered,
     fading,
     fold,
     fold_places,
-    with_lift,
+    memory_of,
+    no_planes,
+    past_of,
+    report_of,
 )
-from drape.live.lift import lift
-from drape.live.places import farthest_place_m, moved_m, put_places
+from drape.live.lift import lift, lift_off_skin
+from drape.live.places import delivered, farthest_place_m, placed
 from drape.live.sheet import LANES, Sheet, sheet
 from drape.live.skin_contact import ParentSamples, put_other_planes, put_own_planes, write_grip
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples, follow
 from drape.live.sweeps import APART_ROW, PLANES, SCRATCH, descend, leash
-from drape.live.untangle import WAY_M, Tangles, farthest_way, tangles_of, untangle
+from drape.live.untangle import Tangles, tangles_of, untangle
 
 APART_STEPS = 2  # of untangling the fine cloth: four leave fewer crossings and cost time and gain
 KEPT_S = 0.15  # in which what sweeps added comes down to 1/e: more lets fine folds pass through each other
@@ -214,17 +215,13 @@ def lifted_alone(
 ) -> tuple[np.ndarray, LiftMemory, FoldReport]:
     """The vertices [m] (V, 3) of ``frame``, lifted up to the clearance and out of its colliders, the memory for the
     next frame, and a report: what ``fold_two_level`` without steps makes of a frame without a past."""
-    fine, dtype = constants.fine, constants.fine.sheet.own.dtype
-    x, under = np.empty((len(fine.parent), 3), dtype), np.empty((len(constants.kept), 3), dtype)
-    put_places(frame.vertices, fine.sheet.vertex, x)
-    put_places(frame.vertices, constants.kept, under)
-    around = frame.around(dtype)
-    goes_on = memory is not None and follows(memory, under, frame.time_s)
-    own = (memory.own if memory is not None and goes_on else constants.coarse.index).copy()
-    touched, clearance = TouchedSamples(own, own), dtype.type(clearance_m)
-    lifted_m = lift_off(x, touched, under, around, fine, constants.coarse.graph, clearance)
-    report = with_lift(FoldReport(settled=not goes_on), lifted_m, fine.sheet)
-    return delivered(x, fine.sheet), LiftMemory(frame.time_s, under, own), report
+    dtype = constants.fine.sheet.own.dtype
+    past = LiftPast(constants.coarse.index[:0], np.empty((0, 3), dtype))
+    if memory is not None and memory.leads_to(frame.time_s):
+        past = LiftPast(memory.own, memory.network)
+    vertices, levels = writable(frame.vertices, dtype), Levels(constants.coarse, constants.kept, constants.fine)
+    lifted, own, under, follows, moved = _lift(vertices, past, frame.around(dtype), levels, dtype.type(clearance_m))
+    return lifted, LiftMemory(frame.time_s, under, own), FoldReport(not follows, False, *moved)
 
 
 def fold_two_level(
@@ -234,41 +231,87 @@ def fold_two_level(
 
     ``effort`` has as many sweeps of the fine cloth as steps of the coarse one. The same input gives the same bits.
     """
-    fine, below, dtype = constants.fine, constants.coarse, constants.fine.sheet.own.dtype
-    network, under = np.empty((len(fine.parent), 3), dtype), np.empty((len(constants.kept), 3), dtype)
-    put_places(frame.vertices, fine.sheet.vertex, network)
-    put_places(frame.vertices, constants.kept, under)
-    around, planes = frame.around(dtype), below.sheet.planes()
+    dtype = constants.fine.sheet.own.dtype
+    around, levels = frame.around(dtype), Levels(constants.coarse, constants.kept, constants.fine)
+    vertices = writable(frame.vertices, dtype)
     if isinstance(memory, LiftMemory):
-        memory = _unfolded(below, memory, under, around.skin, np.zeros_like(network))
+        memory = _unfolded(constants, memory, vertices, around.skin)
     before = None if memory is None else memory.coarse
-    coarsely = effort if effort.steps else replace(effort, clearance_m=0.0)  # what nothing moved the fine cloth lifts
-    folded, coarse, _, report = fold_places(below, before, PlacedFrame(under, around, frame.time_s), coarsely, planes)
-    off = np.zeros_like(under) if folded is None else folded - under
-    sweeps, way_m = effort.steps * (effort.settle if report.settled else 1), WAY_M
-    if memory is None or report.settled:
-        added, share = np.zeros_like(network), 0.0
+    added = np.empty((0, 3), dtype) if memory is None else memory.added
+    past = past_of(before, frame.time_s, dtype)
+    folded, under, coarse, (added, lost), moved = _fold(vertices, past, added, around, levels, effort)
+    after = TwoLevelMemory(memory_of(frame.time_s, under, coarse), added)
+    report = report_of(coarse.outcome, moved)
+    return (frame.vertices, after, replace(report, reset=True)) if lost else (folded, after, report)
+
+
+class Levels(NamedTuple):
+    """The ``coarse`` cloth, the fine vertex ``kept`` (n,) at each of its places, and the ``fine`` level."""
+
+    coarse: FoldConstants
+    kept: np.ndarray
+    fine: FineLevel
+
+
+class LiftPast(NamedTuple):
+    """The samples ``own`` (P,) and the network's coarse places [m] (P, 3) of the frame before, none without a past."""
+
+    own: np.ndarray
+    network: np.ndarray
+
+
+@kernel
+def _fold(vertices, past, added, around, levels, effort):
+    """The folded ``vertices`` [m] (V, 3); the coarse cloth's places in the network's drape and ``Folded``; what sweeps
+    ``added`` to the fine cloth [m] (P, 3), and whether that was no fold; and what the lift moved (``delivered``)."""
+    fine, coarse = levels.fine, levels.coarse
+    kind = vertices.dtype.type
+    network, under = placed(vertices, fine.sheet.vertex), placed(vertices, levels.kept)
+    planes = no_planes(under)
+    # What no step moved is lifted on the fine cloth.
+    clearance_m = effort.clearance_m if effort.steps else 0.0
+    coarsely = FoldEffort(effort.steps, effort.settle, effort.cloth_contact, clearance_m)
+    folded = fold_places(under, past, around, coarse, coarsely, planes)
+    outcome, off = folded.outcome, np.zeros_like(under)
+    if not outcome.lost:
+        off = folded.x - under
+    sweeps, share = effort.steps * (effort.settle if outcome.settled else 1), 0.0
+    if outcome.settled:
+        added = np.zeros_like(network)
     else:
-        step_s = step_between(memory.coarse.time_s, frame.time_s)
-        added, share = memory.added.copy(), math.exp(-step_s / KEPT_S) if effort.steps else fading(effort, step_s)
-        way_m = farthest_way(moved_m(memory.coarse.network, under, below.sheet.place))
-    apart_m = way_m if sweeps and effort.cloth_contact else 0.0
-    schedule = FineSchedule(dtype.type(share), dtype.type(apart_m), dtype.type(effort.clearance_m), sweeps)
-    held = CoarseHold(planes, off, coarse.touched)
-    x, far, lifted_m = settle_fine(network, added, held, around, fine, below.graph, schedule)
-    if not far <= FAR_M:
-        return frame.vertices, TwoLevelMemory(coarse, np.zeros_like(network)), replace(report, reset=True)
-    return delivered(x, fine.sheet), TwoLevelMemory(coarse, added), with_lift(report, lifted_m, fine.sheet)
+        added, share = added.copy(), math.exp(-past.step_s / KEPT_S) if effort.steps else fading(effort, past.step_s)
+    apart_m = outcome.untangle if sweeps and effort.cloth_contact else 0.0
+    schedule = FineSchedule(kind(share), kind(apart_m), kind(effort.clearance_m), sweeps)
+    held = CoarseHold(planes, off, folded.touched)
+    x, far, lifted = settle_fine(network, added, held, around, fine, coarse.graph, schedule)
+    out, lost = np.empty_like(vertices), not far <= FAR_M
+    if lost:
+        added[:] = 0.0
+        lifted[:] = 0.0
+    return out, under, folded, (added, lost), delivered(x, lifted, fine.sheet.place, out)
 
 
-def _unfolded(
-    coarse: FoldConstants, memory: LiftMemory, under: np.ndarray, skin: np.ndarray, added: np.ndarray
-) -> TwoLevelMemory:
+@kernel
+def _lift(vertices, past, around, levels, clearance):
+    """The lifted ``vertices`` [m] (V, 3), the samples below the coarse places, these in the network's drape, whether
+    the frame goes on from ``past``, and what the lift moved (``delivered``)."""
+    fine = levels.fine
+    x, under = placed(vertices, fine.sheet.vertex), placed(vertices, levels.kept)
+    follows = len(past.own) > 0 and farthest_place_m(under, past.network) <= CUT_M
+    own = past.own.copy() if follows else levels.coarse.index.copy()
+    lifted = lift_off(x, TouchedSamples(own, own), under, around, fine, levels.coarse.graph, clearance)
+    out = np.empty_like(vertices)
+    return out, own, under, follows, delivered(x, lifted, fine.sheet.place, out)
+
+
+def _unfolded(constants: TwoLevel, memory: LiftMemory, vertices: np.ndarray, skin: np.ndarray) -> TwoLevelMemory:
     """The ``memory`` of a lift as one of folds, which are none yet: nothing moves, and the skin holds each place where
-    the network has it now, ``under`` [m] (P, 3). ``added`` is all zeros."""
+    the network has it now, in its drape ``vertices`` [m] (V, 3)."""
+    under = placed(vertices, constants.kept)
     still, grip = np.zeros_like(under), np.zeros_like(under)
     touched = TouchedSamples(memory.own, np.full_like(memory.own, -1))
-    write_grip(under, under.copy(), touched, skin, coarse.graph, grip)
+    write_grip(under, under.copy(), touched, skin, constants.coarse.graph, grip)
+    added = np.zeros((len(constants.fine.parent), 3), under.dtype)
     return TwoLevelMemory(FoldMemory(memory.time_s, memory.network, still, still, touched, grip, 0), added)
 
 
@@ -325,9 +368,13 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
 def lift_off(x, touched, under, around, fine, graph, clearance):
     """How far [m] (P,) each place of ``x`` [m] (P, 3) was lifted up to the ``clearance``, in place, and out of the
     colliders. ``touched`` is moved on below the coarse places ``under``."""
-    lifted, planes = np.zeros(len(x), x.dtype), np.zeros(PLANES // LANES * len(x), x.dtype)
+    lifted, samples = np.zeros(len(x), x.dtype), ParentSamples(touched.own, fine.parent)
     follow(under, around.skin, graph, touched)
-    put_own_planes(x, around.skin, graph, ParentSamples(touched.own, fine.parent), planes)
+    if len(around.colliders) == 0:
+        lift_off_skin(x, around.skin, graph, samples, clearance, lifted)
+        return lifted
+    planes = no_planes(x)
+    put_own_planes(x, around.skin, graph, samples, planes)
     put_planes(x, around.colliders, planes)
     leave(x, around.colliders, planes, clearance)
     if clearance > 0.0:

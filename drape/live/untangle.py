@@ -82,7 +82,8 @@ def tangles_of(faces: np.ndarray, place: np.ndarray) -> Tangles:
     return Tangles(*(np.ascontiguousarray(each, np.int32) for each in (*flat, beside.indptr, beside.indices)))
 
 
-def farthest_way(moved_m: float) -> float:
+@kernel
+def farthest_way(moved_m):
     """How far [m] a step of ``untangle`` goes at most where the network moved by ``moved_m`` [m].
 
     That is no farther, or cloth on a body that stands still would not come to rest; but for ``LEAST_M``, or cloth would

@@ -13,7 +13,7 @@ from drape.graph.packed import PART_SIZE
 from drape.graph.packing import pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes
 from drape.network.bodies import BodyFeed, moments, posed_body
-from drape.network.drape import posed_jets
+from drape.network.drape import checked_jets
 from drape.network.patch_rows import patch_rows
 from drape.network.weights import weights_of
 
@@ -34,7 +34,7 @@ def compile_all(model: str = "onefit") -> None:
     moments(body, np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3)))
     parts = skins["skin_rows"][0], skins["skin_bones"], shapes.counts
     feed = BodyFeed(local[:JOINT_COUNT], shape.joint_rest, shape.betas, np.empty(0, np.float32), *parts)
-    posed_jets(weights, patch_rows(packed, first), posed_body(weights, feed, skin), 1, packed.patch_count)
+    checked_jets(weights, patch_rows(packed, first), posed_body(weights, feed, skin), 1, packed.patch_count)
 
 
 if __name__ == "__main__":

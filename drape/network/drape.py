@@ -10,6 +10,7 @@ import numpy as np
 from drape.garment.consensus import MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 from drape.kernels.compiled import kernel, part
+from drape.kernels.elements import are_finite
 from drape.kernels.lanes import LANES, put, row_at
 from drape.network.charts import fit, place_anchors, say
 from drape.network.dense import Layer, Rows, run_layer
@@ -19,6 +20,14 @@ from drape.network.strain import feel_strain
 
 JETS = jets.JET_COUNT
 FORCE = 3 * STRAIN_POINTS  # rows of the strain, of what corrections read; behind them the force, jets, closeness, push
+
+
+@kernel
+def checked_jets(weights, rows, body, passes, patches):
+    """``posed_jets``, the rotations as (K, 3, 3), and whether all numbers are finite."""
+    jet, rotation, centre = posed_jets(weights, rows, body, passes, patches)
+    finite = are_finite(jet.reshape(-1)) and are_finite(rotation.reshape(-1)) and are_finite(centre.reshape(-1))
+    return (jet, rotation.reshape(-1, 3, 3), centre), finite
 
 
 @kernel

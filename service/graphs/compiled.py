@@ -6,17 +6,18 @@ Most of the graph's eight hundred operations are so small that an engine takes l
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drape.arrays.subnormals import flushed
 from drape.body.skeleton import JOINT_COUNT
+from drape.graph.blend import Tiles, blend
 from drape.graph.packed import PART_SIZE
 from drape.graph.packing import PackedGarment
 from drape.network.bodies import BodyFeed, PosedBody, posed_body
 from drape.network.dense import OUTPUTS
-from drape.network.drape import posed_jets
+from drape.network.drape import checked_jets
 from drape.network.patch_rows import PatchRows, patch_rows
 from drape.network.weights import weights_of
 from service.graphs.graph_names import FIRST, JETS, SKIN
@@ -29,6 +30,14 @@ def is_covered(network: Mapping[str, Any]) -> bool:
     return network.get("variant") == "vector" and all(network.get(name) for name in wanted) and not sized % OUTPUTS
 
 
+class GarmentRows(NamedTuple):
+    """The constants of a garment: its ``patches``, and the ``tiles`` of its vertices."""
+
+    patches: PatchRows
+    tiles: Tiles
+    vertex_count: int
+
+
 class CompiledNetwork:
     """A network of ``parameters`` by their names, which ``network`` describes."""
 
@@ -36,9 +45,9 @@ class CompiledNetwork:
         self._weights = weights_of(parameters, float(network["output_gain"]))
         self._corrections = int(network["corrections"])
 
-    def rows(self, garment: PackedGarment) -> PatchRows:
+    def rows(self, garment: PackedGarment) -> GarmentRows:
         """The constants of ``garment`` as the kernels read them."""
-        return patch_rows(garment, garment.stored[FIRST])
+        return GarmentRows(patch_rows(garment, garment.stored[FIRST]), Tiles.of(garment), garment.vertex_count)
 
     def body(self, feed: Mapping[str, np.ndarray], row: int, skin_counts: np.ndarray) -> PosedBody:
         """The body of a ``row`` of ``feed``, which has the packed graph's inputs; its ``skin`` where that is given.
@@ -56,15 +65,18 @@ class CompiledNetwork:
         with flushed():
             return posed_body(self._weights, BodyFeed(local, rest, betas, code, parts, bones, skin_counts), skin)
 
-    def jets(
-        self, garment: PackedGarment, rows: PatchRows, body: PosedBody, passes: int | None
-    ) -> dict[str, np.ndarray]:
-        """The posed jets of ``garment`` on ``body``, as the packed graph's outputs; ``passes`` corrections run, None
-        all of them."""
+    def drape(
+        self, garment: GarmentRows, body: PosedBody, passes: int | None, *, vertices: bool
+    ) -> tuple[dict[str, np.ndarray], bool]:
+        """The posed jets of ``garment`` on ``body`` as the packed graph's outputs, with its ``vertices`` where these
+        are asked for, and whether they are finite; ``passes`` corrections run, None all of them."""
         count = self._corrections if passes is None else passes
+        drawn = np.empty((garment.vertex_count if vertices else 0, 3), np.float32)
         with flushed():
-            jet, rotation, centre = posed_jets(self._weights, rows, body, count, garment.patch_count)
-        return {JETS[0]: jet, JETS[1]: rotation.reshape(-1, 3, 3), JETS[2]: centre}
+            jets, finite = checked_jets(self._weights, garment.patches, body, count, len(garment.tiles.scale))
+            if vertices:
+                blend(jets, garment.tiles, drawn)
+        return {**dict(zip(JETS, jets, strict=True)), "vertices": drawn}, finite
 
 
 def _plain(*arrays: np.ndarray) -> list[np.ndarray]:

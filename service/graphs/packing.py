@@ -34,8 +34,7 @@ from service.graphs.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
 from service.graphs.store import Store
 
 if TYPE_CHECKING:
-    from drape.network.patch_rows import PatchRows
-    from service.graphs.compiled import CompiledNetwork
+    from service.graphs.compiled import CompiledNetwork, GarmentRows
     from service.graphs.engine import Engine
     from service.graphs.onnx_runtime import Session, Value
 
@@ -113,7 +112,7 @@ class Packer:
         self._worn: OrderedDict[str, None] = OrderedDict()  # garments in other fabrics than their own, latest last
         self._tiles_per_call = tiles_per_call or (TILES_PER_BUCKET if engine.bound else TILES_PER_CALL)
         self._values: dict[str, Any] = {}
-        self._rows: dict[str, tuple[PackedGarment, PatchRows]] = {}  # by key, where the network is compiled
+        self._rows: dict[str, GarmentRows] = {}  # by key, where the network is compiled
         several = engine.compiled is not None and engine.threads > 1
         self._threads = ThreadPoolExecutor(engine.threads, "drape-items") if several else None
         if engine.on_cpu:
@@ -270,22 +269,18 @@ class Packer:
         garments = {key: self._garment_rows(network, key) for key, _ in items}
 
         def drape(item: Item) -> Result:
-            (garment, patches), body = garments[item[0]], posed[item[1]]
-            arrays = network.jets(garment, patches, body, plan.passes)
-            finite = _finite(arrays)
-            if "vertices" in plan.outputs:
-                arrays["vertices"] = blended(garment, *(arrays[name] for name in JETS))
+            garment, body = garments[item[0]], posed[item[1]]
+            arrays, finite = network.drape(garment, body, plan.passes, vertices="vertices" in plan.outputs)
             if plan.skin:
                 arrays[SKIN] = body.skin.reshape(-1, REGION_SIZE, 8)
             return Result({name: arrays[name] for name in plan.outputs}, finite)
 
         return self._each(drape, items)
 
-    def _garment_rows(self, network: CompiledNetwork, key: str) -> tuple[PackedGarment, PatchRows]:
+    def _garment_rows(self, network: CompiledNetwork, key: str) -> GarmentRows:
         with self._lock:
             if key not in self._rows:
-                garment = self._store.packed(key)
-                self._rows[key] = garment, network.rows(garment)
+                self._rows[key] = network.rows(self._store.packed(key))
             return self._rows[key]
 
     def _each(self, function: Callable[[Any], T], values: Sequence[Any]) -> list[T]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -119,17 +119,12 @@ class Folds(Stage):
         plan = batch.plan
         assert plan.options.folds is not None and plan.options.settle is not None
         clearance_m = self.settings.clearance_m if plan.options.push_out else 0.0
-        effort = FoldEffort(
-            plan.options.folds,
-            plan.options.settle,
-            cloth_contact=bool(plan.options.cloth_contact),
-            clearance_m=clearance_m,
-        )
-        safe = replace(effort, steps=max(plan.options.folds, plan.options.safe_folds or 0))
+        effort = FoldEffort(plan.options.folds, plan.options.settle, bool(plan.options.cloth_contact), clearance_m)
+        safe = effort._replace(steps=max(plan.options.folds, plan.options.safe_folds or 0))
         if plan.carried:
-            effort = safe = replace(effort, steps=0)
-        efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty]
-        layers, told, lain = list(batch.layers), _Told.of(batch), []
+            effort = safe = effort._replace(steps=0)
+        efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty.tolist()]
+        layers, told, lain = list(batch.layers), _Told(len(batch.root)), []
         felt = _feel_each_other(plan)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
@@ -262,33 +257,27 @@ class _Lain:
         return np.stack([heights_over(one, sheet, own, ground, graph) for one, own, ground in each])
 
 
-@dataclass(eq=False)
 class _Told:
     """Figures of F frames, added up over the layers: folds begun anew, vertices lifted off the skin, the furthest way
     of one [m], and the number of vertices."""
 
-    resets: np.ndarray
-    lifted: np.ndarray
-    lifted_max_m: np.ndarray
-    vertices: int = 0
-
-    @classmethod
-    def of(cls, batch: Batch) -> _Told:
-        frames = len(batch.root)
-        return cls(np.zeros(frames), np.zeros(frames), np.zeros(frames))
+    def __init__(self, frames: int) -> None:
+        self.resets, self.lifted, self.lifted_max_m, self.vertices = [0.0] * frames, [0.0] * frames, [0.0] * frames, 0
 
     def add(self, reports: Sequence[FoldReport], vertices: int, *, seen: bool) -> None:
         """Adds a layer of so many ``vertices``, whose lift is told where it is ``seen``."""
-        self.resets += [report.reset for report in reports]
-        if seen:
-            self.vertices += vertices
-            self.lifted += [vertices * report.lifted_share for report in reports]
-            self.lifted_max_m = np.maximum(self.lifted_max_m, [report.lifted_max_m for report in reports])
+        self.vertices += vertices if seen else 0
+        for row, report in enumerate(reports):
+            self.resets[row] += report.reset
+            if seen:
+                self.lifted[row] += vertices * report.lifted_share
+                self.lifted_max_m[row] = max(self.lifted_max_m[row], report.lifted_max_m)
 
     def quality(self, before: Quality) -> Quality:
+        share = 1.0 / max(self.vertices, 1)
         return changed(
             before,
-            folds_resets=self.resets.copy(),
-            pushed_share=self.lifted / max(self.vertices, 1),
-            push_max_m=self.lifted_max_m,
+            folds_resets=np.array(self.resets),
+            pushed_share=np.array([share * lifted for lifted in self.lifted]),
+            push_max_m=np.array(self.lifted_max_m),
         )

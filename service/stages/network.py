@@ -6,7 +6,7 @@ And how far poses are from those that it learned from (``drape.body.pose_support
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -163,8 +163,12 @@ class Network(Stage):
 
     def _scene(self, plan: Plan) -> ScenePlan:
         """The outputs that ``plan`` asks of the packed graph."""
-        skin = SKIN in plan.needs and self._skin_in_graph
-        return ScenePlan(SHAPES[plan.needs & {"vertices", "jets"}], skin=skin, passes=plan.options.passes)
+        return _scene_plan(plan.needs, SKIN in plan.needs and self._skin_in_graph, plan.options.passes)
+
+
+@cache
+def _scene_plan(needs: frozenset[str], skin: bool, passes: int | None) -> ScenePlan:
+    return ScenePlan(SHAPES[needs & {"vertices", "jets"}], skin=skin, passes=passes)
 
 
 def _layer(results: list[Result], needs: frozenset[str]) -> Layer:

@@ -24,7 +24,7 @@ from tests.drape.kernels.solver_setup import MATERIALS
 RADIUS_M, HEIGHT_M, EASE_M = 0.05, 0.12, 0.006
 AWAY_M = 0.4  # of the wall at rest; in frames it is at the sleeve
 EFFORT = FoldEffort(steps=2, settle=2)
-HELD = replace(EFFORT, cloth_contact=True)
+HELD = EFFORT._replace(cloth_contact=True)
 Folded = tuple[np.ndarray, FoldMemory, FoldReport]
 
 

@@ -63,7 +63,7 @@ def after_one() -> FoldMemory:
 def test_the_compiled_step_equals_the_readable_one(material, creased):
     rest, worn = sleeve(material, creased=creased)
     made = constants(material, creased=creased, dtype=np.float64)
-    effort = replace(EFFORT, settle=LONG_ROUNDS) if creased else EFFORT
+    effort = EFFORT._replace(settle=LONG_ROUNDS) if creased else EFFORT
     memory, wanted_memory, place = None, None, made.sheet.place
     for one in (frame(rest, number) for number in range(6)):
         x, memory, _ = fold(made, memory, one, effort)
@@ -205,7 +205,7 @@ def test_folds_without_steps_fade_with_the_clock_and_come_back():
     assert_allclose(left, np.exp(-1.0 / FADE_S), rtol=0.0, atol=1e-3)
     x, _, _ = fold(made, memory, replace(held, time_s=33.0 / 30.0), EFFORT)
     assert np.abs(x - held.vertices).max() > left * begun_m, "computed again they grow"
-    first, _, report = fold(made, None, held, replace(none, clearance_m=0.0))
+    first, _, report = fold(made, None, held, none._replace(clearance_m=0.0))
     assert report.settled
     assert_array_equal(first, held.vertices)
     first, _, _ = fold(made, None, held, none)

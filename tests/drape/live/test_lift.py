@@ -58,7 +58,7 @@ def test_a_frame_ends_clear_of_the_skin_and_tells_what_was_lifted():
     def radius_m(x: np.ndarray) -> np.ndarray:
         return np.linalg.norm(x[:, [0, 2]], axis=1)
 
-    below, _, left = fold(made, None, grown, replace(effort, clearance_m=0.0))
+    below, _, left = fold(made, None, grown, effort._replace(clearance_m=0.0))
     above, memory, report = fold(made, None, grown, effort)
     assert radius_m(below).min() < RADIUS_M + 0.005 + CLEARANCE_M - 1e-3, "steps alone leave some of it in the skin"
     assert radius_m(above).min() > RADIUS_M + 0.005 + CLEARANCE_M - 2e-4, "planes, where the skin is round"

@@ -161,5 +161,5 @@ def test_cloth_without_room_comes_to_rest(material, steps):
     leash = LEASH_N_M3 * worn.cloth.vertex_area
     made = FoldConstants.of(replace(worn, band_n_per_m=worn.band_n_per_m + leash))
     one = without_body(flattened(frame(rest, 0, noise_m=0.001), 0.05))
-    found = [x for x, _, _ in folded(made, held_for(one, 80), replace(HELD, steps=steps))]
+    found = [x for x, _, _ in folded(made, held_for(one, 80), HELD._replace(steps=steps))]
     assert np.linalg.norm(np.diff(found[-4:], axis=0), axis=-1).max() < 1e-3

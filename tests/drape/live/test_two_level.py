@@ -11,9 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.assets import load_body
 from drape.cloth.fabric_table import fabric
 from drape.contact.skin import shaped_skin
-from drape.live import two_level as levels
 from drape.live.clock import PAUSE_S, Frame
-from drape.live.fold_step import FADE_S, FoldEffort
+from drape.live.fold_step import FADE_S, FAR_M, FoldEffort
 from drape.live.two_level import LiftMemory, TwoLevel, TwoLevelMemory, fold_two_level, one_level, two_level
 from tests.fixtures.garments import shipped
 
@@ -106,7 +105,7 @@ def test_the_same_frames_give_the_same_bits_and_memories_are_not_written(tank: T
 def test_what_sweeps_added_is_kept_and_fades(tank: TwoLevel, still: Frame):
     *_, (_, memory, _) = after(tank, still, 4)
     later = replace(still, time_s=memory.coarse.time_s + 1.0 / 30.0)
-    kept, faded, _ = fold_two_level(tank, memory, later, replace(EFFORT, steps=0, clearance_m=0.0))
+    kept, faded, _ = fold_two_level(tank, memory, later, EFFORT._replace(steps=0, clearance_m=0.0))
     share = np.exp(-1.0 / 30.0 / FADE_S)
     assert_allclose(faded.added, share * memory.added, rtol=1e-3, atol=1e-6)
     assert np.abs(memory.added).max() > 1e-4
@@ -121,11 +120,17 @@ def test_a_frame_after_a_pause_begins_anew(tank: TwoLevel, still: Frame):
     assert_array_equal(anew, after(tank, late, 1)[0][0])
 
 
-def test_what_is_no_fold_is_the_networks_drape(tank: TwoLevel, still: Frame, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(levels, "FAR_M", -1.0)
-    vertices, memory, report = fold_two_level(tank, None, still, EFFORT)
-    assert report.reset and not memory.added.any()
+def test_what_is_no_fold_is_the_networks_drape(tank: TwoLevel, still: Frame):
+    *_, (_, memory, _) = after(tank, still, 2)
+    later = replace(still, time_s=2.0 / 30.0)
+    far = replace(memory, added=memory.added + np.float32(2.0 * FAR_M))
+    vertices, begun, report = fold_two_level(tank, far, later, EFFORT._replace(steps=0))
+    assert report.reset and not report.settled and not begun.added.any()
     assert_array_equal(vertices, still.vertices)
+    torn = replace(memory, coarse=replace(memory.coarse, residual=np.full_like(memory.coarse.residual, np.nan)))
+    vertices, _, report = fold_two_level(tank, torn, later, EFFORT)
+    assert report.reset and report.settled
+    assert_array_equal(vertices, after(tank, still, 1)[0][0])
 
 
 def test_memories_of_the_other_kind_are_none(tank: TwoLevel, still: Frame):
