@@ -41,30 +41,33 @@ def grid_of(points, per_m):
     It is empty if a coordinate is not finite, or if points lie ``WIDEST_M`` apart.
     """
     low, count = np.empty(3), np.zeros(3, np.int64)
-    for axis in range(3):
-        least, most, finite = points[0, axis], points[0, axis], True
-        for s in range(len(points)):
-            value = points[s, axis]
-            least, most = value if value < least else least, value if value > most else most
-            finite &= value - value == 0.0
-        low[axis] = least
+    x, y, z = points[0, 0], points[0, 1], points[0, 2]
+    a, b, c, finite = x, y, z, True
+    for s in range(len(points)):
+        p, q, r = points[s, 0], points[s, 1], points[s, 2]
+        x, y, z = min(x, p), min(y, q), min(z, r)
+        a, b, c = max(a, p), max(b, q), max(c, r)
+        finite &= p - p + (q - q) + (r - r) == 0.0
+    low[0], low[1], low[2] = x, y, z
+    for axis, most in enumerate((a, b, c)):
         extent = most - low[axis]
         count[axis] = int(extent * per_m) + 1 if finite and extent < WIDEST_M else 0
-    start, member = np.zeros(count[0] * count[1] * count[2] + 1, np.int32), np.empty(len(points), np.int32)
-    if len(start) > 1:
-        cell, x, y, z, wide, deep = np.empty(len(points), np.int32), low[0], low[1], low[2], count[1], count[2]
+    # Two cells more than there are: a cell's count stands two behind it, then its begin one behind it.
+    start, member = np.zeros(count[0] * count[1] * count[2] + 2, np.int32), np.empty(len(points), np.int32)
+    if len(start) > 2:
+        cell, wide, deep = np.empty(len(points), np.int32), count[1], count[2]
+        x, y, z = low
         for s in range(len(points)):
-            a, b = int((points[s, 0] - x) * per_m), int((points[s, 1] - y) * per_m)
-            c = (a * wide + b) * deep + int((points[s, 2] - z) * per_m)
-            cell[s] = c
-            start[c + 1] += 1
-        for c in range(len(start) - 1):
-            start[c + 1] += start[c]
-        filled = start.copy()
+            i, j = int((points[s, 0] - x) * per_m), int((points[s, 1] - y) * per_m)
+            own = (i * wide + j) * deep + int((points[s, 2] - z) * per_m)
+            cell[s] = own
+            start[own + 2] += 1
+        for own in range(1, len(start) - 2):
+            start[own + 1] += start[own]
         for s in range(len(points)):
-            member[filled[cell[s]]] = s
-            filled[cell[s]] += 1
-    return Grid(start, member, low, count, per_m)
+            member[start[cell[s] + 1]] = s
+            start[cell[s] + 1] += 1
+    return Grid(start[:-1], member, low, count, per_m)
 
 
 @part

@@ -186,21 +186,17 @@ def _fold(vertices, past, around, cloth, effort):
     """The folded ``vertices`` [m] (V, 3), the network's places, ``Folded``, and what the lift moved (``delivered``)."""
     sheet = cloth.sheet
     network = placed(vertices, sheet.vertex)
-    folded = fold_places(network, past, around, cloth, effort, no_planes(network))
+    planes = np.empty(PLANES // LANES * len(network), network.dtype)
+    folded = fold_places(network, past, around, cloth, effort, planes)
     out = np.empty_like(vertices)
     moved = delivered(folded.x, folded.lifted, sheet.place, out)
     return out, network, folded, moved
 
 
 @kernel
-def no_planes(network):
-    """What holds cloth in a frame, ``PLANE_ROWS`` a block (``sweeps``): no planes, and nothing held."""
-    return np.zeros(PLANES // LANES * len(network), network.dtype)
-
-
-@kernel
 def fold_places(network, past, around, cloth, effort, planes):
-    """``Folded``: the cloth of a frame, from the ``network``'s places [m] (P, 3). What held it is left in ``planes``.
+    """``Folded``: the cloth of a frame, from the ``network``'s places [m] (P, 3). What held it is left in
+    ``planes``, ``PLANES`` a block (``sweeps``).
 
     A frame whose result is no fold is computed once more without its past. What it leaves is nothing if that is none
     either.

@@ -7,14 +7,16 @@ import numpy as np
 from drape.contact.projection import MOVED_M
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import at, dot, sub
-from drape.kernels.lanes import LANES, most, points_in, put, row_at
+from drape.kernels.lanes import LANES, most, number_at, points_at, points_in, put, put_points, row_at
 
 
 @kernel
 def placed(vertices, vertex):
     """The ``vertices`` [m] (V, 3) at their places (P, 3); ``vertex`` (P,) is the one at each."""
-    places = np.empty((len(vertex), 3), vertices.dtype)
-    for p in range(len(vertex)):
+    places, whole = np.empty((len(vertex), 3), vertices.dtype), len(vertex) // LANES * LANES
+    for p in range(0, whole, LANES):
+        put_points(places, p, points_at(vertices, vertex, p))
+    for p in range(whole, len(vertex)):
         for axis in range(3):
             places[p, axis] = vertices[vertex[p], axis]
     return places
@@ -24,12 +26,16 @@ def placed(vertices, vertex):
 def delivered(x, lifted, place, vertices):
     """The ``vertices`` [m] (V, 3) are written from what is at the ``place`` (V,) of each; and the share of them that
     were ``lifted`` [m] (P,) by more than ``MOVED_M``, and the most of any."""
-    count, farthest = 0, lifted.dtype.type(0)
-    for v in range(len(place)):
+    count, farthest, whole = 0, lifted.dtype.type(0), len(place) // LANES * LANES
+    for v in range(0, whole, LANES):
+        put_points(vertices, v, points_at(x, place, v))
+    for v in range(whole, len(place)):
         for axis in range(3):
             vertices[v, axis] = x[place[v], axis]
-        count += lifted[place[v]] > MOVED_M
-        farthest = max(farthest, lifted[place[v]])
+    for v in range(len(place)):
+        own = number_at(lifted, place[v])
+        count += own > MOVED_M
+        farthest = max(farthest, own)
     return count / len(place), float(farthest)
 
 

@@ -90,8 +90,12 @@ def gradient_at(x, sheet, planes, network, scratch, gradient):
 
 @kernel
 def leash(sheet, planes):
-    """Writes the stiffness and slack that hold each place: those of the waistband and of the leash."""
+    """Writes the stiffness and slack that hold each place: those of the waistband and of the leash. There is no plane
+    yet, and nothing is held otherwise."""
+    zero = sheet.constants.zero
     for block in range(len(sheet.fan_start) - 1):
+        for row in range(PLANES * block, PLANES * (block + 1), LANES):
+            put(planes, row, zero)
         put(planes, PLANES * block + HELD_ROW, row_at(sheet.own, 4 * LANES * block + 3 * LANES))
         put(planes, PLANES * block + SLACK_ROW, sheet.constants.slack)
 

@@ -53,7 +53,6 @@ from drape.live.fold_step import (
     fold,
     fold_places,
     memory_of,
-    no_planes,
     past_of,
     report_of,
 )
@@ -267,7 +266,7 @@ def _fold(vertices, past, added, around, levels, effort):
     fine, coarse = levels.fine, levels.coarse
     kind = vertices.dtype.type
     network, under = placed(vertices, fine.sheet.vertex), placed(vertices, levels.kept)
-    planes = no_planes(under)
+    planes = np.empty(PLANES // LANES * len(under), under.dtype)
     # What no step moved is lifted on the fine cloth.
     clearance_m = effort.clearance_m if effort.steps else 0.0
     coarsely = FoldEffort(effort.steps, effort.settle, effort.cloth_contact, clearance_m)
@@ -347,7 +346,7 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
             points = add(points, scaled(row_at(fine.weight, row), points_at(coarse.off, fine.near, row)))
         put_points(carried, LANES * block, points)
         put_points(x, LANES * block, add(points, scaled(schedule.share, points_in(added, LANES * block))))
-    planes, scratch = np.zeros(PLANES // LANES * len(x), x.dtype), np.empty(SCRATCH, x.dtype)
+    planes, scratch = np.empty(PLANES // LANES * len(x), x.dtype), np.empty(SCRATCH, x.dtype)
     leash(sheet, planes)
     put_own_planes(x, around.skin, graph, ParentSamples(coarse.touched.own, fine.parent), planes)
     put_other_planes(x, around.skin, graph, ParentSamples(coarse.touched.other, fine.parent), planes)
@@ -373,7 +372,7 @@ def lift_off(x, touched, under, around, fine, graph, clearance):
     if len(around.colliders) == 0:
         lift_off_skin(x, around.skin, graph, samples, clearance, lifted)
         return lifted
-    planes = no_planes(x)
+    planes = np.zeros(PLANES // LANES * len(x), x.dtype)
     put_own_planes(x, around.skin, graph, samples, planes)
     put_planes(x, around.colliders, planes)
     leave(x, around.colliders, planes, clearance)

@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.contact.samples import sample_table
-from drape.live.fold_step import no_planes
 from drape.live.sheet import LANES
 from drape.live.skin_contact import (
     APART_M,
@@ -38,7 +37,7 @@ def touched_by(
     own = np.arange(count, dtype=np.int32)
     graph = SkinGraph(np.tile(own[:, None], NEIGHBOURS), np.full(count, SPACING_M**2), rest)
     places = np.tile(x, (len(made.sheet.vertex), 1))
-    planes = no_planes(places)
+    planes = np.zeros(PLANES // LANES * len(places))
     touched = TouchedSamples(np.zeros(len(places), np.int32), np.full(len(places), -1, np.int32))
     touch(places, sample_table(point, np.tile(UP, (count, 1))), graph, made.sheet, touched, turn, planes)
     rows = rows_of(planes)

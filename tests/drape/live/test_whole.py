@@ -14,7 +14,7 @@ from drape.kernels.elements import with_spare
 from drape.kernels.problem import problem
 from drape.live.fold_constants import WornCloth
 from drape.live.sheet import LANES
-from drape.live.sweeps import SCRATCH, gradient_at, leash
+from drape.live.sweeps import PLANES, SCRATCH, gradient_at, leash
 from drape.live.whole import CLAMP_M, SPRING, solve, stiffness, whole_step
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.kernels.solver_setup import MATERIALS
@@ -80,8 +80,9 @@ def pressed(depth_m: float, *, dtype: type[np.floating] = np.float64, factor: fl
     x[:] = 0.0
     x[sheet.place] = sleeve(creased=False)[0]
     up = np.array([0.0, 0.0, 1.0], dtype)
-    planes = planes_of(x + dtype(depth_m - 0.004) * up, up)  # contact begins at a gap of 4 mm
+    planes = np.empty(PLANES // LANES * len(x), dtype)
     leash(sheet, planes)
+    planes += planes_of(x + dtype(depth_m - 0.004) * up, up)  # contact begins at a gap of 4 mm
     gradient = np.empty_like(x)
     gradient_at(x, sheet, planes, x.copy(), np.empty(SCRATCH, dtype), gradient)
     before = x.copy()
