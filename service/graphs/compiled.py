@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drape.arrays.subnormals import flushed
 from drape.body.skeleton import JOINT_COUNT
 from drape.graph.blend import Tiles, blend
 from drape.graph.packed import PART_SIZE
@@ -39,7 +38,7 @@ class GarmentRows(NamedTuple):
 
 
 class CompiledNetwork:
-    """A network of ``parameters`` by their names, which ``network`` describes."""
+    """A network of ``parameters`` by their names, which ``network`` describes. Callers flush subnormal numbers."""
 
     def __init__(self, parameters: Mapping[str, np.ndarray], network: Mapping[str, Any]) -> None:
         self._weights = weights_of(parameters, float(network["output_gain"]))
@@ -62,8 +61,7 @@ class CompiledNetwork:
         code = feed["dynamic_code"][row] if "dynamic_code" in feed else np.empty(0)
         local, rest = feed["joint_quaternion"][row][:JOINT_COUNT], feed["joint_rest"][row]
         local, rest, betas, code = _plain(local, rest, feed["betas"][row], code)
-        with flushed():
-            return posed_body(self._weights, BodyFeed(local, rest, betas, code, parts, bones, skin_counts), skin)
+        return posed_body(self._weights, BodyFeed(local, rest, betas, code, parts, bones, skin_counts), skin)
 
     def drape(
         self, garment: GarmentRows, body: PosedBody, passes: int | None, *, vertices: bool
@@ -72,10 +70,9 @@ class CompiledNetwork:
         are asked for, and whether they are finite; ``passes`` corrections run, None all of them."""
         count = self._corrections if passes is None else passes
         drawn = np.empty((garment.vertex_count if vertices else 0, 3), np.float32)
-        with flushed():
-            jets, finite = checked_jets(self._weights, garment.patches, body, count, len(garment.tiles.scale))
-            if vertices:
-                blend(jets, garment.tiles, drawn)
+        jets, finite = checked_jets(self._weights, garment.patches, body, count, len(garment.tiles.scale))
+        if vertices:
+            blend(jets, garment.tiles, drawn)
         return {**dict(zip(JETS, jets, strict=True)), "vertices": drawn}, finite
 
 

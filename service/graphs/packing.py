@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
+from drape.arrays.subnormals import flushed
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.contact.samples import REGION_SIZE
@@ -263,19 +264,20 @@ class Packer:
     ) -> list[Result]:
         """``run`` without a graph: body after body, garment after garment, in as many threads as there are."""
         assert self._skins is not None
-        bodies = self._with_skins(bodies)
+        bodies, outputs = self._with_skins(bodies), plan.outputs
         counts, rows = self._skins.counts, list(dict.fromkeys(row for _, row in items))
-        posed = dict(zip(rows, self._each(lambda row: network.body(bodies, row, counts), rows), strict=True))
         garments = {key: self._garment_rows(network, key) for key, _ in items}
 
         def drape(item: Item) -> Result:
-            garment, body = garments[item[0]], posed[item[1]]
-            arrays, finite = network.drape(garment, body, plan.passes, vertices="vertices" in plan.outputs)
+            body = posed[item[1]]
+            arrays, finite = network.drape(garments[item[0]], body, plan.passes, vertices="vertices" in outputs)
             if plan.skin:
                 arrays[SKIN] = body.skin.reshape(-1, REGION_SIZE, 8)
-            return Result({name: arrays[name] for name in plan.outputs}, finite)
+            return Result({name: arrays[name] for name in outputs}, finite)
 
-        return self._each(drape, items)
+        with flushed():  # threads that it starts take this over
+            posed = dict(zip(rows, self._each(lambda row: network.body(bodies, row, counts), rows), strict=True))
+            return self._each(drape, items)
 
     def _garment_rows(self, network: CompiledNetwork, key: str) -> GarmentRows:
         with self._lock:
