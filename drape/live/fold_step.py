@@ -54,6 +54,8 @@ FAST_SWEEPS = 2  # sweeps that fast motion adds
 STIFF_SHARE = 0.5  # what fast motion leaves of a step of the whole in stiff cloth
 # Mean membrane stiffness along warp and weft from which cloth counts as stiff: denim, satin, poplin, but no knit.
 STIFF_N_PER_M = 1000.0
+# Shaken cloth creeps: the share of friction that is left where the network moves by so much a second or more.
+SHAKEN, SHAKEN_M_S = 0.5, 0.1
 FADE_S = 1.0  # in which folds without steps come down to 1/e
 
 
@@ -162,6 +164,12 @@ def calmness(way_m: float) -> float:
     return min(max((FAST_M - way_m) / (FAST_M - SLOW_M), 0.0), 1.0)
 
 
+def grip_left(way_m: float, step_s: float) -> float:
+    """The share of friction with the skin that holds where the network moves its vertices by ``way_m`` [m]
+    (``moved_m``) in ``step_s`` [s]: 1 at rest, ``SHAKEN`` from ``SHAKEN_M_S`` on."""
+    return 1.0 - (1.0 - SHAKEN) * min(way_m / (SHAKEN_M_S * step_s), 1.0)
+
+
 def _without_past(constants: FoldConstants, frame: PlacedFrame) -> FoldMemory:
     still = np.zeros_like(frame.network)
     touched = TouchedSamples(constants.index, np.full_like(constants.index, -1))
@@ -179,6 +187,7 @@ def _advanced(
     rounds = 0 if effort.steps == 0 else effort.settle if settled else 1
     share = fading(effort, step_s)
     way_m = moved_m(past.network, network, constants.sheet.place)
+    friction = 0.0 if settled else grip_left(way_m, step_s) * constants.friction
     k = constants.sheet.constants
     # Each is half of the fabric's.
     pace = paced(effort.steps, calmness(way_m), stiff=float(k.warp + k.weft) > STIFF_N_PER_M)
@@ -186,7 +195,7 @@ def _advanced(
     schedule = FoldSchedule(
         dtype(step_s), dtype(momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
         -1 if settled else past.turn, effort.cloth_contact and rounds > 0,
-        dtype(0.0 if settled else constants.friction), dtype(effort.clearance_m),
+        dtype(friction), dtype(effort.clearance_m),
         dtype(WAY_M if settled else farthest_way(way_m)),
     )  # fmt: skip
     touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
