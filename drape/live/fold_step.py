@@ -55,6 +55,8 @@ FAST_SWEEPS = 2  # sweeps that fast motion adds
 STIFF_SHARE = 0.5  # what fast motion leaves of a step of the whole in stiff cloth
 # Mean membrane stiffness along warp and weft from which cloth counts as stiff: denim, satin, poplin, but no knit.
 STIFF_N_PER_M = 1000.0
+# Shaken cloth creeps: the share of friction that is left where the network moves by so much a second or more.
+SHAKEN, SHAKEN_M_S = 0.5, 0.1
 FADE_S = 1.0  # in which folds without steps come down to 1/e
 
 
@@ -235,10 +237,11 @@ def _advanced(network, past, around, cloth, effort, planes):
     pace = paced(effort.steps, calmness(way_m), k.warp + k.weft > STIFF_N_PER_M)
     momentum = SETTLING_MOMENTUM if settled and rounds >= LONG_ROUNDS else pace.momentum
     untangled_m = WAY_M if settled else farthest_way(way_m)
+    friction = 0.0 if settled else grip_left(way_m, step_s) * cloth.friction
     schedule = FoldSchedule(
         kind(step_s), kind(momentum), kind(pace.share), rounds, pace.steps, pace.sweeps,
         -1 if settled else past.turn, effort.cloth_contact and rounds > 0,
-        kind(0.0 if settled else cloth.friction), kind(effort.clearance_m), kind(untangled_m),
+        kind(friction), kind(effort.clearance_m), kind(untangled_m),
     )  # fmt: skip
     touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
     still = kind(1.0 if share == 1.0 else 0.0)
@@ -252,6 +255,13 @@ def _advanced(network, past, around, cloth, effort, planes):
 def calmness(way_m):
     """1 where the network moves its vertices slowly, by ``way_m`` [m] (``moved_m``), 0 where fast."""
     return min(max((FAST_M - way_m) / (FAST_M - SLOW_M), 0.0), 1.0)
+
+
+@kernel
+def grip_left(way_m, step_s):
+    """The share of friction with the skin that holds where the network moves its vertices by ``way_m`` [m]
+    (``moved_m``) in ``step_s`` [s]: 1 at rest, ``SHAKEN`` from ``SHAKEN_M_S`` on."""
+    return 1.0 - (1.0 - SHAKEN) * min(way_m / (SHAKEN_M_S * step_s), 1.0)
 
 
 @kernel

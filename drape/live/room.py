@@ -1,14 +1,16 @@
 """Room between sheets: cloth that comes near to itself is kept apart, so that a garment does not cross itself.
 
 Under an arm, in a groin and behind a knee the network lays cloth close together and leaves it too little area. Steps
-that give the cloth its area back crumple it through itself, at the size of its triangles. So vertices keep a distance.
-With u the vertex nearest to v that is not of its sheet, n the unit vector from u to v and R = ``SPACING`` mean edges,
-``ROOM_M`` at most, v stays half of R before the middle between them,
+that give the cloth its area back crumple it through itself, at the size of its triangles. So it keeps a distance. Of
+each vertex v the vertex nearest to it that is not of its sheet is found, within ``SPACING`` mean edges. With p the
+nearest point to v of that one's triangles, n the unit vector from p to v and D = ``KEPT`` mean edges, ``KEPT_M`` at
+most, v stays half of D before the middle between them where it is nearer,
 
-    n . (x - (v + u) / 2) >= R / 2,
+    n . (x - (v + p) / 2) >= D / 2,
 
-with contact's energy. Both give way, and the middle is another one in every frame. Vertices that are R apart hardly let
-a triangle pass between them. The plane takes the place of that of another part of the body where it is the nearer one.
+with contact's energy. Both sheets give way, and the middle is another one in every frame. Sheets that lie on each other
+slide freely: p slides along, and n is the normal of the sheet and not the way to one of its vertices. The plane takes
+the place of that of another part of the body where it is the nearer one.
 Two vertices are of one sheet where the way through the air is nearly as long as that along the cloth: such cloth is
 only pressed together. Nothing is remembered. Where cloth already crosses itself these planes have no side to tell. What
 is left to do there is untangling (``untangle``), and to go back to the network's smooth surface (``residual``).
@@ -23,7 +25,7 @@ import scipy.sparse
 
 from drape.cloth.energies import ClothMesh
 from drape.kernels.compiled import kernel, part
-from drape.kernels.elements import at, dot, scaled, sub
+from drape.kernels.elements import at, dot, mix, scaled, sub
 from drape.kernels.lanes import row3
 from drape.kernels.problem import rest_edges
 from drape.live.clusters import POINT_ROWS, boxes_around, clusters, find_close, laid, less, squared
@@ -32,9 +34,11 @@ from drape.live.sweeps import APART_ROW, OTHER_PLANE, PLANES
 
 NEAR_M = 0.02  # vertices nearer than that along the cloth, and those of one triangle, are one sheet
 FOLDED = 0.6  # so are those whose way through the air is at least this share of that along the cloth
-# Mean edges: with less cloth passes through its triangles, with more it is kept from where physics lays it. Lists of
-# what is of one sheet reach as far as ROOM_M.
+# Mean edges within which vertices are looked for. Lists of what is of one sheet reach as far as ROOM_M.
 SPACING, ROOM_M = 0.95, 0.018
+# Mean edges from vertices to triangles: with less cloth passes through itself, with more it is kept from where physics
+# lays it, at 3 to 6 mm. Coarse cloth needs no more than KEPT_M.
+KEPT, KEPT_M = 0.5, 0.0085
 FREE = 255  # a bound that no pair within ROOM_M is below; FREE - 1 stands for ROOM_M
 BOUND_M2 = ROOM_M**2 / (FREE - 1)
 
@@ -146,6 +150,7 @@ def keep_apart(x, sheet, neighbours, planes):
     ``APART_ROW``."""
     k, dtype = sheet.constants, x.dtype.type
     reach = min(dtype(SPACING) / k.per_edge, dtype(ROOM_M))
+    kept = min(dtype(KEPT) / k.per_edge, dtype(KEPT_M))
     points, room = np.empty((len(sheet.place), 3), x.dtype), np.empty(len(sheet.place), x.dtype)
     for v in range(len(points)):
         for i in range(3):
@@ -153,12 +158,16 @@ def keep_apart(x, sheet, neighbours, planes):
     nearest = np.empty(len(points), np.int32)
     rooms(points, neighbours, reach, room, nearest)
     for v in range(len(points)):
-        if nearest[v] < 0 or not room[v] > k.zero:
+        if nearest[v] < 0:
+            continue
+        here = at(points, v)
+        way = _from_triangles(x, sheet, sheet.place[nearest[v]], here)
+        far = np.sqrt(dot(way, way))
+        if not k.zero < far < kept:
             continue
         place = PLANES * (sheet.place[v] // LANES) + sheet.place[v] % LANES
-        here = at(points, v)
-        normal = scaled(k.one / room[v], sub(here, at(points, nearest[v])))
-        height = k.half * (room[v] - reach) + k.gap  # contact begins a gap over the plane
+        normal = scaled(k.one / far, way)
+        height = k.half * (far - kept) + k.gap  # contact begins a gap over the plane
         foot, other = _three(planes, place + OTHER_PLANE), _three(planes, place + OTHER_PLANE + 3 * LANES)
         if dot(other, other) > k.zero and dot(sub(here, foot), other) < height:
             continue
@@ -166,6 +175,38 @@ def keep_apart(x, sheet, neighbours, planes):
         for axis in range(3):
             planes[place + OTHER_PLANE + LANES * axis] = here[axis] - height * normal[axis]
             planes[place + OTHER_PLANE + LANES * (3 + axis)] = normal[axis]
+
+
+@part
+def _from_triangles(x, sheet, u, point):
+    """The shortest way to ``point`` [m] from the triangles of the place ``u``. Sides without a length, as empty rows
+    have, lead nowhere: nothing is shorter than NaN."""
+    corner, lane = at(x, u), u % LANES
+    off = sub(point, corner)
+    found = off
+    for row in range(sheet.fan_start[u // LANES], sheet.fan_start[u // LANES + 1]):
+        a = sub(at(x, sheet.fan_other[2 * LANES * row + lane]), corner)
+        b = sub(at(x, sheet.fan_other[2 * LANES * row + LANES + lane]), corner)
+        aa, ab, bb, ap, bp = dot(a, a), dot(a, b), dot(b, b), dot(a, off), dot(b, off)
+        s, t = bb * ap - ab * bp, aa * bp - ab * ap
+        square = aa * bb - ab * ab
+        if s >= 0 and t >= 0 and s + t <= square:
+            found = _shorter(sub(off, mix(s / square, a, t / square, b)), found)
+        else:
+            found = _shorter(_from_side(off, a, sheet.constants), found)
+            found = _shorter(_from_side(off, b, sheet.constants), found)
+            found = _shorter(_from_side(sub(off, a), sub(b, a), sheet.constants), found)
+    return found
+
+
+@part
+def _from_side(off, side, k):
+    return sub(off, scaled(min(max(dot(off, side) / dot(side, side), k.zero), k.one), side))
+
+
+@part
+def _shorter(way, other):
+    return way if dot(way, way) < dot(other, other) else other
 
 
 @part

@@ -65,7 +65,7 @@ from drape.live.sweeps import APART_ROW, PLANES, SCRATCH, descend, leash
 from drape.live.untangle import Tangles, tangles_of, untangle
 
 APART_STEPS = 2  # of untangling the fine cloth: four leave fewer crossings and cost time and gain
-KEPT_S = 0.15  # in which what sweeps added comes down to 1/e: more lets fine folds pass through each other
+KEPT_S = 0.25  # in which what sweeps added comes down to 1/e: more lets fine folds pass through each other
 
 
 @dataclass(frozen=True, eq=False)

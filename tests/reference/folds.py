@@ -9,24 +9,16 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.exact.surroundings import Surroundings, surroundings
 from drape.geometry import meshes
+from drape.geometry.closest import closest_point
 from drape.kernels.problem import Problem, problem
+from drape.live import fold_step
 from drape.live.clock import FIRST_STEP_S, step_between
 from drape.live.fold_constants import WornCloth
-from drape.live.fold_step import (
-    LONG_ROUNDS,
-    SETTLING_MOMENTUM,
-    STIFF_N_PER_M,
-    FoldEffort,
-    FoldMemory,
-    Frame,
-    calmness,
-    fading,
-    paced,
-)
+from drape.live.fold_step import FoldEffort, FoldMemory, Frame
 from drape.live.lift import DEEP_M, OTHER, TOO_DEEP_M
 from drape.live.places import moved_m
 from drape.live.residual import FORGET, HEM, LACK, MEND_M
-from drape.live.room import FOLDED, NEAR_M, ROOM_M, SPACING
+from drape.live.room import FOLDED, KEPT, KEPT_M, NEAR_M, ROOM_M, SPACING
 from drape.live.sheet import ALIKE
 from drape.live.skin_contact import APART_M, BESIDE, FREE, HOLLOW_M, NEARER, REACH_M, STEPS, TURNS
 from drape.live.skin_walks import SkinGraph, TouchedSamples
@@ -44,19 +36,20 @@ def fold(
     past = memory or FoldMemory(frame.time_s, network, still, still, nowhere, still, 0)
     step_s = step_between(past.time_s, frame.time_s) if memory else FIRST_STEP_S
     frames = surface_frames(network, dressed.cloth)
-    share = fading(effort, step_s)
+    share = fold_step.fading(effort, step_s)
     off = _to_world(frames, share * past.residual)
     off = mended(off, dressed.cloth.faces, forgotten(past.network, network, dressed.cloth))
     off = evened(off, past.network, network, dressed.cloth.faces)
     x = network + off
     way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
     stuck = stuck_places(past.grip, frame.skin, dressed.graph, past.touched.own)
-    friction = dressed.friction if memory else 0.0
     touched = follow(network, frame.skin, dressed.graph, past.touched)
-    stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > STIFF_N_PER_M
-    pace = paced(effort.steps, calmness(moved_m(past.network, network, np.arange(len(network)))), stiff=stiff)
-    long = memory is None and effort.settle >= LONG_ROUNDS
-    momentum = SETTLING_MOMENTUM if long else pace.momentum
+    stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > fold_step.STIFF_N_PER_M
+    way_m = moved_m(past.network, network, np.arange(len(network)))
+    friction = fold_step.grip_left(way_m, step_s) * dressed.friction if memory else 0.0
+    pace = fold_step.paced(effort.steps, fold_step.calmness(way_m), stiff=stiff)
+    long = memory is None and effort.settle >= fold_step.LONG_ROUNDS
+    momentum = fold_step.SETTLING_MOMENTUM if long else pace.momentum
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
     for number in range(0 if effort.steps == 0 else 1 if memory else effort.settle):
@@ -242,12 +235,16 @@ def touching(made: Problem, dressed: WornCloth, x: np.ndarray, skin: np.ndarray,
 
 def kept_apart(x: np.ndarray, around: Around, made: Problem, cloth: ClothMesh) -> Around:
     """``around`` with the planes that keep ``x`` [m] (V, 3) apart where these are nearer than other parts'."""
-    reach = min(SPACING / float(made.constants.per_edge), ROOM_M)
-    room_m, nearest = room(x, cloth, reach)
-    height = 0.5 * (room_m - reach) + made.constants.gap
+    edge_m = 1.0 / float(made.constants.per_edge)
+    _, nearest = room(x, cloth, min(SPACING * edge_m, ROOM_M))
+    there, kept_m = x.copy(), min(KEPT * edge_m, KEPT_M)
+    for v in np.flatnonzero(nearest >= 0):
+        (there[v],) = closest_point(x[v, None], x, cloth.faces[(cloth.faces == nearest[v]).any(axis=1)]).point
+    room_m = np.linalg.norm(x - there, axis=1)
+    height = 0.5 * (room_m - kept_m) + made.constants.gap
     over = np.where(around.n_per_m > 0.0, ((x - around.point) * around.normal).sum(axis=1), np.inf)
-    taken = (nearest >= 0) & (height <= over)
-    normal = (x - x[nearest]) / room_m[:, None]
+    taken = (room_m > 0.0) & (room_m < kept_m) & (height <= over)
+    normal = (x - there) / np.where(room_m > 0.0, room_m, 1.0)[:, None]
     return around._replace(
         point=np.where(taken[:, None], x - height[:, None] * normal, around.point),
         normal=np.where(taken[:, None], normal, around.normal),

@@ -19,6 +19,8 @@ from drape.live.fold_step import (
     FAST_SWEEPS,
     LONG_ROUNDS,
     MOMENTUM,
+    SHAKEN,
+    SHAKEN_M_S,
     SLOW_M,
     STIFF_MOMENTUM,
     STIFF_SHARE,
@@ -27,6 +29,7 @@ from drape.live.fold_step import (
     FoldReport,
     calmness,
     fold,
+    grip_left,
     paced,
 )
 from drape.live.places import farthest_place_m, moved_m
@@ -177,6 +180,13 @@ def test_fast_motion_has_its_own_pace(pace, material):
     wanted_before = replace(wanted_memory, network=still.vertices - way_m * UP)
     x, _, _ = fold(made, before, still, EFFORT)
     assert_allclose(x, reference.fold(worn, wanted_before, still, EFFORT)[0], rtol=0.0, atol=1e-10)
+
+
+@each(step_s=(1.0 / 60.0, 1.0 / 15.0))
+def test_cloth_that_is_shaken_creeps(step_s):
+    assert grip_left(0.0, step_s) == 1.0
+    assert_allclose(grip_left(0.5 * SHAKEN_M_S * step_s, step_s), 0.5 * (1.0 + SHAKEN))
+    assert grip_left(2.0 * SHAKEN_M_S * step_s, step_s) == SHAKEN, "however fast"
 
 
 def test_what_an_effort_stands_for():

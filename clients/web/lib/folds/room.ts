@@ -5,7 +5,7 @@ import { POINT_ROWS, boxBytes, boxesAround, findClose } from "./clusters";
 import { OTHER_PLANE, PLANES } from "./sweeps";
 import { LANES, QUAD, ROW, all, ax, ay, az, least, mul, number, square, sub, whole } from "./vectors";
 
-const SPACING: f32 = 0.95, ROOM_M: f32 = 0.018;
+const SPACING: f32 = 0.95, ROOM_M: f32 = 0.018, KEPT: f32 = 0.5, KEPT_M: f32 = 0.0085;
 const FREE: f64 = 255;
 const BOUND_M2: f32 = <f32>(0.018 * 0.018 / (FREE - 1));
 
@@ -20,15 +20,18 @@ export function keepApart(x: usize, planes: usize, room: usize): void {
   const reach: f32 = min<f32>(SPACING / constant(A.PER_EDGE), ROOM_M), far = reach * reach;
   const count = reserved(A.CLUSTERS) / LANES, squares = rooms(x, count, far, room), which = squares + <usize>count * ROW;
   const clusters = at(A.CLUSTERS), place = at(A.PLACE), gap = constant(A.GAP);
+  const kept: f32 = min<f32>(KEPT / constant(A.PER_EDGE), KEPT_M);
   for (let e = 0; e < LANES * count; e++) {
     // Lanes that repeat a vertex come after its own: each vertex has one plane.
     if (e % LANES > 0 && whole(clusters, e) == whole(clusters, e - 1)) continue;
     const near = number(squares, e);
-    if (!(near < far && near > 0)) continue;
+    if (!(near < far)) continue;
     const v = whole(place, whole(clusters, e)), u = whole(place, whole(clusters, whole(which, e)));
-    const d: f32 = Mathf.sqrt(near), height: f32 = 0.5 * (d - reach) + gap; // contact begins a gap over the plane
     const hx = ax(x, v), hy = ay(x, v), hz = az(x, v);
-    const nx = (hx - ax(x, u)) / d, ny = (hy - ay(x, u)) / d, nz = (hz - az(x, u)) / d;
+    fromTriangles(x, u, hx, hy, hz);
+    const d: f32 = Mathf.sqrt(wx * wx + wy * wy + wz * wz), height: f32 = 0.5 * (d - kept) + gap; // contact begins a gap over the plane
+    if (!(d > 0 && d < kept)) continue;
+    const nx = wx / d, ny = wy / d, nz = wz / d;
     const to = planes + (v / LANES) * PLANES + OTHER_PLANE + (<usize>(v % LANES) << 2);
     const ox = load<f32>(to, 3 * ROW), oy = load<f32>(to, 4 * ROW), oz = load<f32>(to, 5 * ROW);
     const over = (hx - load<f32>(to)) * ox + (hy - load<f32>(to, ROW)) * oy + (hz - load<f32>(to, 2 * ROW)) * oz;
@@ -39,6 +42,43 @@ export function keepApart(x: usize, planes: usize, room: usize): void {
     store<f32>(to, nx, 3 * ROW);
     store<f32>(to, ny, 4 * ROW);
     store<f32>(to, nz, 5 * ROW);
+  }
+}
+
+// The shortest way to a point from the triangles of the place u.
+let wx: f32 = 0, wy: f32 = 0, wz: f32 = 0;
+
+function fromTriangles(x: usize, u: i32, px: f32, py: f32, pz: f32): void {
+  const ux = ax(x, u), uy = ay(x, u), uz = az(x, u), ox = px - ux, oy = py - uy, oz = pz - uz;
+  const first = whole(at(A.FAN_START), u / LANES), end = whole(at(A.FAN_START), u / LANES + 1);
+  wx = ox; wy = oy; wz = oz;
+  for (let row = first; row < end; row++) {
+    const entry = at(A.FAN_OTHER) + <usize>(2 * row) * ROW, lane = u % LANES;
+    const v = whole(entry, lane), w = whole(entry + ROW, lane);
+    const cx = ax(x, v) - ux, cy = ay(x, v) - uy, cz = az(x, v) - uz;
+    const dx = ax(x, w) - ux, dy = ay(x, w) - uy, dz = az(x, w) - uz;
+    const cc = cx * cx + cy * cy + cz * cz, cd = cx * dx + cy * dy + cz * dz, dd = dx * dx + dy * dy + dz * dz;
+    const co = cx * ox + cy * oy + cz * oz, od = dx * ox + dy * oy + dz * oz;
+    const s = dd * co - cd * od, t = cc * od - cd * co, area = cc * dd - cd * cd;
+    if (s >= 0 && t >= 0 && s + t <= area) {
+      shorter(ox - (s * cx + t * dx) / area, oy - (s * cy + t * dy) / area, oz - (s * cz + t * dz) / area);
+    } else {
+      fromSide(ox, oy, oz, cx, cy, cz);
+      fromSide(ox, oy, oz, dx, dy, dz);
+      fromSide(ox - cx, oy - cy, oz - cz, dx - cx, dy - cy, dz - cz);
+    }
+  }
+}
+
+// Sides that have no length lead nowhere: nothing is shorter than NaN.
+@inline function fromSide(ox: f32, oy: f32, oz: f32, x: f32, y: f32, z: f32): void {
+  const share = min<f32>(max<f32>((ox * x + oy * y + oz * z) / (x * x + y * y + z * z), 0), 1);
+  shorter(ox - share * x, oy - share * y, oz - share * z);
+}
+
+@inline function shorter(x: f32, y: f32, z: f32): void {
+  if (x * x + y * y + z * z < wx * wx + wy * wy + wz * wz) {
+    wx = x; wy = y; wz = z;
   }
 }
 

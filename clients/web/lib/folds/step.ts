@@ -21,6 +21,7 @@ const MOMENTUM: f64 = 0.9, FAST_MOMENTUM: f64 = 0.7, STIFF_MOMENTUM: f64 = 0.5;
 const SETTLING_MOMENTUM: f64 = 0.98, LONG_ROUNDS: i32 = 16;
 const FAR_M: f64 = 0.25, SLOW_M: f64 = 0.01, FAST_M: f64 = 0.02;
 const FAST_SWEEPS: i32 = 2;
+const SHAKEN: f64 = 0.5, SHAKEN_M_S: f64 = 0.1;
 const STIFF_SHARE: f64 = 0.5, STIFF_N_PER_M: f64 = 1000;
 const LEAST_M: f64 = 0.0003, WAY_M: f64 = 0.002, EASE: f64 = 0.5;
 // What fold() says of a frame.
@@ -152,6 +153,7 @@ function advance(atS: f64, steps: i32, settle: i32, within: bool, clearance: f32
     sweeps = steps + FAST_SWEEPS;
   }
   if (settled && rounds >= LONG_ROUNDS) momentum = SETTLING_MOMENTUM;
+  const gripLeft = 1 - (1 - SHAKEN) * min<f64>(wayM / (SHAKEN_M_S * stepS), 1);
   const untangleM: f32 = settled ? <f32>WAY_M : <f32>min<f64>(WAY_M, max<f64>(wayM, LEAST_M));
 
   stuckPlaces(grip, touched, places, skin, stuck);
@@ -163,7 +165,7 @@ function advance(atS: f64, steps: i32, settle: i32, within: bool, clearance: f32
 
   follow(network, places, skin, touched);
   leash(blocks, planes);
-  stick(blocks, stuck, settled ? 0 : constant(A.FRICTION), planes);
+  stick(blocks, stuck, settled ? 0 : <f32>gripLeft * constant(A.FRICTION), planes);
   for (let round = 0; round < rounds; round++) {
     touch(x, places, skin, touched, others, settled ? -1 : turn, planes, grid);
     if (within) keepApart(x, planes, room);
