@@ -11,6 +11,7 @@ a drape that does not move any more the derivative of one implicit step with the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -55,9 +56,10 @@ def laying_options(drape: DrapeOptions) -> DrapeOptions:
     return replace(drape, edge_length_m=length, iteration_limit=0, hangs_longer=HANGS_LONGER)
 
 
-def is_gathered(pattern: Pattern) -> bool:
-    """Whether a seam of ``pattern`` gathers one of its edges."""
-    return any(abs(seam.mismatch) > GATHERED for seam in geometry.seams(pattern))
+def is_laid(pattern: Pattern, parts: Sequence[str | None]) -> bool:
+    """Whether a garment that these ``parts`` of the body go through is laid: a seam gathers, and no belt holds it."""
+    gathers = any(abs(seam.mismatch) > GATHERED for seam in geometry.seams(pattern))
+    return gathers and any("arm" in (part or "") for part in parts)
 
 
 class LaidDrape(RestDrape):

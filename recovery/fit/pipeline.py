@@ -27,7 +27,7 @@ from recovery.fit.cloth import FreeCloth, bolt_name, named, nearest_fabric
 from recovery.fit.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
-from recovery.fit.laying import EDGE_M, LaidDrape, hung_as, is_gathered, laid, laying_options, let_go
+from recovery.fit.laying import EDGE_M, LaidDrape, hung_as, is_laid, laid, laying_options, let_go
 from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
 from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSearch
 from recovery.fit.recovered import NOT_AT_REST, SAME, Recovered, Round, Sewn, apart_mm, clocks, why_left
@@ -89,8 +89,6 @@ def recover_pattern(
     symmetries = find_symmetries(base)
     base = symmetrised(base, symmetries)
     base = sewable(base, base, symmetries)
-    if is_gathered(base):
-        drape, lengths = laying_options(drape), [min(length, EDGE_M) for length in meshes_m or lengths[:1]]
     for line in symmetries.describe(base):
         say(f"symmetry  {line}")
     bare = drape.skin(body.v_template, body.faces, say)
@@ -108,6 +106,9 @@ def recover_pattern(
         free_cloth=free_cloth,
         say=say,
     )
+    if task.lays:
+        drape, lengths = laying_options(drape), [min(length, EDGE_M) for length in meshes_m or lengths[:1]]
+        task = replace(task, drape=replace(drape, edge_length_m=lengths[0]))
     with watch.stage("drape of the base"):
         first = worn_drape(base, task.start(drape), rest=False)
     graded, start = ungraded(base), first
@@ -202,7 +203,7 @@ class _Task:
     @cached_property
     def lays(self) -> bool:
         """Whether the garment is laid in the target's folds."""
-        return is_gathered(self.base)
+        return is_laid(self.base, [place.part for place in self.places])
 
     @cached_property
     def places(self) -> list[Place]:

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from recovery.drape.pipeline import HANGS_LONGER, DrapeOptions
 from recovery.fit import laying
 from recovery.fit.contours import open_contours
-from recovery.fit.laying import LaidDrape, fallen, is_gathered, laying_options, springs_between
+from recovery.fit.laying import LaidDrape, fallen, is_laid, laying_options, springs_between
 from recovery.fit.objective import Target
 from recovery.pattern.bases import base_pattern
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
@@ -91,10 +91,12 @@ def test_what_is_let_go_stays_on_a_slope_that_friction_holds():
     assert np.abs(drape.nodes - start).max() < 0.002
 
 
-def test_gathers_are_told_by_the_lengths_of_seams():
+def test_gathers_are_told_by_the_lengths_of_seams_and_belts_by_the_openings():
     body = default_measurements()
-    assert is_gathered(base_pattern("sleeved_dress", body, ("gather=0.25",)))
-    assert not is_gathered(base_pattern("tshirt", body))
+    dress = base_pattern("sleeved_dress", body, ("gather=0.25",))
+    assert is_laid(dress, ("trunk", None, "left_arm"))
+    assert not is_laid(dress, ("trunk", None))
+    assert not is_laid(base_pattern("tshirt", body), ("trunk", "left_arm"))
 
 
 def test_options_for_cloth_that_is_laid():
