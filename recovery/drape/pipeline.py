@@ -53,7 +53,7 @@ class DrapeOptions:
 
     The body's ``distance`` is a grid of ``grid_m``, or a network trained as ``siren`` says, kept in ``siren_folder``.
     ``iteration_limit`` is that of Newton; 0 leaves the garment where the quasi-static steps end. Cloth rests
-    ``off_skin_m`` farther off the skin than the contact's own gap. No cloth is stiffer than that it ``hangs_longer``.
+    ``off_skin_m`` farther off the skin than the contact's own gap. No cloth is stiffer than ``hangs_longer`` allows (``hanging``).
     """
 
     edge_length_m: float = 0.025
@@ -90,7 +90,7 @@ class DrapeOptions:
 
 
 def hanging(name: str, longer: float = HANGS_LONGER) -> OrthotropicMaterial:
-    """The fabric called ``name`` as it is draped: across and along a metre of it hangs ``longer`` by this share.
+    """The fabric called ``name`` as it is draped: no stiffer than that a metre of it hangs longer by this share.
 
     Triangles that lie across the yarns cannot bend without stretching them, so that on long edges a stiff, light cloth
     folds nowhere and hardly comes to rest (``Fabric.softened``).
