@@ -53,7 +53,7 @@ class DrapeOptions:
 
     The body's ``distance`` is a grid of ``grid_m``, or a network trained as ``siren`` says, kept in ``siren_folder``.
     ``iteration_limit`` is that of Newton; 0 leaves the garment where the quasi-static steps end. Cloth rests
-    ``off_skin_m`` farther off the skin than the contact's own gap. No cloth is stiffer than ``hangs_longer`` allows (``hanging``).
+    ``off_skin_m`` farther off the skin than the contact's own gap. ``hangs_longer`` is for ``hanging``.
     """
 
     edge_length_m: float = 0.025

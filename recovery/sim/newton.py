@@ -207,7 +207,7 @@ def _held(model: ClothModel, x: Tensor, state: ClothState) -> Tensor:
 
 
 def force_left(model: ClothModel, state: ClothState, parameters: Parameters, contact: SkinContact | None) -> float:
-    """The largest component [N] of the force left at a free node of cloth at ``state``, without inertia and friction."""
+    """The largest component [N] of the force left at a free node at ``state``, without inertia and friction."""
     with torch.no_grad():
         potential = _Potential(model, contact, None, state, parameters)
         return float(potential.residual(state.x).abs().max())
