@@ -19,7 +19,7 @@ from recovery import progress
 from recovery.pattern.design import Design
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.contact import SkinContact
-from recovery.sim.linearised import linearised_step
+from recovery.sim.linearised import damped_step
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.sdf import SignedDistance
 from recovery.sim.self_contact import SelfContact
@@ -28,7 +28,6 @@ SOFTEST_N_PER_M = 400.0  # woven cloth is softened to this: its weight stretches
 HEM_M = 0.02  # turned up this far
 HEM_BENDING = 2.0  # two layers that slide on each other
 SKIN_GAP_M = 0.0075  # beyond what intake keeps garments off the skin by
-DT_S = 0.033
 LAYERS_SHARE = 0.4  # of the mean edge: layers of cloth stay this far apart
 FALLING, SETTLING = 0.9, 0.5  # share of one step's speed that is kept in the next: air and yarns, and more of it
 MOVE_SHARE = 0.6  # of that distance in one step at most: two layers that meet must not pass
@@ -82,18 +81,15 @@ class Fall:
         return Settled(state.x.numpy(), number, move)
 
     def _step(self, state: ClothState, kept: float) -> tuple[ClothState, float]:
-        with torch.no_grad():
-            pairs = self.cloth.springs(state.x.numpy())
-            after = linearised_step(self.model, state, self.parameters, dt_s=DT_S, contact=self.contact, pairs=pairs)
-            move = after.x - state.x
-            longest = float(move.norm(dim=1).max())
-            move = min(1.0, MOVE_SHARE * self.cloth.thickness_m / max(longest, 1e-12)) * move
-            x, v = state.x + move, kept * move / DT_S
-            # A node that lands stays: the repulsion of one step must not throw it off the skin in the next.
-            distance, normal = self.contact.body(x)
-            outward = torch.clamp((v * normal).sum(dim=1, keepdim=True), min=0.0)
-            v = v - (distance < 1.2 * self.contact.gap_m)[:, None] * outward * normal
-            return ClothState(x, v), longest
+        return damped_step(
+            self.model,
+            state,
+            self.parameters,
+            self.contact,
+            kept=kept,
+            longest_m=MOVE_SHARE * self.cloth.thickness_m,
+            pairs=self.cloth.springs(state.x.numpy()),
+        )
 
 
 # --- hems and folded seams -------------------------------------------------------------------------------------------

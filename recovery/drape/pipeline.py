@@ -53,7 +53,7 @@ class DrapeOptions:
 
     The body's ``distance`` is a grid of ``grid_m``, or a network trained as ``siren`` says, kept in ``siren_folder``.
     ``iteration_limit`` is that of Newton; 0 leaves the garment where the quasi-static steps end. Cloth rests
-    ``off_skin_m`` farther off the skin than the contact's own gap.
+    ``off_skin_m`` farther off the skin than the contact's own gap. ``hangs_longer`` is for ``hanging``.
     """
 
     edge_length_m: float = 0.025
@@ -67,6 +67,7 @@ class DrapeOptions:
     siren: SirenOptions = DEFAULT_SIREN
     siren_folder: Path = SIREN_FOLDER
     off_skin_m: float = 0.0
+    hangs_longer: float = HANGS_LONGER
 
     def __post_init__(self) -> None:
         if self.iteration_limit < 0:
@@ -88,14 +89,14 @@ class DrapeOptions:
         return Grown(found, self.off_skin_m) if self.off_skin_m else found
 
 
-def hanging(name: str) -> OrthotropicMaterial:
-    """The fabric called ``name`` as it is draped: no stiffer across and along than that a metre of it hangs 1 % longer.
+def hanging(name: str, longer: float = HANGS_LONGER) -> OrthotropicMaterial:
+    """The fabric called ``name`` as it is draped: no stiffer than that a metre of it hangs longer by this share.
 
     Triangles that lie across the yarns cannot bend without stretching them, so that on long edges a stiff, light cloth
     folds nowhere and hardly comes to rest (``Fabric.softened``).
     """
     cloth = material(name).woven
-    most = cloth.density_kg_m2 * Material.gravity_m_s2 / HANGS_LONGER
+    most = cloth.density_kg_m2 * Material.gravity_m_s2 / longer
     across, along = min(cloth.h00, most), min(cloth.h11, most)
     coupled = float(np.sqrt(across * along / (cloth.h00 * cloth.h11)))
     return replace(cloth, h00=across, h11=along, h01=coupled * cloth.h01)
@@ -140,7 +141,7 @@ def drape_pattern(
     body.
     """
     say = report or (lambda line: None)
-    cloth = cloth or hanging(options.fabric)
+    cloth = cloth or hanging(options.fabric, options.hangs_longer)
     pattern, notes = uncrossed(pattern)
     for note in notes:
         say(f"repaired  {note}")
@@ -199,7 +200,7 @@ def drape_in_pose(
     pose = np.asarray(pose, dtype=np.float64).reshape(JOINT_COUNT, 3)
     moved = to_pose(mesh, rest.nodes, body, pose)
     skin = options.skin(body.posed_vertices(pose[None])[0], body.faces, report)
-    cloth = cloth or hanging(options.fabric)
+    cloth = cloth or hanging(options.fabric, options.hangs_longer)
     posed = settle(mesh, moved, skin, cloth, held=rest.held, iteration_limit=options.iteration_limit)
     return posed, drape_figures(mesh, posed, skin)
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from drape.cloth.material import FABRICS, MEASURED, OrthotropicMaterial
 from drape.errors import InputError
-from recovery.drape.pipeline import hanging
+from recovery.drape.pipeline import HANGS_LONGER, hanging
 
 LOG_M = 0.01  # [m] of unknown per unit of a logarithm: a stiffness times e weighs as much as control points moved 1 cm
 NAMES = ("stretch across", "stretch along", "shear", "coupling", "bending")
@@ -91,9 +91,9 @@ class FreeCloth:
         return stretch.numpy(), bending.numpy()
 
 
-def named(name: str) -> OrthotropicMaterial:
-    """The fabric called ``name`` as it is draped. Raises ``NotFound``."""
-    return hanging(name)
+def named(name: str, longer: float = HANGS_LONGER) -> OrthotropicMaterial:
+    """The fabric called ``name`` as it is draped (``hanging``). Raises ``NotFound``."""
+    return hanging(name, longer)
 
 
 class Fabric(NamedTuple):
@@ -122,14 +122,14 @@ def bolt_name(name: str, cloth: OrthotropicMaterial) -> str:
     return f"{name} {1e3 * cloth.density_kg_m2:.0f} g/m²"
 
 
-def nearest_fabric(cloth: OrthotropicMaterial) -> Fabric:
-    """The named fabric whose logarithms are nearest to those of ``cloth``, stiffness over weight."""
+def nearest_fabric(cloth: OrthotropicMaterial, longer: float = HANGS_LONGER) -> Fabric:
+    """The fabric ``named`` whose logarithms are nearest to those of ``cloth``, stiffness over weight."""
 
     def over_weight(one: OrthotropicMaterial) -> np.ndarray:
         numbers = logarithms(one)
         numbers[[0, 1, 2, 4]] -= np.log(one.density_kg_m2)
         return numbers
 
-    off = {name: over_weight(cloth) - over_weight(named(name)) for name in (*FABRICS, *MEASURED)}
+    off = {name: over_weight(cloth) - over_weight(named(name, longer)) for name in (*FABRICS, *MEASURED)}
     name = min(off, key=lambda one: float((off[one] ** 2).sum()))
     return Fabric(name, np.exp(off[name]))

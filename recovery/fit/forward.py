@@ -11,6 +11,7 @@ from recovery.fit.belt import Belt
 from recovery.fit.cloth import ClothTensors
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.contact import SkinContact
+from recovery.sim.implicit import Problem
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.newton import Minimum, Report, equilibrium
 from recovery.sim.sdf import SignedDistance
@@ -64,6 +65,14 @@ class RestDrape:
         )
         return state.x, report
 
+    def begun(self, nodes: np.ndarray) -> np.ndarray:
+        """The nodes [m] (N, 3) that a search from the drape ``nodes`` (N, 3) begins at."""
+        return nodes
+
+    def ended(self, mesh: PatternMesh, nodes: np.ndarray, cloth: OrthotropicMaterial) -> np.ndarray:
+        """The drape [m] (N, 3) of ``mesh`` in ``cloth`` that a search found as ``nodes`` (N, 3)."""
+        return nodes
+
     def sensitivity(
         self,
         rest: Tensor,
@@ -78,12 +87,11 @@ class RestDrape:
         of them: the adjoint's scalar is linear in its weights, so that its derivative by them is the right side of a
         direction.
         """
-        problem = Minimum(self.model, self.contact, dt_s=None, tolerance_n=self.tolerance_n, iteration_limit=0)
         x = torch.from_numpy(np.ascontiguousarray(nodes))
         given = self._parameters(rest, cloth)
         state = ClothState(x, torch.zeros_like(x))
         at = given._replace(**{name: getattr(given, name).detach() for name in LEAVES})
-        solution = problem.solve(state, at)
+        problem, solution, per_s = self._problem(state, at)
         factor = problem.factor(solution, state, at)
         held = self._held_moves(at.panels, nodes, moves)
         stretch, bending = (np.zeros((4, 0)), np.zeros(0)) if cloth_moves is None else cloth_moves
@@ -102,8 +110,13 @@ class RestDrape:
                 along = torch.stack([(slope * part).sum() for slope, part in zip(slopes, parts, strict=True)]).sum()
                 (right,) = torch.autograd.grad(along, weights, retain_graph=True)
                 found = factor.solve(np.ascontiguousarray((problem.free * right).numpy()).reshape(-1))
-                columns.append(found + step[0].reshape(-1))
+                columns.append(per_s * found + step[0].reshape(-1))
         return np.stack(columns, axis=1).reshape(len(nodes), 3, -1)
+
+    def _problem(self, state: ClothState, parameters: Parameters) -> tuple[Problem, Tensor, float]:
+        """The equations of the drape at ``state``, their solution, and nodes [m] for one unit of it."""
+        problem = Minimum(self.model, self.contact, dt_s=None, tolerance_n=self.tolerance_n, iteration_limit=0)
+        return problem, problem.solve(state, parameters), 1.0
 
     def _laid(self, x: Tensor, rest: Tensor) -> Tensor:
         """``x`` with the nodes of the belt where they belong for ``rest``."""

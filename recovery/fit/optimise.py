@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import sys
 import zipfile
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -141,6 +141,14 @@ class PatternSearch:
         self._origin = torch.from_numpy(mesh.weights @ free.origin.reshape(-1))
         self._basis = torch.from_numpy(np.ascontiguousarray(mesh.weights @ free.basis))
 
+    def mesh_of(self, fitted: Fitted) -> PatternMesh:
+        """The mesh of the pattern that it found."""
+        return replace(self.mesh, pattern=fitted.pattern, rest=self.mesh.rest_at(fitted.positions))
+
+    def rests(self, nodes: np.ndarray) -> bool:
+        """Whether the simulator finds a drape of the pattern as it is from ``nodes`` [m] (N, 3)."""
+        return self.evaluate(np.zeros(self.count), nodes) is not None
+
     def evaluate(self, values: np.ndarray, near: np.ndarray) -> Evaluation | None:
         """The loss and its gradient at ``values`` (Z,), the drape sought from ``near`` (N, 3).
 
@@ -225,10 +233,11 @@ class PatternSearch:
         positions = self.free.positions(state.best.values[:count])
         pattern = with_controls(self.mesh.pattern, self.mesh.controls, positions)
         cloth = self.forward.cloth if self.cloth is None else self.cloth.cloth(state.best.values[count:])
-        return Fitted(pattern, positions, state.best.nodes, state.history, not state.stuck, cloth)
+        fitted = Fitted(pattern, positions, state.best.nodes, state.history, not state.stuck, cloth)
+        return replace(fitted, nodes=self.forward.ended(self.mesh_of(fitted), fitted.nodes, cloth))
 
     def _start(self, nodes: np.ndarray) -> _State:
-        first = self.evaluate(np.zeros(self.count), nodes)
+        first = self.evaluate(np.zeros(self.count), self.forward.begun(nodes))
         if first is None:
             raise InputError(
                 "start of the search",

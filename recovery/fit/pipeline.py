@@ -7,7 +7,6 @@ that with the pattern. So each round meshes the pattern of the round before anew
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -28,9 +27,10 @@ from recovery.fit.cloth import FreeCloth, bolt_name, named, nearest_fabric
 from recovery.fit.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
+from recovery.fit.laying import EDGE_M, LaidDrape, hung_as, is_laid, laid, laying_options, let_go
 from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
 from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSearch
-from recovery.fit.recovered import Recovered, Round, Sewn, apart_mm
+from recovery.fit.recovered import NOT_AT_REST, SAME, Recovered, Round, Sewn, apart_mm, clocks, why_left
 from recovery.fit.seams import SeamConstraint, sewable
 from recovery.fit.starts import Start, drape_at_rest, worn_drape
 from recovery.pattern.coordinates import control_points
@@ -41,14 +41,11 @@ from recovery.sim.sdf import SignedDistance
 DEFAULT_DRAPE = DrapeOptions()
 GRADINGS = 2  # one is linear: a second one halves what the first one left
 ROUNDS = 3
-SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
 # Where surfaces are this far apart (root mean square) at the first round's start or the end of one, the reach may hold
 # the search back: the next one has as many times more. Else what a drape hardly shows stays as in the graded base.
 START_FAR_MM, FAR_MM, REACH_GROWS = 10.0, 3.0, 3.0
+LAID_FAR_MM = 5.0  # a base that springs lay nearer (root mean square) is not graded: that narrows what is gathered
 TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: its signature is mixed with the size's
-
-NOT_AT_REST = "no drape at rest"
-SAME = "it would find the same"  # no fault
 
 Say = Callable[[str], None]
 
@@ -76,7 +73,7 @@ def recover_pattern(
 
     The target, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), is one garment's surface, open where the garment is;
     ``base`` is a pattern of its kind with the same panels. ``meshes_m`` are the edge lengths [m] of the rounds, by
-    default three times that of ``drape``; Adam's steps are taken in the first
+    default three times that of ``drape``, or once 3 cm where a seam gathers; Adam's steps are taken in the first
     alone. Of ``fabrics`` and that of ``drape`` the one that comes nearest in a short search is taken; with
     ``free_cloth`` its constants are unknowns after the first round. Without ``grading`` the search begins at the
     base. Faces that are not ``known`` (F,) close holes and have no weight. Raises ``InputError`` where contours
@@ -84,7 +81,7 @@ def recover_pattern(
     far is given.
     """
     say = report or (lambda line: None)
-    began = _clocks()
+    began = clocks()
     lengths = [drape.edge_length_m] * ROUNDS if meshes_m is None else list(meshes_m)
     if not lengths:
         raise InputError("meshes_m", expected="an edge length or more", got="none", cure="Leave it at its default.")
@@ -109,26 +106,32 @@ def recover_pattern(
         free_cloth=free_cloth,
         say=say,
     )
+    if task.lays:
+        drape, lengths = laying_options(drape), [min(length, EDGE_M) for length in meshes_m or lengths[:1]]
+        task = replace(task, drape=replace(drape, edge_length_m=lengths[0]))
     with watch.stage("drape of the base"):
         first = worn_drape(base, task.start(drape), rest=False)
     graded, start = ungraded(base), first
     with watch.stage("drape of the graded base"):
-        if grading:
+        if task.lays:
+            graded, start = task.nearer(graded, start, grading)
+        elif grading:
             for number in range(GRADINGS):
                 graded, start = task.graded(graded, start, rest=number == GRADINGS - 1)
         else:
-            start = task.draped(base)
+            start = drape_at_rest(base, task.start(task.drape))
     losses, fabric = {}, drape.fabric
     if fabrics:
         losses, fabric, start = task.best_fabric(fabrics, graded.pattern, base, start)
     if fabric != drape.fabric:
         task = replace(task, drape=replace(task.drape, fabric=fabric))
-        if grading:
+        if grading and not task.lays:
             graded, start = task.graded(graded, start)
-    say(
-        f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
-        f"{graded.heights.min():.3f} to {graded.heights.max():.3f}; misfit {100 * graded.misfit:.1f} %"
-    )
+    if not math.isnan(graded.misfit):
+        say(
+            f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
+            f"{graded.heights.min():.3f} to {graded.heights.max():.3f}; misfit {100 * graded.misfit:.1f} %"
+        )
 
     def search(found: PatternSearch, nodes: np.ndarray, number: int) -> Fitted:
         steps, file = fit, state_file
@@ -151,10 +154,10 @@ def _recovered(
     """The best of ``rounds`` with all that led there."""
     best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.rank)
     cloth = best.fitted.cloth
-    fabric = nearest_fabric(cloth)
+    fabric = nearest_fabric(cloth, task.drape.hangs_longer)
     # The base's own note is of another cloth than the one that was draped.
     fitted = replace(best.fitted, pattern=replace(best.fitted.pattern, material=bolt_name(fabric.name, cloth)))
-    far = [apart_mm(squared) for squared in (rounds[0].fitted.history[0, 1], best.least[1], best.sewn_m2)]
+    far = [apart_mm(squared) for squared in (rounds[0].fitted.history[0, 1], best.surface_m2, best.sewn_m2)]
     ends = f"{far[0]:.2f} mm apart at the start, {far[1]:.2f} mm at the end, {far[2]:.2f} mm sewn"
     task.say(f"fitted    surfaces {ends} (root mean square)")
     if task.free_cloth:
@@ -175,11 +178,6 @@ def _recovered(
         fabric=fabric,
         fabric_losses=losses,
     )
-
-
-def _clocks() -> np.ndarray:
-    """Seconds of the clock and of the processor."""
-    return np.array([time.perf_counter(), time.process_time()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,6 +201,11 @@ class _Task:
     say: Say
 
     @cached_property
+    def lays(self) -> bool:
+        """Whether the garment is laid in the target's folds."""
+        return is_laid(self.base, [place.part for place in self.places])
+
+    @cached_property
     def places(self) -> list[Place]:
         """Where the target's contours lie on the body."""
         chains = bone_chains(posed_joints(self.body, self.pose))
@@ -212,10 +215,6 @@ class _Task:
     def sewable(self) -> bool:
         """Whether seams are a constraint."""
         return math.isinf(self.weights.seams)
-
-    def draped(self, pattern: Pattern) -> Draped:
-        """The drape of ``pattern`` at rest, ready to be searched from."""
-        return drape_at_rest(pattern, self.start(self.drape))
 
     def start(self, drape: DrapeOptions, cloth: OrthotropicMaterial | None = None) -> Start:
         """How drapes begin on this body; what the target goes round, they should."""
@@ -236,7 +235,18 @@ class _Task:
             after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
         if not rest:
             return after, worn_drape(after.pattern, self.start(self.drape), rest=False)
-        return after, self.draped(after.pattern)
+        return after, drape_at_rest(after.pattern, self.start(self.drape))
+
+    def nearer(self, base: Graded, draped: Draped, grading: bool) -> tuple[Graded, Draped]:
+        """``base``, whose drape is ``draped``, or, where springs do not lay that near, graded if it is then nearer."""
+        cloth = named(self.drape.fabric, self.drape.hangs_longer)
+
+        def far(one: Draped) -> float:
+            return apart_mm(self.surface(laid(one, self.target, self.skin, cloth)))
+
+        self.say(f"laid      the base within {(before := far(draped)):.2f} mm (root mean square)")
+        after = self.graded(base, draped, rest=False) if grading and before > LAID_FAR_MM else (base, draped)
+        return after if after[1] is not draped and far(after[1]) < before else (base, draped)
 
     def best_fabric(
         self, fabrics: Sequence[str], pattern: Pattern, base: Pattern, start: Draped
@@ -250,7 +260,7 @@ class _Task:
             # From scratch: a garment that hangs from a belt closes round the body elsewhere in another fabric.
             options = replace(self.drape, fabric=name)
             drapes.setdefault(name, drape_pattern(pattern, self.body, options, pose=self.pose, skin=self.bare))
-        losses = {name: self.loss_of(one, base, named(name)) for name, one in drapes.items()}
+        losses = {name: self.loss_of(one, base, named(name, self.drape.hangs_longer)) for name, one in drapes.items()}
         best = min(losses, key=lambda name: losses[name])
         told = ", ".join(f"{name} {apart_mm(loss):.2f}" for name, loss in losses.items())
         self.say(f"fabric    {best}; left to the target [mm]: {told}")
@@ -262,7 +272,9 @@ class _Task:
         return float(objective.surface(torch.from_numpy(draped.nodes)))
 
     def held(self, draped: Draped, cloth: OrthotropicMaterial) -> Draped:
-        """``draped`` with its belt where the target's is."""
+        """``draped`` with its belt where the target's is, or let go from the target's folds."""
+        if self.lays:
+            return let_go(laid(draped, self.target, self.skin, cloth), self.skin, cloth)
         return held_as_target(draped, self.matches(draped)[0], self.target.contours, self.skin, cloth)
 
     def search(
@@ -288,12 +300,14 @@ class _Task:
         unknowns = controls.values(control_points(centre).positions)
         if free is not None:
             unknowns = np.concatenate([unknowns, free.values_of(likely or cloth)])
+        belt = belt_of(start, matches, self.target.contours)
+        forward = RestDrape(start.mesh, self.skin, cloth, held=start.rest.held, belt=belt)
+        if self.lays:
+            forward = LaidDrape(start.mesh, self.skin, cloth, self.target)
         found = PatternSearch(
             start.mesh,
             controls,
-            RestDrape(
-                start.mesh, self.skin, cloth, held=start.rest.held, belt=belt_of(start, matches, self.target.contours)
-            ),
+            forward,
             Objective(start.mesh, self.target, contours, matches, weights, base=ratios),
             cloth=free,
             seams=SeamConstraint(start.mesh.pattern, controls, self.base) if self.sewable else None,
@@ -304,10 +318,8 @@ class _Task:
     def loss_of(self, start: Draped, base: Pattern, cloth: OrthotropicMaterial) -> float:
         """The least loss [m^2] of a short search with ``cloth``; infinite where the start does not come to rest."""
         start = self.held(start, cloth)
-        if not start.at_rest:
-            return float("inf")
         search, _ = self.search(start, base, start.mesh.pattern, cloth)
-        if not _comes_to_rest(search, start):
+        if not start.at_rest or not search.rests(start.nodes):
             return float("inf")
         return float(search.run(start.nodes, TRIED).history[:, 0].min())
 
@@ -317,8 +329,11 @@ class _Task:
         Raises ``InputError`` where it cannot be sewn.
         """
         cloth, start = last.fitted.cloth, self.start(replace(self.drape, edge_length_m=length_m), last.fitted.cloth)
-        loose = worn_drape(last.fitted.pattern, start)
-        worn = self.held(loose, cloth)
+        loose = worn_drape(last.fitted.pattern, start, rest=not self.lays)
+        if self.lays:
+            worn = hung_as(loose, last.search.mesh_of(last.fitted), last.fitted.nodes, self.skin, cloth)
+        else:
+            worn = self.held(loose, cloth)
         far = self.surface(worn) if worn.at_rest and not start.lost(worn) else math.inf
         return replace(last, sewn=Sewn(loose, worn), sewn_m2=far), worn
 
@@ -337,7 +352,7 @@ class _Task:
 
         The first goes from the drape ``start`` of the pattern ``graded``; its clocks ``began`` earlier.
         """
-        likely = named(self.drape.fabric)
+        likely = named(self.drape.fabric, self.drape.hangs_longer)
         cloth, ratios, reach_m = likely, base, self.weights.reach_m
         rounds: list[Round] = []
         for number, length in enumerate(lengths_m):
@@ -347,7 +362,7 @@ class _Task:
                 if number:
                     with watch.stage(f"drape of round {number + 1}"):
                         rounds[-1], start = self.sewn(rounds[-1], length)
-                else:
+                elif not self.lays:
                     start = self.held(start, cloth)
             except InputError as error:
                 if not number:
@@ -357,21 +372,22 @@ class _Task:
                 held_back = apart_mm(rounds[-1].least[1]) > FAR_MM
             else:
                 held_back = apart_mm(self.surface(start)) > START_FAR_MM
-            if number and (why := self.why_left(rounds, start)) and not (why == SAME and held_back):
+            why = why_left(rounds, start, frees_cloth=self.free_cloth) if number else ""
+            if why and not (why == SAME and held_back):
                 return rounds, self._left(number, len(lengths_m), why)
             reach_m *= REACH_GROWS if held_back else 1.0
             free = FreeCloth(cloth) if self.free_cloth and (number or len(lengths_m) == 1) else None
             search, matches = self.search(start, ratios, graded, cloth, free=free, likely=likely, reach_m=reach_m)
-            if number and not _comes_to_rest(search, start):
+            if number and not self.lays and not search.rests(start.nodes):
                 return rounds, self._left(number, len(lengths_m), NOT_AT_REST)
             nodes = start.mesh.node_count
             if not number:
                 self.say(f"search    {search.free.count} numbers are free, {nodes} nodes")
             fitted = run(search, start.nodes, number)
-            now = _clocks()
+            now = clocks()
             rounds.append(Round(start, matches, search, fitted, length, *(now - began).tolist()))
             began = now
-            apart = [apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].least[1])]
+            apart = [apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].surface_m2)]
             self.say(f"round {number + 1}   {nodes} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
             # Grading has scaled the base's seams; from here on they keep what the target tells of them.
             ratios, cloth = fitted.pattern, fitted.cloth
@@ -381,18 +397,3 @@ class _Task:
         """Says and returns that the rounds from ``number`` on, of ``count``, are left out."""
         self.say(f"round {number + 1}   left: {why}")
         return "" if why == SAME else f"round {number + 1} of {count}: {why}"
-
-    def why_left(self, rounds: list[Round], start: Draped) -> str:
-        """Why no search from ``start`` follows the last of ``rounds``; empty if one does."""
-        if not start.at_rest:
-            return NOT_AT_REST
-        last = rounds[-1]
-        moved = np.abs(last.fitted.positions - control_points(last.start.mesh.pattern).positions).max()
-        same = np.array_equal(last.start.mesh.faces, start.mesh.faces) and moved <= SETTLED_M
-        frees_cloth = self.free_cloth and len(rounds) == 1
-        return SAME if same and not frees_cloth else ""
-
-
-def _comes_to_rest(search: PatternSearch, start: Draped) -> bool:
-    """Whether the simulator of ``search`` finds a drape at its ``start``."""
-    return search.evaluate(np.zeros(search.count), start.nodes) is not None

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
 from recovery.drape.pipeline import Draped
 from recovery.fit.cloth import Fabric
 from recovery.fit.contours import Match
 from recovery.fit.grading import Graded
 from recovery.fit.optimise import Fitted, PatternSearch
+from recovery.pattern.coordinates import control_points
 from recovery.pattern.symmetry import Symmetries
+
+SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
+NOT_AT_REST = "no drape at rest"
+SAME = "it would find the same"  # no fault
 
 
 class Sewn(NamedTuple):
@@ -49,11 +58,16 @@ class Round:
         """The row of the search's history that its pattern is of."""
         return self.fitted.history[self.fitted.history[:, 0].argmin()]
 
+    @cached_property
+    def surface_m2(self) -> float:
+        """The squared distance [m^2] of its drape from the target, both directions summed, as the loss has it."""
+        return float(self.search.objective.surface(torch.from_numpy(self.fitted.nodes)))
+
     @property
     def apart_m2(self) -> float:
         """The loss of its pattern but for the reach, which may differ from round to round."""
         weights = self.search.objective.weights
-        return float(self.least[1:4] @ (1.0, weights.contours, weights.seam_term))
+        return self.surface_m2 + float(self.least[2:4] @ (weights.contours, weights.seam_term))
 
     @property
     def rank(self) -> tuple[float, float]:
@@ -87,6 +101,24 @@ class Recovered:
     left: str
     fabric: Fabric
     fabric_losses: dict[str, float]
+
+
+def clocks() -> np.ndarray:
+    """Seconds of the clock and of the processor."""
+    return np.array([time.perf_counter(), time.process_time()])
+
+
+def why_left(rounds: Sequence[Round], start: Draped, *, frees_cloth: bool) -> str:
+    """Why no search from ``start`` follows the last of ``rounds``; empty if one does.
+
+    With ``frees_cloth`` the cloth is an unknown from the second round on.
+    """
+    if not start.at_rest:
+        return NOT_AT_REST
+    last = rounds[-1]
+    moved = np.abs(last.fitted.positions - control_points(last.start.mesh.pattern).positions).max()
+    same = np.array_equal(last.start.mesh.faces, start.mesh.faces) and moved <= SETTLED_M
+    return SAME if same and not (frees_cloth and len(rounds) == 1) else ""
 
 
 def apart_mm(squared: float) -> float:

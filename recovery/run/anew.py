@@ -16,17 +16,19 @@ from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
 from recovery.fit.chamfer import SurfaceDistance, surface_distance
 from recovery.fit.contours import lost_parts, match_contours, open_contours
+from recovery.fit.laying import LaidDrape, hung_as, laying_options
 from recovery.fit.recovered import Recovered
 from recovery.fit.starts import LENGTHS_TRIED
 
 ANEW_MM = 3.0  # more between the report's drape and the pattern sewn anew is worth another try, and a warning
+BELT_M = 0.005
 
 
 class SewnAnew(NamedTuple):
     """The drape ``draped`` and its ``distance`` from that of the report, both in the wearer's pose.
 
     ``by_itself`` is the distance before its belt was laid on the report's waist, which lies ``belt_moved_m`` [m]
-    higher; the same distance and zero for a garment without a belt.
+    higher, or before it was hung in the report's folds; else the same distance, and zero without a belt.
     """
 
     draped: Draped
@@ -72,13 +74,18 @@ def sewn_anew(
 
 def _sewn(found: Recovered, body: BodyModel, options: DrapeOptions, pose: np.ndarray | None) -> SewnAnew:
     cloth = found.fitted.cloth
+    surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
+    laid = isinstance(found.search.forward, LaidDrape)
+    options = laying_options(options) if laid else options
     loose = drape_pattern(found.fitted.pattern, body, options, pose=pose, cloth=cloth)
+    if laid:
+        mesh, skin = found.search.mesh_of(found.fitted), options.skin(surface, body.faces)
+        return _beside(found, loose, hung_as(loose, mesh, found.fitted.nodes, skin, cloth))
     if not len(loose.rest.held):
         return _beside(found, loose, loose)
     there = open_contours(found.fitted.nodes, found.search.mesh.faces)
     own = open_contours(loose.nodes, loose.mesh.faces)
     matches, _ = match_contours(own, there, posed_joints(body, pose))
-    surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
     return _beside(found, loose, held_as_target(loose, matches, there, options.skin(surface, body.faces), cloth))
 
 
@@ -89,3 +96,21 @@ def _beside(found: Recovered, loose: Draped, worn: Draped) -> SewnAnew:
     held = loose.rest.held
     moved = float((worn.nodes[held] - loose.nodes[held])[:, 1].mean()) if len(held) else 0.0
     return SewnAnew(worn, distance, by_itself, moved)
+
+
+def anew_words(anew: SewnAnew) -> str:
+    """Sentences on how far the pattern sewn anew lies from what the report shows, its belt, and its folds."""
+    words = f"Sewn anew it lies {anew.distance.mean_mm:.1f} mm from the garment of this report on average"
+    words += "." if anew.distance.mean_mm <= ANEW_MM else ": it fell into other folds."
+    if abs(anew.belt_moved_m) > BELT_M:
+        way = "above" if anew.belt_moved_m > 0.0 else "below"
+        words += (
+            f" Its waist is worn where the target's is, {100 * abs(anew.belt_moved_m):.1f} cm {way} where it would "
+            f"close by itself; there it would lie {anew.by_itself.mean_mm:.1f} mm from this garment."
+        )
+    elif not len(anew.draped.rest.held) and anew.by_itself != anew.distance:
+        words += (
+            f" It is hung in this garment's folds, as hands arrange them; from flat panels it falls into others, "
+            f"{anew.by_itself.mean_mm:.1f} mm away."
+        )
+    return words

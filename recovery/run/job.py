@@ -282,7 +282,7 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
     for size in job.sizes:
         graded = in_other_size(fitted.pattern, cut.base, measure(wearer.shaped), cut.settings, size)
         files += export_pattern(replace(graded, name=f"{name}_{size}"), job.out)
-    cloth = replace(found.search.mesh, pattern=fitted.pattern, rest=found.search.mesh.rest_at(fitted.positions))
+    cloth = found.search.mesh_of(fitted)
     files += write_shape(job.out, name, cloth, fitted.nodes + wearer.trans, panel_texture(cloth))
     there = (mesh.vertices, mesh.faces)
     distance = surface_distance((fitted.nodes, cloth.faces), there, known=known)
@@ -338,7 +338,7 @@ def _sewn_anew(
         return None, []
     say(
         f"sewn anew {anew.distance.mean_mm:.2f} mm from the search's drape on average, {anew.distance.largest_mm:.1f} "
-        "largest"
+        f"largest; by itself {anew.by_itself.mean_mm:.2f}"
     )
     draped = anew.draped
     if lost := lost_parts(draped.rest.nodes, draped.mesh.faces, wearer.shaped.joints_template, parts):

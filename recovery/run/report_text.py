@@ -13,14 +13,13 @@ from recovery.fit.recovered import Recovered
 from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
 from recovery.run import pictures
-from recovery.run.anew import ANEW_MM, SewnAnew
+from recovery.run.anew import ANEW_MM, anew_words
 from recovery.run.identify import CAP_M, corner_names, weak_words
 from recovery.run.job import Outcome, describe_worn
 from recovery.run.report import Page
 from recovery.run.report_pieces import add_pieces
 
 SEAM_PCT = 0.5  # of length, beside the ease that the base asks for: more cannot be sewn as it is drawn
-BELT_M = 0.005
 GOOD_RMS_MM, FAIR_RMS_MM = 2.0, 8.0
 UNSURE_M = 0.01
 CUT_PCT = 15.0  # of edges with their middle in the body; a T-shirt has 6 to 12 at edges of 5 cm, and none of it shows
@@ -142,19 +141,6 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
         look += cut_words(draped.figures["rest"]["edges_in_body_pct"], outcome.job.drape.edge_length_m)
         (good if outcome.anew.distance.mean_mm <= ANEW_MM else look).append(anew_words(outcome.anew))
     return good, look
-
-
-def anew_words(anew: SewnAnew) -> str:
-    """Sentences on how far the pattern sewn anew lies from what the report shows, and on its belt."""
-    words = f"Sewn anew it lies {anew.distance.mean_mm:.1f} mm from the garment of this report on average"
-    words += "." if anew.distance.mean_mm <= ANEW_MM else ": it fell into other folds."
-    if abs(anew.belt_moved_m) > BELT_M:
-        way = "above" if anew.belt_moved_m > 0.0 else "below"
-        words += (
-            f" Its waist is worn where the target's is, {100 * abs(anew.belt_moved_m):.1f} cm {way} where it would "
-            f"close by itself; there it would lie {anew.by_itself.mean_mm:.1f} mm from this garment."
-        )
-    return words
 
 
 def eases(seam: geometry.Seam) -> bool:

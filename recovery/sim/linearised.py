@@ -14,6 +14,8 @@ from recovery.sim.contact import SkinContact, tangential
 from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
 from recovery.sim.solver import Factor, superlu
 
+DAMPED_DT_S = 0.033
+
 
 class Springs(NamedTuple):
     """Springs between nodes besides the cloth: force [N] (V, 3) and stiffness [N/m] (3V, 3V), zero at fixed nodes."""
@@ -124,6 +126,32 @@ def linearised_step(
     v = state.v + implicit.solution(step, state, parameters)
     after = ClothState(state.x + dt_s * v, v)
     return after if contact is None else contact.corrected(after, model.free)
+
+
+def damped_step(
+    model: ClothModel,
+    state: ClothState,
+    parameters: Parameters,
+    contact: SkinContact,
+    *,
+    kept: float,
+    longest_m: float,
+    pairs: Springs | None = None,
+) -> tuple[ClothState, float]:
+    """The state ``DAMPED_DT_S`` later and the longest move [m], for cloth that shall come to rest in its folds.
+
+    No node moves more than ``longest_m`` [m], and the next step begins with the share ``kept`` of this one's speed.
+    """
+    with torch.no_grad():
+        after = linearised_step(model, state, parameters, dt_s=DAMPED_DT_S, contact=contact, pairs=pairs)
+        move = after.x - state.x
+        longest = float(move.norm(dim=1).max())
+        move = min(1.0, longest_m / max(longest, 1e-12)) * move
+        x, v = state.x + move, kept * move / DAMPED_DT_S
+        # A node that lands stays: the repulsion of one step must not throw it off the skin in the next.
+        distance, normal = contact.body(x)
+        outward = torch.clamp((v * normal).sum(dim=1, keepdim=True), min=0.0)
+        return ClothState(x, v - (distance < 1.2 * contact.gap_m)[:, None] * outward * normal), longest
 
 
 def simulate(

@@ -206,6 +206,13 @@ def _held(model: ClothModel, x: Tensor, state: ClothState) -> Tensor:
     return model.free * x + (1.0 - model.free) * state.x
 
 
+def force_left(model: ClothModel, state: ClothState, parameters: Parameters, contact: SkinContact | None) -> float:
+    """The largest component [N] of the force left at a free node at ``state``, without inertia and friction."""
+    with torch.no_grad():
+        potential = _Potential(model, contact, None, state, parameters)
+        return float(potential.residual(state.x).abs().max())
+
+
 def newton_step(
     model: ClothModel,
     state: ClothState,

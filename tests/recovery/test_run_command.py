@@ -25,7 +25,7 @@ from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
 from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
-from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
+from recovery.fit.chamfer import SurfaceDistance, chamfer, surface_chamfer, surface_distance
 from recovery.fit.cloth import named
 from recovery.fit.contours import lost_parts
 from recovery.fit.recovered import Recovered
@@ -35,7 +35,7 @@ from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.pieces import make_sheet
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.run import __main__ as command
-from recovery.run.anew import SewnAnew, sewn_anew
+from recovery.run.anew import SewnAnew, anew_words, sewn_anew
 from recovery.run.drafted import own_settings
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
 from recovery.run.job import describe_worn, lost_words, run_job
@@ -65,6 +65,15 @@ def test_parallel_squares_are_their_distance_apart():
     assert_allclose(near, 10.0, rtol=1e-9)
     first, second = drawn(SQUARE, HALVES, 50, 0), drawn(SQUARE, HALVES, 50, 0) + np.array([0.0, 0.0, 0.001])
     assert_allclose(chamfer(first, second), (1e4 * 2e-6, 1.0), rtol=1e-6)
+
+
+def test_what_is_hung_in_folds_is_said_to_fall_into_others_by_itself():
+    near, far = SurfaceDistance(1.0, 1.5, 3.0, 5.0), SurfaceDistance(9.0, 12.0, 20.0, 40.0)
+    loose = cast(Draped, SimpleNamespace(rest=SimpleNamespace(held=np.zeros(0))))
+    assert "hung" not in anew_words(SewnAnew(loose, near, near, 0.0))
+    assert anew_words(SewnAnew(loose, near, far, 0.0)).endswith("it falls into others, 9.0 mm away.")
+    belted = cast(Draped, SimpleNamespace(rest=SimpleNamespace(held=np.zeros(3))))
+    assert "hung" not in anew_words(SewnAnew(belted, near, far, 0.004))
 
 
 def test_a_scan_without_a_body_may_go_farther_from_its_base():

@@ -1,0 +1,198 @@
+"""Lays a garment on its target by springs and lets it go: for cloth that from flat panels falls into other folds.
+
+A gathered skirt has many drapes at rest, and which one it finds depends on the way. Springs between both surfaces lay
+it in the target's folds. Then it is let go as the catalogue's garments come to rest: in short damped steps with
+friction. The long steps of ``recovery.drape.settle`` leave the folds.
+
+A search goes on with the springs: Newton's drape of a gather takes hundreds of iterations, and from one pattern to
+the next it snaps. Soft springs hold the folds and what the pattern does wrong shows as a distance that they leave. At
+a drape that does not move any more the derivative of one implicit step with them is that of the drape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse
+import torch
+from torch import Tensor
+
+from drape.cloth.material import OrthotropicMaterial
+from drape.geometry import closest, meshes
+from recovery import progress
+from recovery.catalogue.closing import on_finer_mesh
+from recovery.drape.pipeline import Draped, DrapeOptions
+from recovery.drape.settle import Drape
+from recovery.fit.cloth import ClothTensors
+from recovery.fit.forward import RestDrape
+from recovery.fit.objective import Target
+from recovery.pattern import geometry
+from recovery.pattern.mesh import PatternMesh
+from recovery.pattern.model import Pattern
+from recovery.sim.contact import SkinContact
+from recovery.sim.implicit import Problem
+from recovery.sim.linearised import LinearisedStep, Springs, damped_step, linearised_step
+from recovery.sim.model import ClothState, Parameters
+from recovery.sim.newton import Report, force_left
+from recovery.sim.sdf import SignedDistance
+
+GATHERED = 0.125  # one edge of a seam longer than the other by more than this share of their mean
+EDGE_M = 0.03  # longest edges of cloth that is laid: 5 cm do not hold a gather's folds
+HANGS_LONGER = 0.0036  # as ``recovery.drape.pipeline``; shorter edges fold in stiffer cloth, by their square
+SPRINGS_N_M3 = (*[1000.0] * 30, *[300.0] * 10)  # of the steps that lay a garment; the last one's stays for a search
+ACROSS = 0.05  # of the springs' stiffness acts across the way to the other surface: cloth slides along it
+STEP_S, LONGEST_M = 0.1, 0.03
+LAID_M = 2e-4  # root mean square of a step: cloth that moves less is laid
+STEPS = 12  # of one drape in a search, at most
+FREE_STEPS, FREE_LONGEST_M, FREE_KEPT = 160, 0.0075, 0.5
+STILL_M = 3e-4  # of every node in one of those steps
+
+
+def laying_options(drape: DrapeOptions) -> DrapeOptions:
+    """``drape`` for cloth that will be laid: it need not come to rest, and edges are short."""
+    length = min(EDGE_M, drape.edge_length_m)
+    return replace(drape, edge_length_m=length, iteration_limit=0, hangs_longer=HANGS_LONGER)
+
+
+def is_laid(pattern: Pattern, parts: Sequence[str | None]) -> bool:
+    """Whether a garment that these ``parts`` of the body go through is laid: a seam gathers, and no belt holds it."""
+    gathers = any(abs(seam.mismatch) > GATHERED for seam in geometry.seams(pattern))
+    return gathers and any("arm" in (part or "") for part in parts)
+
+
+class LaidDrape(RestDrape):
+    """The garment of ``mesh`` on ``body``, held near the ``target`` by springs; otherwise as ``RestDrape``."""
+
+    def __init__(self, mesh: PatternMesh, body: SignedDistance, cloth: OrthotropicMaterial, target: Target) -> None:
+        super().__init__(mesh, body, cloth)
+        self.faces, self.target = mesh.faces, target
+
+    def __call__(self, rest: Tensor, near: np.ndarray, cloth: ClothTensors | None = None) -> tuple[Tensor, Report]:
+        """As ``RestDrape``, but for the derivative: that of the last step alone."""
+        self.drapes += 1
+        stiffness = SPRINGS_N_M3[-1]
+        x, moved, steps = torch.from_numpy(np.ascontiguousarray(near)), np.inf, 0
+        given = self._parameters(rest, cloth)
+        while moved > LAID_M and steps < STEPS - 1 and not progress.over():
+            with torch.no_grad():
+                after = self._step(x, given, stiffness)
+            moved, steps, x = float((after - x).square().sum(dim=1).mean().sqrt()), steps + 1, after
+        return self._step(x, given, stiffness), Report(steps + 1, 0.0, True)
+
+    def begun(self, nodes: np.ndarray) -> np.ndarray:
+        """``nodes`` [m] (N, 3) laid on the target, in one step with each of ``SPRINGS_N_M3``."""
+        x = torch.from_numpy(np.ascontiguousarray(nodes))
+        with torch.no_grad():
+            for number, stiffness in enumerate(SPRINGS_N_M3):
+                if progress.over():
+                    break
+                progress.tick(f"laid on the target, step {number + 1} of {len(SPRINGS_N_M3)}")
+                x = self._step(x, self.parameters, stiffness)
+        return x.numpy()
+
+    def ended(self, mesh: PatternMesh, nodes: np.ndarray, cloth: OrthotropicMaterial) -> np.ndarray:
+        """The drape [m] (N, 3) of ``mesh`` in ``cloth`` let go from ``nodes`` (N, 3)."""
+        return fallen(mesh, nodes, self.contact.body, cloth).nodes
+
+    def _step(self, x: Tensor, parameters: Parameters, stiffness: float) -> Tensor:
+        pairs = springs_between(x.numpy(), self.faces, self.target, stiffness)
+        start = ClothState(x, torch.zeros_like(x))
+        after = linearised_step(self.model, start, parameters, dt_s=STEP_S, contact=self.contact, pairs=pairs).x
+        size = float((after.detach() - x).norm(dim=1).max())
+        return x + min(1.0, LONGEST_M / max(size, 1e-12)) * (after - x)
+
+    def _problem(self, state: ClothState, parameters: Parameters) -> tuple[Problem, Tensor, float]:
+        pairs = springs_between(state.x.numpy(), self.faces, self.target, SPRINGS_N_M3[-1])
+        step = LinearisedStep(self.model, self.contact, dt_s=STEP_S, pairs=pairs)
+        return step, torch.zeros_like(state.x), STEP_S  # what is laid does not move
+
+
+def springs_between(x: np.ndarray, faces: np.ndarray, target: Target, stiffness: float) -> Springs:
+    """Springs of ``stiffness`` [N/m^3], per area, between cloth at ``x`` [m] (V, 3) and the target, both ways.
+
+    Each node is drawn to the nearest point of the target, and the nearest point of the cloth to the middle of each of
+    the target's triangles; where the target is not known nothing is drawn.
+    """
+    there = closest.closest_point(x, target.vertices, target.faces)
+    middles = target.vertices[target.faces].mean(axis=1)
+    here = closest.closest_point(middles, x, faces)
+    nearest = (here.barycentric[:, :, None] * x[faces[here.face]]).sum(axis=1)
+    rows = [
+        _pulls(
+            np.arange(len(x))[:, None],
+            np.ones((len(x), 1)),
+            there.point - x,
+            target.known[there.face] * meshes.vertex_areas(x, faces),
+        ),
+        _pulls(
+            faces[here.face],
+            here.barycentric,
+            middles - nearest,
+            target.known * meshes.face_areas(target.vertices, target.faces),
+        ),
+    ]
+    slopes = scipy.sparse.vstack(
+        [scipy.sparse.csr_matrix((v, (r, c)), shape=(len(gap), 3 * len(x))) for v, r, c, gap in rows]
+    )
+    force = stiffness * (slopes.T @ np.concatenate([gap for *_, gap in rows]))
+    return Springs(torch.from_numpy(force.reshape(-1, 3)), (stiffness * (slopes.T @ slopes)).tocsc())
+
+
+def _pulls(
+    nodes: np.ndarray, shares: np.ndarray, gap: np.ndarray, area: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Values, rows and columns of the derivatives of weighted gaps, and those gaps (4 n,).
+
+    Gap number i, ``gap`` [m] (n, 3), closes as the ``shares`` (n, q) of ``nodes`` (n, q) go along it, or, with less
+    weight, any way. Weights are roots of ``area`` (n,).
+    """
+    length = np.linalg.norm(gap, axis=1, keepdims=True)
+    along = gap / np.maximum(length, 1e-12)
+    ways = np.concatenate([along[:, None], np.broadcast_to(np.sqrt(ACROSS) * np.eye(3), (len(gap), 3, 3))], axis=1)
+    ways = np.sqrt(area)[:, None, None] * ways  # (n, 4, 3)
+    values = ways[:, :, None, :] * shares[:, None, :, None]
+    columns = np.broadcast_to((3 * nodes[:, :, None] + np.arange(3))[:, None], values.shape)
+    rows = np.repeat(np.arange(4 * len(gap)), values[0, 0].size)
+    return values.reshape(-1), rows, columns.reshape(-1), np.einsum("nwc,nc->nw", ways, gap).reshape(-1)
+
+
+def fallen(mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial) -> Drape:
+    """The garment after short damped steps with friction from ``nodes`` [m] (N, 3), until it is still.
+
+    The report has converged if it is; the force that it says is without friction.
+    """
+    forward = RestDrape(mesh, skin, cloth)
+    model, parameters, contact = forward.model, forward.parameters, SkinContact(skin)
+    state, move, number = model.state(nodes), np.inf, 0
+    while move > STILL_M and number < FREE_STEPS and not progress.over():
+        number += 1
+        progress.tick(f"let go, step {number}, {1e3 * move:.1f} mm in the last")
+        state, move = damped_step(model, state, parameters, contact, kept=FREE_KEPT, longest_m=FREE_LONGEST_M)
+    left = force_left(model, state, parameters, forward.contact)
+    return Drape(state.x.numpy(), np.zeros(0, dtype=np.int64), Report(0, left, move <= STILL_M), number)
+
+
+def laid(draped: Draped, target: Target, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
+    """``draped`` where springs lay it on the ``target``; ``skin`` is the body's distance in the drape's pose."""
+    return _with_nodes(draped, LaidDrape(draped.mesh, skin, cloth, target).begun(draped.nodes))
+
+
+def hung_as(
+    draped: Draped, mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial
+) -> Draped:
+    """``draped`` let go from the folds that another mesh of its pattern, ``mesh``, has at ``nodes`` [m] (N, 3)."""
+    return let_go(_with_nodes(draped, on_finer_mesh(mesh, nodes, draped.mesh)), skin, cloth)
+
+
+def let_go(draped: Draped, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
+    """``draped`` as ``fallen`` from where it is."""
+    free = fallen(draped.mesh, draped.nodes, skin, cloth)
+    return replace(draped, rest=free) if draped.posed is None else replace(draped, posed=free)
+
+
+def _with_nodes(draped: Draped, nodes: np.ndarray) -> Draped:
+    if draped.posed is None:
+        return replace(draped, rest=draped.rest._replace(nodes=nodes))
+    return replace(draped, posed=draped.posed._replace(nodes=nodes))
