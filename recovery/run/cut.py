@@ -12,18 +12,18 @@ import numpy as np
 
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
-from recovery.fit.contours import TRUNK, open_contours
+from recovery.fit.contours import TRUNK
 from recovery.pattern.bases import COUNT, MOST_PANELS
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.model import Pattern
 from recovery.run.seen import Seen
 from recovery.run.target import OPENINGS, describe_openings
+from recovery.run.upright import long_contours
 
 SLEEVE_M = 0.06  # from the shoulder's joint to a cuff; an armhole lies within 3 cm of it
 DRESS_M = 0.12  # below the crotch: no shirt's hem
 COLLAR_M = 0.02  # that cloth stands above the edge of a neckline that is folded over
 STANDS_M = 0.04  # above the neck's joint: no neckline lies there
-CUFF_SHARE = 0.12  # of the longest opening: cuffs have a fifth of a hem, and holes that were not closed less
 KINDS = {2: "skirt", 3: "trousers", 4: "tshirt"}  # by the number of openings, where nothing more is known
 
 
@@ -42,8 +42,7 @@ class Cut:
 
 def kind_of(mesh: GarmentMesh) -> str:
     """A base with as many openings as ``mesh`` has long borders, before a body and a unit are known."""
-    lengths = [contour.length_m for contour in open_contours(mesh.vertices, mesh.faces)]
-    count = sum(length > CUFF_SHARE * max(lengths) for length in lengths)
+    count = len(long_contours(mesh))
     if count not in KINDS:
         raise InputError(
             "target",
