@@ -1,8 +1,8 @@
 """How a garment that came without a body stands in its file: its up axis, and the way that its wearer looks.
 
-Its openings tell both. The longest one, a hem or a waist, lies below or above the middle of the others. The two that lie
-farthest apart across that axis are cuffs or legs, so their line goes from side to side. A wearer looks to the side on
-which the upper opening is lower.
+Its openings tell both. The longest one, a hem or a waist, lies below or above the middle of the others. The two that
+lie farthest apart across that axis are cuffs or legs, so their line goes from side to side. A wearer looks to the
+side on which the upper opening is lower.
 """
 
 from __future__ import annotations
