@@ -228,6 +228,21 @@ def test_a_body_is_found_inside_a_garment_in_another_unit_and_place(body):
         inside_wearer(plain_mesh("scan", vertices * [0.35, 1.0, 0.35], faces.reshape(-1, 3)), base, unit="m")
 
 
+@pytest.mark.slow
+def test_arms_bend_where_long_sleeves_do(body):
+    pose = np.zeros((24, 3))
+    pose[[16, 17], 2], pose[[18, 19], 1] = (-0.6, 0.6), (-0.7, 0.7)
+    near = body.posed_vertices(pose[None])[0]
+    shirt = body.weights[:, [0, 3, 6, 9, 13, 14, 16, 17, 18, 19]].sum(axis=1) > 0.5
+    used, faces = np.unique(body.faces[shirt[body.faces].all(axis=1)], return_inverse=True)
+    vertices = (near + 0.01 * meshes.vertex_normals(near, body.faces))[used]
+    base = base_pattern("tshirt", default_measurements())
+    _, wearer = inside_wearer(plain_mesh("scan", vertices, faces.reshape(-1, 3)), base, wanted=OPENINGS["tshirt"])
+    assert wearer.pose is not None
+    assert_allclose(wearer.pose[[18, 19], 1], [-0.7, 0.7], rtol=0, atol=0.25)
+    assert np.linalg.norm(wearer.skin.vertices[shirt] - near[shirt], axis=1).mean() < 0.02
+
+
 def test_without_a_base_the_target_tells_it_and_its_settings(tmp_path):
     path = write_obj(tmp_path / "t.obj", skirt_tube())
     found = prepare(Job(target=path, out=tmp_path, base=None, body="anny_default"))
