@@ -22,6 +22,7 @@ from recovery.run.target import (
     OPENINGS,
     check_base,
     check_near,
+    mended,
     off_skin,
     one_sheet,
     opened,
@@ -29,6 +30,7 @@ from recovery.run.target import (
     read_target,
 )
 from recovery.run.wearer import check_closed, inside_wearer, read_wearer, shaped_body
+from recovery.scan.places import ScanFault
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements
 
@@ -159,6 +161,20 @@ def test_cloth_that_lies_off_the_skin_tells_how_far():
     for radius, told in ((0.3, MOST_OFF_M), (0.1, 0.0)):
         tube = skirt_tube(radius)
         assert off_skin(tube, skin, np.ones(len(tube.faces))) == told
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_garment_that_is_open_from_hem_to_top_is_refused_with_its_place(turned):
+    tube = skirt_tube()
+    middles = tube.vertices[tube.faces].mean(axis=1)
+    coat = tube.take_faces(~((np.abs(middles[:, 0]) < 0.05) & (middles[:, 2] > 0.0)))
+    if turned:
+        x, y, z = coat.vertices.T
+        coat = replace(coat, vertices=np.stack([x, -z, y], axis=1))
+    with pytest.raises(ScanFault, match=r"open from hem to neck.*Join the two edges") as fault:
+        mended(coat)
+    up = 2 if turned else 1
+    assert len(fault.value.points) and np.abs(fault.value.points[:, up] + 0.2).max() < 0.2
 
 
 def test_a_hole_is_noted_and_closed():
