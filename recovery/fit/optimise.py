@@ -30,6 +30,7 @@ from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
 from recovery.fit.objective import Objective
 from recovery.fit.seams import SeamConstraint
+from recovery.pattern import geometry
 from recovery.pattern.coordinates import with_controls
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.model import Pattern
@@ -152,11 +153,12 @@ class PatternSearch:
     def evaluate(self, values: np.ndarray, near: np.ndarray) -> Evaluation | None:
         """The loss and its gradient at ``values`` (Z,), the drape sought from ``near`` (N, 3).
 
-        None where a panel is folded over or the drape does not come to rest.
+        None where a panel is folded over, where its outline crosses itself between the corners of triangles, so that it
+        cannot be cut, or where the drape does not come to rest.
         """
         z = torch.tensor(values, dtype=torch.float64, requires_grad=True)
         rest, cloth = self._parts(z)
-        if len(self.mesh.folded(rest.detach().numpy())):
+        if len(self.mesh.folded(rest.detach().numpy())) or self._crosses(values):
             return None
         x, report = self.forward(rest, near, cloth)
         if not report.converged:
@@ -166,6 +168,12 @@ class PatternSearch:
         (gradient,) = torch.autograd.grad(loss, z)
         found = torch.stack([loss, *terms[1:]]).detach().numpy()
         return Evaluation(values, x.detach().numpy(), found, gradient.numpy())
+
+    def _crosses(self, values: np.ndarray) -> bool:
+        """Whether the outline of a panel at ``values`` (Z,) crosses itself."""
+        positions = self.free.positions(values[: self.free.count])
+        panels = with_controls(self.mesh.pattern, self.mesh.controls, positions).panels
+        return any(geometry.first_crossing(geometry.outline(panel)) is not None for panel in panels)
 
     def _along(self, values: np.ndarray) -> np.ndarray:
         """Orthonormal directions (Z, M) that a step from ``values`` (Z,) may take."""

@@ -22,6 +22,7 @@ from drape.cloth.material import DEFAULT_MATERIAL, FABRICS, MEASURED
 from drape.errors import InputError, refusing
 from drape.files.atomic import write_whole
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
+from recovery import progress
 from recovery.commands import add_distance_options, distance_options, ended, parser_of
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import read_pose
@@ -160,10 +161,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             print(write_whole(given.out / f"{given.target.stem}.refused.png", fault_picture(fault.mesh, fault.points)))
         raise
-    from recovery.run.report_text import page_of, record_of  # matplotlib takes a second to load
+    with progress.watched(), progress.stage("the report is drawn"):
+        from recovery.run.report_text import page_of, record_of  # matplotlib takes a second to load
 
-    page = write_whole(given.out / "report.html", page_of(outcome))
-    record = write_whole(given.out / "report.json", json.dumps(record_of(outcome), indent=1) + "\n")
+        page = write_whole(given.out / "report.html", page_of(outcome))
+        record = write_whole(given.out / "report.json", json.dumps(record_of(outcome), indent=1) + "\n")
     at_rest = outcome.anew is not None and outcome.anew.draped.at_rest
     moving = "not at rest: see the report; try another mesh (--edge-length) or fabric (--fabric)"
     return ended([*outcome.files, page, record], "" if at_rest else moving)

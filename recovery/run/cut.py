@@ -10,20 +10,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drape.body.model import BodyModel
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
-from recovery.fit.contours import TRUNK, open_contours
+from recovery.fit.contours import TRUNK
 from recovery.pattern.bases import COUNT, MOST_PANELS
-from recovery.pattern.measurements import BodyMeasurements
+from recovery.pattern.measurements import BodyMeasurements, measure
 from recovery.pattern.model import Pattern
 from recovery.run.seen import Seen
-from recovery.run.target import OPENINGS, describe_openings
+from recovery.run.target import OF_TOPS, OPENINGS, describe_openings, opened
+from recovery.run.upright import long_contours
+from recovery.scan.collars import without_collar
 
 SLEEVE_M = 0.06  # from the shoulder's joint to a cuff; an armhole lies within 3 cm of it
 DRESS_M = 0.12  # below the crotch: no shirt's hem
 COLLAR_M = 0.02  # that cloth stands above the edge of a neckline that is folded over
 STANDS_M = 0.04  # above the neck's joint: no neckline lies there
-CUFF_SHARE = 0.12  # of the longest opening: cuffs have a fifth of a hem, and holes that were not closed less
 KINDS = {2: "skirt", 3: "trousers", 4: "tshirt"}  # by the number of openings, where nothing more is known
 
 
@@ -42,8 +44,7 @@ class Cut:
 
 def kind_of(mesh: GarmentMesh) -> str:
     """A base with as many openings as ``mesh`` has long borders, before a body and a unit are known."""
-    lengths = [contour.length_m for contour in open_contours(mesh.vertices, mesh.faces)]
-    count = sum(length > CUFF_SHARE * max(lengths) for length in lengths)
+    count = len(long_contours(mesh))
     if count not in KINDS:
         raise InputError(
             "target",
@@ -89,14 +90,32 @@ def has_collar(mesh: GarmentMesh, seen: Seen, body: BodyMeasurements) -> bool:
     return bool(mesh.vertices[near, 1].max() > edge[:, 1].max() + COLLAR_M)
 
 
+def collarless(
+    mesh: GarmentMesh, wearer: BodyModel, joints: np.ndarray, there: dict[str, int]
+) -> tuple[GarmentMesh, tuple[str, ...]]:
+    """``mesh``, whose openings are ``there``, without its collar, and a sentence on it; both as they are for none.
+
+    ``joints`` [m] (24, 3) are those of ``wearer`` in the target's pose. A collar stays where openings would change.
+    """
+    if there != OF_TOPS:
+        return mesh, ()
+    seen = Seen(mesh.vertices, mesh.faces, joints, wearer.joints_template)
+    if not has_collar(mesh, seen, measure(wearer)):
+        return mesh, ()
+    found, gone = without_collar(mesh, joints)
+    found, after = opened(found, joints, there)
+    if after != there:
+        return mesh, ("The target has a collar, which no base has: the neckline is drawn to its edge",)
+    words = f"The target has a collar, which no base has: it was cut off at the neck, {gone:.0%} of the cloth"
+    return found, (f"{words}; the pattern ends at the neckline",)
+
+
 def panel_count(base: str, shown: int | None) -> dict[str, float]:
     """The setting of a skirt whose texture shows its gores; nothing for other bases or where it is the base's."""
     return {COUNT: float(shown)} if base == "skirt" and shown is not None and 2 < shown <= MOST_PANELS else {}
 
 
-def differences(
-    base: str, pattern: Pattern, mesh: GarmentMesh, seen: Seen, body: BodyMeasurements, shown: int | None
-) -> tuple[str, ...]:
+def differences(base: str, pattern: Pattern, seen: Seen, body: BodyMeasurements, shown: int | None) -> tuple[str, ...]:
     """Sentences on how the cut of a target that lies on ``body`` differs from ``pattern``, drafted from ``base``.
 
     ``shown`` is the number of panels that its texture shows, None for none.
@@ -106,8 +125,6 @@ def differences(
         nearest = told_base(seen, body)
         if nearest != base:
             found.append(f"The target looks like a {nearest.replace('_', ' ')}: its base is --base {nearest}")
-        if TRUNK in seen.openings and "left_arm" in seen.openings and has_collar(mesh, seen, body):
-            found.append("The target has a collar, which no base has: the neckline is drawn to its edge")
     panels = len(pattern.panels)
     if shown is None:
         found.append("The target does not show its seams: panels and seams are the base's")

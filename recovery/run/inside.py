@@ -41,7 +41,7 @@ GAP_M = 0.004  # between skin and cloth that lies on it
 PULL, PULL_REACH_M = 0.1, 0.03  # of cloth outside, against cloth inside; halved at that distance
 CUFF = 0.2  # of a square metre between a cuff's middle and the limb's bone
 SHAPE_PRIOR_M, POSE_PRIOR_M, LIMB_PRIOR_M = 1e-3, 1.5e-2, 3e-3  # root mean square that a beta, or a radian, is worth
-LIMB_ROOTS = ("collar", "shoulder", "hip")
+LIMB_JOINTS = ("collar", "shoulder", "elbow", "hip", "knee")  # a sleeve without an elbow would go through its arm
 ROOT_PRIOR_M = 0.03
 POINT_COUNT = 1200
 STEPS = 25
@@ -144,7 +144,7 @@ def _fit(
     shape, pose = body.shape_count, 3 * len(FREE_JOINTS)
     prior = np.concatenate([np.full(shape, SHAPE_PRIOR_M), np.full(pose, POSE_PRIOR_M), np.full(3, 1e-4)]) ** 2
     for number, joint in enumerate(FREE_JOINTS):
-        if JOINT_NAMES[joint].partition("_")[2] in LIMB_ROOTS:
+        if JOINT_NAMES[joint].partition("_")[2] in LIMB_JOINTS:
             prior[shape + 3 * number : shape + 3 * number + 3] = LIMB_PRIOR_M**2
     prior[shape : shape + 3] = ROOT_PRIOR_M**2
     cuffs = _cuffs(body, contours, parameters, wanted)

@@ -31,7 +31,7 @@ from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
 from recovery.run.anew import SewnAnew, sewn_anew
-from recovery.run.cut import Cut, differences, kind_of, panel_count, told_base
+from recovery.run.cut import Cut, collarless, differences, kind_of, panel_count, told_base
 from recovery.run.drafted import drafted
 from recovery.run.identify import Identifiability, identifiability
 from recovery.run.nested import in_other_size
@@ -178,7 +178,9 @@ def prepare(job: Job) -> Prepared:
         mesh, there = opened(mesh, joints, None if kind is None else OPENINGS.get(kind))
     if job.base is not None:
         check_base(job.base, there)
+    mesh, collar = collarless(mesh, wearer.shaped, joints, there)
     base, cut = _near_target(job, mesh, wearer, joints, shown)
+    cut = replace(cut, differs=(*collar, *cut.differs))
     for size in job.sizes:  # refused before an hour of drapes, not after it
         in_other_size(base, cut.base, measure(wearer.shaped), cut.settings, size)
     notes = [f"On reading: {note}." for note in mesh.notes]
@@ -203,7 +205,7 @@ def _near_target(
         pattern, settings = drafted(name, body, seen, panel_count(name, shown) | given)
     else:
         pattern = read_base(name, wearer, job.settings)
-    return pattern, Cut(name, job.base is None, settings, differences(name, pattern, mesh, seen, body, shown))
+    return pattern, Cut(name, job.base is None, settings, differences(name, pattern, seen, body, shown))
 
 
 def _placed_fault(fault: ScanFault, job: Job) -> ScanFault:

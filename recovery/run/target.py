@@ -38,6 +38,7 @@ FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer
 DEEP_M, DEEP_SHARE = 0.02, 0.2  # the target goes through the body where more than this share lies deeper than that
 LYING_SHARE = 0.05  # of the cloth, nearest to the skin, lies on it
 LEAST_OFF_M, MOST_OFF_M = 0.001, 0.006  # beyond our own gap: less is the same, more is a garment that lies nowhere
+OPEN_SHARE = 0.7  # of the height: no hem and no neckline, however deep, goes that far
 TWISTED_SHARE = 0.02  # of the faces: more edges to be cut, and the scan is no cloth
 # Openings round each part of the body, by base.
 OF_TOPS = {TRUNK: 2, "left_arm": 1, "right_arm": 1}
@@ -82,7 +83,26 @@ def mended(mesh: GarmentMesh) -> GarmentMesh:
             cure="Cut the garment out of the scan, without the body, and open neck, cuffs and hem.",
         )
     found = closed(mesh, lambda one: plainly_hole(one, mesh))
+    check_closed_round(found.mesh)
     return found.mesh if found.mesh is mesh else found.mesh.noted(*found.words(len(mesh.faces)))
+
+
+def check_closed_round(mesh: GarmentMesh) -> None:
+    """Refuses a jacket whose front is open: its longest border goes round the hem and up to the neck."""
+    points = mesh.vertices[borders(mesh)[0].loop]
+    low, size = mesh.vertices.min(axis=0), np.ptp(mesh.vertices, axis=0)
+    # y or z is up, the other one the depth, which every hem has.
+    if (np.ptp(points, axis=0) < OPEN_SHARE * size)[1:].any():
+        return
+    up = 1 if size[1] > size[2] else 2
+    height = (points[:, up] - low[up]) / size[up]
+    edges = points[np.abs(height - np.median(height[(height > 0.2) & (height < 0.8)])) < 0.2]
+    raise ScanFault(
+        "target",
+        expected="a garment that is closed all round",
+        got=f"one that is open from hem to neck, as a jacket's front is: {in_box(edges[0], mesh.vertices)}",
+        cure="Join the two edges (button it up): no base opens in front.",
+    ).at(mesh, edges)
 
 
 def labelled(mesh: GarmentMesh, label: str) -> GarmentMesh:

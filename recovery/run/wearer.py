@@ -21,6 +21,7 @@ from drape.geometry import meshes
 from recovery import progress
 from recovery.pattern.model import Pattern
 from recovery.run.inside import fit_inside
+from recovery.run.upright import facing, up_axis
 
 SIZE_SLACK = 2.0  # by which a target's height may differ from its base's
 RIVAL_SLACK = 1.3  # by which the next unit must fit worse
@@ -117,13 +118,13 @@ def inside_wearer(
     """``mesh`` in metres, y up, and the shipped body fitted inside it; ``base``, drafted for that body, tells its size.
     ``wanted`` are the openings of its kind.
 
-    ``up`` "auto" is y, because without a body nothing tells the axis.
+    Openings tell the axis where ``up`` is "auto", and the way that the wearer looks.
     """
-    vertices = mesh.vertices
-    notes = []
-    if up == "z":
-        vertices = np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1)
-        notes.append("turned from z up to y up")
+    if (up_axis(mesh) if up == "auto" else up) == "z":
+        turned = np.stack([mesh.vertices[:, 0], mesh.vertices[:, 2], -mesh.vertices[:, 1]], axis=1)
+        mesh = replace(mesh, vertices=turned).noted("turned from z up to y up")
+    mesh = facing(mesh)
+    vertices, notes = mesh.vertices, []
     placed = np.concatenate([panel.placement.apply(panel.vertices) for panel in base.panels])
     base_height, height = float(np.ptp(placed[:, 1])), float(np.ptp(vertices[:, 1]))
     misfit = {name: abs(np.log(max(height * scale, 1e-9) / base_height)) for name, scale in UNITS_M.items()}

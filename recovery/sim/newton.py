@@ -104,19 +104,22 @@ class _Potential:
         blocks = ((inertia + shift) * self._mass)[:, None, None] * identity
         if self.contact is None:
             return blocks
-        if exact:
-            with torch.enable_grad():
-                y = x.detach().requires_grad_(True)
-                residual = self._contact_residual(self.contact, y)
-                rows = [torch.autograd.grad(residual[:, c].sum(), y, retain_graph=True)[0] for c in range(3)]
-            return blocks + torch.stack(rows, dim=1)
-        scale, r = self.contact.stiffness(x, self.rest.node_area)
-        blocks = blocks + scale[:, None, None] * r[:, :, None] * r[:, None, :]
-        if self._grip is not None and self.dt_s is not None:
-            held = self.contact.friction_stiffness(x - self.state.x, *self._grip, dt_s=self.dt_s)
-            n = self._grip[1]
-            blocks = blocks + held[:, None, None] * (identity - n[:, :, None] * n[:, None, :])
-        return blocks
+        with torch.enable_grad():
+            y = x.detach().requires_grad_(True)
+            residual = self._contact_residual(self.contact, y)
+            rows = [torch.autograd.grad(residual[:, c].sum(), y, retain_graph=True)[0] for c in range(3)]
+        found = torch.stack(rows, dim=1)
+        return blocks + (found if exact else _definite(found))
+
+
+def _definite(blocks: Tensor) -> Tensor:
+    """Symmetric ``blocks`` (V, 3, 3) without their negative parts.
+
+    With the body's curvature: in an armpit a node lies on the ridge of the distance, whose gradient is zero there, and
+    its curvature alone keeps steps from going through the arm.
+    """
+    value, vector = torch.linalg.eigh(0.5 * (blocks + blocks.mT))
+    return (vector * value.clamp(min=0.0)[:, None, :]) @ vector.mT
 
 
 class Minimum:

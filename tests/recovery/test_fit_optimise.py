@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 import pytest
@@ -27,13 +28,14 @@ from recovery.fit.objective import (
     polyline_chamfer,
 )
 from recovery.fit.optimise import Evaluation, FitOptions, PatternSearch
+from recovery.pattern.bases import tshirt
 from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.sim.sdf import Sphere
 from tests.drape.geometry.geometry_shapes import icosphere
-from tests.recovery.pattern_setup import rectangle, tube
+from tests.recovery.pattern_setup import default_measurements, rectangle, tube
 from tests.recovery.sim_setup import WOVEN as CLOTH
 
 NOWHERE = Sphere((0.0, -10.0, 0.0), 0.1)
@@ -333,6 +335,19 @@ def test_what_folds_or_does_not_rest_is_never_accepted(monkeypatch):
     monkeypatch.setattr(finder, "evaluate", lambda values, near: None)
     with pytest.raises(InputError, match="start of the search"):
         finder.run(nodes, FitOptions(iterations=1, closing=0))
+
+
+def test_what_cannot_be_cut_is_never_accepted():
+    """A neckline that crosses itself between nodes of a coarse mesh, none of whose triangles is folded."""
+    mesh = mesh_pattern(tshirt(default_measurements()), 0.05)
+    free = free_controls(mesh.pattern, find_symmetries(mesh.pattern))
+    finder = PatternSearch(mesh, free, cast(RestDrape, None), cast(Objective, None))
+    values = -0.14 * np.eye(free.count)[6]
+    positions = free.positions(values)
+    assert len(mesh.folded(mesh.rest_at(positions))) == 0
+    with pytest.raises(InputError, match="does not cross itself"):
+        mesh_pattern(with_controls(mesh.pattern, mesh.controls, positions), 0.05)
+    assert finder.evaluate(values, np.zeros((mesh.node_count, 3))) is None
 
 
 def test_progress_is_shown_on_request(capsys):

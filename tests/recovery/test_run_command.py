@@ -23,6 +23,7 @@ from drape.files.atomic import write_whole
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
+from recovery import progress
 from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import SurfaceDistance, chamfer, surface_chamfer, surface_distance
@@ -35,6 +36,7 @@ from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.pieces import make_sheet
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.run import __main__ as command
+from recovery.run import report_text
 from recovery.run.anew import SewnAnew, anew_words, sewn_anew
 from recovery.run.drafted import own_settings
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
@@ -120,6 +122,15 @@ def test_the_drawing_of_the_pieces_is_to_scale_and_keeps_its_rules_to_itself():
 def test_files_have_words():
     kinds = ("a.json", "a.svg", "a.dxf", "a.pdf", "a.obj", "a.glb", "a_rest.obj", "a-1.npz")
     assert len({file_words(name) for name in kinds}) == len(kinds) and all(map(file_words, kinds))
+
+
+def test_the_report_is_drawn_under_the_watch(tmp_path, monkeypatch):
+    outcome = SimpleNamespace(files=[], anew=None)
+    monkeypatch.setattr(command, "run_job", lambda *given, **more: outcome)
+    monkeypatch.setattr(report_text, "page_of", lambda one: "")
+    monkeypatch.setattr(report_text, "record_of", lambda one: {"stage": progress._watches[-1].stage})
+    assert command.main([str(tmp_path / "t.obj"), "--out", str(tmp_path)]) == 3
+    assert json.loads((tmp_path / "report.json").read_text()) == {"stage": "the report is drawn"}
 
 
 COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)

@@ -13,6 +13,7 @@ from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
+from drape.geometry import meshes
 from recovery.fit.contours import TRUNK
 from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
@@ -20,10 +21,12 @@ from recovery.pattern.bases import BASES
 from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.mesh import mesh_pattern
 from recovery.pattern.sizes import in_size
-from recovery.run.cut import differences, has_collar, kind_of, panel_count, told_base
+from recovery.run.cut import collarless, differences, has_collar, kind_of, panel_count, told_base
 from recovery.run.drafted import RANGES, drafted, own_settings, read_settings
 from recovery.run.nested import in_other_size
 from recovery.run.seen import Seen, girth_round, pieces
+from recovery.run.target import OF_TOPS
+from recovery.scan.collars import below
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements
 
@@ -96,6 +99,33 @@ def test_a_collar_is_told_from_a_neckline():
     vertices[ring, 1] += 0.06
     standing = replace(raised, vertices=vertices)
     assert has_collar(standing, seen(standing), body)
+
+
+def test_a_collar_is_cut_off_at_the_neck_and_said():
+    body, shirt = load_body(), worn("shirt")
+    found, (words,) = collarless(shirt, body, body.joints_template, OF_TOPS)
+    assert "cut off at the neck" in words and "the pattern ends at the neckline" in words
+    cut, whole = seen(found), seen(shirt)
+    assert cut.counts() == whole.counts() == OF_TOPS
+    assert not has_collar(found, cut, default_measurements())
+    neck, edge = (one.openings[TRUNK][0].contour.length_m for one in (cut, whole))
+    assert neck < 0.8 * edge and neck < 1.3 * default_measurements().neck_girth
+    # Below the neck nothing is gone, and what has no collar stays as it is.
+    low = shirt.vertices[shirt.faces].mean(axis=1)[:, 1] < default_measurements().underarm_y
+    kept = found.vertices[found.faces].mean(axis=1)[:, 1] < default_measurements().underarm_y
+    assert kept.sum() == low.sum()
+    tshirt = worn("tshirt")
+    assert collarless(tshirt, body, body.joints_template, OF_TOPS) == (tshirt, ())
+    assert collarless(worn("skirt"), body, body.joints_template, {TRUNK: 2})[1] == ()
+
+
+def test_a_mesh_is_cut_along_a_plane():
+    tube = plain_mesh("tube", *round_tube([0.1] * 5, [0.0, 0.1, 0.2, 0.3, 0.4], 24))
+    cut = below(tube, tube.vertices[:, 1] - 0.27)
+    assert_allclose(cut.vertices[:, 1].max(), 0.27)
+    whole, left = (meshes.face_areas(one.vertices, one.faces).sum() for one in (tube, cut))
+    assert_allclose(left, 0.27 / 0.4 * whole)
+    assert len(meshes.boundary_loops(cut.faces)) == 2
 
 
 def test_a_girth_is_the_length_of_the_loop_round_a_point():
@@ -178,14 +208,14 @@ def test_what_differs_from_the_target_has_a_sentence():
     body = default_measurements()
     skirt, shirt = worn("skirt"), worn("shirt")
     two, eight = (BASES["skirt"](body, panels=count) for count in (2.0, 8.0))
-    (unseen,) = differences("skirt", two, skirt, seen(skirt), body, None)
+    (unseen,) = differences("skirt", two, seen(skirt), body, None)
     assert "does not show its seams" in unseen
-    assert differences("skirt", eight, skirt, seen(skirt), body, 8) == ()
-    (other,) = differences("skirt", two, skirt, seen(skirt), body, 8)
+    assert differences("skirt", eight, seen(skirt), body, 8) == ()
+    (other,) = differences("skirt", two, seen(skirt), body, 8)
     assert "8 panels, this pattern has 2" in other
-    kind, collar = differences("tank", BASES["tank"](body), shirt, seen(shirt), body, 2)
-    assert "--base tshirt" in kind and "collar" in collar
-    assert differences("mine.json", two, skirt, seen(skirt), body, 2) == ()
+    (kind,) = differences("tank", BASES["tank"](body), seen(shirt), body, 2)
+    assert "--base tshirt" in kind
+    assert differences("mine.json", two, seen(skirt), body, 2) == ()
 
 
 @pytest.mark.parametrize("name", sorted(BASES))

@@ -22,6 +22,7 @@ from recovery.run.target import (
     OPENINGS,
     check_base,
     check_near,
+    mended,
     off_skin,
     one_sheet,
     opened,
@@ -29,6 +30,7 @@ from recovery.run.target import (
     read_target,
 )
 from recovery.run.wearer import check_closed, inside_wearer, read_wearer, shaped_body
+from recovery.scan.places import ScanFault
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements
 
@@ -161,6 +163,20 @@ def test_cloth_that_lies_off_the_skin_tells_how_far():
         assert off_skin(tube, skin, np.ones(len(tube.faces))) == told
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_garment_that_is_open_from_hem_to_top_is_refused_with_its_place(turned):
+    tube = skirt_tube()
+    middles = tube.vertices[tube.faces].mean(axis=1)
+    coat = tube.take_faces(~((np.abs(middles[:, 0]) < 0.05) & (middles[:, 2] > 0.0)))
+    if turned:
+        x, y, z = coat.vertices.T
+        coat = replace(coat, vertices=np.stack([x, -z, y], axis=1))
+    with pytest.raises(ScanFault, match=r"open from hem to neck.*Join the two edges") as fault:
+        mended(coat)
+    up = 2 if turned else 1
+    assert len(fault.value.points) and np.abs(fault.value.points[:, up] + 0.2).max() < 0.2
+
+
 def test_a_hole_is_noted_and_closed():
     mesh = skirt_tube()
     holed = mesh.take_faces(np.arange(len(mesh.faces)) != 410)
@@ -226,6 +242,21 @@ def test_a_body_is_found_inside_a_garment_in_another_unit_and_place(body):
     # In a narrow one no body fits.
     with pytest.raises(BodyError, match="cloth that a body fits in"):
         inside_wearer(plain_mesh("scan", vertices * [0.35, 1.0, 0.35], faces.reshape(-1, 3)), base, unit="m")
+
+
+@pytest.mark.slow
+def test_arms_bend_where_long_sleeves_do(body):
+    pose = np.zeros((24, 3))
+    pose[[16, 17], 2], pose[[18, 19], 1] = (-0.6, 0.6), (-0.7, 0.7)
+    near = body.posed_vertices(pose[None])[0]
+    shirt = body.weights[:, [0, 3, 6, 9, 13, 14, 16, 17, 18, 19]].sum(axis=1) > 0.5
+    used, faces = np.unique(body.faces[shirt[body.faces].all(axis=1)], return_inverse=True)
+    vertices = (near + 0.01 * meshes.vertex_normals(near, body.faces))[used]
+    base = base_pattern("tshirt", default_measurements())
+    _, wearer = inside_wearer(plain_mesh("scan", vertices, faces.reshape(-1, 3)), base, wanted=OPENINGS["tshirt"])
+    assert wearer.pose is not None
+    assert_allclose(wearer.pose[[18, 19], 1], [-0.7, 0.7], rtol=0, atol=0.25)
+    assert np.linalg.norm(wearer.skin.vertices[shirt] - near[shirt], axis=1).mean() < 0.02
 
 
 def test_without_a_base_the_target_tells_it_and_its_settings(tmp_path):

@@ -14,6 +14,7 @@ from drape.cloth import bending
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.sim import elastic
+from recovery.sim.contact import SkinContact
 from recovery.sim.model import ClothModel
 from recovery.sim.newton import equilibrium, newton_step
 from tests.recovery.sim_setup import WOVEN, lifted, strip
@@ -193,6 +194,25 @@ def test_a_drape_is_a_minimum_and_not_a_saddle():
     rest = model.rest(parameters.panels)
     hessian = elastic.hessian(model, rest, parameters, drape.x, definite=False).toarray()
     assert np.linalg.eigvalsh(hessian)[0] > 0.0
+
+
+def test_cloth_in_a_slit_comes_to_rest_on_the_ridge_of_the_distance():
+    """As in an armpit: there the distance has no gradient, and its curvature alone keeps steps from the other wall."""
+
+    def slit(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        z, roundness = points[:, 2], 0.005
+        arm = torch.sqrt(z * z + roundness**2)
+        return 0.003 + roundness - arm, torch.stack([0.0 * z, 0.0 * z, -z / arm], dim=1)
+
+    panel, faces = strip(8, 2, length_m=0.4, width_m=0.1)
+    model = ClothModel(faces, fixed=np.flatnonzero(panel[:, 0] == 0.0))
+    nodes = np.stack([panel[:, 1], -panel[:, 0], 0.003 * np.sin(40.0 * panel[:, 0])], axis=1)
+    contact = SkinContact(slit, friction=0.0)
+    drape, report = equilibrium(
+        model, model.state(nodes), model.parameters(panel, WOVEN), contact=contact, tolerance_n=1e-6, iteration_limit=10
+    )
+    assert report.converged  # with the walls' stiffness alone it is not after 200 steps
+    assert_allclose(drape.x[:, 2], 0.0, rtol=0, atol=1e-9)
 
 
 def test_a_drape_that_nothing_holds_is_not_called_converged(rng):
