@@ -30,11 +30,12 @@ from drape.cloth.rest_state import RestState, modelled
 from drape.garment.cache import Garment
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import add, scaled, sub, with_spare
-from drape.kernels.lanes import number_at, points_at, points_in, put_points, row_at
-from drape.live.clock import CUT_M, Frame, FrameMemory, writable
+from drape.kernels.lanes import number_at, points_in, put_points
+from drape.live.clock import Frame, writable
 from drape.live.coarse_mesh import coarse_mesh
-from drape.live.coarse_weights import NEAREST, coarse_weights
+from drape.live.coarse_weights import carried_points, coarse_weights
 from drape.live.colliders import leave, put_planes
+from drape.live.eased import FineLevel, Levels, LiftMemory, lifted_alone
 from drape.live.fold_constants import (
     FoldConstants,
     LaidCloth,
@@ -56,13 +57,13 @@ from drape.live.fold_step import (
     past_of,
     report_of,
 )
-from drape.live.lift import lift, lift_off_skin
+from drape.live.lift import lift
 from drape.live.places import delivered, farthest_place_m, placed
-from drape.live.sheet import LANES, Sheet, sheet
+from drape.live.sheet import LANES, sheet
 from drape.live.skin_contact import ParentSamples, put_other_planes, put_own_planes, write_grip
-from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples, follow
+from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples
 from drape.live.sweeps import APART_ROW, PLANES, SCRATCH, descend, leash
-from drape.live.untangle import Tangles, tangles_of, untangle
+from drape.live.untangle import tangles_of, untangle
 
 APART_STEPS = 2  # of untangling the fine cloth: four leave fewer crossings and cost time and gain
 KEPT_S = 0.25  # in which what sweeps added comes down to 1/e: more lets fine folds pass through each other
@@ -80,27 +81,7 @@ class TwoLevelMemory:
         return replace(self, coarse=self.coarse.at(time_s))
 
 
-@dataclass(frozen=True, eq=False)
-class LiftMemory(FrameMemory):
-    """A frame of cloth that has no folds and was lifted alone: at the coarse cloth's places the network's points, and
-    the samples ``own`` (P,)."""
-
-    own: np.ndarray
-
-
 Memory = FoldMemory | TwoLevelMemory | LiftMemory
-
-
-class FineLevel(NamedTuple):
-    """The fine cloth's ``sheet``. Its places take from coarse ones: ``near`` and ``weight``, flat, ``NEAREST`` rows of
-    ``LANES`` numbers a block; ``parent`` (P,) is the coarse place that each takes most from. ``tangles``: the triangles
-    that may cross."""
-
-    sheet: Sheet
-    near: np.ndarray
-    weight: np.ndarray
-    parent: np.ndarray
-    tangles: Tangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +128,11 @@ class TwoLevel:
         return self.coarse.nbytes + array_bytes(tuple(self.fine))
 
     @property
+    def levels(self) -> Levels:
+        """As kernels read them."""
+        return Levels(self.coarse, self.kept, self.fine)
+
+    @property
     def laid(self) -> LaidCloth:
         """The fine cloth as garments over and below it read it."""
         return LaidCloth(self.fine.sheet, self.coarse.graph, self.index)
@@ -164,7 +150,7 @@ class TwoLevel:
         level is none."""
         if effort.steps or isinstance(memory, TwoLevelMemory):
             return fold_two_level(self, None if isinstance(memory, FoldMemory) else memory, frame, effort)
-        return lifted_alone(self, memory if isinstance(memory, LiftMemory) else None, frame, effort.clearance_m)
+        return lifted_alone(self.levels, memory if isinstance(memory, LiftMemory) else None, frame, effort)
 
 
 def one_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> OneLevel:
@@ -209,20 +195,6 @@ def _in_blocks(table: np.ndarray, dtype: Any) -> np.ndarray:
     return np.ascontiguousarray(table.reshape(-1, LANES, table.shape[1]).transpose(0, 2, 1), dtype).reshape(-1)
 
 
-def lifted_alone(
-    constants: TwoLevel, memory: LiftMemory | None, frame: Frame, clearance_m: float
-) -> tuple[np.ndarray, LiftMemory, FoldReport]:
-    """The vertices [m] (V, 3) of ``frame``, lifted up to the clearance and out of its colliders, the memory for the
-    next frame, and a report: what ``fold_two_level`` without steps makes of a frame without a past."""
-    dtype = constants.fine.sheet.own.dtype
-    past = LiftPast(constants.coarse.index[:0], np.empty((0, 3), dtype))
-    if memory is not None and memory.leads_to(frame.time_s):
-        past = LiftPast(memory.own, memory.network)
-    vertices, levels = writable(frame.vertices, dtype), Levels(constants.coarse, constants.kept, constants.fine)
-    lifted, own, under, follows, moved = _lift(vertices, past, frame.around(dtype), levels, dtype.type(clearance_m))
-    return lifted, LiftMemory(frame.time_s, under, own), FoldReport(not follows, False, *moved)
-
-
 def fold_two_level(
     constants: TwoLevel, memory: TwoLevelMemory | LiftMemory | None, frame: Frame, effort: FoldEffort
 ) -> tuple[np.ndarray, TwoLevelMemory, FoldReport]:
@@ -231,7 +203,7 @@ def fold_two_level(
     ``effort`` has as many sweeps of the fine cloth as steps of the coarse one. The same input gives the same bits.
     """
     dtype = constants.fine.sheet.own.dtype
-    around, levels = frame.around(dtype), Levels(constants.coarse, constants.kept, constants.fine)
+    around, levels = frame.around(dtype), constants.levels
     vertices = writable(frame.vertices, dtype)
     if isinstance(memory, LiftMemory):
         memory = _unfolded(constants, memory, vertices, around.skin)
@@ -242,21 +214,6 @@ def fold_two_level(
     after = TwoLevelMemory(memory_of(frame.time_s, under, coarse), added)
     report = report_of(coarse.outcome, moved)
     return (frame.vertices, after, replace(report, reset=True)) if lost else (folded, after, report)
-
-
-class Levels(NamedTuple):
-    """The ``coarse`` cloth, the fine vertex ``kept`` (n,) at each of its places, and the ``fine`` level."""
-
-    coarse: FoldConstants
-    kept: np.ndarray
-    fine: FineLevel
-
-
-class LiftPast(NamedTuple):
-    """The samples ``own`` (P,) and the network's coarse places [m] (P, 3) of the frame before, none without a past."""
-
-    own: np.ndarray
-    network: np.ndarray
 
 
 @kernel
@@ -290,28 +247,15 @@ def _fold(vertices, past, added, around, levels, effort):
     return out, under, folded, (added, lost), delivered(x, lifted, fine.sheet.place, out)
 
 
-@kernel
-def _lift(vertices, past, around, levels, clearance):
-    """The lifted ``vertices`` [m] (V, 3), the samples below the coarse places, these in the network's drape, whether
-    the frame goes on from ``past``, and what the lift moved (``delivered``)."""
-    fine = levels.fine
-    x, under = placed(vertices, fine.sheet.vertex), placed(vertices, levels.kept)
-    follows = len(past.own) > 0 and farthest_place_m(under, past.network) <= CUT_M
-    own = past.own.copy() if follows else levels.coarse.index.copy()
-    lifted = lift_off(x, TouchedSamples(own, own), under, around, fine, levels.coarse.graph, clearance)
-    out = np.empty_like(vertices)
-    return out, own, under, follows, delivered(x, lifted, fine.sheet.place, out)
-
-
 def _unfolded(constants: TwoLevel, memory: LiftMemory, vertices: np.ndarray, skin: np.ndarray) -> TwoLevelMemory:
-    """The ``memory`` of a lift as one of folds, which are none yet: nothing moves, and the skin holds each place where
-    the network has it now, in its drape ``vertices`` [m] (V, 3)."""
+    """The ``memory`` of a lift as one of folds: nothing moves, and the skin holds each place where the network has it
+    now, in its drape ``vertices`` [m] (V, 3)."""
     under = placed(vertices, constants.kept)
     still, grip = np.zeros_like(under), np.zeros_like(under)
     touched = TouchedSamples(memory.own, np.full_like(memory.own, -1))
     write_grip(under, under.copy(), touched, skin, constants.coarse.graph, grip)
     added = np.zeros((len(constants.fine.parent), 3), under.dtype)
-    return TwoLevelMemory(FoldMemory(memory.time_s, memory.network, still, still, touched, grip, 0), added)
+    return TwoLevelMemory(FoldMemory(memory.time_s, memory.network, memory.eased, still, touched, grip, 0), added)
 
 
 class CoarseHold(NamedTuple):
@@ -340,10 +284,7 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
     sheet = fine.sheet
     x, carried, lifted = with_spare(network), np.empty_like(network), np.zeros(len(network), network.dtype)
     for block in range(len(network) // LANES):
-        points = points_in(network, LANES * block)
-        for n in range(NEAREST):
-            row = LANES * (NEAREST * block + n)
-            points = add(points, scaled(row_at(fine.weight, row), points_at(coarse.off, fine.near, row)))
+        points = carried_points(points_in(network, LANES * block), coarse.off, fine, block)
         put_points(carried, LANES * block, points)
         put_points(x, LANES * block, add(points, scaled(schedule.share, points_in(added, LANES * block))))
     planes, scratch = np.empty(PLANES // LANES * len(x), x.dtype), np.empty(SCRATCH, x.dtype)
@@ -361,24 +302,6 @@ def settle_fine(network, added, coarse, around, fine, graph, schedule):
     for block in range(len(x) // LANES):
         put_points(added, LANES * block, sub(points_in(x, LANES * block), points_in(carried, LANES * block)))
     return x, farthest_place_m(x, network), lifted
-
-
-@kernel
-def lift_off(x, touched, under, around, fine, graph, clearance):
-    """How far [m] (P,) each place of ``x`` [m] (P, 3) was lifted up to the ``clearance``, in place, and out of the
-    colliders. ``touched`` is moved on below the coarse places ``under``."""
-    lifted, samples = np.zeros(len(x), x.dtype), ParentSamples(touched.own, fine.parent)
-    follow(under, around.skin, graph, touched)
-    if len(around.colliders) == 0:
-        lift_off_skin(x, around.skin, graph, samples, clearance, lifted)
-        return lifted
-    planes = np.zeros(PLANES // LANES * len(x), x.dtype)
-    put_own_planes(x, around.skin, graph, samples, planes)
-    put_planes(x, around.colliders, planes)
-    leave(x, around.colliders, planes, clearance)
-    if clearance > 0.0:
-        lift(x, planes, clearance, lifted)
-    return lifted
 
 
 @kernel
@@ -414,5 +337,5 @@ def warm_up() -> None:
 
     made = _around(hung(ClothMesh.from_rest(vertices, faces), vertices), modelled(vertices, faces), vertices, hung)
     frame = Frame(vertices.astype(np.float32), np.ones((1, 8)), 0.0)
-    _, memory, _ = lifted_alone(made, None, frame, 0.001)
+    _, memory, _ = lifted_alone(made.levels, None, frame, FoldEffort(0, clearance_m=0.001))
     fold_two_level(made, memory, frame, FoldEffort(1, cloth_contact=True))

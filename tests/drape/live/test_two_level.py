@@ -5,34 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
 from drape.cloth.fabric_table import fabric
-from drape.contact.skin import shaped_skin
 from drape.live.clock import PAUSE_S, Frame
 from drape.live.fold_step import FADE_S, FAR_M, FoldEffort
-from drape.live.two_level import LiftMemory, TwoLevel, TwoLevelMemory, fold_two_level, one_level, two_level
+from drape.live.two_level import LiftMemory, TwoLevel, TwoLevelMemory, fold_two_level, one_level
+from tests.drape.live.tank_setup import strain
 from tests.fixtures.garments import shipped
 
 EFFORT = FoldEffort(steps=1, settle=2, cloth_contact=True)
-
-
-@pytest.fixture(scope="module")
-def tank() -> TwoLevel:
-    return two_level(shipped("tank"), load_body(), fabric("jersey"))
-
-
-@pytest.fixture(scope="module")
-def still() -> Frame:
-    """The tank at rest on the body at rest, a little crumpled, so that there is something to fold."""
-    garment, body = shipped("tank"), load_body()
-    poses = np.zeros((1, 24, 3))
-    skin = shaped_skin(body).table(*body.bones(poses), np.zeros((1, body.shape_count)))
-    vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
-    wave = 0.004 * np.sin(60.0 * vertices[:, 1:2]) * np.array([1.0, 0.0, 1.0])
-    return Frame((vertices + wave).astype(np.float32), skin.reshape(-1, skin.shape[-1]), 0.0)
 
 
 def after(made: TwoLevel, first: Frame, count: int, effort: FoldEffort = EFFORT):
@@ -41,15 +24,6 @@ def after(made: TwoLevel, first: Frame, count: int, effort: FoldEffort = EFFORT)
         vertices, memory, report = fold_two_level(made, memory, replace(first, time_s=number / 30.0), effort)
         found.append((vertices, memory, report))
     return found
-
-
-def strain(vertices: np.ndarray) -> float:
-    """Mean square of (length / length at rest - 1) over two edges of every triangle."""
-    garment = shipped("tank")
-    rest = np.linalg.norm(garment.delivered_rest().edges, axis=2)
-    first, second, third = (vertices[garment.faces[:, n]] for n in range(3))
-    now = np.stack([np.linalg.norm(other - first, axis=1) for other in (second, third)], axis=1)
-    return float(((now / rest - 1.0) ** 2).mean())
 
 
 def test_without_steps_the_drape_is_the_networks(tank: TwoLevel, still: Frame):
@@ -61,19 +35,6 @@ def test_without_steps_the_drape_is_the_networks(tank: TwoLevel, still: Frame):
     way = np.linalg.norm(lifted - still.vertices, axis=1)
     assert_allclose(told.lifted_max_m, way.max(), rtol=1e-3)
     assert 0.0 < told.lifted_share < 1.0
-
-
-def test_the_lift_alone_is_what_folds_without_steps_begin_with(tank: TwoLevel, still: Frame):
-    """In every frame: cloth that was lifted is where the network has it as soon as it is off the skin."""
-    idle, memory = FoldEffort(0, clearance_m=0.004), None
-    moving = [replace(still, vertices=still.vertices + np.float32(0.002 * n), time_s=n / 30.0) for n in range(3)]
-    for frame in (*moving, replace(moving[0], time_s=9.0)):  # the last after a pause
-        got, memory, told = tank.fold(memory, frame, idle)
-        want, folds, report = fold_two_level(tank, None, frame, idle)
-        assert_array_equal(got, want)
-        assert replace(told, settled=True) == report and isinstance(memory, LiftMemory)
-        assert told.settled == (frame.time_s in (0.0, 9.0))
-        assert_array_equal(tank.own(memory), tank.own(folds))
 
 
 def test_steps_go_on_from_a_lift_and_fade_before_it_comes_back(tank: TwoLevel, still: Frame):

@@ -1,0 +1,93 @@
+"""Cloth without folds: it is eased by steps of the whole, goes along with the surface, and is lifted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.live.clock import PAUSE_S, Frame
+from drape.live.eased import EASED_S, ease_off
+from drape.live.fold_step import FAR_M, FoldEffort
+from drape.live.two_level import LiftMemory, TwoLevel
+from tests.drape.live.tank_setup import strain
+
+IDLE = FoldEffort(0, clearance_m=0.004)
+
+
+def turned(frame: Frame, angle_rad: float) -> Frame:
+    """``frame`` turned about y, with its skin."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    turn = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+    skin = frame.skin.copy()
+    skin[:, :3], skin[:, 4:7] = frame.skin[:, :3] @ turn, frame.skin[:, 4:7] @ turn
+    return replace(frame, vertices=(frame.vertices @ turn).astype(np.float32), skin=skin)
+
+
+def eased(made: TwoLevel, points: np.ndarray, skin: np.ndarray, steps: int) -> np.ndarray:
+    """How far [m] (V, 3) ``steps`` move the coarse cloth from ``points`` (P, 3), none before."""
+    coarse = made.coarse
+    skin = np.array(skin, np.float32)
+    return ease_off(points, np.zeros_like(points), 0.0, coarse.index.copy(), skin, coarse, steps)[1][coarse.sheet.place]
+
+
+def test_a_step_lowers_the_strain_and_frames_lower_it_further(tank: TwoLevel, still: Frame):
+    memory, found = None, []
+    for number in range(12):
+        vertices, memory, report = tank.fold(memory, replace(still, time_s=number / 30.0), IDLE._replace(settle=1))
+        assert report.settled == (number == 0) and not report.reset
+        found.append(vertices)
+    strains = [strain(each) for each in (still.vertices, found[0], found[-1])]
+    assert strains[0] > 1.2 * strains[1] and strains[1] > 1.1 * strains[2]
+    settled, _, _ = tank.fold(None, still, IDLE)
+    assert strains[2] < strain(settled) < strains[1], "a frame without a past takes more steps"
+    assert np.abs(found[-1] - found[-2]).max() < 0.2 * np.abs(found[1] - found[0]).max(), "it comes to rest"
+
+
+def test_what_was_eased_turns_with_the_body_and_fades(tank: TwoLevel, still: Frame):
+    angle, later_s = 0.1, 1.0 / 30.0
+    _, memory, _ = tank.fold(None, still, IDLE)
+    here, _, _ = tank.fold(memory, replace(still, time_s=later_s), IDLE)
+    there, _, _ = tank.fold(memory, replace(turned(still, angle), time_s=later_s), IDLE)
+    assert_allclose(turned(replace(still, vertices=here), angle).vertices, there, atol=2e-5)
+    under = still.vertices[tank.kept]
+    skin, index, none = np.array(still.skin, np.float32), tank.coarse.index.copy(), np.zeros_like(under)
+    kept, _ = ease_off(under, memory.eased, np.exp(-later_s / EASED_S), index, skin, tank.coarse, 0)
+    place = tank.coarse.sheet.place
+    assert_allclose(kept[place], np.exp(-later_s / EASED_S) * memory.eased[place], atol=1e-6)
+    assert not ease_off(under, none, 1.0, index, skin, tank.coarse, 0)[1][place].any()
+
+
+def test_what_is_no_fold_is_left_out(tank: TwoLevel, still: Frame):
+    _, memory, _ = tank.fold(None, still, IDLE)
+    for wrong in (np.nan, 4.0 * FAR_M):
+        torn = replace(memory, eased=np.full_like(memory.eased, wrong))
+        vertices, after, _ = tank.fold(torn, replace(still, time_s=1.0 / 30.0), IDLE._replace(clearance_m=0.0))
+        assert_array_equal(vertices, still.vertices)
+        assert isinstance(after, LiftMemory) and not after.eased.any()
+
+
+def test_the_same_input_gives_the_same_bits_and_a_pause_begins_anew(tank: TwoLevel, still: Frame):
+    first, memory, _ = tank.fold(None, still, IDLE)
+    kept = memory.eased.copy()
+    again = [tank.fold(memory, replace(still, time_s=1.0 / 30.0), IDLE)[0] for _ in range(2)]
+    assert_array_equal(*again)
+    assert_array_equal(memory.eased, kept)
+    late, _, report = tank.fold(memory, replace(still, time_s=2.0 * PAUSE_S), IDLE)
+    assert report.settled
+    assert_array_equal(late, first)
+
+
+@pytest.mark.parametrize("clearance_m", [0.0, 0.004])
+def test_cloth_is_lifted_after_it_was_eased(tank: TwoLevel, still: Frame, clearance_m: float):
+    vertices, _, told = tank.fold(None, still, FoldEffort(0, clearance_m=clearance_m))
+    assert (told.lifted_share > 0.0) == (clearance_m > 0.0)
+    assert np.isfinite(vertices).all()
+
+
+def test_more_steps_move_the_cloth_further_and_none_leave_it(tank: TwoLevel, still: Frame):
+    under = np.ascontiguousarray(still.vertices[tank.kept])
+    ways = [np.linalg.norm(eased(tank, under, still.skin, steps), axis=1).mean() for steps in (0, 1, 8)]
+    assert ways[0] == 0.0 and 1e-4 < ways[1] < ways[2] < 0.02
