@@ -45,7 +45,7 @@ from service.settings import Settings
 PASSES = (0, 1, None)
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
 TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
-ENOUGH = 0.004  # of gain: what gives less is not worth more time
+ENOUGH = 0.001  # of gain: what gives less is not worth more time
 DETAIL_MOST = 1.2  # of physics' detail: more is a texture that physics does not have, and gain does not see it
 LIFTED = 0.4  # of what all corrections gain over none without folds: ``instant`` has it
 KNOBS = ("passes", "folds", "coarse")
