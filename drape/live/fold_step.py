@@ -213,6 +213,7 @@ def fold_places(network, past, around, cloth, effort, planes):
     if outcome.lost:
         none = _without_past(network, cloth)
         state, touched = none.state, none.touched
+        lifted[:] = 0.0  # the network's drape is delivered, which nothing lifted
     reset, turn = follows or outcome.lost, 0 if outcome.lost else outcome.turn
     return Folded(x, lifted, state, touched, FoldOutcome(True, reset, outcome.lost, turn, outcome.untangle))
 
