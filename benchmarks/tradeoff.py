@@ -45,7 +45,6 @@ from service.settings import Settings
 PASSES = (0, 1, None)
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
 TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
-ENOUGH = 0.001  # of gain: what gives less is not worth more time
 DETAIL_MOST = 1.2  # of physics' detail: more is a texture that physics does not have, and gain does not see it
 LIFTED = 0.4  # of what all corrections gain over none without folds: ``instant`` has it
 KNOBS = ("passes", "folds", "coarse")
@@ -175,11 +174,10 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
 
     The least, ``instant``, is the cheapest without folds that has ``LIFTED`` of what all corrections gain; the next
     one, ``fast``, the cheapest with folds. The last folds all vertices, without more than ``DETAIL_MOST``: gain does
-    not see fine folds and crossings. It is the cheapest of these that has all but ``ENOUGH`` of their best gain. The
-    one between it and ``fast`` is the cheapest that has at least half of what the last gains over ``fast``. A tier's
-    folds, and its passes under folds, are never less than those of the one below, and none is coarse above a fine one.
-    Times decide by their order only, so that the rule gives the same tiers on processors on which the rival is faster
-    or slower than here.
+    not see fine folds and crossings. It is the one of these that gains most. The one between it and ``fast`` is the
+    cheapest that has at least half of what the last gains over ``fast``. A tier's folds, and its passes under folds,
+    are never less than those of the one below, and none is coarse above a fine one. Times decide by their order only,
+    so that the rule gives the same tiers on processors on which the rival is faster or slower than here.
     """
     by_order = sorted(mean, key=lambda row: row["time_ratio"])
     lifted = [row for row in by_order if row.get("folds") == 0]
@@ -188,8 +186,7 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
         raise InputError("knobs", expected="combinations with folds and without", got="none", cure="Measure folds too.")
     least, above = served[0], [row for row in served if _covers(row, served[0])]
     fine = [row for row in above if not row["coarse"] and row["detail_share"] <= DETAIL_MOST] or above
-    best = max(row["gain"] for row in fine)
-    last = next(row for row in fine if row["gain"] >= best - ENOUGH)
+    last = max(fine, key=lambda row: row["gain"])
     half = 0.5 * (least["gain"] + last["gain"])
     middle = next(row for row in above if row["gain"] >= half and _covers(last, row))
     enough = (1.0 - LIFTED) * lifted[0]["gain"] + LIFTED * max(row["gain"] for row in lifted)
@@ -242,7 +239,7 @@ def combinations(steps: Sequence[int]) -> list[Knobs]:
     COLUMNS,
     *inputs(("tshirt", "dress", "trousers"), ("walk", "squat"), quick_garments=("tshirt",), quick_motions=("walk",)),
     fabrics_option("jersey", "denim", "satin"),
-    Option("--folds", (1, 2, 4), "steps of folds", (1, 2)),
+    Option("--folds", (1, 2, 5), "steps of folds", (1, 2)),
     Option("--frames", 48, "of a clip at most", 8),
     Option("--write", False, "put the tiers into the model's manifest"),
 )

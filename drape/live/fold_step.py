@@ -288,7 +288,7 @@ def paced(steps, calm, stiff):
     sweeps take their place. Stiff cloth crumples without steps: half of each stays, with less momentum, and sweeps for
     contact are added.
     """
-    half = (steps + 1) // 2
+    half = max(steps // 2, 1)
     if stiff:
         momentum = STIFF_MOMENTUM + calm * (MOMENTUM - STIFF_MOMENTUM)
         sweeps = half if calm == 1.0 else steps + FAST_SWEEPS

@@ -141,7 +141,7 @@ function advance(atS: f64, steps: i32, settle: i32, within: bool, clearance: f32
   const rounds = settled ? settle : 1, wayM = movedM();
   const calm = min<f64>(max<f64>((FAST_M - wayM) / (FAST_M - SLOW_M), 0), 1);
   // The pace: paced() of fold_step.py.
-  const half = (steps + 1) / 2;
+  const half = max<i32>(steps / 2, 1);
   let wholes = steps, sweeps = half + (calm < 1 ? FAST_SWEEPS : 0), share = calm;
   let momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM);
   if (<f64>(constant(A.WARP) + constant(A.WEFT)) > STIFF_N_PER_M) { // each is half of the fabric's
