@@ -32,6 +32,7 @@ from drape.live.clock import CUT_M, FIRST_STEP_S, Frame, FrameMemory, Surroundin
 from drape.live.colliders import leave, put_planes
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.lift import lift
+from drape.live.pace import LONG_ROUNDS, SETTLING_MOMENTUM, STIFF_N_PER_M, calmness, fading, grip_left, paced
 from drape.live.places import delivered, farthest_place_m, moved_m, placed
 from drape.live.raised_skin import heights_over
 from drape.live.residual import EASE, ease, keep_residual
@@ -44,20 +45,7 @@ from drape.live.sweeps import PLANES, SCRATCH, descend, gradient_at, leash, stic
 from drape.live.untangle import WAY_M, farthest_way, untangle
 from drape.live.whole import whole_step
 
-# The share of the last step's way that comes before a step: in slow motion, and in fast motion of soft and stiff cloth.
-MOMENTUM, FAST_MOMENTUM, STIFF_MOMENTUM = 0.9, 0.7, 0.5
-# That of a frame without a past with at least so many rounds: sixty rounds then come as far as five hundred with 0.9.
-# Eight rounds would come less far.
-SETTLING_MOMENTUM, LONG_ROUNDS = 0.98, 16
 FAR_M = 0.25  # a vertex farther from the network's drape is no fold
-SLOW_M, FAST_M = 0.01, 0.02  # RMS way of the network's vertices a frame, between which motion becomes fast
-FAST_SWEEPS = 2  # sweeps that fast motion adds
-STIFF_SHARE = 0.5  # what fast motion leaves of a step of the whole in stiff cloth
-# Mean membrane stiffness along warp and weft from which cloth counts as stiff: denim, satin, poplin, but no knit.
-STIFF_N_PER_M = 1000.0
-# Shaken cloth creeps: the share of friction that is left where the network moves by so much a second or more.
-SHAKEN, SHAKEN_M_S = 0.5, 0.1
-FADE_S = 1.0  # in which folds without steps come down to 1/e
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +220,7 @@ def _advanced(network, past, around, cloth, effort, planes):
     kind, k, settled = network.dtype.type, cloth.sheet.constants, past.step_s == np.inf
     step_s = FIRST_STEP_S if settled else past.step_s
     rounds = 0 if effort.steps == 0 else effort.settle if settled else 1
-    share = fading(effort, step_s)
+    share = fading(effort.steps, step_s)
     way_m = moved_m(past.network, network, cloth.sheet.place)
     # Each is half of the fabric's.
     pace = paced(effort.steps, calmness(way_m), k.warp + k.weft > STIFF_N_PER_M)
@@ -250,53 +238,6 @@ def _advanced(network, past, around, cloth, effort, planes):
     x, far, lifted = advance(FoldPlaces(past.network, network, planes), state, touched, around, cloth, schedule)
     outcome = FoldOutcome(settled, False, not far <= FAR_M, (past.turn + 1) % TURNS, untangled_m)
     return Folded(x, lifted, state, touched, outcome)
-
-
-@kernel
-def calmness(way_m):
-    """1 where the network moves its vertices slowly, by ``way_m`` [m] (``moved_m``), 0 where fast."""
-    return min(max((FAST_M - way_m) / (FAST_M - SLOW_M), 0.0), 1.0)
-
-
-@kernel
-def grip_left(way_m, step_s):
-    """The share of friction with the skin that holds where the network moves its vertices by ``way_m`` [m]
-    (``moved_m``) in ``step_s`` [s]: 1 at rest, ``SHAKEN`` from ``SHAKEN_M_S`` on."""
-    return 1.0 - (1.0 - SHAKEN) * min(way_m / (SHAKEN_M_S * step_s), 1.0)
-
-
-@kernel
-def fading(effort, step_s):
-    """The share of the residual that is left after ``step_s`` [s]: 1 where there are steps, less where folds fade."""
-    return 1.0 if effort.steps else math.exp(-step_s / FADE_S)
-
-
-class Pace(NamedTuple):
-    """``steps`` of the whole cloth, a ``share`` of each, with ``momentum``, and ``sweeps`` over its vertices."""
-
-    steps: int
-    sweeps: int
-    share: float
-    momentum: float
-
-
-@kernel
-def paced(steps, calm, stiff):
-    """The pace of an effort of ``steps`` in motion that is ``calm`` (``calmness``), for cloth that is ``stiff`` or not.
-
-    A step of the whole answers to where soft cloth was, and in fast motion that is out of date: steps fade out, and
-    sweeps take their place. Stiff cloth crumples without steps: half of each stays, with less momentum, and sweeps for
-    contact are added.
-    """
-    half = max(steps // 2, 1)
-    if stiff:
-        momentum = STIFF_MOMENTUM + calm * (MOMENTUM - STIFF_MOMENTUM)
-        sweeps = half if calm == 1.0 else steps + FAST_SWEEPS
-        return Pace(steps, sweeps, STIFF_SHARE + calm * (1.0 - STIFF_SHARE), momentum)
-    momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM)
-    if calm == 0.0:
-        return Pace(0 * steps, steps + FAST_SWEEPS, calm, momentum)
-    return Pace(steps, half + (FAST_SWEEPS if calm < 1.0 else 0), calm, momentum)
 
 
 class FoldGuides(NamedTuple):

@@ -50,7 +50,6 @@ from drape.live.fold_step import (
     FoldEffort,
     FoldMemory,
     FoldReport,
-    fading,
     fold,
     fold_places,
     memory_of,
@@ -58,6 +57,7 @@ from drape.live.fold_step import (
     report_of,
 )
 from drape.live.lift import lift
+from drape.live.pace import fading
 from drape.live.places import delivered, farthest_place_m, placed
 from drape.live.sheet import LANES, sheet
 from drape.live.skin_contact import ParentSamples, put_other_planes, put_own_planes, write_grip
@@ -235,7 +235,10 @@ def _fold(vertices, past, added, around, levels, effort):
     if outcome.settled:
         added = np.zeros_like(network)
     else:
-        added, share = added.copy(), math.exp(-past.step_s / KEPT_S) if effort.steps else fading(effort, past.step_s)
+        added, share = (
+            added.copy(),
+            math.exp(-past.step_s / KEPT_S) if effort.steps else fading(effort.steps, past.step_s),
+        )
     apart_m = outcome.untangle if sweeps and effort.cloth_contact else 0.0
     schedule = FineSchedule(kind(share), kind(apart_m), kind(effort.clearance_m), sweeps)
     held = CoarseHold(planes, off, folded.touched)

@@ -11,7 +11,7 @@ from drape.exact.surroundings import Surroundings, surroundings
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point
 from drape.kernels.problem import Problem, problem
-from drape.live import fold_step
+from drape.live import pace as pacing
 from drape.live.clock import FIRST_STEP_S, step_between
 from drape.live.fold_constants import WornCloth
 from drape.live.fold_step import FoldEffort, FoldMemory, Frame
@@ -36,7 +36,7 @@ def fold(
     past = memory or FoldMemory(frame.time_s, network, still, still, nowhere, still, 0)
     step_s = step_between(past.time_s, frame.time_s) if memory else FIRST_STEP_S
     frames = surface_frames(network, dressed.cloth)
-    share = fold_step.fading(effort, step_s)
+    share = pacing.fading(effort.steps, step_s)
     off = _to_world(frames, share * past.residual)
     off = mended(off, dressed.cloth.faces, forgotten(past.network, network, dressed.cloth))
     off = evened(off, past.network, network, dressed.cloth.faces)
@@ -44,12 +44,12 @@ def fold(
     way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
     stuck = stuck_places(past.grip, frame.skin, dressed.graph, past.touched.own)
     touched = follow(network, frame.skin, dressed.graph, past.touched)
-    stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > fold_step.STIFF_N_PER_M
+    stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > pacing.STIFF_N_PER_M
     way_m = moved_m(past.network, network, np.arange(len(network)))
-    friction = fold_step.grip_left(way_m, step_s) * dressed.friction if memory else 0.0
-    pace = fold_step.paced(effort.steps, fold_step.calmness(way_m), stiff=stiff)
-    long = memory is None and effort.settle >= fold_step.LONG_ROUNDS
-    momentum = fold_step.SETTLING_MOMENTUM if long else pace.momentum
+    friction = pacing.grip_left(way_m, step_s) * dressed.friction if memory else 0.0
+    pace = pacing.paced(effort.steps, pacing.calmness(way_m), stiff=stiff)
+    long = memory is None and effort.settle >= pacing.LONG_ROUNDS
+    momentum = pacing.SETTLING_MOMENTUM if long else pace.momentum
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
     for number in range(0 if effort.steps == 0 else 1 if memory else effort.settle):

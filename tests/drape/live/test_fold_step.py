@@ -12,9 +12,9 @@ from drape.contact.skin import body_skin
 from drape.kernels.problem import problem
 from drape.live.clock import CUT_M, PAUSE_S, Frame
 from drape.live.fold_constants import LEASH_N_M3, LEAST, FoldConstants, fold_constants, leash_n_per_m, worn_cloth
-from drape.live.fold_step import (
+from drape.live.fold_step import FAR_M, FoldEffort, FoldMemory, FoldReport, fold
+from drape.live.pace import (
     FADE_S,
-    FAR_M,
     FAST_M,
     FAST_SWEEPS,
     LONG_ROUNDS,
@@ -24,11 +24,7 @@ from drape.live.fold_step import (
     SLOW_M,
     STIFF_MOMENTUM,
     STIFF_SHARE,
-    FoldEffort,
-    FoldMemory,
-    FoldReport,
     calmness,
-    fold,
     grip_left,
     paced,
 )

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.assets import load_body
 from drape.cloth.fabric_table import fabric
 from drape.live.clock import PAUSE_S, Frame
-from drape.live.fold_step import FADE_S, FAR_M, FoldEffort
+from drape.live.fold_step import FAR_M, FoldEffort
+from drape.live.pace import FADE_S
 from drape.live.two_level import LiftMemory, TwoLevel, TwoLevelMemory, fold_two_level, one_level
 from tests.drape.live.tank_setup import strain
 from tests.fixtures.garments import shipped

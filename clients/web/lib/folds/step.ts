@@ -140,7 +140,7 @@ function advance(atS: f64, steps: i32, settle: i32, within: bool, clearance: f32
   const stepS = settled ? FIRST_STEP_S : max<f64>(atS - timeS, SHORTEST_STEP_S);
   const rounds = settled ? settle : 1, wayM = movedM();
   const calm = min<f64>(max<f64>((FAST_M - wayM) / (FAST_M - SLOW_M), 0), 1);
-  // The pace: paced() of fold_step.py.
+  // The pace: paced() of pace.py.
   const half = max<i32>(steps / 2, 1);
   let wholes = steps, sweeps = half + (calm < 1 ? FAST_SWEEPS : 0), share = calm;
   let momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM);
