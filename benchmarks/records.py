@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import partial
 
-from benchmarks.recovery.published import MEASURES as RECOVERED
-from benchmarks.recovery.published import TABLE_2, ahead
 from benchmarks.tables import Columns, Record, Row, cells, heads, markdown_table, provenance, rows_table
 
 # --- quality: older records lack detail, and those of the cloth of before fabrics lack fabrics -----------------------
@@ -255,29 +253,11 @@ def serving_table(record: Record) -> str:
 
 
 # --- recovery --------------------------------------------------------------------------------------------------------
-MORE = {
-    "mean_mm": ("mean distance [mm]", ".1f"), "truth_chamfer_cm2": ("true pattern in our simulator [cm²]", ".3f"),
-    "graded_turning_deg": ("graded: turning", ".1f"), "graded_area_err": ("graded: areas", ".3f"),
-    "minutes": ("minutes", ".1f"),
-}  # fmt: skip
 ROUNDS = {
     "nodes": ("nodes", "d"), "mean_mm": ("control points: mean [mm]", ".2f"), "max_mm": ("largest [mm]", ".2f"),
     "area_err": ("areas [%]", ".2f"), "surface_mm": ("surfaces apart [mm]", ".2f"), "steps": ("steps", "d"),
     "drapes": ("drapes", "d"), "minutes": ("minutes", ".2f"), "processor_minutes": ("of the processor", ".2f"),
 }  # fmt: skip
-
-
-def targets_table(record: Record) -> str:
-    """Every recovery, "ours / theirs", in bold where it is at or ahead of the paper."""
-    lines = []
-    for row in record["rows"]:
-        pairs = []
-        for name, form in RECOVERED.items():
-            theirs, ours = getattr(TABLE_2[row["garment"]], name), format(row[name], form)
-            pairs.append(f"{f'**{ours}**' if row[name] <= theirs else ours} / {theirs:g}")
-        lines.append([f"{row['garment']}, {row['seed']}", *pairs, f"{ahead(row)} of 4", *cells(row, MORE)])
-    titles = ["target, base", "Chamfer [cm²]", "normals", "turning [deg]", "areas", "ahead in", *heads(MORE)]
-    return markdown_table(titles, lines, record)
 
 
 CUTS = {
@@ -349,7 +329,6 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("client_folds", "docs/guide/web.md", "client_folds", partial(alike, CLIENT_FOLDS)),
     ("static_page", "docs/guide/web.md", "static_page", partial(alike, STATIC_PAGE)),
     ("churn", SPEED_PAGE, "churn", partial(alike, CHURN)),
-    ("recovery_targets", FIT_PAGE, "recovery_targets", targets_table),
     ("recovery_rounds", FIT_PAGE, "recovery_rounds", rounds_table),
     ("exact", "docs/guide/options.md", "exact", partial(alike, EXACT)),
     ("recovery_cuts", RUN_PAGE, "recovery_cuts", partial(alike, CUTS)),
