@@ -267,6 +267,9 @@ CUTS = {
     "sewn_mm": ("sewn, from the target [mm]", ".1f"), "minutes": ("minutes", ".1f"),
     "processor_min": ("of the processor [min]", ".1f"),
 }  # fmt: skip
+SCANS = {key: column for key, column in CUTS.items() if key != "panels"} | {
+    "longest_silence_s": ("longest silence [s]", ".1f"), "refused": ("refused", "s"),
+}  # fmt: skip
 
 
 def rounds_table(record: Record) -> str:
@@ -332,4 +335,5 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("recovery_rounds", FIT_PAGE, "recovery_rounds", rounds_table),
     ("exact", "docs/guide/options.md", "exact", partial(alike, EXACT)),
     ("recovery_cuts", RUN_PAGE, "recovery_cuts", partial(alike, CUTS)),
+    ("recovery_scans", RUN_PAGE, "recovery_scans", partial(alike, SCANS)),
 )

@@ -154,7 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command and returns its exit code: 2 with a sentence if input is refused, 3 if cloth is not at rest."""
     given = parse(arguments)
     try:
-        outcome = run_job(job_of(given), progress=True)
+        outcome = run_job(job_of(given), progress=progress.to_stderr)
     except ScanFault as fault:
         if fault.mesh is not None:
             from recovery.run.pictures import fault_picture

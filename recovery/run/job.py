@@ -225,12 +225,12 @@ def _placed_fault(fault: ScanFault, job: Job) -> ScanFault:
     )
 
 
-def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
+def run_job(job: Job, *, progress: Say = lambda line: None, say: Say = print) -> Outcome:
     """Does ``job``; writes pattern and garment as soon as they are found. Raises ``InputError`` for what it refuses.
 
-    With ``progress`` it tells on standard error how far it is, every few seconds.
+    ``progress`` gets a line on how far it is every few seconds, ``say`` what was found.
     """
-    with watch.watched(write=watch.to_stderr if progress else lambda line: None, limit_s=60.0 * job.minutes) as clock:
+    with watch.watched(write=progress, limit_s=60.0 * job.minutes) as clock:
         try:
             return _run(job, clock, say)
         except InputError as error:
