@@ -34,6 +34,7 @@ from recovery.pattern.bases import BASES, tshirt
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.pieces import make_sheet
+from recovery.pattern.style import Style, finished, lined
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.run import __main__ as command
 from recovery.run import report_text
@@ -42,8 +43,8 @@ from recovery.run.drafted import own_settings
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
 from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
-from recovery.run.report_pieces import scaled_drawing
-from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
+from recovery.run.report_pieces import add_pieces, scaled_drawing
+from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, summary, verdicts
 from recovery.run.retarget import retargeted
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements, tube
@@ -210,6 +211,13 @@ def test_the_report_says_what_was_found(run):
         assert words in page
     for words in ("Seams in pairs", "mirror of sleeve_left_front", "hem, turned up", "Checked by", "seams have ease"):
         assert words in page
+    style = Style({"cuffs": 0.05, "collar": 0.06})
+    with_lines = replace(outcome, style=style, made=finished(lined(outcome.pattern, style), style))
+    assert cut_of(with_lines) == f"{record['cut']}; with cuffs 5 cm, collar 6 cm 11 pieces, 28 seams"
+    assert "With cuffs 5 cm, collar 6 cm it has 11 pieces and 28 seams" in summary(with_lines)[0]
+    lines = Page("lines")
+    add_pieces(lines, with_lines.made)
+    assert "cut twice: sewn to its facing" in lines.text() and "sleeve_left_front_cuff" in lines.text()
     anew = outcome.anew
     for share, said in ((0.0, False), (19.0, True)):
         draped = anew.draped
@@ -275,7 +283,7 @@ def test_a_pattern_whose_sleeve_misses_its_arm_is_sewn_on_another_mesh(lost_on, 
     trunk, faces = round_tube((0.25, 0.25), (0.1, 0.3))
     lengths: list[float] = []
 
-    def sewn(found, body, options, pose):
+    def sewn(found, body, options, pose, pattern):
         lengths.append(options.edge_length_m)
         if len(lengths) == 2:
             raise InputError("stitch", expected="edges that meet", got="none", cure="Check it.")
@@ -285,7 +293,8 @@ def test_a_pattern_whose_sleeve_misses_its_arm_is_sewn_on_another_mesh(lost_on, 
 
     apart = surface_distance((SQUARE, HALVES), (SQUARE, HALVES), count=10)
     monkeypatch.setattr("recovery.run.anew._sewn", sewn)
-    found = cast(Recovered, SimpleNamespace(sewn=None))
+    nothing = SimpleNamespace(pattern=None, forward=None)
+    found = cast(Recovered, SimpleNamespace(sewn=None, fitted=nothing, search=nothing))
     assert sewn_anew(found, body, COARSE, None, ["trunk"]).belt_moved_m == taken
     assert len(lengths) == tries and len(set(lengths)) == tries
 
