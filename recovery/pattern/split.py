@@ -339,19 +339,7 @@ def joined(pattern: Pattern, number: int, called: str) -> Pattern:
     stitch = pattern.stitches[number]
     first, second = (pattern.panel(ref.panel) for ref in (stitch.first, stitch.second))
     outline, other = curves(first), curves(second)
-    edge, theirs = outline[stitch.first.edge], other[stitch.second.edge].reversed()
-    # A rigid motion as a complex number: both edges from the same end, first chord onto first chord.
-    chords = [complex(*(curve.points[-1] - curve.points[0])) for curve in (edge, theirs)]
-    turn = chords[0] / chords[1] / abs(chords[0] / chords[1])
-    rotation = np.array([[turn.real, turn.imag], [-turn.imag, turn.real]])
-    middle = [0.5 * (curve.points[0] + curve.points[-1]) for curve in (edge, theirs)]
-
-    def moved(points: np.ndarray) -> np.ndarray:
-        return (points - middle[1]) @ rotation + middle[0]
-
-    shares = np.linspace(0.0, 1.0, SAMPLES)
-    lines = [curve.at(geometry.parameters_at(curve.edge(0, 1), shares)) for curve in (edge, theirs)]
-    apart = float(np.linalg.norm(lines[0] - moved(lines[1]), axis=1).max())
+    moved, apart = laid_on(outline[stitch.first.edge], other[stitch.second.edge].reversed())
     if stitch.right_to_wrong or first is second or apart > JOIN_M:
         raise InputError(
             called,
@@ -373,3 +361,18 @@ def joined(pattern: Pattern, number: int, called: str) -> Pattern:
     ]
     panels = [panel if one is first else one for one in pattern.panels if one is not second]
     return replace(pattern, panels=tuple(panels), stitches=tuple(sewn), panel_order=None, template={})
+
+
+def laid_on(edge: Curve, other: Curve) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
+    """The rigid motion of points [m] (N, 2) that lays ``other`` on ``edge``, chord on chord, and their distance [m]."""
+    chords = [complex(*(curve.points[-1] - curve.points[0])) for curve in (edge, other)]
+    turn = chords[0] / chords[1] / abs(chords[0] / chords[1])
+    rotation = np.array([[turn.real, turn.imag], [-turn.imag, turn.real]])
+    middle = [0.5 * (curve.points[0] + curve.points[-1]) for curve in (edge, other)]
+
+    def moved(points: np.ndarray) -> np.ndarray:
+        return (points - middle[1]) @ rotation + middle[0]
+
+    shares = np.linspace(0.0, 1.0, SAMPLES)
+    lines = [curve.at(geometry.parameters_at(curve.edge(0, 1), shares)) for curve in (edge, other)]
+    return moved, float(np.linalg.norm(lines[0] - moved(lines[1]), axis=1).max())

@@ -15,7 +15,7 @@ import numpy as np
 from drape.errors import InputError, NotFound
 from recovery.pattern import geometry
 from recovery.pattern.drafting import Side, draft
-from recovery.pattern.model import EdgeRef, Pattern, Stitch
+from recovery.pattern.model import EdgeKind, EdgeRef, Pattern, Stitch
 from recovery.pattern.pieces import FACED, side_of
 from recovery.pattern.split import Chain, beside, cut_level, joined, partners, strips
 
@@ -202,11 +202,27 @@ def _follows(pattern: Pattern, one: EdgeRef, other: EdgeRef) -> bool:
 
 
 def _band(pattern: Pattern, name: str, opening: str, width_m: float) -> Pattern:
+    """``pattern`` with bands at the openings called ``opening``; through darts they are one piece, the darts closed."""
     for one in _opening(pattern, opening, name):
-        pattern = strips(
-            _labelled(pattern, one.refs, f"{opening} {FACED}"), _chains(pattern, one, name.removesuffix("s")), width_m
-        )
+        chains = _chains(pattern, one, name.removesuffix("s"))
+        pattern = strips(_labelled(pattern, one.refs, f"{opening} {FACED}"), chains, width_m)
+        for panel in dict.fromkeys(chain.refs[0].panel for chain in chains):
+            parts = [chain.called for chain in chains if chain.refs[0].panel == panel]
+            while (number := _between(pattern, parts)) is not None:
+                ends = pattern.stitches[number].first.panel, pattern.stitches[number].second.panel
+                pattern = joined(pattern, number, min(ends))
+                parts.remove(max(ends))
     return pattern
+
+
+def _between(pattern: Pattern, parts: Sequence[str]) -> int | None:
+    """The number of a straight seam of two of the panels ``parts``."""
+    for number, stitch in enumerate(pattern.stitches):
+        refs = (stitch.first, stitch.second)
+        straight = all(pattern.panel(ref.panel).edges[ref.edge].kind is EdgeKind.LINE for ref in refs)
+        if straight and len({ref.panel for ref in refs} & set(parts)) == 2:
+            return number
+    return None
 
 
 def _labelled(pattern: Pattern, refs: Sequence[EdgeRef], label: str) -> Pattern:

@@ -7,6 +7,7 @@ A surface alone does not show its seams; a texture laid out as it was cut does.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -44,6 +45,11 @@ class Cut:
     settings: dict[str, float]
     differs: tuple[str, ...]
     collar_m: float = 0.0
+
+    @property
+    def called(self) -> str:
+        """The name of the base, or of its file."""
+        return Path(self.base).name
 
 
 def kind_of(mesh: GarmentMesh) -> str:

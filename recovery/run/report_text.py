@@ -79,7 +79,7 @@ def summary(outcome: Outcome) -> list[str]:
     pattern, distance, graded = outcome.pattern, outcome.distance, outcome.found.graded
     return [
         f"A pattern of {len(pattern.panels)} panels and {len(pattern.stitches)} seams was found from the base "
-        f"{outcome.cut.base}.{style_words(outcome)}",
+        f"{outcome.cut.called}.{style_words(outcome)}",
         f"Draped on the same body, the garment lies {distance.mean_mm:.1f} mm from the target on average; the base lay "
         f"{outcome.before.mean_mm:.0f} mm away.",
         f"On the way panels became {_percent(graded.widths)} in width and {_percent(graded.heights)} in height, before "
@@ -167,7 +167,7 @@ def seam_max_pct(outcome: Outcome) -> float:
 def cut_of(outcome: Outcome) -> str:
     """The cut in words: its base, its panels and seams, and what of the target's it is not."""
     pattern = outcome.pattern
-    words = f"{outcome.cut.base}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
+    words = f"{outcome.cut.called}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
     if outcome.style:
         words += f"; with {outcome.style.words()} {len(outcome.made.panels)} pieces, {len(outcome.made.stitches)} seams"
     return ". ".join((words, *outcome.cut.differs))
@@ -334,7 +334,7 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
             "vertices": len(outcome.target.vertices),
             "area_m2": float(meshes.face_areas(outcome.target.vertices, outcome.target.faces).sum()),
         },
-        "base": {"name": outcome.cut.base, "told": outcome.cut.told, "settings": outcome.cut.settings},
+        "base": {"name": outcome.cut.called, "told": outcome.cut.told, "settings": outcome.cut.settings},
         "body": {
             "source": outcome.wearer.source,
             "betas": outcome.wearer.betas.tolist(),

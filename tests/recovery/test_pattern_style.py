@@ -15,6 +15,8 @@ from recovery.pattern.__main__ import main
 from recovery.pattern.bases import BASES
 from recovery.pattern.export_dxf import write_dxf
 from recovery.pattern.garmentcode import read_pattern, write_pattern
+from recovery.pattern.legs import LegCut
+from recovery.pattern.legs import trousers as draft_trousers
 from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
 from recovery.pattern.pieces import FACED, cut_count, hems, make_sheet, mirror_words
 from recovery.pattern.split import Curve, curves, divided, parted
@@ -90,6 +92,22 @@ def test_mirrored_panels_have_mirrored_bands():
     words = mirror_words(lined(base("trousers"), Style(STYLES["trousers"])))
     assert words["front_right_waistband"] == ("mirror of", "front_left_waistband")
     assert words["back_right_hemband"] == ("mirror of", "back_left_hemband")
+
+
+def test_a_waistband_through_darts_is_one_piece_with_the_darts_closed():
+    cut = LegCut("trousers", "twill", 0.10, 0.5, band_m=0.0)
+    whole = draft_trousers(default_measurements(), cut).pattern
+    found = lined(whole, Style({"waistband": 0.03}))
+    geometry.check_pattern(found)
+    assert len(found.panels) == 8 and "front_left_waistband" in {panel.name for panel in found.panels}
+    assert_allclose(area(found), area(whole), rtol=1e-9)
+    for panel in found.panels:
+        if panel.name.endswith("waistband"):
+            waist = [edge for edge in panel.edges if edge.label == f"waist {FACED}"]
+            assert len(waist) == 2 and len(panel.edges) == 6
+    # Below the band the darts are as wide as they were there, and closed as before.
+    darts = [one for one in found.stitches if one.first.panel == one.second.panel]
+    assert len(darts) == 4 and not any("band" in one.first.panel for one in darts)
 
 
 def test_a_waistband_is_as_wide_as_it_was_asked_for_at_every_seam():

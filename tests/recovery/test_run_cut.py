@@ -252,6 +252,7 @@ def test_a_target_with_a_collar_gets_one_and_what_has_no_room_is_left_out():
     cut = Cut("tshirt", told=True, settings={}, differs=(), collar_m=0.08)
     warnings: list[str] = []
     style, with_lines, made = styled(NO_STYLE, cut, pattern, warnings)
+    assert cut.called == "tshirt" and replace(cut, base="patterns/own.json").called == "own.json"
     assert style.words() == "collar 8 cm" and with_lines is pattern and made.panels[-1].name == "collar"
     assert "neither draped nor fitted" in warnings[0] and "8.0 cm wide" in warnings[0]
     assert styled(Style({"collar": 0.05}), cut, pattern, [])[0].words() == "collar 5 cm"
