@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from recovery.drape.pipeline import SIREN_FOLDER, DistanceKind
+from recovery.pattern.bases import read_values
+from recovery.pattern.style import PARTS, Style
 from recovery.sim.siren import DEFAULT_SIREN
 
 NOT_AT_REST_EXIT_CODE = 3
@@ -38,6 +40,23 @@ def distance_options(given: argparse.Namespace) -> dict[str, Any]:
     """The arguments of ``DrapeOptions`` that ``add_distance_options`` asked for."""
     siren = replace(DEFAULT_SIREN, steps=given.siren_steps)
     return {"distance": given.distance, "siren": siren, "siren_folder": given.siren_folder}
+
+
+def add_style_options(parser: argparse.ArgumentParser) -> None:
+    """Adds ``--style`` and ``--whole-sleeves`` to a command that writes a pattern."""
+    parser.add_argument(
+        "--style",
+        nargs="+",
+        default=[],
+        metavar="NAME=WIDTH",
+        help=f"lines of the finished pattern, widths in metres: {', '.join(PARTS)}",
+    )
+    parser.add_argument("--whole-sleeves", action="store_true", help="join halves of sleeves along the top of the arm")
+
+
+def style_of(given: argparse.Namespace) -> Style:
+    """The style that ``add_style_options`` asked for. Raises ``InputError`` for what is no width."""
+    return Style(read_values(given.style, "--style"), given.whole_sleeves)
 
 
 def ended(files: Iterable[Path], not_at_rest: str) -> int:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import refusing
-from recovery.commands import ended, parser_of
+from recovery.commands import add_style_options, ended, parser_of, style_of
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES, base_pattern
 from recovery.pattern.export import FORMATS, export_pattern
@@ -23,6 +23,7 @@ from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure
 from recovery.pattern.mesh import mesh_pattern
 from recovery.pattern.model import Pattern
+from recovery.pattern.style import finished, lined
 
 SEAM_LIMIT = 0.02
 
@@ -45,6 +46,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     for command in (convert, draft):
         command.add_argument("--out", type=Path, required=True, help="folder of the files")
         command.add_argument("--format", nargs="+", default=list(FORMATS), choices=FORMATS)
+        add_style_options(command)
         command.add_argument("--name", help="of the files; the pattern's own otherwise")
         command.add_argument("--allowance", type=float, default=0.01, help="seam allowance [m]")
         command.add_argument("--page", choices=("A4", "single"), default="A4", help="of the PDF")
@@ -102,6 +104,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         pattern = base_pattern(options.base, measure(load_body(options.body)), options.set)
     else:
         pattern = read_pattern(options.pattern, units_in_meter=options.units_in_meter)
+    if style := style_of(options):
+        pattern = finished(lined(pattern, style), style)
     pattern = replace(pattern, name=options.name or pattern.name)
     paths = export_pattern(
         pattern,

@@ -124,15 +124,15 @@ def whole(value: float) -> int:
     return int(value)
 
 
-def read_values(settings: Sequence[str]) -> dict[str, float]:
-    """Settings as a command line gives them, each NAME=NUMBER, as numbers by name."""
+def read_values(settings: Sequence[str], option: str = "--set") -> dict[str, float]:
+    """Settings as ``option`` of a command line gives them, each NAME=NUMBER, as numbers by name."""
     values = {}
     for setting in settings:
         key, _, text = setting.partition("=")
         try:
             values[key] = float(text)
         except ValueError as error:
-            raise InputError("--set", expected="NAME=NUMBER", got=setting, cure="Write lengths in metres.") from error
+            raise InputError(option, expected="NAME=NUMBER", got=setting, cure="Write lengths in metres.") from error
     return values
 
 

@@ -17,7 +17,7 @@ from ezdxf.document import Drawing
 from ezdxf.layouts import BlockLayout, Modelspace
 
 from drape.errors import InputError
-from recovery.pattern.pieces import NOTCH_DEPTH_M, Piece, Sheet
+from recovery.pattern.pieces import NOTCH_DEPTH_M, Piece, Sheet, cut_count
 
 CUT, TURN_POINT, CURVE_POINT, NOTCH, GRAIN, INTERNAL, SEW, ANNOTATION = "1", "2", "3", "4", "7", "8", "14", "15"
 LAYERS = (CUT, TURN_POINT, CURVE_POINT, NOTCH, GRAIN, INTERNAL, SEW, ANNOTATION)
@@ -92,7 +92,8 @@ def _add_piece(block: BlockLayout, piece: Piece, scale: float, per_mm: float) ->
         _texts(block, [f"seam {text}"], scale * point, per_mm, ANNOTATION)
     texts = [_ascii(line) for line in piece.label.lines]
     # The standard's words for the same lines are longer: they are written as much smaller, and stay inside.
-    system = [f"Piece Name: {texts[1]}", "Size: ONE", "Quantity: 1", *(f"Annotation: {line}" for line in texts[3:])]
+    sizes = ["Size: ONE", f"Quantity: {cut_count(piece.panel)}"]
+    system = [f"Piece Name: {texts[1]}", *sizes, *(f"Annotation: {line}" for line in texts[3:])]
     shorter = max(map(len, piece.label.lines)) / max(map(len, system))
     label = piece.label._replace(lines=tuple(system), height_m=piece.label.height_m * min(1.0, shorter))
     for point, line in label.baselines():

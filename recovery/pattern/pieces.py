@@ -33,6 +33,7 @@ FOOTER_M = 0.07  # below the pieces: title and the square that shows the scale
 SCALE_SQUARE_M = 0.05
 CLOTH_WIDTH_M = 1.5
 SEAM_MARK_M = 0.012  # inside the sewing line
+FACED = "facing"  # ends the label of an edge at which a piece is sewn to its own copy
 
 CLIPPER: Any = pyclipper  # compiled: a type checker does not see its names
 
@@ -121,7 +122,7 @@ def hems(pattern: Pattern) -> set[EdgeRef]:
         panel = pattern.panel(ref.panel)
         edge = panel.edges[ref.edge]
         label = (edge.label or "").lower()
-        if any(word in label for word in ("neck", "waist", "collar", "facing")):
+        if any(word in label for word in ("neck", "waist", "collar", FACED)):
             continue
         if not any(word in label for word in ("hem", "cuff")):
             world = panel.placement.apply(panel.vertices)
@@ -139,6 +140,11 @@ def side_of(panel: Panel) -> str:
     """``front``, ``back`` or ``side``: where the placed panel faces."""
     facing = float(panel.placement.matrix()[2, 2])
     return "front" if facing > FACING else "back" if facing < -FACING else "side"
+
+
+def cut_count(panel: Panel) -> int:
+    """How many times a piece is cut: a band twice, outside and facing."""
+    return 2 if any(FACED in (edge.label or "") for edge in panel.edges) else 1
 
 
 def is_of_back(pattern: Pattern, ref: EdgeRef, other: EdgeRef) -> bool:
@@ -184,7 +190,7 @@ def _piece(pattern: Pattern, panel: Panel, allowance_m: float, hem_m: float, twi
         on_line = boundary_distance(notch.point[None], cutting)[0] < 2e-4
         if on_line and all(np.linalg.norm(notch.point - other.point) > NOTCH_GAP_M for other in kept):
             kept.append(notch)
-    lines = [pattern.name, panel.name, "cut 1", *twin]
+    lines = [pattern.name, panel.name, f"cut {cut_count(panel)}", *twin]
     lines += [pattern.material] if pattern.material else []
     lines.append(f"seam allowance {1000.0 * allowance_m:g} mm")
     if hem_m > allowance_m and hem_m in allowances:

@@ -23,7 +23,7 @@ from drape.errors import InputError, refusing
 from drape.files.atomic import write_whole
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery import progress
-from recovery.commands import add_distance_options, distance_options, ended, parser_of
+from recovery.commands import add_distance_options, add_style_options, distance_options, ended, parser_of, style_of
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.objective import DEFAULT_WEIGHTS
@@ -107,6 +107,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--sizes", nargs="+", default=[], choices=PATTERN_STEPS, help="write the pattern, which is M, in these as well"
     )
+    add_style_options(parser)
     parser.add_argument("--no-retarget", dest="retarget", action="store_false", help="leave out other bodies and poses")
     parser.add_argument("--no-garment", dest="garment", action="store_false", help="write no garment cache")
     return parser.parse_args(arguments)
@@ -118,6 +119,7 @@ def job_of(given: argparse.Namespace) -> Job:
         **{name: getattr(given, name) for name in OF_JOB},
         betas=None if given.betas is None else read_betas(given.betas),
         pose=None if given.pose is None else read_pose(given.pose),
+        style=style_of(given),
         drape=DrapeOptions(
             edge_length_m=given.edge_length,
             fabric=DEFAULT_MATERIAL if given.fabric == CHOOSE_FABRIC else given.fabric,

@@ -19,6 +19,7 @@ from recovery.fit.contours import lost_parts, match_contours, open_contours
 from recovery.fit.laying import LaidDrape, hung_as, laying_options
 from recovery.fit.recovered import Recovered
 from recovery.fit.starts import LENGTHS_TRIED
+from recovery.pattern.model import Pattern
 
 ANEW_MM = 3.0  # more between the report's drape and the pattern sewn anew is worth another try, and a warning
 BELT_M = 0.005
@@ -38,9 +39,16 @@ class SewnAnew(NamedTuple):
 
 
 def sewn_anew(
-    found: Recovered, body: BodyModel, options: DrapeOptions, pose: np.ndarray | None, parts: Sequence[str] = ()
+    found: Recovered,
+    body: BodyModel,
+    options: DrapeOptions,
+    pose: np.ndarray | None,
+    parts: Sequence[str] = (),
+    pattern: Pattern | None = None,
 ) -> SewnAnew:
     """The pattern of ``found`` meshed, placed and sewn from nothing round ``body``, its belt at the report's waist.
+
+    ``pattern`` is the same with style lines, if it has any; what is laid in folds is sewn without them.
 
     Without friction a belt closes where the body happens to be as wide as the waist, centimetres from where the wearer
     had it, and the whole garment hangs as much higher or lower. Closing threads can pull a sleeve past its arm, and a
@@ -49,15 +57,17 @@ def sewn_anew(
     or coarser mesh is tried, and the nearest of those that are worn is taken. Raises ``InputError`` where the panels
     cannot be sewn.
     """
+    own = found.fitted.pattern
+    pattern = own if pattern is None or isinstance(found.search.forward, LaidDrape) else pattern
     tried: list[tuple[tuple[bool, float], SewnAnew]] = []
     refused: list[InputError] = []
     for number, share in enumerate(LENGTHS_TRIED):
         length = share * options.edge_length_m
         try:
-            if number == 0 and found.sewn is not None:
+            if number == 0 and found.sewn is not None and pattern is own:
                 one = _beside(found, *found.sewn)
             else:
-                one = _sewn(found, body, replace(options, edge_length_m=length), pose)
+                one = _sewn(found, body, replace(options, edge_length_m=length), pose, pattern)
         except InputError as error:
             refused.append(error)
             continue
@@ -72,12 +82,14 @@ def sewn_anew(
     return min(tried, key=lambda pair: pair[0])[1]
 
 
-def _sewn(found: Recovered, body: BodyModel, options: DrapeOptions, pose: np.ndarray | None) -> SewnAnew:
+def _sewn(
+    found: Recovered, body: BodyModel, options: DrapeOptions, pose: np.ndarray | None, pattern: Pattern
+) -> SewnAnew:
     cloth = found.fitted.cloth
     surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
     laid = isinstance(found.search.forward, LaidDrape)
     options = laying_options(options) if laid else options
-    loose = drape_pattern(found.fitted.pattern, body, options, pose=pose, cloth=cloth)
+    loose = drape_pattern(pattern, body, options, pose=pose, cloth=cloth)
     if laid:
         mesh, skin = found.search.mesh_of(found.fitted), options.skin(surface, body.faces)
         return _beside(found, loose, hung_as(loose, mesh, found.fitted.nodes, skin, cloth))

@@ -7,12 +7,14 @@ A surface alone does not show its seams; a texture laid out as it was cut does.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from drape.body.model import BodyModel
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
+from drape.geometry import meshes
 from recovery.fit.contours import TRUNK
 from recovery.pattern.bases import COUNT, MOST_PANELS
 from recovery.pattern.measurements import BodyMeasurements, measure
@@ -26,6 +28,7 @@ SLEEVE_M = 0.06  # from the shoulder's joint to a cuff; an armhole lies within 3
 DRESS_M = 0.12  # below the crotch: no shirt's hem
 COLLAR_M = 0.02  # that cloth stands above the edge of a neckline that is folded over
 STANDS_M = 0.04  # above the neck's joint: no neckline lies there
+COLLARS_M = (0.02, 0.12)  # widths that are drafted: what is narrower or wider is not a collar alone
 KINDS = {2: "skirt", 3: "trousers", 4: "tshirt"}  # by the number of openings, where nothing more is known
 
 
@@ -33,13 +36,20 @@ KINDS = {2: "skirt", 3: "trousers", 4: "tshirt"}  # by the number of openings, w
 class Cut:
     """The base taken, whether it was ``told`` by the target, the settings it was drafted with, and ``differs``.
 
-    These are sentences on what of the target's cut the base does not have.
+    These are sentences on what of the target's cut the base does not have. The target's collar is ``collar_m`` wide
+    [m], 0 for none.
     """
 
     base: str
     told: bool
     settings: dict[str, float]
     differs: tuple[str, ...]
+    collar_m: float = 0.0
+
+    @property
+    def called(self) -> str:
+        """The name of the base, or of its file."""
+        return Path(self.base).name
 
 
 def kind_of(mesh: GarmentMesh) -> str:
@@ -92,22 +102,28 @@ def has_collar(mesh: GarmentMesh, seen: Seen, body: BodyMeasurements) -> bool:
 
 def collarless(
     mesh: GarmentMesh, wearer: BodyModel, joints: np.ndarray, there: dict[str, int]
-) -> tuple[GarmentMesh, tuple[str, ...]]:
-    """``mesh``, whose openings are ``there``, without its collar, and a sentence on it; both as they are for none.
+) -> tuple[GarmentMesh, tuple[str, ...], float]:
+    """``mesh``, whose openings are ``there``, without its collar, a sentence on it, and its width [m]; 0 for none.
 
-    ``joints`` [m] (24, 3) are those of ``wearer`` in the target's pose. A collar stays where openings would change.
+    ``joints`` [m] (24, 3) are those of ``wearer`` in the target's pose. A collar stays where openings would change. Its
+    width, stand and fall together, is its area over the length of the neckline that is left.
     """
     if there != OF_TOPS:
-        return mesh, ()
+        return mesh, (), 0.0
     seen = Seen(mesh.vertices, mesh.faces, joints, wearer.joints_template)
     if not has_collar(mesh, seen, measure(wearer)):
-        return mesh, ()
+        return mesh, (), 0.0
     found, gone = without_collar(mesh, joints)
     found, after = opened(found, joints, there)
     if after != there:
-        return mesh, ("The target has a collar, which no base has: the neckline is drawn to its edge",)
+        return mesh, ("The target has a collar, which no base has: the neckline is drawn to its edge",), 0.0
     words = f"The target has a collar, which no base has: it was cut off at the neck, {gone:.0%} of the cloth"
-    return found, (f"{words}; the pattern ends at the neckline",)
+    line = Seen(found.vertices, found.faces, joints, wearer.joints_template).openings[TRUNK][0].contour.points
+    length = float(np.linalg.norm(np.roll(line, -1, axis=0) - line, axis=1).sum())
+    width = gone * float(meshes.face_areas(mesh.vertices, mesh.faces).sum()) / length
+    if not COLLARS_M[0] <= width <= COLLARS_M[1]:
+        return found, (f"{words}; the pattern ends at the neckline",), 0.0
+    return found, (f"{words}, about {100 * width:.0f} cm wide",), width
 
 
 def panel_count(base: str, shown: int | None) -> dict[str, float]:

@@ -30,6 +30,7 @@ from recovery.pattern.export import export_pattern
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
+from recovery.pattern.style import NO_STYLE, Style, finished, lined
 from recovery.run.anew import SewnAnew, sewn_anew
 from recovery.run.cut import Cut, collarless, differences, kind_of, panel_count, told_base
 from recovery.run.drafted import drafted
@@ -37,6 +38,7 @@ from recovery.run.identify import Identifiability, identifiability
 from recovery.run.nested import in_other_size
 from recovery.run.retarget import Worn, retargeted
 from recovery.run.seen import Seen, pieces
+from recovery.run.styled import styled
 from recovery.run.target import OPENINGS, check_base, off_skin, opened, placed_target, read_target
 from recovery.run.wearer import Wearer, inside_wearer, read_wearer
 from recovery.scan.holes import known_faces
@@ -56,7 +58,8 @@ class Job:
 
     ``settings`` of a base are texts NAME=NUMBER, lengths in metres. With ``find_fabric`` the cloth is unknown as well.
     ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``. After ``minutes``
-    the best so far is written. The pattern is written in ``sizes`` beside M, which fits the body.
+    the best so far is written. The pattern is written in ``sizes`` beside M, which fits the body, and with the lines of
+    ``style``.
     """
 
     target: Path
@@ -79,12 +82,14 @@ class Job:
     garment: bool = True
     minutes: float = MINUTES
     sizes: Sequence[str] = ()
+    style: Style = NO_STYLE
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """The result of a job. ``target`` and ``nodes`` [m] (N, 3) lie in the body's frame, without ``wearer.trans``.
 
+    ``made`` is what is written: the recovered pattern with the lines of ``style``.
     ``anew`` is the recovered pattern sewn from flat panels, ``sewn_distance`` its distance from the target; None if
     that was refused. ``warnings`` are sentences.
     """
@@ -107,6 +112,8 @@ class Outcome:
     files: list[Path]
     warnings: list[str]
     seconds: float
+    made: Pattern
+    style: Style
 
     @property
     def nodes(self) -> np.ndarray:
@@ -115,7 +122,7 @@ class Outcome:
 
     @property
     def pattern(self) -> Pattern:
-        """The recovered pattern."""
+        """The recovered pattern, panels and seams those of the base."""
         return self.found.fitted.pattern
 
 
@@ -178,9 +185,11 @@ def prepare(job: Job) -> Prepared:
         mesh, there = opened(mesh, joints, None if kind is None else OPENINGS.get(kind))
     if job.base is not None:
         check_base(job.base, there)
-    mesh, collar = collarless(mesh, wearer.shaped, joints, there)
+    mesh, collar, collar_m = collarless(mesh, wearer.shaped, joints, there)
     base, cut = _near_target(job, mesh, wearer, joints, shown)
-    cut = replace(cut, differs=(*collar, *cut.differs))
+    cut = replace(cut, differs=(*collar, *cut.differs), collar_m=collar_m)
+    if job.style:  # refused before an hour of drapes as well
+        finished(lined(base, job.style), job.style)
     for size in job.sizes:  # refused before an hour of drapes, not after it
         in_other_size(base, cut.base, measure(wearer.shaped), cut.settings, size)
     notes = [f"On reading: {note}." for note in mesh.notes]
@@ -280,10 +289,11 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
     if clock.stopped_in:
         warnings.append(stopped_words(job.minutes, clock.stopped_in))
     fitted = found.fitted
-    files = export_pattern(fitted.pattern, job.out)
+    style, with_lines, made = styled(job.style, cut, fitted.pattern, warnings)
+    files = export_pattern(made, job.out)
     for size in job.sizes:
         graded = in_other_size(fitted.pattern, cut.base, measure(wearer.shaped), cut.settings, size)
-        files += export_pattern(replace(graded, name=f"{name}_{size}"), job.out)
+        files += export_pattern(replace(finished(lined(graded, style), style), name=f"{name}_{size}"), job.out)
     cloth = found.search.mesh_of(fitted)
     files += write_shape(job.out, name, cloth, fitted.nodes + wearer.trans, panel_texture(cloth))
     there = (mesh.vertices, mesh.faces)
@@ -295,7 +305,7 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
     )
     with watch.stage("what the target tells"):
         told = identifiability(found, max(LEAST_TOLERANCE_M, 1e-3 * distance.rms_mm))
-    anew, worn = _sewn_anew(job, wearer, found, warnings, say)
+    anew, worn = _sewn_anew(job, wearer, found, with_lines, warnings, say)
     sewn_distance = None
     if anew is not None:
         sewn_distance = surface_distance((anew.draped.nodes, anew.draped.mesh.faces), there, known=known)
@@ -322,19 +332,22 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
         files=files,
         warnings=warnings,
         seconds=time.perf_counter() - started,
+        made=made,
+        style=style,
     )
 
 
 def _sewn_anew(
-    job: Job, wearer: Wearer, found: Recovered, warnings: list[str], say: Say
+    job: Job, wearer: Wearer, found: Recovered, pattern: Pattern, warnings: list[str], say: Say
 ) -> tuple[SewnAnew | None, list[Worn]]:
-    """The pattern sewn from flat panels, and the garment elsewhere."""
-    pattern, cloth = found.fitted.pattern, found.fitted.cloth
+    """The ``pattern``, with its style lines, sewn from flat panels, and the garment elsewhere."""
+    cloth = found.fitted.cloth
+    lines = None if pattern is found.fitted.pattern else pattern
     parts = [match.place.part for match in found.matches if match.place.part is not None]
     options = replace(job.drape, edge_length_m=found.edge_length_m)
     try:
         with watch.stage("sewn anew"):
-            anew = sewn_anew(found, wearer.shaped, options, wearer.pose, parts)
+            anew = sewn_anew(found, wearer.shaped, options, wearer.pose, parts, lines)
     except InputError as error:
         warnings.append(f"The recovered pattern cannot be sewn from flat panels, so there is no garment cache: {error}")
         return None, []

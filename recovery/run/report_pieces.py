@@ -11,7 +11,18 @@ from recovery.pattern import geometry
 from recovery.pattern.export_svg import drawing
 from recovery.pattern.labels import place_label
 from recovery.pattern.model import EdgeRef, Panel, Pattern
-from recovery.pattern.pieces import BACK_GAP_M, Piece, Sheet, hems, is_of_back, make_sheet, mirror_words, side_of
+from recovery.pattern.pieces import (
+    BACK_GAP_M,
+    FACED,
+    Piece,
+    Sheet,
+    cut_count,
+    hems,
+    is_of_back,
+    make_sheet,
+    mirror_words,
+    side_of,
+)
 from recovery.run.report import Page
 
 EQUAL_MM = 0.05  # below: both edges are equally long, as far as a ruler shows
@@ -76,7 +87,7 @@ def scaled_drawing(sheet: Sheet) -> tuple[str, str]:
 def _named(piece: Piece, scale: int) -> Piece:
     """``piece`` with its panel's name for a label, as large as reads well at 1:``scale``."""
     marks = np.array([point for point, _ in piece.seam_marks]).reshape(-1, 2)
-    heights = [1e-3 * scale * mm for mm in (2.4, 2.0, 1.7, 1.4)]
+    heights = [1e-3 * scale * mm for mm in (2.4, 2.0, 1.7, 1.4, 1.1, 0.9)]
     outline = geometry.outline(piece.panel, 1e-3)
     return replace(piece, label=place_label(piece.panel.name.split("_"), outline, piece.grain, marks, heights))
 
@@ -91,7 +102,7 @@ def _piece_rows(pattern: Pattern) -> list[tuple[str, ...]]:
             (
                 panel.name,
                 side_of(panel),
-                "1" + (f", {told}" if told else ""),
+                f"{cut_count(panel)}" + (f", {told}" if told else ""),
                 f"{100 * width:.1f}",
                 f"{100 * height:.1f}",
                 f"{1e4 * geometry.area(panel):.0f}",
@@ -141,5 +152,7 @@ def _open_rows(pattern: Pattern, sheet: Sheet) -> list[tuple[str, ...]]:
                 continue
             length = geometry.edge_length(piece.panel, number)
             finish = "hem, turned up" if ref in turned_up else "neckline, armhole or waist: facing or band"
+            if FACED in (piece.panel.edges[number].label or ""):
+                finish = "cut twice: sewn to its facing"
             rows.append((_place(piece.panel, number), f"{100 * length:.2f}", f"{1e3 * allowance:g}", finish))
     return rows

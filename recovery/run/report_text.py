@@ -36,7 +36,7 @@ def page_of(outcome: Outcome) -> str:
     page.section("Before you cut")
     page.say("Look at these points first." if look else "Nothing stands out.")
     page.notes(look)
-    add_pieces(page, outcome.pattern)
+    add_pieces(page, outcome.made)
     _shape(page, outcome)
     _pattern(page, outcome)
     _told(page, outcome)
@@ -79,12 +79,23 @@ def summary(outcome: Outcome) -> list[str]:
     pattern, distance, graded = outcome.pattern, outcome.distance, outcome.found.graded
     return [
         f"A pattern of {len(pattern.panels)} panels and {len(pattern.stitches)} seams was found from the base "
-        f"{outcome.cut.base}.",
+        f"{outcome.cut.called}.{style_words(outcome)}",
         f"Draped on the same body, the garment lies {distance.mean_mm:.1f} mm from the target on average; the base lay "
         f"{outcome.before.mean_mm:.0f} mm away.",
         f"On the way panels became {_percent(graded.widths)} in width and {_percent(graded.heights)} in height, before "
         "single corners were moved.",
     ]
+
+
+def style_words(outcome: Outcome) -> str:
+    """Sentences, after a space, on the lines that were drawn into the pattern; empty for none."""
+    if not outcome.style:
+        return ""
+    made = outcome.made
+    return (
+        f" With {outcome.style.words()} it has {len(made.panels)} pieces and {len(made.stitches)} seams: lines that "
+        "are sewn again move no cloth."
+    )
 
 
 def _percent(factors: np.ndarray) -> str:
@@ -115,7 +126,7 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
         good.append(
             f"All seams can be sewn: edges have the lengths that they should have within {max(worst, 0.01):.2g} %."
         )
-    eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.pattern) if eases(seam)]
+    eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.made) if eases(seam)]
     if eased:
         look.append(
             f"{len(eased)} seams have ease as in the base, up to {max(eased):.1f} %: the table of seams says which "
@@ -156,7 +167,9 @@ def seam_max_pct(outcome: Outcome) -> float:
 def cut_of(outcome: Outcome) -> str:
     """The cut in words: its base, its panels and seams, and what of the target's it is not."""
     pattern = outcome.pattern
-    words = f"{outcome.cut.base}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
+    words = f"{outcome.cut.called}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
+    if outcome.style:
+        words += f"; with {outcome.style.words()} {len(outcome.made.panels)} pieces, {len(outcome.made.stitches)} seams"
     return ". ".join((words, *outcome.cut.differs))
 
 
@@ -321,7 +334,7 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
             "vertices": len(outcome.target.vertices),
             "area_m2": float(meshes.face_areas(outcome.target.vertices, outcome.target.faces).sum()),
         },
-        "base": {"name": outcome.cut.base, "told": outcome.cut.told, "settings": outcome.cut.settings},
+        "base": {"name": outcome.cut.called, "told": outcome.cut.told, "settings": outcome.cut.settings},
         "body": {
             "source": outcome.wearer.source,
             "betas": outcome.wearer.betas.tolist(),
@@ -360,7 +373,7 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
                 "second_m": seam.second_m,
                 "mismatch": seam.mismatch,
             }
-            for seam in geometry.seams(outcome.pattern)
+            for seam in geometry.seams(outcome.made)
         ],
         "identifiability": {
             "cloth": told.cloth.tolist(),

@@ -225,6 +225,16 @@ def test_left_and_right_are_mirror_images():
             assert gap.max() < 1e-3
 
 
+def test_a_tank_has_straps_as_narrow_as_its_shoulders_are_set(body):
+    """Shoulders fall by 0.6 beside the neck, so a strap of 3 cm across is a little longer along its seam."""
+    front = tank(body, shoulder_out_m=-0.055, neck_out_m=0.025, neck_depth_m=0.17, back_neck_depth_m=0.15).panel(
+        "front"
+    )
+    shoulders = sorted(geometry.edge_length(front, number) for number in range(len(front.edges)))[:2]
+    assert_allclose(shoulders, shoulders[0])
+    assert 0.025 < shoulders[0] < 0.04
+
+
 @pytest.mark.parametrize("name", ["tshirt", "trousers", "skirt", "tank", "dress"])
 def test_a_base_is_sewn_into_a_garment_that_clears_the_body(body, name):
     pattern = patterns()[name]

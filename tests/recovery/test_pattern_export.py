@@ -26,6 +26,7 @@ from recovery.pattern.export_svg import write_svg
 from recovery.pattern.garmentcode import read_pattern, write_pattern
 from recovery.pattern.model import EdgeKind, EdgeRef, Panel, Pattern
 from recovery.pattern.pieces import Sheet, make_sheet
+from recovery.pattern.style import Style, finished, lined
 from recovery.pattern.triangulate import boundary_distance
 from tests.recovery.pattern_setup import (
     assert_same_pattern,
@@ -292,7 +293,15 @@ def test_the_command_line_says_what_is_wrong(arguments, message, tmp_path, monke
     assert message in printed.err and printed.out == "" and list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("pattern", [every_curve(), tshirt(default_measurements())], ids=lambda pattern: pattern.name)
+STYLE = Style({"neckband": 0.025, "yoke": 0.09, "front_yoke": 0.04, "cuffs": 0.03, "collar": 0.07}, whole_sleeves=True)
+LINED = finished(lined(tshirt(default_measurements()), STYLE), STYLE)
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [every_curve(), tshirt(default_measurements()), replace(LINED, name="lined")],
+    ids=lambda pattern: pattern.name,
+)
 def test_all_formats_say_the_same_to_a_tenth_of_a_millimetre(pattern, tmp_path):
     """Every sewing and cutting line and both lengths of every seam, from JSON, SVG, DXF and PDF read back."""
     sheet = make_sheet(pattern)

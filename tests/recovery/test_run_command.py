@@ -34,6 +34,7 @@ from recovery.pattern.bases import BASES, tshirt
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.pieces import make_sheet
+from recovery.pattern.style import Style, finished, lined
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.run import __main__ as command
 from recovery.run import report_text
@@ -42,8 +43,8 @@ from recovery.run.drafted import own_settings
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
 from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
-from recovery.run.report_pieces import scaled_drawing
-from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
+from recovery.run.report_pieces import add_pieces, scaled_drawing
+from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, summary, verdicts
 from recovery.run.retarget import retargeted
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements, tube
@@ -210,6 +211,13 @@ def test_the_report_says_what_was_found(run):
         assert words in page
     for words in ("Seams in pairs", "mirror of sleeve_left_front", "hem, turned up", "Checked by", "seams have ease"):
         assert words in page
+    style = Style({"cuffs": 0.05, "collar": 0.06})
+    with_lines = replace(outcome, style=style, made=finished(lined(outcome.pattern, style), style))
+    assert cut_of(with_lines) == f"{record['cut']}; with cuffs 5 cm, collar 6 cm 11 pieces, 24 seams"
+    assert "With cuffs 5 cm, collar 6 cm it has 11 pieces and 24 seams" in summary(with_lines)[0]
+    lines = Page("lines")
+    add_pieces(lines, with_lines.made)
+    assert "cut twice: sewn to its facing" in lines.text() and "sleeve_left_front_cuff" in lines.text()
     anew = outcome.anew
     for share, said in ((0.0, False), (19.0, True)):
         draped = anew.draped
@@ -221,6 +229,16 @@ def test_the_report_says_what_was_found(run):
     far = replace(outcome, anew=anew._replace(distance=anew.distance._replace(mean_mm=7.0), belt_moved_m=-0.02))
     (words,) = [sentence for sentence in verdicts(far)[1] if sentence.startswith("Sewn anew it lies 7.0 mm")]
     assert "2.0 cm below where it would close by itself" in words and "other folds" in words
+
+
+@pytest.mark.slow
+def test_lines_that_are_sewn_again_move_no_cloth(run):
+    """The pattern with bands and a yoke, sewn from its pieces, lies where the garment of the report does."""
+    _, outcome, _ = run
+    pattern = lined(outcome.pattern, Style({"cuffs": 0.06, "hemband": 0.06, "yoke": 0.09}))
+    anew = sewn_anew(outcome.found, load_body(), COARSE, None, ["left_arm", "right_arm"], pattern)
+    assert len(anew.draped.mesh.pattern.panels) == 13
+    assert anew.draped.at_rest and anew.distance.mean_mm < 3.0
 
 
 @pytest.mark.slow
@@ -275,7 +293,7 @@ def test_a_pattern_whose_sleeve_misses_its_arm_is_sewn_on_another_mesh(lost_on, 
     trunk, faces = round_tube((0.25, 0.25), (0.1, 0.3))
     lengths: list[float] = []
 
-    def sewn(found, body, options, pose):
+    def sewn(found, body, options, pose, pattern):
         lengths.append(options.edge_length_m)
         if len(lengths) == 2:
             raise InputError("stitch", expected="edges that meet", got="none", cure="Check it.")
@@ -285,7 +303,8 @@ def test_a_pattern_whose_sleeve_misses_its_arm_is_sewn_on_another_mesh(lost_on, 
 
     apart = surface_distance((SQUARE, HALVES), (SQUARE, HALVES), count=10)
     monkeypatch.setattr("recovery.run.anew._sewn", sewn)
-    found = cast(Recovered, SimpleNamespace(sewn=None))
+    nothing = SimpleNamespace(pattern=None, forward=None)
+    found = cast(Recovered, SimpleNamespace(sewn=None, fitted=nothing, search=nothing))
     assert sewn_anew(found, body, COARSE, None, ["trunk"]).belt_moved_m == taken
     assert len(lengths) == tries and len(set(lengths)) == tries
 

@@ -20,11 +20,15 @@ from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
 from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.mesh import mesh_pattern
+from recovery.pattern.model import Pattern
+from recovery.pattern.shirts import FALL_M, STAND_M
 from recovery.pattern.sizes import in_size
-from recovery.run.cut import collarless, differences, has_collar, kind_of, panel_count, told_base
+from recovery.pattern.style import NO_STYLE, Style
+from recovery.run.cut import Cut, collarless, differences, has_collar, kind_of, panel_count, told_base
 from recovery.run.drafted import RANGES, drafted, own_settings, read_settings
 from recovery.run.nested import in_other_size
 from recovery.run.seen import Seen, girth_round, pieces
+from recovery.run.styled import styled
 from recovery.run.target import OF_TOPS
 from recovery.scan.collars import below
 from tests.drape.cloth.cloth_shapes import round_tube
@@ -103,8 +107,9 @@ def test_a_collar_is_told_from_a_neckline():
 
 def test_a_collar_is_cut_off_at_the_neck_and_said():
     body, shirt = load_body(), worn("shirt")
-    found, (words,) = collarless(shirt, body, body.joints_template, OF_TOPS)
-    assert "cut off at the neck" in words and "the pattern ends at the neckline" in words
+    found, (words,), width = collarless(shirt, body, body.joints_template, OF_TOPS)
+    assert "cut off at the neck" in words and f"about {100 * width:.0f} cm wide" in words
+    assert 0.0 < width - STAND_M - FALL_M < 0.025  # its points and its longer outer edge count as well
     cut, whole = seen(found), seen(shirt)
     assert cut.counts() == whole.counts() == OF_TOPS
     assert not has_collar(found, cut, default_measurements())
@@ -115,7 +120,7 @@ def test_a_collar_is_cut_off_at_the_neck_and_said():
     kept = found.vertices[found.faces].mean(axis=1)[:, 1] < default_measurements().underarm_y
     assert kept.sum() == low.sum()
     tshirt = worn("tshirt")
-    assert collarless(tshirt, body, body.joints_template, OF_TOPS) == (tshirt, ())
+    assert collarless(tshirt, body, body.joints_template, OF_TOPS) == (tshirt, (), 0.0)
     assert collarless(worn("skirt"), body, body.joints_template, {TRUNK: 2})[1] == ()
 
 
@@ -240,3 +245,31 @@ def test_a_recovered_pattern_grows_as_its_base_does_and_can_still_be_sewn(name):
 def test_a_pattern_of_a_file_does_not_say_how_it_grows():
     with pytest.raises(InputError, match="--sizes: expected a base that is drafted"):
         in_other_size(BASES["skirt"](default_measurements()), "mine.json", default_measurements(), {}, "L")
+
+
+def test_a_target_with_a_collar_gets_one_and_what_has_no_room_is_left_out():
+    pattern = BASES["tshirt"](default_measurements())
+    cut = Cut("tshirt", told=True, settings={}, differs=(), collar_m=0.08)
+    warnings: list[str] = []
+    style, with_lines, made = styled(NO_STYLE, cut, pattern, warnings)
+    assert cut.called == "tshirt" and replace(cut, base="patterns/own.json").called == "own.json"
+    assert style.words() == "collar 8 cm" and with_lines is pattern and made.panels[-1].name == "collar"
+    assert "neither draped nor fitted" in warnings[0] and "8.0 cm wide" in warnings[0]
+    assert styled(Style({"collar": 0.05}), cut, pattern, [])[0].words() == "collar 5 cm"
+    plain = replace(cut, collar_m=0.0)
+    assert styled(NO_STYLE, plain, pattern, warnings) == (NO_STYLE, pattern, pattern)
+    assert styled(Style({"cuffs": 0.4}), plain, pattern, warnings) == (NO_STYLE, pattern, pattern)
+    assert len(warnings) == 2 and warnings[1].startswith("The style lines (cuffs 40 cm) were left out: ")
+    joined = styled(Style({}, whole_sleeves=True), plain, bent_cap(pattern), warnings)[2]
+    assert len(joined.panels) == 4 and "that of sleeve_left by" in warnings[2] and "draw them fair" in warnings[2]
+
+
+def bent_cap(pattern: Pattern) -> Pattern:
+    """``pattern`` with the tops of both halves of the left cap moved 2 cm towards the hand."""
+    panels = []
+    for panel in pattern.panels:
+        vertices = panel.vertices.copy()
+        if panel.name.startswith("sleeve_left"):
+            vertices[0 if panel.name.endswith("front") else 1, 0] += 0.02
+        panels.append(replace(panel, vertices=vertices))
+    return replace(pattern, panels=tuple(panels))

@@ -1,0 +1,38 @@
+"""The style lines of a recovery: those that were asked for, and a collar where the target has one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from drape.errors import InputError
+from recovery.pattern.model import Pattern
+from recovery.pattern.style import COLLAR, NO_STYLE, Style, cap_corners_deg, finished, lined
+from recovery.run.cut import Cut
+
+FAIR_DEG = 5.0  # by which a cap may turn at a corner before it is worth a sentence
+
+
+def styled(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tuple[Style, Pattern, Pattern]:
+    """The style of a recovered ``pattern``, that with its lines, and that with what is joined and drafted as well.
+
+    The target's own collar is added unless another is ``asked`` for. Where the panels that were found have no room, all
+    is left out. ``warnings`` get a sentence on that, on a collar, and on caps that are not fair.
+    """
+    style = asked
+    if cut.collar_m and COLLAR not in asked.widths_m:
+        style = replace(asked, widths_m={**asked.widths_m, COLLAR: cut.collar_m})
+    try:
+        with_lines = lined(pattern, style)
+        made = finished(with_lines, style)
+    except InputError as error:
+        warnings.append(f"The style lines ({style.words()}) were left out: {error}")
+        return NO_STYLE, pattern, pattern
+    if COLLAR in style.widths_m:
+        warnings.append(
+            f"The collar is drafted: straight, as long as the neckline, {100 * style.widths_m[COLLAR]:.1f} cm wide. "
+            "It was neither draped nor fitted."
+        )
+    if turned := {name: turn for name, turn in cap_corners_deg(made).items() if turn > FAIR_DEG}:
+        words = " and ".join(f"that of {name} by {turn:.0f}" for name, turn in turned.items())
+        warnings.append(f"Where halves of sleeves met, their caps turn at a corner, {words} degrees: draw them fair.")
+    return style, with_lines, made

@@ -1,0 +1,270 @@
+"""Style lines of whole patterns: bands, yokes, joined sleeves and collars, and openings that say where they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import ezdxf
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.errors import InputError, NotFound
+from recovery.pattern import geometry
+from recovery.pattern.__main__ import main
+from recovery.pattern.bases import BASES
+from recovery.pattern.export_dxf import write_dxf
+from recovery.pattern.garmentcode import read_pattern, write_pattern
+from recovery.pattern.legs import LegCut
+from recovery.pattern.legs import trousers as draft_trousers
+from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
+from recovery.pattern.pieces import FACED, cut_count, hems, make_sheet, mirror_words
+from recovery.pattern.split import Curve, curves, divided, parted
+from recovery.pattern.style import NO_STYLE, Style, cap_corners_deg, finished, lined, openings, openings_by_name
+from recovery.pattern.symmetry import find_symmetries, symmetrised
+from tests.recovery.pattern_setup import default_measurements, tube
+
+STYLES = {
+    "trousers": {"waistband": 0.04, "hemband": 0.05},
+    "skirt": {"waistband": 0.04, "hemband": 0.06},
+    "tshirt": {"neckband": 0.025, "cuffs": 0.03, "yoke": 0.09, "hemband": 0.04},
+    "tank": {"neckband": 0.025, "yoke": 0.05},
+    "sleeved_dress": {"neckband": 0.02, "front_yoke": 0.03, "cuffs": 0.03},
+    "dress": {"hemband": 0.05},
+}
+
+
+def base(name: str, **settings: float) -> Pattern:
+    """A base, its symmetries exact as they are in a recovery."""
+    pattern = BASES[name](default_measurements(), **settings)
+    return symmetrised(pattern, find_symmetries(pattern))
+
+
+def made(pattern: Pattern, whole_sleeves: bool = False, **widths_m: float) -> Pattern:
+    style = Style(widths_m, whole_sleeves)
+    return finished(lined(pattern, style), style)
+
+
+def area(pattern: Pattern) -> float:
+    return sum(geometry.area(panel) for panel in pattern.panels)
+
+
+@pytest.mark.parametrize("name", BASES)
+def test_openings_of_the_bases_have_names(name):
+    found = {key: len(ones) for key, ones in openings_by_name(base(name)).items()}
+    assert found == {
+        "skirt": {"waist": 1, "hem": 1},
+        "trousers": {"waist": 1, "hem": 2},
+        "tank": {"neck": 1, "hem": 1, "cuff": 0},
+        "dress": {"neck": 1, "hem": 1, "cuff": 0},
+    }.get(name, {"neck": 1, "hem": 1, "cuff": 2})
+
+
+@pytest.mark.parametrize("name", BASES)
+def test_lines_take_no_cloth_and_every_seam_stays_as_it_was(name):
+    whole = base(name)
+    found = lined(whole, Style(STYLES[name]))
+    geometry.check_pattern(found)
+    assert_allclose(area(found), area(whole), rtol=1e-12)
+    assert len(openings(found)) == len(openings(whole))
+    eases = {round(seam.mismatch, 9) for seam in geometry.seams(whole)}
+    for seam in geometry.seams(found):
+        assert min(abs(seam.mismatch - ease) for ease in eases) < 1e-6, seam.stitch
+    # Edges round the openings are the same ones, and bands lie where their panels did.
+    round_openings = [
+        sorted(
+            sum(geometry.edge_length(one.panel(ref.panel), ref.edge) for ref in opening.refs)
+            for opening in openings(one)
+        )
+        for one in (found, whole)
+    ]
+    assert_allclose(*round_openings, rtol=1e-9)
+    twins = {name: words for name, words in mirror_words(whole).items() if "mirror of" in words}
+    assert twins.items() <= mirror_words(found).items()
+    bands = {panel.name: panel for panel in found.panels if cut_count(panel) == 2}
+    assert len(bands) >= 2 and not {ref.panel for ref in hems(found)} & bands.keys()
+    for band in bands.values():
+        parent = next(panel for panel in whole.panels if band.name.startswith(panel.name))
+        assert band.placement == parent.placement
+
+
+def test_mirrored_panels_have_mirrored_bands():
+    words = mirror_words(lined(base("trousers"), Style(STYLES["trousers"])))
+    assert words["front_right_waistband"] == ("mirror of", "front_left_waistband")
+    assert words["back_right_hemband"] == ("mirror of", "back_left_hemband")
+
+
+def test_a_waistband_through_darts_is_one_piece_with_the_darts_closed():
+    cut = LegCut("trousers", "twill", 0.10, 0.5, band_m=0.0)
+    whole = draft_trousers(default_measurements(), cut).pattern
+    found = lined(whole, Style({"waistband": 0.03}))
+    geometry.check_pattern(found)
+    assert len(found.panels) == 8 and "front_left_waistband" in {panel.name for panel in found.panels}
+    assert_allclose(area(found), area(whole), rtol=1e-9)
+    for panel in found.panels:
+        if panel.name.endswith("waistband"):
+            waist = [edge for edge in panel.edges if edge.label == f"waist {FACED}"]
+            assert len(waist) == 2 and len(panel.edges) == 6
+    # Below the band the darts are as wide as they were there, and closed as before.
+    darts = [one for one in found.stitches if one.first.panel == one.second.panel]
+    assert len(darts) == 4 and not any("band" in one.first.panel for one in darts)
+
+
+def test_a_waistband_is_as_wide_as_it_was_asked_for_at_every_seam():
+    found = lined(base("trousers"), Style({"waistband": 0.04}))
+    for panel in found.panels:
+        if panel.name.endswith("waistband"):
+            sides = sorted(geometry.edge_length(panel, number) for number in range(4))[:2]
+            assert_allclose(sides, 0.04, atol=1e-9)
+
+
+def test_a_neckband_is_parallel_to_the_neckline():
+    """But at the shoulders, which the neckline does not meet squarely."""
+    whole = base("tshirt")
+    found = lined(whole, Style({"neckband": 0.025}))
+    band = found.panel("front_neckband")
+    lines = [n for n in range(len(band.edges)) if geometry.edge_length(band, n) > 0.03]
+    upper = [n for n in lines if band.edges[n].label == f"neck {FACED}"]
+    points = [
+        np.concatenate([geometry.edge_points(band, n, np.linspace(0.0, 1.0, 200)) for n in part])
+        for part in (upper, [n for n in lines if n not in upper])
+    ]
+    far = np.linalg.norm(points[1][:, None] - points[0], axis=2).min(axis=1)
+    assert_allclose(far, 0.025, atol=2.5e-3)
+
+
+def test_a_yoke_goes_through_the_armholes_and_divides_the_sleeves():
+    whole, found = base("tshirt"), lined(base("tshirt"), Style({"yoke": 0.09}))
+    neck = [ref for ref in openings_by_name(whole)["neck"][0].refs if ref.panel == "back"]
+    low = min(geometry.flatten(whole.panel("back"), ref.edge, 1e-4)[:, 1].min() for ref in neck)
+    assert_allclose(found.panel("back_yoke").vertices[:, 1].min(), low - 0.09, atol=1e-4)
+    assert [len(found.panel(name).edges) for name in ("sleeve_left_back", "sleeve_left_front")] == [5, 4]
+    assert len(found.stitches) == len(whole.stitches) + 3
+
+
+def test_yokes_of_front_and_back_are_joined_at_the_shoulders():
+    whole = base("tshirt")
+    found = made(whole, yoke=0.09, front_yoke=0.04)
+    assert [panel.name for panel in found.panels][:3] == ["front", "back", "yoke"]
+    assert_allclose(area(found), area(whole), rtol=1e-9)
+    geometry.check_pattern(found)
+    assert mirror_words(found)["yoke"] == ("symmetric",)
+    assert len(openings_by_name(found)["neck"]) == 1
+
+
+def test_halves_of_a_sleeve_become_one_piece_with_one_seam():
+    whole = base("tshirt", sleeve_length_m=0.5, sleeve_hem_girth_m=0.24)
+    found = made(whole, True, cuffs=0.06)
+    names = ["front", "back", "sleeve_left", "sleeve_left_cuff", "sleeve_right", "sleeve_right_cuff"]
+    assert sorted(panel.name for panel in found.panels) == sorted(names)
+    assert_allclose(area(found), area(whole), rtol=1e-12)
+    for side in ("left", "right"):
+        own = [one for one in found.stitches if one.first.panel == one.second.panel == f"sleeve_{side}"]
+        assert len(own) == 1
+        assert len([one for one in found.stitches if {one.first.panel, one.second.panel} == {f"sleeve_{side}"}]) == 1
+    assert mirror_words(found)["sleeve_right_cuff"] == ("mirror of", "sleeve_left_cuff")
+
+
+def test_a_cap_that_is_not_fair_where_halves_met_is_told():
+    """Caps are level at the top of the arm; a shoulder corner that was moved in 2 cm makes them turn there."""
+    whole = base("tshirt")
+    assert cap_corners_deg(whole) == {}  # halves
+    fair = cap_corners_deg(made(whole, True, yoke=0.05))
+    assert fair.keys() == {"sleeve_left", "sleeve_right"} and max(fair.values()) < 1e-6
+    panels = []
+    for panel in whole.panels:
+        vertices = panel.vertices.copy()
+        if panel.name.startswith("sleeve_left"):
+            vertices[0 if panel.name.endswith("front") else 1, 0] += 0.02
+        panels.append(replace(panel, vertices=vertices))
+    turned = cap_corners_deg(made(replace(whole, panels=tuple(panels)), True))
+    assert turned["sleeve_left"] > 5.0 and turned["sleeve_right"] < 1e-6
+
+
+def test_a_collar_is_as_long_as_the_neckline_it_is_sewn_to():
+    whole = base("tshirt")
+    found = made(whole, collar=0.07)
+    (neck,) = openings_by_name(whole)["neck"]
+    length = sum(geometry.edge_length(whole.panel(ref.panel), ref.edge) for ref in neck.refs)
+    collar = found.panel("collar")
+    sewn = [seam for seam in geometry.seams(found) if "collar" in seam.stitch.first.panel]
+    assert {seam.stitch.second for seam in sewn} == set(neck.refs)
+    assert_allclose([seam.mismatch for seam in sewn], 0.0, atol=1e-12)
+    assert_allclose(sum(seam.first_m for seam in sewn), length, rtol=1e-12)
+    assert_allclose(np.ptp(collar.vertices, axis=0), [length + 0.02, 0.07], atol=1e-9)
+    assert mirror_words(found)["collar"] == ("symmetric",) and cut_count(collar) == 2
+    # From the middle of the front to the middle of the front: the first edge meets the last there.
+    ends = [found.panel(sewn[n].stitch.second.panel) for n in (0, -1)]
+    assert [panel.name for panel in ends] == ["front", "front"]
+    # Neighbours on the collar are neighbours on the neckline: the garment has one edge more, not five.
+    assert len(openings(found)) == len(openings(whole))
+
+
+def test_a_band_is_cut_twice_in_the_files(tmp_path):
+    pattern = made(base("skirt"), waistband=0.04)
+    sheet = make_sheet(pattern)
+    counts = {piece.panel.name: piece.label.lines[2] for piece in sheet.pieces}
+    assert counts == {"front": "cut 1", "front_waistband": "cut 2", "back": "cut 1", "back_waistband": "cut 2"}
+    for piece in sheet.pieces:
+        if piece.panel.name.endswith("waistband"):
+            assert set(piece.allowances_m) == {0.01}
+    write_dxf(sheet, tmp_path / "skirt.dxf")
+    document = ezdxf.readfile(tmp_path / "skirt.dxf")
+    texts = [text.dxf.text for text in document.blocks["FRONT_WAISTBAND"].query("TEXT")]
+    assert "Quantity: 2" in texts
+    again = read_pattern(write_pattern(pattern, tmp_path / "skirt.json"))
+    assert [cut_count(panel) for panel in again.panels] == [1, 2, 1, 2]
+
+
+def test_a_style_has_words():
+    assert not NO_STYLE and NO_STYLE.words() == ""
+    style = Style({"waistband": 0.04, "front_yoke": 0.045}, True)
+    assert style and style.words() == "waistband 4 cm, front yoke 4.5 cm, one-piece sleeves"
+
+
+JACKET = replace(tube(), stitches=tube().stitches[:1])
+
+
+def halved_back() -> Pattern:
+    """A tank whose back has a seam in the middle."""
+    whole = base("tank")
+    panel = whole.panel("back")
+    hem = int(np.argmin([curve.at(np.array([0.5]))[0, 1] for curve in curves(panel)]))
+    pattern, pieces = divided(whole, {EdgeRef("back", hem): [0.5]})
+    outline = curves(pattern.panel("back"))
+    top = next(n for n, curve in enumerate(outline) if abs(curve.points[0, 0]) < 1e-9 < curve.points[0, 1])
+    low = pieces[EdgeRef("back", hem)][1].edge
+    line = Curve(EdgeKind.LINE, np.array([outline[low].points[0], outline[top].points[0]]))
+    return parted(pattern, "back", (top, low), [line], "back_other")[0]
+
+
+@pytest.mark.parametrize(
+    ("cut", "message"),
+    [
+        (lambda: Style({"belt": 0.04}), "waistband, neckband"),
+        (lambda: Style({"waistband": 4.0}), r"--style waistband: expected a width in \(0, 0.5\) m"),
+        (lambda: made(base("trousers"), neckband=0.02), "a garment with a neck, got one with waist and hem"),
+        (lambda: made(base("trousers"), collar=0.06), "a garment with a neck"),
+        (lambda: made(base("trousers"), front_yoke=0.06), "a garment with a neck"),
+        (lambda: made(base("tank"), cuffs=0.02), "a garment with a cuff"),
+        (lambda: made(base("tank"), True), "sleeves in two halves"),
+        (lambda: made(base("trousers"), waistband=0.3), "since front_left"),
+        (lambda: made(JACKET, waistband=0.03), "0 in the middle and 1 beside it"),
+        (lambda: made(halved_back(), yoke=0.03), "a back in one piece, got 2"),
+    ],
+)
+def test_what_a_pattern_has_no_place_for_is_refused(cut, message):
+    with pytest.raises((InputError, NotFound), match=message):
+        cut()
+
+
+@pytest.mark.parametrize("arguments", [["convert", "in.json"], ["draft", "skirt"]])
+def test_the_command_line_draws_lines(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_pattern(base("skirt"), tmp_path / "in.json")
+    more = ["--out", "out", "--name", "banded", "--format", "json"]
+    assert main([*arguments, *more, "--style", "waistband=0.04"]) == 0
+    names = [panel.name for panel in read_pattern(tmp_path / "out" / "banded.json").panels]
+    assert names == ["front", "front_waistband", "back", "back_waistband"]
+    assert main([*arguments, *more, "--style", "waistband"]) == 2
+    assert "--style: expected NAME=NUMBER" in capsys.readouterr().err
