@@ -268,7 +268,8 @@ CUTS = {
     "processor_min": ("of the processor [min]", ".1f"),
 }  # fmt: skip
 SCANS = {key: column for key, column in CUTS.items() if key != "panels"} | {
-    "longest_silence_s": ("longest silence [s]", ".1f"), "refused": ("refused", "s"),
+    "by_itself_mm": ("sewn, by itself [mm]", ".1f"), "longest_silence_s": ("longest silence [s]", ".1f"),
+    "refused": ("refused", "s"),
 }  # fmt: skip
 
 

@@ -23,8 +23,8 @@ from recovery.run.pictures import Mesh, target_above_result
 from recovery.run.report_text import page_of, top_of
 
 FIGURES: Columns = {
-    "mean_mm": ".1f", "chamfer_cm2": ".2f", "seam_max_pct": ".2f", "anew_mm": ".1f", "sewn_mm": ".1f",
-    "minutes": ".1f", "processor_min": ".1f", "longest_silence_s": ".1f",
+    "mean_mm": ".1f", "chamfer_cm2": ".2f", "seam_max_pct": ".2f", "anew_mm": ".1f",
+    "by_itself_mm": ".1f", "sewn_mm": ".1f", "minutes": ".1f", "processor_min": ".1f", "longest_silence_s": ".1f",
 }  # fmt: skip
 UNSEEN = "does not show its seams"
 REFUSED = "refused"  # in place of a base
@@ -112,6 +112,7 @@ def recovered(job: Job, told: Callable[[Cut | None, int], str], pictures: Path |
         "chamfer_cm2": top["chamfer_cm2"],
         "seam_max_pct": top["seam_max_pct"],
         "anew_mm": top["sewn_anew_mm"],
+        "by_itself_mm": None if outcome.anew is None else outcome.anew.by_itself.mean_mm,
         "sewn_mm": top["sewn_from_target_mm"],
         "cut": top["cut"],
         "rounds": len(outcome.found.rounds),

@@ -108,8 +108,17 @@ def _longer(chain: np.ndarray) -> np.ndarray:
 
 def encircles(contour: Contour, chain: np.ndarray) -> bool:
     """Whether the line ``chain`` [m] (n, 3) passes through ``contour``, counted on the fan about its centre."""
-    crossings = 0
-    a, b, c = contour.centre, contour.points, np.roll(contour.points, -1, axis=0)
+    return sum(_crossings(chain, contour.centre, contour.points, np.roll(contour.points, -1, axis=0))) != 0
+
+
+def pierces(chain: np.ndarray, nodes: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether the line ``chain`` [m] (n, 3) goes through the cloth of ``nodes`` [m] (N, 3) and ``faces`` (F, 3)."""
+    return bool(_crossings(chain, *nodes[faces].transpose(1, 0, 2)))
+
+
+def _crossings(chain: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> list[int]:
+    """1 or -1, by the side that it comes from, where ``chain`` (n, 3) goes through a triangle ``a``, ``b``, ``c``."""
+    found: list[int] = []
     normal = np.cross(b - a, c - a)
     for start, end in pairwise(chain):
         way = end - start
@@ -121,8 +130,8 @@ def encircles(contour: Contour, chain: np.ndarray) -> bool:
             for p, q in ((a, b), (b, c), (c, a)):
                 inside &= (np.cross(q - p, point - p) * normal).sum(axis=1) >= 0.0
         hit = inside & (t >= 0.0) & (t < 1.0) & (rise != 0.0)
-        crossings += int(np.sign(rise[hit]).sum())
-    return crossings != 0
+        found += np.sign(rise[hit]).astype(int).tolist()
+    return found
 
 
 def part_round(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> str | None:
@@ -198,8 +207,13 @@ def match_contours(source: list[Contour], target: list[Contour], joints: np.ndar
 def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: Sequence[str]) -> tuple[str, ...]:
     """Those of ``parts`` that do not go through an opening of a garment at ``nodes`` [m] (N, 3), one opening for each.
 
+    So is a limb whose bones go through the cloth: its sleeve slipped off and only the cuff is still round the arm.
     ``joints`` [m] (24, 3) are those of the body in its pose.
     """
     chains = bone_chains(joints)
     there = Counter(filter(None, (part_round(contour, chains) for contour in open_contours(nodes, faces))))
-    return tuple(sorted((Counter(parts) - there).elements()))
+    lost = Counter(parts) - there
+    for part in set(parts) & set(LIMBS):
+        if pierces(chains[part][0][:-1], nodes, faces):  # to the last joint: beyond it there is no bone
+            lost[part] = max(lost[part], 1)
+    return tuple(sorted(lost.elements()))

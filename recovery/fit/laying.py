@@ -24,7 +24,8 @@ from drape.geometry import closest, meshes
 from recovery import progress
 from recovery.catalogue.closing import on_finer_mesh
 from recovery.drape.pipeline import Draped, DrapeOptions
-from recovery.drape.settle import Drape
+from recovery.drape.settle import Drape, to_rest
+from recovery.fit.chamfer import surface_distance
 from recovery.fit.cloth import ClothTensors
 from recovery.fit.forward import RestDrape
 from recovery.fit.objective import Target
@@ -48,6 +49,7 @@ LAID_M = 2e-4  # root mean square of a step: cloth that moves less is laid
 STEPS = 12  # of one drape in a search, at most
 FREE_STEPS, FREE_LONGEST_M, FREE_KEPT = 160, 0.0075, 0.5
 STILL_M = 3e-4  # of every node in one of those steps
+OTHER_FOLDS_MM = 3.0  # mean distance of two drapes of a pattern: of two meshes in the same folds it is below 2 mm
 
 
 def laying_options(drape: DrapeOptions) -> DrapeOptions:
@@ -186,13 +188,33 @@ def hung_as(
     return let_go(_with_nodes(draped, on_finer_mesh(mesh, nodes, draped.mesh)), skin, cloth)
 
 
+def hung_at_rest(
+    draped: Draped, mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial
+) -> Draped:
+    """``hung_as``, and from there at rest without friction, as what does not gather is draped."""
+    hung, forward = hung_as(draped, mesh, nodes, skin, cloth), RestDrape(draped.mesh, skin, cloth)
+    state, report = to_rest(forward.model, forward.model.state(hung.nodes), forward.parameters, forward.contact)
+    return _lying(hung, Drape(state.x.numpy(), draped.rest.held, report, 0))
+
+
+def in_other_folds(draped: Draped, mesh: PatternMesh, nodes: np.ndarray) -> bool:
+    """Whether ``draped`` lies elsewhere than another mesh of its pattern, ``mesh`` at ``nodes`` [m] (N, 3).
+
+    What hangs from a belt is laid on the target's waist and not hung so.
+    """
+    far = surface_distance((draped.nodes, draped.mesh.faces), (nodes, mesh.faces))
+    return not len(draped.rest.held) and far.mean_mm > OTHER_FOLDS_MM
+
+
 def let_go(draped: Draped, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
     """``draped`` as ``fallen`` from where it is."""
-    free = fallen(draped.mesh, draped.nodes, skin, cloth)
-    return replace(draped, rest=free) if draped.posed is None else replace(draped, posed=free)
+    return _lying(draped, fallen(draped.mesh, draped.nodes, skin, cloth))
 
 
 def _with_nodes(draped: Draped, nodes: np.ndarray) -> Draped:
-    if draped.posed is None:
-        return replace(draped, rest=draped.rest._replace(nodes=nodes))
-    return replace(draped, posed=draped.posed._replace(nodes=nodes))
+    return _lying(draped, (draped.posed or draped.rest)._replace(nodes=nodes))
+
+
+def _lying(draped: Draped, drape: Drape) -> Draped:
+    """``draped`` with this drape in the pose that was asked for."""
+    return replace(draped, rest=drape) if draped.posed is None else replace(draped, posed=drape)

@@ -22,6 +22,7 @@ from drape.errors import InputError
 from recovery import progress as watch
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
+from recovery.fit import laying
 from recovery.fit.belt import belt_of, held_as_target
 from recovery.fit.cloth import FreeCloth, bolt_name, named, nearest_fabric
 from recovery.fit.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
@@ -211,11 +212,6 @@ class _Task:
         chains = bone_chains(posed_joints(self.body, self.pose))
         return [place_of(contour, chains) for contour in self.target.contours]
 
-    @property
-    def sewable(self) -> bool:
-        """Whether seams are a constraint."""
-        return math.isinf(self.weights.seams)
-
     def start(self, drape: DrapeOptions, cloth: OrthotropicMaterial | None = None) -> Start:
         """How drapes begin on this body; what the target goes round, they should."""
         parts = [place.part for place in self.places if place.part is not None]
@@ -231,11 +227,10 @@ class _Task:
         matches, _ = self.matches(draped)
         contours = open_contours(draped.nodes, draped.mesh.faces)
         after = graded_again(before, grade(draped.mesh, draped.nodes, contours, matches, self.symmetries))
-        if self.sewable:
+        if math.isinf(self.weights.seams):  # a constraint
             after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
-        if not rest:
-            return after, worn_drape(after.pattern, self.start(self.drape), rest=False)
-        return after, drape_at_rest(after.pattern, self.start(self.drape))
+        start = self.start(self.drape)
+        return after, drape_at_rest(after.pattern, start) if rest else worn_drape(after.pattern, start, rest=False)
 
     def nearer(self, base: Graded, draped: Draped, grading: bool) -> tuple[Graded, Draped]:
         """``base``, whose drape is ``draped``, or, where springs do not lay that near, graded if it is then nearer."""
@@ -310,7 +305,7 @@ class _Task:
             forward,
             Objective(start.mesh, self.target, contours, matches, weights, base=ratios),
             cloth=free,
-            seams=SeamConstraint(start.mesh.pattern, controls, self.base) if self.sewable else None,
+            seams=SeamConstraint(start.mesh.pattern, controls, self.base) if math.isinf(weights.seams) else None,
             likely=unknowns,
         )
         return found, matches
@@ -326,16 +321,26 @@ class _Task:
     def sewn(self, last: Round, length_m: float) -> tuple[Round, Draped]:
         """``last`` with its pattern sewn on a mesh of edges ``length_m``, and that drape with its belt laid.
 
+        What is not worn so, or fell into other folds, is hung in those of ``last`` if it is nearer to the target then.
         Raises ``InputError`` where it cannot be sewn.
         """
         cloth, start = last.fitted.cloth, self.start(replace(self.drape, edge_length_m=length_m), last.fitted.cloth)
-        loose = worn_drape(last.fitted.pattern, start, rest=not self.lays)
-        if self.lays:
-            worn = hung_as(loose, last.search.mesh_of(last.fitted), last.fitted.nodes, self.skin, cloth)
-        else:
-            worn = self.held(loose, cloth)
-        far = self.surface(worn) if worn.at_rest and not start.lost(worn) else math.inf
-        return replace(last, sewn=Sewn(loose, worn), sewn_m2=far), worn
+        shown, pairs = (last.search.mesh_of(last.fitted), last.fitted.nodes), list[Sewn]()
+
+        def far(one: Draped) -> float:
+            return self.surface(one) if one.at_rest and not start.lost(one) else math.inf
+
+        def mended(loose: Draped) -> Draped:
+            worn = hung_as(loose, *shown, self.skin, cloth) if self.lays else self.held(loose, cloth)
+            if not self.lays and (
+                laying.in_other_folds(worn, *shown) or (math.isinf(far(worn)) and not len(worn.rest.held))
+            ):
+                worn = min((worn, laying.hung_at_rest(loose, *shown, self.skin, cloth)), key=far)
+            pairs.append(Sewn(loose, worn))
+            return worn
+
+        worn = worn_drape(last.fitted.pattern, start, rest=not self.lays, mended=mended)
+        return replace(last, sewn=next(pair for pair in pairs if pair.worn is worn), sewn_m2=far(worn)), worn
 
     def rounds(
         self,
@@ -348,9 +353,8 @@ class _Task:
     ) -> tuple[list[Round], str]:
         """The searches, ``run`` one after the other, each on a new mesh of the pattern that the one before found.
 
-        With them why the last ones were left out, empty for none.
-
-        The first goes from the drape ``start`` of the pattern ``graded``; its clocks ``began`` earlier.
+        With them why the last ones were left out, empty for none. The first goes from the drape ``start`` of the
+        pattern ``graded``; its clocks ``began`` earlier.
         """
         likely = named(self.drape.fabric, self.drape.hangs_longer)
         cloth, ratios, reach_m = likely, base, self.weights.reach_m
@@ -368,10 +372,8 @@ class _Task:
                 if not number:
                     raise
                 return rounds, self._left(number, len(lengths_m), f"the pattern sewn anew is not worn so: {error}")
-            if number:
-                held_back = apart_mm(rounds[-1].least[1]) > FAR_MM
-            else:
-                held_back = apart_mm(self.surface(start)) > START_FAR_MM
+            before, most = (rounds[-1].least[1], FAR_MM) if number else (self.surface(start), START_FAR_MM)
+            held_back = apart_mm(before) > most
             why = why_left(rounds, start, frees_cloth=self.free_cloth) if number else ""
             if why and not (why == SAME and held_back):
                 return rounds, self._left(number, len(lengths_m), why)
@@ -380,15 +382,14 @@ class _Task:
             search, matches = self.search(start, ratios, graded, cloth, free=free, likely=likely, reach_m=reach_m)
             if number and not self.lays and not search.rests(start.nodes):
                 return rounds, self._left(number, len(lengths_m), NOT_AT_REST)
-            nodes = start.mesh.node_count
             if not number:
-                self.say(f"search    {search.free.count} numbers are free, {nodes} nodes")
+                self.say(f"search    {search.free.count} numbers are free, {start.mesh.node_count} nodes")
             fitted = run(search, start.nodes, number)
             now = clocks()
             rounds.append(Round(start, matches, search, fitted, length, *(now - began).tolist()))
             began = now
-            apart = [apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].surface_m2)]
-            self.say(f"round {number + 1}   {nodes} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
+            first, last = (apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].surface_m2))
+            self.say(f"round {number + 1}   {start.mesh.node_count} nodes: surfaces {first:.2f} to {last:.2f} mm apart")
             # Grading has scaled the base's seams; from here on they keep what the target tells of them.
             ratios, cloth = fitted.pattern, fitted.cloth
         return rounds, ""

@@ -5,6 +5,7 @@ Closing threads can pull a sleeve past its arm, and Newton can stick, on one mes
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,10 +43,12 @@ class Start:
         return lost_parts(draped.nodes, draped.mesh.faces, posed_joints(self.body, self.pose), self.parts)
 
 
-def worn_drape(pattern: Pattern, start: Start, *, rest: bool = True) -> Draped:
+def worn_drape(
+    pattern: Pattern, start: Start, *, rest: bool = True, mended: Callable[[Draped], Draped] = lambda one: one
+) -> Draped:
     """The drape of ``pattern``, on a mesh a little finer or coarser where a part is lost or, with ``rest``, it moves.
 
-    Where a part is lost a much finer one is tried first.
+    Where a part is lost a much finer one is tried first. Each is judged, and given, as it is ``mended``.
     The best of them where none is right: one with all parts before one at rest. Raises ``InputError`` where the
     pattern cannot be sewn on any.
     """
@@ -56,7 +59,9 @@ def worn_drape(pattern: Pattern, start: Start, *, rest: bool = True) -> Draped:
         share, number = shares.pop(0), number + 1
         options = replace(start.drape, edge_length_m=share * start.drape.edge_length_m)
         try:
-            one = drape_pattern(pattern, start.body, options, pose=start.pose, cloth=start.cloth, skin=start.skin)
+            one = mended(
+                drape_pattern(pattern, start.body, options, pose=start.pose, cloth=start.cloth, skin=start.skin)
+            )
         except InputError as error:
             refused.append(error)
             continue

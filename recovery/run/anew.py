@@ -16,12 +16,12 @@ from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
 from recovery.fit.chamfer import SurfaceDistance, surface_distance
 from recovery.fit.contours import lost_parts, match_contours, open_contours
-from recovery.fit.laying import LaidDrape, hung_as, laying_options
+from recovery.fit.laying import OTHER_FOLDS_MM, LaidDrape, hung_as, hung_at_rest, in_other_folds, laying_options
 from recovery.fit.recovered import Recovered
 from recovery.fit.starts import LENGTHS_TRIED
 from recovery.pattern.model import Pattern
 
-ANEW_MM = 3.0  # more between the report's drape and the pattern sewn anew is worth another try, and a warning
+ANEW_MM = OTHER_FOLDS_MM  # more between the report's drape and the pattern sewn anew is a warning
 BELT_M = 0.005
 
 
@@ -90,15 +90,19 @@ def _sewn(
     laid = isinstance(found.search.forward, LaidDrape)
     options = laying_options(options) if laid else options
     loose = drape_pattern(pattern, body, options, pose=pose, cloth=cloth)
+    mesh, skin = found.search.mesh_of(found.fitted), options.skin(surface, body.faces)
     if laid:
-        mesh, skin = found.search.mesh_of(found.fitted), options.skin(surface, body.faces)
         return _beside(found, loose, hung_as(loose, mesh, found.fitted.nodes, skin, cloth))
+    if in_other_folds(loose, mesh, found.fitted.nodes):
+        hung = hung_at_rest(loose, mesh, found.fitted.nodes, skin, cloth)
+        ways = [_beside(found, loose, one) for one in (loose, hung)]
+        return min(ways, key=lambda one: (not one.draped.at_rest, one.distance.mean_mm))
     if not len(loose.rest.held):
         return _beside(found, loose, loose)
     there = open_contours(found.fitted.nodes, found.search.mesh.faces)
     own = open_contours(loose.nodes, loose.mesh.faces)
     matches, _ = match_contours(own, there, posed_joints(body, pose))
-    return _beside(found, loose, held_as_target(loose, matches, there, options.skin(surface, body.faces), cloth))
+    return _beside(found, loose, held_as_target(loose, matches, there, skin, cloth))
 
 
 def _beside(found: Recovered, loose: Draped, worn: Draped) -> SewnAnew:

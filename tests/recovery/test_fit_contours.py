@@ -9,7 +9,16 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import InputError, MeshError
-from recovery.fit.contours import Contour, Match, bone_chains, encircles, match_contours, open_contours, place_of
+from recovery.fit.contours import (
+    Contour,
+    Match,
+    bone_chains,
+    encircles,
+    lost_parts,
+    match_contours,
+    open_contours,
+    place_of,
+)
 from recovery.fit.grading import Graded, contour_edges, grade
 from recovery.pattern.bases import skirt, tshirt
 from recovery.pattern.coordinates import control_points
@@ -171,3 +180,17 @@ def test_a_target_of_another_size_altogether_is_refused():
     wrong = [match._replace(length_ratio=100.0) for match in matches]
     with pytest.raises(InputError, match="unit"):
         grade(mesh, nodes, source, wrong, find_symmetries(mesh.pattern))
+
+
+def test_a_limb_whose_bones_go_through_the_cloth_is_lost_though_its_cuff_is_round_it():
+    """A sleeve round the arm, and one that slipped off: between its ends, both round the arm, it lies below the arm."""
+    body = joints()
+    shoulder, wrist = (body[JOINT_NAMES.index(f"left_{name}")] for name in ("shoulder", "wrist"))
+    nodes, faces = round_tube((0.08, 0.08, 0.08, 0.08, 0.08), (-0.2, -0.1, 0.0, 0.1, 0.2))
+    way = (wrist - shoulder) / np.linalg.norm(wrist - shoulder)
+    side = np.cross(way, [0.0, 0.0, 1.0])
+    sleeve = 0.5 * (shoulder + wrist) + nodes @ np.array([side, way, np.cross(side, way)])
+    assert lost_parts(sleeve, faces, body, ["left_arm", "left_arm"]) == ()
+    slipped = sleeve - 0.15 * (np.abs(nodes[:, 1:2]) < 0.05) * np.array([0.0, 1.0, 0.0])
+    assert lost_parts(slipped, faces, body, ["left_arm", "left_arm"]) == ("left_arm",)
+    assert lost_parts(slipped, faces, body, ["trunk"]) == ("trunk",)

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.testing import assert_allclose
 
-from recovery.drape.pipeline import HANGS_LONGER, DrapeOptions
+from recovery.drape.pipeline import HANGS_LONGER, Draped, DrapeOptions
+from recovery.drape.settle import Drape
 from recovery.fit import laying
 from recovery.fit.contours import open_contours
-from recovery.fit.laying import LaidDrape, fallen, is_laid, laying_options, springs_between
+from recovery.fit.laying import LaidDrape, fallen, hung_as, in_other_folds, is_laid, laying_options, springs_between
 from recovery.fit.objective import Target
 from recovery.pattern.bases import base_pattern
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
+from recovery.sim.newton import Report
 from recovery.sim.sdf import Plane, Sphere
 from tests.recovery.pattern_setup import default_measurements, rectangle
 from tests.recovery.sim_setup import WOVEN
@@ -103,3 +106,22 @@ def test_options_for_cloth_that_is_laid():
     found = laying_options(DrapeOptions(edge_length_m=0.05))
     assert found.edge_length_m == laying.EDGE_M and found.iteration_limit == 0 and found.hangs_longer < HANGS_LONGER
     assert laying_options(DrapeOptions(edge_length_m=0.02)).edge_length_m == 0.02
+
+
+def test_a_drape_in_other_folds_is_hung_in_those_of_another_mesh():
+    """A sheet on a slope that friction holds, 8 cm down it: it goes back to where a finer mesh lies."""
+    mesh, flat = sheet()
+    slope = np.array([0.2, 1.0, 0.0]) / np.hypot(0.2, 1.0)
+    across = np.stack([[slope[1], -slope[0], 0.0], slope, [0.0, 0.0, 1.0]])
+    fine = mesh_pattern(mesh.pattern, 0.03)
+    shown = np.stack([fine.nodes_from(fine.placed())[:, k] for k in (0, 2, 1)], axis=1)
+    shown = shown @ across + 0.0035 * slope
+    skin = Plane((0.0, 0.0, 0.0), tuple(slope))
+    there = flat @ across + 0.0035 * slope + 0.08 * across[0]
+    unused: Any = None
+    loose = Draped(mesh, unused, unused, Drape(there, np.zeros(0, dtype=np.int64), Report(0, 0.0, True), 0), None, {})
+    assert in_other_folds(loose, fine, shown)
+    hung = hung_as(loose, fine, shown, skin, WOVEN)
+    assert hung.at_rest and not in_other_folds(hung, fine, shown)
+    belted = replace(loose, rest=loose.rest._replace(held=np.array([0])))
+    assert not in_other_folds(belted, fine, shown)

@@ -126,6 +126,9 @@ def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(body, mo
     found = starts.worn_drape(pattern, replace(start, parts=("left_arm",)))
     assert_allclose(lengths, 0.12 * np.array([1.0, 0.6, 0.93, 1.07, 0.87]))
     assert found.at_rest and replace(start, parts=("left_arm",)).lost(found) == ("left_arm",)
+    # What is mended is judged as it is then: no other mesh is tried.
+    lengths.clear()
+    assert starts.worn_drape(pattern, start, mended=lambda one: found) is found and len(lengths) == 1
 
 
 def test_a_pattern_that_no_mesh_can_be_sewn_of_is_refused(body, monkeypatch: pytest.MonkeyPatch):

@@ -276,6 +276,18 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     assert taller.nodes[:, 1].max() > draped.rest.nodes[:, 1].max() + 0.005
 
 
+def test_what_fell_into_other_folds_is_hung_in_the_reports(run, monkeypatch: pytest.MonkeyPatch):
+    """The garment sewn anew, shaken by centimetres in waves, comes to rest where the report shows it."""
+    _, outcome, _ = run
+    draped, wearer = outcome.anew.draped, outcome.wearer
+    aside = 0.04 * np.sin(20.0 * draped.nodes[:, 1:2]) * np.array([0.0, 0.0, 1.0])
+    shaken = replace(draped, rest=draped.rest._replace(nodes=draped.nodes + aside))
+    monkeypatch.setattr("recovery.run.anew.drape_pattern", lambda *given, **more: shaken)
+    again = sewn_anew(replace(outcome.found, sewn=None), wearer.shaped, COARSE, wearer.pose)
+    assert again.by_itself.mean_mm > 3.0 >= again.distance.mean_mm and again.draped.at_rest
+    assert "hung in this garment's folds" in anew_words(again)
+
+
 def test_an_arm_beside_its_sleeve_is_noticed():
     """A tube round the trunk, and one that hangs beside the arm."""
     trunk, tube_faces = round_tube((0.25, 0.25), (0.1, 0.3))
