@@ -129,8 +129,7 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
     eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.made) if eases(seam)]
     if eased:
         look.append(
-            f"{len(eased)} seams have ease as in the base, up to {max(eased):.1f} %: the table of seams says which "
-            "edge to hold in."
+            f"{len(eased)} seams have ease, up to {max(eased):.1f} %: the table of seams says which edge to hold in."
         )
     unsure = int((outcome.told.slack_m > UNSURE_M).sum())
     if unsure:
