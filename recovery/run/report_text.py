@@ -168,7 +168,8 @@ def cut_of(outcome: Outcome) -> str:
     pattern = outcome.pattern
     words = f"{outcome.cut.called}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
     if outcome.style:
-        words += f"; with {outcome.style.words()} {len(outcome.made.panels)} pieces, {len(outcome.made.stitches)} seams"
+        made = outcome.made
+        words += f"; with {outcome.style.words()}: {len(made.panels)} pieces, {len(made.stitches)} seams"
     return ". ".join((words, *outcome.cut.differs))
 
 
