@@ -52,7 +52,7 @@ def key_figures(outcome: Outcome) -> tuple[str, ...]:
     """The figures at the top of the record, as the first table of the page has them."""
     top = top_of(outcome)
     return (
-        top["cut"],
+        top["cut"].split(". ")[0],  # the sentences stand below, before cutting
         f"{top['distance_mean_mm']:.1f} mm",
         f"{top['chamfer_cm2']:.2f} cm²",
         f"{top['seam_max_pct']:.2f} %",
