@@ -35,8 +35,13 @@ def sew_design(design: Design, mesh: PatternMesh, distance: Distance) -> Sewn:
 
 
 def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> np.ndarray:
-    """Nodes [m] (N, 3) of ``fine`` on the cloth of ``coarse`` at ``nodes``, by their places in the panels."""
-    if [p.name for p in coarse.pattern.panels] != [p.name for p in fine.pattern.panels]:
+    """Nodes [m] (N, 3) of ``fine`` on the cloth of ``coarse`` at ``nodes``, by their places in the panels.
+
+    Panels of ``fine`` may be cut into the rest, under the same name, and parts in the same frame, named after it.
+    """
+    there, here = ([panel.name for panel in mesh.pattern.panels] for mesh in (coarse, fine))
+    whole = [_whole(name, there) for name in here]
+    if None in whole or not set(there) <= set(here):
         raise InputError(
             "meshes",
             expected="two meshes of one pattern",
@@ -45,8 +50,8 @@ def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> 
         )
     positions = np.zeros((len(fine.rest), 3))
     flat = np.column_stack([coarse.rest, np.zeros(len(coarse.rest))])
-    for number in range(len(fine.pattern.panels)):
-        mine, faces = fine.panel == number, coarse.face_panel == number
+    for number, parent in enumerate(whole):
+        mine, faces = fine.panel == number, coarse.face_panel == parent
         points = np.column_stack([fine.rest[mine], np.zeros(mine.sum())])
         triangles = coarse.panel_faces[faces]
         found = closest.closest_point(points, flat, triangles)
@@ -54,3 +59,10 @@ def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> 
         weights = closest.barycentric(points, flat[triangles[found.face]])
         positions[mine] = np.einsum("nk,nkc->nc", weights, nodes[coarse.faces[faces][found.face]])
     return fine.nodes_from(positions)
+
+
+def _whole(name: str, names: list[str]) -> int | None:
+    """The number of the panel called ``name``, or of the one that it was cut off; None where there is none."""
+    while name not in names and "_" in name:
+        name = name.rpartition("_")[0]
+    return names.index(name) if name in names else None

@@ -1,7 +1,7 @@
 """Shows, converts and drafts sewing patterns.
 
 python -m recovery.pattern show PATTERN.json [--out DIR] [--edge-length 0.02]
-python -m recovery.pattern convert PATTERN.json --out DIR [--format svg dxf pdf json]
+python -m recovery.pattern convert PATTERN.json --out DIR [--format svg dxf pdf json] [--style waistband=0.04]
 python -m recovery.pattern draft tshirt --out DIR [--body NAME] [--set length_m=1.05 flare_m=0.12]
 """
 

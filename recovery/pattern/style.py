@@ -1,41 +1,29 @@
 """Style lines of a finished pattern, as its maker draws them: bands and yokes cut off, sleeves joined, a collar added.
 
-The openings of the sewn garment tell where: the edges that no stitch holds form closed lines, and places of panels say
-which is the neck, the waist, the hem or a cuff. Cut and joined panels are the same cloth; a collar is new.
+The openings of the sewn garment tell where. Cut and joined panels are the same cloth; a collar and ribs are new.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from drape.errors import InputError, NotFound
 from recovery.pattern import geometry
-from recovery.pattern.drafting import Side, draft
-from recovery.pattern.model import EdgeKind, EdgeRef, Pattern, Stitch
+from recovery.pattern.added import COLLAR, with_collar, with_ribs
+from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
+from recovery.pattern.openings import Opening, centre_of, openings_called
 from recovery.pattern.pieces import FACED, side_of
 from recovery.pattern.split import Chain, beside, cut_level, joined, partners, strips
 
 WIDEST_M = 0.5  # of any part
-ASIDE_M = 0.06  # of an opening's centre from the middle of the body: a limb's
 BANDS = {"waistband": "waist", "neckband": "neck", "cuffs": "cuff", "hemband": "hem"}  # and the openings they are at
 YOKES = ("yoke", "front_yoke")
-COLLAR = "collar"
-PARTS = (*BANDS, *YOKES, COLLAR)
-COLLAR_LEAN_M = 0.01  # by which each end of a collar's outer edge is longer: its points
-
-
-class Opening(NamedTuple):
-    """Edges round an opening of the sewn garment, in the order in which they follow each other.
-
-    ``centre`` [m] (3,) is the mean of their middles, panels as placed.
-    """
-
-    refs: tuple[EdgeRef, ...]
-    centre: np.ndarray
+RIBS = {"rib_neck": "neck", "rib_cuffs": "cuff", "rib_hem": "hem"}
+RIB_SHORTER = {"neck": 0.12, "cuff": 0.15, "hem": 0.15}  # than what it holds
+PARTS = (*BANDS, *RIBS, *YOKES, COLLAR)
 
 
 @dataclass(frozen=True)
@@ -74,7 +62,7 @@ def lined(pattern: Pattern, style: Style) -> Pattern:
         pattern = _back_yoke(pattern, depth)
     if (width := style.widths_m.get("front_yoke")) is not None:
         pattern = _front_yoke(pattern, width)
-    for name, opening in BANDS.items():
+    for name, opening in (BANDS | RIBS).items():
         if (width := style.widths_m.get(name)) is not None:
             pattern = _band(pattern, name, opening, width)
     return pattern
@@ -86,94 +74,15 @@ def finished(pattern: Pattern, style: Style) -> Pattern:
         pattern = _whole_sleeves(pattern)
     if all(name in style.widths_m for name in YOKES):
         pattern = _whole_yoke(pattern)
+    for name, opening in RIBS.items():
+        if (width := style.widths_m.get(name)) is not None:
+            pattern = with_ribs(pattern, name, width, RIB_SHORTER[opening])
     if (width := style.widths_m.get(COLLAR)) is not None:
         pattern = with_collar(pattern, width)
     return pattern
 
 
-# --- openings --------------------------------------------------------------------------------------------------------
-
-
-def openings(pattern: Pattern) -> list[Opening]:
-    """The openings of the sewn ``pattern``: closed lines of edges that no stitch holds."""
-    place = {}  # of a panel's corner: the same for all that are sewn together
-    for panel in pattern.panels:
-        place |= {(panel.name, number): (panel.name, number) for number in range(len(panel.edges))}
-
-    def root(corner: tuple[str, int]) -> tuple[str, int]:
-        while place[corner] != corner:
-            corner = place[corner]
-        return corner
-
-    def ends(ref: EdgeRef) -> list[tuple[str, int]]:
-        return [(ref.panel, ref.edge), (ref.panel, (ref.edge + 1) % len(pattern.panel(ref.panel).edges))]
-
-    for stitch in pattern.stitches:
-        there = ends(stitch.second) if stitch.right_to_wrong else ends(stitch.second)[::-1]
-        for one, other in zip(ends(stitch.first), there, strict=True):
-            place[root(one)] = root(other)
-    sewn = partners(pattern)
-    left = [ref for ref in pattern.edge_refs() if ref not in sewn]
-    found = []
-    while left:
-        loop = [left.pop(0)]
-        while (following := _from(left, root(ends(loop[-1])[1]), ends, root)) is not None:
-            left.remove(following)
-            loop.append(following)
-        found.append(Opening(tuple(loop), _centre(pattern, loop)))
-    return found
-
-
-def _from(left, corner, ends, root) -> EdgeRef | None:
-    """The edge out of ``left`` that starts at ``corner``."""
-    return next((ref for ref in left if root(ends(ref)[0]) == corner), None)
-
-
-def _centre(pattern: Pattern, refs: Sequence[EdgeRef]) -> np.ndarray:
-    """The mean [m] (3,) of the middles of edges, panels as placed."""
-    panels = [pattern.panel(ref.panel) for ref in refs]
-    middles = [
-        panel.placement.apply(geometry.edge_points(panel, ref.edge, np.array([0.5])))[0]
-        for panel, ref in zip(panels, refs, strict=True)
-    ]
-    return np.mean(middles, axis=0)
-
-
-def openings_by_name(pattern: Pattern) -> dict[str, list[Opening]]:
-    """The openings of ``pattern`` as neck, waist, hem and cuff; armholes without sleeves are none of these.
-
-    Raises ``InputError`` where they are not those of a top, trousers or a skirt.
-    """
-    every = openings(pattern)
-    middle = sorted((one for one in every if abs(one.centre[0]) < ASIDE_M), key=lambda one: -one.centre[1])
-    aside = [one for one in every if abs(one.centre[0]) >= ASIDE_M]
-    if (len(middle), len(aside)) == (2, 2):
-        of_neck = {ref.panel for ref in middle[0].refs}
-        sleeves = [one for one in aside if not of_neck & {ref.panel for ref in one.refs}]
-        return {"neck": middle[:1], "hem": middle[1:], "cuff": sleeves}
-    if (len(middle), len(aside)) == (2, 0):
-        return {"waist": middle[:1], "hem": middle[1:]}
-    if (len(middle), len(aside)) == (1, 2):
-        return {"waist": middle, "hem": aside}
-    raise InputError(
-        "--style",
-        expected="the openings of a top, of trousers or of a skirt",
-        got=f"{len(middle)} in the middle and {len(aside)} beside it",
-        cure="Leave --style out, and draw the lines on paper.",
-    )
-
-
-def _opening(pattern: Pattern, name: str, part: str) -> list[Opening]:
-    """The openings called ``name``, at which the ``part`` is to be."""
-    found = openings_by_name(pattern)
-    if not found.get(name):
-        raise InputError(
-            f"--style {part}",
-            expected=f"a garment with a {name}",
-            got=f"one with {' and '.join(key for key, ones in found.items() if ones)}",
-            cure="Leave it out.",
-        )
-    return found[name]
+# --- bands and yokes -------------------------------------------------------------------------------------------------
 
 
 def _chains(pattern: Pattern, opening: Opening, word: str) -> list[Chain]:
@@ -198,12 +107,9 @@ def _follows(pattern: Pattern, one: EdgeRef, other: EdgeRef) -> bool:
     return one.panel == other.panel and other.edge == (one.edge + 1) % len(pattern.panel(one.panel).edges)
 
 
-# --- bands and yokes -------------------------------------------------------------------------------------------------
-
-
 def _band(pattern: Pattern, name: str, opening: str, width_m: float) -> Pattern:
     """``pattern`` with bands at the openings called ``opening``; through darts they are one piece, the darts closed."""
-    for one in _opening(pattern, opening, name):
+    for one in openings_called(pattern, opening, name):
         chains = _chains(pattern, one, name.removesuffix("s"))
         pattern = strips(_labelled(pattern, one.refs, f"{opening} {FACED}"), chains, width_m)
         for panel in dict.fromkeys(chain.refs[0].panel for chain in chains):
@@ -237,7 +143,7 @@ def _labelled(pattern: Pattern, refs: Sequence[EdgeRef], label: str) -> Pattern:
 
 def _back_yoke(pattern: Pattern, depth_m: float) -> Pattern:
     """The back cut level, ``depth_m`` below the lowest point of its neckline."""
-    (neck,) = _opening(pattern, "neck", "yoke")
+    (neck,) = openings_called(pattern, "neck", "yoke")
     backs = {ref.panel for ref in neck.refs if side_of(pattern.panel(ref.panel)) == "back"}
     if len(backs) != 1:
         raise InputError("--style yoke", expected="a back in one piece", got=f"{len(backs)}", cure="Leave it out.")
@@ -250,7 +156,7 @@ def _back_yoke(pattern: Pattern, depth_m: float) -> Pattern:
 
 def _front_yoke(pattern: Pattern, width_m: float) -> Pattern:
     """Strips along the shoulders of the fronts."""
-    (neck,) = _opening(pattern, "neck", "front_yoke")
+    (neck,) = openings_called(pattern, "neck", "front_yoke")
     sewn, chains = partners(pattern), []
     for chain in _chains(pattern, neck, "yoke"):
         if side_of(pattern.panel(chain.refs[0].panel)) == "front":
@@ -259,7 +165,7 @@ def _front_yoke(pattern: Pattern, width_m: float) -> Pattern:
     return strips(pattern, chains, width_m)
 
 
-# --- one-piece sleeves, collar ---------------------------------------------------------------------------------------
+# --- one-piece sleeves and yokes --------------------------------------------------------------------------------------
 
 
 def _whole_sleeves(pattern: Pattern) -> Pattern:
@@ -304,7 +210,7 @@ def cap_corners_deg(pattern: Pattern) -> dict[str, float]:
 def _height(pattern: Pattern, number: int) -> float:
     """The height [m] of a seam, panels as placed."""
     stitch = pattern.stitches[number]
-    return float(_centre(pattern, [stitch.first, stitch.second])[1])
+    return float(centre_of(pattern, [stitch.first, stitch.second])[1])
 
 
 def _whole_yoke(pattern: Pattern) -> Pattern:
@@ -329,47 +235,3 @@ def _turned(pattern: Pattern, number: int) -> Pattern:
     stitches = list(pattern.stitches)
     stitches[number] = replace(stitches[number], first=stitches[number].second, second=stitches[number].first)
     return replace(pattern, stitches=tuple(stitches))
-
-
-def with_collar(pattern: Pattern, width_m: float) -> Pattern:
-    """``pattern`` with a straight collar as long as its neckline, open in the middle of the front, sewn to it.
-
-    It stands up when the pattern is draped; nothing turns it over. Its ends lean outward, and its sewn edge is divided
-    as the neckline is.
-    """
-    (neck,) = _opening(pattern, "neck", COLLAR)
-    starts = [_start(pattern, ref) for ref in neck.refs]
-    # Edges run about the neckline as outlines do, so the collar's, which start at their ends, run the other way.
-    first = max(range(len(starts)), key=lambda n: (round(float(starts[n][2]), 3), -float(starts[n][1])))
-    order = [neck.refs[(first - 1 - n) % len(neck.refs)] for n in range(len(neck.refs))]
-    lengths = [geometry.edge_length(pattern.panel(ref.panel), ref.edge) for ref in order]
-    places = np.concatenate([[0.0], np.cumsum(lengths)])
-    sides = [Side(f"neck_{n}", (float(x), 0.0)) for n, x in enumerate(places[:-1])]
-    sides += [
-        Side("end", (float(places[-1]), 0.0)),
-        Side("outer", (float(places[-1]) + COLLAR_LEAN_M, width_m)),
-        Side("start", (-COLLAR_LEAN_M, width_m)),
-    ]
-    back = min((pattern.panel(ref.panel) for ref in order), key=lambda panel: panel.placement.translation_m[2])
-    drafted = draft(COLLAR, sides, rotation=back.placement.rotation_deg, z=0.0)
-    top = float(np.max([start[1] for start in starts]))
-    place = replace(back.placement, translation_m=(0.0, top + 0.5 * width_m, back.placement.translation_m[2]))
-    label = f"{COLLAR} {FACED}"
-    free = range(len(lengths), len(sides))
-    edges = tuple(replace(e, label=label) if n in free else e for n, e in enumerate(drafted.panel.edges))
-    panel = replace(drafted.panel, edges=edges, placement=place)
-    sewn = [Stitch(EdgeRef(COLLAR, n), ref) for n, ref in enumerate(order)]
-    names = None if pattern.panel_order is None else (*pattern.panel_order, COLLAR)
-    return replace(
-        pattern,
-        panels=(*pattern.panels, panel),
-        stitches=(*pattern.stitches, *sewn),
-        panel_order=names,
-        template={},
-    )
-
-
-def _start(pattern: Pattern, ref: EdgeRef) -> np.ndarray:
-    """Where an edge starts [m] (3,), its panel as placed."""
-    panel = pattern.panel(ref.panel)
-    return panel.placement.apply(panel.vertices[[panel.edges[ref.edge].start]])[0]

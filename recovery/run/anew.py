@@ -48,7 +48,7 @@ def sewn_anew(
 ) -> SewnAnew:
     """The pattern of ``found`` meshed, placed and sewn from nothing round ``body``, its belt at the report's waist.
 
-    ``pattern`` is the same with style lines, if it has any; what is laid in folds is sewn without them.
+    ``pattern`` is the same with style lines, if it has any.
 
     Without friction a belt closes where the body happens to be as wide as the waist, centimetres from where the wearer
     had it, and the whole garment hangs as much higher or lower. Closing threads can pull a sleeve past its arm, and a
@@ -58,7 +58,7 @@ def sewn_anew(
     cannot be sewn.
     """
     own = found.fitted.pattern
-    pattern = own if pattern is None or isinstance(found.search.forward, LaidDrape) else pattern
+    pattern = pattern or own
     tried: list[tuple[tuple[bool, float], SewnAnew]] = []
     refused: list[InputError] = []
     for number, share in enumerate(LENGTHS_TRIED):

@@ -131,6 +131,16 @@ def panel_count(base: str, shown: int | None) -> dict[str, float]:
     return {COUNT: float(shown)} if base == "skirt" and shown is not None and 2 < shown <= MOST_PANELS else {}
 
 
+def ring_panels(pattern: Pattern) -> list[str]:
+    """Names of panels that are sewn to themselves to a ring, as bands and one-piece sleeves; darts are none."""
+    found = []
+    for stitch in pattern.stitches:
+        panel, apart = stitch.first.panel, abs(stitch.first.edge - stitch.second.edge)
+        if panel == stitch.second.panel and 1 < apart < len(pattern.panel(panel).edges) - 1:
+            found.append(panel)
+    return found
+
+
 def differences(base: str, pattern: Pattern, seen: Seen, body: BodyMeasurements, shown: int | None) -> tuple[str, ...]:
     """Sentences on how the cut of a target that lies on ``body`` differs from ``pattern``, drafted from ``base``.
 
@@ -141,6 +151,11 @@ def differences(base: str, pattern: Pattern, seen: Seen, body: BodyMeasurements,
         nearest = told_base(seen, body)
         if nearest != base:
             found.append(f"The target looks like a {nearest.replace('_', ' ')}: its base is --base {nearest}")
+    elif rings := ring_panels(pattern):
+        found.append(
+            f"Of the base {', '.join(rings)} begin flat and are closed to a ring: they may close beside waist or arm; "
+            "take a base without them, and --style"
+        )
     panels = len(pattern.panels)
     if shown is None:
         found.append("The target does not show its seams: panels and seams are the base's")

@@ -293,7 +293,9 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
     files = export_pattern(made, job.out)
     for size in job.sizes:
         graded = in_other_size(fitted.pattern, cut.base, measure(wearer.shaped), cut.settings, size)
-        files += export_pattern(replace(finished(lined(graded, style), style), name=f"{name}_{size}"), job.out)
+        graded = styled(style, replace(cut, collar_m=0.0), graded, told := [])[2]
+        warnings += [f"Size {size}: {words}" for words in told if words not in warnings]
+        files += export_pattern(replace(graded, name=f"{name}_{size}"), job.out)
     cloth = found.search.mesh_of(fitted)
     files += write_shape(job.out, name, cloth, fitted.nodes + wearer.trans, panel_texture(cloth))
     there = (mesh.vertices, mesh.faces)

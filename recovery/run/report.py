@@ -12,7 +12,7 @@ STYLE = (
     "h1{font-size:1.7rem}h2{font-size:1.2rem;margin-top:2.2rem;border-bottom:1px solid #ddd}"
     "img{max-width:100%}figcaption{color:#555;font-size:.9rem}figure{margin:1rem 0}"
     "table{border-collapse:collapse;font-size:.9rem}td,th{padding:.15rem .7rem;border-bottom:1px solid #e5e5e5;"
-    "text-align:right;white-space:nowrap}td:first-child,th:first-child{text-align:left}"
+    "text-align:right;white-space:nowrap}td:first-child,th:first-child{text-align:left}td:first-child{white-space:normal}"
     ".warn{background:#fff4d6;border-left:4px solid #d90;padding:.4rem .9rem;margin:.4rem 0}"
     ".good{background:#e9f6ec;border-left:4px solid #3a5;padding:.4rem .9rem;margin:.4rem 0}"
     "figure svg{max-width:100%;height:auto}.sign{display:flex;gap:2rem;margin:3rem 0 1rem}"

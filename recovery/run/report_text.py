@@ -52,7 +52,7 @@ def key_figures(outcome: Outcome) -> tuple[str, ...]:
     """The figures at the top of the record, as the first table of the page has them."""
     top = top_of(outcome)
     return (
-        top["cut"],
+        top["cut"].split(". ")[0],  # the sentences stand below, before cutting
         f"{top['distance_mean_mm']:.1f} mm",
         f"{top['chamfer_cm2']:.2f} cm²",
         f"{top['seam_max_pct']:.2f} %",
@@ -129,8 +129,7 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
     eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.made) if eases(seam)]
     if eased:
         look.append(
-            f"{len(eased)} seams have ease as in the base, up to {max(eased):.1f} %: the table of seams says which "
-            "edge to hold in."
+            f"{len(eased)} seams have ease, up to {max(eased):.1f} %: the table of seams says which edge to hold in."
         )
     unsure = int((outcome.told.slack_m > UNSURE_M).sum())
     if unsure:
@@ -169,7 +168,8 @@ def cut_of(outcome: Outcome) -> str:
     pattern = outcome.pattern
     words = f"{outcome.cut.called}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
     if outcome.style:
-        words += f"; with {outcome.style.words()} {len(outcome.made.panels)} pieces, {len(outcome.made.stitches)} seams"
+        made = outcome.made
+        words += f"; with {outcome.style.words()}: {len(made.panels)} pieces, {len(made.stitches)} seams"
     return ". ".join((words, *outcome.cut.differs))
 
 

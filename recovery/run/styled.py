@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from drape.errors import InputError
+from recovery.pattern.added import COLLAR
 from recovery.pattern.model import Pattern
-from recovery.pattern.style import COLLAR, NO_STYLE, Style, cap_corners_deg, finished, lined
+from recovery.pattern.style import NO_STYLE, RIB_SHORTER, RIBS, Style, cap_corners_deg, finished, lined
 from recovery.run.cut import Cut
 
 FAIR_DEG = 5.0  # by which a cap may turn at a corner before it is worth a sentence
@@ -31,6 +32,12 @@ def styled(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tup
         warnings.append(
             f"The collar is drafted: straight, as long as the neckline, {100 * style.widths_m[COLLAR]:.1f} cm wide. "
             "It was neither draped nor fitted."
+        )
+    if ribs := [name for name in RIBS if name in style.widths_m]:
+        shorter = ", ".join(f"{name.replace('_', ' ')} by {RIB_SHORTER[RIBS[name]]:.0%}" for name in ribs)
+        warnings.append(
+            f"Ribs are drafted: straight, in place of what was cut off, shorter than what holds them ({shorter}). "
+            "They were neither draped nor fitted."
         )
     if turned := {name: turn for name, turn in cap_corners_deg(made).items() if turn > FAIR_DEG}:
         words = " and ".join(f"that of {name} by {turn:.0f}" for name, turn in turned.items())

@@ -26,7 +26,9 @@ from recovery.catalogue.fall import HEM_BENDING, hinge_bending, seam_angles
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
 from recovery.drape.output import panel_texture
+from recovery.pattern.bases import skirt
 from recovery.pattern.mesh import mesh_pattern
+from recovery.pattern.style import Style, lined
 from recovery.sim.model import ClothModel
 from tests.recovery.pattern_setup import default_measurements
 
@@ -38,9 +40,11 @@ def quick_tank() -> SewnGarment:
     return build(design("tank", default_measurements()), body_distance(body, QUICK), QUICK)
 
 
-def test_a_shape_is_carried_to_a_finer_mesh_by_place_in_the_panels():
-    pattern = CATALOGUE["skirt"](default_measurements()).pattern
-    coarse, fine = mesh_pattern(pattern, 0.06), mesh_pattern(pattern, 0.03)
+@pytest.mark.parametrize("style", [{}, {"waistband": 0.04, "hemband": 0.05}])
+def test_a_shape_is_carried_to_a_finer_mesh_by_place_in_the_panels(style):
+    """Also where the panels of the fine one are cut along lines that are sewn again."""
+    pattern = skirt(default_measurements())
+    coarse, fine = mesh_pattern(pattern, 0.06), mesh_pattern(lined(pattern, Style(style)), 0.03)
     # Panels as placed are linear in their coordinates: away from seams nothing is lost.
     placed = coarse.placed()
     nodes = on_finer_mesh(coarse, coarse.nodes_from(placed), fine)

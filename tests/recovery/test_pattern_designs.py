@@ -225,14 +225,14 @@ def test_left_and_right_are_mirror_images():
             assert gap.max() < 1e-3
 
 
-def test_a_tank_has_straps_as_narrow_as_its_shoulders_are_set(body):
-    """Shoulders fall by 0.6 beside the neck, so a strap of 3 cm across is a little longer along its seam."""
-    front = tank(body, shoulder_out_m=-0.055, neck_out_m=0.025, neck_depth_m=0.17, back_neck_depth_m=0.15).panel(
-        "front"
-    )
-    shoulders = sorted(geometry.edge_length(front, number) for number in range(len(front.edges)))[:2]
-    assert_allclose(shoulders, shoulders[0])
-    assert 0.025 < shoulders[0] < 0.04
+def test_a_tank_has_straps_as_narrow_as_its_shoulders_are_set():
+    """A strap's seam runs from the side of the neck to the shoulder's tip: across what both settings leave."""
+    measured = default_measurements()
+    front = tank(measured, shoulder_out_m=-0.055, neck_out_m=0.025).panel("front")
+    seams = sorted(geometry.edge_length(front, number) for number in range(len(front.edges)))[:2]
+    across = measured.shoulder_x - 0.055 - measured.neck_half_width - 0.025
+    assert_allclose(seams, np.hypot(across, 0.025 - 0.6 * 0.025), rtol=1e-9)
+    assert seams[0] < 0.035
 
 
 @pytest.mark.parametrize("name", ["tshirt", "trousers", "skirt", "tank", "dress"])

@@ -18,9 +18,10 @@ from recovery.pattern.garmentcode import read_pattern, write_pattern
 from recovery.pattern.legs import LegCut
 from recovery.pattern.legs import trousers as draft_trousers
 from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
+from recovery.pattern.openings import openings, openings_by_name
 from recovery.pattern.pieces import FACED, cut_count, hems, make_sheet, mirror_words
 from recovery.pattern.split import Curve, curves, divided, parted
-from recovery.pattern.style import NO_STYLE, Style, cap_corners_deg, finished, lined, openings, openings_by_name
+from recovery.pattern.style import NO_STYLE, RIB_SHORTER, Style, cap_corners_deg, finished, lined
 from recovery.pattern.symmetry import find_symmetries, symmetrised
 from tests.recovery.pattern_setup import default_measurements, tube
 
@@ -198,6 +199,27 @@ def test_a_collar_is_as_long_as_the_neckline_it_is_sewn_to():
     assert [panel.name for panel in ends] == ["front", "front"]
     # Neighbours on the collar are neighbours on the neckline: the garment has one edge more, not five.
     assert len(openings(found)) == len(openings(whole))
+
+
+@pytest.mark.parametrize("opening", RIB_SHORTER)
+def test_a_rib_is_a_closed_strip_shorter_than_what_holds_it(opening):
+    whole, name = base("tshirt"), "rib_cuffs" if opening == "cuff" else f"rib_{opening}"
+    style = Style({name: 0.03})
+    cut = lined(whole, style)
+    found = finished(cut, style)
+    geometry.check_pattern(found)
+    ribs = [panel for panel in found.panels if panel.name.startswith("rib_")]
+    names = {"rib_cuff_left", "rib_cuff_right"} if opening == "cuff" else {name}
+    assert {panel.name for panel in ribs} == names and all(cut_count(panel) == 2 for panel in ribs)
+    assert_allclose(area(cut), area(whole), rtol=1e-12)
+    assert len(openings(found)) == len(openings(whole))
+    for rib in ribs:
+        seams = [seam for seam in geometry.seams(found) if seam.stitch.first.panel == rib.name]
+        held = [seam for seam in seams if seam.stitch.second.panel != rib.name]
+        assert len(held) == len(seams) - 1 == len(rib.edges) - 3  # one closes it
+        assert_allclose([seam.first_m / seam.second_m for seam in held], 1.0 - RIB_SHORTER[opening], rtol=1e-12)
+        assert_allclose(np.ptp(rib.vertices, axis=0), [sum(seam.first_m for seam in held), 0.03], rtol=1e-9)
+        assert (rib.placement.translation_m[0] > 0.01) == rib.name.endswith("left")
 
 
 def test_a_band_is_cut_twice_in_the_files(tmp_path):

@@ -213,7 +213,7 @@ def test_the_report_says_what_was_found(run):
         assert words in page
     style = Style({"cuffs": 0.05, "collar": 0.06})
     with_lines = replace(outcome, style=style, made=finished(lined(outcome.pattern, style), style))
-    assert cut_of(with_lines) == f"{record['cut']}; with cuffs 5 cm, collar 6 cm 11 pieces, 24 seams"
+    assert cut_of(with_lines) == f"{record['cut']}; with cuffs 5 cm, collar 6 cm: 11 pieces, 24 seams"
     assert "With cuffs 5 cm, collar 6 cm it has 11 pieces and 24 seams" in summary(with_lines)[0]
     lines = Page("lines")
     add_pieces(lines, with_lines.made)

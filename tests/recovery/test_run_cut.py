@@ -14,6 +14,7 @@ from drape.errors import InputError
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.geometry import meshes
+from recovery.catalogue.garments import CATALOGUE
 from recovery.fit.contours import TRUNK
 from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
@@ -24,7 +25,7 @@ from recovery.pattern.model import Pattern
 from recovery.pattern.shirts import FALL_M, STAND_M
 from recovery.pattern.sizes import in_size
 from recovery.pattern.style import NO_STYLE, Style
-from recovery.run.cut import Cut, collarless, differences, has_collar, kind_of, panel_count, told_base
+from recovery.run.cut import Cut, collarless, differences, has_collar, kind_of, panel_count, ring_panels, told_base
 from recovery.run.drafted import RANGES, drafted, own_settings, read_settings
 from recovery.run.nested import in_other_size
 from recovery.run.seen import Seen, girth_round, pieces
@@ -247,6 +248,16 @@ def test_a_pattern_of_a_file_does_not_say_how_it_grows():
         in_other_size(BASES["skirt"](default_measurements()), "mine.json", default_measurements(), {}, "L")
 
 
+def test_panels_of_a_base_that_are_closed_to_a_ring_are_named():
+    sleeves = CATALOGUE["longsleeve"](default_measurements()).pattern
+    assert ring_panels(sleeves) == ["sleeve_left", "sleeve_right", "neckband"]
+    darts = CATALOGUE["trousers"](default_measurements()).pattern
+    assert ring_panels(darts) == ["waistband"]
+    shirt = worn("tshirt")
+    (words, *_) = differences("own.json", sleeves, seen(shirt), default_measurements(), None)
+    assert words.startswith("Of the base sleeve_left, sleeve_right, neckband begin flat")
+
+
 def test_a_target_with_a_collar_gets_one_and_what_has_no_room_is_left_out():
     pattern = BASES["tshirt"](default_measurements())
     cut = Cut("tshirt", told=True, settings={}, differs=(), collar_m=0.08)
@@ -260,6 +271,8 @@ def test_a_target_with_a_collar_gets_one_and_what_has_no_room_is_left_out():
     assert styled(NO_STYLE, plain, pattern, warnings) == (NO_STYLE, pattern, pattern)
     assert styled(Style({"cuffs": 0.4}), plain, pattern, warnings) == (NO_STYLE, pattern, pattern)
     assert len(warnings) == 2 and warnings[1].startswith("The style lines (cuffs 40 cm) were left out: ")
+    styled(Style({"rib_neck": 0.02}), plain, pattern, ribs := [])
+    assert "(rib neck by 12%)" in ribs[0] and "neither draped nor fitted" in ribs[0]
     joined = styled(Style({}, whole_sleeves=True), plain, bent_cap(pattern), warnings)[2]
     assert len(joined.panels) == 4 and "that of sleeve_left by" in warnings[2] and "draw them fair" in warnings[2]
 
