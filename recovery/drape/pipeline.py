@@ -164,6 +164,7 @@ def drape_pattern(
     fallen = float(sewn.nodes[:, 1].max() - rest.nodes[:, 1].max())
     figures: dict[str, Any] = {
         "repaired": list(notes),
+        "edge_length_m": options.edge_length_m,
         "nodes": mesh.node_count,
         "triangles": len(mesh.faces),
         "axes": str(placed.axes),

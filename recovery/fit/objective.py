@@ -50,9 +50,14 @@ class Weights(NamedTuple):
     reach_m: float = 0.045
 
     @property
+    def seams_hold(self) -> bool:
+        """Whether seams are a constraint."""
+        return math.isinf(self.seams)
+
+    @property
     def seam_term(self) -> float:
         """The weight of the seams in the loss: 0 where they are a constraint."""
-        return 0.0 if math.isinf(self.seams) else self.seams
+        return 0.0 if self.seams_hold else self.seams
 
 
 DEFAULT_WEIGHTS = Weights()

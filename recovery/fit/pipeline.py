@@ -33,14 +33,14 @@ from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
 from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSearch
 from recovery.fit.recovered import NOT_AT_REST, SAME, Recovered, Round, Sewn, apart_mm, clocks, why_left
 from recovery.fit.seams import SeamConstraint, sewable
-from recovery.fit.starts import Start, drape_at_rest, worn_drape
+from recovery.fit.starts import Start, drape_at_rest, needed_length, worn_drape
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls, symmetrised
 from recovery.sim.sdf import SignedDistance
 
 DEFAULT_DRAPE = DrapeOptions()
-GRADINGS = 2  # one is linear: a second one halves what the first one left
+GRADINGS = 2  # one is linear: a second one mostly halves what the first one left
 ROUNDS = 3
 # Where surfaces are this far apart (root mean square) at the first round's start or the end of one, the reach may hold
 # the search back: the next one has as many times more. Else what a drape hardly shows stays as in the graded base.
@@ -112,13 +112,14 @@ def recover_pattern(
         task = replace(task, drape=replace(drape, edge_length_m=lengths[0]))
     with watch.stage("drape of the base"):
         first = worn_drape(base, task.start(drape), rest=False)
+    lengths = [min(length, needed_length(first, drape)) for length in lengths]
+    task = replace(task, drape=replace(task.drape, edge_length_m=lengths[0]))
     graded, start = ungraded(base), first
     with watch.stage("drape of the graded base"):
         if task.lays:
             graded, start = task.nearer(graded, start, grading)
         elif grading:
-            for number in range(GRADINGS):
-                graded, start = task.graded(graded, start, rest=number == GRADINGS - 1)
+            graded, start = task.best_graded(graded, start, GRADINGS)
         else:
             start = drape_at_rest(base, task.start(task.drape))
     losses, fabric = {}, drape.fabric
@@ -127,7 +128,7 @@ def recover_pattern(
     if fabric != drape.fabric:
         task = replace(task, drape=replace(task.drape, fabric=fabric))
         if grading and not task.lays:
-            graded, start = task.graded(graded, start)
+            graded, start = task.best_graded(graded, start, 1)
     if not math.isnan(graded.misfit):
         say(
             f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
@@ -222,15 +223,23 @@ class _Task:
         contours = open_contours(draped.nodes, draped.mesh.faces)
         return match_contours(contours, self.target.contours, posed_joints(self.body, self.pose))
 
-    def graded(self, before: Graded, draped: Draped, *, rest: bool = True) -> tuple[Graded, Draped]:
-        """``before`` graded once more by its drape ``draped``, and the drape of that, which must be at ``rest``."""
-        matches, _ = self.matches(draped)
+    def graded(self, before: Graded, draped: Draped) -> tuple[Graded, Draped]:
+        """``before`` graded once more by its drape ``draped``, and the drape of that."""
         contours = open_contours(draped.nodes, draped.mesh.faces)
-        after = graded_again(before, grade(draped.mesh, draped.nodes, contours, matches, self.symmetries))
-        if math.isinf(self.weights.seams):  # a constraint
+        found = grade(draped.mesh, draped.nodes, contours, self.matches(draped)[0], self.symmetries)
+        after = graded_again(before, found)
+        if self.weights.seams_hold:
             after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
-        start = self.start(self.drape)
-        return after, drape_at_rest(after.pattern, start) if rest else worn_drape(after.pattern, start, rest=False)
+        return after, worn_drape(after.pattern, self.start(self.drape), rest=False)
+
+    def best_graded(self, base: Graded, draped: Draped, times: int) -> tuple[Graded, Draped]:
+        """``base``, whose drape is ``draped``, graded up to so many ``times``; the last one worn right and at rest."""
+        start, tried = self.start(self.drape), [self.graded(base, draped)]
+        with suppress(InputError):  # panels that shrink too far, or a drape that lost a part
+            while len(tried) < times:
+                tried.append(self.graded(*tried[-1]))
+        best, worn = min(reversed(tried), key=lambda one: (len(start.lost(one[1])), not one[1].at_rest))
+        return best, worn if worn.at_rest else drape_at_rest(best.pattern, start)
 
     def nearer(self, base: Graded, draped: Draped, grading: bool) -> tuple[Graded, Draped]:
         """``base``, whose drape is ``draped``, or, where springs do not lay that near, graded if it is then nearer."""
@@ -240,7 +249,7 @@ class _Task:
             return apart_mm(self.surface(laid(one, self.target, self.skin, cloth)))
 
         self.say(f"laid      the base within {(before := far(draped)):.2f} mm (root mean square)")
-        after = self.graded(base, draped, rest=False) if grading and before > LAID_FAR_MM else (base, draped)
+        after = self.graded(base, draped) if grading and before > LAID_FAR_MM else (base, draped)
         return after if after[1] is not draped and far(after[1]) < before else (base, draped)
 
     def best_fabric(
@@ -305,7 +314,7 @@ class _Task:
             forward,
             Objective(start.mesh, self.target, contours, matches, weights, base=ratios),
             cloth=free,
-            seams=SeamConstraint(start.mesh.pattern, controls, self.base) if math.isinf(weights.seams) else None,
+            seams=SeamConstraint(start.mesh.pattern, controls, self.base) if self.weights.seams_hold else None,
             likely=unknowns,
         )
         return found, matches
@@ -372,8 +381,8 @@ class _Task:
                 if not number:
                     raise
                 return rounds, self._left(number, len(lengths_m), f"the pattern sewn anew is not worn so: {error}")
-            before, most = (rounds[-1].least[1], FAR_MM) if number else (self.surface(start), START_FAR_MM)
-            held_back = apart_mm(before) > most
+            far_m2, limit = (rounds[-1].least[1], FAR_MM) if number else (self.surface(start), START_FAR_MM)
+            held_back = apart_mm(far_m2) > limit
             why = why_left(rounds, start, frees_cloth=self.free_cloth) if number else ""
             if why and not (why == SAME and held_back):
                 return rounds, self._left(number, len(lengths_m), why)

@@ -5,6 +5,7 @@ Closing threads can pull a sleeve past its arm, and Newton can stick, on one mes
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -74,6 +75,15 @@ def worn_drape(
     if not tried:
         raise refused[0]
     return min(tried, key=lambda pair: pair[0])[1]
+
+
+def needed_length(draped: Draped, options: DrapeOptions) -> float:
+    """The longest edges [m] on which a garment like ``draped`` is worn; infinite where those of ``options`` will do.
+
+    What a coarse mesh lost once it would lose in every drape of a search.
+    """
+    length = draped.figures["edge_length_m"]
+    return length if length <= FINER * options.edge_length_m else math.inf
 
 
 def drape_at_rest(pattern: Pattern, start: Start) -> Draped:

@@ -148,7 +148,7 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
         else:
             left = max(one.report.residual_n for one in (draped.rest, draped.posed) if one is not None)
             look.append(f"Sewn anew, the garment is not at rest: {left:.1e} N are left at a node.")
-        look += cut_words(draped.figures["rest"]["edges_in_body_pct"], outcome.job.drape.edge_length_m)
+        look += cut_words(draped.figures["rest"]["edges_in_body_pct"], draped.figures["edge_length_m"])
         (good if outcome.anew.distance.mean_mm <= ANEW_MM else look).append(anew_words(outcome.anew))
     return good, look
 

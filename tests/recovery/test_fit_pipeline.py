@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ from recovery.fit.cloth import named
 from recovery.fit.contours import match_contours, open_contours
 from recovery.fit.objective import nearest_on_line
 from recovery.fit.optimise import FitOptions
-from recovery.fit.pipeline import recover_pattern
+from recovery.fit.pipeline import _Task, recover_pattern
 from recovery.fit.recovered import Recovered
 from recovery.pattern.bases import skirt, tshirt
 from recovery.run.anew import sewn_anew
@@ -129,6 +129,32 @@ def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(body, mo
     # What is mended is judged as it is then: no other mesh is tried.
     lengths.clear()
     assert starts.worn_drape(pattern, start, mended=lambda one: found) is found and len(lengths) == 1
+
+
+def test_what_a_coarse_mesh_loses_is_draped_on_a_finer_one_from_then_on():
+    options = DrapeOptions(edge_length_m=0.05)
+    for length, needed in ((0.03, 0.03), (0.0435, np.inf), (0.05, np.inf)):
+        assert starts.needed_length(cast(Any, SimpleNamespace(figures={"edge_length_m": length})), options) == needed
+
+
+@pytest.mark.parametrize(
+    ("second", "taken"), [({}, 2), ({"at_rest": False}, 1), ({"lost": ("left_arm",)}, 1), (None, 1)]
+)
+def test_the_last_grading_that_is_worn_and_at_rest_is_searched(second, taken):
+    """A neckline that is narrower than the body narrows the chest with it, and graded again narrows it again."""
+
+    def drape(at_rest=True, lost=()):
+        return SimpleNamespace(at_rest=at_rest, lost=lost)
+
+    def graded(before, draped):
+        if before == 1 and second is None:
+            raise InputError("target", expected="half the size", got="less", cure="Take another base.")
+        return before + 1, drape(**second) if before == 1 else drape()
+
+    start = SimpleNamespace(lost=lambda draped: draped.lost)
+    task = SimpleNamespace(graded=graded, start=lambda options: start, drape=None)
+    best, worn = _Task.best_graded(*cast(Any, (task, 0, drape(), 2)))
+    assert best == taken and worn.at_rest and not start.lost(worn)
 
 
 def test_a_pattern_that_no_mesh_can_be_sewn_of_is_refused(body, monkeypatch: pytest.MonkeyPatch):
