@@ -196,9 +196,8 @@ def test_a_belt_is_held_where_the_waist_of_the_target_is(body):
     assert held_as_target(draped, [], there, skin, cloth) is draped
     # A garment whose belt was laid lower is what its pattern gives, sewn anew and hung there.
     fitted = SimpleNamespace(pattern=draped.mesh.pattern, cloth=cloth, nodes=found.nodes)
-    report = cast(
-        Recovered, SimpleNamespace(fitted=fitted, search=SimpleNamespace(mesh=found.mesh, forward=None), sewn=None)
-    )
+    search = SimpleNamespace(mesh=found.mesh, mesh_of=lambda _: found.mesh, forward=None)
+    report = cast(Recovered, SimpleNamespace(fitted=fitted, search=search, sewn=None))
     anew = sewn_anew(report, body, DrapeOptions(edge_length_m=0.1, grid_m=0.02), None)
     assert anew.distance.rms_mm < min(3.0, 0.8 * anew.by_itself.rms_mm)
     assert_allclose(anew.belt_moved_m, (found.nodes - draped.nodes)[held, 1].mean(), atol=1e-3)
