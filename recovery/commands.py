@@ -43,7 +43,7 @@ def distance_options(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def add_style_options(parser: argparse.ArgumentParser) -> None:
-    """Adds ``--style`` and ``--whole-sleeves`` to a command that writes a pattern."""
+    """Adds ``--style``, ``--whole-sleeves`` and ``--whole-bands`` to a command that writes a pattern."""
     parser.add_argument(
         "--style",
         nargs="+",
@@ -52,11 +52,12 @@ def add_style_options(parser: argparse.ArgumentParser) -> None:
         help=f"lines of the finished pattern, widths in metres: {', '.join(PARTS)}",
     )
     parser.add_argument("--whole-sleeves", action="store_true", help="join halves of sleeves along the top of the arm")
+    parser.add_argument("--whole-bands", action="store_true", help="join the pieces of bands where their ends agree")
 
 
 def style_of(given: argparse.Namespace) -> Style:
     """The style that ``add_style_options`` asked for. Raises ``InputError`` for what is no width."""
-    return Style(read_values(given.style, "--style"), given.whole_sleeves)
+    return Style(read_values(given.style, "--style"), given.whole_sleeves, given.whole_bands)
 
 
 def ended(files: Iterable[Path], not_at_rest: str) -> int:

@@ -16,7 +16,7 @@ from recovery.pattern.added import COLLAR, with_collar, with_ribs
 from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
 from recovery.pattern.openings import Opening, centre_of, openings_called
 from recovery.pattern.pieces import FACED, side_of
-from recovery.pattern.split import Chain, beside, cut_level, joined, partners, strips
+from recovery.pattern.split import JOIN_M, Chain, beside, curves, cut_level, joined, laid_on, partners, strips
 
 WIDEST_M = 0.5  # of any part
 BANDS = {"waistband": "waist", "neckband": "neck", "cuffs": "cuff", "hemband": "hem"}  # and the openings they are at
@@ -28,10 +28,14 @@ PARTS = (*BANDS, *RIBS, *YOKES, COLLAR)
 
 @dataclass(frozen=True)
 class Style:
-    """What is cut off and added: widths [m] by the names of ``PARTS``, and whether halves of sleeves are joined."""
+    """What is cut off and added: widths [m] by the names of ``PARTS``, and whether halves of sleeves are joined.
+
+    With ``whole_bands`` the pieces of a band are, as far as their ends lie on each other.
+    """
 
     widths_m: Mapping[str, float]
     whole_sleeves: bool = False
+    whole_bands: bool = False
 
     def __post_init__(self) -> None:
         for name, width in self.widths_m.items():
@@ -42,11 +46,12 @@ class Style:
                 raise InputError(f"--style {name}", expected=range_m, got=f"{width:g}", cure="Pass metres.")
 
     def __bool__(self) -> bool:
-        return bool(self.widths_m) or self.whole_sleeves
+        return bool(self.widths_m) or self.whole_sleeves  # without widths there are no bands
 
     def words(self) -> str:
         """The style as a phrase, such as "waistband 4 cm, one-piece sleeves"; empty for none."""
         parts = [f"{name.replace('_', ' ')} {100 * width:.3g} cm" for name, width in self.widths_m.items()]
+        parts += ["bands in one piece"] if self.whole_bands else []
         return ", ".join([*parts, *(["one-piece sleeves"] if self.whole_sleeves else [])])
 
 
@@ -74,6 +79,8 @@ def finished(pattern: Pattern, style: Style) -> Pattern:
         pattern = _whole_sleeves(pattern)
     if all(name in style.widths_m for name in YOKES):
         pattern = _whole_yoke(pattern)
+    for name in BANDS if style.whole_bands else ():
+        pattern = _whole_band(pattern, f"_{name.removesuffix('s')}")
     for name, opening in RIBS.items():
         if (width := style.widths_m.get(name)) is not None:
             pattern = with_ribs(pattern, name, width, RIB_SHORTER[opening])
@@ -211,6 +218,44 @@ def _height(pattern: Pattern, number: int) -> float:
     """The height [m] of a seam, panels as placed."""
     stitch = pattern.stitches[number]
     return float(centre_of(pattern, [stitch.first, stitch.second])[1])
+
+
+def _whole_band(pattern: Pattern, word: str) -> Pattern:
+    """The panels whose names end in ``word`` joined where their ends lie on each other, from the front on.
+
+    The seam farthest behind stays, and so does one whose join would lay the piece on itself. What is one piece round
+    the whole garment is named after no panel.
+    """
+    while True:
+        seams = []
+        for number, stitch in enumerate(pattern.stitches):
+            sides = (stitch.first, stitch.second)
+            panels = [pattern.panel(ref.panel) for ref in sides]
+            if not all(panel.name.endswith(word) for panel in panels) or panels[0] is panels[1]:
+                continue
+            a, b = (curves(panel)[ref.edge] for panel, ref in zip(panels, sides, strict=True))
+            if laid_on(a, b.reversed())[1] <= JOIN_M:
+                seams.append((float(centre_of(pattern, sides)[2]), number))
+        for _, number in sorted(seams, reverse=True):
+            called = pattern.stitches[number].first.panel
+            found = joined(pattern, number, called)
+            if geometry.first_crossing(geometry.outline(found.panel(called))) is None:
+                pattern = found
+                break
+        else:
+            left = [panel.name for panel in pattern.panels if panel.name.endswith(word)]
+            return _renamed(pattern, left[0], word.removeprefix("_")) if len(left) == 1 else pattern
+
+
+def _renamed(pattern: Pattern, name: str, called: str) -> Pattern:
+    """``pattern`` with the panel ``name`` called ``called``."""
+
+    def now(ref: EdgeRef) -> EdgeRef:
+        return replace(ref, panel=called) if ref.panel == name else ref
+
+    panels = tuple(replace(panel, name=called) if panel.name == name else panel for panel in pattern.panels)
+    stitches = tuple(replace(one, first=now(one.first), second=now(one.second)) for one in pattern.stitches)
+    return replace(pattern, panels=panels, stitches=stitches, panel_order=None)
 
 
 def _whole_yoke(pattern: Pattern) -> Pattern:

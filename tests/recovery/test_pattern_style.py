@@ -89,6 +89,23 @@ def test_lines_take_no_cloth_and_every_seam_stays_as_it_was(name):
         assert band.placement == parent.placement
 
 
+@pytest.mark.parametrize("name", ["skirt", "trousers"])
+def test_a_band_in_one_piece_is_open_behind(name):
+    """A seam is left: of trousers in the middle of the back; the ends of the others lie on each other."""
+    whole = base(name)
+    style = Style({"waistband": 0.03}, whole_bands=True)
+    cut = lined(whole, style)
+    found = finished(cut, style)
+    bands = [panel for panel in found.panels if panel.name.endswith("waistband")]
+    assert [panel.name for panel in bands] == ["waistband"] and style.words().endswith("bands in one piece")
+    assert_allclose(area(found), area(whole), rtol=1e-4)  # edges a fraction of a millimetre apart became one
+    geometry.check_pattern(found)
+    (closing,) = [one for one in found.stitches if one.first.panel == one.second.panel == bands[0].name]
+    assert abs(geometry.seams(found)[found.stitches.index(closing)].mismatch) < 1e-9
+    waist = [edge for edge in bands[0].edges if edge.label == f"waist {FACED}"]
+    assert len(waist) == len(whole.panels) and len(bands[0].edges) == 2 * len(waist) + 2
+
+
 def test_mirrored_panels_have_mirrored_bands():
     words = mirror_words(lined(base("trousers"), Style(STYLES["trousers"])))
     assert words["front_right_waistband"] == ("mirror of", "front_left_waistband")
