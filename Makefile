@@ -33,7 +33,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 WEB := clients/web
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help serve setup test test-quick check audit format bench soak page clean
+.PHONY: help serve setup browser test test-quick check audit format bench soak page clean
 
 help:
 	@sed -n '2,/^$$/{s/^# \{0,1\}//;p;}' Makefile
@@ -73,11 +73,15 @@ page: $(WEB)/dist/.stamp
 serve: $(VENV)/.serve-stamp $(if $(filter 0,$(PAGE)),,page)
 	exec $(BIN)/python -m service --host $(HOST) --port $(PORT) $(ARGS)
 
-# The page and the browser are wanted here, not required: without them the browser tests skip and say why. Checks run beside
-# the tests, since most of them use one core, and are printed after them.
-test: setup
+# The page and the browser are wanted by tests, not required: without them the browser tests skip and say why.
+browser:
 	@scripts/build_page $(WEB) --optional
 	@scripts/find_chromium
+
+# They are fetched while kernels are compiled. Checks run beside the tests, since most of them use one core, and are
+# printed after them.
+test:
+	@$(MAKE) --no-print-directory -j2 setup browser
 	@tests=0; checked=0; $(MAKE) --no-print-directory check > $(VENV)/check.log 2>&1 & checks=$$!; \
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 $(ARGS) \
 	|| tests=$$?; wait $$checks || checked=$$?; cat $(VENV)/check.log; [ $$tests = 0 ] && [ $$checked = 0 ]
