@@ -23,6 +23,7 @@ from recovery.run.seen import Seen
 from recovery.run.target import OF_TOPS, OPENINGS, describe_openings, opened
 from recovery.run.upright import long_contours
 from recovery.scan.collars import without_collar
+from recovery.scan.holes import borders, plainly_opening
 
 SLEEVE_M = 0.06  # from the shoulder's joint to a cuff; an armhole lies within 3 cm of it
 DRESS_M = 0.12  # below the crotch: no shirt's hem
@@ -53,8 +54,12 @@ class Cut:
 
 
 def kind_of(mesh: GarmentMesh) -> str:
-    """A base with as many openings as ``mesh`` has long borders, before a body and a unit are known."""
+    """A base with as many openings as ``mesh`` has long borders, before a body and a unit are known.
+
+    Where there are more than a top has, some are holes, as long as not more than those are plainly openings.
+    """
     count = len(long_contours(mesh))
+    count = max(min(count, max(KINDS)), sum(map(plainly_opening, borders(mesh)[:count])))
     if count not in KINDS:
         raise InputError(
             "target",

@@ -31,6 +31,7 @@ from recovery.run.nested import in_other_size
 from recovery.run.seen import Seen, girth_round, pieces
 from recovery.run.styled import styled
 from recovery.run.target import OF_TOPS
+from recovery.run.upright import long_contours
 from recovery.scan.collars import below
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements
@@ -90,6 +91,17 @@ def test_without_a_body_the_number_of_long_borders_tells_the_kind():
     shut = worn("skirt").take_faces(np.arange(1))
     with pytest.raises(InputError, match="Name the base"):
         kind_of(shut)
+
+
+def test_holes_in_the_cloth_do_not_hide_the_kind():
+    """A T-shirt with a hole of 12 cm in front and one behind has six long borders and is a top."""
+    tee = worn("tshirt")
+    middle = tee.vertices[tee.faces].mean(axis=1)
+    chest = middle[(np.abs(middle[:, 0]) < 0.05) & (np.abs(middle[:, 1] - 0.2) < 0.05)]
+    places = [chest[chest[:, 2].argmax()], chest[chest[:, 2].argmin()]]
+    away = np.min([np.linalg.norm(middle - place, axis=1) for place in places], axis=0)
+    holed = tee.take_faces(np.flatnonzero(away > 0.06))
+    assert len(long_contours(holed)) == 6 and kind_of(holed) == "tshirt"
 
 
 def test_a_collar_is_told_from_a_neckline():
