@@ -11,7 +11,7 @@ a drape that does not move any more the derivative of one implicit step with the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -195,6 +195,16 @@ def hung_at_rest(
     hung, forward = hung_as(draped, mesh, nodes, skin, cloth), RestDrape(draped.mesh, skin, cloth)
     state, report = to_rest(forward.model, forward.model.state(hung.nodes), forward.parameters, forward.contact)
     return _lying(hung, Drape(state.x.numpy(), draped.rest.held, report, 0))
+
+
+def put_on(draped: Draped, mesh: PatternMesh, nodes: np.ndarray, hold: Callable[[Draped], Draped]) -> Draped:
+    """``draped`` put on as another mesh of its pattern, ``mesh`` at ``nodes`` [m] (N, 3), its belt laid by ``hold``.
+
+    Itself if it does not come to rest so.
+    """
+    placed = _with_nodes(draped, on_finer_mesh(mesh, nodes, draped.mesh))
+    worn = hold(placed)
+    return draped if worn is placed else worn
 
 
 def in_other_folds(draped: Draped, mesh: PatternMesh, nodes: np.ndarray) -> bool:

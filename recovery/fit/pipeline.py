@@ -340,7 +340,12 @@ class _Task:
             return self.surface(one) if one.at_rest and not start.lost(one) else math.inf
 
         def mended(loose: Draped) -> Draped:
-            worn = hung_as(loose, *shown, self.skin, cloth) if self.lays else self.held(loose, cloth)
+            if self.lays:
+                worn = hung_as(loose, *shown, self.skin, cloth)
+            elif len(loose.rest.held) and start.lost(loose):
+                worn = laying.put_on(loose, *shown, lambda one: self.held(one, cloth))
+            else:
+                worn = self.held(loose, cloth)
             if not self.lays and (
                 laying.in_other_folds(worn, *shown) or (math.isinf(far(worn)) and not len(worn.rest.held))
             ):

@@ -16,7 +16,15 @@ from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
 from recovery.fit.chamfer import SurfaceDistance, surface_distance
 from recovery.fit.contours import lost_parts, match_contours, open_contours
-from recovery.fit.laying import OTHER_FOLDS_MM, LaidDrape, hung_as, hung_at_rest, in_other_folds, laying_options
+from recovery.fit.laying import (
+    OTHER_FOLDS_MM,
+    LaidDrape,
+    hung_as,
+    hung_at_rest,
+    in_other_folds,
+    laying_options,
+    put_on,
+)
 from recovery.fit.recovered import Recovered
 from recovery.fit.starts import LENGTHS_TRIED
 from recovery.pattern.model import Pattern
@@ -29,7 +37,7 @@ class SewnAnew(NamedTuple):
     """The drape ``draped`` and its ``distance`` from that of the report, both in the wearer's pose.
 
     ``by_itself`` is the distance before its belt was laid on the report's waist, which lies ``belt_moved_m`` [m]
-    higher, or before it was hung in the report's folds; else the same distance, and zero without a belt.
+    higher, or before it was hung or put on as the report shows it; else the same distance, and zero without a belt.
     """
 
     draped: Draped
@@ -67,7 +75,7 @@ def sewn_anew(
             if number == 0 and found.sewn is not None and pattern is own:
                 one = _beside(found, *found.sewn)
             else:
-                one = _sewn(found, body, replace(options, edge_length_m=length), pose, pattern)
+                one = _sewn(found, body, replace(options, edge_length_m=length), pose, pattern, parts)
         except InputError as error:
             refused.append(error)
             continue
@@ -83,7 +91,12 @@ def sewn_anew(
 
 
 def _sewn(
-    found: Recovered, body: BodyModel, options: DrapeOptions, pose: np.ndarray | None, pattern: Pattern
+    found: Recovered,
+    body: BodyModel,
+    options: DrapeOptions,
+    pose: np.ndarray | None,
+    pattern: Pattern,
+    parts: Sequence[str],
 ) -> SewnAnew:
     cloth = found.fitted.cloth
     surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
@@ -99,10 +112,14 @@ def _sewn(
         return min(ways, key=lambda one: (not one.draped.at_rest, one.distance.mean_mm))
     if not len(loose.rest.held):
         return _beside(found, loose, loose)
-    there = open_contours(found.fitted.nodes, found.search.mesh.faces)
-    own = open_contours(loose.nodes, loose.mesh.faces)
-    matches, _ = match_contours(own, there, posed_joints(body, pose))
-    return _beside(found, loose, held_as_target(loose, matches, there, skin, cloth))
+    there, joints = open_contours(found.fitted.nodes, found.search.mesh.faces), posed_joints(body, pose)
+
+    def held(one: Draped) -> Draped:
+        matches, _ = match_contours(open_contours(one.nodes, one.mesh.faces), there, joints)
+        return held_as_target(one, matches, there, skin, cloth)
+
+    lost = lost_parts(loose.nodes, loose.mesh.faces, joints, parts)
+    return _beside(found, loose, put_on(loose, mesh, found.fitted.nodes, held) if lost else held(loose))
 
 
 def _beside(found: Recovered, loose: Draped, worn: Draped) -> SewnAnew:
@@ -129,4 +146,6 @@ def anew_words(anew: SewnAnew) -> str:
             f" It is hung in this garment's folds, as hands arrange them; from flat panels it falls into others, "
             f"{anew.by_itself.mean_mm:.1f} mm away."
         )
+    elif anew.by_itself.mean_mm > ANEW_MM:
+        words += f" It is put on as this garment is; from flat panels it closes {anew.by_itself.mean_mm:.1f} mm away."
     return words

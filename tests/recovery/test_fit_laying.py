@@ -13,7 +13,16 @@ from recovery.drape.pipeline import HANGS_LONGER, Draped, DrapeOptions
 from recovery.drape.settle import Drape
 from recovery.fit import laying
 from recovery.fit.contours import open_contours
-from recovery.fit.laying import LaidDrape, fallen, hung_as, in_other_folds, is_laid, laying_options, springs_between
+from recovery.fit.laying import (
+    LaidDrape,
+    fallen,
+    hung_as,
+    in_other_folds,
+    is_laid,
+    laying_options,
+    put_on,
+    springs_between,
+)
 from recovery.fit.objective import Target
 from recovery.pattern.bases import base_pattern
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
@@ -125,3 +134,8 @@ def test_a_drape_in_other_folds_is_hung_in_those_of_another_mesh():
     assert hung.at_rest and not in_other_folds(hung, fine, shown)
     belted = replace(loose, rest=loose.rest._replace(held=np.array([0])))
     assert not in_other_folds(belted, fine, shown)
+    assert put_on(belted, fine, shown, lambda one: one) is belted, "its belt could not be laid"
+    placed = put_on(belted, fine, shown, lambda one: replace(one, figures={"laid": 1.0}))
+    assert placed.figures and not in_other_folds(
+        replace(placed, rest=loose.rest._replace(nodes=placed.nodes)), fine, shown
+    )
