@@ -30,7 +30,7 @@ from recovery.fit.objective import DEFAULT_WEIGHTS
 from recovery.fit.optimise import FitOptions
 from recovery.pattern.bases import BASES
 from recovery.pattern.sizes import PATTERN_STEPS
-from recovery.run.job import FIT_INSIDE, MINUTES, Job, run_job
+from recovery.run.job import MINUTES, Job, run_job
 from recovery.scan.places import ScanFault
 
 # Fields of a job that the command line says as they are.
@@ -52,7 +52,6 @@ OF_JOB = (
 )
 CHOOSE_FABRIC = "auto"
 EDGE_LENGTH_M = 0.05
-SCAN_REACH_M = 0.3  # its base is of another cut, its body is not the wearer's: the pattern has to make up for both
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
@@ -98,8 +97,8 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         "--reach",
         type=float,
         metavar="M",
-        help="the loss doubles where corners are this far [m] from the graded base, all of them together (default "
-        f"{DEFAULT_WEIGHTS.reach_m:g}, for a scan without a body {SCAN_REACH_M:g})",
+        default=DEFAULT_WEIGHTS.reach_m,
+        help="the loss doubles where corners are this far [m] from the graded base, all of them together (%(default)g)",
     )
     parser.add_argument(
         "--minutes", type=float, default=MINUTES, help="after which the best so far is written (%(default)g)"
@@ -134,8 +133,6 @@ def job_of(given: argparse.Namespace) -> Job:
 
 def reach_of(given: argparse.Namespace) -> float:
     """``Weights.reach_m`` [m]; refuses (``InputError``) one that is not positive."""
-    if given.reach is None:
-        return SCAN_REACH_M if given.body == FIT_INSIDE else DEFAULT_WEIGHTS.reach_m
     if not given.reach > 0.0:
         raise InputError("--reach", expected="more than 0", got=f"{given.reach:g}", cure="Leave it at its default.")
     return given.reach
