@@ -1,6 +1,6 @@
-"""Finds the sewing pattern of a draped T-shirt: python examples/07_recover_pattern.py; no service, but torch.
+"""Finds the sewing pattern of a draped skirt: python examples/07_recover_pattern.py; no service, but torch.
 
-The target is a drape of a pattern that we know: longer than the base of the search, with longer sleeves.
+The target is a drape of a pattern that we know: longer than the base of the search, and wider at the hem.
 """
 
 import numpy as np
@@ -17,8 +17,8 @@ EDGE_M = 0.05  # a coarse mesh, so that this takes seconds; 0.025 is usual
 
 body = load_body()
 options = DrapeOptions(edge_length_m=EDGE_M, grid_m=0.015)
-base = base_pattern("tshirt", measure(body))
-true = base_pattern("tshirt", measure(body), ["length_m=0.70", "sleeve_length_m=0.23"])
+base = base_pattern("skirt", measure(body))
+true = base_pattern("skirt", measure(body), ["length_m=0.60", "flare_m=0.12"])
 target = drape_pattern(true, body, options)
 
 fit = FitOptions(iterations=0, closing=3)

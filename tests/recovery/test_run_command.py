@@ -305,7 +305,7 @@ def test_a_pattern_whose_sleeve_misses_its_arm_is_sewn_on_another_mesh(lost_on, 
     trunk, faces = round_tube((0.25, 0.25), (0.1, 0.3))
     lengths: list[float] = []
 
-    def sewn(found, body, options, pose, pattern):
+    def sewn(found, body, options, pose, pattern, parts):
         lengths.append(options.edge_length_m)
         if len(lengths) == 2:
             raise InputError("stitch", expected="edges that meet", got="none", cure="Check it.")
