@@ -2,12 +2,13 @@
 #
 #   make serve            the service and its page on http://127.0.0.1:8000 (no torch)
 #   make setup            everything: service, training, clients, checkers
-#   make test             checks and the test suite, but for benchmarks' quick forms
+#   make test             checks and the test suite but for its long tests
+#   make test-all         every test
 #   make test-quick       the same without the slow tests
 #   make check            format, lint, types, import order, known vulnerabilities
 #   make audit            known vulnerabilities of what is installed; fails where the package index cannot say
 #   make format           write the format and the safe lint fixes
-#   make bench            every benchmark, its quick form, and their tests
+#   make bench            every benchmark, its quick form
 #   make soak             fuzzed frames through the whole engine for ten minutes, ARGS="--frames 1000000 --seconds 1e9" for more; then drawn requests and streams
 #   make clean            remove what was installed or built
 #
@@ -33,7 +34,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 WEB := clients/web
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help serve setup browser test test-quick check audit format bench soak page clean
+.PHONY: help serve setup browser test test-all test-quick check audit format bench soak page clean
 
 help:
 	@sed -n '2,/^$$/{s/^# \{0,1\}//;p;}' Makefile
@@ -83,11 +84,14 @@ browser:
 test:
 	@$(MAKE) --no-print-directory -j2 setup browser
 	@tests=0; checked=0; $(MAKE) --no-print-directory check > $(VENV)/check.log 2>&1 & checks=$$!; \
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 -m "not bench" $(ARGS) \
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 -m "not long" $(ARGS) \
 	|| tests=$$?; wait $$checks || checked=$$?; cat $(VENV)/check.log; [ $$tests = 0 ] && [ $$checked = 0 ]
 
+test-all: setup
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 $(ARGS)
+
 test-quick: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 -m "not slow and not bench" $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 -m "not slow and not long" $(ARGS)
 
 check: setup
 	$(BIN)/ruff format --check .
@@ -104,7 +108,6 @@ format: setup
 	$(BIN)/ruff format .
 
 bench: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -m bench tests/benchmarks
 	@scripts/bench $(BIN)/python $(ARGS)
 
 # The second line draws other requests and streams every time; what fails prints how to repeat it.

@@ -15,6 +15,7 @@ from tests.fixtures.characters import ARMS_DOWN_RAD, character
 from tests.fixtures.poses import random_motion
 
 
+@pytest.mark.long
 def test_our_own_body_is_dressed_without_skin_that_shows(body: BodyModel, tmp_path: Path):
     file = tmp_path / "ours.glb"
     file.write_bytes(character(body, arms_rad=ARMS_DOWN_RAD))

@@ -23,7 +23,7 @@ def record():
         return folds.main(["--quick", "--garments", "tank", "--frames", "6", "--sweeps", "0", "1", "8", *ways])
 
 
-@pytest.mark.bench
+@pytest.mark.long
 def test_rows_are_of_every_start_and_folds_lower_the_energy(record):
     rows = {(row["method"], row["sweeps"]): row for row in record["rows"] if not row.get("cloth_contact")}
     least = rows.pop(("physics", 0))
@@ -41,14 +41,14 @@ def test_rows_are_of_every_start_and_folds_lower_the_energy(record):
     assert rows["network_0", 1]["detail_mm"] > rows["network_0", 0]["detail_mm"]
 
 
-@pytest.mark.bench
+@pytest.mark.long
 def test_gains_are_also_beside_cloth_that_keeps_apart(record):
     own = [row for row in record["rows"] if row.get("cloth_contact") is False]
     gains = {(row["method"], row["sweeps"]): row["gain_apart"] for row in own}
     assert gains["skinning", 0] == 0.0 < gains["network_0", 0] < gains["network_0", 8]
 
 
-@pytest.mark.bench
+@pytest.mark.long
 def test_cloth_that_feels_itself_crosses_less_often(record):
     crossed = {
         apart: sum(row["self_intersections"] for row in record["rows"] if row.get("cloth_contact") is apart)
@@ -58,7 +58,7 @@ def test_cloth_that_feels_itself_crosses_less_often(record):
     assert crossed[True] < crossed[False]
 
 
-@pytest.mark.bench
+@pytest.mark.long
 def test_the_table_has_a_line_for_each_start(record):
     rows = [row | {"sweeps": {1: 2}.get(row["sweeps"], row["sweeps"])} for row in record["rows"]]
     lines = folds_table(record | {"rows": rows}).splitlines()

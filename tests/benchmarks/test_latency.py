@@ -28,7 +28,7 @@ def record() -> dict:
         return latency.main(["--quick", "--threads", "1", "--model", str(exported()[1])])
 
 
-@pytest.mark.bench
+@pytest.mark.long
 def test_rows_hold_together(record: dict):
     assert record["bench"] == "latency" and record["device"] == "cpu"
     assert record["provider"] == "CPUExecutionProvider"
@@ -53,7 +53,7 @@ def test_rows_hold_together(record: dict):
     assert stores[-1] == 4 * stores[0]
 
 
-@pytest.mark.bench
+@pytest.mark.long
 def test_tables_come_from_the_record(record: dict):
     made = {name: table for _, _, name, table in records.TABLES}
     single = records.single_table(record)

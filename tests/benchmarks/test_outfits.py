@@ -67,7 +67,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         return outfits.main(["--quick", "--threads", "1", *chosen])
 
 
-@pytest.mark.bench
+@pytest.mark.long
 def test_the_quick_run_measures_every_method_in_a_stream_and_in_poses(record: dict[str, Any]):
     rows = record["rows"]
     assert [(row["clip"], row["method"]) for row in rows] == [(c, m) for c in ("walk", "poses") for m in METHODS]

@@ -37,7 +37,7 @@ def test_a_garment_without_an_optimum_is_named(monkeypatch):
         quality.main(asked.split())
 
 
-@pytest.mark.bench
+@pytest.mark.long
 def test_the_quick_table_is_ordered_as_physics_demands(tmp_path):
     stored = tmp_path / "quality.json"
     asked = "--quick --garments shorts --threads 1 --no-physics-cache"

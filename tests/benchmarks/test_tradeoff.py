@@ -49,6 +49,7 @@ def rows(case, drapery):
     return tradeoff.measure(case, drapery, knobs)
 
 
+@pytest.mark.long
 def test_every_combination_is_measured_beside_the_rival_and_physics(rows):
     assert [row["tier"] for row in rows] == [*[""] * 5, "skinning_push", "physics"]
     assert [row["knobs"] for row in rows[:2]] == ["passes 0, folds 0", "passes 0, folds 2 coarse"]

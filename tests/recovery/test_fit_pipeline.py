@@ -32,6 +32,7 @@ COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_larger_base_finds_the_pattern_of_a_drape(body):
     """Larger by 7 %: gradings and three closing steps bring control points within 1 mm, areas 0.5 %."""
     truth = tshirt(default_measurements())
@@ -56,6 +57,7 @@ def test_a_larger_base_finds_the_pattern_of_a_drape(body):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_rounds_go_on_from_each_other_and_the_fabric_is_chosen(body, tmp_path):
     """A skirt of another fabric than the base's: the fabric is named, and a second round has its own mesh and drape."""
     truth = skirt(default_measurements())

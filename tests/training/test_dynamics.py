@@ -61,6 +61,7 @@ def on_the_same_windows(trainer: DynamicTrainer) -> float:
     return float(np.mean(losses))
 
 
+@pytest.mark.long
 def test_training_calms_a_wild_start_and_statics_stay_bit_for_bit(trainer: DynamicTrainer, static: OneFit):
     with torch.no_grad():
         trainer.encoder.out.weight.mul_(120.0)

@@ -54,6 +54,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["static", "dynamic"])
+@pytest.mark.long
 def test_two_processes_keep_the_same_weights(trained: Path, kind: str):
     weights = [torch.load(trained / kind / f"rank{rank}.pt", weights_only=True) for rank in (0, 1)]
     for first, second in zip(*weights, strict=True):

@@ -36,6 +36,7 @@ def loss_on_the_same_poses(trainer: Trainer) -> float:
     return float(np.mean(losses))
 
 
+@pytest.mark.long
 def test_training_lowers_the_energy(trainer: Trainer):
     first = loss_on_the_same_poses(trainer)
     for _ in range(150):

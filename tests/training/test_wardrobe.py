@@ -34,6 +34,7 @@ def test_a_wardrobe_holds_designs_and_variants_with_their_partitions(wardrobe: W
     assert own.rest.vertices.shape != variant.rest.vertices.shape
 
 
+@pytest.mark.long
 def test_processes_share_the_design_and_not_the_variants(wardrobe: Wardrobe):
     other = Wardrobe(replace(DATA, partitions=1), body(), seed=1, device=CPU, process=1)
     assert np.array_equal(other.garments[0].rest.vertices, wardrobe.garments[0].rest.vertices)

@@ -247,6 +247,7 @@ def test_a_collapsed_triangle_is_laid_out_where_no_step_leads_down(sphere):
 
 
 @pytest.mark.parametrize("made_of", [None, "jersey"])
+@pytest.mark.long
 def test_the_shipped_t_shirt_comes_to_rest_below_both_starts(made_of):
     body, pose = standard_body(), np.zeros((1, 24, 3))
     pose[0, [16, 17], 2] = [-0.9, 0.9]  # both arms down

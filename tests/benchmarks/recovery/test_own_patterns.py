@@ -24,7 +24,7 @@ def test_a_base_is_off_by_five_to_ten_percent_in_width_and_in_height():
             assert (np.abs(factor - 1.0) > 0.99 * LEAST_OFF).all() and (np.abs(factor - 1.0) < 1.01 * MOST_OFF).all()
 
 
-@pytest.mark.bench
+@pytest.mark.long
 def test_errors_and_times_of_every_round_make_a_table():
     body, truth = load_body(), skirt(default_measurements())
     drape = DrapeOptions(edge_length_m=0.1, grid_m=0.02)

@@ -40,7 +40,7 @@ def test_answers_that_say_there_is_no_room_are_no_faults():
     assert tally.faults == ["GET /garments: 500", "GET /garments: 502"]
 
 
-@pytest.mark.bench
+@pytest.mark.long
 def test_clients_come_and_go(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, few_garments: tuple[str, ...]
 ):
