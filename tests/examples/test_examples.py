@@ -17,6 +17,7 @@ from tests.fixtures.serving import served
 
 EXAMPLES = sorted((ROOT / "examples").glob("0*.*"))
 ALONE = {"07_recover_pattern", "08_train"}  # without a service
+LONG = {"08_train"}
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +42,10 @@ def code(path: Path) -> str:
     return "\n".join("".join(cell["source"]) + "\n" for cell in cells if cell["cell_type"] == "code")
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+MARKED = [pytest.param(path, marks=pytest.mark.long) if path.stem in LONG else path for path in EXAMPLES]
+
+
+@pytest.mark.parametrize("path", MARKED, ids=[path.stem for path in EXAMPLES])
 def test_an_example_runs(path: Path, request: pytest.FixtureRequest, tmp_path: Path):
     arguments = [] if path.stem in ALONE else [request.getfixturevalue("url")]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}

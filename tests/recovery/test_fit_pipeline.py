@@ -104,6 +104,7 @@ def test_what_cannot_be_searched_is_refused(body):
         recover_pattern(*target, drape=replace(coarse, iteration_limit=0))
 
 
+@pytest.mark.long
 def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(body, monkeypatch: pytest.MonkeyPatch):
     pattern = skirt(default_measurements())
     very_coarse = DrapeOptions(edge_length_m=0.12, grid_m=0.04)

@@ -259,6 +259,7 @@ def test_what_the_target_shows_is_what_a_changed_pattern_changes(run):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     folder, outcome, truth = run
     pose = np.zeros((24, 3))

@@ -33,6 +33,7 @@ def trainer(monkeypatch: pytest.MonkeyPatch) -> Trainer:
     return Trainer(config, PoseBank(read_clips([Path(sample_motions())], held_out=()), config.data), device=META)
 
 
+@pytest.mark.long
 def test_a_step_stays_on_its_device(trainer: Trainer):
     for trainer.step_count in range(8):  # with more and fewer corrections, poses alone and by threes
         trainer.draw_fabric()
@@ -40,6 +41,7 @@ def test_a_step_stays_on_its_device(trainer: Trainer):
     assert all(weight.grad is None or weight.grad.device == META for weight in trainer.model.parameters())
 
 
+@pytest.mark.long
 def test_a_number_left_on_the_processor_is_refused(trainer: Trainer):
     trainer.model.felt_terms = trainer.model.felt_terms.new_zeros(trainer.model.felt_terms.shape, device="cpu")
     trainer.step_count = 0
