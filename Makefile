@@ -3,8 +3,8 @@
 #   make serve            the service and its page on http://127.0.0.1:8000 (no torch)
 #   make setup            everything: service, training, clients, checkers
 #   make test             checks and the test suite but for its long tests
+#   make test-quick       the tests without the slow ones
 #   make test-all         every test
-#   make test-quick       the same without the slow tests
 #   make check            format, lint, types, import order, known vulnerabilities
 #   make audit            known vulnerabilities of what is installed; fails where the package index cannot say
 #   make format           write the format and the safe lint fixes
@@ -31,6 +31,7 @@ SHELL := /bin/bash
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15
 WEB := clients/web
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
@@ -84,14 +85,14 @@ browser:
 test:
 	@$(MAKE) --no-print-directory -j2 setup browser
 	@tests=0; checked=0; $(MAKE) --no-print-directory check > $(VENV)/check.log 2>&1 & checks=$$!; \
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 -m "not long" $(ARGS) \
+	$(PYTEST) -m "not long" $(ARGS) \
 	|| tests=$$?; wait $$checks || checked=$$?; cat $(VENV)/check.log; [ $$tests = 0 ] && [ $$checked = 0 ]
 
 test-all: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 $(ARGS)
+	$(PYTEST) $(ARGS)
 
 test-quick: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 -m "not slow and not long" $(ARGS)
+	$(PYTEST) -m "not slow and not long" $(ARGS)
 
 check: setup
 	$(BIN)/ruff format --check .

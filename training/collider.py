@@ -43,5 +43,4 @@ class BodySurface:
 def _surface(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
     """Body vertices (C,) that training collides with and their faces (T, 3): all but head, hands and toes."""
     kept = body.weights[:, DETAIL_JOINTS].sum(axis=1) <= 0.5
-    used, faces = np.unique(body.faces[kept[body.faces].all(axis=1)], return_inverse=True)
-    return used, faces.reshape(-1, 3)
+    return meshes.in_use(body.faces[kept[body.faces].all(axis=1)])

@@ -153,8 +153,8 @@ def compact(vertices: np.ndarray, faces: np.ndarray, extra: np.ndarray) -> tuple
     """The largest connected piece, with unused vertices dropped."""
     pieces = trimesh.graph.connected_component_labels(trimesh.graph.face_adjacency(faces), node_count=len(faces))
     faces = faces[pieces == np.bincount(pieces).argmax()]
-    used, renumbered = np.unique(faces, return_inverse=True)
-    return vertices[used], renumbered.reshape(-1, 3), extra[used]
+    used, renumbered = meshes.in_use(faces)
+    return vertices[used], renumbered, extra[used]
 
 
 def build(design: Design, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:

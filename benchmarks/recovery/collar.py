@@ -73,5 +73,5 @@ def _strip(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 def used(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The mesh without the vertices that no face has."""
-    kept, numbers = np.unique(faces, return_inverse=True)
-    return vertices[kept], numbers.reshape(-1, 3)
+    kept, numbers = meshes.in_use(faces)
+    return vertices[kept], numbers

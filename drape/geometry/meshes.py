@@ -120,6 +120,12 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
     return sorted(loops, key=len, reverse=True)
 
 
+def in_use(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices (U,) that ``faces`` (F, 3) have, in order, and the faces by their numbers among these."""
+    used, numbers = np.unique(faces, return_inverse=True)
+    return used, numbers.reshape(-1, 3)
+
+
 def subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Midpoint subdivision: vertices (N, 3), faces (4F, 3) and the two ``parents`` (N, 2) of every vertex.
 

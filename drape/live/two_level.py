@@ -235,10 +235,8 @@ def _fold(vertices, past, added, around, levels, effort):
     if outcome.settled:
         added = np.zeros_like(network)
     else:
-        added, share = (
-            added.copy(),
-            math.exp(-past.step_s / KEPT_S) if effort.steps else fading(effort.steps, past.step_s),
-        )
+        added = added.copy()
+        share = math.exp(-past.step_s / KEPT_S) if effort.steps else fading(effort.steps, past.step_s)
     apart_m = outcome.untangle if sweeps and effort.cloth_contact else 0.0
     schedule = FineSchedule(kind(share), kind(apart_m), kind(effort.clearance_m), sweeps)
     held = CoarseHold(planes, off, folded.touched)

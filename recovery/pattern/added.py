@@ -37,7 +37,8 @@ def with_ribs(pattern: Pattern, name: str, width_m: float, shorter: float) -> Pa
     A rib is ``shorter`` by that share than what it is sewn to, and its seam is at the back of a neck, below an arm,
     at the side of a hem.
     """
-    bands = {panel.name for panel in pattern.panels if panel.name.endswith(word := f"_{name.removesuffix('s')}")}
+    word = name.removesuffix("s")
+    bands = {panel.name for panel in pattern.panels if panel.name.endswith(f"_{word}")}
     held = set()
     for stitch in pattern.stitches:
         for one, other in ((stitch.first, stitch.second), (stitch.second, stitch.first)):
@@ -57,7 +58,7 @@ def with_ribs(pattern: Pattern, name: str, width_m: float, shorter: float) -> Pa
     }
     for ring in rings:
         side = "" if len(rings) == 1 else "_left" if ring.centre[0] > 0.0 else "_right"
-        called = word.removeprefix("_") + side
+        called = word + side
         pattern = _with_strip(pattern, ring, called, width_m, shorter=shorter, starts=first[name])
         strip = pattern.panels[-1]
         end, start = (EdgeRef(strip.name, len(ring.refs) + n) for n in (0, 2))

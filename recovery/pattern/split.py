@@ -16,6 +16,7 @@ import numpy as np
 
 from drape.errors import InputError
 from recovery.pattern import geometry
+from recovery.pattern.drafting import root
 from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.triangulate import inside
 
@@ -50,6 +51,10 @@ class Curve:
         return geometry.off_chord(
             geometry.relative_slope(self.edge(0, 1), t), np.zeros(2), self.points[-1] - self.points[0]
         )
+
+    def crosses(self, y_m: float, low: float, high: float) -> float:
+        """Where between ``low`` and ``high``, on different sides of the height ``y_m`` [m], the curve passes it."""
+        return root(lambda t: self.at(np.array([t]))[0, 1] - y_m, low, high)
 
     def reversed(self) -> Curve:
         """The same curve from its end to its start."""
@@ -307,13 +312,8 @@ def cut_level(pattern: Pattern, name: str, y_m: float, called: str) -> Pattern:
         t = np.linspace(0.0, 1.0, 8 * SAMPLES)
         above = curve.at(t)[:, 1] > y_m
         for k in np.flatnonzero(above[1:] != above[:-1]).tolist():
-            low, high = t[k], t[k + 1]
-            for _ in range(60):
-                middle = 0.5 * (low + high)
-                is_above = curve.at(np.array([middle]))[0, 1] > y_m
-                low, high = (middle, high) if is_above == above[k] else (low, middle)
-            edge = curve.edge(0, 1)
-            share = float(geometry.arc_lengths(edge, np.array([low]))[0]) / geometry.relative_length(edge)
+            edge, there = curve.edge(0, 1), curve.crosses(y_m, t[k], t[k + 1])
+            share = float(geometry.arc_lengths(edge, np.array([there]))[0]) / geometry.relative_length(edge)
             places.append((EdgeRef(name, number), share))
             downward.append(bool(above[k]))
     if len(places) != 2 or places[0][0] == places[1][0]:

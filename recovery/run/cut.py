@@ -123,9 +123,8 @@ def collarless(
     if after != there:
         return mesh, ("The target has a collar, which no base has: the neckline is drawn to its edge",), 0.0
     words = f"The target has a collar, which no base has: it was cut off at the neck, {gone:.0%} of the cloth"
-    line = Seen(found.vertices, found.faces, joints, wearer.joints_template).openings[TRUNK][0].contour.points
-    length = float(np.linalg.norm(np.roll(line, -1, axis=0) - line, axis=1).sum())
-    width = gone * float(meshes.face_areas(mesh.vertices, mesh.faces).sum()) / length
+    neck = Seen(found.vertices, found.faces, joints, wearer.joints_template).openings[TRUNK][0].contour
+    width = gone * float(meshes.face_areas(mesh.vertices, mesh.faces).sum()) / neck.length_m
     if not COLLARS_M[0] <= width <= COLLARS_M[1]:
         return found, (f"{words}; the pattern ends at the neckline",), 0.0
     return found, (f"{words}, about {100 * width:.0f} cm wide",), width

@@ -344,12 +344,11 @@ def _sewn_anew(
 ) -> tuple[SewnAnew | None, list[Worn]]:
     """The ``pattern``, with its style lines, sewn from flat panels, and the garment elsewhere."""
     cloth = found.fitted.cloth
-    lines = None if pattern is found.fitted.pattern else pattern
     parts = [match.place.part for match in found.matches if match.place.part is not None]
     options = replace(job.drape, edge_length_m=found.edge_length_m)
     try:
         with watch.stage("sewn anew"):
-            anew = sewn_anew(found, wearer.shaped, options, wearer.pose, parts, lines)
+            anew = sewn_anew(found, wearer.shaped, options, wearer.pose, parts, pattern)
     except InputError as error:
         warnings.append(f"The recovered pattern cannot be sewn from flat panels, so there is no garment cache: {error}")
         return None, []

@@ -259,8 +259,8 @@ def point_words(point: np.ndarray) -> str:
 
 def with_used_vertices(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` without vertices that no face has."""
-    used, inverse = np.unique(mesh.faces, return_inverse=True)
-    return replace(mesh, vertices=mesh.vertices[used], faces=inverse.reshape(-1, 3))
+    used, faces = meshes.in_use(mesh.faces)
+    return replace(mesh, vertices=mesh.vertices[used], faces=faces)
 
 
 def _lies_on(mesh: GarmentMesh, faces: np.ndarray, main: np.ndarray, reach: float) -> tuple[np.ndarray, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -38,6 +39,17 @@ def tube(front: Panel | None = None, back: Panel | None = None) -> Pattern:
     back = back or rectangle("back", rotation_deg=(0.0, 180.0, 0.0), translation_m=(0.0, 0.0, -0.2))
     sides = [(EdgeRef("front", 1), EdgeRef("back", 3)), (EdgeRef("front", 3), EdgeRef("back", 1))]
     return Pattern("tube", (front, back), tuple(Stitch(first, second) for first, second in sides))
+
+
+def bent_cap(pattern: Pattern) -> Pattern:
+    """``pattern`` with the tops of both halves of the left cap moved 2 cm towards the hand."""
+    panels = []
+    for panel in pattern.panels:
+        vertices = panel.vertices.copy()
+        if panel.name.startswith("sleeve_left"):
+            vertices[0 if panel.name.endswith("front") else 1, 0] += 0.02
+        panels.append(replace(panel, vertices=vertices))
+    return replace(pattern, panels=tuple(panels))
 
 
 @lru_cache(maxsize=1)

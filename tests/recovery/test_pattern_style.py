@@ -23,7 +23,7 @@ from recovery.pattern.pieces import FACED, cut_count, hems, make_sheet, mirror_w
 from recovery.pattern.split import Curve, curves, divided, parted
 from recovery.pattern.style import NO_STYLE, RIB_SHORTER, Style, cap_corners_deg, finished, lined
 from recovery.pattern.symmetry import find_symmetries, symmetrised
-from tests.recovery.pattern_setup import default_measurements, tube
+from tests.recovery.pattern_setup import bent_cap, default_measurements, tube
 
 STYLES = {
     "trousers": {"waistband": 0.04, "hemband": 0.05},
@@ -189,13 +189,7 @@ def test_a_cap_that_is_not_fair_where_halves_met_is_told():
     assert cap_corners_deg(whole) == {}  # halves
     fair = cap_corners_deg(made(whole, True, yoke=0.05))
     assert fair.keys() == {"sleeve_left", "sleeve_right"} and max(fair.values()) < 1e-6
-    panels = []
-    for panel in whole.panels:
-        vertices = panel.vertices.copy()
-        if panel.name.startswith("sleeve_left"):
-            vertices[0 if panel.name.endswith("front") else 1, 0] += 0.02
-        panels.append(replace(panel, vertices=vertices))
-    turned = cap_corners_deg(made(replace(whole, panels=tuple(panels)), True))
+    turned = cap_corners_deg(made(bent_cap(whole), True))
     assert turned["sleeve_left"] > 5.0 and turned["sleeve_right"] < 1e-6
 
 

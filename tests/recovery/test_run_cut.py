@@ -21,7 +21,6 @@ from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
 from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.mesh import mesh_pattern
-from recovery.pattern.model import Pattern
 from recovery.pattern.shirts import FALL_M, STAND_M
 from recovery.pattern.sizes import in_size
 from recovery.pattern.style import NO_STYLE, Style
@@ -34,7 +33,7 @@ from recovery.run.target import OF_TOPS
 from recovery.run.upright import long_contours
 from recovery.scan.collars import below
 from tests.drape.cloth.cloth_shapes import round_tube
-from tests.recovery.pattern_setup import default_measurements
+from tests.recovery.pattern_setup import bent_cap, default_measurements
 
 SHIPPED = Path("assets/garments")
 CUTS = {
@@ -287,14 +286,3 @@ def test_a_target_with_a_collar_gets_one_and_what_has_no_room_is_left_out():
     assert "(rib neck by 12%)" in ribs[0] and "neither draped nor fitted" in ribs[0]
     joined = styled(Style({}, whole_sleeves=True), plain, bent_cap(pattern), warnings)[2]
     assert len(joined.panels) == 4 and "that of sleeve_left by" in warnings[2] and "draw them fair" in warnings[2]
-
-
-def bent_cap(pattern: Pattern) -> Pattern:
-    """``pattern`` with the tops of both halves of the left cap moved 2 cm towards the hand."""
-    panels = []
-    for panel in pattern.panels:
-        vertices = panel.vertices.copy()
-        if panel.name.startswith("sleeve_left"):
-            vertices[0 if panel.name.endswith("front") else 1, 0] += 0.02
-        panels.append(replace(panel, vertices=vertices))
-    return replace(pattern, panels=tuple(panels))

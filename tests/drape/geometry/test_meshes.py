@@ -188,3 +188,9 @@ def test_degenerate_faces_have_no_normal_and_a_finite_gradient():
 def test_wrong_faces_are_refused(faces, match):
     with pytest.raises(MeshError, match=match):
         meshes.check_faces(faces, 4)
+
+
+def test_faces_are_numbered_by_the_vertices_they_have():
+    used, faces = meshes.in_use(np.array([[7, 2, 9], [9, 2, 4]]))
+    assert_array_equal(used, [2, 4, 7, 9])
+    assert_array_equal(faces, [[2, 0, 3], [3, 0, 1]])
