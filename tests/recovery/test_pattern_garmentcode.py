@@ -100,6 +100,35 @@ def test_a_clockwise_panel_is_mirrored_and_stays_where_it_was():
     assert_allclose(back.placement.apply(middle), placement.apply(np.array([[-0.175, 0.25]])), atol=1e-15)
 
 
+def test_a_front_that_is_drawn_clockwise_is_the_one_that_is_drawn_counter_clockwise():
+    """Its outside looks forward either way, so seams, curves, labels and template parameters are the same."""
+    entry = spec()
+    entry["parameters"]["bend"]["influence"] = [
+        {"panel": "front", "edge_list": [1, {"id": [0, 3], "along": [0, 1], "direction": "end"}]}
+    ]
+    given = garmentcode.pattern_from_spec(entry, name="shirt")
+    front = garmentcode.backward(given.panel("front"))
+    drawn = Pattern("shirt", (front, given.panel("back")))
+    other = garmentcode.pattern_to_spec(drawn)
+    clockwise = copy.deepcopy(entry)
+    clockwise["pattern"]["panels"]["front"] = other["pattern"]["panels"]["front"]
+    for stitch, number in zip(clockwise["pattern"]["stitches"], (2, 0), strict=True):
+        stitch[0]["edge"] = number  # edges 1 and 3 of four, counted the other way
+    clockwise["parameters"]["bend"]["influence"][0]["edge_list"] = [
+        2,
+        {"id": [3, 0], "along": [0, 1], "direction": "start"},
+    ]
+    assert geometry.area(front) < 0.0
+    got = garmentcode.pattern_from_spec(clockwise, name="shirt")
+    assert_same_pattern(got, given)
+    assert got.template["parameters"]["bend"] == given.template["parameters"]["bend"]
+    assert [note.split(";")[0] for note in got.notes] == [
+        "panel front runs clockwise in the file",
+        "panel back runs clockwise in the file",
+    ]
+    assert len(given.notes) == 1
+
+
 def trapeze(params: list) -> dict:
     """The front alone with straight sides, its top 10 cm wide and an arc with ``params``."""
     entry = spec()
