@@ -14,7 +14,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -88,6 +87,9 @@ def pattern_from_spec(spec: Any, *, name: str = "pattern", units_in_meter: float
             notes.append(f"panel {panel_name} runs clockwise in the file; it was turned round")
         panels.append(panel)
     order = body.get("panel_order")
+    parts = {key: spec[key] for key in TEMPLATE_KEYS if key in spec}
+    if backwards and any(parts.values()):
+        notes.append("template parameters are left out, since edges are numbered anew")
     own = properties.get(OWN_KEY, {})
     pattern = Pattern(
         name=str(own.get("name", name)),
@@ -95,9 +97,8 @@ def pattern_from_spec(spec: Any, *, name: str = "pattern", units_in_meter: float
         stitches=tuple(_read_stitch(number, entry, backwards) for number, entry in enumerate(body.get("stitches", []))),
         material=str(own.get("material", "")),
         panel_order=None if order is None else tuple(order),
-        template=_template(
-            {key: spec[key] for key in TEMPLATE_KEYS if key in spec}, 1.0 / float(units), turned, backwards
-        ),
+        # Templates name edges by numbers that hold no more where an outline was run backwards.
+        template={} if backwards else _template(parts, 1.0 / float(units), turned),
         notes=tuple(notes),
     )
     check_pattern(pattern)
@@ -245,21 +246,16 @@ def _read_stitch(number: int, entry: Any, backwards: Mapping[str, int]) -> Stitc
             got=f"{entry}",
             cure="Split it into stitches of two edges.",
         )
-    first, second = (
-        EdgeRef(str(side["panel"]), _renumbered(side["edge"], backwards.get(side["panel"]))) for side in sides
-    )
+    counts = [backwards.get(str(side["panel"]), 0) for side in sides]
+    numbers = [
+        n - 1 - side["edge"] if 0 <= side["edge"] < n else side["edge"] for side, n in zip(sides, counts, strict=True)
+    ]
+    first, second = (EdgeRef(str(side["panel"]), n) for side, n in zip(sides, numbers, strict=True))
     return Stitch(first, second, right_to_wrong=RIGHT_WRONG in entry)
 
 
-def _renumbered(edge: int, count: int | None) -> int:
-    """The number of an edge in a loop of ``count`` edges that was run the other way; None: it was not."""
-    return count - 1 - edge if count is not None and 0 <= edge < count else edge
-
-
-def _template(
-    parts: dict[str, Any], scale: float, turned: set[str], backwards: Mapping[str, int] = MappingProxyType({})
-) -> dict[str, Any]:
-    """Template parameters with lengths times ``scale``, directions of ``turned`` panels mirrored, edges renumbered."""
+def _template(parts: dict[str, Any], scale: float, turned: set[str]) -> dict[str, Any]:
+    """Template parameters with lengths times ``scale``, and directions of ``turned`` panels mirrored."""
     parts = copy.deepcopy(parts)
     for entry in [*parts.get("parameters", {}).values(), *parts.get("constraints", {}).values()]:
         if entry.get("type") == "additive_length":
@@ -269,20 +265,7 @@ def _template(
             for item in influence["edge_list"] if influence["panel"] in turned else []:
                 if isinstance(item, dict) and "along" in item:
                     item["along"] = [-item["along"][0], item["along"][1]]
-            if (count := backwards.get(influence["panel"])) is not None:
-                influence["edge_list"] = [_renumbered_item(item, count) for item in influence["edge_list"]]
     return parts
-
-
-def _renumbered_item(item: Any, count: int) -> Any:
-    """An entry of a template's list of edges, after the loop was run the other way."""
-    if isinstance(item, int):
-        return _renumbered(item, count)
-    ends = {"start": "end", "end": "start"}
-    number = item["id"]
-    number = [_renumbered(n, count) for n in number] if isinstance(number, list) else _renumbered(number, count)
-    more = {"direction": ends.get(item["direction"], item["direction"])} if "direction" in item else {}
-    return {**item, "id": number, **more}
 
 
 # --- writing ---------------------------------------------------------------------------------------------------------
