@@ -255,8 +255,8 @@ def offset(polygon: np.ndarray, distance_m: float | np.ndarray) -> np.ndarray:
     path: list[np.ndarray] = []
     for corner, n0, n1, d0, d1 in zip(polygon, np.roll(normal, 1, axis=0), normal, np.roll(far, 1), far, strict=True):
         path += _corner(corner, n0, n1, d0, d1)
-    # Where the outline is hollow the lines cross themselves: what is wound once is the piece.
-    whole = [np.round(np.array(path) / UNIT_M).astype(np.int64).tolist()]
+    # Where the outline is hollow the lines cross themselves: what is wound once is the piece, and what is sewn.
+    whole = [np.round(np.array(line) / UNIT_M).astype(np.int64).tolist() for line in (path, polygon)]
     parts = CLIPPER.SimplifyPolygons(whole, CLIPPER.PFT_POSITIVE)
     for middle, half_width in slits(polygon, float(far.max()), 1.1 * MITRE_LIMIT):
         knife, cut = CLIPPER.PyclipperOffset(), CLIPPER.Pyclipper()
@@ -278,8 +278,10 @@ def _corner(corner: np.ndarray, n0: np.ndarray, n1: np.ndarray, d0: float, d1: f
     point = np.array([d0 * n1[1] - d1 * n0[1], d1 * n0[0] - d0 * n1[0]]) / (sine if abs(sine) > 1e-12 else 1e-12)
     if cosine > 0.0 and np.linalg.norm(point) > MITRE_LIMIT * largest:
         return [corner + d0 * n0, corner + d1 * n1]
-    if sine < 0.0 or np.linalg.norm(point) <= MITRE_LIMIT * largest:
-        return [corner + point] if np.linalg.norm(point) <= 10.0 * largest else [corner + d0 * n0, corner + d1 * n1]
+    if np.linalg.norm(point) <= MITRE_LIMIT * largest:
+        return [corner + point]
+    if sine < 0.0:  # hollow: the lines go round the corner, and cross themselves
+        return [corner + d0 * n0, corner, corner + d1 * n1]
     along0, along1 = np.array([-n0[1], n0[0]]), np.array([n1[1], -n1[0]])
     return [corner + d0 * n0 + d0 * along0, corner + d1 * n1 + d1 * along1]
 

@@ -177,6 +177,15 @@ def test_the_catalogue_is_cut_outside_its_sewing_lines(name: str):
         check_outside(piece)
 
 
+def test_a_jagged_piece_holds_what_is_sewn_of_it():
+    corners = [(19, 6), (-17, 58), (-15, 41), (-79, 204), (-23, -14), (94, -25), (57, -13)]
+    star = np.array(corners) / 1000.0
+    cutting = offset(star, np.array([0.01, 0.025, 0.01, 0.025, 0.01, 0.01, 0.025]))
+    points = dense(star)
+    assert (inside(points, cutting) | (boundary_distance(points, cutting) < 1e-6)).all()
+    assert geometry.first_crossing(cutting) is None
+
+
 def test_a_hem_beside_a_side_that_hardly_turns_is_a_step():
     bent = np.array([(0, 0), (0.4, 0), (0.41, 0.3), (0.4, 0.6), (0, 0.6)], dtype=float)
     wide = offset(bent, np.array([0.01, 0.01, 0.025, 0.01, 0.01]))
