@@ -137,8 +137,8 @@ class RequestLog:
 
         try:
             await self.app(scope, receive, told)
-        except ClientDisconnect:
-            status = LEFT
+        except ClientDisconnect:  # before its answer, or in the middle of it
+            pass
         except asyncio.CancelledError:  # the end of the service, which waits no longer
             if scope["type"] == "http" and not status:
                 await problem_response(Draining())(scope, receive, told)
