@@ -13,6 +13,7 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
 from service.exact.jobs import ExactClips
 from service.guard.access import Access
+from service.guard.connections import EndsWithClient
 from service.guard.limits import BodyLimit
 from service.guard.origin_guard import OriginGuard
 from service.http import (
@@ -90,6 +91,7 @@ def create_app(
     if settings.allowed_origins:
         _allow_origins(app, settings)
     app.add_middleware(OriginGuard, settings=settings)
+    app.add_middleware(EndsWithClient)
     app.add_middleware(RequestLog, metrics=metrics, tracing=tracing)
     app.include_router(info_routes.probe_routes(life, metrics))
     _add_routes(app, settings)

@@ -28,6 +28,7 @@ from drape.garment.cache import Garment
 from drape.garment.skin import smoothing_matrix
 from drape.geometry.closest import closest_point
 from drape.motion.rig_poses import carrier
+from drape.wanted import go_on
 
 HEAVIEST = 4  # joints of a vertex, which is what players support
 SMOOTHING_PASSES = 6
@@ -195,6 +196,7 @@ def _shape(
     parts: list[dict[str, int]] = []
     first, first_normals = np.zeros(0), None
     for points, one in zip(at, flat, strict=True):
+        go_on()
         inverse, offset = _undone(_blended(kept, bones, one))
         bound = np.einsum("vab,vb->va", inverse, points - offset)
         normals = np.einsum("vab,vb->va", inverse, vertex_normals(points[None], faces)[0])

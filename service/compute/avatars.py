@@ -17,6 +17,7 @@ from drape.avatar.wearer import Wearer, load_wearer
 from drape.body.model import BodyModel
 from drape.errors import NotFound, did_you_mean
 from drape.garment.tailor import tailored, tailored_digest
+from drape.wanted import go_on
 from service.compute import garment_files
 from service.stages.body_stages import BodyStages
 from service.stages.scene import Entry, Outfit, Scene
@@ -176,6 +177,7 @@ class _Dressed:
         """``entry`` for this avatar."""
         digest = tailored_digest(entry.garment, self.wearer.body)
         with self._one:
+            go_on()
             if digest not in self._cut:
                 garment = self._make(tailored, entry.garment, self._standard, self.wearer.body)
                 self._cut[digest] = replace(entry, garment=garment, worn=self.stages)

@@ -23,6 +23,8 @@ STREAM_WAIT_S = 0.02
 STREAM_PAUSE_S = 1.0
 """Longer after the last frame of a stream nothing gives way to streams any more."""
 
+APART = 2  # threads for pictures, reports and files, which hold the interpreter lock most of their time
+
 CLIP_FPS = 1.0
 """Frames that a clip gets for every second of waiting, after ``DRAPE_CLIP_WAIT_S``; otherwise it is refused, before its
 client gives up."""
@@ -47,6 +49,7 @@ class ComputeThreads:
         self.hurried = False  # clips end now: the service is being restarted
         self.stream_threads = 1 if bound else stream_threads or processor_count()
         self._for_streams = ThreadPoolExecutor(self.stream_threads, thread_name_prefix="drape-streams")
+        self._apart = ThreadPoolExecutor(APART, thread_name_prefix="drape-apart")
         self._aside = (
             self._for_streams
             if bound
@@ -59,7 +62,7 @@ class ComputeThreads:
 
     def close(self) -> None:
         """Waits for the running chunk and ends the threads."""
-        for executor in (self._for_streams, self._aside):
+        for executor in (self._for_streams, self._aside, self._apart):
             executor.shutdown(wait=True, cancel_futures=True)
 
     @property
@@ -79,6 +82,11 @@ class ComputeThreads:
         """``function(*arguments)`` on the thread of what streams do not wait for, not begun beside a stream's frame."""
         await self._frame_done.wait()
         return await asyncio.get_running_loop().run_in_executor(self._aside, _here(function, *arguments))
+
+    async def apart(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """``function(*arguments)``, of seconds and for one client, on one of ``APART`` threads: others need not wait
+        for these, and who leaves the queue is through."""
+        return await asyncio.get_running_loop().run_in_executor(self._apart, _here(function, *arguments))
 
     async def in_chunks(self, frames: int, compute: Callable[[slice], Iterator[Result]]) -> AsyncIterator[Result]:
         """The last of what ``compute`` gives of all ``frames``, slice after slice, each step of it in its turn.

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from drape.files.atomic import whole_file
+from drape.wanted import go_on
 
 FOLDER = ".clips"
 ABOUT, CLIP, LOCK = "job.json", "clip.bin", "lock"
@@ -73,6 +74,7 @@ def write_frame(folder: Path, number: int, x: np.ndarray, told: dict[str, Any]) 
 
 def read_frame(folder: Path, number: int) -> tuple[np.ndarray, dict[str, Any]] | None:
     """What ``write_frame`` stored; None where there is no such frame."""
+    go_on()
     try:
         with np.load(frame_path(folder, number), allow_pickle=False) as stored:
             told: dict[str, Any] = dict(zip(FIGURES, stored["told"].tolist(), strict=True))

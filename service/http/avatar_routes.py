@@ -131,7 +131,7 @@ async def avatar_covered(
         wearer = await state.wearer(avatar_id, client)
         cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
         surface = entry.source, wearer.vertices, wearer.faces
-        covered, own = await asyncio.to_thread(state.runtime.constants_process.call, covered_in_file, *surface, cloth)
+        covered, own = await state.runtime.made(covered_in_file, *surface, cloth)
     return CoveredFaces(
         deeper_m=DEEPER_M,
         share=round(float(covered.mean()), 4),
@@ -160,7 +160,7 @@ async def avatar_preview(
     async def made() -> bytes:
         wearer = await state.wearer(avatar_id, client)
         surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
-        return await asyncio.to_thread(state.runtime.constants_process.call, picture, surface, None, size)
+        return await state.runtime.made(picture, surface, None, size)
 
     return await preview(state.previews, entry.told["digest"], size, if_none_match, made)
 

@@ -60,7 +60,7 @@ class SharedFolder:
         except NotFound:
             if not self._every_s:
                 raise
-        await self.look()
+        await asyncio.shield(self.look())  # which others need whole
         return asked()
 
     async def look(self) -> None:

@@ -22,6 +22,7 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.errors import Draining, InternalError, problem_response
+from service.watch.outputs import log_time
 from service.watch.probes import PATHS
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class JsonLines(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         document = {
-            "time": time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(record.created)) + f".{int(record.msecs):03d}Z",
+            "time": log_time(record.created),
             "level": record.levelname.lower(),
             "logger": record.name,
             "message": record.getMessage(),
@@ -136,8 +137,8 @@ class RequestLog:
 
         try:
             await self.app(scope, receive, told)
-        except ClientDisconnect:
-            status = LEFT
+        except ClientDisconnect:  # before its answer, or in the middle of it
+            pass
         except asyncio.CancelledError:  # the end of the service, which waits no longer
             if scope["type"] == "http" and not status:
                 await problem_response(Draining())(scope, receive, told)

@@ -10,6 +10,10 @@ from collections.abc import Callable
 import numpy as np
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
+from prometheus_client.metrics_core import CounterMetricFamily
+from prometheus_client.registry import Collector
+
+from service.watch.outputs import dropped_lines
 
 SECONDS = (0.001, 0.002, 0.005, 0.01, 0.016, 0.033, 0.066, 0.1, 0.2, 0.5, 1.0, 3.0, 10.0, 60.0)
 FRAMES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
@@ -64,6 +68,7 @@ class Metrics:
         self.garments = gauge("garments", "Garments in service.")
         # The process.
         self.loop_lag = gauge("loop_lag_seconds", "How late the event loop last came round.")
+        registry.register(_DroppedLines())
 
     def watch(self, **gauges: Callable[[], float]) -> None:
         """Reads these gauges, by their attribute, from functions from now on."""
@@ -92,3 +97,11 @@ class Metrics:
     def text(self) -> bytes:
         """All series, as ``MEDIA_TYPE``."""
         return generate_latest(self.registry)
+
+
+class _DroppedLines(Collector):
+    """The series of lines that the process of the outputs counts."""
+
+    def collect(self) -> list[CounterMetricFamily]:
+        what = "Lines of log and output that were dropped: their reader stalled, or the disk was full."
+        return [CounterMetricFamily("drape_log_dropped_lines", what, value=dropped_lines())]
