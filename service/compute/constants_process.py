@@ -21,6 +21,7 @@ from typing import IO, Any, ParamSpec, TypeVar
 
 from service.compute.background import step_back
 from service.compute.processes import Process, kill, start
+from service.watch.watchdog import spent_s, waits_for
 
 P = ParamSpec("P")
 Result = TypeVar("Result")
@@ -44,6 +45,7 @@ class ConstantsProcess:
         if not self._wanted():
             return function(*arguments, **named)
         try:
+            waits_for(self._spent_s)
             with self._one:
                 succeeded, result = self._asked((function, arguments, named))
         except (OSError, EOFError):
@@ -52,6 +54,10 @@ class ConstantsProcess:
         if not succeeded:
             raise result
         return result
+
+    def _spent_s(self) -> float:
+        process = self._process
+        return 0.0 if process is None else spent_s(process.pid)
 
     def _asked(self, call: Any) -> tuple[bool, Any]:
         if self._process is None:

@@ -33,6 +33,7 @@ from service.stages.plan import Plan, make_plan
 from service.stages.stage import Stage, StageSetup, run, walk
 from service.watch.metrics import Metrics
 from service.watch.tracing import Tracing, make_tracing
+from service.watch.watchdog import moved
 
 if TYPE_CHECKING:
     from service.settings import Settings
@@ -249,6 +250,7 @@ class DrapeRuntime:
         A batch that fails is tried again one by one, so that no frame fails with another. A frame that fails leaves the
         memories as they were.
         """
+        moved()
         inputs = [one for one, _ in poses]
         try:
             *_, batch = self._walk(plan, inputs)

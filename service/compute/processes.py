@@ -17,10 +17,12 @@ import tempfile
 import weakref
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
 from service.settings import ROOT
+from service.watch.watchdog import JOBS, Job, spent_s
 
 # One thread each: their stacks and buffers count against a memory limit.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -59,9 +61,9 @@ def kill_all() -> None:
 
 @asynccontextmanager
 async def running(
-    module: str, *arguments: str, write: Callable[[IO[bytes]], Any], folder: Path, quiet: bool = False
+    lane: str, module: str, *arguments: str, write: Callable[[IO[bytes]], Any], folder: Path, quiet: bool = False
 ) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
-    """A process and what it says; it is killed with the block.
+    """A process as a job of ``lane``, and what it says; it is killed with the block.
 
     Its standard input is a file that ``write`` has written, which has no name in ``folder``: nobody need wait for the
     process to read.
@@ -71,13 +73,15 @@ async def running(
         file.flush()
         os.lseek(file.fileno(), 0, os.SEEK_SET)
         process = start(module, *arguments, stdin=file, quiet=quiet)
-    reader = asyncio.StreamReader()
+    job, reader = Job(lane, [partial(spent_s, process.pid)]), asyncio.StreamReader()
+    JOBS.add(job)
     pipe: asyncio.BaseTransport | None = None
     try:
         loop = asyncio.get_running_loop()
         pipe, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), process.stdout)
         yield process, reader
     finally:
+        JOBS.discard(job)
         kill(process)
         if pipe is not None:
             pipe.close()

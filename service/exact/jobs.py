@@ -274,7 +274,7 @@ class ExactClips:
         memory, most_s = str(self._settings.intake_memory_mb), self._settings.exact_frame_s
         write = partial(pickle.dump, block)
         try:
-            async with running(BLOCK, memory, write=write, folder=job.folder) as (process, answers):
+            async with running("exact", BLOCK, memory, write=write, folder=job.folder) as (process, answers):
                 while line := await asyncio.wait_for(answers.readline(), most_s):
                     said = json.loads(line)
                     if "problem" in said:

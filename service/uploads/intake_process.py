@@ -41,6 +41,7 @@ async def run_sandbox(
     command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
     label = f"upload {file.name}"
     child = running(
+        "intake",
         "service.uploads.sandbox",
         *command,
         # A command line takes no avatar above 128 KiB, and anybody may read it.
