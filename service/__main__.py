@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import gc
 import logging
+import os
+import signal
 import sys
 from contextlib import ExitStack
 
@@ -45,6 +47,8 @@ def _serve(overrides: dict[str, object]) -> int:
             file=sys.stderr,
         )
         return 2
+    # While it loads, and at the very end. A process with the number 1 ends by no signal that nobody handles.
+    signal.signal(signal.SIGTERM, lambda *_: os._exit(128 + signal.SIGTERM))
     settings = load_settings(**overrides)
     check_exposed(settings)
     set_up(settings.log_format)

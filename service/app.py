@@ -10,6 +10,7 @@ from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
 from service.compute.drape_runtime import DrapeRuntime
+from service.compute.processes import kill_all
 from service.compute.threads import SlicedThread
 from service.exact.jobs import ExactClips
 from service.guard.access import Access
@@ -42,6 +43,7 @@ from service.watch.logs import RequestLog
 from service.watch.metrics import Metrics
 from service.watch.probes import Lifecycle
 from service.watch.tracing import make_tracing
+from service.watch.watchdog import Lane, Watchdog
 
 ROUTERS = (
     info_routes.router,
@@ -67,9 +69,11 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         state = make_state(runtime or DrapeRuntime(settings, metrics=metrics, tracing=tracing), access, life)
         app.state.drape = state
+        asyncio.get_running_loop().set_default_executor(Lane("calls"))
         state.start(exact_clips.opener(state))
         ticking = asyncio.create_task(life.tick(metrics.loop_lag.set), name="ticking")
         life.ready()
+        watchdog = Watchdog(life, metrics, stuck_s=settings.stuck_s, kill=kill_all)
         try:
             yield
         finally:
@@ -77,6 +81,7 @@ def create_app(
             ticking.cancel()
             life.ended()
             await state.stop()
+            watchdog.stop()
 
     app = FastAPI(
         title="drape",

@@ -34,6 +34,7 @@ from service.stages.plan import Plan, make_plan
 from service.stages.stage import Stage, StageSetup, run, walk
 from service.watch.metrics import Metrics
 from service.watch.tracing import Tracing, make_tracing
+from service.watch.watchdog import moved
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
@@ -257,6 +258,7 @@ class DrapeRuntime:
         A batch that fails is tried again one by one, so that no frame fails with another. A frame that fails leaves the
         memories as they were.
         """
+        moved()
         inputs = [one for one, _ in poses]
         try:
             *_, batch = self._walk(plan, inputs)

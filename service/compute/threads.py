@@ -10,13 +10,13 @@ import contextvars
 import math
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from typing import TypeVar
 
 from service.compute.background import processor_count, thread_steps_back
 from service.errors import Busy, Draining
+from service.watch.watchdog import Lane, moved
 
 STREAM_WAIT_S = 0.02
 """What a chunk of a clip may take while there are streams, which share processors with it; one frame is the least."""
@@ -48,13 +48,9 @@ class ComputeThreads:
         self._bound, self._chunk_most, self._clip_wait_s = bound, chunk_frames, clip_wait_s
         self.hurried = False  # clips end now: the service is being restarted
         self.stream_threads = 1 if bound else stream_threads or processor_count()
-        self._for_streams = ThreadPoolExecutor(self.stream_threads, thread_name_prefix="drape-streams")
-        self._apart = ThreadPoolExecutor(APART, thread_name_prefix="drape-apart")
-        self._aside = (
-            self._for_streams
-            if bound
-            else ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape-aside", initializer=thread_steps_back)
-        )
+        self._for_streams = Lane("streams", self.stream_threads)
+        self._apart = Lane("apart", APART)
+        self._aside = self._for_streams if bound else Lane("aside", 1, initializer=thread_steps_back)
         self.streamed_s = -math.inf  # when a frame of a stream was last begun
         self._frame_done = asyncio.Event()  # of the streams' latest frame
         self._frame_done.set()
@@ -126,6 +122,7 @@ class ComputeThreads:
 
         def step() -> Result | None:
             nonlocal took_s
+            moved()
             begun_s = time.perf_counter()
             found = next(steps, None)
             took_s += time.perf_counter() - begun_s
@@ -158,7 +155,7 @@ class SlicedThread:
     """
 
     def __init__(self) -> None:
-        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape-pieces")
+        self._executor = Lane("pieces", 1, brief=True)
         self._free = asyncio.Event()
         self._free.set()
 

@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 from drape.errors import DrapeError, MeshError
-from service.compute.background import step_back
+from service.compute.background import end_with_parent, step_back
 
 FILE_LIMIT_BYTES = 2**30
 
@@ -62,6 +62,7 @@ def main() -> int:
     parser.add_argument("--memory-mb", type=int, required=True)
     parser.add_argument("--cpu-s", type=int, required=True)
     options = parser.parse_args()
+    end_with_parent()
     step_back()
     set_limits(memory_mb=options.memory_mb, cpu_s=options.cpu_s)
     try:

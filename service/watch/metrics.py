@@ -67,6 +67,8 @@ class Metrics:
         self.uploads_waiting = gauge("uploads_waiting", "Uploads that wait or run.")
         self.garments = gauge("garments", "Garments in service.")
         # The process.
+        still = "For how long the oldest job of a lane has not moved."
+        self.lane_still = Gauge("drape_lane_still_seconds", still, ["lane"], registry=registry)
         self.loop_lag = gauge("loop_lag_seconds", "How late the event loop last came round.")
         registry.register(_DroppedLines())
 

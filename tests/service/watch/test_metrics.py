@@ -110,7 +110,7 @@ def test_the_way_of_a_frame_is_known_when_it_is_taken():
 
 def test_no_series_is_of_one_garment_or_client(live: str):
     labels = {label for name in series(live) for label in re.findall(r"(\w+)=", name)}
-    assert labels <= {"method", "path", "status", "stage", "kind", "le"}
+    assert labels <= {"method", "path", "status", "stage", "kind", "lane", "le"}
     for unknown in range(5):
         httpx.get(f"{live}/nothing/{unknown}")
     assert not any("nothing" in name for name in series(live))
