@@ -114,7 +114,10 @@ def match_joints(names: Sequence[str], parents: Sequence[int], *, label: str) ->
 def with_trunk(limbs: dict[str, int], parents: Sequence[int], *, label: str) -> dict[str, int]:
     """``limbs``, joints with a side, and the pelvis and the spine that hold them; refused where there is no trunk."""
     left, right = (ancestors(parents, limbs[f"{side}_hip"]) for side in ("left", "right"))
-    found = {**limbs, "pelvis": next(joint for joint in left[1:] if joint in right[1:])}
+    pelvis = next((joint for joint in left[1:] if joint in right[1:]), None)
+    if pelvis is None:
+        raise _too_few(label, "no joint above both legs")
+    found = {**limbs, "pelvis": pelvis}
     trunk = _trunk(parents, found)
     if not trunk:
         raise _too_few(label, "no joint between the pelvis and the arms")

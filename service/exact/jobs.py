@@ -91,7 +91,8 @@ class ExactClips:
             lock = Lock(folder)
             if accepted is None or not lock.held:
                 if lock.held:
-                    on_disk.remove(folder)  # its request was never answered
+                    if not (folder / on_disk.ABOUT).exists():  # its request was never answered
+                        on_disk.remove(folder)
                     lock.release()
                 continue
             job = self._jobs[accepted.id] = ClipJob(accepted, folder, problem=accepted.problem, lock=lock)

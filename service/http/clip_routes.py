@@ -22,7 +22,7 @@ from service.errors import NotAcceptable, TooLarge, TooSlow
 from service.guard.limits import check_answer
 from service.http import exact_clips, schemas
 from service.http.answers import BINARY, GLB, JSON, PC2, USDA, binary_answer, choose, file_answer, json_answer
-from service.http.clip_files import body_file, export_answer, garment_file, on_rig_file
+from service.http.clip_files import body_file, dressed, export_answer, garment_file, on_rig_file
 from service.http.clip_jobs import ClipJob, floor_headers, jets_response, plan_headers, quality_headers, streamed_answer
 from service.http.json_body import check_marks, clip_marks, content_type, document_of, json_text, parsed, validated
 from service.http.openapi import clip_schema, responses
@@ -115,8 +115,10 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
     apart, placed = state.runtime.threads.apart, await _of_array(draped.vertices, draped.placed, asked.origin)
     if kind == GLB and asked.rig and asked.avatar is not None:
         wearer = await state.wearer(asked.avatar, job.client)
-        source = (await state.avatar(asked.avatar, job.client)).source
-        file = await apart(on_rig_file, scene, placed, job, wearer, source)
+        stored = (await state.avatar(asked.avatar, job.client)).path
+        on_rig = partial(on_rig_file, fps=asked.fps, quantised=asked.quantised)
+        dressed_layers = await apart(dressed, scene, placed)
+        file = await state.runtime.made(on_rig, dressed_layers, wearer, stored, job.clip, job.turns)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind == GLB:
         file = await apart(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)

@@ -14,6 +14,7 @@ from service.compute.processes import ended, running
 from service.errors import TABLE, TooLarge
 from service.settings import Settings
 from service.uploads.accepted import Kind
+from service.uploads.sandbox import THINGS
 
 SHARES: dict[Kind, dict[str, float]] = {
     "garment": {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07},
@@ -73,9 +74,9 @@ async def run_sandbox(
         )
     raise MeshError(
         label,
-        expected="a mesh",
+        expected=THINGS[kind],
         got=f"a file on which the intake ends with status {process.returncode}",
-        cure="Export the mesh again.",
+        cure="Export it again.",
     )
 
 

@@ -21,6 +21,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from drape.errors import legible
 from service.errors import Draining, InternalError, problem_response
 from service.watch.outputs import log_time
 from service.watch.probes import PATHS
@@ -153,7 +154,7 @@ class RequestLog:
         self._metrics.requests.labels(method, path, str(status)).inc()
         if scope["type"] == "http":
             self._metrics.request_seconds.labels(path).observe(took_s)
-        said = {"method": method, "path": scope["path"][:200], "status": status, "ms": round(1e3 * took_s, 1)}
+        said = {"method": method, "path": legible(scope["path"][:200]), "status": status, "ms": round(1e3 * took_s, 1)}
         level = logging.DEBUG if scope["path"] in PATHS else logging.INFO
         log.log(level, "answered" if status != LEFT else "the client left", extra=said)
 

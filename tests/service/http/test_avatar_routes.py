@@ -283,7 +283,7 @@ def test_a_file_that_is_no_character_leaves_nothing(api: httpx.Client, settings:
 
 
 def test_avatars_are_there_after_a_new_start(avatar: str, runtime_of_api: DrapeRuntime, settings: Settings):
-    assert runtime_of_api.avatars.get(avatar).told["vrm"] == "0"
+    assert runtime_of_api.avatars.get(avatar).told.vrm == "0"
     folder = settings.garments_dir / in_service.FOLDER
     (folder / "bad.json").write_text("{}")
     assert len(in_service.Avatars(runtime_of_api.body, settings, runtime_of_api._stages_on).visible(None)) == 1
@@ -335,7 +335,7 @@ def test_what_is_done_with_avatars_in_one_service_the_other_takes_over(
     assert there.dress(entry.id, tube) is before, "nothing changed"
     here.replaced(entry, save_wearer(replace(wearers[0], median_mm=3.0), tmp_path))
     there.follow()
-    assert there.get(entry.id, "alice").told["fit"]["median_mm"] == 3.0 and there.wearer(entry.id).median_mm == 3.0
+    assert there.get(entry.id, "alice").told.fit["median_mm"] == 3.0 and there.wearer(entry.id).median_mm == 3.0
     assert not there.worn or there.dress(entry.id, tube) is not before
     there.remove(there.get(entry.id, "alice"))
     here.follow()
