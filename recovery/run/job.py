@@ -223,10 +223,12 @@ def _placed_fault(fault: ScanFault, job: Job) -> ScanFault:
         return fault
     wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
     try:
-        placed = place(fault.mesh, wearer.skin, unit=job.unit, up=job.up)
-        points = place(replace(fault.mesh, vertices=fault.points), wearer.skin, unit=job.unit, up=job.up).vertices
+        both = replace(fault.mesh, vertices=np.concatenate([fault.mesh.vertices, fault.points]))
+        both = place(both, wearer.skin, unit=job.unit, up=job.up).vertices
     except InputError:
         return fault
+    count = len(fault.mesh.vertices)
+    placed, points = replace(fault.mesh, vertices=both[:count]), both[count:]
     joints = posed_joints(wearer.shaped, wearer.pose) + wearer.trans
     words = on_body(points[0], placed, joints)
     return ScanFault(fault.name, expected=fault.expected, got=f"{fault.got}; {words}", cure=fault.cure).at(
