@@ -20,7 +20,7 @@ from recovery.drape.output import panel_texture, write_rest, write_shape
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import posed_joints
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
-from recovery.fit.contours import lost_parts
+from recovery.fit.contours import lost_parts, lost_words
 from recovery.fit.objective import DEFAULT_WEIGHTS, Weights
 from recovery.fit.optimise import FitOptions
 from recovery.fit.pipeline import recover_pattern
@@ -223,10 +223,12 @@ def _placed_fault(fault: ScanFault, job: Job) -> ScanFault:
         return fault
     wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
     try:
-        placed = place(fault.mesh, wearer.skin, unit=job.unit, up=job.up)
-        points = place(replace(fault.mesh, vertices=fault.points), wearer.skin, unit=job.unit, up=job.up).vertices
+        both = replace(fault.mesh, vertices=np.concatenate([fault.mesh.vertices, fault.points]))
+        both = place(both, wearer.skin, unit=job.unit, up=job.up).vertices
     except InputError:
         return fault
+    count = len(fault.mesh.vertices)
+    placed, points = replace(fault.mesh, vertices=both[:count]), both[count:]
     joints = posed_joints(wearer.shaped, wearer.pose) + wearer.trans
     words = on_body(points[0], placed, joints)
     return ScanFault(fault.name, expected=fault.expected, got=f"{fault.got}; {words}", cure=fault.cure).at(
@@ -386,9 +388,3 @@ def describe_worn(place: Worn) -> str:
         f"{end}{lost}; stretched by {figures['stretch_median_pct']:.1f} % (99th percentile "
         f"{figures['stretch_p99_pct']:.0f} %), {figures['edges_in_body_pct']:.1f} % of edges cut the body"
     )
-
-
-def lost_words(lost: Sequence[str]) -> str:
-    """A phrase such as "the right arm is not in its opening"."""
-    parts = " and ".join(f"the {part.replace('_', ' ')}" for part in lost)
-    return f"{parts} {'is' if len(lost) == 1 else 'are'} not in the garment's opening"

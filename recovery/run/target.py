@@ -35,6 +35,7 @@ from recovery.sim.contact import SkinContact
 
 SCAN_VERTEX_LIMIT = 3_300_000  # 1,000,000 triangles of an STL, which does not share vertices
 FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer
+EXTENTS = (1e-3, 1e6)  # in a file's unit, whatever it is: squares and cubes stay far from the ends of the numbers
 DEEP_M, DEEP_SHARE = 0.02, 0.2  # the target goes through the body where more than this share lies deeper than that
 LYING_SHARE = 0.05  # of the cloth, nearest to the skin, lies on it
 LEAST_OFF_M, MOST_OFF_M = 0.001, 0.006  # beyond our own gap: less is the same, more is a garment that lies nowhere
@@ -61,6 +62,13 @@ def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
         mesh = labelled(mesh, label)
     with progress.stage("the scan is mended"):
         check_arrays(mesh, vertex_limit=SCAN_VERTEX_LIMIT)
+        if not EXTENTS[0] <= (extent := float(np.ptp(mesh.vertices, axis=0).max())) <= EXTENTS[1]:
+            raise MeshError(
+                "target",
+                expected="a garment in m, cm, dm, mm or inch",
+                got=f"{extent:.3g} across",
+                cure="Scale the file.",
+            )
         return mended(mesh)
 
 
@@ -75,16 +83,22 @@ def mended(mesh: GarmentMesh) -> GarmentMesh:
     if thin is not mesh:
         mesh = one_sheet(cut_branches(check_faces(thin, repair=True)))
     mesh = calmed(two_sided(mesh))
+    check_open(mesh, "a closed surface")
+    found = closed(mesh, lambda one: plainly_hole(one, mesh))
+    check_open(found.mesh, f"one that is closed once mended, with no border but holes ({found.holes})")
+    check_closed_round(found.mesh)
+    return found.mesh if found.mesh is mesh else found.mesh.noted(*found.words(len(mesh.faces)))
+
+
+def check_open(mesh: GarmentMesh, otherwise: str) -> None:
+    """Refuses a mesh without borders; the refusal says that it is ``otherwise``."""
     if not meshes.boundary_loops(mesh.faces):
         raise MeshError(
             "target",
             expected="a garment: a surface with openings",
-            got="a closed surface",
+            got=otherwise,
             cure="Cut the garment out of the scan, without the body, and open neck, cuffs and hem.",
         )
-    found = closed(mesh, lambda one: plainly_hole(one, mesh))
-    check_closed_round(found.mesh)
-    return found.mesh if found.mesh is mesh else found.mesh.noted(*found.words(len(mesh.faces)))
 
 
 def check_closed_round(mesh: GarmentMesh) -> None:
@@ -96,7 +110,7 @@ def check_closed_round(mesh: GarmentMesh) -> None:
         return
     up = 1 if size[1] > size[2] else 2
     height = (points[:, up] - low[up]) / size[up]
-    edges = points[np.abs(height - np.median(height[(height > 0.2) & (height < 0.8)])) < 0.2]
+    edges = points[np.abs(height - height[np.abs(height - 0.5).argmin()]) < 0.2]
     raise ScanFault(
         "target",
         expected="a garment that is closed all round",

@@ -30,8 +30,9 @@ from recovery.run.target import (
     read_target,
 )
 from recovery.run.wearer import check_closed, inside_wearer, read_wearer, shaped_body
+from recovery.scan.holes import closed
 from recovery.scan.places import ScanFault
-from tests.drape.cloth.cloth_shapes import round_tube
+from tests.drape.cloth.cloth_shapes import grid, round_tube
 from tests.recovery.pattern_setup import default_measurements
 
 
@@ -92,6 +93,37 @@ def test_an_edge_with_three_faces_is_cut_and_a_solid_refused(body, tmp_path):
     assert "1 edges with more than two faces" in " / ".join(read.notes)
     with pytest.raises(MeshError, match="a closed surface"):
         read_target(write_obj(tmp_path / "u.obj", plain_mesh("body", body.v_template, body.faces)))
+
+
+def without(mesh: GarmentMesh, *faces: int) -> GarmentMesh:
+    return mesh.take_faces(~np.isin(np.arange(len(mesh.faces)), faces))
+
+
+SHEET = plain_mesh("sheet", *grid(8, 8, cell_m=0.08))
+SHUT = closed(skirt_tube(), lambda one: True).mesh
+LONE = plain_mesh("lone", np.concatenate([[[0, 0, 0.3], [0.3, 0, 0.3], [0, 0.3, 0.3]], np.ones((30, 3))]), [[0, 1, 2]])
+
+
+@pytest.mark.parametrize(
+    ("mesh", "got"),
+    [
+        (SHUT, "a closed surface"),
+        (without(SHUT, 700), r"closed once mended, with no border but holes \(1\)"),
+        (without(SHUT, 300, 700, 1100), r"closed once mended, with no border but holes \(3\)"),
+        (replace(SHUT, faces=SHUT.faces[:, ::-1]), "a closed surface"),
+        (SHEET, "open from hem to neck"),
+        (LONE, "open from hem to neck"),
+        (replace(SHEET, vertices=SHEET.vertices * [1.0, 0.0, 0.0]), "faces with an area, got none"),
+        (both(skirt_tube(), skirt_tube(radius=0.4))[0], "2 pieces of cloth.*; near the"),
+        (replace(SHEET, vertices=1e200 * SHEET.vertices), "Scale the file"),
+        (replace(SHEET, vertices=1e-30 * SHEET.vertices), "Scale the file"),
+    ],
+)
+def test_whatever_the_surface_the_refusal_is_a_sentence(tmp_path, mesh, got):
+    """Also one that mending closes, and one whose fault is a point: its place is told on the body."""
+    path = write_obj(tmp_path / "odd.obj", mesh)
+    with pytest.raises(MeshError, match=got):
+        prepare(Job(target=path, out=tmp_path, base=None, body="anny_default"))
 
 
 def test_a_whole_mesh_stays_as_it_is():
