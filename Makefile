@@ -43,22 +43,18 @@ help:
 # --- environments. A stamp is newer than what it was made from; a second run installs nothing. ---
 
 $(BIN)/python:
-	@PYTHON="$(PYTHON)" scripts/make_venv $(VENV)
+	@PYTHON="$(PYTHON)" scripts/timed "virtual environment" scripts/make_venv $(VENV)
 
 $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
-	$(PIP) install --quiet -e '.[service,cpu,clients]'
-	$(BIN)/python -m drape.live
-	$(BIN)/python -m drape.network
-	$(BIN)/python -m drape.exact
+	@scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,clients]'
+	@scripts/timed "kernels" $(BIN)/python -m drape.warm_up
 	@touch $@
 
-# Kernels are compiled once: those of the service, which its first start would wait for, beside those that tests take in
-# float64, which keep one core busy for about as long.
 # torch first and alone: later requirements then find it and cannot pull another build of it.
 $(VENV)/.setup-stamp: pyproject.toml | $(BIN)/python
-	@scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
-	$(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
-	$(BIN)/python -m tests.fixtures.kernels & tests=$$!; $(BIN)/python -m drape.live; $(BIN)/python -m drape.network; $(BIN)/python -m drape.exact; wait $$tests
+	@scripts/timed "torch" scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
+	@scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
+	@scripts/timed "kernels" $(BIN)/python -m tests.fixtures.kernels
 	@touch $(VENV)/.serve-stamp $@
 
 setup: $(VENV)/.setup-stamp
@@ -66,13 +62,15 @@ setup: $(VENV)/.setup-stamp
 # --- the page ---
 
 $(WEB)/dist/.stamp: $(WEB_SOURCES)
-	@scripts/build_page $(WEB)
+	@scripts/timed "page" scripts/build_page $(WEB)
 
 page: $(WEB)/dist/.stamp
 
 # --- jobs ---
 
-serve: $(VENV)/.serve-stamp $(if $(filter 0,$(PAGE)),,page)
+# The page is built beside the packages, which keep one core busy.
+serve:
+	@$(MAKE) --no-print-directory -j2 $(VENV)/.serve-stamp $(if $(filter 0,$(PAGE)),,page)
 	exec $(BIN)/python -m service --host $(HOST) --port $(PORT) $(ARGS)
 
 # The page and the browser are wanted by tests, not required: without them the browser tests skip and say why.
