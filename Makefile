@@ -5,6 +5,7 @@
 #   make test             checks and the test suite but for its long tests
 #   make test-quick       the tests without the slow ones
 #   make test-all         every test
+#   make test-avx2        every test once more as processors without AVX-512 round
 #   make check            format, lint, types, import order, known vulnerabilities
 #   make audit            known vulnerabilities of what is installed; fails where the package index cannot say
 #   make format           write the format and the safe lint fixes
@@ -35,7 +36,7 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no
 WEB := clients/web
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help serve setup browser test test-all test-quick check audit format bench soak page clean
+.PHONY: help serve setup browser test test-all test-avx2 test-quick check audit format bench soak page clean
 
 help:
 	@sed -n '2,/^$$/{s/^# \{0,1\}//;p;}' Makefile
@@ -88,6 +89,11 @@ test:
 
 test-all: setup
 	$(PYTEST) $(ARGS)
+
+# What rounding alone decides comes out otherwise: libraries and kernels compute with AVX2. Kernels are stored apart.
+test-avx2: setup
+	OPENBLAS_CORETYPE=Haswell NUMBA_CPU_NAME=x86-64-v3 ATEN_CPU_CAPABILITY=avx2 MKL_ENABLE_INSTRUCTIONS=AVX2 ONEDNN_MAX_CPU_ISA=AVX2 \
+	NPY_DISABLE_CPU_FEATURES="AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL" NUMBA_CACHE_DIR=$(CURDIR)/.cache/avx2 $(PYTEST) $(ARGS)
 
 test-quick: setup
 	$(PYTEST) -m "not slow and not long" $(ARGS)

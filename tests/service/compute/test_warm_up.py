@@ -37,7 +37,7 @@ ASKED = (
 
 def called() -> dict[str, set[str]]:
     """By kernel the types that it has been called with, from Python or by a kernel that was compiled."""
-    kernels = [one for one in gc.get_objects() if isinstance(one, CPUDispatcher)]
+    kernels = [one for one in gc.get_objects() if type(one) is CPUDispatcher]
     named = [(f"{one.py_func.__module__}.{one.py_func.__name__}", one) for one in kernels]
     return {name: {str(types) for types in one.overloads} for name, one in named if name.startswith("drape.")}
 
