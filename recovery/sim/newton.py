@@ -155,9 +155,7 @@ class Minimum:
                 try:
                     direction = potential.direction(x, residual, exact=exact, shift=shift)
                     length = _line_search(potential, x, direction, value, residual)
-                except (
-                    SingularMatrix
-                ):  # no step, as where none lowers the potential: a shift gives the matrix an inverse
+                except SingularMatrix:  # no step, as where none lowers the potential: the shift makes it regular
                     direction, length = residual, 0.0
                 if length <= SHORTEST_STEP:
                     if not exact and shift > 1e6:

@@ -29,10 +29,7 @@ class Factor:
 
 
 def superlu(matrix: scipy.sparse.csc_matrix) -> Factor:
-    """SuperLU in its symmetric mode: ordering of A^T + A, pivots on the diagonal (half the time of the default).
-
-    Raises ``SingularMatrix``, and ``InputError`` for numbers that are not finite.
-    """
+    """SuperLU in its symmetric mode: ordering of A^T + A, pivots on the diagonal (half the time of the default)."""
     if not np.isfinite(matrix.data).all():
         raise InputError(
             "simulation step",
