@@ -26,6 +26,7 @@ from recovery.scan.places import ScanFault, in_box, on_body
 from recovery.scan.sheets import agreeing, branch_edges, cut_branches, main_sheet
 from recovery.scan.thin import calmed, roughness, thinned_to
 from tests.drape.cloth.cloth_shapes import grid, round_tube
+from tests.fixtures.patience import PATIENT_S
 from tests.recovery.test_fit_contours import joints, sandwich, sizes
 from tests.recovery.test_fit_optimise import search
 from tests.recovery.test_run_target import both, skirt_tube, write_obj
@@ -232,19 +233,21 @@ def test_nothing_is_silent_for_longer_than_it_may_be():
     lines: list[str] = []
     with progress.watched(write=lines.append, every_s=0.05), progress.stage("long"):
         progress.tick("round 3")
-        time.sleep(0.4)  # a loop that does not tick
+        deadline = time.monotonic() + PATIENT_S
+        while len(lines) < 3 and time.monotonic() < deadline:
+            time.sleep(0.01)  # a loop that does not tick
     assert len(lines) >= 3 and "long: round 3" in lines[-1]
     assert not progress.over()
     progress.tick("nobody listens")
 
 
 def test_time_ends_within_a_share_of_the_limit_and_says_where():
-    with progress.watched(write=lambda line: None, limit_s=0.08) as clock:
+    with progress.watched(write=lambda line: None, limit_s=3600.0) as clock:
         with progress.within(0.25), progress.stage("search"):
-            time.sleep(0.03)
+            clock.started -= 1000.0
             assert progress.over() and clock.stopped_in == "search"
         assert not progress.over()
-        time.sleep(0.08)
+        clock.started -= 3000.0
         assert progress.over() and clock.stopped_in == "search"
 
 

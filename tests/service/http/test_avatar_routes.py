@@ -29,6 +29,7 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
 from tests.fixtures.glb_reader import Reader
+from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.serving import files_in
 from tests.fixtures.streams import PROTOCOLS
 
@@ -41,7 +42,7 @@ POSES[:, 16:18, 2] = [-0.9, 0.9]
 def ended(api: httpx.Client, answer: httpx.Response) -> dict:
     assert answer.status_code == 202, answer.text
     assert answer.headers["Location"] == f"/jobs/{answer.json()['id']}"
-    deadline = time.monotonic() + 90.0
+    deadline = time.monotonic() + PATIENT_S
     while (job := api.get(answer.headers["Location"]).json())["state"] in ("queued", "running"):
         assert time.monotonic() < deadline
         time.sleep(0.05)

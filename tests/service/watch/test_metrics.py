@@ -23,6 +23,7 @@ from service.stream.routes import Session
 from service.watch.metrics import Metrics
 from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
 from tests.architecture.repository import ROOT
+from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.streams import PROTOCOLS, stream_address
 
 REST = np.zeros((1, 24, 3)).tolist()
@@ -151,7 +152,7 @@ def test_readiness_follows_the_life_of_the_service_and_liveness_does_not():
 
 
 def test_a_loop_that_has_stopped_turning_is_told_by_the_probes_own_port():
-    life, metrics, lags = Lifecycle(stuck_s=0.4), Metrics(), []
+    life, metrics, lags = Lifecycle(stuck_s=2.0), Metrics(), []
     life.ready()
     with Probes(bind("127.0.0.1", 0), life, metrics) as probes:
         url = f"http://127.0.0.1:{probes.server_address[1]}"
@@ -161,7 +162,7 @@ def test_a_loop_that_has_stopped_turning_is_told_by_the_probes_own_port():
             await asyncio.sleep(0.3)
             turning = await asyncio.to_thread(httpx.get, url + "/livez")
             assert turning.status_code == 200
-            time.sleep(0.5)
+            time.sleep(2.1)
             stuck = httpx.get(url + "/livez")
             assert httpx.get(url + "/readyz").status_code == 503
             ticking.cancel()
@@ -170,7 +171,7 @@ def test_a_loop_that_has_stopped_turning_is_told_by_the_probes_own_port():
         stuck = asyncio.run(turn_then_stop())
         assert stuck.status_code == 503
         assert stuck.headers["content-type"] == "application/problem+json"
-        assert "event loop: expected a turn within 0.4 s, got none for " in stuck.json()["detail"]
+        assert "event loop: expected a turn within 2 s, got none for " in stuck.json()["detail"]
         life.ended()
         assert httpx.get(url + "/livez").status_code == 200
         assert "drape_frames_total" in httpx.get(url + "/metrics").text
@@ -182,7 +183,7 @@ def test_clients_that_say_nothing_do_not_fill_the_probes_port():
     with Probes(bind("127.0.0.1", 0), Lifecycle(stuck_s=60.0), Metrics()) as probes:
         address = ("127.0.0.1", probes.server_address[1])
         silent = [socket.create_connection(address) for _ in range(MOST_CLIENTS)]
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + PATIENT_S
         while True:  # until those that say nothing are hung up on
             try:
                 assert httpx.get(f"http://127.0.0.1:{address[1]}/livez").status_code == 200
