@@ -41,6 +41,7 @@ from service.watch.logs import RequestLog
 from service.watch.metrics import Metrics
 from service.watch.probes import Lifecycle
 from service.watch.tracing import make_tracing
+from service.watch.turns import LoopWatch
 
 ROUTERS = (
     info_routes.router,
@@ -66,16 +67,17 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         state = make_state(runtime or DrapeRuntime(settings, metrics=metrics, tracing=tracing), access, life)
         app.state.drape = state
-        state.start(exact_clips.opener(state))
-        ticking = asyncio.create_task(life.tick(metrics.loop_lag.set), name="ticking")
-        life.ready()
-        try:
-            yield
-        finally:
-            life.draining = True
-            ticking.cancel()
-            life.ended()
-            await state.stop()
+        with (watch := LoopWatch(metrics)).watching():
+            state.start(exact_clips.opener(state))
+            ticking = asyncio.create_task(life.tick(watch.late), name="ticking")
+            life.ready()
+            try:
+                yield
+            finally:
+                life.draining = True
+                ticking.cancel()
+                life.ended()
+                await state.stop()
 
     app = FastAPI(
         title="drape",
