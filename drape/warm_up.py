@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import gc
-import multiprocessing
+import multiprocessing  # noqa: TID251 - it spawns, and before there are threads
 import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed  # noqa: TID251
 
 import numpy as np
 

@@ -43,6 +43,7 @@ from service.watch.logs import RequestLog
 from service.watch.metrics import Metrics
 from service.watch.probes import Lifecycle
 from service.watch.tracing import make_tracing
+from service.watch.turns import LoopWatch
 from service.watch.watchdog import Lane, Watchdog
 
 ROUTERS = (
@@ -70,18 +71,19 @@ def create_app(
         state = make_state(runtime or DrapeRuntime(settings, metrics=metrics, tracing=tracing), access, life)
         app.state.drape = state
         asyncio.get_running_loop().set_default_executor(Lane("calls"))
-        state.start(exact_clips.opener(state))
-        ticking = asyncio.create_task(life.tick(metrics.loop_lag.set), name="ticking")
-        life.ready()
-        watchdog = Watchdog(life, metrics, stuck_s=settings.stuck_s, kill=kill_all)
-        try:
-            yield
-        finally:
-            life.draining = True
-            ticking.cancel()
-            life.ended()
-            await state.stop()
-            watchdog.stop()
+        with (watch := LoopWatch(metrics)).watching():
+            state.start(exact_clips.opener(state))
+            ticking = asyncio.create_task(life.tick(watch.late), name="ticking")
+            life.ready()
+            watchdog = Watchdog(life, metrics, stuck_s=settings.stuck_s, kill=kill_all)
+            try:
+                yield
+            finally:
+                life.draining = True
+                ticking.cancel()
+                life.ended()
+                await state.stop()
+                watchdog.stop()
 
     app = FastAPI(
         title="drape",

@@ -39,10 +39,11 @@ log = logging.getLogger("drape.access")
 
 @dataclass(frozen=True)
 class Asker:
-    """Who asked what is being answered: the request's id and the client's address."""
+    """Who asked what is being answered: the request's id, the client's address, and where."""
 
     request: str
     client: str
+    scope: Scope
 
 
 ASKER: ContextVar[Asker | None] = ContextVar("asker", default=None)
@@ -111,7 +112,7 @@ class RequestLog:
             await self.app(scope, receive, send)
             return
         headers, method = Headers(scope=scope), scope.get("method", "WS")
-        asker = Asker(request_id(headers), scope["client"][0] if scope.get("client") else "")
+        asker = Asker(request_id(headers), scope["client"][0] if scope.get("client") else "", scope)
         token = ASKER.set(asker)
         try:
             with self._tracing.request(method, headers, asker.request) as answered:
@@ -119,7 +120,7 @@ class RequestLog:
                 try:
                     status = await self._answered(scope, receive, send, asker)
                 finally:
-                    answered.told(method, _template(scope), status)
+                    answered.told(method, path_of(scope), status)
                     self._tell(scope, method, status, time.perf_counter() - begun_s)
         finally:
             ASKER.reset(token)
@@ -150,7 +151,7 @@ class RequestLog:
         return status or LEFT
 
     def _tell(self, scope: Scope, method: str, status: int, took_s: float) -> None:
-        path = _template(scope)
+        path = path_of(scope)
         self._metrics.requests.labels(method, path, str(status)).inc()
         if scope["type"] == "http":
             self._metrics.request_seconds.labels(path).observe(took_s)
@@ -159,7 +160,7 @@ class RequestLog:
         log.log(level, "answered" if status != LEFT else "the client left", extra=said)
 
 
-def _template(scope: Scope) -> str:
+def path_of(scope: Scope) -> str:
     """The path with its parameters' names in place of their values; "page" for files of the page and unknown paths."""
     route: Any = scope.get("route")
     return getattr(route, "path", "") or "page"

@@ -1,7 +1,7 @@
 """Whether the service lives and takes work, and who says so: ``Lifecycle``, and ``Probes`` on a port of its own.
 
-The event loop says that it turns, a few times a second. ``/livez``, ``/readyz`` and ``/metrics`` on the service's port
-wait for nothing but that loop. While it is busy they wait too; ``Probes`` is a thread with a port of its own
+The event loop says that it turns, a few times a second. ``/livez`` and ``/readyz`` on the service's port wait for
+nothing but that loop, and ``/metrics`` for frames of streams. ``Probes`` is a thread with a port of its own
 (``DRAPE_PROBE_PORT``). It sees a loop that has stopped turning, and it answers while models load.
 """
 
