@@ -24,7 +24,7 @@ from __future__ import annotations
 import gc
 import heapq
 import json
-import multiprocessing
+import multiprocessing  # noqa: TID251 - it spawns
 import os
 import random
 import selectors
