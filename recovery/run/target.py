@@ -27,6 +27,8 @@ from drape.garment.mesh_checks import (
 from drape.geometry import closest, meshes
 from recovery import progress
 from recovery.fit.contours import TRUNK, bone_chains, open_contours, part_round, place_of
+from recovery.scan.caps import check_unworn
+from recovery.scan.hems import without_turned_hems
 from recovery.scan.holes import Loop, borders, closed, plainly_hole, plainly_opening
 from recovery.scan.places import ScanFault, in_box
 from recovery.scan.sheets import agreeing, cut_branches, main_sheet, without_copies
@@ -74,7 +76,7 @@ def mended(mesh: GarmentMesh) -> GarmentMesh:
     thin = thinned(mesh)
     if thin is not mesh:
         mesh = one_sheet(cut_branches(check_faces(thin, repair=True)))
-    mesh = calmed(two_sided(mesh))
+    mesh = without_turned_hems(calmed(two_sided(mesh)))
     if not meshes.boundary_loops(mesh.faces):
         raise MeshError(
             "target",
@@ -84,6 +86,7 @@ def mended(mesh: GarmentMesh) -> GarmentMesh:
         )
     found = closed(mesh, lambda one: plainly_hole(one, mesh))
     check_closed_round(found.mesh)
+    check_unworn(found.mesh)
     return found.mesh if found.mesh is mesh else found.mesh.noted(*found.words(len(mesh.faces)))
 
 

@@ -177,6 +177,27 @@ def test_a_garment_that_is_open_from_hem_to_top_is_refused_with_its_place(turned
     assert len(fault.value.points) and np.abs(fault.value.points[:, up] + 0.2).max() < 0.2
 
 
+@pytest.mark.parametrize("limb", [False, True])
+def test_a_garment_that_is_one_surface_with_its_wearer_is_refused_with_its_place(limb):
+    """A tube that closes over a ball as large as a head, or as over an arm; cut off it is a tube."""
+    if limb:
+        bag = round_tube([0.06] * 20 + [0.04, 0.01], [*np.linspace(0.0, 0.4, 20), 0.42, 0.43], 24)
+    else:
+        angle = np.linspace(-1.0, 1.55, 16)
+        radius, height = 0.1 * np.cos(angle), 0.75 + 0.1 * np.sin(angle)
+        bag = round_tube([0.3, 0.3, 0.06, *radius], [-0.3, 0.5, 0.6, *height], 40)
+    mesh = plain_mesh("worn", *bag)
+    top = max(meshes.boundary_loops(mesh.faces), key=lambda loop: mesh.vertices[loop, 1].mean())
+    tip = np.stack([np.roll(top, -1), top, np.full(len(top), len(mesh.vertices))], axis=1)
+    vertices = np.concatenate([mesh.vertices, mesh.vertices[top].mean(axis=0)[None]])
+    closed = plain_mesh("worn", vertices, np.concatenate([mesh.faces, tip]))
+    with pytest.raises(ScanFault, match=r"without its wearer.*closes as over a head.*--label") as fault:
+        mended(closed)
+    assert fault.value.points[0, 1] > 0.35
+    cut = closed.vertices[closed.faces][:, :, 1].max(axis=1) < (0.3 if limb else 0.55)
+    assert len(meshes.boundary_loops(mended(closed.take_faces(cut)).faces)) == 2
+
+
 def test_a_hole_is_noted_and_closed():
     mesh = skirt_tube()
     holed = mesh.take_faces(np.arange(len(mesh.faces)) != 410)
