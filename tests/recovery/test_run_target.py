@@ -248,21 +248,21 @@ def test_a_body_is_found_inside_a_garment_in_another_unit_and_place(body):
     used, faces = np.unique(body.faces[keep], return_inverse=True)
     vertices = (near + 0.008 * normals)[used] + [0.1, 0.9, 0.0]
     base = base_pattern("tshirt", default_measurements())
-    mesh, wearer = inside_wearer(plain_mesh("scan", 100.0 * vertices, faces.reshape(-1, 3)), base)
+    mesh, wearer = inside_wearer(plain_mesh("scan", 100.0 * vertices, faces.reshape(-1, 3)), [base])
     assert_allclose(mesh.vertices, vertices)
     assert "from cm to m" in mesh.notes[-1]
     assert np.linalg.norm(wearer.skin.vertices[shirt] - (near[shirt] + [0.1, 0.9, 0.0]), axis=1).mean() < 0.025
     assert wearer.residual_mm < 12.0 and wearer.pose is not None
     assert wearer.pose[[13, 16], 2].sum() < -0.3 and wearer.pose[[14, 17], 2].sum() > 0.3
     with pytest.raises(MeshError, match="Say the unit"):
-        inside_wearer(plain_mesh("scan", 4000.0 * vertices, faces.reshape(-1, 3)), base)
+        inside_wearer(plain_mesh("scan", 4000.0 * vertices, faces.reshape(-1, 3)), [base])
     # A wide ring hangs on nobody.
     ring = plain_mesh("ring", *round_tube([0.5] * 9, np.linspace(1.0, 1.6, 9), 60))
     with pytest.raises(BodyError, match=r"the top 15 cm within 25 mm of the skin, got \d+ mm between them"):
-        inside_wearer(ring, base, unit="m")
+        inside_wearer(ring, [base], unit="m")
     # In a narrow one no body fits.
     with pytest.raises(BodyError, match="cloth that a body fits in"):
-        inside_wearer(plain_mesh("scan", vertices * [0.35, 1.0, 0.35], faces.reshape(-1, 3)), base, unit="m")
+        inside_wearer(plain_mesh("scan", vertices * [0.35, 1.0, 0.35], faces.reshape(-1, 3)), [base], unit="m")
 
 
 @pytest.mark.slow
@@ -274,7 +274,7 @@ def test_arms_bend_where_long_sleeves_do(body):
     used, faces = np.unique(body.faces[shirt[body.faces].all(axis=1)], return_inverse=True)
     vertices = (near + 0.01 * meshes.vertex_normals(near, body.faces))[used]
     base = base_pattern("tshirt", default_measurements())
-    _, wearer = inside_wearer(plain_mesh("scan", vertices, faces.reshape(-1, 3)), base, wanted=OPENINGS["tshirt"])
+    _, wearer = inside_wearer(plain_mesh("scan", vertices, faces.reshape(-1, 3)), [base], wanted=OPENINGS["tshirt"])
     assert wearer.pose is not None
     assert_allclose(wearer.pose[[18, 19], 1], [-0.7, 0.7], rtol=0, atol=0.25)
     assert np.linalg.norm(wearer.skin.vertices[shirt] - near[shirt], axis=1).mean() < 0.02
