@@ -173,7 +173,8 @@ def prepare(job: Job) -> Prepared:
             )
         standard = read_wearer("anny_default")
         kind = job.base or kind_of(mesh)
-        bases = [read_base(kind, standard, job.settings if job.base else ())]
+        names = [kind, "strapless_dress"] if kind == "skirt" and not job.base else [kind]  # from waist or chest
+        bases = [read_base(one, standard, job.settings if job.base else ()) for one in names]
         mesh, wearer = inside_wearer(mesh, bases, unit=job.unit, up=job.up, front=job.front, wanted=OPENINGS.get(kind))
         mesh = placed_target(mesh, wearer.skin, unit="m", up="y")
     else:

@@ -44,10 +44,11 @@ OPEN_SHARE = 0.7  # of the height: no hem and no neckline, however deep, goes th
 TWISTED_SHARE = 0.02  # of the faces: more edges to be cut, and the scan is no cloth
 # Openings round each part of the body, by base.
 OF_TOPS = {TRUNK: 2, "left_arm": 1, "right_arm": 1}
+OF_TUBES = {TRUNK: 2}
 OPENINGS = {
     **dict.fromkeys(("tshirt", "tank", "dress", "sleeved_dress"), OF_TOPS),
     "trousers": {TRUNK: 1, "left_leg": 1, "right_leg": 1},
-    "skirt": {TRUNK: 2},
+    **dict.fromkeys(("skirt", "tube", "strapless_dress"), OF_TUBES),
 }
 
 
