@@ -157,7 +157,7 @@ def drape_pattern(
     )
     sewn = sew(mesh, placed.positions, distance)
     say(f"sewn      seams within {1e3 * sewn.gap_m:.1f} mm; {describe_stretch(stretch_figures(sewn.stretch))}")
-    belt = options.hold is Hold.BELT or (options.hold is Hold.AUTO and placed.hangs_from == "waist")
+    belt = options.hold is Hold.BELT or (options.hold is Hold.AUTO and placed.hangs_from != "shoulders")
     knee = float(body.joints_template[JOINT_NAMES.index("left_knee"), 1])
     limit = options.iteration_limit
     progress.tick("the garment falls")

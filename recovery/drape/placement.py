@@ -15,6 +15,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import InputError
+from drape.geometry.meshes import boundary_loops
 from recovery.drape.relax import Distance
 from recovery.drape.sleeves import limb_openings, round_spread_arms
 from recovery.pattern.measurements import measure
@@ -44,8 +45,8 @@ class Placed:
     """Panel vertices ``positions`` [m] (P, 3) round the body, clear of it.
 
     ``axes`` were taken, the panels lifted by ``lift_m`` beyond them, and moved outward by at most ``outward_m``.
-    ``hangs_from`` is "shoulders" or "waist". Sleeves were turned onto the arms by at most ``turned_rad``. ``limbs``
-    have an opening of their own.
+    ``hangs_from`` is "shoulders", "chest" or "waist". Sleeves were turned onto the arms by at most ``turned_rad``.
+    ``limbs`` have an opening of their own.
     """
 
     positions: np.ndarray
@@ -82,6 +83,8 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
     size = measure(body)
     top = float(flat[:, 1].max())
     holds = {"shoulders": size.neck_y, "waist": size.waist_y}
+    if len(boundary_loops(mesh.faces)) == 2:  # neither arms nor legs: its upper edge may be tight round the chest
+        holds["chest"] = size.underarm_y
     pelvis, floor = body.joints_template[0], float(body.v_template[:, 1].min())
     origins = {
         Axes.BODY: np.zeros(3),
@@ -92,14 +95,15 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
         (name, hold): abs(top + origin[1] - height)
         for name, origin in origins.items()
         for hold, height in holds.items()
-        if axes in (Axes.AUTO, name)
+        # A skirt's waist in one file's axes is at the chest in another's.
+        if axes in (Axes.AUTO, name) and (hold != "chest" or name in (Axes.BODY, axes))
     }
     chosen, hold = min(miss, key=lambda pair: miss[pair])
     if miss[chosen, hold] > FAR_M:
         raise InputError(
             "placement",
-            expected="a garment that begins near the neck or the waist",
-            got=f"its highest point {100 * miss[chosen, hold]:.0f} cm from both",
+            expected="a garment that begins near the neck, the chest or the waist",
+            got=f"its highest point {100 * miss[chosen, hold]:.0f} cm from them",
             cure="Say which axes the panels were placed in (--axes), and check the file's unit.",
         )
     stood = flat + origins[chosen]

@@ -40,7 +40,7 @@ from recovery.run.retarget import Worn, retargeted
 from recovery.run.seen import Seen, pieces
 from recovery.run.styled import styled
 from recovery.run.target import OPENINGS, check_base, off_skin, opened, placed_target, read_target
-from recovery.run.wearer import Wearer, inside_wearer, read_wearer
+from recovery.run.wearer import Front, Wearer, inside_wearer, read_wearer
 from recovery.scan.holes import known_faces
 from recovery.scan.places import ScanFault, on_body
 
@@ -73,6 +73,7 @@ class Job:
     settings: Sequence[str] = ()
     unit: Unit = "auto"
     up: Up = "auto"
+    front: Front = "auto"
     drape: DrapeOptions = field(default_factory=DrapeOptions)
     fit: FitOptions = field(default_factory=FitOptions)
     weights: Weights = DEFAULT_WEIGHTS
@@ -172,8 +173,9 @@ def prepare(job: Job) -> Prepared:
             )
         standard = read_wearer("anny_default")
         kind = job.base or kind_of(mesh)
-        base = read_base(kind, standard, job.settings if job.base else ())
-        mesh, wearer = inside_wearer(mesh, base, unit=job.unit, up=job.up, wanted=OPENINGS.get(kind))
+        names = [kind, "strapless_dress"] if kind == "skirt" and not job.base else [kind]  # from waist or chest
+        bases = [read_base(one, standard, job.settings if job.base else ()) for one in names]
+        mesh, wearer = inside_wearer(mesh, bases, unit=job.unit, up=job.up, front=job.front, wanted=OPENINGS.get(kind))
         mesh = placed_target(mesh, wearer.skin, unit="m", up="y")
     else:
         kind = job.base

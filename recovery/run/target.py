@@ -27,6 +27,8 @@ from drape.garment.mesh_checks import (
 from drape.geometry import closest, meshes
 from recovery import progress
 from recovery.fit.contours import TRUNK, bone_chains, open_contours, part_round, place_of
+from recovery.scan.caps import check_unworn
+from recovery.scan.hems import without_turned_hems
 from recovery.scan.holes import Loop, borders, closed, plainly_hole, plainly_opening
 from recovery.scan.places import ScanFault, in_box
 from recovery.scan.sheets import agreeing, cut_branches, main_sheet, without_copies
@@ -43,10 +45,11 @@ OPEN_SHARE = 0.7  # of the height: no hem and no neckline, however deep, goes th
 TWISTED_SHARE = 0.02  # of the faces: more edges to be cut, and the scan is no cloth
 # Openings round each part of the body, by base.
 OF_TOPS = {TRUNK: 2, "left_arm": 1, "right_arm": 1}
+OF_TUBES = {TRUNK: 2}
 OPENINGS = {
     **dict.fromkeys(("tshirt", "tank", "dress", "sleeved_dress"), OF_TOPS),
     "trousers": {TRUNK: 1, "left_leg": 1, "right_leg": 1},
-    "skirt": {TRUNK: 2},
+    **dict.fromkeys(("skirt", "tube", "strapless_dress"), OF_TUBES),
 }
 
 
@@ -82,11 +85,12 @@ def mended(mesh: GarmentMesh) -> GarmentMesh:
     thin = thinned(mesh)
     if thin is not mesh:
         mesh = one_sheet(cut_branches(check_faces(thin, repair=True)))
-    mesh = calmed(two_sided(mesh))
+    mesh = without_turned_hems(calmed(two_sided(mesh)))
     check_open(mesh, "a closed surface")
     found = closed(mesh, lambda one: plainly_hole(one, mesh))
     check_open(found.mesh, f"one that is closed once mended, with no border but holes ({found.holes})")
     check_closed_round(found.mesh)
+    check_unworn(found.mesh)
     return found.mesh if found.mesh is mesh else found.mesh.noted(*found.words(len(mesh.faces)))
 
 

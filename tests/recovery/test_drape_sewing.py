@@ -90,7 +90,8 @@ def test_a_panel_in_the_body_moves_along_its_normal_until_it_is_clear():
 def test_base_patterns_stand_where_they_were_drafted(body, name):
     placed = place_panels(mesh_pattern(BASES[name](default_measurements()), 0.08), body, body_distance())
     assert placed.axes is Axes.BODY
-    assert placed.hangs_from == ("waist" if name in ("skirt", "trousers") else "shoulders")
+    holds = {"skirt": "waist", "trousers": "waist", "tube": "chest", "strapless_dress": "chest"}
+    assert placed.hangs_from == holds.get(name, "shoulders")
     assert abs(placed.lift_m) <= 0.02 and placed.outward_m <= 0.02
 
 
