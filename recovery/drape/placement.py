@@ -83,7 +83,7 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
     size = measure(body)
     top = float(flat[:, 1].max())
     holds = {"shoulders": size.neck_y, "waist": size.waist_y}
-    if len(boundary_loops(mesh.faces)) == 2:  # neither arms nor legs: its upper edge may be tight round the chest
+    if tube := len(boundary_loops(mesh.faces)) == 2:  # neither arms nor legs: its upper edge may be tight on the chest
         holds["chest"] = size.underarm_y
     pelvis, floor = body.joints_template[0], float(body.v_template[:, 1].min())
     origins = {
@@ -95,8 +95,8 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
         (name, hold): abs(top + origin[1] - height)
         for name, origin in origins.items()
         for hold, height in holds.items()
-        # A skirt's waist in one file's axes is at the chest in another's.
-        if axes in (Axes.AUTO, name) and (hold != "chest" or name in (Axes.BODY, axes))
+        # A tube's chest in the body's axes is a waist or a neck in others'.
+        if axes in (Axes.AUTO, name) and (hold == "waist" or not tube or name in (Axes.BODY, axes))
     }
     chosen, hold = min(miss, key=lambda pair: miss[pair])
     if miss[chosen, hold] > FAR_M:

@@ -123,7 +123,7 @@ def _of_top(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> To
         told |= _of_sleeves(body, seen, arms)
         low = body.underarm_y
     elif strapless:
-        low = float(neck.points[:, 1].min())
+        low = float(neck.points[:, 1].min()) - BELOW_UNDERARM_M  # planes across tilted bones are clear of the edge
         told["armhole_drop_m"] = body.underarm_y - float(neck.centre[1])
     else:
         tops = [one.points[one.points[:, 1].argmax()] for one in arms]
