@@ -92,8 +92,8 @@ def recover_pattern(
     base = sewable(base, base, symmetries)
     for line in symmetries.describe(base):
         say(f"symmetry  {line}")
-    bare = drape.skin(body.v_template, body.faces, say)
-    skin = bare if pose is None else drape.skin(body.posed_vertices(pose[None])[0], body.faces, say)
+    bare = drape.skin(body.v_template, body.faces)
+    skin = bare if pose is None else drape.skin(body.posed_vertices(pose[None])[0], body.faces)
     task = _Task(
         target=target,
         body=body,
