@@ -50,7 +50,6 @@ OF_JOB = (
     "minutes",
     "sizes",
 )
-CHOOSE_FABRIC = "auto"
 EDGE_LENGTH_M = 0.05
 
 
@@ -76,9 +75,8 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--fabric",
         default=DEFAULT_MATERIAL,
-        choices=(*FABRICS, *MEASURED, CHOOSE_FABRIC),
-        help="of the target: one of the simulator's five or of the table; auto: the nearest of the five is looked for, "
-        "then its constants",
+        choices=(*FABRICS, *MEASURED),
+        help="of the target: one of the simulator's five or of the table",
     )
     parser.add_argument("--edge-length", type=float, default=EDGE_LENGTH_M, help="of the garment's mesh [m]")
     parser.add_argument(
@@ -120,10 +118,9 @@ def job_of(given: argparse.Namespace) -> Job:
         style=style_of(given),
         drape=DrapeOptions(
             edge_length_m=given.edge_length,
-            fabric=DEFAULT_MATERIAL if given.fabric == CHOOSE_FABRIC else given.fabric,
+            fabric=given.fabric,
             grid_m=given.grid,
         ),
-        find_fabric=given.fabric == CHOOSE_FABRIC,
         fit=FitOptions(iterations=given.adam, closing=given.closing),
         weights=DEFAULT_WEIGHTS._replace(reach_m=reach_of(given)),
     )
