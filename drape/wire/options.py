@@ -89,13 +89,6 @@ class DrapeOptions(BaseModel):
         "win; the service's setting, balanced, if left out. exact, of clips alone: cloth at rest that does not pass "
         "through itself, as a job.",
     )
-    budget_ms: float | None = Field(
-        default=None,
-        gt=0.0,
-        allow_inf_nan=False,
-        description="Instead of a tier: the best one whose frames take no longer than that on the service's machine, "
-        "the least where none does.",
-    )
     passes: int | None = Field(
         default=None,
         ge=0,
@@ -123,7 +116,7 @@ class DrapeOptions(BaseModel):
         le=16,
         strict=True,
         description="With folds: steps of a frame whose pose is unlike those that the network was trained on, where "
-        "they are more than folds. Left out: those of the tier accurate, or no more where folds or a budget are named.",
+        "they are more than folds. Left out: those of the tier accurate, or no more where folds are named.",
     )
     settle: int | None = Field(
         default=None,

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # What a clip of tier exact has none of, and what it always has.
 WITHOUT = (
-    *("budget_ms", "passes", "folds", "safe_folds", "settle", "inertia", "colliders", "hidden", "pixels_per_m"),
+    *("passes", "folds", "safe_folds", "settle", "inertia", "colliders", "hidden", "pixels_per_m"),
     *("still_mm", "bits", "streamed", "keep", "past", "rig"),
 )
 ALWAYS = {"push_out": True, "cloth_contact": True, "knob": 0.0, "geometry": "vertices", "folds_by": "server"}

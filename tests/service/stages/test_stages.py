@@ -247,7 +247,6 @@ def draped(novelty_runtime: DrapeRuntime, poses: np.ndarray, **options: object) 
         ({"tier": "fast"}, (1, 4)),
         ({"tier": "accurate"}, (4, 4)),
         ({"folds": 2}, (2, 2)),
-        ({"budget_ms": 9.0}, (2, 2)),
         ({"folds": 3, "safe_folds": 9}, (3, 9)),
         ({"folds": 3, "safe_folds": 0}, (3, 3)),
         ({"folds": 0, "safe_folds": 9}, (0, 0)),

@@ -26,7 +26,6 @@ export type FabricChoice = string | Record<string, number>;
 export interface DrapeOptions {
   betas?: number[];
   tier?: TierName;
-  budget_ms?: number;
   fabric?: FabricChoice | (FabricChoice | null)[];
   passes?: number;
   folds?: number;
