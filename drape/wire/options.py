@@ -164,13 +164,6 @@ class DrapeOptions(BaseModel):
         description="Pixels of the picture per metre of the garment. Below 100 it is far away: the least "
         "tier and coordinates of 8 bits, unless passes, folds or bits are named beside it; left out, it is near.",
     )
-    still_mm: float | None = Field(
-        default=None,
-        ge=0.0,
-        allow_inf_nan=False,
-        description="In a stream: a body counts as standing still while a change of pose moves its cloth, by the "
-        "network, less far than this [mm]; the last frame then comes again. Left out, or 0: any change is computed.",
-    )
     bits: int | None = Field(
         default=None,
         ge=8,

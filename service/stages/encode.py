@@ -81,21 +81,14 @@ class Idle:
     message: bytes
 
     def holds_for(self, plan: Plan, one: PoseInput) -> bool:
-        """Whether ``one`` has the same pose and shape, under an equal ``plan``, and comes no earlier. With ``still_mm``
-        the pose may be another that moves the cloth no further."""
+        """Whether ``one`` has the same pose and shape, under an equal ``plan``, and comes no earlier."""
         return (
             plan == self.plan
             and float(one.times_s[0]) >= self.last_s
             and np.array_equal(one.trans[0], self.trans)
             and np.array_equal(one.betas, self.betas)
-            and (np.array_equal(one.poses[0], self.pose) or self._within(plan, one.poses[0]))
+            and np.array_equal(one.poses[0], self.pose)
         )
-
-    def _within(self, plan: Plan, pose: np.ndarray) -> bool:
-        """Whether ``pose`` moves the cloth by no more than ``plan`` lets pass."""
-        if plan.options.still_mm is None:
-            return False
-        return sum(stage.moved_m(plan, self.pose, pose) for stage in plan.stages) <= 1e-3 * plan.options.still_mm
 
 
 def idle_before(plan: Plan, one: PoseInput) -> Idle | None:

@@ -40,7 +40,6 @@ export interface DrapeOptions {
   hidden?: string[];
   colliders?: object[];
   pixels_per_m?: number;
-  still_mm?: number;
   bits?: 8 | 16;
 }
 
