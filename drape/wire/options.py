@@ -162,15 +162,7 @@ class DrapeOptions(BaseModel):
         gt=0.0,
         allow_inf_nan=False,
         description="Pixels of the picture per metre of the garment. Below 100 it is far away: the least "
-        "tier and coordinates of 8 bits, unless passes, folds or bits are named beside it; left out, it is near.",
-    )
-    bits: int | None = Field(
-        default=None,
-        ge=8,
-        le=16,
-        multiple_of=8,
-        strict=True,
-        description="Bits of a coordinate in a stream's frame of vertices: 16, or 8 for steps of a 255th of the box.",
+        "tier unless passes or folds are named beside it, and coordinates of 8 bits; left out, it is near.",
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from drape.kernels.quantised import quantise
 from drape.wire.jets import JetFrame, pack_jets
 from drape.wire.messages import Answer, Frame, pack_frame, pack_same, resent
+from drape.wire.options import DrapeOptions
 from service.stages.batch import Batch, Memories, PoseInput, changed
 from service.stages.plan import Plan
 from service.stages.stage import BODY, Stage, StageSetup
@@ -62,9 +63,14 @@ class Encode(Stage):
                     posed = {name: array[row] for name, array in vars(jets).items()}
                     messages.append(pack_jets(JetFrame(**said, **posed, left_m=float(batch.quality.left_m[row]))))
                 elif vertices is not None:
-                    frame = Frame(**said, positions=vertices[row], bits=batch.plan.options.bits or 16)
+                    frame = Frame(**said, positions=vertices[row], bits=coordinate_bits(batch.plan.options))
                     messages.append(pack_frame(frame, quantise))
         return changed(batch, messages=tuple(messages))
+
+
+def coordinate_bits(options: DrapeOptions) -> int:
+    """Bits of a coordinate in a frame of vertices: 8 of what is far away, which alone has pixels in a plan."""
+    return 16 if options.pixels_per_m is None else 8
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from service.errors import TooSlow
 from service.http.json_body import document_of, validated
 from service.http.schemas import OpenRequest
 from service.stages.batch import shape_array
+from service.stages.encode import coordinate_bits
 from service.stages.plan import Plan
 from service.stages.scene import Outfit, layer_list
 from service.state import State
@@ -116,7 +117,7 @@ def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str
             "passes": state.runtime.engine.pass_count if options.passes is None else options.passes,
             "folds": options.folds,
             "safe_folds": options.safe_folds or 0,
-            "bits": options.bits or 16,
+            "bits": coordinate_bits(options),
             **more,
         }
     )

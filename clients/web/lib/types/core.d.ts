@@ -40,7 +40,6 @@ export interface DrapeOptions {
   hidden?: string[];
   colliders?: object[];
   pixels_per_m?: number;
-  bits?: 8 | 16;
 }
 
 /** What stays as it is for as long as a garment is worn. */
