@@ -33,7 +33,6 @@ from benchmarks.speed.rates import copied_per_s, multiply_adds_per_s
 from benchmarks.tables import Row
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
-from drape.body.skeleton import JOINT_NAMES
 from drape.catalog import find_motions
 from drape.motion.readers import read_motion
 from drape.wire.options import DrapeOptions
@@ -50,7 +49,6 @@ ROUNDS = 4  # of a measurement in threads, the fastest of which counts: another 
 REST = max(REST_FRAMES, int(REST_S * FPS)) + 2  # frames until a body that stands has come to rest
 OTHERS, LEAST_SHARE = "others", 0.01
 OUTFIT = ("trousers", "tshirt")
-WAVED, WAVE_RAD = [JOINT_NAMES.index(name) for name in ("left_hand", "right_hand")], 0.3
 COLUMNS = {
     "kind": "s", "garment": "s", "tier": "s", "stage": "s", "kernel": "s", "case": "s", "what": "s", "threads": "d",
     "calls": ".0f", "cpu_ms": ".3f", "wall_ms": ".3f", "share": ".3f", "floor_ms": ".4f", "bare_ms": ".3f",
@@ -243,7 +241,7 @@ class View:
 
 
 def views(bench: Bench) -> Iterator[View]:
-    """Distance, hidden garments, a body that stands, and limbs that hardly move cloth."""
+    """Distance, hidden garments, and a body that stands."""
     walk, shirt, far = bench.pose, ["tshirt"], {"pixels_per_m": 50.0}
     yield View("distance", "far away", shirt, walk, {}, far)
     yield View(
@@ -258,14 +256,6 @@ def views(bench: Bench) -> Iterator[View]:
     stands = lambda _: bench.poses[0]  # noqa: E731
     yield View("still", "stands, before its cloth rests", shirt, stands, {}, {}, moving=walk)
     yield View("still", "stands, its cloth at rest", shirt, stands, {}, {}, REST, moving=walk)
-    yield View("still", "waves both hands, still_mm 2", shirt, lambda f: waving(bench, f), {}, {"still_mm": 2.0}, REST)
-
-
-def waving(bench: Bench, frame: int) -> np.ndarray:
-    """The first pose of the walk with both hands turning to and fro."""
-    pose = bench.poses[0].copy()
-    pose[WAVED, 2] += WAVE_RAD * np.sin(frame / FPS * 2.0 * np.pi)
-    return pose
 
 
 def view_row(bench: Bench, view: View) -> Row:

@@ -1,18 +1,14 @@
-"""What the command lines of recovery share: their parsers, the choice of a body's distance, and how they end."""
+"""What the command lines of recovery share: their parsers, the style of a pattern, and how they end."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from recovery.drape.pipeline import SIREN_FOLDER, DistanceKind
 from recovery.pattern.bases import read_values
 from recovery.pattern.style import PARTS, Style
-from recovery.sim.siren import DEFAULT_SIREN
 
 NOT_AT_REST_EXIT_CODE = 3
 
@@ -21,25 +17,6 @@ def parser_of(module: str, text: str | None) -> argparse.ArgumentParser:
     """The parser of ``python -m MODULE``; its help begins with ``text``, line by line."""
     raw = argparse.RawDescriptionHelpFormatter
     return argparse.ArgumentParser(prog=f"python -m {module}", description=text, formatter_class=raw)
-
-
-def add_distance_options(parser: argparse.ArgumentParser) -> None:
-    """Adds ``--distance``, ``--siren-steps`` and ``--siren-folder`` to a command."""
-    parser.add_argument(
-        "--distance",
-        type=DistanceKind,
-        choices=list(DistanceKind),
-        default=DistanceKind.GRID,
-        help="of the body: a grid, or the paper's network of sines, trained for minutes on every new body or pose",
-    )
-    parser.add_argument("--siren-steps", type=int, default=DEFAULT_SIREN.steps, help="of the network's training")
-    parser.add_argument("--siren-folder", type=Path, default=SIREN_FOLDER, help="where trained networks are kept")
-
-
-def distance_options(given: argparse.Namespace) -> dict[str, Any]:
-    """The arguments of ``DrapeOptions`` that ``add_distance_options`` asked for."""
-    siren = replace(DEFAULT_SIREN, steps=given.siren_steps)
-    return {"distance": given.distance, "siren": siren, "siren_folder": given.siren_folder}
 
 
 def add_style_options(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,6 @@ its fabric may be another than the base's.
     python -m benchmarks.recovery [--quick] [--seeds 5] [--edge-length 0.05] [--save]
     python -m benchmarks.recovery --target-edge-length 0.02 --meshes 0.05 0.03 0.022
     python -m benchmarks.recovery --target-edge-length 0.016 --meshes 0.05 0.03 0.017 --first-seed 1 --seeds 1 --save
-    python -m benchmarks.recovery --fabrics crisp limp --free-cloth
 """
 
 from __future__ import annotations
@@ -86,7 +85,6 @@ def recover(
         **errors(found.fitted, truth),
         "steps": sum(len(one.fitted.history) - 1 for one in found.rounds),
         "rounds": len(found.rounds),
-        "nearest": found.fabric.describe(),
         "target_at_rest": target.at_rest,
         "minutes": minutes,
         "processor_minutes": processor,
@@ -123,7 +121,6 @@ def by_round(found: Recovered, truth: Pattern) -> list[Row]:
     Option("--adam", FitOptions().iterations, "steps of Adam"),
     Option("--closing", FitOptions().closing, "steps of Gauss and Newton after it"),
     Option("--fabrics", (), "of the targets; the base has jersey's", choices=sorted(FABRICS)),
-    Option("--free-cloth", False, "choose the fabric and free its constants"),
 )
 def main(run: Run) -> None:
     """Rows of every garment, fabric and base."""
@@ -131,14 +128,13 @@ def main(run: Run) -> None:
     drape = DrapeOptions(edge_length_m=options.edge_length, grid_m=options.grid)
     fit = FitOptions(iterations=options.adam, closing=options.closing)
     meshes = list(options.meshes) or [options.edge_length] * ROUNDS
-    cloth = {"fabrics": tuple(FABRICS), "free_cloth": True} if options.free_cloth else {}
     fabrics = options.fabrics or [DEFAULT_MATERIAL]
     rounds_of: list[Row] = []
     for garment, fabric in product(options.garments, fabrics):
         there = replace(drape, fabric=fabric, edge_length_m=options.target_edge_length or options.edge_length)
         truth, target = target_of(garment, there)
         for seed in range(options.first_seed, options.first_seed + options.seeds):
-            found, row = recover(truth, target, seed, drape, fit, meshes_m=meshes, **cloth)
+            found, row = recover(truth, target, seed, drape, fit, meshes_m=meshes)
             run.rows.append({"garment": garment, "fabric": fabric, **row})
             rounds_of += [{"garment": garment, "seed": seed, **line} for line in by_round(found, truth)]
     if options.meshes:

@@ -66,11 +66,6 @@ class Character:
         return self.world[:, :3, 3]
 
 
-def read_character(payload: bytes, *, label: str = "avatar") -> Character:
-    """The character in the bytes of a GLB or VRM file; refuses (``MeshError``) what has no skinned surface."""
-    return character_in(GltfFile(payload, label=label))
-
-
 def character_in(file: GltfFile) -> Character:
     """The character in ``file``; refuses (``MeshError``) what has no skinned surface."""
     nodes, label = file.document.nodes, file.label

@@ -89,13 +89,6 @@ class DrapeOptions(BaseModel):
         "win; the service's setting, balanced, if left out. exact, of clips alone: cloth at rest that does not pass "
         "through itself, as a job.",
     )
-    budget_ms: float | None = Field(
-        default=None,
-        gt=0.0,
-        allow_inf_nan=False,
-        description="Instead of a tier: the best one whose frames take no longer than that on the service's machine, "
-        "the least where none does.",
-    )
     passes: int | None = Field(
         default=None,
         ge=0,
@@ -123,7 +116,7 @@ class DrapeOptions(BaseModel):
         le=16,
         strict=True,
         description="With folds: steps of a frame whose pose is unlike those that the network was trained on, where "
-        "they are more than folds. Left out: those of the tier accurate, or no more where folds or a budget are named.",
+        "they are more than folds. Left out: those of the tier accurate, or no more where folds are named.",
     )
     settle: int | None = Field(
         default=None,
@@ -169,22 +162,7 @@ class DrapeOptions(BaseModel):
         gt=0.0,
         allow_inf_nan=False,
         description="Pixels of the picture per metre of the garment. Below 100 it is far away: the least "
-        "tier and coordinates of 8 bits, unless passes, folds or bits are named beside it; left out, it is near.",
-    )
-    still_mm: float | None = Field(
-        default=None,
-        ge=0.0,
-        allow_inf_nan=False,
-        description="In a stream: a body counts as standing still while a change of pose moves its cloth, by the "
-        "network, less far than this [mm]; the last frame then comes again. Left out, or 0: any change is computed.",
-    )
-    bits: int | None = Field(
-        default=None,
-        ge=8,
-        le=16,
-        multiple_of=8,
-        strict=True,
-        description="Bits of a coordinate in a stream's frame of vertices: 16, or 8 for steps of a 255th of the box.",
+        "tier unless passes or folds are named beside it, and coordinates of 8 bits; left out, it is near.",
     )
 
 

@@ -21,7 +21,7 @@ from drape.cloth.material import DEFAULT_MATERIAL
 from drape.errors import InputError, refusing
 from drape.files.atomic import write_whole
 from drape.garment.intake import garment_name
-from recovery.commands import add_distance_options, distance_options, ended, parser_of
+from recovery.commands import ended, parser_of
 from recovery.drape.output import panel_texture, write_rest, write_shape
 from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
 from recovery.drape.placement import Axes
@@ -50,7 +50,6 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--axes", type=Axes, choices=list(Axes), default=default.axes, help="of the file's placements")
     parser.add_argument("--hold", type=Hold, choices=list(Hold), default=default.hold, help="auto: a belt at the waist")
     parser.add_argument("--grid", type=float, default=default.grid_m, help="spacing of the body's distance [m]")
-    add_distance_options(parser)
     parser.add_argument(
         "--iterations", type=int, default=default.iteration_limit, help="of Newton; 0 for a quick look, not at rest"
     )
@@ -77,7 +76,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         hold=given.hold,
         grid_m=given.grid,
         iteration_limit=given.iterations,
-        **distance_options(given),
     )
     start = Start(body, options, pose, None, report=print)
     draped = drape_pattern(pattern, body, options, pose=pose, report=print)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,18 +24,9 @@ from recovery.drape.sewing import Sewn, in_numpy, sew
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
 from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
-from recovery.sim.siren import DEFAULT_SIREN, SirenOptions, stored_siren
 
 HANGS_LONGER = 0.01  # cloth a metre long by its own weight, as a share
-SIREN_FOLDER = Path(".cache") / "siren"  # of the folder that a command is called in
 Report = Callable[[str], None]
-
-
-class DistanceKind(StrEnum):
-    """How a body's signed distance is represented: a grid, or the paper's network of sines."""
-
-    GRID = "grid"
-    SIREN = "siren"
 
 
 class Hold(StrEnum):
@@ -51,7 +41,7 @@ class Hold(StrEnum):
 class DrapeOptions:
     """``edge_length_m`` of the cloth's mesh, ``fabric`` by name, ``scale`` of the pattern.
 
-    The body's ``distance`` is a grid of ``grid_m``, or a network trained as ``siren`` says, kept in ``siren_folder``.
+    ``grid_m`` is the spacing of the grid that holds the body's distance.
     ``iteration_limit`` is that of Newton; 0 leaves the garment where the quasi-static steps end. Cloth rests
     ``off_skin_m`` farther off the skin than the contact's own gap. ``hangs_longer`` is for ``hanging``.
     """
@@ -63,9 +53,6 @@ class DrapeOptions:
     hold: Hold = Hold.AUTO
     grid_m: float = 0.01
     iteration_limit: int = ITERATION_LIMIT
-    distance: DistanceKind = DistanceKind.GRID
-    siren: SirenOptions = DEFAULT_SIREN
-    siren_folder: Path = SIREN_FOLDER
     off_skin_m: float = 0.0
     hangs_longer: float = HANGS_LONGER
 
@@ -75,17 +62,12 @@ class DrapeOptions:
                 "iterations", expected="a number from 0", got=f"{self.iteration_limit}", cure="Leave it at its default."
             )
 
-    def skin(self, vertices: np.ndarray, faces: np.ndarray, report: Report | None = None) -> SignedDistance:
+    def skin(self, vertices: np.ndarray, faces: np.ndarray) -> SignedDistance:
         """The signed distance of a closed surface, ``vertices`` [m] (V, 3) and ``faces`` (F, 3).
 
-        It is grown by ``off_skin_m``.
-        A grid is made anew. A network is read from its folder, or trained, which takes minutes, and written there.
-        Raises ``MeshError`` for an open surface and ``ArtifactError`` for a damaged file.
+        It is grown by ``off_skin_m``. Raises ``MeshError`` for an open surface.
         """
-        if self.distance is DistanceKind.SIREN:
-            found: SignedDistance = stored_siren(vertices, faces, self.siren_folder, self.siren, report=report)
-        else:
-            found = GridDistance.from_mesh(vertices, faces, spacing_m=self.grid_m)
+        found = GridDistance.from_mesh(vertices, faces, spacing_m=self.grid_m)
         return Grown(found, self.off_skin_m) if self.off_skin_m else found
 
 
@@ -147,7 +129,7 @@ def drape_pattern(
         say(f"repaired  {note}")
     mesh = mesh_pattern(pattern if options.scale == 1.0 else scaled(pattern, options.scale), options.edge_length_m)
     say(f"meshed    {mesh.node_count} nodes, {len(mesh.faces)} triangles, {len(pattern.stitches)} seams")
-    skin = skin or options.skin(body.v_template, body.faces, say)
+    skin = skin or options.skin(body.v_template, body.faces)
     distance = in_numpy(bare(skin))  # panels stand and close as they do for any cloth
     placed = place_panels(mesh, body, distance, axes=options.axes)
     say(
@@ -181,7 +163,7 @@ def drape_pattern(
     say(describe_drape("draped", figures["rest"]))
     posed = None
     if pose is not None:
-        posed, figures["posed"] = drape_in_pose(mesh, rest, body, pose, options, cloth=cloth, report=report)
+        posed, figures["posed"] = drape_in_pose(mesh, rest, body, pose, options, cloth=cloth)
         say(describe_drape("posed", figures["posed"]))
     return Draped(mesh, placed, sewn, rest, posed, figures)
 
@@ -194,7 +176,6 @@ def drape_in_pose(
     options: DrapeOptions = DrapeOptions(),
     *,
     cloth: OrthotropicMaterial | None = None,
-    report: Report | None = None,
 ) -> tuple[Drape, dict[str, Any]]:
     """The garment of ``mesh`` at rest on ``body`` in ``pose`` (24, 3), and its figures.
 
@@ -202,7 +183,7 @@ def drape_in_pose(
     """
     pose = np.asarray(pose, dtype=np.float64).reshape(JOINT_COUNT, 3)
     moved = to_pose(mesh, rest.nodes, body, pose)
-    skin = options.skin(body.posed_vertices(pose[None])[0], body.faces, report)
+    skin = options.skin(body.posed_vertices(pose[None])[0], body.faces)
     cloth = cloth or hanging(options.fabric, options.hangs_longer)
     posed = settle(mesh, moved, skin, cloth, held=rest.held, iteration_limit=options.iteration_limit)
     return posed, drape_figures(mesh, posed, skin)

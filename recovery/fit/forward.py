@@ -1,4 +1,4 @@
-"""The drape at rest as a differentiable function of panels and cloth, from the shape of a nearby pattern."""
+"""The drape at rest as a differentiable function of panels, from the shape of a nearby pattern."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from torch import Tensor
 
 from drape.cloth.material import OrthotropicMaterial
 from recovery.fit.belt import Belt
-from recovery.fit.cloth import ClothTensors
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.contact import SkinContact
 from recovery.sim.implicit import Problem
@@ -18,7 +17,6 @@ from recovery.sim.sdf import SignedDistance
 
 TOLERANCE_N = 1e-6  # a node weighs about 1e-3 N
 ITERATION_LIMIT = 60
-LEAVES = ("panels", "stretch", "bending_j")
 
 
 class RestDrape:
@@ -47,18 +45,17 @@ class RestDrape:
         self.tolerance_n, self.iteration_limit = tolerance_n, iteration_limit
         self.drapes = 0
 
-    def __call__(self, rest: Tensor, near: np.ndarray, cloth: ClothTensors | None = None) -> tuple[Tensor, Report]:
+    def __call__(self, rest: Tensor, near: np.ndarray) -> tuple[Tensor, Report]:
         """Nodes [m] (N, 3) for panel vertices ``rest`` [m] (P, 2), sought from ``near`` (N, 3), and how that ended.
 
-        ``cloth`` stands in for the material's constants. Differentiable by it and by ``rest`` if the report says that
-        it converged.
+        Differentiable by ``rest`` if the report says that it converged.
         """
         self.drapes += 1
         x = self._laid(torch.from_numpy(np.ascontiguousarray(near)), rest)
         state, report = equilibrium(
             self.model,
             ClothState(x, torch.zeros_like(x)),
-            self._parameters(rest, cloth),
+            self.parameters._replace(panels=rest),
             contact=self.contact,
             tolerance_n=self.tolerance_n,
             iteration_limit=self.iteration_limit,
@@ -69,48 +66,35 @@ class RestDrape:
         """The nodes [m] (N, 3) that a search from the drape ``nodes`` (N, 3) begins at."""
         return nodes
 
-    def ended(self, mesh: PatternMesh, nodes: np.ndarray, cloth: OrthotropicMaterial) -> np.ndarray:
-        """The drape [m] (N, 3) of ``mesh`` in ``cloth`` that a search found as ``nodes`` (N, 3)."""
+    def ended(self, mesh: PatternMesh, nodes: np.ndarray) -> np.ndarray:
+        """The drape [m] (N, 3) of ``mesh`` that a search found as ``nodes`` (N, 3)."""
         return nodes
 
-    def sensitivity(
-        self,
-        rest: Tensor,
-        nodes: np.ndarray,
-        moves: np.ndarray,
-        cloth: ClothTensors | None = None,
-        cloth_moves: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> np.ndarray:
+    def sensitivity(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:
         """Derivatives (N, 3, Z) of the drape ``nodes`` [m] (N, 3) along ``moves`` (P, 2, Z) of the panel vertices.
 
-        With ``cloth_moves``, (4, Y) of the stretch and (Y,) of the bending, there are Y more. One factorisation for all
-        of them: the adjoint's scalar is linear in its weights, so that its derivative by them is the right side of a
-        direction.
+        One factorisation for all of them: the adjoint's scalar is linear in its weights, so that its derivative by them
+        is the right side of a direction.
         """
         x = torch.from_numpy(np.ascontiguousarray(nodes))
-        given = self._parameters(rest, cloth)
         state = ClothState(x, torch.zeros_like(x))
-        at = given._replace(**{name: getattr(given, name).detach() for name in LEAVES})
+        at = self.parameters._replace(panels=rest.detach())
         problem, solution, per_s = self._problem(state, at)
         factor = problem.factor(solution, state, at)
         held = self._held_moves(at.panels, nodes, moves)
-        stretch, bending = (np.zeros((4, 0)), np.zeros(0)) if cloth_moves is None else cloth_moves
-        steps = [(held[:, :, k], moves[:, :, k], np.zeros(4), np.zeros(())) for k in range(moves.shape[2])]
-        still = np.zeros(nodes.shape), np.zeros(moves.shape[:2])
-        steps += [(*still, stretch[:, k], np.asarray(bending[k])) for k in range(len(bending))]
         with torch.enable_grad():
-            leaves = [leaf.clone().requires_grad_(True) for leaf in (x, at.panels, at.stretch, at.bending_j)]
+            leaves = [leaf.clone().requires_grad_(True) for leaf in (x, at.panels)]
             weights = torch.zeros_like(x).requires_grad_(True)
-            parameters = at._replace(**dict(zip(LEAVES, leaves[1:], strict=True)))
+            parameters = at._replace(panels=leaves[1])
             scalar = problem.adjoint(weights, solution, ClothState(leaves[0], state.v), parameters)
             slopes = torch.autograd.grad(scalar, leaves, create_graph=True)
             columns = []
-            for step in steps:
-                parts = [torch.from_numpy(np.ascontiguousarray(part)) for part in step]
+            for k in range(moves.shape[2]):
+                parts = [torch.from_numpy(np.ascontiguousarray(part[:, :, k])) for part in (held, moves)]
                 along = torch.stack([(slope * part).sum() for slope, part in zip(slopes, parts, strict=True)]).sum()
                 (right,) = torch.autograd.grad(along, weights, retain_graph=True)
                 found = factor.solve(np.ascontiguousarray((problem.free * right).numpy()).reshape(-1))
-                columns.append(per_s * found + step[0].reshape(-1))
+                columns.append(per_s * found + held[:, :, k].reshape(-1))
         return np.stack(columns, axis=1).reshape(len(nodes), 3, -1)
 
     def _problem(self, state: ClothState, parameters: Parameters) -> tuple[Problem, Tensor, float]:
@@ -131,7 +115,3 @@ class RestDrape:
             slopes = torch.autograd.functional.jacobian(self.belt.places, rest)
             found[self.belt.held] = np.einsum("hcpd,pdz->hcz", slopes.numpy(), moves)  # type: ignore[union-attr]
         return found
-
-    def _parameters(self, rest: Tensor, cloth: ClothTensors | None) -> Parameters:
-        given = self.parameters._replace(panels=rest)
-        return given if cloth is None else given._replace(stretch=cloth.stretch, bending_j=cloth.bending_j)

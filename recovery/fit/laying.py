@@ -26,7 +26,6 @@ from recovery.catalogue.closing import on_finer_mesh
 from recovery.drape.pipeline import Draped, DrapeOptions
 from recovery.drape.settle import Drape, to_rest
 from recovery.fit.chamfer import surface_distance
-from recovery.fit.cloth import ClothTensors
 from recovery.fit.forward import RestDrape
 from recovery.fit.objective import Target
 from recovery.pattern import geometry
@@ -71,12 +70,12 @@ class LaidDrape(RestDrape):
         super().__init__(mesh, body, cloth)
         self.faces, self.target = mesh.faces, target
 
-    def __call__(self, rest: Tensor, near: np.ndarray, cloth: ClothTensors | None = None) -> tuple[Tensor, Report]:
+    def __call__(self, rest: Tensor, near: np.ndarray) -> tuple[Tensor, Report]:
         """As ``RestDrape``, but for the derivative: that of the last step alone."""
         self.drapes += 1
         stiffness = SPRINGS_N_M3[-1]
         x, moved, steps = torch.from_numpy(np.ascontiguousarray(near)), np.inf, 0
-        given = self._parameters(rest, cloth)
+        given = self.parameters._replace(panels=rest)
         while moved > LAID_M and steps < STEPS - 1 and not progress.over():
             with torch.no_grad():
                 after = self._step(x, given, stiffness)
@@ -94,9 +93,9 @@ class LaidDrape(RestDrape):
                 x = self._step(x, self.parameters, stiffness)
         return x.numpy()
 
-    def ended(self, mesh: PatternMesh, nodes: np.ndarray, cloth: OrthotropicMaterial) -> np.ndarray:
-        """The drape [m] (N, 3) of ``mesh`` in ``cloth`` let go from ``nodes`` (N, 3)."""
-        return fallen(mesh, nodes, self.contact.body, cloth).nodes
+    def ended(self, mesh: PatternMesh, nodes: np.ndarray) -> np.ndarray:
+        """The drape [m] (N, 3) of ``mesh`` let go from ``nodes`` (N, 3)."""
+        return fallen(mesh, nodes, self.contact.body, self.cloth).nodes
 
     def _step(self, x: Tensor, parameters: Parameters, stiffness: float) -> Tensor:
         pairs = springs_between(x.numpy(), self.faces, self.target, stiffness)

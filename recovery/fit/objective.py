@@ -38,15 +38,13 @@ class Weights(NamedTuple):
     An infinite weight of ``seams`` makes them a constraint of the search (``seams.py``) and no term of the loss. A
     finite one is the paper's, whose 0.1 and 0.01 have no units, and lets seams give way to what the target tells.
     ``folds`` is the share of the weight by curvature that counts, 0 for none. A search's loss doubles where its
-    unknowns are ``reach_m`` [m] (by their norm) from the likely ones; the squared distance of a freed cloth to the
-    known fabrics adds to theirs with the weight ``material``. This multiplicative regularisation (van den Berg, van
-    Broekhoven and Abubakar 1999) keeps what a drape hardly shows, and leaves an exact fit exact.
+    unknowns are ``reach_m`` [m] (by their norm) from the likely ones. This multiplicative regularisation (van den Berg,
+    van Broekhoven and Abubakar 1999) keeps what a drape hardly shows, and leaves an exact fit exact.
     """
 
     contours: float = 1.0
     seams: float = math.inf
     folds: float = 1.0
-    material: float = 1.0
     reach_m: float = 0.045
 
     @property

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
 import torch
 from tqdm import tqdm
 
@@ -25,7 +24,6 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError
 from drape.files.atomic import whole_file
 from recovery import progress as watch
-from recovery.fit.cloth import ClothTensors, FreeCloth
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
 from recovery.fit.objective import Objective
@@ -82,7 +80,7 @@ DEFAULT_OPTIONS = FitOptions()
 class Evaluation(NamedTuple):
     """A point of the search: unknowns ``values`` [m] (Z,), nodes [m] (N, 3), loss and parts [m^2] (4,), gradient.
 
-    The unknowns are the free numbers of the control points, and five more if the cloth is free.
+    The unknowns are the free numbers of the control points.
     """
 
     values: np.ndarray
@@ -111,9 +109,8 @@ class Fitted:
 class PatternSearch:
     """The search for the control points ``free`` of ``mesh``; ``forward`` drapes them and ``objective`` is their loss.
 
-    With ``cloth`` its constants are unknowns too. With ``seams`` every pattern on the way can be sewn, if the first one
-    can. The objective's reach is counted from the unknowns ``likely`` [m] (Z,), by default from those that the search
-    begins at.
+    With ``seams`` every pattern on the way can be sewn, if the first one can. The objective's reach is counted from the
+    unknowns ``likely`` [m] (Z,), by default from those that the search begins at.
     """
 
     def __init__(
@@ -123,7 +120,6 @@ class PatternSearch:
         forward: RestDrape,
         objective: Objective,
         *,
-        cloth: FreeCloth | None = None,
         seams: SeamConstraint | None = None,
         likely: np.ndarray | None = None,
     ) -> None:
@@ -134,11 +130,10 @@ class PatternSearch:
                 got=f"{len(free.controls)}",
                 cure="Make both from the same pattern.",
             )
-        self.mesh, self.free, self.forward, self.objective, self.cloth = mesh, free, forward, objective, cloth
+        self.mesh, self.free, self.forward, self.objective = mesh, free, forward, objective
         self.constraint = seams
-        self.count = free.count + (cloth.count if cloth is not None else 0)
-        self.likely = np.zeros(self.count) if likely is None else np.asarray(likely, dtype=np.float64)
-        check_shape("likely", self.likely, (self.count,))
+        self.likely = np.zeros(free.count) if likely is None else np.asarray(likely, dtype=np.float64)
+        check_shape("likely", self.likely, (free.count,))
         self._origin = torch.from_numpy(mesh.weights @ free.origin.reshape(-1))
         self._basis = torch.from_numpy(np.ascontiguousarray(mesh.weights @ free.basis))
 
@@ -148,7 +143,7 @@ class PatternSearch:
 
     def rests(self, nodes: np.ndarray) -> bool:
         """Whether the simulator finds a drape of the pattern as it is from ``nodes`` [m] (N, 3)."""
-        return self.evaluate(np.zeros(self.count), nodes) is not None
+        return self.evaluate(np.zeros(self.free.count), nodes) is not None
 
     def evaluate(self, values: np.ndarray, near: np.ndarray) -> Evaluation | None:
         """The loss and its gradient at ``values`` (Z,), the drape sought from ``near`` (N, 3).
@@ -157,10 +152,10 @@ class PatternSearch:
         cannot be cut, or where the drape does not come to rest.
         """
         z = torch.tensor(values, dtype=torch.float64, requires_grad=True)
-        rest, cloth = self._parts(z)
+        rest = self._rest(z)
         if len(self.mesh.folded(rest.detach().numpy())) or self._crosses(values):
             return None
-        x, report = self.forward(rest, near, cloth)
+        x, report = self.forward(rest, near)
         if not report.converged:
             return None
         terms = self.objective(x, rest)
@@ -171,39 +166,30 @@ class PatternSearch:
 
     def _crosses(self, values: np.ndarray) -> bool:
         """Whether the outline of a panel at ``values`` (Z,) crosses itself."""
-        positions = self.free.positions(values[: self.free.count])
-        panels = with_controls(self.mesh.pattern, self.mesh.controls, positions).panels
+        panels = with_controls(self.mesh.pattern, self.mesh.controls, self.free.positions(values)).panels
         return any(geometry.first_crossing(geometry.outline(panel)) is not None for panel in panels)
 
     def _along(self, values: np.ndarray) -> np.ndarray:
         """Orthonormal directions (Z, M) that a step from ``values`` (Z,) may take."""
         if self.constraint is None:
-            return np.eye(self.count)
-        ways = self.constraint.along(values[: self.free.count])
-        return np.asarray(scipy.linalg.block_diag(ways, np.eye(self.count - self.free.count)))
+            return np.eye(self.free.count)
+        return np.ascontiguousarray(self.constraint.along(values))
 
     def _tried(self, values: np.ndarray, near: np.ndarray) -> Evaluation | None:
         """``evaluate`` at ``values``, brought back to where the seams are as asked for."""
         if self.constraint is not None:
-            kept = self.constraint.kept(values[: self.free.count])
-            if kept is None:
-                return None
-            values = np.concatenate([kept, values[self.free.count :]])
+            kept = self.constraint.kept(values)
+            return None if kept is None else self.evaluate(kept, near)
         return self.evaluate(values, near)
 
     def _doubt(self, values: torch.Tensor) -> torch.Tensor:
         """The factor of the loss at ``values`` (Z,): 1 where they are those held likely, growing with the distance."""
         off = values - torch.from_numpy(self.likely)
-        way = off @ off
-        if self.cloth is not None:
-            way = way + self.objective.weights.material * self.cloth.implausible(values[self.free.count :])
-        return 1.0 + way / self.objective.weights.reach_m**2
+        return 1.0 + off @ off / self.objective.weights.reach_m**2
 
-    def _parts(self, values: torch.Tensor) -> tuple[torch.Tensor, ClothTensors | None]:
-        """Panel vertices [m] (P, 2) and the constants of a freed cloth at ``values`` (Z,)."""
-        count = self.free.count
-        rest = (self._origin + self._basis @ values[:count]).reshape(-1, 2)
-        return rest, None if self.cloth is None else self.cloth.tensors(values[count:])
+    def _rest(self, values: torch.Tensor) -> torch.Tensor:
+        """Panel vertices [m] (P, 2) at ``values`` (Z,)."""
+        return (self._origin + self._basis @ values).reshape(-1, 2)
 
     def run(
         self,
@@ -237,15 +223,13 @@ class PatternSearch:
         bar.close()
         if state_file is not None:
             _write(state_file, digest, state)
-        count = self.free.count
-        positions = self.free.positions(state.best.values[:count])
+        positions = self.free.positions(state.best.values)
         pattern = with_controls(self.mesh.pattern, self.mesh.controls, positions)
-        cloth = self.forward.cloth if self.cloth is None else self.cloth.cloth(state.best.values[count:])
-        fitted = Fitted(pattern, positions, state.best.nodes, state.history, not state.stuck, cloth)
-        return replace(fitted, nodes=self.forward.ended(self.mesh_of(fitted), fitted.nodes, cloth))
+        fitted = Fitted(pattern, positions, state.best.nodes, state.history, not state.stuck, self.forward.cloth)
+        return replace(fitted, nodes=self.forward.ended(self.mesh_of(fitted), fitted.nodes))
 
     def _start(self, nodes: np.ndarray) -> _State:
-        first = self.evaluate(np.zeros(self.count), self.forward.begun(nodes))
+        first = self.evaluate(np.zeros(self.free.count), self.forward.begun(nodes))
         if first is None:
             raise InputError(
                 "start of the search",
@@ -253,7 +237,7 @@ class PatternSearch:
                 got="one that does not",
                 cure="Drape it first (recovery.drape), take another mesh, or allow more iterations of Newton.",
             )
-        zeros = np.zeros(self.count)
+        zeros = np.zeros(self.free.count)
         return _State(first, first, zeros, zeros, DAMPING, 0, np.array([[*first.terms, 0.0]]), False)
 
     def _advance(self, state: _State, options: FitOptions) -> _State:
@@ -296,14 +280,10 @@ class PatternSearch:
 
     def _curvature(self, at: Evaluation) -> np.ndarray:
         """Gauss-Newton matrix (Z, Z) of the loss, without the mixed term of its two factors."""
-        rest, cloth = self._parts(torch.from_numpy(at.values))
+        rest = self._rest(torch.from_numpy(at.values))
         moves = self._basis.numpy().reshape(len(rest), 2, -1)
-        cloth_moves = None if self.cloth is None else self.cloth.slopes(at.values[self.free.count :])
-        drape_moves = self.forward.sensitivity(rest, at.nodes, moves, cloth, cloth_moves)
-        idle = np.zeros((*moves.shape[:2], self.count - self.free.count))  # a cloth's constants move no panel
-        matrix = gauss_newton_matrix(
-            self.objective, at.nodes, rest.numpy(), drape_moves, np.concatenate([moves, idle], axis=2)
-        )
+        drape_moves = self.forward.sensitivity(rest, at.nodes, moves)
+        matrix = gauss_newton_matrix(self.objective, at.nodes, rest.numpy(), drape_moves, moves)
         z = torch.from_numpy(at.values)
         doubt = float(self._doubt(z))
         of_doubt = torch.autograd.functional.hessian(self._doubt, z)
@@ -327,8 +307,6 @@ class PatternSearch:
         ]
         if self.constraint is not None:
             arrays.append(self.constraint.offset)
-        if self.cloth is not None:
-            arrays += [self.cloth.logarithms, *(edge.numpy() for edge in self.cloth.range)]
         found = hashlib.sha256(repr((STATE_VERSION, asdict(options), self.objective.weights)).encode())
         for array in arrays:
             found.update(np.ascontiguousarray(array).tobytes())

@@ -20,11 +20,10 @@ from drape.body.model import BodyModel
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from recovery import progress as watch
-from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.drape.pipeline import Draped, DrapeOptions, hanging
 from recovery.drape.posing import posed_joints
 from recovery.fit import laying
 from recovery.fit.belt import belt_of, held_as_target
-from recovery.fit.cloth import FreeCloth, bolt_name, named, nearest_fabric
 from recovery.fit.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
@@ -46,7 +45,6 @@ ROUNDS = 3
 # the search back: the next one has as many times more. Else what a drape hardly shows stays as in the graded base.
 START_FAR_MM, FAR_MM, REACH_GROWS = 10.0, 3.0, 3.0
 LAID_FAR_MM = 5.0  # a base that springs lay nearer (root mean square) is not graded: that narrows what is gathered
-TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: its signature is mixed with the size's
 
 Say = Callable[[str], None]
 
@@ -62,8 +60,6 @@ def recover_pattern(
     weights: Weights = DEFAULT_WEIGHTS,
     pose: np.ndarray | None = None,
     meshes_m: Sequence[float] | None = None,
-    fabrics: Sequence[str] = (),
-    free_cloth: bool = False,
     grading: bool = True,
     state_file: Path | None = None,
     progress: bool = False,
@@ -75,11 +71,9 @@ def recover_pattern(
     The target, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), is one garment's surface, open where the garment is;
     ``base`` is a pattern of its kind with the same panels. ``meshes_m`` are the edge lengths [m] of the rounds, by
     default three times that of ``drape``, or once 3 cm where a seam gathers; Adam's steps are taken in the first
-    alone. Of ``fabrics`` and that of ``drape`` the one that comes nearest in a short search is taken; with
-    ``free_cloth`` its constants are unknowns after the first round. Without ``grading`` the search begins at the
-    base. Faces that are not ``known`` (F,) close holes and have no weight. Raises ``InputError`` where contours
-    have no counterpart or a drape does not come to rest. When the time is up (``recovery.progress``) the best so
-    far is given.
+    alone. Without ``grading`` the search begins at the base. Faces that are not ``known`` (F,) close holes and have no
+    weight. Raises ``InputError`` where contours have no counterpart or a drape does not come to rest. When the time is
+    up (``recovery.progress``) the best so far is given.
     """
     say = report or (lambda line: None)
     began = clocks()
@@ -92,8 +86,8 @@ def recover_pattern(
     base = sewable(base, base, symmetries)
     for line in symmetries.describe(base):
         say(f"symmetry  {line}")
-    bare = drape.skin(body.v_template, body.faces, say)
-    skin = bare if pose is None else drape.skin(body.posed_vertices(pose[None])[0], body.faces, say)
+    bare = drape.skin(body.v_template, body.faces)
+    skin = bare if pose is None else drape.skin(body.posed_vertices(pose[None])[0], body.faces)
     task = _Task(
         target=target,
         body=body,
@@ -104,7 +98,6 @@ def recover_pattern(
         symmetries=symmetries,
         weights=weights,
         drape=replace(drape, edge_length_m=lengths[0]),
-        free_cloth=free_cloth,
         say=say,
     )
     if task.lays:
@@ -122,13 +115,6 @@ def recover_pattern(
             graded, start = task.best_graded(graded, start, GRADINGS)
         else:
             start = drape_at_rest(base, task.start(task.drape))
-    losses, fabric = {}, drape.fabric
-    if fabrics:
-        losses, fabric, start = task.best_fabric(fabrics, graded.pattern, base, start)
-    if fabric != drape.fabric:
-        task = replace(task, drape=replace(task.drape, fabric=fabric))
-        if grading and not task.lays:
-            graded, start = task.best_graded(graded, start, 1)
     if not math.isnan(graded.misfit):
         say(
             f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
@@ -147,23 +133,18 @@ def recover_pattern(
     if rounds[-1].sewn is None and not watch.over():
         with watch.stage("the last round's pattern, sewn"), suppress(InputError):
             rounds[-1] = task.sewn(rounds[-1], lengths[-1])[0]
-    return _recovered(task, first, graded, rounds, left, losses)
+    return _recovered(task, first, graded, rounds, left)
 
 
-def _recovered(
-    task: _Task, base: Draped, graded: Graded, rounds: list[Round], left: str, losses: dict[str, float]
-) -> Recovered:
+def _recovered(task: _Task, base: Draped, graded: Graded, rounds: list[Round], left: str) -> Recovered:
     """The best of ``rounds`` with all that led there."""
-    best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.rank)
-    cloth = best.fitted.cloth
-    fabric = nearest_fabric(cloth, task.drape.hangs_longer)
-    # The base's own note is of another cloth than the one that was draped.
-    fitted = replace(best.fitted, pattern=replace(best.fitted.pattern, material=bolt_name(fabric.name, cloth)))
+    best, fabric = min(rounds, key=lambda one: one.rank), task.drape.fabric
+    # The base's own note is of another cloth than the one that was draped; of name and weight a cutter knows the bolt.
+    bolt = f"{fabric} {1e3 * best.fitted.cloth.density_kg_m2:.0f} g/m²"
+    fitted = replace(best.fitted, pattern=replace(best.fitted.pattern, material=bolt))
     far = [apart_mm(squared) for squared in (rounds[0].fitted.history[0, 1], best.surface_m2, best.sewn_m2)]
     ends = f"{far[0]:.2f} mm apart at the start, {far[1]:.2f} mm at the end, {far[2]:.2f} mm sewn"
     task.say(f"fitted    surfaces {ends} (root mean square)")
-    if task.free_cloth:
-        task.say(f"cloth     {fabric.describe()}")
     return Recovered(
         symmetries=task.symmetries,
         base=base,
@@ -178,7 +159,6 @@ def _recovered(
         rounds=tuple(rounds),
         left=left,
         fabric=fabric,
-        fabric_losses=losses,
     )
 
 
@@ -199,7 +179,6 @@ class _Task:
     symmetries: Symmetries
     weights: Weights
     drape: DrapeOptions
-    free_cloth: bool
     say: Say
 
     @cached_property
@@ -243,7 +222,7 @@ class _Task:
 
     def nearer(self, base: Graded, draped: Draped, grading: bool) -> tuple[Graded, Draped]:
         """``base``, whose drape is ``draped``, or, where springs do not lay that near, graded if it is then nearer."""
-        cloth = named(self.drape.fabric, self.drape.hangs_longer)
+        cloth = hanging(self.drape.fabric, self.drape.hangs_longer)
 
         def far(one: Draped) -> float:
             return apart_mm(self.surface(laid(one, self.target, self.skin, cloth)))
@@ -251,24 +230,6 @@ class _Task:
         self.say(f"laid      the base within {(before := far(draped)):.2f} mm (root mean square)")
         after = self.graded(base, draped) if grading and before > LAID_FAR_MM else (base, draped)
         return after if after[1] is not draped and far(after[1]) < before else (base, draped)
-
-    def best_fabric(
-        self, fabrics: Sequence[str], pattern: Pattern, base: Pattern, start: Draped
-    ) -> tuple[dict[str, float], str, Draped]:
-        """Losses [m^2] by fabric, the fabric of the least, and the drape of ``pattern`` in it.
-
-        The fabric of the drape ``start`` is tried as well.
-        """
-        drapes = {self.drape.fabric: start}
-        for name in fabrics:
-            # From scratch: a garment that hangs from a belt closes round the body elsewhere in another fabric.
-            options = replace(self.drape, fabric=name)
-            drapes.setdefault(name, drape_pattern(pattern, self.body, options, pose=self.pose, skin=self.bare))
-        losses = {name: self.loss_of(one, base, named(name, self.drape.hangs_longer)) for name, one in drapes.items()}
-        best = min(losses, key=lambda name: losses[name])
-        told = ", ".join(f"{name} {apart_mm(loss):.2f}" for name, loss in losses.items())
-        self.say(f"fabric    {best}; left to the target [mm]: {told}")
-        return losses, best, drapes[best]
 
     def surface(self, draped: Draped) -> float:
         """The squared distance [m^2] of a drape and the target, both directions summed, as the loss has it."""
@@ -287,23 +248,17 @@ class _Task:
         ratios: Pattern,
         centre: Pattern,
         cloth: OrthotropicMaterial,
-        *,
-        free: FreeCloth | None = None,
-        likely: OrthotropicMaterial | None = None,
-        reach_m: float | None = None,
+        reach_m: float,
     ) -> tuple[PatternSearch, list[Match]]:
         """The search from ``start`` in ``cloth`` with this reach [m], and how its contours are paired.
 
-        Seams keep the ratios of lengths of ``ratios``. The corners of ``centre`` and the cloth ``likely`` are what the
-        reach of the loss is counted from.
+        Seams keep the ratios of lengths of ``ratios``. The corners of ``centre`` are what the reach of the loss is
+        counted from.
         """
-        weights = self.weights if reach_m is None else self.weights._replace(reach_m=reach_m)
+        weights = self.weights._replace(reach_m=reach_m)
         contours = open_contours(start.nodes, start.mesh.faces)
         matches, _ = self.matches(start)
         controls = free_controls(start.mesh.pattern, self.symmetries)
-        unknowns = controls.values(control_points(centre).positions)
-        if free is not None:
-            unknowns = np.concatenate([unknowns, free.values_of(likely or cloth)])
         belt = belt_of(start, matches, self.target.contours)
         forward = RestDrape(start.mesh, self.skin, cloth, held=start.rest.held, belt=belt)
         if self.lays:
@@ -313,19 +268,10 @@ class _Task:
             controls,
             forward,
             Objective(start.mesh, self.target, contours, matches, weights, base=ratios),
-            cloth=free,
             seams=SeamConstraint(start.mesh.pattern, controls, self.base) if self.weights.seams_hold else None,
-            likely=unknowns,
+            likely=controls.values(control_points(centre).positions),
         )
         return found, matches
-
-    def loss_of(self, start: Draped, base: Pattern, cloth: OrthotropicMaterial) -> float:
-        """The least loss [m^2] of a short search with ``cloth``; infinite where the start does not come to rest."""
-        start = self.held(start, cloth)
-        search, _ = self.search(start, base, start.mesh.pattern, cloth)
-        if not start.at_rest or not search.rests(start.nodes):
-            return float("inf")
-        return float(search.run(start.nodes, TRIED).history[:, 0].min())
 
     def sewn(self, last: Round, length_m: float) -> tuple[Round, Draped]:
         """``last`` with its pattern sewn on a mesh of edges ``length_m``, and that drape with its belt laid.
@@ -370,8 +316,8 @@ class _Task:
         With them why the last ones were left out, empty for none. The first goes from the drape ``start`` of the
         pattern ``graded``; its clocks ``began`` earlier.
         """
-        likely = named(self.drape.fabric, self.drape.hangs_longer)
-        cloth, ratios, reach_m = likely, base, self.weights.reach_m
+        cloth = hanging(self.drape.fabric, self.drape.hangs_longer)
+        ratios, reach_m = base, self.weights.reach_m
         rounds: list[Round] = []
         for number, length in enumerate(lengths_m):
             if number and watch.over():
@@ -388,12 +334,11 @@ class _Task:
                 return rounds, self._left(number, len(lengths_m), f"the pattern sewn anew is not worn so: {error}")
             far_m2, limit = (rounds[-1].least[1], FAR_MM) if number else (self.surface(start), START_FAR_MM)
             held_back = apart_mm(far_m2) > limit
-            why = why_left(rounds, start, frees_cloth=self.free_cloth) if number else ""
+            why = why_left(rounds, start) if number else ""
             if why and not (why == SAME and held_back):
                 return rounds, self._left(number, len(lengths_m), why)
             reach_m *= REACH_GROWS if held_back else 1.0
-            free = FreeCloth(cloth) if self.free_cloth and (number or len(lengths_m) == 1) else None
-            search, matches = self.search(start, ratios, graded, cloth, free=free, likely=likely, reach_m=reach_m)
+            search, matches = self.search(start, ratios, graded, cloth, reach_m)
             if number and not self.lays and not search.rests(start.nodes):
                 return rounds, self._left(number, len(lengths_m), NOT_AT_REST)
             if not number:
@@ -405,7 +350,7 @@ class _Task:
             first, last = (apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].surface_m2))
             self.say(f"round {number + 1}   {start.mesh.node_count} nodes: surfaces {first:.2f} to {last:.2f} mm apart")
             # Grading has scaled the base's seams; from here on they keep what the target tells of them.
-            ratios, cloth = fitted.pattern, fitted.cloth
+            ratios = fitted.pattern
         return rounds, ""
 
     def _left(self, number: int, count: int, why: str) -> str:

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 
 from recovery.drape.pipeline import Draped
-from recovery.fit.cloth import Fabric
 from recovery.fit.contours import Match
 from recovery.fit.grading import Graded
 from recovery.fit.optimise import Fitted, PatternSearch
@@ -39,8 +38,8 @@ class Round:
     ``sewn`` is the pattern that it found sewn anew, which the next round starts from; ``sewn_m2`` is the squared
     distance [m^2] of that from the target, both directions summed. Where nothing could be sewn it is None and infinite.
     Its mesh was asked for with ``edge_length_m`` [m]. It took ``seconds`` by the clock and ``processor_s`` of the
-    processor, over all threads; its mesh and the drape at its start count with it. Base, grading and choice of the
-    fabric count with the first round.
+    processor, over all threads; its mesh and the drape at its start count with it. Base and grading count with the
+    first round.
     """
 
     start: Draped
@@ -80,11 +79,9 @@ class Recovered:
     """A recovery: the drape of the ``base``, the ``graded`` pattern, and what was ``fitted``.
 
     ``start``, ``matches``, ``search``, ``fitted``, ``edge_length_m`` and ``sewn`` are those of the best of the
-    ``rounds``, whose distances from the target, searched and sewn, are least in sum; rounds with a free cloth go before
-    others. ``left`` says which rounds were left out and why, empty for none or where they
-    would find the same. ``matches`` pair the start's contours with the target's; ``holes`` are contours of the target
-    without a partner. ``fabric`` is the named one nearest to the cloth of the drape; ``fabric_losses`` [m^2] is the
-    loss that was left with each fabric that was tried.
+    ``rounds``, whose distances from the target, searched and sewn, are least in sum. ``left`` says which rounds were
+    left out and why, empty for none or where they would find the same. ``matches`` pair the start's contours with the
+    target's; ``holes`` are contours of the target without a partner. ``fabric`` is the name of the drape's.
     """
 
     symmetries: Symmetries
@@ -99,8 +96,7 @@ class Recovered:
     sewn: Sewn | None
     rounds: tuple[Round, ...]
     left: str
-    fabric: Fabric
-    fabric_losses: dict[str, float]
+    fabric: str
 
 
 def clocks() -> np.ndarray:
@@ -108,17 +104,14 @@ def clocks() -> np.ndarray:
     return np.array([time.perf_counter(), time.process_time()])
 
 
-def why_left(rounds: Sequence[Round], start: Draped, *, frees_cloth: bool) -> str:
-    """Why no search from ``start`` follows the last of ``rounds``; empty if one does.
-
-    With ``frees_cloth`` the cloth is an unknown from the second round on.
-    """
+def why_left(rounds: Sequence[Round], start: Draped) -> str:
+    """Why no search from ``start`` follows the last of ``rounds``; empty if one does."""
     if not start.at_rest:
         return NOT_AT_REST
     last = rounds[-1]
     moved = np.abs(last.fitted.positions - control_points(last.start.mesh.pattern).positions).max()
     same = np.array_equal(last.start.mesh.faces, start.mesh.faces) and moved <= SETTLED_M
-    return SAME if same and not (frees_cloth and len(rounds) == 1) else ""
+    return SAME if same else ""
 
 
 def apart_mm(squared: float) -> float:

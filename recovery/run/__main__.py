@@ -23,7 +23,7 @@ from drape.errors import InputError, refusing
 from drape.files.atomic import write_whole
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery import progress
-from recovery.commands import add_distance_options, add_style_options, distance_options, ended, parser_of, style_of
+from recovery.commands import add_style_options, ended, parser_of, style_of
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.objective import DEFAULT_WEIGHTS
@@ -51,7 +51,6 @@ OF_JOB = (
     "minutes",
     "sizes",
 )
-CHOOSE_FABRIC = "auto"
 EDGE_LENGTH_M = 0.05
 
 
@@ -83,9 +82,8 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--fabric",
         default=DEFAULT_MATERIAL,
-        choices=(*FABRICS, *MEASURED, CHOOSE_FABRIC),
-        help="of the target: one of the simulator's five or of the table; auto: the nearest of the five is looked for, "
-        "then its constants",
+        choices=(*FABRICS, *MEASURED),
+        help="of the target: one of the simulator's five or of the table",
     )
     parser.add_argument("--edge-length", type=float, default=EDGE_LENGTH_M, help="of the garment's mesh [m]")
     parser.add_argument(
@@ -97,7 +95,6 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         help="edge lengths [m] of the rounds (default: three equal)",
     )
     parser.add_argument("--grid", type=float, default=0.02, help="spacing of the body's distance [m]")
-    add_distance_options(parser)
     parser.add_argument("--adam", type=int, default=fit.iterations, help="steps of Adam")
     parser.add_argument("--closing", type=int, default=fit.closing, help="steps of Gauss and Newton after it")
     parser.add_argument(
@@ -128,11 +125,9 @@ def job_of(given: argparse.Namespace) -> Job:
         style=style_of(given),
         drape=DrapeOptions(
             edge_length_m=given.edge_length,
-            fabric=DEFAULT_MATERIAL if given.fabric == CHOOSE_FABRIC else given.fabric,
+            fabric=given.fabric,
             grid_m=given.grid,
-            **distance_options(given),
         ),
-        find_fabric=given.fabric == CHOOSE_FABRIC,
         fit=FitOptions(iterations=given.adam, closing=given.closing),
         weights=DEFAULT_WEIGHTS._replace(reach_m=reach_of(given)),
     )

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.cloth.material import FABRICS
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake import garment_name
@@ -56,7 +55,7 @@ class Job:
     """The request: ``body`` is a name, a file, or ``fit``; ``base`` is a base pattern's name or a JSON file, None
     for the one that the target tells.
 
-    ``settings`` of a base are texts NAME=NUMBER, lengths in metres. With ``find_fabric`` the cloth is unknown as well.
+    ``settings`` of a base are texts NAME=NUMBER, lengths in metres.
     ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``. After ``minutes``
     the best so far is written. The pattern is written in ``sizes`` beside M, which fits the body, and with the lines of
     ``style``.
@@ -77,7 +76,6 @@ class Job:
     drape: DrapeOptions = field(default_factory=DrapeOptions)
     fit: FitOptions = field(default_factory=FitOptions)
     weights: Weights = DEFAULT_WEIGHTS
-    find_fabric: bool = False
     meshes_m: Sequence[float] | None = None
     retarget: bool = True
     garment: bool = True
@@ -284,8 +282,6 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
             weights=job.weights,
             pose=wearer.pose,
             meshes_m=job.meshes_m,
-            fabrics=tuple(FABRICS) if job.find_fabric else (),
-            free_cloth=job.find_fabric,
             state_file=job.out / f"{name}.search.npz",
             report=say,
             known=known,

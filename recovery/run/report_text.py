@@ -277,7 +277,7 @@ def _elsewhere(page: Page, outcome: Outcome) -> None:
 def _made(page: Page, outcome: Outcome) -> None:
     page.section("How it was made")
     page.say(f"The target has {len(outcome.target.vertices):,} vertices and was draped on {outcome.wearer.source}.")
-    page.say(cloth_words(outcome.found, sought=outcome.job.find_fabric))
+    page.say(cloth_words(outcome.found))
     mesh = outcome.found.search.mesh
     page.say(
         f"The simulator's mesh has {mesh.node_count:,} nodes; {outcome.found.search.free.count} numbers were free; the "
@@ -286,23 +286,15 @@ def _made(page: Page, outcome: Outcome) -> None:
     page.table(("file", "what it is"), [(path.name, file_words(path.name)) for path in outcome.files])
 
 
-def cloth_words(found: Recovered, *, sought: bool) -> str:
-    """Sentences on the cloth that was assumed, or ``sought`` and found."""
+def cloth_words(found: Recovered) -> str:
+    """Sentences on the cloth that was assumed."""
     cloth = found.fitted.cloth
     figures = (
         f"{1e3 * cloth.density_kg_m2:.0f} g/m², stretch stiffness {cloth.h00:.0f} N/m across and {cloth.h11:.0f} "
         f"along, bending stiffness {1e6 * cloth.bending_j:.0f} µJ"
     )
-    if not sought:
-        kind = (
-            "a measured fabric" if found.fabric.name in MEASURED else "a cloth of the simulator's, not a measured one"
-        )
-        return f"The cloth was taken to be {found.fabric.name}, {kind}: {figures}. It was given, not recovered."
-    tried = ", ".join(f"{name} {1e3 * np.sqrt(0.5 * loss):.2f} mm" for name, loss in found.fabric_losses.items())
-    return (
-        f"The cloth was found to be {found.fabric.describe()}: {figures}. A drape at rest only tells stiffness over "
-        f"weight, so the weight is that of the named fabric. What each named one left to the target: {tried}."
-    )
+    kind = "a measured fabric" if found.fabric in MEASURED else "a cloth of the simulator's, not a measured one"
+    return f"The cloth was taken to be {found.fabric}, {kind}: {figures}. It was given, not recovered."
 
 
 def file_words(name: str) -> str:
@@ -342,12 +334,7 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
             "trans": outcome.wearer.trans.tolist(),
             "residual_mm": outcome.wearer.residual_mm,
         },
-        "fabric": {
-            "name": outcome.found.fabric.name,
-            "words": outcome.found.fabric.describe(),
-            "sought": outcome.job.find_fabric,
-            "constants": asdict(fitted.cloth),
-        },
+        "fabric": {"name": outcome.found.fabric, "constants": asdict(fitted.cloth)},
         "warnings": outcome.warnings,
         "distance": outcome.distance._asdict(),
         "base_distance": outcome.before._asdict(),

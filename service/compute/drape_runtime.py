@@ -14,7 +14,7 @@ import numpy as np
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.errors import DrapeError, InputError, NotFound
+from drape.errors import DrapeError, NotFound
 from drape.wire.options import DrapeOptions
 from service.compute.avatars import Avatars
 from service.compute.constants_process import ConstantsProcess
@@ -40,13 +40,6 @@ if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
     from service.settings import Settings
     from service.stages.scene import Scene
-
-COSTS_KEPT = 1024
-"""Scenes and tiers whose cost is remembered."""
-
-COST_FRAMES = 7  # that tell what one costs; the first has no past, and pays for what is made once
-COST_STEP_S = 1.0 / 30.0
-COST_TURN_RAD = 0.02  # a frame: cloth in slow motion, so that no stage takes its short way
 
 Result = TypeVar("Result")
 log = logging.getLogger("drape.service")
@@ -87,7 +80,6 @@ class DrapeRuntime:
         self.sizes = Sizes(self.body, settings.shipped_garments_dir, self.garments.entries(), make)
         self.avatars = Avatars(self.body, settings, self._stages_on, make)
         self.motions = Motions(settings.motions_dir)
-        self._frame_ms: dict[tuple[tuple[str, ...], DrapeOptions, bool], float] = {}
         self.warm_up()
 
     def _stages_on(self, body: BodyModel) -> BodyStages:
@@ -144,48 +136,12 @@ class DrapeRuntime:
                 "body", expected=self.body.name, got=name, cure="GET /bodies lists the bodies of this service."
             )
 
-    # --- plans, and what they cost ---
+    # --- plans ---
 
     def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
         """``service.stages.plan.make_plan`` with the stages of this service, and the passes and folds of its tiers."""
         asked = chosen(options, self.tiers, self.settings, self.engine.pass_count)
         return make_plan(self.on(scene).stages, scene, asked, messages=messages)
-
-    async def plan_within(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
-        """``plan``, or where ``options`` have a budget that of the best tier within it, of the least where none is."""
-        if options.budget_ms is None:
-            return self.plan(scene, options, messages=messages)
-        if options.tier is not None:
-            raise InputError("budget_ms", expected="a tier or a budget", got="both", cure="Name one of the two.")
-        plans = [
-            self.plan(scene, options.model_copy(update={"tier": tier.name}), messages=messages) for tier in self.tiers
-        ]
-        for plan in reversed(plans):
-            if await self.frame_ms(plan) <= options.budget_ms:
-                return plan
-        return plans[0]
-
-    async def frame_ms(self, plan: Plan) -> float:
-        """The median time [ms] of a frame of ``plan``, measured once.
-
-        The frames show a slowly turning body. Each is computed in its turn, so that streams are served in between.
-        """
-        key = plan.keys, plan.options, plan.messages
-        if key not in self._frame_ms:
-            await self.prepare(plan)
-            poses, took_s = np.zeros((1, 24, 3)), []
-            one = PoseInput(poses, np.zeros((1, 3)), np.zeros(self.body.shape_count), np.zeros(1))
-            for _ in range(COST_FRAMES):
-                async with self.threads.clip_turn:
-                    memories, frame_s = await self.threads.aside(_timed, plan, one)
-                took_s.append(frame_s)
-                poses = one.poses.copy()
-                poses[:, 16:18, 2] += COST_TURN_RAD  # the shoulders
-                one = replace(one, poses=poses, times_s=one.times_s + COST_STEP_S, memories=memories)
-            while len(self._frame_ms) >= COSTS_KEPT:
-                self._frame_ms.pop(next(iter(self._frame_ms)))
-            self._frame_ms[key] = 1e3 * float(np.median(took_s[1:]))
-        return self._frame_ms[key]
 
     def tier_of(self, plan: Plan) -> str:
         """The name of the tier that ``plan`` is, or "custom"."""
@@ -316,9 +272,3 @@ class DrapeRuntime:
 
         parts = [part async for part in self.threads.in_chunks(len(clip.poses), compute)]
         return await asyncio.to_thread(np.concatenate, parts)
-
-
-def _timed(plan: Plan, one: PoseInput) -> tuple[Memories, float]:
-    """The memories after the frame of ``one``, and the time [s] that it took."""
-    begun_s = time.perf_counter()
-    return run(plan, [one]).memories[0], time.perf_counter() - begun_s

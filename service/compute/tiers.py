@@ -69,7 +69,7 @@ def read_tiers(rows: Sequence[Mapping[str, Any]]) -> tuple[Tier, ...]:
 
 
 def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pass_count: int) -> DrapeOptions:
-    """``options`` with passes and folds, no tier and no budget: what a client named, else its tier, else the settings.
+    """``options`` with passes and folds, and no tier: what a client named, else its tier, else the settings.
 
     ``pass_count``: the passes that the model leaves to choose; a tier asks for no more. Refuses (``InputError``) the
     tier exact, which no stream and no answer waits for.
@@ -78,14 +78,14 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
         cure = "POST /drape with tier exact: the answer is a job. Or ask for accurate here."
         raise InputError("tier", expected=f"one of {', '.join(NAMES)}", got=EXACT, cure=cure)
     own = None if options.tier else settings.folds
-    folds, passes, bits = options.folds, options.passes, options.bits
+    folds, passes = options.folds, options.passes
     far = options.pixels_per_m is not None and options.pixels_per_m < FAR_PIXELS_PER_M
     tier = tiers[0 if far and folds is None else NAMES.index(options.tier or settings.tier)]
     lifts = folds is None and own is None and not tier.folds and options.geometry == "vertices"
     if far:
         # A lift in place of a projection, which costs more than what is left; with neither nothing is looked at.
         lifts = lifts and (settings.push_out if options.push_out is None else options.push_out)
-        folds, bits = 0 if folds is None else folds, bits or 8
+        folds = 0 if folds is None else folds
         passes = _of_model(tiers[0].alone if passes is None and not folds else passes, pass_count)
     if folds is None:
         smooth = options.geometry == "jets" and options.folds_by == "server"
@@ -96,8 +96,8 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
         passes = _of_model(tier.passes if folds else tier.alone, pass_count)
     coarse = (tier.coarse if options.coarse is None else options.coarse) and (bool(folds) or lifts)
     coarse = coarse and options.folds_by == "server"
-    told = {"tier": None, "budget_ms": None, "pixels_per_m": None, "folds": folds, "passes": passes, "coarse": coarse}
-    told["bits"] = bits if bits == 8 and options.geometry == "vertices" else None
+    seen = FAR_PIXELS_PER_M if far and options.geometry == "vertices" else None  # one plan for all that is far away
+    told = {"tier": None, "pixels_per_m": seen, "folds": folds, "passes": passes, "coarse": coarse}
     return options.model_copy(update=told | {"safe_folds": _safe_folds(options, folds, tiers)})
 
 
@@ -122,8 +122,8 @@ def _safe_folds(options: DrapeOptions, folds: int, tiers: Sequence[Tier]) -> int
     """Steps of folds where a pose is unlike training: of the tier that leans least on the network, the last one."""
     if not folds:
         return 0
-    free = options.folds is None and options.budget_ms is None
-    asked = options.safe_folds if options.safe_folds is not None else tiers[-1].folds if free else 0
+    free = tiers[-1].folds if options.folds is None else 0
+    asked = free if options.safe_folds is None else options.safe_folds
     return max(folds, asked)
 
 

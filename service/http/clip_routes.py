@@ -68,7 +68,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     kind = choose(request.headers.get("accept"), _offered(asked))
     check_rig(asked, kind)
     scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar, size=asked.size)
-    plan = await state.runtime.plan_within(scene, asked, messages=asked.geometry == "jets")
+    plan = state.runtime.plan(scene, asked, messages=asked.geometry == "jets")
     if asked.past is not None:
         clip = state.continuations.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
     job = ClipJob(plan, clip, asked, client, turns)

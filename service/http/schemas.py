@@ -8,7 +8,6 @@ from annotated_types import Len
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from drape.body.skeleton import JOINT_COUNT
-from drape.files.formats import MESH_NAMES
 from drape.files.gltf_json import MOST_NODES
 from drape.graph.feeds import BETA_COUNT
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
@@ -110,15 +109,6 @@ class RigDrapeRequest(ClipOptions):
     trans: Annotated[list[Place], FIRST_ONLY] | None = Field(
         default=None, description="Where the node of the pelvis is [m], per frame; at its rest place if left out."
     )
-
-
-class UploadRequest(Request):
-    """A garment file inside JSON, for clients that cannot send raw bytes."""
-
-    name: Identifier
-    format: Literal[MESH_NAMES]  # pyright: ignore[reportInvalidTypeForm]
-    data_base64: str
-    avatar: str | dict[str, Any] | None = None
 
 
 class OpenRequest(DrapeOptions, Worn, OnAvatar, Request):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
@@ -13,9 +13,8 @@ from service.errors import Full, TooLarge, TooSlow
 from service.http import exact_clips, schemas
 from service.http.answers import BINARY, JSON
 from service.http.json_body import content_type
-from service.http.openapi import BYTES, body_schema, responses
+from service.http.openapi import BYTES, responses
 from service.http.problems import check_query
-from service.http.upload_body import read_upload
 from service.state import ClientHere, StateHere
 from service.uploads.avatars import MOST_CHARACTERS, upload_avatar
 
@@ -23,12 +22,13 @@ if TYPE_CHECKING:
     from service.uploads.jobs import Job
 
 router = APIRouter()
+KINDS = (BINARY, *MESH_CONTENT_TYPES)
 
 
 @router.post(
     "/garments",
     status_code=202,
-    openapi_extra=body_schema(schemas.UploadRequest, **dict.fromkeys((BINARY, *MESH_CONTENT_TYPES), BYTES)),
+    openapi_extra={"requestBody": {"content": {kind: {"schema": BYTES} for kind in KINDS}, "required": True}},
     responses=responses(InputError, NotFound, TooSlow, TooLarge, BodyError, Full),
 )
 async def upload(
@@ -44,18 +44,15 @@ async def upload(
         str | None, Query(max_length=10, description=f"{listed().lower()}, where the name does not say it.")
     ] = None,
 ) -> schemas.JobInfo:
-    """Takes a garment file in: the raw bytes as body, or JSON (name, format, data_base64, avatar). Poll the job."""
+    """Takes a garment file in, its raw bytes as body. Poll the job."""
     check_query(request.query_params, ("name", "avatar", "format"))
-    modelled_on: str | dict[str, Any] | None = avatar
-    kind, pieces = content_type(request), request.stream()
     state.uploads.check_place(client)  # before anything is read
-    if kind == JSON:
-        sent, decoded = await state.sliced_thread.run(read_upload, await request.body())
-        name, format, modelled_on = sent.name, sent.format, sent.avatar
-        pieces = state.sliced_thread.each(decoded)
+    if (kind := content_type(request)) == JSON:
+        cure = f"Send the file itself as body, with ?name=shirt.obj and Content-Type: {BINARY}."
+        raise InputError("request body", expected="the bytes of a mesh file", got="JSON", cure=cure)
     stem, file_format = _name_and_format(name, format, kind)
-    known = upload_avatar(modelled_on, stem, state.runtime.settings.garments_dir)
-    job = await state.uploads.submit(stem, file_format, pieces, known, client)
+    known = upload_avatar(avatar, stem, state.runtime.settings.garments_dir)
+    job = await state.uploads.submit(stem, file_format, request.stream(), known, client)
     response.headers["Location"] = f"/jobs/{job.id}"
     return job_info(job)
 

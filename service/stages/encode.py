@@ -15,6 +15,7 @@ import numpy as np
 from drape.kernels.quantised import quantise
 from drape.wire.jets import JetFrame, pack_jets
 from drape.wire.messages import Answer, Frame, pack_frame, pack_same, resent
+from drape.wire.options import DrapeOptions
 from service.stages.batch import Batch, Memories, PoseInput, changed
 from service.stages.plan import Plan
 from service.stages.stage import BODY, Stage, StageSetup
@@ -62,9 +63,14 @@ class Encode(Stage):
                     posed = {name: array[row] for name, array in vars(jets).items()}
                     messages.append(pack_jets(JetFrame(**said, **posed, left_m=float(batch.quality.left_m[row]))))
                 elif vertices is not None:
-                    frame = Frame(**said, positions=vertices[row], bits=batch.plan.options.bits or 16)
+                    frame = Frame(**said, positions=vertices[row], bits=coordinate_bits(batch.plan.options))
                     messages.append(pack_frame(frame, quantise))
         return changed(batch, messages=tuple(messages))
+
+
+def coordinate_bits(options: DrapeOptions) -> int:
+    """Bits of a coordinate in a frame of vertices: 8 of what is far away, which alone has pixels in a plan."""
+    return 16 if options.pixels_per_m is None else 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,21 +87,14 @@ class Idle:
     message: bytes
 
     def holds_for(self, plan: Plan, one: PoseInput) -> bool:
-        """Whether ``one`` has the same pose and shape, under an equal ``plan``, and comes no earlier. With ``still_mm``
-        the pose may be another that moves the cloth no further."""
+        """Whether ``one`` has the same pose and shape, under an equal ``plan``, and comes no earlier."""
         return (
             plan == self.plan
             and float(one.times_s[0]) >= self.last_s
             and np.array_equal(one.trans[0], self.trans)
             and np.array_equal(one.betas, self.betas)
-            and (np.array_equal(one.poses[0], self.pose) or self._within(plan, one.poses[0]))
+            and np.array_equal(one.poses[0], self.pose)
         )
-
-    def _within(self, plan: Plan, pose: np.ndarray) -> bool:
-        """Whether ``pose`` moves the cloth by no more than ``plan`` lets pass."""
-        if plan.options.still_mm is None:
-            return False
-        return sum(stage.moved_m(plan, self.pose, pose) for stage in plan.stages) <= 1e-3 * plan.options.still_mm
 
 
 def idle_before(plan: Plan, one: PoseInput) -> Idle | None:

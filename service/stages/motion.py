@@ -5,7 +5,6 @@ The memory belongs to the body and not to a garment: all that hangs on a body sw
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -73,10 +72,6 @@ class Motion(Stage):
 
     def wanted(self, plan: Plan) -> bool:
         return bool(plan.options.knob) and plan.options.inertia == "network"
-
-    def moved_m(self, plan: Plan, before: np.ndarray, after: np.ndarray) -> float:
-        """Any: it reads how fast every joint is, and after a rest would see a leap."""
-        return math.inf
 
     def rested(self, memory: Memory, time_s: float) -> Memory:
         """The last moments, as long apart as they were."""

@@ -5,7 +5,6 @@ And how far poses are from those that it learned from (``drape.body.pose_support
 
 from __future__ import annotations
 
-import math
 from functools import cache, lru_cache
 from typing import Any
 
@@ -20,8 +19,7 @@ from drape.network.novelty import kept_poses, novelty
 from drape.wire.options import DrapeOptions
 from service.graphs.graph_names import JETS, SKIN
 from service.graphs.packing import Packer, Result, ScenePlan, Shape, check_finite
-from service.stages.batch import Batch, Jets, Layer, PoseInput, changed, joined, stacked
-from service.stages.joint_reach import reach_m, turns_rad
+from service.stages.batch import Batch, Jets, Layer, changed, joined, stacked
 from service.stages.plan import Plan
 from service.stages.scene import check_known
 from service.stages.stage import Stage, StageSetup
@@ -32,8 +30,6 @@ SHAPES: dict[frozenset[str], Shape] = {
     frozenset({"vertices", "jets"}): "both",
 }
 SHAPES_KEPT = 64  # bodies' rest joints, a kilobyte each
-REACHES_KEPT = 256  # garments in fabrics, 192 bytes each
-Measured = tuple[str, str, int | None]  # a garment, its fabric, passes
 
 
 class Novelty(Stage):
@@ -68,12 +64,11 @@ class Network(Stage):
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
         self.packer = Packer(self.engine, self.body)
-        self._reach_m: dict[Measured, np.ndarray] = {}
         self._shape = lru_cache(SHAPES_KEPT)(lambda betas: pack_body(self.body, np.frombuffer(betas, np.float64)))
         self._skin_in_graph = self.engine.feels_body and self.body.posedirs is None
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        return {"passes": self.engine.check_passes(options.passes), "still_mm": options.still_mm or None}
+        return {"passes": self.engine.check_passes(options.passes)}
 
     def check(self, plan: Plan) -> None:
         check_known(plan.fabrics, known=self.engine.knows_fabrics, model=self.engine.manifest.name)
@@ -87,38 +82,6 @@ class Network(Stage):
     def prepare(self, plan: Plan) -> None:
         given = self.engine.feels_body and not self._skin_in_graph
         self.packer.prepare(self._scene(plan), skin_given=given, shapes=plan.messages)
-        if plan.options.still_mm and plan.messages and not self.engine.bound:
-            for key in self._measured(plan):
-                if key not in self._reach_m:
-                    self._reach_m[key] = self._reach_of(plan, key)
-                    while len(self._reach_m) > REACHES_KEPT:
-                        self._reach_m.pop(next(iter(self._reach_m)))
-
-    def moved_m(self, plan: Plan, before: np.ndarray, after: np.ndarray) -> float:
-        """By how far it lets each joint move any of the garments (``joint_reach``), and how far they turn."""
-        reaches = [self._reach_m.get(key) for key in self._measured(plan)]
-        known = [reach for reach in reaches if reach is not None]
-        if len(known) < len(reaches):
-            return math.inf
-        return float(np.max(known, axis=0) @ turns_rad(before, after))
-
-    def _measured(self, plan: Plan) -> list[Measured]:
-        named = ["" if fabric is None else fabric.digest for fabric in plan.fabrics]
-        return [(key, fabric, plan.options.passes) for key, fabric in zip(plan.draped_keys, named, strict=True)]
-
-    def _reach_of(self, plan: Plan, key: Measured) -> np.ndarray:
-        """``reach_m`` of one garment of ``plan``, from its vertices alone."""
-        number = self._measured(plan).index(key)
-        entry, fabrics = plan.draped[number], plan.fabrics[number : number + 1]
-        needs = frozenset({"vertices"})
-        alone = Plan(entry, plan.options, stages=(self,), needs=needs, draped=(entry,), fabrics=fabrics)
-
-        def draped(poses: np.ndarray) -> np.ndarray:
-            zeros = np.zeros((len(poses), 3))
-            body = PoseInput(poses, zeros, np.zeros(self.body.shape_count), np.zeros(len(poses)))
-            return self.run(Batch.of(alone, [body])).vertices
-
-        return reach_m(draped)
 
     @property
     def held_bytes(self) -> int:

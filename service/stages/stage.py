@@ -86,11 +86,6 @@ class Stage:
         """The part of the options that its memories hold for: they are forgotten where it changes."""
         return None
 
-    def moved_m(self, plan: Plan, before: np.ndarray, after: np.ndarray) -> float:
-        """A bound [m] on how far this stage moves cloth when the pose ``before`` (24, 3) [rad] becomes ``after``;
-        infinite where it knows none."""
-        return 0.0
-
     def rested(self, memory: Any, time_s: float) -> Any:
         """``memory`` as after another frame at ``time_s`` of a body and of cloth that do not move."""
         return memory

@@ -17,6 +17,7 @@ from service.errors import TooSlow
 from service.http.json_body import document_of, validated
 from service.http.schemas import OpenRequest
 from service.stages.batch import shape_array
+from service.stages.encode import coordinate_bits
 from service.stages.plan import Plan
 from service.stages.scene import Outfit, layer_list
 from service.state import State
@@ -78,7 +79,7 @@ async def read_opening(text: str, state: State, client: Client) -> Opening:
     asked = validated(OpenRequest, document_of(text.encode()))
     runtime = state.runtime
     scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar, size=asked.size)
-    plan = await runtime.plan_within(scene, asked, messages=True)
+    plan = runtime.plan(scene, asked, messages=True)
     betas = shape_array(asked.betas, runtime.on(scene).body)
     steps = runtime.steps(plan)
     for step in {plan, *steps}:
@@ -116,7 +117,7 @@ def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str
             "passes": state.runtime.engine.pass_count if options.passes is None else options.passes,
             "folds": options.folds,
             "safe_folds": options.safe_folds or 0,
-            "bits": options.bits or 16,
+            "bits": coordinate_bits(options),
             **more,
         }
     )

@@ -10,16 +10,15 @@ from drape.errors import BodyError, NotFound
 from drape.files.avatar_table import SHIPPED_FOLDER, avatar_table, entry_for
 from drape.files.data import data_folder
 from drape.garment.avatars import STANDARD
-from service.errors import TooLarge
 
 MOST_CHARACTERS = 10_000  # SMPL parameters with every digit take 2,000
 EXAMPLE = 'Send for example {"gender": 1.0, "age": 0.667}'
 
 
-def upload_avatar(told: str | dict[str, Any] | None, name: str, garments_dir: Path) -> str | None:
+def upload_avatar(told: str | None, name: str, garments_dir: Path) -> str | None:
     """The avatar for the intake as text; None leaves it the standard body.
 
-    ``told`` is a phenotype or SMPL parameters as an object or JSON text, ``standard``, or a name of a table;
+    ``told`` is a phenotype or SMPL parameters as JSON, ``standard``, or a name of a table;
     a path is refused, for it would name a file of this machine. Untold, the longest entry with
     which ``name`` begins counts. Tables: avatars.json in the folder of uploads, in DRAPE_DATA/garments, and the
     shipped one.
@@ -28,11 +27,7 @@ def upload_avatar(told: str | dict[str, Any] | None, name: str, garments_dir: Pa
     if told is None:
         found = entry_for(name, folders)
         return None if found is None else _as_text(found[1], found[2])
-    text = json.dumps(told) if isinstance(told, dict) else told.strip()
-    if len(text) > MOST_CHARACTERS:
-        raise TooLarge(
-            "avatar", expected=f"at most {MOST_CHARACTERS} characters", got=str(len(text)), cure=f"{EXAMPLE}."
-        )
+    text = told.strip()
     if text == STANDARD:
         return text
     if text.startswith("{"):

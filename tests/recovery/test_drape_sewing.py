@@ -12,7 +12,9 @@ from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
+from drape.cloth.material import FABRICS, MEASURED
 from drape.errors import InputError
+from recovery.drape.pipeline import hanging
 from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, moved_clear, place_panels, scaled
 from recovery.drape.relax import Distance
 from recovery.drape.repair import uncrossed
@@ -328,3 +330,12 @@ def test_what_does_not_come_to_rest_is_the_shape_with_the_least_force_and_says_s
     assert_allclose(report.residual_n, force_left(model, found, parameters, contact), rtol=1e-6)
     assert report.residual_n <= min(alone.residual_n, force_left(model, start, parameters, contact))
     assert (limit == 0) == bool((found.x == start.x).all())
+
+
+def test_a_stiff_cloth_is_draped_no_stiffer_than_its_weight_asks_for():
+    """A metre of satin hangs 1 % longer, its coupling and bending as they were; jersey is soft enough as it is."""
+    satin, hung = MEASURED["satin"].woven, hanging("satin")
+    assert hung.h00 == hung.h11 == satin.density_kg_m2 * 9.81 / 0.01 < min(satin.h00, satin.h11)
+    assert_allclose(hung.h01 / np.sqrt(hung.h00 * hung.h11), satin.h01 / np.sqrt(satin.h00 * satin.h11))
+    assert replace(hung, h00=satin.h00, h01=satin.h01, h11=satin.h11) == satin
+    assert all(hanging(name) == FABRICS[name].woven for name in FABRICS)

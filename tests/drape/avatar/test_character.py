@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from drape.avatar import character as reading
-from drape.avatar.character import read_character
+from drape.avatar.character import character_in
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
@@ -26,7 +26,7 @@ Change = Callable[[dict[str, Any]], None]
 
 
 def test_the_surface_is_where_nodes_put_it(body: BodyModel):
-    found = read_character(character(body, arms_rad=0.8, scale=0.01, yaw_rad=np.pi))
+    found = character_in(gltf.GltfFile(character(body, arms_rad=0.8, scale=0.01, yaw_rad=np.pi)))
     pose = np.zeros((24, 3))
     pose[16, 2], pose[17, 2] = -0.8, 0.8
     bones = body.bones(pose[None])
@@ -43,7 +43,7 @@ def test_the_surface_is_where_nodes_put_it(body: BodyModel):
 
 
 def test_nodes_come_after_their_parents_under_their_own_names(body: BodyModel):
-    found = read_character(character(body, scheme="unreal"))
+    found = character_in(gltf.GltfFile(character(body, scheme="unreal")))
     assert all(parent < node for node, parent in enumerate(found.parents))
     assert found.names.index("Armature") < found.names.index("pelvis") and "thigh_l" in found.names
     knee = found.names.index("calf_l")
@@ -52,20 +52,20 @@ def test_nodes_come_after_their_parents_under_their_own_names(body: BodyModel):
 
 @pytest.mark.parametrize("version", ["0", "1"])
 def test_bones_of_vrm_name_nodes(body: BodyModel, version: str):
-    found = read_character(character(body, vrm=version))
+    found = character_in(gltf.GltfFile(character(body, vrm=version)))
     assert found.vrm == version
     assert found.names[found.humanoid["leftUpperLeg"]] == "bone left_hip"
 
 
 def test_vertices_that_were_split_for_texture_are_one(body: BodyModel):
     payload = character(body)
-    whole = read_character(payload)
+    whole = character_in(gltf.GltfFile(payload))
 
     def split(document: dict[str, Any]) -> None:
         mesh = document["meshes"][0]
         mesh["primitives"] = mesh["primitives"] * 2  # the same surface twice, vertex on vertex
 
-    assert len(read_character(with_json(payload, split)).vertices) == len(whole.vertices)
+    assert len(character_in(gltf.GltfFile(with_json(payload, split))).vertices) == len(whole.vertices)
 
 
 def test_sparse_and_normalised_numbers_are_read(body: BodyModel):
@@ -139,7 +139,7 @@ FAULTS: dict[str, tuple[Change, str]] = {
 def test_a_file_with_a_fault_is_refused(body: BodyModel, fault: str):
     change, said = FAULTS[fault]
     with pytest.raises(MeshError, match=re.escape(said)):
-        read_character(with_json(character(body), change))
+        character_in(gltf.GltfFile(with_json(character(body), change)))
 
 
 def spoilt_sparse(**sparse: Any) -> Change:
@@ -157,7 +157,7 @@ def spoilt_sparse(**sparse: Any) -> Change:
 )
 def test_sparse_parts_that_lead_elsewhere_are_refused(body: BodyModel, change: Change, said: str):
     with pytest.raises(MeshError, match=said):
-        read_character(with_json(character(body), change))
+        character_in(gltf.GltfFile(with_json(character(body), change)))
 
 
 @pytest.mark.parametrize(
@@ -195,9 +195,9 @@ def test_meshes_that_are_too_large_or_move_by_too_many_joints_are_refused(
 ):
     monkeypatch.setattr(reading, "MOST_VERTICES", 1000)
     with pytest.raises(MeshError, match="100 to 1,000 vertices"):
-        read_character(character(body))
+        character_in(gltf.GltfFile(character(body)))
     monkeypatch.undo()
     payload = character(body)
     monkeypatch.setattr(reading, "MOST_JOINTS", 20)
     with pytest.raises(MeshError, match="1 to 20 joints"):
-        read_character(payload)
+        character_in(gltf.GltfFile(payload))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from drape.avatar.character import Character, read_character
+from drape.avatar.character import Character, character_in
 from drape.avatar.mapping import SWAPPED, mapped
 from drape.avatar.shape_joints import joints_by_shape
 from drape.body.model import BodyModel
@@ -17,6 +17,7 @@ from drape.body.skeleton import JOINT_NAMES, PARENTS
 from drape.errors import MotionError
 from drape.files.data import data_folder
 from drape.files.formats import AVATAR_SUFFIXES
+from drape.files.gltf import GltfFile
 from drape.motion.t_pose import CANONICAL_FLOOR, CANONICAL_JOINTS
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
 
@@ -33,7 +34,7 @@ def nameless(found: Character) -> Character:
 @pytest.mark.parametrize("arms_rad", [0.0, ARMS_DOWN_RAD])
 @pytest.mark.parametrize("yaw_rad", [0.0, np.pi, 0.5])
 def test_a_body_without_names_has_the_joints_that_names_tell(body: BodyModel, arms_rad: float, yaw_rad: float):
-    found = read_character(character(body, arms_rad=arms_rad, yaw_rad=yaw_rad, scale=0.01))
+    found = character_in(GltfFile(character(body, arms_rad=arms_rad, yaw_rad=yaw_rad, scale=0.01)))
     wanted, got = mapped(found, body), mapped(nameless(found), body)
     assert (wanted.by, wanted.confidence, got.by) == ("names", 1.0, "shape") and 0.7 < got.confidence < 1.0
     assert {joint: got.rig.sources[joint] for joint in NEEDED} == {joint: wanted.rig.sources[joint] for joint in NEEDED}
@@ -45,15 +46,15 @@ def test_characters_of_others_have_by_shape_the_joints_that_names_tell(body: Bod
     folder = data_folder("avatars")
     assert folder is not None
     for path in sorted(one for one in folder.iterdir() if one.suffix in AVATAR_SUFFIXES):
-        found = read_character(path.read_bytes())
+        found = character_in(GltfFile(path.read_bytes()))
         wanted, got = mapped(found, body).rig.sources, joints_by_shape(nameless(found)).sources
         wrong = [joint for joint in NEEDED if got.get(joint) != wanted[joint]]
         assert not wrong, (path.name, wrong)
 
 
 def test_twist_bones_and_rolls_are_passed_over(body: BodyModel):
-    found = nameless(read_character(character(body)))
-    want = mapped(read_character(character(body)), body).rig.sources
+    found = nameless(character_in(GltfFile(character(body))))
+    want = mapped(character_in(GltfFile(character(body))), body).rig.sources
     for joint, end in (("left_shoulder", "left_elbow"), ("left_hip", "left_knee"), ("right_elbow", "right_wrist")):
         found = with_twist(found, want[joint], want[end])
     got = joints_by_shape(found).sources
@@ -77,7 +78,7 @@ def with_twist(found: Character, node: int, end: int) -> Character:
 
 
 def test_what_is_told_wins_over_places(body: BodyModel):
-    found = nameless(read_character(character(body)))
+    found = nameless(character_in(GltfFile(character(body))))
     spine = found.names[joints_by_shape(found).sources["spine2"]]
     got = mapped(found, body, told={"spine3": spine})
     assert got.by == "shape" and found.names[got.rig.sources["spine3"]] == spine
@@ -87,7 +88,7 @@ def test_what_is_told_wins_over_places(body: BodyModel):
 
 
 def test_left_and_right_that_are_swapped_are_told(body: BodyModel):
-    found = read_character(character(body, scheme="unreal"))
+    found = character_in(GltfFile(character(body, scheme="unreal")))
     assert mapped(found, body).notes == ()
     other = {"l": "r", "r": "l"}
     names = tuple(f"{name[:-1]}{other[name[-1]]}" if name[-2:] in ("_l", "_r") else name for name in found.names)

@@ -11,13 +11,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.avatar import wearer as wearers
 from drape.avatar.body_fit import target_joints
-from drape.avatar.character import read_character
+from drape.avatar.character import character_in
 from drape.avatar.mapping import mapped
 from drape.avatar.t_pose import t_posed
 from drape.avatar.wearer import Wearer, load_wearer, main, read_wearer, save_wearer, wearer_name
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import ArtifactError, BodyError, MotionError, NotFound
+from drape.files.gltf import GltfFile
 from drape.geometry.closest import closest_point, nearest_vertices
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from drape.motion.rig_poses import poses_to_rig
@@ -37,7 +38,7 @@ def worn(body: BodyModel) -> Wearer:
 
 def test_a_character_in_an_a_pose_comes_to_the_t_pose(body: BodyModel):
     payload = character(body, arms_rad=ARMS_DOWN_RAD, yaw_rad=np.pi)
-    found = read_character(payload)
+    found = character_in(GltfFile(payload))
     pose = t_posed(found, mapped(found, body).rig)
     rest = body.v_template - [0.0, body.v_template[:, 1].min(), 0.0]
     distance, _ = nearest_vertices(pose.vertices, rest)
@@ -112,7 +113,7 @@ def test_a_damaged_file_or_that_of_another_body_is_refused(worn: Wearer, body: B
 
 
 def test_a_joint_that_is_told_counts(body: BodyModel):
-    found = read_character(character(body))
+    found = character_in(GltfFile(character(body)))
     told = {"spine3": "mixamorig:Spine1"}
     rig = mapped(found, body, told=told).rig
     assert found.names[rig.sources["spine3"]] == "mixamorig:Spine1"

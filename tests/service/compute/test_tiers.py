@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from drape.artifacts import load_manifest
-from drape.errors import ArtifactError, InputError
+from drape.errors import ArtifactError
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
@@ -51,7 +50,7 @@ def runtime(own_settings: Settings) -> Iterator[DrapeRuntime]:
 
 def values(options: DrapeOptions, pass_count: int = PASSES, **settings: object) -> tuple[int | None, int | None]:
     found = chosen(options, TIERS, Settings(**settings), pass_count)  # pyright: ignore[reportArgumentType]
-    assert found.tier is None and found.budget_ms is None
+    assert found.tier is None
     return found.passes, found.folds
 
 
@@ -171,30 +170,10 @@ def test_tiers_come_from_the_manifest_and_are_listed(runtime: DrapeRuntime):
         for more, tier, folds in (
             ({}, "balanced", "3"), ({"tier": "fast"}, "fast", "1"), ({"tier": "instant"}, "instant", "0"),
             ({"folds": 7}, "custom", "7"),
-            ({"budget_ms": 1e6}, "accurate", "4"), ({"budget_ms": 1e-6}, "instant", "0"),
         ):  # fmt: skip
             headers = httpx.post(url + "/drape", json=REST | more).headers
             assert (headers["X-Drape-Tier"], headers["X-Drape-Folds"]) == (tier, folds)
-        for wrong in ({"tier": "best"}, {"budget_ms": 0.0}, {"budget_ms": 5.0, "tier": "fast"}):
-            assert httpx.post(url + "/drape", json=REST | wrong).status_code in (400, 422)
-
-
-def test_a_budget_between_two_tiers_gets_the_lower_one(runtime: DrapeRuntime):
-    scene = runtime.garments.get("tube")
-    names = ("instant", "fast", "balanced", "accurate")
-    plans = [runtime.plan(scene, DrapeOptions(tier=name, safe_folds=0)) for name in names]  # a budget holds every frame
-    for plan, cost_ms in zip(plans, (1.0, 2.0, 4.0, 9.0), strict=True):
-        runtime._frame_ms[plan.keys, plan.options, plan.messages] = cost_ms
-    for budget_ms, want in ((0.5, 0), (1.0, 0), (2.0, 1), (3.9, 1), (4.0, 2), (8.9, 2), (9.0, 3)):
-        assert asyncio.run(runtime.plan_within(scene, DrapeOptions(budget_ms=budget_ms))) == plans[want]
-    with pytest.raises(InputError, match="budget_ms: expected a tier or a budget, got both"):
-        asyncio.run(runtime.plan_within(scene, DrapeOptions(budget_ms=3.0, tier="fast")))
-
-
-def test_the_cost_of_a_frame_is_measured_once(runtime: DrapeRuntime):
-    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=2, passes=1))
-    first = asyncio.run(runtime.frame_ms(plan))
-    assert 0.0 < first < 1e4 and asyncio.run(runtime.frame_ms(plan)) == first
+        assert httpx.post(url + "/drape", json=REST | {"tier": "best"}).status_code == 400
 
 
 def test_the_default_of_the_product_is_folds(make_runtime: Callable[..., DrapeRuntime]):

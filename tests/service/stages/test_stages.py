@@ -22,6 +22,7 @@ from service.compute.tiers import FAR_PIXELS_PER_M, TIERS, capped, chosen
 from service.graphs.graph_names import JETS, PACKED, SKIN
 from service.settings import Settings
 from service.stages.batch import Batch, Layer, PoseInput
+from service.stages.encode import coordinate_bits
 from service.stages.motion import Motion
 from service.stages.network import Network
 from service.stages.plan import Plan
@@ -247,7 +248,6 @@ def draped(novelty_runtime: DrapeRuntime, poses: np.ndarray, **options: object) 
         ({"tier": "fast"}, (1, 4)),
         ({"tier": "accurate"}, (4, 4)),
         ({"folds": 2}, (2, 2)),
-        ({"budget_ms": 9.0}, (2, 2)),
         ({"folds": 3, "safe_folds": 9}, (3, 9)),
         ({"folds": 3, "safe_folds": 0}, (3, 3)),
         ({"folds": 0, "safe_folds": 9}, (0, 0)),
@@ -316,19 +316,19 @@ def views_draped(views_runtime: DrapeRuntime, **options: object) -> Batch:
 @pytest.mark.parametrize(
     ("asked", "want"),
     [
+        ({}, (2, 0, 16)),
         ({"pixels_per_m": FAR}, (0, 0, 8)),
-        ({"pixels_per_m": FAR, "tier": "accurate"}, (0, 0, 8)),
+        ({"pixels_per_m": 0.1 * FAR, "tier": "accurate"}, (0, 0, 8)),
         ({"pixels_per_m": FAR, "folds": 1}, (1, 0, 8)),
-        ({"pixels_per_m": FAR, "passes": 2, "bits": 16}, (0, 2, None)),
-        ({"pixels_per_m": FAR_PIXELS_PER_M}, (2, 0, None)),
-        ({"pixels_per_m": FAR, "geometry": "jets"}, (0, 0, None)),
-        ({"bits": 8}, (2, 0, 8)),
+        ({"pixels_per_m": FAR, "passes": 2}, (0, 2, 8)),
+        ({"pixels_per_m": FAR_PIXELS_PER_M}, (2, 0, 16)),
+        ({"pixels_per_m": FAR, "geometry": "jets"}, (0, 0, 16)),
     ],
 )
 def test_what_is_far_away_has_no_folds_and_8_bits_but_for_what_is_named(asked: dict, want: tuple):
     found = chosen(DrapeOptions(**asked), TIERS, Settings(), 4)
-    assert (found.folds, found.passes, found.bits) == want
-    assert found.pixels_per_m is None, "distances on one side of the limit are one plan"
+    assert (found.folds, found.passes, coordinate_bits(found)) == want
+    assert found.pixels_per_m in (None, FAR_PIXELS_PER_M), "distances on one side of the limit are one plan"
 
 
 def test_what_is_far_away_is_lifted_off_the_skin_as_the_least_tier_is():
@@ -338,11 +338,11 @@ def test_what_is_far_away_is_lifted_off_the_skin_as_the_least_tier_is():
     assert found(pixels_per_m=FAR).coarse and found(pixels_per_m=FAR, tier="accurate").coarse
     for named in ({"push_out": False}, {"folds": 0}, {"geometry": "jets"}, {"coarse": False}):
         assert not found(pixels_per_m=FAR, **named).coarse
-    assert found(pixels_per_m=FAR) == found(tier="instant").model_copy(update={"bits": 8})
+    assert found(pixels_per_m=FAR) == found(tier="instant").model_copy(update={"pixels_per_m": FAR_PIXELS_PER_M})
 
 
 def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(views_runtime: DrapeRuntime):
-    near, far = (views_draped(views_runtime, folds=0, bits=bits) for bits in (16, 8))
+    near, far = (views_draped(views_runtime, folds=0, passes=0, **view) for view in ({}, {"pixels_per_m": FAR}))
     assert_array_equal(near.vertices, far.vertices)
     for fine, coarse, vertices in zip(near.messages, far.messages, far.vertices, strict=True):
         frame = wire.unpack_frame(coarse)

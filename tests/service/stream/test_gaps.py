@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -11,7 +10,7 @@ import httpx
 import numpy as np
 import pytest
 
-from service.http.json_body import SMALL_MARKS, clip_marks
+from service.http.json_body import clip_marks
 from service.settings import Settings
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import serve_in_process
@@ -64,12 +63,6 @@ def test_lists_without_end(url: str, kind: str):
     assert f"at most {MOST} commas, colons and opening brackets" in answer.json()["detail"]
 
 
-def test_an_avatar_of_twenty_megabytes(url: str):
-    avatar = b",".join(b'"k%d":[]' % i for i in range(2_000_000))
-    answer = beside(url, "/garments", b'{"name":"a","format":"obj","data_base64":"QUJD","avatar":{' + avatar + b"}}")
-    assert answer.status_code == 413 and f"at most {SMALL_MARKS} commas" in answer.json()["detail"]
-
-
 def test_a_json_answer_of_millions_of_numbers(url: str):
     poses = np.random.default_rng(0).normal(scale=0.2, size=(40, 24, 3))
     asked = json.dumps({"poses": poses.tolist()}).encode()
@@ -78,20 +71,6 @@ def test_a_json_answer_of_millions_of_numbers(url: str):
     positions = np.array(answer.json()["positions"], np.float32)
     assert positions.size > 1_500_000
     assert positions.tobytes() == binary.content
-
-
-def test_a_long_file_whose_last_letter_is_not_ascii(url: str):
-    data = base64.b64encode(bytes(30 * MIB)) + "€".encode()
-    answer = beside(url, "/garments", b'{"name":"a","format":"obj","avatar":"standard","data_base64":"' + data + b'"}')
-    assert answer.status_code == 400 and "data_base64: expected base64" in answer.json()["detail"]
-
-
-def test_an_avatar_that_is_too_long_for_a_command_line(url: str):
-    document = {"name": "a", "format": "obj", "data_base64": "QUJD", "avatar": {"gender": 1.0, "note": "n" * 200_000}}
-    answer = beside(url, "/garments", json.dumps(document).encode())
-    assert (
-        answer.status_code == 413 and "avatar: expected at most 10000 characters, got 2000" in answer.json()["detail"]
-    )
 
 
 def test_a_clip_lets_streams_through_however_long_its_chunks_may_be(make_settings: Callable[..., Settings]):

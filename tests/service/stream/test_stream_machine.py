@@ -44,7 +44,6 @@ OPENINGS = (
     {"motion": 0.0},
     {"folds": 0},
     {"passes": 0, "folds": 1},
-    {"bits": 8},
     {"geometry": "jets"},
     {"betas": [1.5, -1.0]},
     {"inertia": "mesh"},

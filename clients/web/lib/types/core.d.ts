@@ -26,7 +26,6 @@ export type FabricChoice = string | Record<string, number>;
 export interface DrapeOptions {
   betas?: number[];
   tier?: TierName;
-  budget_ms?: number;
   fabric?: FabricChoice | (FabricChoice | null)[];
   passes?: number;
   folds?: number;
@@ -41,8 +40,6 @@ export interface DrapeOptions {
   hidden?: string[];
   colliders?: object[];
   pixels_per_m?: number;
-  still_mm?: number;
-  bits?: 8 | 16;
 }
 
 /** What stays as it is for as long as a garment is worn. */
