@@ -1,0 +1,178 @@
+"""Records: what the engine reads of a garment, a body or a frame, as structs of C++.
+
+This table is the one home of their layout. ``source/records.hpp`` is generated from it (``python -m
+drape.engine.records``), and a library that was compiled from another table is refused at load by its ``HASH``. A field
+has a kind:
+
+| kind | in C++ | size |
+|---|---|---|
+| ``number`` | ``double`` | 8 bytes |
+| ``count`` | ``int64_t`` | 8 bytes |
+| ``numbers``, ``float32s``, ``float64s``, ``int32s``, ``bytes`` | ``Array<T>``, ``Array<float>``, ...: where they begin, and how many | 16 bytes |
+| the name of a record | that struct | its own |
+
+Every size is a multiple of eight bytes on every processor, WebAssembly included, so that a record is a flat array of
+64-bit words. T is float or double, that of the kernel which reads the record.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HEADER = Path(__file__).parent / "source" / "records.hpp"
+
+RECORDS: dict[str, dict[str, str]] = {
+    "Constants": dict.fromkeys(
+        ("warp", "cross", "weft", "shear", "gap", "slack", "per_edge", "degenerate", "least", "reach"), "number"
+    ),
+    "Creases": {"corner": "int32s", "stiffness": "numbers", "cosine": "numbers", "sine": "numbers"},
+    "Sheet": {
+        "constants": "Constants",
+        "vertex": "int32s",
+        "place": "int32s",
+        "fan_start": "int32s",
+        "fan_other": "int32s",
+        "fan_slope": "numbers",
+        "bend_start": "int32s",
+        "bend_other": "int32s",
+        "bend_value": "numbers",
+        "own": "numbers",
+        "creases": "Creases",
+        "crease_start": "int32s",
+        "crease_lane": "int32s",
+        "crease_member": "int32s",
+    },
+    "SkinGraph": {"neighbour": "int32s", "reach_m2": "numbers", "rest": "numbers"},
+    "SheetNeighbours": {
+        "start": "int32s",
+        "vertex": "int32s",
+        "square": "float32s",
+        "clusters": "int32s",
+        "other_start": "int32s",
+        "other": "int32s",
+        "bound": "bytes",
+    },
+    "Tangles": dict.fromkeys(("corner", "across", "start", "beside"), "int32s"),
+    "StiffnessFactor": {
+        "place": "int32s",
+        "column": "int32s",
+        "size": "int32s",
+        "start": "int32s",
+        "member": "int32s",
+        "entry": "int32s",
+        "value": "numbers",
+        "inverse": "numbers",
+    },
+    "FoldConstants": {
+        "sheet": "Sheet",
+        "factor": "StiffnessFactor",
+        "graph": "SkinGraph",
+        "neighbours": "SheetNeighbours",
+        "index": "int32s",
+        "friction": "number",
+        "hem": "int32s",
+        "tangles": "Tangles",
+    },
+    "FineLevel": {
+        "sheet": "Sheet",
+        "near": "int32s",
+        "weight": "numbers",
+        "parent": "int32s",
+        "tangles": "Tangles",
+    },
+    "Levels": {"coarse": "FoldConstants", "kept": "int32s", "fine": "FineLevel"},
+    "Surroundings": {"skin": "numbers", "colliders": "float64s"},
+    "FoldEffort": {"steps": "count", "settle": "count", "cloth_contact": "count", "clearance_m": "number"},
+    # What a frame goes on from, and what it leaves in the same arrays' likes: ``drape.live.fold_step.FoldMemory``.
+    "FoldMemory": {
+        "network": "numbers",
+        "residual": "numbers",
+        "velocity": "numbers",
+        "grip": "numbers",
+        "own": "int32s",
+        "other": "int32s",
+        "added": "numbers",
+        "turn": "count",
+        "step_s": "number",
+    },
+}
+_ARRAYS = {"numbers": "T", "float32s": "float", "float64s": "double", "int32s": "int32_t", "bytes": "uint8_t"}
+_TYPES = {
+    kind: np.dtype(dtype)
+    for kind, dtype in (("float32s", np.float32), ("float64s", np.float64), ("int32s", np.int32), ("bytes", np.uint8))
+}
+HASH = int.from_bytes(hashlib.sha256(repr(RECORDS).encode()).digest()[:8], "little")
+
+
+def header() -> str:
+    """The text of ``source/records.hpp``."""
+    lines = [
+        "// Generated from drape/engine/records.py by `python -m drape.engine.records`: change the table there.",
+        "#pragma once",
+        '#include "arrays.hpp"',
+        "",
+        f"constexpr uint64_t RECORDS_HASH = 0x{HASH:016x}u;",
+    ]
+    for name, fields in RECORDS.items():
+        lines += ["", f"template <class T> struct {name} {{"]
+        lines += [f"  {_declared(kind)} {field};" for field, kind in fields.items()]
+        lines += ["};", f"static_assert(sizeof({name}<float>) == {8 * size(name)}, \"{name}\");"]
+    return "\n".join(lines) + "\n"
+
+
+def _declared(kind: str) -> str:
+    if kind in _ARRAYS:
+        return f"Array<{_ARRAYS[kind]}>"
+    return {"number": "double", "count": "int64_t"}.get(kind, f"{kind}<T>")
+
+
+def size(name: str) -> int:
+    """The 64-bit words of a record."""
+    return sum(2 if kind in _ARRAYS else size(kind) if kind in RECORDS else 1 for kind in RECORDS[name].values())
+
+
+class Record:
+    """The words of a record, and the arrays that they point to.
+
+    ``address`` [bytes] is where the words are.
+    """
+
+    __slots__ = ("_arrays", "_words", "address")
+
+    def __init__(self, name: str, value: Any, dtype: Any) -> None:
+        """The record ``name`` of ``value``, which has its fields as attributes; numbers in arrays are of ``dtype``.
+
+        Raises ``TypeError`` where an array has another type or is not contiguous: that is our own mistake.
+        """
+        self._arrays: list[np.ndarray] = []
+        self._words = np.array(self._filled(name, value, np.dtype(dtype)), np.uint64)
+        self.address = self._words.ctypes.data
+
+    def _filled(self, name: str, value: Any, dtype: np.dtype) -> list[int]:
+        words: list[int] = []
+        for field, kind in RECORDS[name].items():
+            own = getattr(value, field)
+            if kind in RECORDS:
+                words += self._filled(kind, own, dtype)
+            elif kind == "number":
+                words.append(struct.unpack("<Q", struct.pack("<d", own))[0])
+            elif kind == "count":
+                words.append(struct.unpack("<Q", struct.pack("<q", own))[0])
+            else:
+                words += self._array(f"{name}.{field}", own, _TYPES.get(kind, dtype))
+        return words
+
+    def _array(self, name: str, array: np.ndarray, dtype: np.dtype) -> list[int]:
+        if array.dtype != dtype or not array.flags.c_contiguous:
+            raise TypeError(f"{name}: expected contiguous {dtype}, got {array.dtype}, strides {array.strides}")
+        self._arrays.append(array)
+        return [array.ctypes.data, array.size]
+
+
+if __name__ == "__main__":
+    HEADER.write_text(header())

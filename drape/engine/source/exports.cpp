@@ -1,0 +1,51 @@
+// The C ABI. Every function takes flat arrays and records (records.hpp) that the caller keeps.
+#include "levels.hpp"
+
+EXPORT uint64_t drape_records_hash() { return RECORDS_HASH; }
+
+double exponential_of(double x) {
+  // x = n ln 2 + r, |r| <= ln 2 / 2; the series of e^r, times 2^n. Within two units in the last place.
+  if (!(x > -700)) return x == x ? 0 : x;
+  const double n = __builtin_floor(x * 1.4426950408889634 + 0.5);
+  const double r = (x - n * 0.6931471803691238) - n * 1.9082149292705877e-10;
+  double sum = 1;
+  for (int i = 14; i > 0; --i) sum = 1 + r / i * sum;
+  union { uint64_t bits; double value; } power = {uint64_t(int64_t(n) + 1023) << 52};
+  return sum * power.value;
+}
+
+#define FOR_TYPE(T, suffix)                                                                                           \
+  EXPORT void drape_descend_##suffix(T* x, const Sheet<T>* sheet, const T* planes, const T* network) {                \
+    descend(x, *sheet, planes, network);                                                                              \
+  }                                                                                                                   \
+  EXPORT void drape_gradient_##suffix(const T* x, const Sheet<T>* sheet, const T* planes, const T* network, T hold,   \
+                                      T* gradient) {                                                                  \
+    gradient_at(x, *sheet, planes, network, hold, gradient);                                                          \
+  }                                                                                                                   \
+  EXPORT void drape_whole_step_##suffix(T* x, const StiffnessFactor<T>* factor, const T* gradient, T share, T* q,     \
+                                        T* s) {                                                                       \
+    whole_step(x, *factor, gradient, share, q, s);                                                                    \
+  }                                                                                                                   \
+  EXPORT int drape_fold_##suffix(const T* vertices, const FoldMemory<T>* past, const Surroundings<T>* around,         \
+                                 const FoldConstants<T>* cloth, const FoldEffort<T>* effort, FoldMemory<T>* after,    \
+                                 T* folded, FoldOutcome* outcome, Scratch* scratch) {                                 \
+    *outcome = fold_one_level(vertices, *past, *around, *cloth, *effort, *after, folded, *scratch);                   \
+    return scratch->overflowed;                                                                                       \
+  }                                                                                                                   \
+  EXPORT int drape_fold_two_levels_##suffix(const T* vertices, const FoldMemory<T>* past, const Surroundings<T>* around, \
+                                            const Levels<T>* levels, const FoldEffort<T>* effort, FoldMemory<T>* after, \
+                                            T* folded, FoldOutcome* outcome, Scratch* scratch) {                      \
+    *outcome = fold_two_levels(vertices, *past, *around, *levels, *effort, *after, folded, *scratch);                 \
+    return scratch->overflowed;                                                                                       \
+  }                                                                                                                   \
+  EXPORT int drape_lift_alone_##suffix(const T* vertices, const FoldMemory<T>* past, const Surroundings<T>* around,   \
+                                       const Levels<T>* levels, const FoldEffort<T>* effort, FoldMemory<T>* after,    \
+                                       T* folded, FoldOutcome* outcome, Scratch* scratch) {                           \
+    *outcome = lift_alone(vertices, *past, *around, *levels, *effort, *after, folded, *scratch);                      \
+    return scratch->overflowed;                                                                                       \
+  }
+
+FOR_TYPE(float, f32)
+#ifdef WITH_DOUBLES
+FOR_TYPE(double, f64)
+#endif

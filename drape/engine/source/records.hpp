@@ -1,0 +1,138 @@
+// Generated from drape/engine/records.py by `python -m drape.engine.records`: change the table there.
+#pragma once
+#include "arrays.hpp"
+
+constexpr uint64_t RECORDS_HASH = 0x9a14c74dfa389659u;
+
+template <class T> struct Constants {
+  double warp;
+  double cross;
+  double weft;
+  double shear;
+  double gap;
+  double slack;
+  double per_edge;
+  double degenerate;
+  double least;
+  double reach;
+};
+static_assert(sizeof(Constants<float>) == 80, "Constants");
+
+template <class T> struct Creases {
+  Array<int32_t> corner;
+  Array<T> stiffness;
+  Array<T> cosine;
+  Array<T> sine;
+};
+static_assert(sizeof(Creases<float>) == 64, "Creases");
+
+template <class T> struct Sheet {
+  Constants<T> constants;
+  Array<int32_t> vertex;
+  Array<int32_t> place;
+  Array<int32_t> fan_start;
+  Array<int32_t> fan_other;
+  Array<T> fan_slope;
+  Array<int32_t> bend_start;
+  Array<int32_t> bend_other;
+  Array<T> bend_value;
+  Array<T> own;
+  Creases<T> creases;
+  Array<int32_t> crease_start;
+  Array<int32_t> crease_lane;
+  Array<int32_t> crease_member;
+};
+static_assert(sizeof(Sheet<float>) == 336, "Sheet");
+
+template <class T> struct SkinGraph {
+  Array<int32_t> neighbour;
+  Array<T> reach_m2;
+  Array<T> rest;
+};
+static_assert(sizeof(SkinGraph<float>) == 48, "SkinGraph");
+
+template <class T> struct SheetNeighbours {
+  Array<int32_t> start;
+  Array<int32_t> vertex;
+  Array<float> square;
+  Array<int32_t> clusters;
+  Array<int32_t> other_start;
+  Array<int32_t> other;
+  Array<uint8_t> bound;
+};
+static_assert(sizeof(SheetNeighbours<float>) == 112, "SheetNeighbours");
+
+template <class T> struct Tangles {
+  Array<int32_t> corner;
+  Array<int32_t> across;
+  Array<int32_t> start;
+  Array<int32_t> beside;
+};
+static_assert(sizeof(Tangles<float>) == 64, "Tangles");
+
+template <class T> struct StiffnessFactor {
+  Array<int32_t> place;
+  Array<int32_t> column;
+  Array<int32_t> size;
+  Array<int32_t> start;
+  Array<int32_t> member;
+  Array<int32_t> entry;
+  Array<T> value;
+  Array<T> inverse;
+};
+static_assert(sizeof(StiffnessFactor<float>) == 128, "StiffnessFactor");
+
+template <class T> struct FoldConstants {
+  Sheet<T> sheet;
+  StiffnessFactor<T> factor;
+  SkinGraph<T> graph;
+  SheetNeighbours<T> neighbours;
+  Array<int32_t> index;
+  double friction;
+  Array<int32_t> hem;
+  Tangles<T> tangles;
+};
+static_assert(sizeof(FoldConstants<float>) == 728, "FoldConstants");
+
+template <class T> struct FineLevel {
+  Sheet<T> sheet;
+  Array<int32_t> near;
+  Array<T> weight;
+  Array<int32_t> parent;
+  Tangles<T> tangles;
+};
+static_assert(sizeof(FineLevel<float>) == 448, "FineLevel");
+
+template <class T> struct Levels {
+  FoldConstants<T> coarse;
+  Array<int32_t> kept;
+  FineLevel<T> fine;
+};
+static_assert(sizeof(Levels<float>) == 1192, "Levels");
+
+template <class T> struct Surroundings {
+  Array<T> skin;
+  Array<double> colliders;
+};
+static_assert(sizeof(Surroundings<float>) == 32, "Surroundings");
+
+template <class T> struct FoldEffort {
+  int64_t steps;
+  int64_t settle;
+  int64_t cloth_contact;
+  double clearance_m;
+};
+static_assert(sizeof(FoldEffort<float>) == 32, "FoldEffort");
+
+template <class T> struct FoldMemory {
+  Array<T> network;
+  Array<T> residual;
+  Array<T> velocity;
+  Array<T> grip;
+  Array<int32_t> own;
+  Array<int32_t> other;
+  Array<T> added;
+  int64_t turn;
+  double step_s;
+};
+static_assert(sizeof(FoldMemory<float>) == 128, "FoldMemory");
