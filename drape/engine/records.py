@@ -100,6 +100,48 @@ RECORDS: dict[str, dict[str, str]] = {
         "turn": "count",
         "step_s": "number",
     },
+    "SwingRows": {
+        "moving": "count",
+        "node": "int32s",
+        "place": "int32s",
+        "start": "int32s",
+        "other": "int32s",
+        "slope": "numbers",
+    },
+    "SwingMesh": {
+        "vertex": "int32s",
+        "mass_kg": "numbers",
+        "area_m2": "numbers",
+        "order": "int32s",
+        "start": "int32s",
+        "other": "int32s",
+        "slope": "numbers",
+        "weight_node": "int32s",
+        "weight": "numbers",
+        "pull_start": "int32s",
+        "pull_node": "int32s",
+        "pull": "numbers",
+        "rows": "SwingRows",
+    },
+    "SwingConstants": {
+        "mesh": "SwingMesh",
+        "graph": "SkinGraph",
+        "index": "int32s",
+        "young_n_per_m": "number",
+        "damping_per_s": "number",
+        "held": "numbers",
+    },
+    # ``drape.live.swing_step.SwingMemory``, seen from the frame's own origin; ``time_s`` is infinite without a past.
+    "SwingMemory": {
+        "network": "numbers",
+        "swung": "numbers",
+        "speed": "numbers",
+        "touched": "int32s",
+        "colliders": "float64s",
+        "origin": "float64s",
+        "time_s": "number",
+        "still_since_s": "number",
+    },
 }
 _ARRAYS = {"numbers": "T", "float32s": "float", "float64s": "double", "int32s": "int32_t", "bytes": "uint8_t"}
 _TYPES = {

@@ -1,5 +1,6 @@
 // The C ABI. Every function takes flat arrays and records (records.hpp) that the caller keeps.
 #include "levels.hpp"
+#include "swing.hpp"
 
 EXPORT uint64_t drape_records_hash() { return RECORDS_HASH; }
 
@@ -43,6 +44,12 @@ double exponential_of(double x) {
                                        T* folded, FoldOutcome* outcome, Scratch* scratch) {                           \
     *outcome = lift_alone(vertices, *past, *around, *levels, *effort, *after, folded, *scratch);                      \
     return scratch->overflowed;                                                                                       \
+  }                                                                                                                   \
+  EXPORT int drape_swing_##suffix(const T* vertices, int64_t count, const SwingMemory<T>* past,                       \
+                                  const Surroundings<T>* around, const SwingConstants<T>* cloth, T share,             \
+                                  SwingMemory<T>* after, T* out, Scratch* scratch) {                                  \
+    bool moved = swing::frame(vertices, count, *past, *around, *cloth, share, *after, out, *scratch);                 \
+    return scratch->overflowed ? -1 : moved;                                                                          \
   }
 
 FOR_TYPE(float, f32)

@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0x9a14c74dfa389659u;
+constexpr uint64_t RECORDS_HASH = 0x0971a187129b71dbu;
 
 template <class T> struct Constants {
   double warp;
@@ -136,3 +136,52 @@ template <class T> struct FoldMemory {
   double step_s;
 };
 static_assert(sizeof(FoldMemory<float>) == 128, "FoldMemory");
+
+template <class T> struct SwingRows {
+  int64_t moving;
+  Array<int32_t> node;
+  Array<int32_t> place;
+  Array<int32_t> start;
+  Array<int32_t> other;
+  Array<T> slope;
+};
+static_assert(sizeof(SwingRows<float>) == 88, "SwingRows");
+
+template <class T> struct SwingMesh {
+  Array<int32_t> vertex;
+  Array<T> mass_kg;
+  Array<T> area_m2;
+  Array<int32_t> order;
+  Array<int32_t> start;
+  Array<int32_t> other;
+  Array<T> slope;
+  Array<int32_t> weight_node;
+  Array<T> weight;
+  Array<int32_t> pull_start;
+  Array<int32_t> pull_node;
+  Array<T> pull;
+  SwingRows<T> rows;
+};
+static_assert(sizeof(SwingMesh<float>) == 280, "SwingMesh");
+
+template <class T> struct SwingConstants {
+  SwingMesh<T> mesh;
+  SkinGraph<T> graph;
+  Array<int32_t> index;
+  double young_n_per_m;
+  double damping_per_s;
+  Array<T> held;
+};
+static_assert(sizeof(SwingConstants<float>) == 376, "SwingConstants");
+
+template <class T> struct SwingMemory {
+  Array<T> network;
+  Array<T> swung;
+  Array<T> speed;
+  Array<int32_t> touched;
+  Array<double> colliders;
+  Array<double> origin;
+  double time_s;
+  double still_since_s;
+};
+static_assert(sizeof(SwingMemory<float>) == 112, "SwingMemory");
