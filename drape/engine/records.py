@@ -10,6 +10,7 @@ has a kind:
 | ``count`` | ``int64_t`` | 8 bytes |
 | ``numbers``, ``float32s``, ``float64s``, ``int32s``, ``bytes`` | ``Array<T>``, ``Array<float>``, ...: where they begin, and how many | 16 bytes |
 | the name of a record | that struct | its own |
+| such a name with ``[]`` | ``Array`` of such structs, one after the other | 16 bytes |
 
 Every size is a multiple of eight bytes on every processor, WebAssembly included, so that a record is a flat array of
 64-bit words. T is float or double, that of the kernel which reads the record.
@@ -142,11 +143,89 @@ RECORDS: dict[str, dict[str, str]] = {
         "time_s": "number",
         "still_since_s": "number",
     },
+    "Layer": {"weight": "numbers", "bias": "numbers", "slope": "number", "tiles": "uint32s"},
+    # ``drape.network.weights.Weights``; ``first`` and ``second`` have a layer for every correction.
+    "Weights": {
+        "mean": "numbers",
+        "inverse_deviation": "numbers",
+        "body": "Layer[]",
+        "from_body": "Layer",
+        "surroundings": "Layer",
+        "trunk": "Layer[]",
+        "heads": "Layer[]",
+        "first": "Layer[]",
+        "second": "Layer[]",
+        "basis": "numbers",
+        "basis_u": "numbers",
+        "basis_v": "numbers",
+        "logs": "numbers",
+    },
+    "PatchRows": {
+        "first": "numbers",
+        "weights": "numbers",
+        "heaviest": "int32s",
+        "rotation": "numbers",
+        "centre": "numbers",
+        "scale": "numbers",
+        "slopes": "numbers",
+        "columns": "numbers",
+        "fit": "numbers",
+        "rest": "numbers",
+        "anchor": "uint32s",
+        "member": "int32s",
+        "tangent": "numbers",
+        "unit": "numbers",
+        "place": "numbers",
+        "sample": "int32s",
+        "bias": "numbers",
+        "region": "numbers",
+        "other": "bytes",
+    },
+    "BodyFeed": {
+        "local": "numbers",
+        "rest": "numbers",
+        "betas": "numbers",
+        "motion": "numbers",
+        "skin_rows": "numbers",
+        "skin_bones": "int32s",
+        "skin_counts": "int32s",
+    },
+    "PosedBody": {
+        "quaternion": "numbers",
+        "rotation": "numbers",
+        "translation": "numbers",
+        "place": "numbers",
+        "code": "numbers",
+        "betas": "numbers",
+        "skin": "numbers",
+        "region": "numbers",
+    },
+    # ``drape.graph.blend.Tiles``: a garment's charts are 16 or 32 bits wide, the others are empty.
+    "Tiles": {
+        "scale": "numbers",
+        "columns": "numbers",
+        "patch": "int32s",
+        "charts": "uint16s",
+        "wide_charts": "int32s",
+    },
+    "PosedJets": {"jet": "numbers", "rotation": "numbers", "centre": "numbers"},
 }
-_ARRAYS = {"numbers": "T", "float32s": "float", "float64s": "double", "int32s": "int32_t", "bytes": "uint8_t"}
+_ARRAYS = {
+    "numbers": "T",
+    "float32s": "float",
+    "float64s": "double",
+    "int32s": "int32_t",
+    "uint32s": "uint32_t",
+    "uint16s": "uint16_t",
+    "bytes": "uint8_t",
+}
 _TYPES = {
-    kind: np.dtype(dtype)
-    for kind, dtype in (("float32s", np.float32), ("float64s", np.float64), ("int32s", np.int32), ("bytes", np.uint8))
+    "float32s": np.dtype(np.float32),
+    "float64s": np.dtype(np.float64),
+    "int32s": np.dtype(np.int32),
+    "uint32s": np.dtype(np.uint32),
+    "uint16s": np.dtype(np.uint16),
+    "bytes": np.dtype(np.uint8),
 }
 HASH = int.from_bytes(hashlib.sha256(repr(RECORDS).encode()).digest()[:8], "little")
 
@@ -170,12 +249,15 @@ def header() -> str:
 def _declared(kind: str) -> str:
     if kind in _ARRAYS:
         return f"Array<{_ARRAYS[kind]}>"
+    if kind.endswith("[]"):
+        return f"Array<{kind[:-2]}<T>>"
     return {"number": "double", "count": "int64_t"}.get(kind, f"{kind}<T>")
 
 
 def size(name: str) -> int:
     """The 64-bit words of a record."""
-    return sum(2 if kind in _ARRAYS else size(kind) if kind in RECORDS else 1 for kind in RECORDS[name].values())
+    kinds = RECORDS[name].values()
+    return sum(size(kind) if kind in RECORDS else 1 if kind in ("number", "count") else 2 for kind in kinds)
 
 
 class Record:
@@ -201,6 +283,10 @@ class Record:
             own = getattr(value, field)
             if kind in RECORDS:
                 words += self._filled(kind, own, dtype)
+            elif kind.endswith("[]"):
+                parts = [word for one in own for word in self._filled(kind[:-2], one, dtype)]
+                words += self._array(field, np.array(parts, np.uint64), np.dtype(np.uint64))
+                words[-1] = len(own)
             elif kind == "number":
                 words.append(struct.unpack("<Q", struct.pack("<d", own))[0])
             elif kind == "count":

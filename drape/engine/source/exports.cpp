@@ -1,5 +1,6 @@
 // The C ABI. Every function takes flat arrays and records (records.hpp) that the caller keeps.
 #include "levels.hpp"
+#include "network.hpp"
 #include "swing.hpp"
 
 EXPORT uint64_t drape_records_hash() { return RECORDS_HASH; }
@@ -50,6 +51,21 @@ double exponential_of(double x) {
                                   SwingMemory<T>* after, T* out, Scratch* scratch) {                                  \
     bool moved = swing::frame(vertices, count, *past, *around, *cloth, share, *after, out, *scratch);                 \
     return scratch->overflowed ? -1 : moved;                                                                          \
+  }                                                                                                                   \
+  EXPORT int drape_pose_body_##suffix(const Weights<T>* weights, const BodyFeed<T>* feed, PosedBody<T>* body,         \
+                                      Scratch* scratch) {                                                             \
+    pose_body(*weights, *feed, *body, *scratch);                                                                      \
+    return scratch->overflowed;                                                                                       \
+  }                                                                                                                   \
+  EXPORT int drape_jets_##suffix(const Weights<T>* weights, const PatchRows<T>* rows, const PosedBody<T>* body,       \
+                                 int64_t passes, PosedJets<T>* jets, Scratch* scratch) {                              \
+    bool finite = network::pose_jets(*weights, *rows, *body, passes, *jets, *scratch);                                \
+    return scratch->overflowed ? -1 : finite;                                                                         \
+  }                                                                                                                   \
+  EXPORT int drape_vertices_##suffix(const PosedJets<T>* jets, const Tiles<T>* tiles, T* vertices, int64_t count,     \
+                                     Scratch* scratch) {                                                              \
+    network::blend_vertices(*jets, *tiles, vertices, count, *scratch);                                                \
+    return scratch->overflowed;                                                                                       \
   }
 
 FOR_TYPE(float, f32)

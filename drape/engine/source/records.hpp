@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0x0971a187129b71dbu;
+constexpr uint64_t RECORDS_HASH = 0x3a41f59427962defu;
 
 template <class T> struct Constants {
   double warp;
@@ -185,3 +185,90 @@ template <class T> struct SwingMemory {
   double still_since_s;
 };
 static_assert(sizeof(SwingMemory<float>) == 112, "SwingMemory");
+
+template <class T> struct Layer {
+  Array<T> weight;
+  Array<T> bias;
+  double slope;
+  Array<uint32_t> tiles;
+};
+static_assert(sizeof(Layer<float>) == 56, "Layer");
+
+template <class T> struct Weights {
+  Array<T> mean;
+  Array<T> inverse_deviation;
+  Array<Layer<T>> body;
+  Layer<T> from_body;
+  Layer<T> surroundings;
+  Array<Layer<T>> trunk;
+  Array<Layer<T>> heads;
+  Array<Layer<T>> first;
+  Array<Layer<T>> second;
+  Array<T> basis;
+  Array<T> basis_u;
+  Array<T> basis_v;
+  Array<T> logs;
+};
+static_assert(sizeof(Weights<float>) == 288, "Weights");
+
+template <class T> struct PatchRows {
+  Array<T> first;
+  Array<T> weights;
+  Array<int32_t> heaviest;
+  Array<T> rotation;
+  Array<T> centre;
+  Array<T> scale;
+  Array<T> slopes;
+  Array<T> columns;
+  Array<T> fit;
+  Array<T> rest;
+  Array<uint32_t> anchor;
+  Array<int32_t> member;
+  Array<T> tangent;
+  Array<T> unit;
+  Array<T> place;
+  Array<int32_t> sample;
+  Array<T> bias;
+  Array<T> region;
+  Array<uint8_t> other;
+};
+static_assert(sizeof(PatchRows<float>) == 304, "PatchRows");
+
+template <class T> struct BodyFeed {
+  Array<T> local;
+  Array<T> rest;
+  Array<T> betas;
+  Array<T> motion;
+  Array<T> skin_rows;
+  Array<int32_t> skin_bones;
+  Array<int32_t> skin_counts;
+};
+static_assert(sizeof(BodyFeed<float>) == 112, "BodyFeed");
+
+template <class T> struct PosedBody {
+  Array<T> quaternion;
+  Array<T> rotation;
+  Array<T> translation;
+  Array<T> place;
+  Array<T> code;
+  Array<T> betas;
+  Array<T> skin;
+  Array<T> region;
+};
+static_assert(sizeof(PosedBody<float>) == 128, "PosedBody");
+
+template <class T> struct Tiles {
+  Array<T> scale;
+  Array<T> columns;
+  Array<int32_t> patch;
+  Array<uint16_t> charts;
+  Array<int32_t> wide_charts;
+};
+static_assert(sizeof(Tiles<float>) == 80, "Tiles");
+
+template <class T> struct PosedJets {
+  Array<T> jet;
+  Array<T> rotation;
+  Array<T> centre;
+};
+static_assert(sizeof(PosedJets<float>) == 48, "PosedJets");

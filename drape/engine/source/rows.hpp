@@ -146,3 +146,38 @@ template <class T> INLINE Vector<T> sums(Points<T> a) { return {sum<T>(a.x), sum
 template <class T> INLINE Row<T> whole(Row<T> a) {
   return __builtin_convertvector(__builtin_convertvector(a, Mask<T>), Row<T>);
 }
+
+// a times two to the power, whole numbers for which two to them is a normal number.
+INLINE Row<float> times_two_to(Row<float> a, Row<float> power) {
+  Mask<float> bits = (__builtin_convertvector(power, Mask<float>) + 127) << 23;
+  Row<float> factor;
+  __builtin_memcpy(&factor, &bits, sizeof factor);
+  return a * factor;
+}
+INLINE Row<double> times_two_to(Row<double> a, Row<double> power) {
+  Mask<double> bits = (__builtin_convertvector(power, Mask<double>) + 1023) << 52;
+  Row<double> factor;
+  __builtin_memcpy(&factor, &bits, sizeof factor);
+  return a * factor;
+}
+
+// e to each number, to 3e-8 of it or the type's rounding; below -80 that of -80, above 80 that of 80.
+template <class T> INLINE Row<T> exponential(Row<T> a) {
+  a = least<T>(most<T>(a, row_of(T(-80))), row_of(T(80)));
+  Row<T> n = a * T(1.4426950408889634);
+  n = whole<T>(n + where<T>(a > row_of(T(0)), row_of(T(0.5)), row_of(T(-0.5))));
+  Row<T> x = (a - n * T(0.693359375)) - n * T(-2.1219444005469057e-4);  // within half of ln 2
+  Row<T> series = x * T(1.0 / 5040.0) + T(1.0 / 720.0);
+  series = series * x + T(1.0 / 120.0);
+  series = series * x + T(1.0 / 24.0);
+  series = series * x + T(1.0 / 6.0);
+  series = series * x + T(0.5);
+  series = series * x + T(1);
+  return times_two_to(series * x + T(1), n);
+}
+
+// The hyperbolic tangent of each number.
+template <class T> INLINE Row<T> tangent(Row<T> a) {
+  Row<T> size = root<T>(a * a), small = exponential<T>(size * T(-2)), bent = (T(1) - small) / (T(1) + small);
+  return where<T>(a > row_of(T(0)), bent, -bent);
+}
