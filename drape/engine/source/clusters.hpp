@@ -16,9 +16,6 @@ template <class T> struct Boxes {
   int64_t count, group_blocks;  // of clusters, and of blocks of sixteen groups
 };
 
-template <class T> INLINE T less(T a, T b) { return a < b ? a : b; }  // b where one is NaN
-template <class T> INLINE T more(T a, T b) { return a > b ? a : b; }
-
 INLINE int64_t whole_blocks(int64_t count) { return (count + LANES - 1) / LANES; }
 
 // The least and the largest of a row's lanes; NaN where the first lane is one.

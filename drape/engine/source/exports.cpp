@@ -1,6 +1,8 @@
 // The C ABI. Every function takes flat arrays and records (records.hpp) that the caller keeps.
+#include "layers.hpp"
 #include "levels.hpp"
 #include "network.hpp"
+#include "quantise.hpp"
 #include "swing.hpp"
 
 EXPORT uint64_t drape_records_hash() { return RECORDS_HASH; }
@@ -66,9 +68,28 @@ double exponential_of(double x) {
                                      Scratch* scratch) {                                                              \
     network::blend_vertices(*jets, *tiles, vertices, count, *scratch);                                                \
     return scratch->overflowed;                                                                                       \
+  }                                                                                                                   \
+  EXPORT int drape_heights_##suffix(const T* x, const Sheet<T>* sheet, const int32_t* own, const Array<T>* skin,      \
+                                    const SkinGraph<T>* graph, T* height, Scratch* scratch) {                         \
+    layers::heights_over(x, *sheet, own, skin_of(*skin, *graph), height, *scratch);                                   \
+    return scratch->overflowed;                                                                                       \
+  }                                                                                                                   \
+  EXPORT int drape_ceiling_##suffix(const T* x, const Sheet<T>* sheet, const int32_t* index, const Array<T>* skin,    \
+                                    const SkinGraph<T>* graph, T* ceiling, Scratch* scratch) {                        \
+    layers::ceiling_over(x, *sheet, index, skin_of(*skin, *graph), ceiling, *scratch);                                \
+    return scratch->overflowed;                                                                                       \
+  }                                                                                                                   \
+  EXPORT int drape_press_##suffix(T* x, const Sheet<T>* sheet, const int32_t* own, const Array<T>* ground,            \
+                                  const SkinGraph<T>* graph, const T* ceiling, Scratch* scratch) {                    \
+    bool found = layers::press(x, *sheet, own, skin_of(*ground, *graph), ceiling, *scratch);                          \
+    return scratch->overflowed ? -1 : found;                                                                          \
   }
 
 FOR_TYPE(float, f32)
 #ifdef WITH_DOUBLES
 FOR_TYPE(double, f64)
 #endif
+
+EXPORT void drape_quantise(const float* positions, int64_t vertices, float count, uint16_t* steps, float* box) {
+  quantise(positions, vertices, count, steps, box);
+}

@@ -2,6 +2,9 @@
 #pragma once
 #include "platform.hpp"
 
+template <class T> INLINE T less(T a, T b) { return a < b ? a : b; }  // b where one is NaN
+template <class T> INLINE T more(T a, T b) { return a > b ? a : b; }
+
 template <class N> struct Vector { N x, y, z; };
 
 template <class N> INLINE Vector<N> operator+(Vector<N> a, Vector<N> b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
