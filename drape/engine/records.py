@@ -209,6 +209,47 @@ RECORDS: dict[str, dict[str, str]] = {
         "wide_charts": "int32s",
     },
     "PosedJets": {"jet": "numbers", "rotation": "numbers", "centre": "numbers"},
+    # Offline physics: ``drape.kernels.problem``, ``drape.exact.surroundings``, ``drape.exact.hessian``.
+    "Triangles": {
+        "corner": "int32s",
+        "inverse": "numbers",
+        "area": "numbers",
+        "start": "int32s",
+        "other": "int32s",
+        "slope": "numbers",
+    },
+    "Hinges": {
+        "corner": "int32s",
+        "stiffness": "numbers",
+        "cosine": "numbers",
+        "sine": "numbers",
+        "start": "int32s",
+        "member": "int32s",
+    },
+    "Problem": {
+        "constants": "Constants",
+        "triangles": "Triangles",
+        "hinges": "Hinges",
+        "weight_n": "numbers",
+        "contact_n_per_m": "numbers",
+    },
+    "Around": {
+        "point": "numbers",
+        "normal": "numbers",
+        "target": "numbers",
+        "target_n_per_m": "numbers",
+        "band": "numbers",
+        "band_n_per_m": "numbers",
+    },
+    "Pattern": dict.fromkeys(("start", "column", "diagonal", "face", "hinge"), "int32s"),
+    "System": {
+        "pattern": "Pattern",
+        "blocks": "numbers",
+        "inverse": "numbers",
+        "patch": "int32s",
+        "weight": "numbers",
+        "coarse": "numbers",
+    },
 }
 _ARRAYS = {
     "numbers": "T",

@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0x3a41f59427962defu;
+constexpr uint64_t RECORDS_HASH = 0xb63f149dba2020d4u;
 
 template <class T> struct Constants {
   double warp;
@@ -272,3 +272,61 @@ template <class T> struct PosedJets {
   Array<T> centre;
 };
 static_assert(sizeof(PosedJets<float>) == 48, "PosedJets");
+
+template <class T> struct Triangles {
+  Array<int32_t> corner;
+  Array<T> inverse;
+  Array<T> area;
+  Array<int32_t> start;
+  Array<int32_t> other;
+  Array<T> slope;
+};
+static_assert(sizeof(Triangles<float>) == 96, "Triangles");
+
+template <class T> struct Hinges {
+  Array<int32_t> corner;
+  Array<T> stiffness;
+  Array<T> cosine;
+  Array<T> sine;
+  Array<int32_t> start;
+  Array<int32_t> member;
+};
+static_assert(sizeof(Hinges<float>) == 96, "Hinges");
+
+template <class T> struct Problem {
+  Constants<T> constants;
+  Triangles<T> triangles;
+  Hinges<T> hinges;
+  Array<T> weight_n;
+  Array<T> contact_n_per_m;
+};
+static_assert(sizeof(Problem<float>) == 304, "Problem");
+
+template <class T> struct Around {
+  Array<T> point;
+  Array<T> normal;
+  Array<T> target;
+  Array<T> target_n_per_m;
+  Array<T> band;
+  Array<T> band_n_per_m;
+};
+static_assert(sizeof(Around<float>) == 96, "Around");
+
+template <class T> struct Pattern {
+  Array<int32_t> start;
+  Array<int32_t> column;
+  Array<int32_t> diagonal;
+  Array<int32_t> face;
+  Array<int32_t> hinge;
+};
+static_assert(sizeof(Pattern<float>) == 80, "Pattern");
+
+template <class T> struct System {
+  Pattern<T> pattern;
+  Array<T> blocks;
+  Array<T> inverse;
+  Array<int32_t> patch;
+  Array<T> weight;
+  Array<T> coarse;
+};
+static_assert(sizeof(System<float>) == 160, "System");
