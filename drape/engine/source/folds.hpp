@@ -11,6 +11,7 @@
 #pragma once
 #include "colliders.hpp"
 #include "lift.hpp"
+#include "numbers.hpp"
 #include "pace.hpp"
 #include "residual.hpp"
 #include "room.hpp"
@@ -41,8 +42,6 @@ template <class T> struct FoldSchedule {
   bool within;                          // cloth keeps apart from itself
   T friction, clearance, untangle;
 };
-
-double exponential_of(double x);
 
 // The vertices [m] (V, 3) at their places (P, 3), behind which there is room for one number.
 template <class T> void placed(const T* vertices, const Array<int32_t>& vertex, T* places) {
