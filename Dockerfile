@@ -26,9 +26,9 @@ RUN python -c "import importlib.util as u, sys; sys.exit('torch is in the image'
 COPY --from=page /page/dist clients/web/dist
 RUN useradd --create-home --uid 10001 drape && mkdir -p .cache runs && chown drape .cache runs
 USER drape
-# Kernels; on a processor of another kind the first start compiles them anew, some 25 seconds.
-RUN python -m drape.live && python -m drape.network && python -m drape.exact && python -c "from drape.graph.blend import warm_up; warm_up()"
+# Kernels, which a container stores too: on a processor of another kind its first start compiles them anew, for two to four minutes.
+RUN python -m drape.warm_up && python -m drape.exact
 EXPOSE 8000
-HEALTHCHECK --interval=10s --timeout=3s --start-period=60s --retries=3 \
+HEALTHCHECK --interval=10s --timeout=3s --start-period=300s --retries=3 \
     CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8000/livez', timeout=2)"]
 CMD ["python", "-m", "service", "--host", "0.0.0.0", "--port", "8000"]

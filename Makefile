@@ -5,6 +5,7 @@
 #   make test             checks and the test suite but for its long tests
 #   make test-quick       the tests without the slow ones
 #   make test-all         every test
+#   make test-avx2        every test once more as processors without AVX-512 round
 #   make check            format, lint, types, import order, known vulnerabilities
 #   make audit            known vulnerabilities of what is installed; fails where the package index cannot say
 #   make format           write the format and the safe lint fixes
@@ -35,7 +36,7 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no
 WEB := clients/web
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help serve setup browser test test-all test-quick check audit format bench soak page clean
+.PHONY: help serve setup browser test test-all test-avx2 test-quick check audit format bench soak page clean
 
 help:
 	@sed -n '2,/^$$/{s/^# \{0,1\}//;p;}' Makefile
@@ -43,22 +44,18 @@ help:
 # --- environments. A stamp is newer than what it was made from; a second run installs nothing. ---
 
 $(BIN)/python:
-	@PYTHON="$(PYTHON)" scripts/make_venv $(VENV)
+	@PYTHON="$(PYTHON)" scripts/timed "virtual environment" scripts/make_venv $(VENV)
 
 $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
-	$(PIP) install --quiet -e '.[service,cpu,clients]'
-	$(BIN)/python -m drape.live
-	$(BIN)/python -m drape.network
-	$(BIN)/python -m drape.exact
+	@scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,clients]'
+	@scripts/timed "kernels" $(BIN)/python -m drape.warm_up
 	@touch $@
 
-# Kernels are compiled once: those of the service, which its first start would wait for, beside those that tests take in
-# float64, which keep one core busy for about as long.
 # torch first and alone: later requirements then find it and cannot pull another build of it.
 $(VENV)/.setup-stamp: pyproject.toml | $(BIN)/python
-	@scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
-	$(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
-	$(BIN)/python -m tests.fixtures.kernels & tests=$$!; $(BIN)/python -m drape.live; $(BIN)/python -m drape.network; $(BIN)/python -m drape.exact; wait $$tests
+	@scripts/timed "torch" scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
+	@scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
+	@scripts/timed "kernels" $(BIN)/python -m tests.fixtures.kernels
 	@touch $(VENV)/.serve-stamp $@
 
 setup: $(VENV)/.setup-stamp
@@ -66,13 +63,15 @@ setup: $(VENV)/.setup-stamp
 # --- the page ---
 
 $(WEB)/dist/.stamp: $(WEB_SOURCES)
-	@scripts/build_page $(WEB)
+	@scripts/timed "page" scripts/build_page $(WEB)
 
 page: $(WEB)/dist/.stamp
 
 # --- jobs ---
 
-serve: $(VENV)/.serve-stamp $(if $(filter 0,$(PAGE)),,page)
+# The page is built beside the packages, which keep one core busy.
+serve:
+	@$(MAKE) --no-print-directory -j2 $(VENV)/.serve-stamp $(if $(filter 0,$(PAGE)),,page)
 	exec $(BIN)/python -m service --host $(HOST) --port $(PORT) $(ARGS)
 
 # The page and the browser are wanted by tests, not required: without them the browser tests skip and say why.
@@ -90,6 +89,11 @@ test:
 
 test-all: setup
 	$(PYTEST) $(ARGS)
+
+# What rounding alone decides comes out otherwise: libraries and kernels compute with AVX2. Kernels are stored apart.
+test-avx2: setup
+	OPENBLAS_CORETYPE=Haswell NUMBA_CPU_NAME=x86-64-v3 ATEN_CPU_CAPABILITY=avx2 MKL_ENABLE_INSTRUCTIONS=AVX2 ONEDNN_MAX_CPU_ISA=AVX2 \
+	NPY_DISABLE_CPU_FEATURES="AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL" NUMBA_CACHE_DIR=$(CURDIR)/.cache/avx2 $(PYTEST) $(ARGS)
 
 test-quick: setup
 	$(PYTEST) -m "not slow and not long" $(ARGS)

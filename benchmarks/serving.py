@@ -1,4 +1,4 @@
-"""The stream under load: goodput, age of frames and gaps, of the service and of a naive twin.
+"""The stream under load: goodput, age of frames and gaps.
 
     python -m benchmarks.serving [--quick] [--garment dress] [--seconds 8] [--save]
 
@@ -13,7 +13,7 @@ same clip at the same rate, measured alone before (``model_ms`` and ``model_p99_
 
 Cases: ``streams`` of each tier; single frames by ``POST /drape``; streams of ``two
 garments``; a ``still`` body beside a ``moving`` one; ``overload``, three times the streams that ``accurate`` carries,
-with and without the step down; and the streams of the ``twin``.
+with and without the step down.
 """
 
 from __future__ import annotations
@@ -267,12 +267,12 @@ class Bench:
     model_ms: dict[str, np.ndarray]
     warm_s: float = WARM_S
 
-    def measure(self, case: str, at: Server, tier: str, count: int = 1, *, name: str = "service", **others: Any) -> Row:
+    def measure(self, case: str, at: Server, tier: str, count: int = 1, **others: Any) -> Row:
         """Adds the row of ``count`` clients of ``tier``; ``others`` are more of their options."""
         spent, options = Spent(at), {"garment": self.garment, "tier": tier} | others
         seen = asyncio.run(crowd(at.url, self.clip, count, self.seconds, self.warm_s, begun=spent.begin, **options))
-        row = {"case": case, "server": name, "tier": tier, "clients": count, "fps": FPS}
-        alone = self.model_ms[tier] if name == "service" and not others and len(self.clip.poses) > 1 else None
+        row = {"case": case, "server": "service", "tier": tier, "clients": count, "fps": FPS}
+        alone = self.model_ms[tier] if not others and len(self.clip.poses) > 1 else None
         row |= figures(seen, alone) | {"cpu_ms": spent.ms_per_frame(sum(one.sent for one in seen))}
         self.run.add([row])
         return row
@@ -285,9 +285,9 @@ class Bench:
         row["frame_age_p99_ms"] = float(np.percentile(took_ms, 99.0))
         self.run.add([row | beside_model(took_ms, self.model_ms[POST])])
 
-    def carried(self, at: Server, tier: str, counts: Sequence[int], *, name: str = "service") -> int:
+    def carried(self, at: Server, tier: str, counts: Sequence[int]) -> int:
         """How many of ``counts`` clients the server carries; adds their rows."""
-        rows = [self.measure("streams", at, tier, count, name=name) for count in counts]
+        rows = [self.measure("streams", at, tier, count) for count in counts]
         return max((row["clients"] for row in rows if row["goodput_pct"] >= CARRIED_PCT), default=0)
 
     def standing(self) -> Bench:
@@ -309,8 +309,6 @@ def measure(bench: Bench, options: argparse.Namespace) -> dict[str, int]:
         still.measure("still", at, "balanced")
     if options.quick:
         return carried
-    with server("benchmarks.speed.twin") as at:
-        carried["twin balanced"] = bench.carried(at, "balanced", options.clients[:3], name="twin")
     most, crowded = max(1, carried["service accurate"]), replace(bench, warm_s=OVERLOADED_S)
     for step_down in (False, True):
         with server(stream_step_down=step_down) as at:

@@ -31,11 +31,11 @@ class DrapeError(Exception):
     """Base of every refusal; ``str()`` is one sentence with name, expected, got and cure."""
 
     def __init__(self, name: str, *, expected: str, got: str, cure: str) -> None:
-        self.name = name
-        self.expected = expected
-        self.got = got
-        self.cure = cure
-        super().__init__(f"{name}: expected {expected}, got {got}. {cure}")
+        self.name = legible(name)
+        self.expected = legible(expected)
+        self.got = legible(got)
+        self.cure = legible(cure)
+        super().__init__(f"{self.name}: expected {self.expected}, got {self.got}. {self.cure}")
 
     def __reduce__(self):
         # Keyword-only arguments do not survive the default pickling, and intake
@@ -45,6 +45,12 @@ class DrapeError(Exception):
 
 def _rebuild(kind: type[DrapeError], name: str, expected: str, got: str, cure: str) -> DrapeError:
     return kind(name, expected=expected, got=got, cure=cure)
+
+
+def legible(text: str) -> str:
+    """``text`` of strangers for a line of a log, JSON or a header: what cannot be printed, as half a pair of UTF-16 or
+    a line's end, is escaped."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class InputError(DrapeError):

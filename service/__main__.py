@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import gc
 import logging
+import os
+import signal
 import sys
 from contextlib import ExitStack
 
@@ -37,6 +39,7 @@ def _serve(overrides: dict[str, object]) -> int:
         from service.settings import check_exposed, load_settings
         from service.watch.logs import set_up
         from service.watch.metrics import Metrics
+        from service.watch.outputs import free_outputs
         from service.watch.probes import Lifecycle, Probes
     except ModuleNotFoundError as error:
         print(
@@ -44,9 +47,12 @@ def _serve(overrides: dict[str, object]) -> int:
             file=sys.stderr,
         )
         return 2
+    # While it loads, and at the very end. A process with the number 1 ends by no signal that nobody handles.
+    signal.signal(signal.SIGTERM, lambda *_: os._exit(128 + signal.SIGTERM))
     settings = load_settings(**overrides)
     check_exposed(settings)
     set_up(settings.log_format)
+    free_outputs(settings.log_format)
     lifecycle, metrics = Lifecycle(stuck_s=settings.stuck_s), Metrics()
     listener = bind(settings.host, settings.port)
     with ExitStack() as opened:
@@ -59,8 +65,7 @@ def _serve(overrides: dict[str, object]) -> int:
         server = make_server(create_app(settings, runtime=runtime, lifecycle=lifecycle), settings)
         host, port = listener.getsockname()[:2]
         loaded = f"{len(runtime.garments.entries())} garments, {runtime.engine.provider}"
-        print(f"drape on http://{host}:{port} with model {settings.model}, {loaded}")
-        sys.stdout.flush()
+        print(f"drape on http://{host}:{port} with model {settings.model}, {loaded}", flush=True)
         # Parsing sets off full collections, which hold the interpreter lock for 50 ms to look through what never goes.
         gc.collect()
         gc.freeze()

@@ -10,9 +10,11 @@ from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
 from service.compute.drape_runtime import DrapeRuntime
+from service.compute.processes import kill_all
 from service.compute.threads import SlicedThread
 from service.exact.jobs import ExactClips
 from service.guard.access import Access
+from service.guard.connections import EndsWithClient
 from service.guard.limits import BodyLimit
 from service.guard.origin_guard import OriginGuard
 from service.http import (
@@ -41,6 +43,8 @@ from service.watch.logs import RequestLog
 from service.watch.metrics import Metrics
 from service.watch.probes import Lifecycle
 from service.watch.tracing import make_tracing
+from service.watch.turns import LoopWatch
+from service.watch.watchdog import Lane, Watchdog
 
 ROUTERS = (
     info_routes.router,
@@ -66,16 +70,20 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         state = make_state(runtime or DrapeRuntime(settings, metrics=metrics, tracing=tracing), access, life)
         app.state.drape = state
-        state.start(exact_clips.opener(state))
-        ticking = asyncio.create_task(life.tick(metrics.loop_lag.set), name="ticking")
-        life.ready()
-        try:
-            yield
-        finally:
-            life.draining = True
-            ticking.cancel()
-            life.ended()
-            await state.stop()
+        asyncio.get_running_loop().set_default_executor(Lane("calls"))
+        with (watch := LoopWatch(metrics)).watching():
+            state.start(exact_clips.opener(state))
+            ticking = asyncio.create_task(life.tick(watch.late), name="ticking")
+            life.ready()
+            watchdog = Watchdog(life, metrics, stuck_s=settings.stuck_s, kill=kill_all)
+            try:
+                yield
+            finally:
+                life.draining = True
+                ticking.cancel()
+                life.ended()
+                await state.stop()
+                watchdog.stop()
 
     app = FastAPI(
         title="drape",
@@ -90,6 +98,7 @@ def create_app(
     if settings.allowed_origins:
         _allow_origins(app, settings)
     app.add_middleware(OriginGuard, settings=settings)
+    app.add_middleware(EndsWithClient)
     app.add_middleware(RequestLog, metrics=metrics, tracing=tracing)
     app.include_router(info_routes.probe_routes(life, metrics))
     _add_routes(app, settings)

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import signal
 import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import uvicorn
 from fastapi import FastAPI
@@ -15,8 +19,10 @@ from drape.errors import InputError, Unavailable
 from service.guard.connections import http_protocol
 from service.settings import Settings
 from service.stream.routes import ABORT
+from service.watch.watchdog import end_when_told, told_to_end
 
 SEND_BUFFER_BYTES = 256 * 1024  # what the kernel may hold back for a slow reader
+END_S = 14  # from the beginning of the end, for what hangs
 LOOK_S = 0.25  # between two looks at whether the service should end
 
 
@@ -77,9 +83,20 @@ class DrainingServer(uvicorn.Server):
         fifth of what a stream of a body that stands still does."""
         while not await self.on_tick(0):
             await asyncio.sleep(LOOK_S)
+            if told_to_end():
+                self.handle_exit(signal.SIGTERM, None)
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        with super().capture_signals():
+            if threading.current_thread() is threading.main_thread():
+                end_when_told()
+            yield
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Takes no more connections, lets the application drain, and ends within 10 s."""
+        """Takes no more connections, lets the application drain, and ends within 10 s; within 15 whatever hangs."""
+        if threading.current_thread() is threading.main_thread():
+            signal.alarm(END_S)  # after Ctrl-C, too
         for server in self.servers:
             server.close()
         app = self.config.app

@@ -25,6 +25,7 @@ from drape.files.data import HOW_TO_SET_DATA, data_folder
 from drape.garment.cache import Garment
 from tests.fixtures import garments
 from tests.fixtures.fuzzing import SOAK
+from tests.fixtures.patience import make_clients_patient
 from tests.fixtures.run_folder import RUN_FOLDER
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -60,6 +61,7 @@ CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrom
 settings.register_profile("drape", deadline=None, derandomize=True, print_blob=True)
 settings.register_profile(SOAK, deadline=None, print_blob=True)
 settings.load_profile("drape")
+make_clients_patient()
 
 
 def find_chromium() -> str | None:

@@ -6,17 +6,22 @@ the surface was bound to the skeleton; the surface is where the skin puts it, so
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse
 
-from drape.avatar.gltf import GltfFile
 from drape.errors import MeshError
-from drape.geometry.rotations import quaternion_to_matrix
+from drape.files.gltf import GltfFile
+from drape.files.gltf_json import EXPORT, Node
+from drape.files.gltf_json import Primitive as FilePrimitive
+from drape.garment.files.glb import node_matrix
 
 MOST_JOINTS = 400
+MOST_DEPTH = 256  # of a node below those above it
+MOST_UNITS = 1e12  # where nodes and vertices may be: far enough for any unit of length
 MOST_VERTICES = 400_000
 LEAST_VERTICES = 100
 WELD_SHARE = 1e-5  # of the height: vertices nearer to each other are one, split for texture coordinates
@@ -63,136 +68,152 @@ class Character:
 
 def read_character(payload: bytes, *, label: str = "avatar") -> Character:
     """The character in the bytes of a GLB or VRM file; refuses (``MeshError``) what has no skinned surface."""
-    file = GltfFile(payload, label=label)
+    return character_in(GltfFile(payload, label=label))
+
+
+def character_in(file: GltfFile) -> Character:
+    """The character in ``file``; refuses (``MeshError``) what has no skinned surface."""
+    nodes, label = file.document.nodes, file.label
     order, parents = tree_of(file)
     place = {node: number for number, node in enumerate(order)}
-    world = np.stack([transform_of(file, node) for node in order])
+    world = np.array([node_matrix(nodes[node]) for node in order]).reshape(-1, 4, 4)
     for number, parent in enumerate(parents):
         if parent >= 0:
             world[number] = world[parent] @ world[number]
-    parts = [_parts(file, node, place, world) for node in order if "skin" in file.item("nodes", node)]
-    if not any(parts):
-        raise MeshError(
-            f"{label}: skin",
-            expected="a surface that a skeleton moves",
-            got="no mesh with a skin",
-            cure="Export the character with its armature and its skin weights.",
-        )
-    vertices, faces, weights = _joined([part for one in parts for part in one.values()], len(order))
-    _check_size(vertices, faces, weights, label)
+    _check_places(world, f"{label}: nodes", order)
+    parts = _surface(file, place, world)
+    vertices, faces, weights = _joined(list(parts.values()), len(order))
+    _check_joints(weights, label)
+    if not np.abs(vertices).max() < MOST_UNITS:
+        expected = f"vertices within {MOST_UNITS:.0e} units"
+        raise MeshError(f"{label}: skin", expected=expected, got="others", cure=EXPORT)
     humanoid, version = _vrm_bones(file, place)
-    names = tuple(str(file.item("nodes", node).get("name", ""))[:120] for node in order)
-    primitives = tuple(primitive for one in parts for primitive in one)
+    names = tuple(_name(nodes[node]) for node in order)
     vertices, faces, weights, triangle = _welded(vertices, faces, weights)
     return Character(
-        names, parents, world, vertices, faces, weights, humanoid, version, primitives, triangle
+        names, parents, world, vertices, faces, weights, humanoid, version, tuple(parts), triangle
     )  # fmt: skip
+
+
+def _name(node: Node) -> str:
+    return (node.name or "")[:120]
 
 
 def tree_of(file: GltfFile) -> tuple[list[int], tuple[int, ...]]:
     """The file's nodes, parents first, and the place of each one's parent among them."""
-    count = len(file.listed("nodes"))
-    parent = np.full(count, -1)
-    for node in range(count):
-        for child in file.item("nodes", node).get("children", ()):
-            file.item("nodes", child)
+    nodes = file.document.nodes
+    parent, depth = np.full(len(nodes), -1), np.zeros(len(nodes), dtype=np.int64)
+    for number, node in enumerate(nodes):
+        for child in node.children:
+            file.item("nodes", child, f"nodes[{number}].children")
             if parent[child] >= 0:
-                got = f"node {child} under two"
-                raise MeshError(f"{file.label}: nodes", expected="a tree", got=got, cure="Export the character again.")
-            parent[child] = node
-    order, waiting = [], [node for node in range(count) if parent[node] < 0][::-1]
+                raise _no_tree(file, f"node {child} under two")
+            parent[child] = number
+    order, waiting = [], [node for node in range(len(nodes)) if parent[node] < 0][::-1]
     while waiting:
         node = waiting.pop()
         order.append(node)
-        waiting.extend(reversed(file.item("nodes", node).get("children", ())))
-    if len(order) < count:
-        got = f"{count - len(order)} nodes in a ring"
-        raise MeshError(f"{file.label}: nodes", expected="a tree", got=got, cure="Export the character again.")
+        depth[nodes[node].children] = depth[node] + 1
+        waiting.extend(reversed(nodes[node].children))
+    if len(order) < len(nodes):
+        raise _no_tree(file, f"{len(nodes) - len(order)} nodes in a ring")
+    if depth.max(initial=0) > MOST_DEPTH:
+        raise _no_tree(file, f"{depth.max()} nodes above one, more than {MOST_DEPTH}")
     place = {node: number for number, node in enumerate(order)}
     return order, tuple(place[int(parent[node])] if parent[node] >= 0 else -1 for node in order)
 
 
-def transform_of(file: GltfFile, node: int) -> np.ndarray:
-    """The transform (4, 4) of a node relative to its parent."""
-    held, found = file.item("nodes", node), np.eye(4)
-    try:
-        if "matrix" in held:
-            found = np.array(held["matrix"], dtype=np.float64).reshape(4, 4).T
-        else:
-            x, y, z, w = (float(one) for one in held.get("rotation", (0.0, 0.0, 0.0, 1.0)))
-            length = np.sqrt(x * x + y * y + z * z + w * w)
-            turn = quaternion_to_matrix(np.array([w, x, y, z]) / max(length, 1e-12)) if length > 1e-6 else np.eye(3)
-            found[:3, :3] = turn * np.array(held.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64).reshape(3)
-            found[:3, 3] = np.array(held.get("translation", (0.0, 0.0, 0.0)), dtype=np.float64).reshape(3)
-        fits = bool(np.isfinite(found).all()) and float(np.abs(found).max()) < 1e9
-    except (TypeError, ValueError):
-        fits = False
-    if not fits or abs(np.linalg.det(found[:3, :3])) < 1e-18:
-        name, cure = f"{file.label}: nodes[{node}]", "Apply the transforms of the armature and export again."
-        raise MeshError(name, expected="a transform that can be undone", got="another one", cure=cure)
-    return found
+def _no_tree(file: GltfFile, got: str) -> MeshError:
+    return MeshError(f"{file.label}: nodes", expected="a tree", got=got, cure=EXPORT)
+
+
+def _check_places(moves: np.ndarray, name: str, numbers: Sequence[int]) -> None:
+    """Refuses transforms (N, 4, 4), called ``name`` and their ``numbers``, that lead too far or cannot be undone."""
+    fits = (np.abs(moves).max(axis=(1, 2), initial=0.0) < MOST_UNITS) & (np.abs(np.linalg.det(moves)) > 1e-30)
+    if not fits.all():
+        cure = "Apply the transforms of the armature and export again."
+        got = f"that of {numbers[int(fits.argmin())]}"
+        raise MeshError(name, expected="transforms that can be undone", got=got, cure=cure)
 
 
 Part = tuple[np.ndarray, np.ndarray, scipy.sparse.csr_matrix]
 
 
-def _parts(file: GltfFile, number: int, place: dict[int, int], world: np.ndarray) -> dict[Primitive, Part]:
-    """Vertices, faces and weights over nodes of each primitive of triangles of the skinned mesh of a node."""
-    node = file.item("nodes", number)
-    mesh = file.item("meshes", node.get("mesh"))
-    joints, binds = skin_of(file, node["skin"])
-    rows = np.array([place[joint] for joint in joints])
-    moves = world[rows] @ binds
-    found = {}
-    for index, primitive in enumerate(mesh.get("primitives", ())):
-        if primitive.get("mode", TRIANGLES) == TRIANGLES and "JOINTS_0" in primitive.get("attributes", {}):
-            part = _primitive(file, primitive, rows, moves, len(world))
-            found[Primitive(number, str(node.get("name", ""))[:120], index, len(part[1]))] = part
+def _surface(file: GltfFile, place: dict[int, int], world: np.ndarray) -> dict[Primitive, Part]:
+    """Vertices, faces and weights over nodes of each primitive of triangles of skinned meshes."""
+    nodes = file.document.nodes
+    skinned = [
+        (node, index, primitive)
+        for node in place
+        if nodes[node].skin is not None
+        for index, primitive in enumerate(file.item("meshes", nodes[node].mesh, f"nodes[{node}].mesh").primitives)
+        if primitive.mode == TRIANGLES and {"JOINTS_0", "WEIGHTS_0"} <= primitive.attributes.keys()
+    ]
+    if not skinned:
+        raise MeshError(
+            f"{file.label}: skin",
+            expected="a surface that a skeleton moves",
+            got="no mesh with a skin",
+            cure="Export the character with its armature and its skin weights.",
+        )
+    _check_size(file, [primitive for _, _, primitive in skinned])
+    skins: dict[int | None, tuple[np.ndarray, np.ndarray]] = {}
+    found: dict[Primitive, Part] = {}
+    for node, index, primitive in skinned:
+        skin = nodes[node].skin
+        if skin not in skins:
+            joints, binds = skin_of(file, skin)
+            rows = np.array([place[joint] for joint in joints])
+            skins[skin] = rows, world[rows] @ binds
+        part = _primitive(file, primitive, *skins[skin], len(world))
+        found[Primitive(node, _name(nodes[node]), index, len(part[1]))] = part
     return found
 
 
 def skin_of(file: GltfFile, index: Any) -> tuple[list[int], np.ndarray]:
     """The nodes of the joints of skin ``index`` in the file's order, and their inverse bind matrices (J, 4, 4)."""
-    skin = file.item("skins", index)
-    joints = skin.get("joints", [])
-    if not isinstance(joints, list) or not 0 < len(joints) <= MOST_JOINTS:
-        raise MeshError(
-            f"{file.label}: skin",
-            expected=f"1 to {MOST_JOINTS} joints",
-            got=str(len(joints)) if isinstance(joints, list) else type(joints).__name__,
-            cure="Export the deforming bones alone.",
-        )
-    for joint in joints:
-        file.item("nodes", joint)
-    binds = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
-    if "inverseBindMatrices" in skin:
-        flat = file.array(skin["inverseBindMatrices"])
-        if flat.shape != (len(joints), 16):
-            got = f"shape {flat.shape}"
-            name, cure = f"{file.label}: inverseBindMatrices", "Export the character again."
-            raise MeshError(name, expected=f"({len(joints)}, 16)", got=got, cure=cure)
-        binds = flat.astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
-    return joints, np.array(binds)
+    skin = file.item("skins", index, "nodes.skin")
+    if not 0 < len(skin.joints) <= MOST_JOINTS:
+        cure = "Export the deforming bones alone."
+        name, expected = f"{file.label}: skins[{index}].joints", f"1 to {MOST_JOINTS} joints"
+        raise MeshError(name, expected=expected, got=str(len(skin.joints)), cure=cure)
+    for joint in skin.joints:
+        file.item("nodes", joint, f"skins[{index}].joints")
+    if skin.inverse_bind_matrices is None:
+        return skin.joints, np.tile(np.eye(4), (len(skin.joints), 1, 1))
+    flat, count = file.array(skin.inverse_bind_matrices), len(skin.joints)
+    if flat.shape != (count, 16):
+        name, expected = f"{file.label}: inverseBindMatrices", f"({count}, 16)"
+        raise MeshError(name, expected=expected, got=f"shape {flat.shape}", cure=EXPORT)
+    binds = flat.astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1).copy()
+    binds[:, 3] = [0.0, 0.0, 0.0, 1.0]
+    _check_places(binds, f"{file.label}: skins[{index}].inverseBindMatrices", range(count))
+    return skin.joints, binds
 
 
-def _primitive(file: GltfFile, primitive: dict[str, Any], rows: np.ndarray, moves: np.ndarray, nodes: int) -> Part:
+def _primitive(file: GltfFile, primitive: FilePrimitive, rows: np.ndarray, moves: np.ndarray, nodes: int) -> Part:
     """One primitive, its vertices where ``moves`` (J, 4, 4) of the joints put them."""
-    held = primitive["attributes"]
+    held = primitive.attributes
     points = file.array(held.get("POSITION")).astype(np.float64)
     count = len(points)
-    faces = file.array(primitive["indices"]) if "indices" in primitive else np.arange(count - count % 3)[:, None]
+    faces = np.arange(count)[:, None] if primitive.indices is None else file.array(primitive.indices)
     faces = faces[: len(faces) - len(faces) % 3].astype(np.int64).reshape(-1, 3)
     sets = [k for k in range(4) if f"JOINTS_{k}" in held and f"WEIGHTS_{k}" in held]
-    joint = np.concatenate([file.array(held[f"JOINTS_{k}"]) for k in sets], axis=1).astype(np.int64)
-    weight = np.concatenate([file.array(held[f"WEIGHTS_{k}"]) for k in sets], axis=1).astype(np.float64)
-    fits = points.shape[1] == 3 and joint.shape == weight.shape and len(joint) == count
-    weight = np.maximum(weight, 0.0)
-    if not fits or (len(faces) and faces.max() >= count) or np.where(weight > 0.0, joint, 0).max() >= len(rows):
-        name, cure = f"{file.label}: mesh", "Export the character again."
-        raise MeshError(name, expected="positions, joints and weights that fit together", got="others", cure=cure)
+    read = [file.array(held[f"{kind}_{k}"]) for kind in ("JOINTS", "WEIGHTS") for k in sets]
+    fits = points.shape[1] == 3 and all(one.shape == (count, 4) for one in read)
+    joint, weight = np.split(np.concatenate(read, axis=1), 2, axis=1) if fits else np.zeros((2, 1, 1))
+    weight = np.maximum(weight.astype(np.float64), 0.0)
+    joint = np.where(weight > 0.0, joint, 0).astype(np.int64)
+    if not (
+        fits
+        and min(joint.min(), faces.min(initial=0)) >= 0
+        and joint.max() < len(rows)
+        and faces.max(initial=0) < count
+    ):
+        expected = "positions, joints and weights that fit together"
+        raise MeshError(f"{file.label}: mesh", expected=expected, got="others", cure=EXPORT)
     total = weight.sum(axis=1, keepdims=True)
     weight = np.where(total > 1e-6, weight / np.maximum(total, 1e-12), np.eye(1, weight.shape[1]))
-    joint = np.where(weight > 0.0, joint, 0)
     spread = np.repeat(np.arange(count), joint.shape[1])
     over_joints = scipy.sparse.csr_matrix((weight.reshape(-1), (spread, joint.reshape(-1))), (count, len(rows)))
     blended = (over_joints @ moves.reshape(len(rows), 16)).reshape(count, 4, 4)
@@ -209,11 +230,19 @@ def _joined(parts: list[Part], nodes: int) -> Part:
     return np.concatenate([points for points, _, _ in parts]), np.concatenate(faces), weights
 
 
-def _check_size(vertices: np.ndarray, faces: np.ndarray, weights: scipy.sparse.csr_matrix, label: str) -> None:
-    if not LEAST_VERTICES <= len(vertices) <= MOST_VERTICES or len(faces) < LEAST_VERTICES:
-        got = f"{len(vertices):,} vertices and {len(faces):,} triangles"
+def _check_size(file: GltfFile, primitives: list[FilePrimitive]) -> None:
+    """Refuses a surface by what its accessors say, before any is read."""
+    vertices = [file.count(one.attributes.get("POSITION")) for one in primitives]
+    corners = [at if one.indices is None else file.count(one.indices)
+               for one, at in zip(primitives, vertices, strict=True)]  # fmt: skip
+    count, triangles = sum(vertices), sum(corners) // 3
+    if not (LEAST_VERTICES <= count <= MOST_VERTICES and LEAST_VERTICES <= triangles <= 3 * MOST_VERTICES):
+        got = f"{count:,} vertices and {triangles:,} triangles"
         wanted = f"{LEAST_VERTICES} to {MOST_VERTICES:,} vertices in triangles"
-        raise MeshError(f"{label}: mesh", expected=wanted, got=got, cure="Export a whole character, decimated.")
+        raise MeshError(f"{file.label}: mesh", expected=wanted, got=got, cure="Export a whole character, decimated.")
+
+
+def _check_joints(weights: scipy.sparse.csr_matrix, label: str) -> None:
     used = int((np.diff(weights.tocsc().indptr) > 0).sum())
     if used > MOST_JOINTS:
         cure = "Export the deforming bones alone."
@@ -222,15 +251,14 @@ def _check_size(vertices: np.ndarray, faces: np.ndarray, weights: scipy.sparse.c
 
 def _vrm_bones(file: GltfFile, place: dict[int, int]) -> tuple[dict[str, int], str]:
     """VRM's bones -> places of nodes, and the version of VRM."""
-    extensions = file.json.get("extensions", {})
-    extensions = extensions if isinstance(extensions, dict) else {}
+    extensions = file.document.extensions
     try:
         if "VRMC_vrm" in extensions:
             bones = extensions["VRMC_vrm"]["humanoid"]["humanBones"]
-            return {str(bone): place[held["node"]] for bone, held in bones.items()}, "1"
+            return {bone[:60]: place[held["node"]] for bone, held in bones.items()}, "1"
         if "VRM" in extensions:
             bones = extensions["VRM"]["humanoid"]["humanBones"]
-            return {str(held["bone"]): place[held["node"]] for held in bones if held.get("node", -1) >= 0}, "0"
+            return {held["bone"][:60]: place[held["node"]] for held in bones if held.get("node", -1) >= 0}, "0"
     except (KeyError, TypeError, AttributeError) as error:
         cure = "Export the VRM again, or send it as a plain GLB."
         raise MeshError(

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.avatar.character import Primitive, read_character
-from drape.errors import ArtifactError
+from drape.avatar.character import Primitive
+from drape.avatar.file_skeleton import load_file_rig
 from drape.geometry.closest import closest_point, nearest_vertices, on_border
 from drape.geometry.meshes import boundary_vertices, face_normals
 
@@ -49,19 +49,16 @@ def covered_faces(
 
 
 def covered_in_file(
-    source: Path, vertices: np.ndarray, faces: np.ndarray, garments: Iterable[tuple[np.ndarray, np.ndarray]]
+    stored: Path, vertices: np.ndarray, faces: np.ndarray, garments: Iterable[tuple[np.ndarray, np.ndarray]]
 ) -> tuple[np.ndarray, list[PrimitiveFaces]]:
-    """``covered_faces`` of the character whose file is ``source``, and which triangles of the file's primitives these
-    are; raises ``ArtifactError`` where surface and file are not of one character."""
-    character = read_character(source.read_bytes())
-    if len(character.faces) != len(faces) or character.triangle is None:
-        cure = "Send the character again."
-        raise ArtifactError(f"avatar {source.stem}", expected="its own file", got="another one", cure=cure)
+    """``covered_faces`` of the wearer that is ``stored`` with this surface, and which triangles of the primitives of
+    its own file these are; raises ``BodyError`` as ``load_file_rig``."""
+    rig = load_file_rig(stored)
     covered = covered_faces(vertices, faces, garments)
-    of_file = np.zeros(sum(primitive.triangles for primitive in character.primitives), dtype=bool)
-    of_file[character.triangle[covered]] = True
-    ends = np.cumsum([primitive.triangles for primitive in character.primitives])[:-1]
-    own = zip(character.primitives, np.split(of_file, ends), strict=True)
+    of_file = np.zeros(sum(primitive.triangles for primitive in rig.primitives), dtype=bool)
+    of_file[rig.triangle[covered]] = True
+    ends = np.cumsum([primitive.triangles for primitive in rig.primitives])[:-1]
+    own = zip(rig.primitives, np.split(of_file, ends), strict=True)
     return covered, [PrimitiveFaces(primitive, ranges_of(part)) for primitive, part in own]
 
 

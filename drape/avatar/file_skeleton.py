@@ -1,19 +1,29 @@
 """The skeleton of a character's file as the file has it: nodes, their own transforms, bind matrices of its skins.
 
 Nodes are in the order of ``Character``, parents first. What hangs on no joint and carries none (meshes, cameras) is
-left out where the skeleton is written again.
+left out where the skeleton is written again. With the weights on its joints and the triangles of its primitives it is
+stored beside the wearer (``FileRig``), so that nobody has to read a stranger's file twice.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.sparse
 
-from drape.avatar.character import skin_of, transform_of, tree_of
-from drape.avatar.gltf import GltfFile
+from drape.avatar.character import Character, Primitive, skin_of, tree_of
+from drape.errors import BodyError
+from drape.files.gltf import GltfFile
+from drape.files.gltf_json import Node
+from drape.files.packed import UNREADABLE, read_packed
+from drape.garment.files.glb import node_matrix
 from drape.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
+
+PART = "file"  # of a wearer's file: what begins the names of these arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,25 +57,68 @@ class FileSkeleton:
         return world
 
 
-def file_skeleton(payload: bytes, *, label: str = "avatar") -> FileSkeleton:
-    """The skeleton in the bytes of a GLB or VRM file that ``read_character`` took."""
-    file = GltfFile(payload, label=label)
+@dataclass(frozen=True, eq=False)
+class FileRig:
+    """What a character's file is asked for once it is a wearer: its ``skeleton``, ``weights`` (V, J) of its welded
+    surface on the skeleton's joints, and the ``primitives`` whose triangles are ``triangle`` (F,), as in
+    ``Character``."""
+
+    skeleton: FileSkeleton
+    weights: scipy.sparse.csr_matrix
+    primitives: tuple[Primitive, ...]
+    triangle: np.ndarray
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays for ``packed``, from which ``load_file_rig`` makes it again."""
+        held = vars(self.skeleton)
+        text = {key: value for key, value in held.items() if not isinstance(value, np.ndarray)}
+        header = np.frombuffer(json.dumps(text | {"primitives": self.primitives}).encode(), dtype=np.uint8)
+        found = {key: value for key, value in held.items() if key not in text} | {"header": header}
+        found |= {"weight": self.weights.data.astype(np.float32), "column": self.weights.indices}
+        found |= {"row": self.weights.indptr, "triangle": self.triangle.astype(np.int32)}
+        return {f"{PART}.{key}": value for key, value in found.items()}
+
+
+def load_file_rig(path: Path) -> FileRig:
+    """The rig in the file of a wearer; refuses (``BodyError``) one that has none, or is damaged."""
+    try:
+        text, arrays = read_packed(path, part=PART)
+        weights, column, row, triangle = (arrays.pop(key) for key in ("weight", "column", "row", "triangle"))
+        primitives = tuple(Primitive(*one) for one in text.pop("primitives"))
+        skeleton = FileSkeleton(**text, **arrays)
+        over = scipy.sparse.csr_matrix((weights, column, row), (len(row) - 1, len(skeleton.joints)))
+        return FileRig(skeleton, over, primitives, triangle)
+    except UNREADABLE as error:
+        expected, cure = "one that is stored with its rig", "Send the character again."
+        raise BodyError(f"avatar {path.stem}", expected=expected, got=str(error)[:60], cure=cure) from error
+
+
+def file_rig(file: GltfFile, character: Character) -> FileRig:
+    """The rig of the ``character`` that was read from ``file``."""
+    assert character.triangle is not None
+    skeleton = file_skeleton(file)
+    weights = scipy.sparse.csr_matrix(character.weights[:, skeleton.joints])
+    return FileRig(skeleton, weights, character.primitives, character.triangle)
+
+
+def file_skeleton(file: GltfFile) -> FileSkeleton:
+    """The skeleton in a ``file`` from which a character was read."""
+    nodes, document = file.document.nodes, file.document
     order, parents = tree_of(file)
     place = {node: number for number, node in enumerate(order)}
-    used = dict.fromkeys(file.item("nodes", node)["skin"] for node in order if "skin" in file.item("nodes", node))
+    used = dict.fromkeys(nodes[node].skin for node in order if nodes[node].skin is not None)
     skins = [skin_of(file, index) for index in used]
     largest, binds = max(skins, key=lambda skin: len(skin[0]))
     joints = list(dict.fromkeys(place[joint] for of in (largest, *(of for of, _ in skins)) for joint in of))
-    kept = _kept(file, order, parents, set(joints))
-    children: list[list[int]] = [[] for _ in order]
-    for number, node in enumerate(order):
-        listed = (place[child] for child in file.item("nodes", node).get("children", ()))
-        children[number] = [child for child in listed if child in kept]
-    held = [file.item("nodes", node) for node in order]
-    parts = [_parts(one, transform_of(file, node)) for one, node in zip(held, order, strict=True)]
-    scenes, chosen = file.listed("scenes"), file.json.get("scene", 0)
-    listed = scenes[chosen].get("nodes", ()) if isinstance(chosen, int) and 0 <= chosen < len(scenes) else ()
-    tops = [place[node] for node in listed if node in place and parents[place[node]] < 0]
+    held = [nodes[node] for node in order]
+    kept = _kept(held, parents, set(joints))
+    children = [[place[child] for child in node.children if place[child] in kept] for node in held]
+    parts = [_parts(node, node_matrix(node)) for node in held]
+    shown = document.scene is not None or document.scenes
+    listed = file.item("scenes", document.scene or 0, "scene").nodes if shown else []
+    for node in listed:
+        file.item("nodes", node, "scenes.nodes")
+    tops = list(dict.fromkeys(place[node] for node in listed if parents[place[node]] < 0))
     tops += [number for number, parent in enumerate(parents) if parent < 0 and number not in tops]
     moves, turns, scales = (np.array(one) for one in zip(*parts, strict=True))
     found = FileSkeleton(
@@ -82,14 +135,14 @@ def file_skeleton(payload: bytes, *, label: str = "avatar") -> FileSkeleton:
     return replace(found, binds=_all_binds(found))
 
 
-def _parts(node: dict[str, Any], local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _parts(node: Node, local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Translation, quaternion wxyz and scale of a ``node``, whose transform ``local`` (4, 4) was checked; what a matrix
     shears is left out."""
-    if "matrix" not in node:
-        turn = np.array(node.get("rotation", (0.0, 0.0, 0.0, 1.0)), dtype=np.float64)[[3, 0, 1, 2]]
+    if node.matrix is None:
+        turn = np.array(node.rotation, dtype=np.float64)[[3, 0, 1, 2]]
         length = np.linalg.norm(turn)
         turn = turn / length if length > 1e-6 else np.array([1.0, 0.0, 0.0, 0.0])
-        return local[:3, 3], turn, np.array(node.get("scale", (1.0, 1.0, 1.0)), dtype=np.float64)
+        return local[:3, 3], turn, np.array(node.scale, dtype=np.float64)
     scale = np.linalg.norm(local[:3, :3], axis=0)
     turn = local[:3, :3] / scale
     if np.linalg.det(turn) < 0.0:
@@ -98,11 +151,13 @@ def _parts(node: dict[str, Any], local: np.ndarray) -> tuple[np.ndarray, np.ndar
     return local[:3, 3], matrix_to_quaternion((u @ vt)[None])[0], scale
 
 
-def _written(node: dict[str, Any], move: np.ndarray, turn: np.ndarray, scale: np.ndarray) -> dict[str, Any]:
+def _written(node: Node, move: np.ndarray, turn: np.ndarray, scale: np.ndarray) -> dict[str, Any]:
     """Name and transform of ``node``."""
     parts = {"translation": move, "rotation": turn[[1, 2, 3, 0]], "scale": scale}
-    there = {key: part.tolist() for key, part in parts.items() if key in node or "matrix" in node}
-    return ({"name": str(node["name"])} if "name" in node else {}) | there
+    there = {
+        key: part.tolist() for key, part in parts.items() if key in node.model_fields_set or node.matrix is not None
+    }
+    return ({} if node.name is None else {"name": node.name}) | there
 
 
 def _all_binds(skeleton: FileSkeleton) -> np.ndarray:
@@ -121,7 +176,7 @@ def _all_binds(skeleton: FileSkeleton) -> np.ndarray:
     return np.concatenate([skeleton.binds, *(one[None] for one in more)])
 
 
-def _kept(file: GltfFile, order: list[int], parents: tuple[int, ...], joints: set[int]) -> set[int]:
+def _kept(nodes: list[Node], parents: tuple[int, ...], joints: set[int]) -> set[int]:
     """Places of the nodes that are joints or hold some, and of plain nodes below these."""
     kept = set(joints)
     for joint in joints:
@@ -129,7 +184,7 @@ def _kept(file: GltfFile, order: list[int], parents: tuple[int, ...], joints: se
         while above >= 0 and above not in kept:
             kept.add(above)
             above = parents[above]
-    for number, node in enumerate(order):
-        if parents[number] in kept and not {"mesh", "camera"} & file.item("nodes", node).keys():
+    for number, node in enumerate(nodes):
+        if parents[number] in kept and node.mesh is None and node.camera is None:
             kept.add(number)
     return kept

@@ -15,12 +15,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 
-from drape.avatar.character import Character
-from drape.avatar.file_skeleton import FileSkeleton
+from drape.avatar.file_skeleton import FileRig, FileSkeleton
 from drape.avatar.parts import PARTS, parts_of, plain_part
 from drape.avatar.wearer import Wearer
 from drape.body.skeleton import JOINT_COUNT
-from drape.errors import ArtifactError
 from drape.export.glb import NORMAL_STEPS, Corners, Shape, add_shape, normal_steps, split_seams, vertex_normals
 from drape.export.glb_file import VERTEX_BUFFER, GlbFile
 from drape.export.root_motion import quaternion_keys
@@ -28,6 +26,7 @@ from drape.garment.cache import Garment
 from drape.garment.skin import smoothing_matrix
 from drape.geometry.closest import closest_point
 from drape.motion.rig_poses import carrier
+from drape.wanted import go_on
 
 HEAVIEST = 4  # joints of a vertex, which is what players support
 SMOOTHING_PASSES = 6
@@ -57,19 +56,15 @@ def rig_file(
     layers: Sequence[Dressed],
     clip: RigClip,
     wearer: Wearer,
-    character: Character,
-    skeleton: FileSkeleton,
+    rig: FileRig,
     *,
     quantised: bool = True,
 ) -> GlbFile:
-    """The file of garments on ``wearer``, read from the file of ``character`` and ``skeleton``, in its unit.
+    """The file of garments on ``wearer``, whose own file had ``rig``, in its unit.
 
-    ``quantised``: normals have 8 bits (KHR_mesh_quantization). Raises ``ArtifactError`` where wearer and character are
-    not of one file.
+    ``quantised``: normals have 8 bits (KHR_mesh_quantization).
     """
-    if len(character.vertices) != len(wearer.vertices) or character.names != wearer.nodes:
-        cure = "Send the character again."
-        raise ArtifactError(f"avatar {wearer.name}", expected="its own file", got="another one", cure=cure)
+    skeleton = rig.skeleton
     rest = wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3)))
     both = (np.concatenate(pair) for pair in zip(rest, (clip.quaternions, clip.places), strict=True))
     moves, turns, animated = _local(wearer, skeleton, *both)
@@ -78,7 +73,7 @@ def rig_file(
     nodes = _add_nodes(file, skeleton)
     skin = _add_skin(file, skeleton, nodes)
     for layer in layers:
-        weights = garment_weights(layer.garment, wearer, character, skeleton)
+        weights = garment_weights(layer.garment, wearer, rig)
         at = np.concatenate([layer.garment.vertices[None, : layer.garment.vertex_count], layer.vertices])
         corners = split_seams(layer.garment)
         shape = _shape(file, corners, layer.garment.faces, at / wearer.scale, weights, blends, quantised=quantised)
@@ -140,9 +135,7 @@ def _add_skin(file: GlbFile, skeleton: FileSkeleton, nodes: dict[int, int]) -> i
     return file.add("skins", {"joints": joints, "inverseBindMatrices": file.array(columns)})
 
 
-def garment_weights(
-    garment: Garment, wearer: Wearer, character: Character, skeleton: FileSkeleton
-) -> scipy.sparse.csr_matrix:
+def garment_weights(garment: Garment, wearer: Wearer, rig: FileRig) -> scipy.sparse.csr_matrix:
     """Weights (V, J) of the joints for each vertex: those of the character's skin next to it, smooth over the cloth.
 
     Hair, fingers and what else is no trunk or limb moves no cloth.
@@ -156,7 +149,7 @@ def garment_weights(
     rows = np.repeat(np.arange(len(vertices)), 3)
     onto = (found.barycentric.reshape(-1), (rows, faces[found.face].reshape(-1)))
     nearest = scipy.sparse.csr_matrix(onto, (len(vertices), len(wearer.vertices)))
-    weights = nearest @ character.weights[:, skeleton.joints]
+    weights = nearest @ rig.weights
     smooth = smoothing_matrix(garment.faces.astype(np.int64), len(vertices))
     for _ in range(SMOOTHING_PASSES):
         weights = smooth @ weights
@@ -166,14 +159,15 @@ def garment_weights(
 def _heaviest(weights: scipy.sparse.csr_matrix, alone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The heaviest joints (V, 4) of each vertex and their weights, float32, summing to one; a single one where a vertex
     is to have it ``alone`` (V,)."""
-    dense = weights.toarray()
+    used = np.unique(weights.indices)  # of thousands of joints few move a garment
+    dense = weights[:, used].toarray()
     order = np.argsort(-dense, axis=1, kind="stable")[:, :HEAVIEST]
     order = np.pad(order, ((0, 0), (0, HEAVIEST - order.shape[1])))
     kept = np.take_along_axis(dense, order, axis=1)
     kept[:, dense.shape[1] :] = 0.0
     kept[alone, 1:] = 0.0
     kept = (kept / kept.sum(axis=1, keepdims=True)).astype(np.float32)
-    return np.where(kept > 0.0, order, 0), kept
+    return np.where(kept > 0.0, used[order], 0), kept
 
 
 def _shape(
@@ -195,6 +189,7 @@ def _shape(
     parts: list[dict[str, int]] = []
     first, first_normals = np.zeros(0), None
     for points, one in zip(at, flat, strict=True):
+        go_on()
         inverse, offset = _undone(_blended(kept, bones, one))
         bound = np.einsum("vab,vb->va", inverse, points - offset)
         normals = np.einsum("vab,vb->va", inverse, vertex_normals(points[None], faces)[0])

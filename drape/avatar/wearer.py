@@ -20,15 +20,17 @@ import scipy.sparse
 
 from drape.avatar.avatar_body import avatar_body
 from drape.avatar.body_fit import fit_to
-from drape.avatar.character import read_character
+from drape.avatar.character import character_in
+from drape.avatar.file_skeleton import FileRig, file_rig
 from drape.avatar.mapping import NAMES, mapped
 from drape.avatar.parts import counted_vertices
 from drape.avatar.t_pose import TPose, t_posed
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
-from drape.errors import ArtifactError, BodyError, MotionError, refusing
+from drape.errors import ArtifactError, BodyError, DrapeError, MotionError, refusing
 from drape.files.atomic import whole_file
+from drape.files.gltf import GltfFile
 from drape.files.packed import UNREADABLE, packed, read_packed
 from drape.geometry.closest import closest_point
 from drape.geometry.skinning import skin_points
@@ -48,7 +50,8 @@ class Wearer:
     ``body`` stands for it; ``rig`` has its nodes, called as VRM calls them in a VRM; ``nodes`` are their own names.
     ``vertices`` [m] (V, 3) of its surface in T-pose in the frame of ``body``, ``faces`` (F, 3), ``weights`` (V, 24) of
     the joints. ``scale``: metres per unit of its file. ``median_mm``, ``p95_mm``: how far its trunk and limbs are from
-    the body. ``vrm``: "0", "1" or "". ``found_by``, ``confidence`` and ``notes`` as in ``Mapped``.
+    the body. ``vrm``: "0", "1" or "". ``found_by``, ``confidence`` and ``notes`` as in ``Mapped``. ``file``: what its
+    file is asked for later; of one that was stored ``load_file_rig`` reads it where it is wanted.
     """
 
     name: str
@@ -67,6 +70,7 @@ class Wearer:
     found_by: str = NAMES
     confidence: float = 1.0
     notes: tuple[str, ...] = ()
+    file: FileRig | None = None
 
     @property
     def joints(self) -> dict[str, str]:
@@ -144,7 +148,9 @@ def read_wearer(
     begins = begun or (lambda stage: None)
     begins("read")
     body = load_body() if body is None else body
-    character = read_character(payload, label=name)
+    file = GltfFile(payload, label=name)
+    character = character_in(file)
+    whole = file_rig(file, character)
     begins("map")
     found = mapped(character, body, told=told, label=name)
     rig = found.rig
@@ -156,14 +162,14 @@ def read_wearer(
     surface = pose.vertices + made.joints_template[root] - pose.joints[root]
     distance = 1e3 * closest_point(surface[counted_vertices(pose)], made.v_template, made.faces).distance
     median_mm, p95_mm = float(np.median(distance)), float(np.quantile(distance, 0.95))
-    if median_mm > FIT_LIMIT_MM:
+    if not median_mm <= FIT_LIMIT_MM:  # none, where nothing of it is trunk or limb
         cure = " ".join([*(f"{note}." for note in found.notes), "Send a character with a body in a T- or A-pose."])
         got = f"{median_mm:.0f} mm"
         raise BodyError(name, expected=f"a body that ours fits to {FIT_LIMIT_MM:g} mm", got=got, cure=cure)
     digest = hashlib.sha256(json.dumps([FORMAT_VERSION, body.digest, dict(told or {})]).encode() + payload).hexdigest()
     return Wearer(
         name, digest, made, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
-        pose.height_m, median_mm, p95_mm, character.vrm, found.by, found.confidence, found.notes,
+        pose.height_m, median_mm, p95_mm, character.vrm, found.by, found.confidence, found.notes, whole,
     )  # fmt: skip
 
 
@@ -229,6 +235,7 @@ def save_wearer(wearer: Wearer, folder: Path) -> Path:
         "regressor_value": regressor.data,
         "rest_rotations": rig.rest_rotations,
         "rest_translations": rig.rest_translations,
+        **({} if wearer.file is None else wearer.file.arrays()),
     }
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / wearer.file_name()
@@ -257,7 +264,7 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
         figures += [header.get("found_by", NAMES), header.get("confidence", 1.0), tuple(header.get("notes", ()))]
         surface = [arrays[key] for key in _ARRAYS]
         return Wearer(header["name"], header["digest"], worn, rig, tuple(header["nodes"]), *surface, *figures)
-    except UNREADABLE as error:
+    except (*UNREADABLE, DrapeError) as error:
         raise ArtifactError(
             f"avatar {path.name}", expected="a stored avatar", got=str(error), cure="Send the character again."
         ) from error

@@ -22,6 +22,7 @@ from drape.export.glb_file import INDEX_BUFFER, VERTEX_BUFFER, GlbFile
 from drape.export.root_motion import RootMotion, keys
 from drape.export.surface import Surface
 from drape.geometry import meshes
+from drape.wanted import go_on
 
 GARMENT_COLOURS = ((0.18, 0.42, 0.72, 1.0), (0.62, 0.17, 0.19, 1.0), (0.16, 0.38, 0.26, 1.0), (0.40, 0.28, 0.55, 1.0))
 STEPS = 32767  # from 0 to the box's end
@@ -136,16 +137,15 @@ class Shape:
 
 def _in_floats(file: GlbFile, garment: Surface, corners: Corners, frames: np.ndarray) -> Shape:
     """The clip in float32."""
-    frames = frames.astype(np.float32)
-    normals = vertex_normals(frames, garment.faces)[:, corners.source]
-    positions = frames[:, corners.source]
-    parts = [
-        {
-            "POSITION": file.array(positions[i] - (positions[0] if i else 0.0), target=VERTEX_BUFFER, bounds=True),
-            "NORMAL": file.array(normals[i] - (normals[0] if i else 0.0), target=VERTEX_BUFFER),
-        }
-        for i in range(len(frames))
-    ]
+    table, first = meshes.face_table(garment.faces, frames.shape[1]), np.zeros((), np.float32)
+    parts: list[dict[str, int]] = []
+    for points in frames.astype(np.float32):
+        go_on()
+        rows = np.stack([points, vertex_normals(points, garment.faces, table=table)])[:, corners.source]
+        places, normals = rows - first
+        first = first if parts else rows
+        position = file.array(places, target=VERTEX_BUFFER, bounds=True)
+        parts.append({"POSITION": position, "NORMAL": file.array(normals, target=VERTEX_BUFFER)})
     return Shape(parts)
 
 
@@ -176,6 +176,7 @@ def _box(frames: np.ndarray, root_motion: RootMotion) -> tuple[np.ndarray, float
     centre = 0.5 * (first.min(axis=0) + first.max(axis=0))
     reach = np.abs(first - centre).max()
     for frame in range(1, len(frames)):
+        go_on()
         reach = max(reach, np.abs(root_motion.towards_root(frames[frame], frame) - first).max())
     return centre, float(max(reach, 1e-6)) * (1.0 + 1.0 / STEPS)  # rounding may make a way longer by a step
 
@@ -186,6 +187,7 @@ def _steps(
     """Each frame's places in steps from the centre (V, 3), and the first one's normals or the ways from them."""
     first, table = np.zeros(0), meshes.face_table(faces, frames.shape[1])
     for frame, points in enumerate(frames):
+        go_on()
         local = root_motion.towards_root(points, frame)
         normals = normal_steps(vertex_normals(local, faces, table=table).astype(np.float64), first if frame else None)
         if not frame:

@@ -37,11 +37,13 @@ def packed(arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def read_packed(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The JSON object in the bytes of the array ``header`` of the npz at ``path``, and its other arrays by name.
+def read_packed(path: Path, *, part: str = "") -> tuple[dict[str, Any], dict[str, Any]]:
+    """The JSON object in the bytes of the array ``header`` of the npz at ``path``, and its other arrays by name: of
+    those that are called PART.NAME where a ``part`` is asked for, else of the others.
 
     Raises one of ``UNREADABLE`` where there is no such file.
     """
     with np.load(path, allow_pickle=False) as stored:
-        header = json.loads(bytes(stored["header"]).decode())
-        return header, {key: stored[key] for key in stored.files if key != "header"}
+        keys = {key.rpartition(".")[2]: key for key in stored.files if key.rpartition(".")[0] == part}
+        header = json.loads(bytes(stored[keys.pop("header")]).decode())
+        return header, {name: stored[key] for name, key in keys.items()}

@@ -155,6 +155,7 @@ class Garment(Atlas):
 
 _BY_COLUMNS = ("vertices", "uv", "skin_weights", "shapedirs", "chart_uv", "chart_weight", "chart_residual")
 """Arrays that pack a twentieth smaller where each coordinate stands by itself."""
+_TEXT_KINDS = {"name": str, "digest": str, "body_digest": str, "vertex_count": int, "manifest": dict}
 _TEXT_FIELDS = ("name", "digest", "body_digest", "vertex_count", "material_names", "manifest", "fabric")
 
 
@@ -199,14 +200,17 @@ def load_garment(path: Path) -> Garment:
     if version != FORMAT_VERSION:
         raise _refused(f"garment cache {path.name} format_version", str(FORMAT_VERSION), version)
     try:
-        header["material_names"] = tuple(header["material_names"])
+        if not all(isinstance(header[key], kind) for key, kind in _TEXT_KINDS.items()):
+            raise TypeError("a field of another type")
+        header["material_names"] = tuple(map(str, header["material_names"]))
+        json.dumps(header, ensure_ascii=False, allow_nan=False).encode()  # clients are told of it
         if "uv_vertex" in arrays:
             arrays["faces"] = arrays.pop("uv_vertex")[arrays["uv_faces"]]
         if header.pop("fine_faces", None) == "faces":
             arrays["fine_faces"] = arrays["faces"]
         arrays |= {name: np.ascontiguousarray(arrays[name]) for name in _BY_COLUMNS}
         return Garment(**header, **arrays)
-    except (KeyError, TypeError, IndexError) as error:
+    except (KeyError, TypeError, IndexError, ValueError) as error:
         raise _refused(f"garment cache {path.name}", "the fields of Garment", error) from error
 
 

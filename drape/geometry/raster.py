@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.geometry import meshes
+from drape.wanted import go_on
 
 LIGHT = np.array([0.35, 0.55, 0.76])
 SKIN = (0.80, 0.66, 0.56)
@@ -115,6 +116,7 @@ def _fragments(
     alive = np.abs(area) > 1e-9
     # One pass per pixel offset inside the triangles' boxes: triangles are small, so passes are few.
     for dy in range(int(span[alive, 1].max(initial=0))):
+        go_on()
         for dx in range(int(span[alive, 0].max(initial=0))):
             t = np.flatnonzero(alive & (span[:, 0] > dx) & (span[:, 1] > dy))
             if not len(t):

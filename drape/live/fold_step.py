@@ -24,7 +24,7 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.contact.projection import CLEARANCE_M
-from drape.kernels.compiled import kernel
+from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import add, dot, scaled, sub, with_spare
 from drape.kernels.lanes import most, points_in, put_points, root
 from drape.live.ceiling import ceiling_over, pressed
@@ -42,6 +42,7 @@ from drape.live.skin_contact import TURNS, stuck_places, touch, write_grip
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples, follow
 from drape.live.surface_frames import FRAMES, in_frames, in_world, surface_frames
 from drape.live.sweeps import PLANES, SCRATCH, descend, gradient_at, leash, stick
+from drape.live.untangle import STEPS as APART_STEPS
 from drape.live.untangle import WAY_M, farthest_way, untangle
 from drape.live.whole import whole_step
 
@@ -139,11 +140,14 @@ def fold(
 
     The same input gives the same bits. ``memory`` is not written to.
     """
-    dtype = constants.sheet.own.dtype
-    past, around = past_of(memory, frame.time_s, dtype), frame.around(dtype)
-    vertices, network, folded, moved = _fold(writable(frame.vertices, dtype), past, around, constants, effort)
-    report = report_of(folded.outcome, moved)
-    return frame.vertices if folded.outcome.lost else vertices, memory_of(frame.time_s, network, folded), report
+    sheet, dtype = constants.sheet, constants.sheet.own.dtype
+    past, around, vertices = past_of(memory, frame.time_s, dtype), frame.around(dtype), writable(frame.vertices, dtype)
+    network, out = placed(vertices, sheet.vertex), np.empty_like(vertices)
+    planes = np.empty(PLANES // LANES * len(network), dtype)
+    # Three calls, since a kernel around these would be compiled as long as ``fold_places`` once more.
+    folded = fold_places(network, past, around, constants, effort, planes)
+    report = report_of(folded.outcome, delivered(folded.x, folded.lifted, sheet.place, out))
+    return frame.vertices if folded.outcome.lost else out, memory_of(frame.time_s, network, folded), report
 
 
 def past_of(memory: FoldMemory | None, time_s: float, dtype: np.dtype) -> FoldPast:
@@ -172,18 +176,6 @@ def report_of(outcome: FoldOutcome, moved: tuple[float, float]) -> FoldReport:
 
 
 @kernel
-def _fold(vertices, past, around, cloth, effort):
-    """The folded ``vertices`` [m] (V, 3), the network's places, ``Folded``, and what the lift moved (``delivered``)."""
-    sheet = cloth.sheet
-    network = placed(vertices, sheet.vertex)
-    planes = np.empty(PLANES // LANES * len(network), network.dtype)
-    folded = fold_places(network, past, around, cloth, effort, planes)
-    out = np.empty_like(vertices)
-    moved = delivered(folded.x, folded.lifted, sheet.place, out)
-    return out, network, folded, moved
-
-
-@kernel
 def fold_places(network, past, around, cloth, effort, planes):
     """``Folded``: the cloth of a frame, from the ``network``'s places [m] (P, 3). What held it is left in
     ``planes``, ``PLANES`` a block (``sweeps``).
@@ -192,11 +184,14 @@ def fold_places(network, past, around, cloth, effort, planes):
     either.
     """
     follows = past.step_s < np.inf and farthest_place_m(network, past.network) <= CUT_M
-    if follows:
-        folded = _advanced(network, past, around, cloth, effort, planes)
+    begun = past if follows else _without_past(network, cloth)
+    while True:  # one place that calls ``_advanced``, whose code it gets
+        folded = _advanced(network, begun, around, cloth, effort, planes)
+        if begun.step_s == np.inf:
+            break
         if not folded.outcome.lost:
             return folded
-    folded = _advanced(network, _without_past(network, cloth), around, cloth, effort, planes)
+        begun = _without_past(network, cloth)
     x, lifted, state, touched, outcome = folded
     if outcome.lost:
         none = _without_past(network, cloth)
@@ -214,7 +209,7 @@ def _without_past(network, cloth):
     return FoldPast(network, FoldState(still, still, still), touched, 0, np.inf)
 
 
-@kernel
+@part
 def _advanced(network, past, around, cloth, effort, planes):
     """``Folded`` of the frame after ``past``."""
     kind, k, settled = network.dtype.type, cloth.sheet.constants, past.step_s == np.inf
@@ -277,7 +272,7 @@ class FoldSchedule(NamedTuple):
     untangle: np.floating
 
 
-@kernel
+@part
 def advance(places, state, touched, around, cloth, schedule):
     """``x`` [m] (P, 3), how far [m] the farthest vertex is from the network, NaN where one is, and how far [m] each was
     lifted (P,). ``state`` and ``touched`` are moved on in place."""
@@ -307,7 +302,7 @@ def advance(places, state, touched, around, cloth, schedule):
     return x, farthest_place_m(x, network), lifted
 
 
-@kernel
+@part
 def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
     """Moves ``x`` by the rounds of ``schedule`` and the lift, in place, and writes the ``way`` of the last step and how
     far each vertex was ``lifted``."""
@@ -317,7 +312,7 @@ def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
     follow(network, skin, cloth.graph, touched)
     leash(sheet, planes)
     stick(sheet, guides.stuck, schedule.friction, planes)
-    first, every = schedule.turn < 0, np.arange(len(cloth.tangles.start) - 1)
+    first, every = schedule.turn < 0, np.arange(len(cloth.tangles.start) - 1, dtype=np.int32)
     for _ in range(schedule.rounds):
         touch(x, skin, cloth.graph, sheet, touched, schedule.turn, planes)
         put_planes(x, colliders, planes)
@@ -342,7 +337,7 @@ def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
             if schedule.steps == 0:
                 _set_way(way, x, before)
         if schedule.within:
-            crossed = untangle(x, cloth.tangles, every, schedule.untangle)
+            crossed = untangle(x, cloth.tangles, every, schedule.untangle, APART_STEPS)
             ease(x, network, crossed, x.dtype.type(EASE / WAY_M) * schedule.untangle, sheet)
     if schedule.rounds == 0 and (schedule.clearance > 0.0 or len(colliders)):  # folds without steps have no planes yet
         touch(x, skin, cloth.graph, sheet, touched, schedule.turn, planes)

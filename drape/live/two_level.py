@@ -28,7 +28,7 @@ from drape.cloth.fabric_table import fabric as fabric_named
 from drape.cloth.material import Material
 from drape.cloth.rest_state import RestState, modelled
 from drape.garment.cache import Garment
-from drape.kernels.compiled import kernel
+from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import add, scaled, sub, with_spare
 from drape.kernels.lanes import number_at, points_in, put_points
 from drape.live.clock import Frame, writable
@@ -65,7 +65,7 @@ from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples
 from drape.live.sweeps import APART_ROW, PLANES, SCRATCH, descend, leash
 from drape.live.untangle import tangles_of, untangle
 
-APART_STEPS = 2  # of untangling the fine cloth: four leave fewer crossings and cost time and gain
+APART_STEPS = np.int64(2)  # of untangling the fine cloth: four leave fewer crossings and cost time and gain
 KEPT_S = 0.25  # in which what sweeps added comes down to 1/e: more lets fine folds pass through each other
 
 
@@ -278,7 +278,7 @@ class FineSchedule(NamedTuple):
     sweeps: int
 
 
-@kernel
+@part
 def settle_fine(network, added, coarse, around, fine, graph, schedule):
     """``x`` [m] (P, 3), how far [m] the farthest vertex is from the ``network``, NaN where one is, and how far [m] each
     was lifted (P,). ``added`` is written anew."""
@@ -326,8 +326,8 @@ def close_clusters(planes, fine):
     return found[:filled]
 
 
-def warm_up() -> None:
-    """Compiles the kernels or reads what is stored of them, so that no frame waits for it."""
+def warm_up_lift() -> tuple[TwoLevel, LiftMemory, Frame]:
+    """Compiles what makes constants and lifts cloth alone; the levels of a small sheet, its memory and its frame."""
     x, y = (axis.reshape(-1) for axis in np.meshgrid(np.arange(9.0), np.arange(9.0), indexing="ij"))
     vertices, corner = 0.01 * np.stack([x, y, 0.0 * x], axis=1), np.flatnonzero((x < 8.0) & (y < 8.0))
     faces = np.concatenate([corner[:, None] + np.array(turn) for turn in ((0, 9, 10), (0, 10, 1))])
@@ -338,5 +338,9 @@ def warm_up() -> None:
 
     made = _around(hung(ClothMesh.from_rest(vertices, faces), vertices), modelled(vertices, faces), vertices, hung)
     frame = Frame(vertices.astype(np.float32), np.ones((1, 8)), 0.0)
-    _, memory, _ = lifted_alone(made.levels, None, frame, FoldEffort(0, clearance_m=0.001))
-    fold_two_level(made, memory, frame, FoldEffort(1, cloth_contact=True))
+    return made, lifted_alone(made.levels, None, frame, FoldEffort(0, clearance_m=0.001))[1], frame
+
+
+def warm_up() -> None:
+    """Compiles the kernels or reads what is stored of them, so that no frame waits for it."""
+    fold_two_level(*warm_up_lift(), FoldEffort(1, cloth_contact=True))

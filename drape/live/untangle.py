@@ -31,7 +31,7 @@ from drape.kernels.lanes import least, most, points_at, put, put3, rows3_at
 from drape.live.clusters import boxes_around, clusters, find_close, in_one_cone, less, more, write_cones
 from drape.live.sheet import LANES
 
-STEPS, LEAST_M, WAY_M = 4, 0.0003, 0.002
+STEPS, LEAST_M, WAY_M = np.int64(4), 0.0003, 0.002  # each ``int`` would be a type of its own, and compiled
 BORDER, OTHERS = -1, -2  # in ``Tangles.across``: nothing is across the edge; the edge is another triangle's
 MOST_PAIRS = 8192  # pairs of a frame: bounds its time
 OBLIQUE = 0.05  # the least cosine of edge and normal that counts

@@ -23,6 +23,12 @@ SLOPING_FOOT = np.array([0.0, -0.416, 0.909])
 # A foot whose rest direction is this steep (horizontal share) has no heading.
 _STEEP_FOOT = 0.3
 
+# Pelvis and shin that stand farther [rad] apart do not stand on one floor; a foot that is turned farther turns its leg.
+_FLOOR_ANGLE = 0.7
+
+# Arms whose line is this steep on the chest (share across) do not tell where its left is.
+_STEEP_ARMS = 0.3
+
 # Below this sine [rad] two directions count as one line: a turn has no axis there.
 _ON_ONE_LINE = 1e-9
 
@@ -35,6 +41,7 @@ def rest_alignment(
     label: str,
     ends: Mapping[str, str] = BONE_CHILD,
     up: np.ndarray | None = None,
+    across: np.ndarray | None = None,
 ) -> np.ndarray:
     """Rotations ``A`` (24, 3, 3) that bring the T-pose onto the rest positions ``rest`` (J, 3).
 
@@ -42,7 +49,9 @@ def rest_alignment(
     joint that its bone points to, ``directions`` the bone's direction in the T-pose. A
     joint without one of them keeps its parent's ``A``.
     The pelvis follows the line of the hips and ``up`` (3,), which is the trunk's line if
-    it is not given; hips on that line are refused.
+    it is not given; hips on that line are refused. The chest turns about its own bone
+    until its left lies along ``across`` (3,), the line from right to left arm, and so does a
+    leg whose foot points elsewhere than ahead.
     """
     alignment = np.empty((JOINT_COUNT, 3, 3))
     alignment[0] = _pelvis_frame(rest, sources, up, label)
@@ -54,8 +63,18 @@ def rest_alignment(
             continue
         direction = np.array(directions[joint_name])
         if joint_name.endswith("ankle"):
-            from_parent, direction, bone = _foot(alignment[0], from_parent, direction, bone)
+            floor, toes = alignment[0], from_parent.T @ bone
+            if _STEEP_FOOT < np.hypot(toes[0], toes[2]) > toes[2] / np.cos(_FLOOR_ANGLE):
+                leg = [PARENTS[PARENTS[joint]], PARENTS[joint]]
+                alignment[leg] = alignment[leg] @ rotvec_to_matrix(np.arctan2(toes[0], toes[2]) * np.eye(3)[1])
+                floor = from_parent = alignment[leg[1]]
+            from_parent, direction, bone = _foot(floor, from_parent, direction, bone)
         alignment[joint] = least_turn(from_parent @ direction, bone, from_parent) @ from_parent
+        if joint_name == "spine3" and across is not None:
+            chest = alignment[joint][:, 1]
+            left = across - (across @ chest) * chest
+            if np.linalg.norm(left) > _STEEP_ARMS * np.linalg.norm(across):
+                alignment[joint] = _frame(left, chest)
     return alignment
 
 
@@ -115,7 +134,13 @@ def _pelvis_frame(rest: np.ndarray, sources: Mapping[str, int], up: np.ndarray |
             got="hips and trunk on one line",
             cure="Export the skeleton with its rest offsets.",
         )
-    left, forward = left / np.linalg.norm(left), area / np.linalg.norm(area)
+    return _frame(left, trunk)
+
+
+def _frame(left: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Columns (3, 3): ``left``, what is up beside it, and forward."""
+    forward = np.cross(left, up)
+    left, forward = left / np.linalg.norm(left), forward / np.linalg.norm(forward)
     return np.stack([left, np.cross(forward, left), forward], axis=-1)
 
 
@@ -123,9 +148,10 @@ def _foot(
     pelvis: np.ndarray, shin: np.ndarray, direction: np.ndarray, bone: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Frame, direction and bone to compare for a foot: its heading, the sole being flat in both rest poses."""
-    level = bone - (bone @ pelvis[:, 1]) * pelvis[:, 1]
+    floor = pelvis if pelvis[:, 1] @ shin[:, 1] > np.cos(_FLOOR_ANGLE) else shin
+    level = bone - (bone @ floor[:, 1]) * floor[:, 1]
     length = np.linalg.norm(level)
     if length > _STEEP_FOOT:
         heading = direction * [1.0, 0.0, 1.0]
-        return pelvis, heading / np.linalg.norm(heading), level / length
+        return floor, heading / np.linalg.norm(heading), level / length
     return shin, SLOPING_FOOT, bone

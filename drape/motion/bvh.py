@@ -13,22 +13,25 @@ from drape.motion.text import Line, fault, parse_numbers, read_lines
 
 MAX_JOINT_COUNT = 1000
 
+END_SITE = "End Site"
+
 _CHANNELS = {f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotation")}
 
 
 @dataclass
 class _Joint:
     name: str
-    parent: int
+    parent: int  # -1 of the root
     offset: list[float] | None = None
     channels: list[str] = field(default_factory=list)
 
 
-def read_bvh(path: Path, *, metres_per_unit: float | None = None, up: str = "y") -> MotionClip:
+def read_bvh(path: Path, *, metres_per_unit: float | None = None, up: str | None = None) -> MotionClip:
     """The clip of a BVH file, retargeted to the 24 SMPL joints.
 
     Channels may come in any order; a joint's rotation is the product in that order.
-    ``metres_per_unit`` None guesses the unit from the length of the legs.
+    ``metres_per_unit`` None guesses the unit from the length of the legs, ``up`` None finds
+    the axis that the person stands along.
     """
     path = Path(path)
     lines = read_lines(path)
@@ -51,8 +54,8 @@ def read_bvh(path: Path, *, metres_per_unit: float | None = None, up: str = "y")
 def _parse_hierarchy(path: Path, lines: list[Line]) -> tuple[list[_Joint], int]:
     """The joints, parents first, and the index of the line MOTION."""
     joints: list[_Joint] = []
-    open_blocks: list[int | None] = []  # joint of each open brace; None for an end site
-    announced: list[int | None] = []  # named, but its brace not yet open
+    open_blocks: list[int] = []  # joint of each open brace
+    announced: list[int] = []  # named, but its brace not yet open
     for at, (number, words) in enumerate(lines[1:], 1):
         # Some writers open the brace on the line of the name.
         brace_follows = words[-1] == "{" and len(words) > 1
@@ -60,22 +63,18 @@ def _parse_hierarchy(path: Path, lines: list[Line]) -> tuple[list[_Joint], int]:
         if head == "MOTION":
             _check_closed(path, number, joints, open_blocks, announced)
             return joints, at
-        if head in ("ROOT", "JOINT"):
+        if head in ("ROOT", "JOINT", "END"):
             _check_place(path, number, head, joints, open_blocks)
-            parent = open_blocks[-1] if open_blocks else None
-            joints.append(_Joint(" ".join(rest), -1 if parent is None else parent))
+            parent = open_blocks[-1] if open_blocks else -1
+            joints.append(_Joint(END_SITE, parent, [0.0] * 3) if head == "END" else _Joint(" ".join(rest), parent))
             announced.append(len(joints) - 1)
-        elif head == "END":
-            announced.append(None)
         elif head == "}":
             if not open_blocks:
                 raise fault(path, number, "as many '{' as '}'", "a '}' too many")
             open_blocks.pop()
         elif head == "OFFSET" and open_blocks:
-            offset = parse_numbers(path, number, rest, count=3, what="OFFSET")
-            if open_blocks[-1] is not None:
-                joints[open_blocks[-1]].offset = offset
-        elif head == "CHANNELS" and open_blocks and open_blocks[-1] is not None:
+            joints[open_blocks[-1]].offset = parse_numbers(path, number, rest, count=3, what="OFFSET")
+        elif head == "CHANNELS" and open_blocks and joints[open_blocks[-1]].name != END_SITE:
             joints[open_blocks[-1]].channels = _parse_channels(path, number, rest)
         elif head != "{":
             raise fault(
@@ -88,11 +87,11 @@ def _parse_hierarchy(path: Path, lines: list[Line]) -> tuple[list[_Joint], int]:
     raise fault(path, lines[-1][0], "a line MOTION", "the end of the file", "The file is cut off; fetch it again.")
 
 
-def _check_place(path: Path, number: int, head: str, joints: list[_Joint], open_blocks: list[int | None]) -> None:
+def _check_place(path: Path, number: int, head: str, joints: list[_Joint], open_blocks: list[int]) -> None:
     if head == "ROOT" and joints:
         raise fault(path, number, "one ROOT", "a second", "Export one skeleton per file.")
-    if head == "JOINT" and (not open_blocks or open_blocks[-1] is None):
-        raise fault(path, number, "JOINT inside a joint's braces", "none open")
+    if head != "ROOT" and (not open_blocks or joints[open_blocks[-1]].name == END_SITE):
+        raise fault(path, number, f"{head} inside a joint's braces", "none open")
     if len(joints) >= MAX_JOINT_COUNT:
         raise fault(path, number, f"at most {MAX_JOINT_COUNT} joints", "more")
 

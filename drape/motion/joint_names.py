@@ -113,8 +113,11 @@ def match_joints(names: Sequence[str], parents: Sequence[int], *, label: str) ->
 
 def with_trunk(limbs: dict[str, int], parents: Sequence[int], *, label: str) -> dict[str, int]:
     """``limbs``, joints with a side, and the pelvis and the spine that hold them; refused where there is no trunk."""
-    left, right = (_ancestors(parents, limbs[f"{side}_hip"]) for side in ("left", "right"))
-    found = {**limbs, "pelvis": next(joint for joint in left[1:] if joint in right[1:])}
+    left, right = (ancestors(parents, limbs[f"{side}_hip"]) for side in ("left", "right"))
+    pelvis = next((joint for joint in left[1:] if joint in right[1:]), None)
+    if pelvis is None:
+        raise _too_few(label, "no joint above both legs")
+    found = {**limbs, "pelvis": pelvis}
     trunk = _trunk(parents, found)
     if not trunk:
         raise _too_few(label, "no joint between the pelvis and the arms")
@@ -152,14 +155,15 @@ def _lacks(found: Mapping[str, int]) -> list[str]:
 
 def _trunk(parents: Sequence[int], found: dict[str, int]) -> list[int]:
     """Joints from above the pelvis up to the one from which the arms branch, in order."""
-    left, right = (_ancestors(parents, found[f"{side}_shoulder"]) for side in ("left", "right"))
+    left, right = (ancestors(parents, found[f"{side}_shoulder"]) for side in ("left", "right"))
     arms = {found.get(f"{side}_{joint}") for side in ("left", "right") for joint in ("collar", "shoulder")}
-    below = set(_ancestors(parents, found["pelvis"]))  # a root or reference joint may carry the pelvis
+    below = set(ancestors(parents, found["pelvis"]))  # a root or reference joint may carry the pelvis
     shared = [joint for joint in left if joint in right and joint not in arms and joint not in below]
     return shared[::-1]
 
 
-def _ancestors(parents: Sequence[int], joint: int) -> list[int]:
+def ancestors(parents: Sequence[int], joint: int) -> list[int]:
+    """``joint`` and what carries it, up to the root."""
     chain = []
     while joint >= 0:
         chain.append(joint)

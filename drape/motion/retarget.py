@@ -4,7 +4,8 @@ A file turns its bones from a rest pose of its own. Each SMPL joint j takes the
 global rotation of its source joint after the rotation ``A_j`` that brings the
 T-pose onto the file's rest pose (``drape.motion.alignment``): ``G_j = R_source A_j``.
 Bone directions are then the file's, exactly; twist about a
-bone is the file's when its rest pose is anatomical (T, A or arms down).
+bone is the file's when its rest pose is anatomical (T, A or arms down), and else
+what ``drape.motion.odd_rest`` finds.
 """
 
 from __future__ import annotations
@@ -14,14 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from drape.body.skeleton import PARENTS
 from drape.errors import MotionError
-from drape.geometry.rotations import matrix_to_quaternion, matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
-from drape.motion.alignment import SLOPING_FOOT, joint_rotations, rest_alignment, rest_bone
-from drape.motion.amass import Y_FROM_Z
+from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
+from drape.motion.alignment import joint_rotations, least_turn, rest_alignment
 from drape.motion.clip import MotionClip
 from drape.motion.joint_names import match_joints
-from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS
+from drape.motion.odd_rest import arms_across, keep_mean_twists, odd_limbs, tips_of, trunk_ends, turn_tips
+from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS, JOINT_INDEX
 
 LEG_LENGTH_RANGE = (0.45, 1.30)
 """Hip to ankle [m] of people from about 1.0 m to 2.6 m; outside it the unit is wrong."""
@@ -30,9 +31,11 @@ LEG_LENGTH_RANGE = (0.45, 1.30)
 _UNITS = (1.0, 0.01, 0.001, 0.0254, 0.0254 / 0.45)
 _ADULT_LEG_LENGTH = 0.80
 
-# A rest bone farther than this [rad] from its T-pose direction means that the
-# rest pose is no human pose (LAFAN lays all bones along x).
-_FOLDED_ANGLE = 2.0
+_AXES = {sign + axis: np.eye(3)["xyz".index(axis)] * float(f"{sign}1") for sign in ("", "-") for axis in "yzx"}
+# What speaks for an axis to be up beside people's standing along it: that it is y, that the skeleton rests along it,
+# that feet stand at its zero. Feet outweigh either of the others, since a lying person has them there by chance only.
+_HABIT, _RESTS, _STANDS = 1.0, 1.1, 1.3
+_NEAR_FLOOR = 0.2  # [m], of ankles that stand
 
 
 @dataclass(frozen=True)
@@ -88,27 +91,55 @@ def retarget(
     fps: float,
     name: str,
     metres_per_unit: float | None = None,
-    up: str = "y",
+    up: str | None = None,
 ) -> MotionClip:
     """The clip of world rotations (F, J, 3, 3) and of ``places``, in the file's unit.
 
     ``places`` holds the positions (F, 3), relative to the parent, of the joints that
     move; the root must be among them. ``metres_per_unit`` None guesses the unit from
-    the length of the legs.
+    the length of the legs, ``up`` None the axis by how the person stands.
     """
-    if up not in ("y", "z"):
-        raise MotionError("up", expected="'y' or 'z'", got=repr(up), cure="Name the file's vertical axis.")
+    if up is not None and up not in _AXES:
+        raise MotionError("up", expected=f"one of {', '.join(_AXES)}", got=repr(up), cure="Name the vertical axis.")
     sources = match_joints(skeleton.names, skeleton.parents, label=name)
     rest = skeleton.rest_positions()
     scale = _scale(rest, sources, metres_per_unit, name)
-    alignment = rest_alignment(rest, sources, directions=BONE_DIRECTIONS, label=name)
-    world = Y_FROM_Z if up == "z" else np.eye(3)
+    ends, pelvis_up = trunk_ends(rest, skeleton.parents, sources)
+    alignment = rest_alignment(
+        rest,
+        {**sources, **{f"{joint} end": end for joint, end in ends.items()}},
+        directions=BONE_DIRECTIONS,
+        label=name,
+        ends={**BONE_CHILD, **{joint: f"{joint} end" for joint in ends}},
+        up=pelvis_up,
+        across=arms_across(rest, sources),
+    )
+    pelvis, *feet, top = (
+        _path(skeleton, rotations, places, sources[joint])
+        for joint in ("pelvis", "left_ankle", "right_ankle", "neck" if "neck" in sources else "spine3")
+    )
+    vertical = _AXES[up] if up else _find_up(0.5 * scale * (feet[0] + feet[1]), scale * top, alignment)
+    world = least_turn(vertical, _AXES["y"], np.eye(3))
     turned = joint_rotations(world @ rotations, sources, alignment)
-    if _is_folded(rest, sources, alignment[0]):
-        _centre_twist(turned, sources)
+    odd = odd_limbs(rest, sources, alignment)
+    told = turn_tips(turned, tips_of(rest, skeleton.parents, sources), alignment, odd)
+    keep_mean_twists(turned, sources, alignment, odd, told)
     local = local_rotations(turned, PARENTS)
-    pelvis = _path(skeleton, rotations, places, sources["pelvis"])
     return MotionClip(poses=matrix_to_rotvec(local), trans=scale * pelvis @ world.T, fps=fps, name=name)
+
+
+def _find_up(feet: np.ndarray, top: np.ndarray, alignment: np.ndarray) -> np.ndarray:
+    """The file's axis (3,) that is up, by the places (F, 3) [m] between the feet and of the neck, and by the rest."""
+    lines = top - feet
+    standing = np.mean(lines / np.maximum(np.linalg.norm(lines, axis=1, keepdims=True), 1e-9), axis=0)
+    resting = alignment[[0, JOINT_INDEX["left_hip"], JOINT_INDEX["right_hip"]], :, 1]
+
+    def weight(axis: np.ndarray) -> float:
+        stands = standing @ axis > 0.8 and np.abs(np.median(feet @ axis)) < _NEAR_FLOOR
+        rests = (resting @ axis > 0.8).all()
+        return standing @ axis + _HABIT * axis[1] + _RESTS * rests + _STANDS * stands
+
+    return max(_AXES.values(), key=weight)
 
 
 def _path(skeleton: SourceSkeleton, rotations: np.ndarray, places: dict[int, np.ndarray], joint: int) -> np.ndarray:
@@ -135,38 +166,3 @@ def _scale(rest: np.ndarray, sources: dict[str, int], metres_per_unit: float | N
             cure="Pass metres_per_unit, the length of the file's unit.",
         )
     return scale
-
-
-def _is_folded(rest: np.ndarray, sources: dict[str, int], pelvis: np.ndarray) -> bool:
-    for joint_name, direction in BONE_DIRECTIONS.items():
-        bone = rest_bone(rest, sources, joint_name)
-        if bone is not None and (pelvis @ np.array(direction)) @ bone < np.cos(_FOLDED_ANGLE):
-            return True
-    return False
-
-
-def _centre_twist(turned: np.ndarray, sources: dict[str, int]) -> None:
-    """Turn each limb about its own bone until its mean twist over the clip is zero.
-
-    A folded rest pose does not say how a limb is twisted; people's limbs keep to
-    the middle of their range.
-    """
-    for joint, joint_name in enumerate(JOINT_NAMES):
-        limb = joint_name.startswith(("left_", "right_")) and joint_name in BONE_CHILD
-        if not limb or joint_name not in sources:
-            continue
-        axis = SLOPING_FOOT if joint_name.endswith("ankle") else np.array(BONE_DIRECTIONS[joint_name])
-        quaternions = matrix_to_quaternion(np.swapaxes(turned[:, PARENTS[joint]], -1, -2) @ turned[:, joint])
-        twist = np.stack([quaternions[:, 0], quaternions[:, 1:] @ axis], axis=-1)
-        # Twists are half angles of either sign: their mean is that of the doubled angles.
-        doubled = (twist[:, 0] + 1j * twist[:, 1]) ** 2
-        half = np.angle(doubled.sum()) / 2.0
-        undo = quaternion_to_matrix(np.concatenate([[np.cos(half)], -np.sin(half) * axis]))
-        turned[:, joint] = turned[:, joint] @ undo
-        for leaf in range(joint + 1, JOINT_COUNT):
-            if PARENTS[leaf] != joint:
-                continue
-            if JOINT_NAMES[leaf] not in sources:
-                turned[:, leaf] = turned[:, joint]
-            elif JOINT_NAMES[leaf] not in BONE_CHILD:
-                turned[:, leaf] = turned[:, leaf] @ undo  # it shares its parent's alignment

@@ -30,7 +30,7 @@ def checked_jets(weights, rows, body, passes, patches):
     return (jet, rotation.reshape(-1, 3, 3), centre), finite
 
 
-@kernel
+@part
 def posed_jets(weights, rows, body, passes, patches):
     """Full jets [patch scales] (K, 45), rotations (K, 9) and centres [m] (K, 3) of K ``patches`` on ``body``, after
     ``passes`` corrections. Patches that fill the last row of ``rows`` up are left out."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypedDict
 
 from recovery.pattern.design import Design
 from recovery.pattern.legs import LegCut, trousers
@@ -11,7 +12,15 @@ from recovery.pattern.shirts import shirt
 from recovery.pattern.skirts import SkirtCut, a_line, circle
 from recovery.pattern.tops import Sleeve, TopCut, top
 
-NECK = {"neck_band_m": 0.022, "neck_out_m": 0.03, "neck_depth_m": 0.10, "neck_shorter": 0.08}
+
+class _Neck(TypedDict):
+    neck_band_m: float
+    neck_out_m: float
+    neck_depth_m: float
+    neck_shorter: float
+
+
+NECK: _Neck = {"neck_band_m": 0.022, "neck_out_m": 0.03, "neck_depth_m": 0.10, "neck_shorter": 0.08}
 
 
 def _to_wrist(body: BodyMeasurements, shoulder_out_m: float) -> float:

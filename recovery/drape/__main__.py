@@ -3,7 +3,8 @@
 python -m recovery.drape PATTERN.json --out DIR [--body BODY] [--pose CLIP:FRAME] [--fabric jersey] [--scale 1.0]
 
 Writes NAME.obj and NAME.glb (in the pose), NAME_rest.obj (in the T-pose), NAME.json (how it went), and the garment
-cache NAME-DIGEST.npz that the service reads. Exit codes: 2 refused, 3 written but not at rest.
+cache NAME-DIGEST.npz that the service reads. Exit codes: 2 refused, 3 written but not at rest
+or with cloth in the body.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.cloth.material import DEFAULT_MATERIAL
-from drape.errors import refusing
+from drape.errors import InputError, refusing
 from drape.files.atomic import write_whole
 from drape.garment.intake import garment_name
 from recovery.commands import add_distance_options, distance_options, ended, parser_of
@@ -26,6 +27,8 @@ from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
 from recovery.drape.placement import Axes
 from recovery.drape.posing import read_pose
 from recovery.drape.settle import TOLERANCE_N
+from recovery.fit.contours import lost_parts, lost_words, pierced_parts
+from recovery.fit.starts import Start, worn_drape
 from recovery.pattern.garmentcode import read_pattern
 from recovery.progress import watched
 
@@ -59,7 +62,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 @refusing
 @watched()
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command and returns its exit code: with a sentence, 2 if input is refused, 3 if cloth is not at rest."""
+    """Runs the command and returns its exit code: with a sentence, 2 if input is refused, 3 if cloth is not right."""
     given = parse(arguments)
     started = time.perf_counter()
     pattern = read_pattern(given.pattern, units_in_meter=given.units_in_meter)
@@ -76,7 +79,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         iteration_limit=given.iterations,
         **distance_options(given),
     )
+    start = Start(body, options, pose, None, report=print)
     draped = drape_pattern(pattern, body, options, pose=pose, report=print)
+    if start.lost(draped):
+        draped = worn_drape(pattern, start, rest=False)
+    check_worn(draped, start)
     files = write_shape(given.out, name, draped.mesh, draped.nodes, panel_texture(draped.mesh))
     cached = not given.no_garment
     files += write_rest(given.out, name, draped, body, avatar="standard", garment=cached, report=print)
@@ -84,17 +91,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
     record = {"pattern": pattern.name, "body": body.name, "fabric": given.fabric, "scale": given.scale}
     record |= {**draped.figures, "seconds": seconds}
     files.append(write_whole(given.out / f"{name}.json", json.dumps(record, indent=1) + "\n"))
-    return ended(files, "" if draped.at_rest else not_at_rest(draped))
+    return ended(files, left_words(draped))
 
 
-def not_at_rest(draped: Draped) -> str:
-    """A sentence on the drape that did not come to rest, and one on the cure."""
+def check_worn(draped: Draped, start: Start) -> None:
+    """Refuses a garment with a limb beside its opening, or with a bone through cloth, in the T-pose or in the pose."""
+    in_t_pose = (draped.rest.nodes, draped.mesh.faces, start.body.joints_template)
+    if lost := sorted({*start.lost(draped), *lost_parts(*in_t_pose, draped.placed.limbs), *pierced_parts(*in_t_pose)}):
+        raise InputError(
+            "garment",
+            expected="every limb in its own opening, and no bone through the cloth",
+            got=lost_words(lost),
+            cure="Leave neck and limbs their openings, place halves of a sleeve before and behind its arm (of the "
+            "T-pose, if the bodice is one panel with them), or try a finer mesh (--edge-length).",
+        )
+
+
+def left_words(draped: Draped) -> str:
+    """Sentences on drapes that did not come to rest and on nodes in the body, each with its cure; none if all is right.
+
+    A node of cloth that hangs on the skin is 2 to 4 mm off it.
+    """
     drapes = {"T-pose": draped.rest, "pose": draped.posed}
     left = [f"{d.report.residual_n:.1e} N in the {name}" for name, d in drapes.items() if d and not d.report.converged]
-    return (
+    deepest = min(draped.figures[key]["clearance_mm"] for key in ("rest", "posed") if key in draped.figures)
+    words = [
         f"not at rest: a node is left with {' and '.join(left)}, where {TOLERANCE_N:.0e} N is asked; the report says "
         '"converged": false. Try another mesh (--edge-length), a size up (--scale) or a stiffer fabric (--fabric).'
-    )
+    ] * bool(left)
+    if deepest < 0.0:
+        words.append(f"in the body: a node lies {-deepest:.1f} mm below the skin. Try a finer mesh or a size up.")
+    return " ".join(words)
 
 
 if __name__ == "__main__":

@@ -153,10 +153,11 @@ def drape_pattern(
     say(
         f"placed    in the axes {placed.axes}, lifted by {100 * placed.lift_m:.0f} cm, moved outward by at most "
         f"{100 * placed.outward_m:.1f} cm; hangs from the {placed.hangs_from}"
+        + (f"; sleeves turned onto the arms by {np.degrees(placed.turned_rad):.0f} degrees" * bool(placed.turned_rad))
     )
     sewn = sew(mesh, placed.positions, distance)
     say(f"sewn      seams within {1e3 * sewn.gap_m:.1f} mm; {describe_stretch(stretch_figures(sewn.stretch))}")
-    belt = options.hold is Hold.BELT or (options.hold is Hold.AUTO and placed.hangs_from == "waist")
+    belt = options.hold is Hold.BELT or (options.hold is Hold.AUTO and placed.hangs_from != "shoulders")
     knee = float(body.joints_template[JOINT_NAMES.index("left_knee"), 1])
     limit = options.iteration_limit
     progress.tick("the garment falls")
@@ -170,6 +171,7 @@ def drape_pattern(
         "axes": str(placed.axes),
         "lift_cm": round(100 * placed.lift_m, 2),
         "hangs_from": placed.hangs_from,
+        "sleeves_turned_deg": round(float(np.degrees(placed.turned_rad)), 1),
         "belt_nodes": len(rest.held),
         "seam_gap_mm": round(1e3 * sewn.gap_m, 2),
         "sewn": stretch_figures(sewn.stretch),

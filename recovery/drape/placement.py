@@ -13,8 +13,11 @@ from enum import StrEnum
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
 from drape.errors import InputError
+from drape.geometry.meshes import boundary_loops
 from recovery.drape.relax import Distance
+from recovery.drape.sleeves import limb_openings, round_spread_arms
 from recovery.pattern.measurements import measure
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.model import Pattern, Placement
@@ -42,7 +45,8 @@ class Placed:
     """Panel vertices ``positions`` [m] (P, 3) round the body, clear of it.
 
     ``axes`` were taken, the panels lifted by ``lift_m`` beyond them, and moved outward by at most ``outward_m``.
-    ``hangs_from`` is "shoulders" or "waist".
+    ``hangs_from`` is "shoulders", "chest" or "waist". Sleeves were turned onto the arms by at most ``turned_rad``.
+    ``limbs`` have an opening of their own.
     """
 
     positions: np.ndarray
@@ -50,6 +54,8 @@ class Placed:
     lift_m: float
     outward_m: float
     hangs_from: str
+    turned_rad: float = 0.0
+    limbs: tuple[str, ...] = ()
 
 
 def scaled(pattern: Pattern, factor: float) -> Pattern:
@@ -68,14 +74,17 @@ def scaled(pattern: Pattern, factor: float) -> Pattern:
 def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes: Axes = Axes.AUTO) -> Placed:
     """The panels of ``mesh`` round ``body`` in the T-pose, whose signed distance is ``distance``.
 
-    The height is the one at which the fewest straight threads between sewn edges pass through the body. Raises
-    ``InputError`` where no panel is placed or none comes to stand round the trunk.
+    The height is the one at which the fewest straight threads between sewn edges pass through the body. Sleeves drawn
+    for arms in another pose are turned with the arms first. Raises ``InputError`` where no panel is placed or none
+    comes to stand round the trunk.
     """
     check_placed(mesh.pattern)
     flat = mesh.placed()
     size = measure(body)
     top = float(flat[:, 1].max())
     holds = {"shoulders": size.neck_y, "waist": size.waist_y}
+    if len(boundary_loops(mesh.faces)) == 2:  # neither arms nor legs: its upper edge may be tight round the chest
+        holds["chest"] = size.underarm_y
     pelvis, floor = body.joints_template[0], float(body.v_template[:, 1].min())
     origins = {
         Axes.BODY: np.zeros(3),
@@ -86,21 +95,30 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
         (name, hold): abs(top + origin[1] - height)
         for name, origin in origins.items()
         for hold, height in holds.items()
-        if axes in (Axes.AUTO, name)
+        # A skirt's waist in one file's axes is at the chest in another's.
+        if axes in (Axes.AUTO, name) and (hold != "chest" or name in (Axes.BODY, axes))
     }
     chosen, hold = min(miss, key=lambda pair: miss[pair])
     if miss[chosen, hold] > FAR_M:
         raise InputError(
             "placement",
-            expected="a garment that begins near the neck or the waist",
-            got=f"its highest point {100 * miss[chosen, hold]:.0f} cm from both",
+            expected="a garment that begins near the neck, the chest or the waist",
+            got=f"its highest point {100 * miss[chosen, hold]:.0f} cm from them",
             cure="Say which axes the panels were placed in (--axes), and check the file's unit.",
         )
     stood = flat + origins[chosen]
-    lift = best_lift(stood, mesh.seam_pairs, distance)
+    openings = limb_openings(mesh, stood, top=hold == "shoulders", crotch_m=size.crotch_y)
+    joints = dict(zip(JOINT_NAMES, body.joints_template, strict=True))
+    mesh, turned = round_spread_arms(mesh, openings, joints)
+    stood, still = mesh.placed() + origins[chosen], (mesh.placed() == flat).all(axis=1)
+    # Beside the arms, too low, turned sleeves would touch the body less than round them.
+    lift = best_lift(stood, mesh.seam_pairs[still[mesh.seam_pairs].all(axis=1)], distance)
     stood = stood + np.array([0.0, lift, 0.0])
+    if turned:  # threads close a sleeve round the arm that is in the middle of its cuff
+        cuffs = np.concatenate(list(openings.values()))
+        stood[~still, 1] += joints["left_elbow"][1] - mesh.nodes_from(stood)[cuffs, 1].mean()
     positions, outward = moved_clear(mesh, stood, distance)
-    return Placed(positions, chosen, lift, outward, hold)
+    return Placed(positions, chosen, lift, outward, hold, turned, tuple(openings))
 
 
 def check_placed(pattern: Pattern) -> None:

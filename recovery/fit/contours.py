@@ -212,8 +212,18 @@ def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: 
     """
     chains = bone_chains(joints)
     there = Counter(filter(None, (part_round(contour, chains) for contour in open_contours(nodes, faces))))
-    lost = Counter(parts) - there
-    for part in set(parts) & set(LIMBS):
-        if pierces(chains[part][0][:-1], nodes, faces):  # to the last joint: beyond it there is no bone
-            lost[part] = max(lost[part], 1)
+    lost = (Counter(parts) - there) | Counter(set(pierced_parts(nodes, faces, joints)) & set(parts) - {TRUNK})
     return tuple(sorted(lost.elements()))
+
+
+def pierced_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> tuple[str, ...]:
+    """The parts of the body whose bones go through the cloth of ``nodes`` [m] (N, 3): a limb's, or pelvis to head."""
+    bones = {part: chain[:-1] for part, (chain, _) in bone_chains(joints).items()}  # beyond the last joint is none
+    bones[TRUNK] = bones[TRUNK][-len(SPINE) :]
+    return tuple(part for part, chain in bones.items() if pierces(chain, nodes, faces))
+
+
+def lost_words(lost: Sequence[str]) -> str:
+    """A phrase such as "the right arm is not in its opening"."""
+    parts = " and ".join(f"the {part.replace('_', ' ')}" for part in lost)
+    return f"{parts} {'is' if len(lost) == 1 else 'are'} not in the garment's opening"

@@ -15,7 +15,7 @@ from drape.body.model import BodyModel
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from recovery import progress as watch
-from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.drape.pipeline import Draped, DrapeOptions, Report, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.contours import lost_parts
 from recovery.pattern.model import Pattern
@@ -29,7 +29,8 @@ FINER = 0.6  # of it, tried next where a part is lost: edges of 5 cm cut through
 class Start:
     """What drapes have in common: ``body``, options, ``pose`` (24, 3), and the body's distance ``skin`` in the T-pose.
 
-    ``parts`` of the body should go through the garment's openings. ``cloth`` replaces the fabric of the options.
+    ``parts`` of the body should go through the garment's openings, by default the limbs that have one. ``cloth``
+    replaces the fabric of the options, and ``report`` gets lines on every drape.
     """
 
     body: BodyModel
@@ -38,10 +39,12 @@ class Start:
     skin: SignedDistance | None
     parts: tuple[str, ...] = ()
     cloth: OrthotropicMaterial | None = None
+    report: Report | None = None
 
     def lost(self, draped: Draped) -> tuple[str, ...]:
         """Those of ``parts`` that are beside their openings."""
-        return lost_parts(draped.nodes, draped.mesh.faces, posed_joints(self.body, self.pose), self.parts)
+        parts = self.parts or draped.placed.limbs
+        return lost_parts(draped.nodes, draped.mesh.faces, posed_joints(self.body, self.pose), parts)
 
 
 def worn_drape(
@@ -60,9 +63,8 @@ def worn_drape(
         share, number = shares.pop(0), number + 1
         options = replace(start.drape, edge_length_m=share * start.drape.edge_length_m)
         try:
-            one = mended(
-                drape_pattern(pattern, start.body, options, pose=start.pose, cloth=start.cloth, skin=start.skin)
-            )
+            given = {"pose": start.pose, "cloth": start.cloth, "skin": start.skin, "report": start.report}
+            one = mended(drape_pattern(pattern, start.body, options, **given))
         except InputError as error:
             refused.append(error)
             continue

@@ -74,10 +74,17 @@ def print_pattern(pattern: Pattern) -> None:
         print(f"{number:>4}  {stitch.first!s:<24}{stitch.second!s:<24}{lengths}  {'; '.join(notes)}".rstrip())
 
 
+def print_notes(pattern: Pattern) -> None:
+    """What reading did to the pattern, a line each."""
+    for note in pattern.notes:
+        print(f"note: {note}")
+
+
 def show(options: argparse.Namespace) -> None:
     """Prints the pattern and its mesh, and draws both if a folder is given."""
     pattern = read_pattern(options.pattern, units_in_meter=options.units_in_meter)
     print_pattern(pattern)
+    print_notes(pattern)
     mesh = mesh_pattern(pattern, options.edge_length)
     least = min(mesh.smallest_angles_deg().values())
     print(
@@ -104,6 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         pattern = base_pattern(options.base, measure(load_body(options.body)), options.set)
     else:
         pattern = read_pattern(options.pattern, units_in_meter=options.units_in_meter)
+    print_notes(pattern)
     if style := style_of(options):
         pattern = finished(lined(pattern, style), style)
     pattern = replace(pattern, name=options.name or pattern.name)

@@ -102,6 +102,13 @@ sleeved_dress = Base(
     replace(DRESS_CUT, name="sleeved_dress", sleeve=SLEEVE, shoulder_out_m=0.015, armhole_drop_m=0.02),
     (*OF_TOP, *OF_SLEEVES, *OF_DRESS),
 )
+OF_TUBE = ("length_m", "chest_ease_m", "flare_m", "armhole_drop_m")
+tube = Base(top, TopCut("tube", "rib", 0.5, 0.02, armhole_drop_m=0.0, strapless=True), OF_TUBE)
+strapless_dress = Base(
+    draft_dress,
+    replace(DRESS_CUT, name="strapless_dress", chest_ease_m=0.02, armhole_drop_m=0.0, strapless=True),
+    (*OF_TUBE, *OF_DRESS),
+)
 trousers = Base(
     draft_trousers,
     LegCut("trousers", "twill", 0.07, 0.44, rise_drop_m=0.09, band_m=0.0, waist_ease_m=0.01, darts=False),
@@ -112,7 +119,7 @@ skirt = Base(
     SkirtCut("skirt", "twill", 0.55, drop_m=0.05, waist_ease_m=0.01, flare_m=0.08),
     ("length_m", "drop_m", "waist_ease_m", "hip_ease_m", "flare_m", "spread", COUNT),
 )
-BASES = {base.cut.name: base for base in (tshirt, tank, dress, sleeved_dress, trousers, skirt)}
+BASES = {base.cut.name: base for base in (tshirt, tank, dress, sleeved_dress, trousers, skirt, tube, strapless_dress)}
 
 
 def whole(value: float) -> int:

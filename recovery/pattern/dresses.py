@@ -49,7 +49,8 @@ def dress(body: BodyMeasurements, cut: DressCut) -> Design:
         )
     work = Assembly()
     bodices = bodices_to(work, body, cut, (waist, seam), "waistline", "bodice_")
-    name_openings(work, bodices, "neck", "opening_neck", "opening_neck")
+    if not cut.strapless:
+        name_openings(work, bodices, "neck", "opening_neck", "opening_neck")
     below = seam - BETWEEN_M
     sides = below_waist(
         (waist * (1.0 + cut.gather), below),

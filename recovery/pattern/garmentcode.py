@@ -1,8 +1,9 @@
 """Reads and writes the JSON of Garment-Pattern-Generator (Korosteleva and Lee 2021) and GarmentCode (2023).
 
 Both let the direction of an outline say which side of the cloth is outside; here every panel is counter-clockwise, so a
-clockwise one is mirrored about its y axis and turned by half a turn, which leaves it where it was. Edge and
-vertex numbers stay, so that template parameters still name the right edges.
+clockwise one is mirrored about its y axis and turned by half a turn, which leaves it where it was, with the edges'
+numbers. Where that would turn the right side to the wearer the outline was merely drawn backwards, and is run the other
+way, its edges numbered anew. Either is noted.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from drape.errors import InputError, NotFound
 from drape.files.atomic import write_whole
-from recovery.pattern.geometry import area, check_pattern, on_chord
+from recovery.pattern.geometry import TOUCH_M, area, check_pattern, on_chord
 from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Placement, Stitch
 
 FILE_UNITS_IN_METER = 100.0
@@ -72,22 +73,33 @@ def pattern_from_spec(spec: Any, *, name: str = "pattern", units_in_meter: float
             "curvature_coords", expected="relative or absolute", got=f"{coordinates}", cure="Correct the properties."
         )
     centre = bool(properties.get("normalize_panel_translation", False))
-    panels, turned = [], set()
+    panels, turned, backwards, notes = [], set(), {}, []
     for panel_name, entry in _member(body, "panels", dict, "pattern").items():
         panel = _read_panel(panel_name, entry, float(units), coordinates == "absolute", centre)
         if area(panel) < 0.0:
-            panel = mirrored(panel)
-            turned.add(panel_name)
+            other_side = mirrored(panel)
+            if _faces_wearer(other_side):
+                panel = backward(panel)
+                backwards[panel_name] = len(panel.edges)
+            else:
+                panel = other_side
+                turned.add(panel_name)
+            notes.append(f"panel {panel_name} runs clockwise in the file; it was turned round")
         panels.append(panel)
     order = body.get("panel_order")
+    parts = {key: spec[key] for key in TEMPLATE_KEYS if key in spec}
+    if backwards and any(parts.values()):
+        notes.append("template parameters are left out, since edges are numbered anew")
     own = properties.get(OWN_KEY, {})
     pattern = Pattern(
         name=str(own.get("name", name)),
         panels=tuple(panels),
-        stitches=tuple(_read_stitch(number, entry) for number, entry in enumerate(body.get("stitches", []))),
+        stitches=tuple(_read_stitch(number, entry, backwards) for number, entry in enumerate(body.get("stitches", []))),
         material=str(own.get("material", "")),
         panel_order=None if order is None else tuple(order),
-        template=_template({key: spec[key] for key in TEMPLATE_KEYS if key in spec}, 1.0 / float(units), turned),
+        # Templates name edges by numbers that hold no more where an outline was run backwards.
+        template={} if backwards else _template(parts, 1.0 / float(units), turned),
+        notes=tuple(notes),
     )
     check_pattern(pattern)
     return pattern
@@ -102,6 +114,22 @@ def mirrored(panel: Panel) -> Panel:
         edges=tuple(edge.reflected() for edge in panel.edges),
         placement=replace(panel.placement, rotation_deg=_euler_deg(matrix)),
     )
+
+
+def backward(panel: Panel) -> Panel:
+    """The same panel with its outline run the other way: edge n of N becomes edge N - 1 - n."""
+    edges = tuple(
+        replace(e, start=e.end, end=e.start, handles=tuple((1.0 - along, -left) for along, left in e.handles[::-1]))
+        for e in panel.edges[::-1]
+    )
+    return replace(panel, edges=edges)
+
+
+def _faces_wearer(panel: Panel) -> bool:
+    """Whether the right side of the placed panel looks towards the axis of the body."""
+    across = [0, 2]
+    middle = panel.placement.apply(panel.vertices.mean(axis=0)[None])[0]
+    return float(panel.placement.matrix()[across, 2] @ middle[across]) < -TOUCH_M
 
 
 def _euler_deg(matrix: np.ndarray) -> tuple[float, float, float]:
@@ -207,7 +235,7 @@ def _arc_height(params: np.ndarray, chord: np.ndarray, where: str) -> float:
     return -height if right else height
 
 
-def _read_stitch(number: int, entry: Any) -> Stitch:
+def _read_stitch(number: int, entry: Any, backwards: Mapping[str, int]) -> Stitch:
     where = f"stitch {number}"
     sides = [side for side in entry if side != RIGHT_WRONG] if isinstance(entry, list) else []
     named = [isinstance(side, Mapping) and "panel" in side and isinstance(side.get("edge"), int) for side in sides]
@@ -218,7 +246,11 @@ def _read_stitch(number: int, entry: Any) -> Stitch:
             got=f"{entry}",
             cure="Split it into stitches of two edges.",
         )
-    first, second = (EdgeRef(str(side["panel"]), side["edge"]) for side in sides)
+    counts = [backwards.get(str(side["panel"]), 0) for side in sides]
+    numbers = [
+        n - 1 - side["edge"] if 0 <= side["edge"] < n else side["edge"] for side, n in zip(sides, counts, strict=True)
+    ]
+    first, second = (EdgeRef(str(side["panel"]), n) for side, n in zip(sides, numbers, strict=True))
     return Stitch(first, second, right_to_wrong=RIGHT_WRONG in entry)
 
 

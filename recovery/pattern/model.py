@@ -174,7 +174,8 @@ class Pattern:
     """Panels and the stitches that make a garment of them.
 
     ``panel_order`` is the order of names that a data set agreed on, or None. ``material`` is a free note.
-    ``template`` holds what a file said beyond this model (template parameters, constraints), lengths in metres.
+    ``template`` holds what a file said beyond this model (template parameters, constraints), lengths in metres;
+    ``notes`` say what was done to it on the way.
     """
 
     name: str
@@ -183,6 +184,7 @@ class Pattern:
     material: str = ""
     panel_order: tuple[str, ...] | None = None
     template: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "panels", tuple(self.panels))

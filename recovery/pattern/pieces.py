@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -11,8 +12,9 @@ import pyclipper
 
 from drape.errors import InputError
 from recovery.pattern import geometry
+from recovery.pattern.cutting import dart_legs, slits
 from recovery.pattern.labels import Label, place_label
-from recovery.pattern.model import EdgeRef, Panel, Pattern
+from recovery.pattern.model import Edge, EdgeRef, Panel, Pattern
 from recovery.pattern.symmetry import Kind, find_symmetries
 from recovery.pattern.triangulate import boundary_distance, inside
 
@@ -108,19 +110,29 @@ def make_sheet(pattern: Pattern, *, allowance_m: float = SEAM_M, hem_m: float | 
     return Sheet(pattern.name, tuple(pieces), offsets, used, height)
 
 
+def sewn_edges(pattern: Pattern) -> set[EdgeRef]:
+    """The edges that are in a stitch."""
+    return {ref for stitch in pattern.stitches for ref in (stitch.first, stitch.second)}
+
+
+def is_fold(edge: Edge) -> bool:
+    """Whether an open edge, by its label, lies on the fold of the cloth: it is not cut."""
+    return re.search(r"(?<![a-z])fold(?![a-z])", (edge.label or "").lower()) is not None
+
+
 def hems(pattern: Pattern) -> set[EdgeRef]:
     """The open edges that are turned up; the others, a neckline, an armhole or a waist, have a facing or a band.
 
     A label that says what an edge is decides. Otherwise it is turned up if it bends by less than ``HEM_BEND`` of its
     chord, and if it lies in the lower half of its panel, as placed, or stands upright like the cuff of a spread arm.
     """
-    sewn = {ref for stitch in pattern.stitches for ref in (stitch.first, stitch.second)}
+    sewn = sewn_edges(pattern)
     found = set()
     for ref in pattern.edge_refs():
-        if ref in sewn:
-            continue
         panel = pattern.panel(ref.panel)
         edge = panel.edges[ref.edge]
+        if ref in sewn or is_fold(edge):
+            continue
         label = (edge.label or "").lower()
         if any(word in label for word in ("neck", "waist", "collar", FACED)):
             continue
@@ -168,8 +180,15 @@ def _piece(pattern: Pattern, panel: Panel, allowance_m: float, hem_m: float, twi
     sides = [geometry.flatten(panel, number, TOLERANCE_M)[:-1] for number in range(len(panel.edges))]
     sewing = np.concatenate(sides)
     turned_up = hems(pattern)
-    allowances = [hem_m if EdgeRef(panel.name, n) in turned_up else allowance_m for n in range(len(panel.edges))]
-    cutting = offset(sewing, np.repeat(allowances, [len(side) for side in sides]))
+    legs, sewn = dart_legs(pattern, panel, TOLERANCE_M), sewn_edges(pattern)
+    folds = {n for n, edge in enumerate(panel.edges) if EdgeRef(panel.name, n) not in sewn and is_fold(edge)}
+    allowances = [hem_m if EdgeRef(panel.name, n) in turned_up else allowance_m for n in range(len(sides))]
+    allowances = [0.0 if n in legs | folds else allowance for n, allowance in enumerate(allowances)]
+    # A dart stays closed: the cutting line goes on across it.
+    mouths = {n for n in legs if (n - 1) % len(sides) not in legs}
+    lines = [side[:1] if n in mouths else side[: 0 if n in legs else None] for n, side in enumerate(sides)]
+    far = [allowances[n - 1 if n in mouths else n] for n in range(len(sides))]
+    cutting = offset(np.concatenate(lines) if legs else sewing, np.repeat(far, [len(line) for line in lines]))
     grain = _grain(sewing)
     marks, notches = [], []
     for number, stitch in enumerate(pattern.stitches):
@@ -184,17 +203,22 @@ def _piece(pattern: Pattern, panel: Panel, allowance_m: float, hem_m: float, twi
             marks.append((points[0] + SEAM_MARK_M * inward[0], str(number + 1)))
             for point, direction in zip(points[1:], inward[1:], strict=True):
                 notches.append(Notch(point - allowance_m * direction, direction))
+    for first in mouths:
+        last = next(n % len(sides) for n in range(first, first + len(sides)) if n % len(sides) not in legs)
+        for n, end in (((first - 1) % len(sides), 1.0), (last, 0.0)):
+            point, inward = _inward(panel, EdgeRef(panel.name, n), np.array([end]))
+            notches.append(Notch(point[0] - allowances[n] * inward[0], inward[0]))
     kept: list[Notch] = []
     for notch in notches:
         # In a hollow corner the foot of the perpendicular lies inside the piece, beside a hem outside of it.
         on_line = boundary_distance(notch.point[None], cutting)[0] < 2e-4
         if on_line and all(np.linalg.norm(notch.point - other.point) > NOTCH_GAP_M for other in kept):
             kept.append(notch)
-    lines = [pattern.name, panel.name, f"cut {cut_count(panel)}", *twin]
-    lines += [pattern.material] if pattern.material else []
-    lines.append(f"seam allowance {1000.0 * allowance_m:g} mm")
+    words = [pattern.name, panel.name, f"cut {cut_count(panel)}{' on the fold' if folds else ''}", *twin]
+    words += [pattern.material] if pattern.material else []
+    words.append(f"seam allowance {1000.0 * allowance_m:g} mm")
     if hem_m > allowance_m and hem_m in allowances:
-        lines.append(f"hem {1000.0 * hem_m:g} mm")
+        words.append(f"hem {1000.0 * hem_m:g} mm")
     return Piece(
         panel=panel,
         sewing=sewing,
@@ -203,7 +227,7 @@ def _piece(pattern: Pattern, panel: Panel, allowance_m: float, hem_m: float, twi
         notches=tuple(kept),
         grain=grain,
         label=place_label(
-            lines, geometry.outline(panel, 1e-3), grain, np.array([point for point, _ in marks]).reshape(-1, 2)
+            words, geometry.outline(panel, 1e-3), grain, np.array([point for point, _ in marks]).reshape(-1, 2)
         ),
         seam_marks=tuple(marks),
     )
@@ -231,10 +255,16 @@ def offset(polygon: np.ndarray, distance_m: float | np.ndarray) -> np.ndarray:
     path: list[np.ndarray] = []
     for corner, n0, n1, d0, d1 in zip(polygon, np.roll(normal, 1, axis=0), normal, np.roll(far, 1), far, strict=True):
         path += _corner(corner, n0, n1, d0, d1)
-    # Where the outline is hollow the lines cross themselves: what is wound once is the piece.
-    whole = [np.round(np.array(path) / UNIT_M).astype(np.int64).tolist()]
-    parts = [np.array(part) for part in CLIPPER.SimplifyPolygons(whole, CLIPPER.PFT_POSITIVE)]
-    return max(parts, key=lambda part: abs(CLIPPER.Area(part.tolist()))) * UNIT_M
+    # Where the outline is hollow the lines cross themselves: what is wound once is the piece, and what is sewn.
+    whole = [np.round(np.array(line) / UNIT_M).astype(np.int64).tolist() for line in (path, polygon)]
+    parts = CLIPPER.SimplifyPolygons(whole, CLIPPER.PFT_POSITIVE)
+    for middle, half_width in slits(polygon, float(far.max()), 1.1 * MITRE_LIMIT):
+        knife, cut = CLIPPER.PyclipperOffset(), CLIPPER.Pyclipper()
+        knife.AddPath(np.round(middle / UNIT_M).astype(np.int64).tolist(), CLIPPER.JT_MITER, CLIPPER.ET_OPENBUTT)
+        cut.AddPaths(parts, CLIPPER.PT_SUBJECT, True)
+        cut.AddPaths(knife.Execute(half_width / UNIT_M), CLIPPER.PT_CLIP, True)
+        parts = cut.Execute(CLIPPER.CT_DIFFERENCE, CLIPPER.PFT_POSITIVE, CLIPPER.PFT_NONZERO)
+    return np.array(max(parts, key=lambda part: abs(CLIPPER.Area(part)))) * UNIT_M
 
 
 def _corner(corner: np.ndarray, n0: np.ndarray, n1: np.ndarray, d0: float, d1: float) -> list[np.ndarray]:
@@ -246,8 +276,12 @@ def _corner(corner: np.ndarray, n0: np.ndarray, n1: np.ndarray, d0: float, d1: f
         return ends[:1] if d0 == d1 else ends
     # n0 . p = d0 and n1 . p = d1.
     point = np.array([d0 * n1[1] - d1 * n0[1], d1 * n0[0] - d0 * n1[0]]) / (sine if abs(sine) > 1e-12 else 1e-12)
-    if sine < 0.0 or np.linalg.norm(point) <= MITRE_LIMIT * largest:
-        return [corner + point] if np.linalg.norm(point) <= 10.0 * largest else [corner + d0 * n0, corner + d1 * n1]
+    if cosine > 0.0 and np.linalg.norm(point) > MITRE_LIMIT * largest:
+        return [corner + d0 * n0, corner + d1 * n1]
+    if np.linalg.norm(point) <= MITRE_LIMIT * largest:
+        return [corner + point]
+    if sine < 0.0:  # hollow: the lines go round the corner, and cross themselves
+        return [corner + d0 * n0, corner, corner + d1 * n1]
     along0, along1 = np.array([-n0[1], n0[0]]), np.array([n1[1], -n1[0]])
     return [corner + d0 * n0 + d0 * along0, corner + d1 * n1 + d1 * along1]
 

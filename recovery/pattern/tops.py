@@ -47,7 +47,8 @@ class TopCut:
     beyond the joint and ``shoulder_drop_m`` below the neck. The armhole ends ``armhole_drop_m`` below the armpit and
     hollows in by ``armhole_inset``, a share of the width from shoulder to side. The neck's half width is the body's and
     ``neck_out_m``. Bands of a width of 0 are left out. ``flare_m`` widens each panel's half at the hem. A ``skirt_m``
-    > 0 cuts the garment that far below the armpit and gathers the rest by ``gather``.
+    > 0 cuts the garment that far below the armpit and gathers the rest by ``gather``. What is ``strapless`` ends where
+    armholes would, in an edge that is tight round the chest.
     """
 
     name: str
@@ -69,6 +70,7 @@ class TopCut:
     flare_m: float = 0.0
     skirt_m: float = 0.0
     gather: float = 0.0
+    strapless: bool = False
 
     @property
     def ease_m(self) -> dict[str, float]:
@@ -105,7 +107,7 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
         edges = [(back, "neck_right"), (front, "neck_left"), (front, "neck_right"), (back, "neck_left")]
         tube = Tube((0.0, body.neck_y - 0.02, 0.3 * (body.front_z + body.back_z)), UP, FORWARD, 0.11)
         sew_band(work, "neckband", edges, tube, width_m=cut.neck_band_m, shorter=cut.neck_shorter, above=True)
-    else:
+    elif not cut.strapless:
         name_openings(work, bodices, "neck", "opening_neck", "opening_neck")
     if cut.skirt_m:
         _gathered_skirt(work, body, cut, waist, hem[1], bodices)
@@ -130,10 +132,14 @@ def bodices_to(
         before_and_behind(body), (cut.neck_depth_m, cut.back_neck_depth_m), HOLLOWS, strict=True
     ):
         sides = bodice(neck, tip, underarm, bottom, depth=depth, hollow=hollow, inset=cut.armhole_inset, lower=lower)
+        if cut.strapless:
+            sides = [sides[0], Side("top_right", underarm), Side("top_left", (0.0, underarm[1])), *sides[-2:]]
         bodices.append(work.add(draft(f"{prefix}{label}", sides, rotation=face, z=z)))
     front, back = bodices
-    work.sew_sides(["side", "shoulder"], front, back)
-    if cut.sleeve is not None:
+    work.sew_sides(["side"] if cut.strapless else ["side", "shoulder"], front, back)
+    if cut.strapless:
+        name_openings(work, bodices, "top", "opening_top", "opening_top")
+    elif cut.sleeve is not None:
         armholes = {
             side: ((front, f"armhole_{other}"), (back, f"armhole_{side}"))
             for side, other in (("left", "right"), ("right", "left"))

@@ -44,6 +44,7 @@ OF_JOB = (
     "settings",
     "unit",
     "up",
+    "front",
     "meshes_m",
     "retarget",
     "garment",
@@ -73,6 +74,12 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--label", help="material of the file that is the garment")
     parser.add_argument("--unit", default="auto", choices=("auto", *UNITS_M), help="of the target")
     parser.add_argument("--up", default="auto", choices=("auto", *UP_AXES), help="of the target")
+    parser.add_argument(
+        "--front",
+        default="auto",
+        choices=("auto", "kept", "turned"),
+        help="with --body fit: the target looks along +z as in its file, or the other way",
+    )
     parser.add_argument(
         "--fabric",
         default=DEFAULT_MATERIAL,

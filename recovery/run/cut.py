@@ -74,19 +74,23 @@ def told_base(seen: Seen, body: BodyMeasurements) -> str:
     """The base whose openings lie where those of the target do. Raises ``InputError`` where none has them."""
     counts = seen.counts()
     fitting = [name for name, wanted in OPENINGS.items() if wanted == counts]
-    if not fitting or (fitting == ["skirt"] and seen.openings[TRUNK][0].centre[1] > _above(body)):
+    top = seen.openings[TRUNK][0].centre[1] if fitting else 0.0
+    round_trunk = "skirt" in fitting
+    if not fitting or (round_trunk and top > 0.5 * (body.underarm_y + body.neck_y)):
         raise InputError(
             "target",
             expected="; ".join(dict.fromkeys(describe_openings(wanted) for wanted in OPENINGS.values())),
             got=(describe_openings(counts) or "no opening that the body goes through")
-            + (", the upper one at the chest" if fitting else ""),
+            + (", the upper one at the neck" if fitting else ""),
             cure="Open what is shut, or pass a pattern of the target's kind (--base FILE.json).",
         )
     if len(fitting) == 1:
         return fitting[0]
+    hem = seen.openings[TRUNK][-1].centre[1]
+    if round_trunk:
+        return "skirt" if top <= _above(body) else "strapless_dress" if hem < body.crotch_y else "tube"
     reach = np.mean([one.along_m for part in ("left_arm", "right_arm") for one in seen.openings[part]])
-    long = seen.openings[TRUNK][-1].centre[1] < body.crotch_y - DRESS_M
-    return (("tank", "dress"), ("tshirt", "sleeved_dress"))[int(reach > SLEEVE_M)][int(long)]
+    return (("tank", "dress"), ("tshirt", "sleeved_dress"))[int(reach > SLEEVE_M)][int(hem < body.crotch_y - DRESS_M)]
 
 
 def _above(body: BodyMeasurements) -> float:

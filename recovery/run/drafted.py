@@ -111,8 +111,9 @@ def _of_top(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> To
     front = neck.points[neck.points[:, 2].argmax()]
     shoulder = neck.points[np.abs(neck.points[:, 0] - neck.centre[0]) > SIDES * wide].mean(axis=0)
     back = neck.points[neck.points[:, 2].argmin()]
+    strapless = "neck_depth_m" not in settings
     told: Told = {
-        "length_m": body.neck_y - float(hem.centre[1]) + OVER_CHEST_M,
+        "length_m": body.neck_y - float(hem.centre[1]) + (0.0 if strapless else OVER_CHEST_M),
         "neck_out_m": out,
         "neck_depth_m": float(np.hypot(*(front - shoulder)[1:])),
         "back_neck_depth_m": beside - float(back[1]) + OVER_BACK_M,
@@ -121,6 +122,9 @@ def _of_top(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> To
     if "sleeve_length_m" in settings:
         told |= _of_sleeves(body, seen, arms)
         low = body.underarm_y
+    elif strapless:
+        low = float(neck.points[:, 1].min())
+        told["armhole_drop_m"] = body.underarm_y - float(neck.centre[1])
     else:
         tops = [one.points[one.points[:, 1].argmax()] for one in arms]
         told["shoulder_out_m"] = float(np.mean([abs(point[0]) for point in tops])) - body.shoulder_x

@@ -54,6 +54,7 @@ class InsideFit(NamedTuple):
 
     ``mean_mm``: mean distance of the cloth from the skin; ``inside_pct`` of it is inside, by ``depth_mm`` at the 95th
     percentile of that part. ``band_mm`` is the median distance where the garment hangs, in its uppermost 15 cm.
+    ``cost_m2`` is what the fit made least.
     """
 
     betas: np.ndarray
@@ -63,14 +64,14 @@ class InsideFit(NamedTuple):
     inside_pct: float
     depth_mm: float
     band_mm: float
+    cost_m2: float
 
 
 def fit_inside(mesh: GarmentMesh, body: BodyModel, *, top_m: float, wanted: dict[str, int] | None = None) -> InsideFit:
     """The standard body inside the garment ``mesh`` [m], y up, worn facing +z.
 
     ``top_m`` is the height on the body in its own frame at which such a garment begins; ``wanted`` are the openings
-    round each part of the body that its kind has. Raises ``BodyError`` where the
-    cloth still cuts into the best body, or hangs beside it.
+    round each part of the body that its kind has.
     """
     points, normals = _sample(mesh.vertices, mesh.faces)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -84,22 +85,27 @@ def fit_inside(mesh: GarmentMesh, body: BodyModel, *, top_m: float, wanted: dict
         found.append(_fit(body, points, normals, contours, first, FIRST_STEPS, wanted=wanted))
     best = sorted(found, key=lambda one: one[1])[:FINALISTS]
     found = [_fit(body, points, normals, contours, one, STEPS, wanted=wanted, neutral=start) for one, _ in best]
-    parameters, _ = min(found, key=lambda one: one[1])
+    parameters, cost = min(found, key=lambda one: one[1])
     distance = closest.signed_distance(points, posed_by(body, parameters), body.faces)
     inside = distance < 0.0
     depth = 1e3 * float(np.quantile(-distance[inside], 0.95)) if inside.any() else 0.0
-    fit = InsideFit(
+    return InsideFit(
         *unpack(body, parameters),
         mean_mm=1e3 * float(np.abs(distance).mean()),
         inside_pct=100.0 * float(inside.mean()),
         depth_mm=depth,
         band_mm=1e3 * float(np.median(np.abs(distance[points[:, 1] > high[1] - BAND_M]))),
+        cost_m2=cost,
     )
+
+
+def check_inside(fit: InsideFit) -> None:
+    """Refuses (``BodyError``) a fit whose cloth still cuts into the body, or hangs beside it."""
     if fit.inside_pct > INSIDE_LIMIT_PCT:
         raise BodyError(
             "body in the target",
             expected=f"cloth that a body fits in, at most {INSIDE_LIMIT_PCT:g} % of it inside",
-            got=f"{fit.inside_pct:.0f} % of the cloth inside by {depth:.0f} mm",
+            got=f"{fit.inside_pct:.0f} % of the cloth inside by {fit.depth_mm:.0f} mm",
             cure="Turn the target upright and facing +z, check its unit (--unit), or give the body (--body FILE).",
         )
     if fit.band_mm > BAND_LIMIT_MM:
@@ -109,7 +115,6 @@ def fit_inside(mesh: GarmentMesh, body: BodyModel, *, top_m: float, wanted: dict
             got=f"{fit.band_mm:.0f} mm between them (median), {fit.mean_mm:.0f} mm over all the cloth",
             cure="Take a base of the target's kind, which tells where it hangs, or give the body (--body FILE).",
         )
-    return fit
 
 
 def tube_ends(mesh: GarmentMesh) -> list[Contour]:

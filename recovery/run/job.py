@@ -20,7 +20,7 @@ from recovery.drape.output import panel_texture, write_rest, write_shape
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import posed_joints
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
-from recovery.fit.contours import lost_parts
+from recovery.fit.contours import lost_parts, lost_words
 from recovery.fit.objective import DEFAULT_WEIGHTS, Weights
 from recovery.fit.optimise import FitOptions
 from recovery.fit.pipeline import recover_pattern
@@ -40,7 +40,7 @@ from recovery.run.retarget import Worn, retargeted
 from recovery.run.seen import Seen, pieces
 from recovery.run.styled import styled
 from recovery.run.target import OPENINGS, check_base, off_skin, opened, placed_target, read_target
-from recovery.run.wearer import Wearer, inside_wearer, read_wearer
+from recovery.run.wearer import Front, Wearer, inside_wearer, read_wearer
 from recovery.scan.holes import known_faces
 from recovery.scan.places import ScanFault, on_body
 
@@ -73,6 +73,7 @@ class Job:
     settings: Sequence[str] = ()
     unit: Unit = "auto"
     up: Up = "auto"
+    front: Front = "auto"
     drape: DrapeOptions = field(default_factory=DrapeOptions)
     fit: FitOptions = field(default_factory=FitOptions)
     weights: Weights = DEFAULT_WEIGHTS
@@ -172,8 +173,9 @@ def prepare(job: Job) -> Prepared:
             )
         standard = read_wearer("anny_default")
         kind = job.base or kind_of(mesh)
-        base = read_base(kind, standard, job.settings if job.base else ())
-        mesh, wearer = inside_wearer(mesh, base, unit=job.unit, up=job.up, wanted=OPENINGS.get(kind))
+        names = [kind, "strapless_dress"] if kind == "skirt" and not job.base else [kind]  # from waist or chest
+        bases = [read_base(one, standard, job.settings if job.base else ()) for one in names]
+        mesh, wearer = inside_wearer(mesh, bases, unit=job.unit, up=job.up, front=job.front, wanted=OPENINGS.get(kind))
         mesh = placed_target(mesh, wearer.skin, unit="m", up="y")
     else:
         kind = job.base
@@ -223,10 +225,12 @@ def _placed_fault(fault: ScanFault, job: Job) -> ScanFault:
         return fault
     wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
     try:
-        placed = place(fault.mesh, wearer.skin, unit=job.unit, up=job.up)
-        points = place(replace(fault.mesh, vertices=fault.points), wearer.skin, unit=job.unit, up=job.up).vertices
+        both = replace(fault.mesh, vertices=np.concatenate([fault.mesh.vertices, fault.points]))
+        both = place(both, wearer.skin, unit=job.unit, up=job.up).vertices
     except InputError:
         return fault
+    count = len(fault.mesh.vertices)
+    placed, points = replace(fault.mesh, vertices=both[:count]), both[count:]
     joints = posed_joints(wearer.shaped, wearer.pose) + wearer.trans
     words = on_body(points[0], placed, joints)
     return ScanFault(fault.name, expected=fault.expected, got=f"{fault.got}; {words}", cure=fault.cure).at(
@@ -386,9 +390,3 @@ def describe_worn(place: Worn) -> str:
         f"{end}{lost}; stretched by {figures['stretch_median_pct']:.1f} % (99th percentile "
         f"{figures['stretch_p99_pct']:.0f} %), {figures['edges_in_body_pct']:.1f} % of edges cut the body"
     )
-
-
-def lost_words(lost: Sequence[str]) -> str:
-    """A phrase such as "the right arm is not in its opening"."""
-    parts = " and ".join(f"the {part.replace('_', ' ')}" for part in lost)
-    return f"{parts} {'is' if len(lost) == 1 else 'are'} not in the garment's opening"

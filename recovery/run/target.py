@@ -27,6 +27,8 @@ from drape.garment.mesh_checks import (
 from drape.geometry import closest, meshes
 from recovery import progress
 from recovery.fit.contours import TRUNK, bone_chains, open_contours, part_round, place_of
+from recovery.scan.caps import check_unworn
+from recovery.scan.hems import without_turned_hems
 from recovery.scan.holes import Loop, borders, closed, plainly_hole, plainly_opening
 from recovery.scan.places import ScanFault, in_box
 from recovery.scan.sheets import agreeing, cut_branches, main_sheet, without_copies
@@ -35,6 +37,7 @@ from recovery.sim.contact import SkinContact
 
 SCAN_VERTEX_LIMIT = 3_300_000  # 1,000,000 triangles of an STL, which does not share vertices
 FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer
+EXTENTS = (1e-3, 1e6)  # in a file's unit, whatever it is: squares and cubes stay far from the ends of the numbers
 DEEP_M, DEEP_SHARE = 0.02, 0.2  # the target goes through the body where more than this share lies deeper than that
 LYING_SHARE = 0.05  # of the cloth, nearest to the skin, lies on it
 LEAST_OFF_M, MOST_OFF_M = 0.001, 0.006  # beyond our own gap: less is the same, more is a garment that lies nowhere
@@ -42,10 +45,11 @@ OPEN_SHARE = 0.7  # of the height: no hem and no neckline, however deep, goes th
 TWISTED_SHARE = 0.02  # of the faces: more edges to be cut, and the scan is no cloth
 # Openings round each part of the body, by base.
 OF_TOPS = {TRUNK: 2, "left_arm": 1, "right_arm": 1}
+OF_TUBES = {TRUNK: 2}
 OPENINGS = {
     **dict.fromkeys(("tshirt", "tank", "dress", "sleeved_dress"), OF_TOPS),
     "trousers": {TRUNK: 1, "left_leg": 1, "right_leg": 1},
-    "skirt": {TRUNK: 2},
+    **dict.fromkeys(("skirt", "tube", "strapless_dress"), OF_TUBES),
 }
 
 
@@ -61,6 +65,13 @@ def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
         mesh = labelled(mesh, label)
     with progress.stage("the scan is mended"):
         check_arrays(mesh, vertex_limit=SCAN_VERTEX_LIMIT)
+        if not EXTENTS[0] <= (extent := float(np.ptp(mesh.vertices, axis=0).max())) <= EXTENTS[1]:
+            raise MeshError(
+                "target",
+                expected="a garment in m, cm, dm, mm or inch",
+                got=f"{extent:.3g} across",
+                cure="Scale the file.",
+            )
         return mended(mesh)
 
 
@@ -74,17 +85,24 @@ def mended(mesh: GarmentMesh) -> GarmentMesh:
     thin = thinned(mesh)
     if thin is not mesh:
         mesh = one_sheet(cut_branches(check_faces(thin, repair=True)))
-    mesh = calmed(two_sided(mesh))
+    mesh = without_turned_hems(calmed(two_sided(mesh)))
+    check_open(mesh, "a closed surface")
+    found = closed(mesh, lambda one: plainly_hole(one, mesh))
+    check_open(found.mesh, f"one that is closed once mended, with no border but holes ({found.holes})")
+    check_closed_round(found.mesh)
+    check_unworn(found.mesh)
+    return found.mesh if found.mesh is mesh else found.mesh.noted(*found.words(len(mesh.faces)))
+
+
+def check_open(mesh: GarmentMesh, otherwise: str) -> None:
+    """Refuses a mesh without borders; the refusal says that it is ``otherwise``."""
     if not meshes.boundary_loops(mesh.faces):
         raise MeshError(
             "target",
             expected="a garment: a surface with openings",
-            got="a closed surface",
+            got=otherwise,
             cure="Cut the garment out of the scan, without the body, and open neck, cuffs and hem.",
         )
-    found = closed(mesh, lambda one: plainly_hole(one, mesh))
-    check_closed_round(found.mesh)
-    return found.mesh if found.mesh is mesh else found.mesh.noted(*found.words(len(mesh.faces)))
 
 
 def check_closed_round(mesh: GarmentMesh) -> None:
@@ -96,7 +114,7 @@ def check_closed_round(mesh: GarmentMesh) -> None:
         return
     up = 1 if size[1] > size[2] else 2
     height = (points[:, up] - low[up]) / size[up]
-    edges = points[np.abs(height - np.median(height[(height > 0.2) & (height < 0.8)])) < 0.2]
+    edges = points[np.abs(height - height[np.abs(height - 0.5).argmin()]) < 0.2]
     raise ScanFault(
         "target",
         expected="a garment that is closed all round",

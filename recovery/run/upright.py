@@ -1,8 +1,8 @@
 """How a garment that came without a body stands in its file: its up axis, and the way that its wearer looks.
 
 Its openings tell both. The longest one, a hem or a waist, lies below or above the middle of the others. The two that
-lie farthest apart across that axis are cuffs or legs, so their line goes from side to side. A wearer looks to the
-side on which the upper opening is lower.
+lie farthest apart across that axis are cuffs or legs, so their line goes from side to side. To which of both sides a
+wearer looks the body tells that is fitted inside; that the upper opening is mostly lower in front is a cue beside it.
 """
 
 from __future__ import annotations
@@ -34,32 +34,38 @@ def up_axis(mesh: GarmentMesh) -> str:
     return "z" if way[2] > way[1] else "y"
 
 
-def facing(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh``, y up, turned about y so that its wearer looks along +z; itself where it nearly does.
+def facing(mesh: GarmentMesh) -> tuple[GarmentMesh, int]:
+    """``mesh``, y up, turned about y by at most a right angle until its limbs lie side by side, and a cue of its front.
 
-    A garment with two openings, or whose limbs lie together, is left as it is.
+    The mesh is itself where they nearly do. The cue is 1 where the upper opening is lower on the side of +z, -1 where
+    it is lower on the other, and 0 for a garment with two openings, or whose limbs lie together: it is left as it is.
     """
-    turn = _turn(long_contours(mesh))
-    if abs(turn) < TURNED_RAD:
-        return mesh
+    turn, cue = _turn(long_contours(mesh))
+    return (mesh if abs(turn) < TURNED_RAD else turned_about(mesh, turn)), cue
+
+
+def turned_about(mesh: GarmentMesh, turn_rad: float) -> GarmentMesh:
+    """``mesh`` turned about y by ``turn_rad``, with a note."""
     middle = mesh.vertices.mean(axis=0)
-    c, s = np.cos(turn), np.sin(turn)
-    turned = (mesh.vertices - middle) @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T + middle
-    return replace(mesh, vertices=turned).noted(f"turned by {np.degrees(turn):.0f} degrees to look along +z")
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    vertices = (mesh.vertices - middle) @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T + middle
+    return replace(mesh, vertices=vertices).noted(f"turned by {np.degrees(turn_rad):.0f} degrees to look along +z")
 
 
-def _turn(contours: list[Contour]) -> float:
-    """The angle [rad] about y by which a garment with the openings ``contours``, longest first, has to be turned."""
+def _turn(contours: list[Contour]) -> tuple[float, int]:
+    """The turn [rad] and the cue of ``facing`` for a garment with the openings ``contours``, longest first."""
     if len(contours) < 3:
-        return 0.0
-    pairs = [((b.centre - a.centre)[[0, 2]], a.length_m + b.length_m) for a, b in combinations(contours[1:], 2)]
-    across, round_m = max(pairs, key=lambda pair: float(pair[0] @ pair[0]))
-    if np.linalg.norm(across) < round_m / (2.0 * np.pi):  # they would overlap beside each other
-        return 0.0
-    upper = max(contours, key=lambda one: float(one.centre[1]))
+        return 0.0, 0
+    limbs = max(
+        combinations(contours[1:], 2), key=lambda pair: np.linalg.norm((pair[1].centre - pair[0].centre)[[0, 2]])
+    )
+    across = (limbs[1].centre - limbs[0].centre)[[0, 2]]
+    if np.linalg.norm(across) < (limbs[0].length_m + limbs[1].length_m) / (2.0 * np.pi):  # they would overlap
+        return 0.0, 0
+    # A low back's middle lies below those of armholes.
+    upper = max((one for one in contours if one not in limbs), key=lambda one: float(one.centre[1]))
     edge = upper.points - upper.centre
     # The slope of the upper opening: least squares of its height over the place in the plane.
     slope = np.linalg.lstsq(edge[:, [0, 2]], edge[:, 1], rcond=None)[0]
-    front = np.array([-across[1], across[0]])
-    front = -front if front @ slope > 0.0 else front
-    return float(np.arctan2(-front[0], front[1]))
+    front = np.array([-across[1], across[0]]) * (1.0 if across[0] >= 0.0 else -1.0)
+    return float(np.arctan2(-front[0], front[1])), -1 if front @ slope > 0.0 else 1

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -20,11 +22,15 @@ from drape.garment.registration import body_units, fit_body
 from drape.geometry import meshes
 from recovery import progress
 from recovery.pattern.model import Pattern
-from recovery.run.inside import fit_inside
-from recovery.run.upright import facing, up_axis
+from recovery.run.inside import InsideFit, check_inside, fit_inside
+from recovery.run.upright import facing, turned_about, up_axis
 
 SIZE_SLACK = 2.0  # by which a target's height may differ from its base's
 RIVAL_SLACK = 1.3  # by which the next unit must fit worse
+# Logarithms of the ratio by which a body has to fit worse the one way: an upper opening that is lower there weighs as
+# much, that the file looks the other way as much. Of 14 garments the right way fits better by 1.26 to 7.8, one by 0.96.
+LOWER_IN_FRONT, KEPT, UNSURE = 0.15, 0.1, 0.1
+Front = Literal["auto", "kept", "turned"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,41 +115,62 @@ def check_closed(faces: np.ndarray, name: str) -> None:
 
 def inside_wearer(
     mesh: GarmentMesh,
-    base: Pattern,
+    bases: Sequence[Pattern],
     *,
     unit: str = "auto",
     up: str = "auto",
+    front: Front = "auto",
     wanted: dict[str, int] | None = None,
 ) -> tuple[GarmentMesh, Wearer]:
-    """``mesh`` in metres, y up, and the shipped body fitted inside it; ``base``, drafted for that body, tells its size.
-    ``wanted`` are the openings of its kind.
+    """``mesh`` in metres, y up, and the shipped body fitted inside it; that of ``bases`` tells its size and place, all
+    drafted for that body, in which it fits best. ``wanted`` are the openings of its kind.
 
-    Openings tell the axis where ``up`` is "auto", and the way that the wearer looks.
+    Openings tell the axis where ``up`` is "auto". The wearer looks along +z as in the file, or, where ``front`` is
+    "auto", the other way if the body and the upper opening say so.
     """
     if (up_axis(mesh) if up == "auto" else up) == "z":
         turned = np.stack([mesh.vertices[:, 0], mesh.vertices[:, 2], -mesh.vertices[:, 1]], axis=1)
         mesh = replace(mesh, vertices=turned).noted("turned from z up to y up")
-    mesh = facing(mesh)
-    vertices, notes = mesh.vertices, []
-    placed = np.concatenate([panel.placement.apply(panel.vertices) for panel in base.panels])
-    base_height, height = float(np.ptp(placed[:, 1])), float(np.ptp(vertices[:, 1]))
-    misfit = {name: abs(np.log(max(height * scale, 1e-9) / base_height)) for name, scale in UNITS_M.items()}
+    sideways, cue = facing(mesh)
+    kept = KEPT if sideways is mesh else 0.0
+    vertices, notes = sideways.vertices, []
+    placed = [np.concatenate([one.placement.apply(one.vertices)[:, 1] for one in base.panels]) for base in bases]
+    heights, height = [float(np.ptp(one)) for one in placed], float(np.ptp(vertices[:, 1]))
+    misfit = {
+        name: min(abs(np.log(max(height * scale, 1e-9) / one)) for one in heights) for name, scale in UNITS_M.items()
+    }
     name = min(misfit, key=lambda one: misfit[one]) if unit == "auto" else unit
     second = sorted(misfit.values())[1]
     unsure = misfit[name] > np.log(SIZE_SLACK) or second - misfit[name] < np.log(RIVAL_SLACK)
     if unit == "auto" and unsure:
         raise MeshError(
             "target unit",
-            expected=f"a garment about {base_height:.2f} m high, as its base, in m, dm, cm, mm or inch",
+            expected=f"a garment about {heights[0]:.2f} m high, as its base, in m, dm, cm, mm or inch",
             got=f"a height of {height:.4g}",
             cure="Say the unit (--unit) and the up axis (--up), or take a base of the target's kind (--base).",
         )
     if name != "m":
         notes.append(f"converted from {name} to m")
-    mesh = replace(mesh, vertices=UNITS_M[name] * vertices).noted(*notes)
-    body = load_body()
+    mesh = replace(sideways, vertices=UNITS_M[name] * vertices).noted(*notes)
+    body, about = load_body(), turned_about(mesh, np.pi)
+
+    def fitted(one: GarmentMesh) -> InsideFit:
+        fits = [fit_inside(one, body, top_m=float(base.max()), wanted=wanted) for base in placed]
+        return min(fits, key=lambda fit: fit.cost_m2)
+
     with progress.stage("a body is fitted inside"):
-        found = fit_inside(mesh, body, top_m=float(placed[:, 1].max()), wanted=wanted)
+        if front == "auto" and cue:
+            ways = [fitted(mesh), fitted(about)]
+            score = float(np.log(ways[0].cost_m2 / ways[1].cost_m2)) - LOWER_IN_FRONT * cue - kept
+            turn = score > 0.0
+            found, doubt = ways[turn], abs(score) < UNSURE or (cue < 0) != turn
+            other = "kept" if turn else "turned"
+            words = f"front and back are not plain: pass --front {other} if it is worn back to front"
+            mesh = (about if turn else mesh).noted(*[words] * doubt)
+        else:
+            mesh = about if front == "turned" else mesh
+            found = fitted(mesh)
+        check_inside(found)
     source = (
         f"body {body.name} fitted inside the target: cloth {found.mean_mm:.0f} mm from the skin on average "
         f"and {found.band_mm:.0f} mm where it hangs, "

@@ -19,6 +19,7 @@ from scipy.sparse.linalg import spsolve
 from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import mesh_graphs, meshes
 from recovery import progress
+from recovery.scan.thin import GROW, NOISE, SHRINK
 
 CLOSED = "closed hole"  # the material of faces that close a hole
 SHORT_SHARE = 0.14  # of the root of the area: no cuff is as short as this; 14 cm for a square metre
@@ -33,15 +34,20 @@ MOUTH_SHARE, POCKET_SHARE = 0.3, 0.45  # of a border's length: mouth and depth l
 DEEPER, ROUNDER = 0.1, 1.5
 NARROWER = 0.2  # of a mouth's length counts against a bite, so that it ends where the mouth does
 LIP_VERTICES, LIP_TURN_RAD = 2, 0.4  # a border that turns by this, over as many vertices on both sides, is a lip
+CALMINGS = 16  # most of Taubin's smoothings of a border that is searched for bites
 LARGEST_LOOP = 4000  # vertices of a border that are searched for bites
 
 
 class Loop(NamedTuple):
-    """A border: vertices ``loop`` (n,) in order, its ``length``, and how much it lies in the cloth, from 0 to 1."""
+    """A border: vertices ``loop`` (n,) in order, its ``length``, and how much it lies in the cloth, from 0 to 1.
+
+    ``axis`` (3,) is the normal of the plane that it spans.
+    """
 
     loop: np.ndarray
     length: float
     flatness: float
+    axis: np.ndarray
 
 
 class Closing(NamedTuple):
@@ -87,7 +93,7 @@ def borders(mesh: GarmentMesh) -> list[Loop]:
         axis = 0.5 * np.cross(points - points.mean(axis=0), way).sum(axis=0)
         axis = axis / max(float(np.linalg.norm(axis)), 1e-300)
         flatness = float((length * np.abs(normals[loop] @ axis)).sum() / max(float(length.sum()), 1e-300))
-        found.append(Loop(loop, float(length.sum()), flatness))
+        found.append(Loop(loop, float(length.sum()), flatness, axis))
     return sorted(found, key=lambda one: -one.length)
 
 
@@ -159,8 +165,9 @@ def bites_of(mesh: GarmentMesh, one: Loop) -> list[np.ndarray]:
     count = len(one.loop)
     if not 8 <= count <= LARGEST_LOOP:
         return []
-    flat, run = unrolled(mesh, one.loop)
-    points = mesh.vertices[one.loop]
+    vertices = mesh.vertices.copy()
+    vertices[one.loop] = points = _calmed_line(vertices[one.loop])
+    flat, run = unrolled(replace(mesh, vertices=vertices), one.loop)
     candidates = []
     lip = _lips(flat, count)
     for start in np.flatnonzero(lip).tolist():
@@ -181,6 +188,21 @@ def bites_of(mesh: GarmentMesh, one: Loop) -> list[np.ndarray]:
             gain = np.where(good, line - (1.0 + NARROWER) * mouth, -np.inf)
             candidates.append((float(gain.max()), start, int(ends[gain.argmax()])))
     return _disjoint(candidates, flat, one)
+
+
+def _calmed_line(points: np.ndarray) -> np.ndarray:
+    """The closed line ``points`` (n, 3) smoothed as by Taubin until its corners are no noise: it has pockets, too."""
+
+    def bend(line: np.ndarray) -> np.ndarray:
+        return 0.5 * (np.roll(line, 1, axis=0) + np.roll(line, -1, axis=0)) - line
+
+    for _ in range(CALMINGS):
+        step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).mean()
+        if np.median(np.linalg.norm(bend(points), axis=1)) <= 0.5 * NOISE * step:
+            break
+        for size in (SHRINK, GROW):
+            points = points + size * bend(points)
+    return points
 
 
 def _lips(flat: np.ndarray, count: int) -> np.ndarray:

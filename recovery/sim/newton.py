@@ -20,7 +20,7 @@ from recovery import progress
 from recovery.sim import elastic, implicit
 from recovery.sim.contact import SkinContact
 from recovery.sim.model import ClothModel, ClothState, Parameters
-from recovery.sim.solver import Factor, superlu
+from recovery.sim.solver import Factor, SingularMatrix, superlu
 
 TOLERANCE_N = 1e-8  # largest component of the force left at a node; a node weighs about 1e-3 N
 ITERATION_LIMIT = 200
@@ -152,8 +152,11 @@ class Minimum:
             while size > self.tolerance_n and iterations < self.iteration_limit and not progress.over():
                 progress.tick(f"Newton's step {iterations + 1}, {size:.1e} N left")
                 iterations += 1
-                direction = potential.direction(x, residual, exact=exact, shift=shift)
-                length = _line_search(potential, x, direction, value, residual)
+                try:
+                    direction = potential.direction(x, residual, exact=exact, shift=shift)
+                    length = _line_search(potential, x, direction, value, residual)
+                except SingularMatrix:  # no step, as where none lowers the potential: the shift makes it regular
+                    direction, length = residual, 0.0
                 if length <= SHORTEST_STEP:
                     if not exact and shift > 1e6:
                         break  # nothing decreases: rounding has the last word

@@ -9,6 +9,10 @@ from scipy.sparse.linalg import SuperLU, splu
 from drape.errors import InputError
 
 
+class SingularMatrix(InputError):
+    """A matrix without an inverse. Whether one that is nearly so has a factor is rounding's choice."""
+
+
 class Factor:
     """A factor P A P^T = L U with the pivots of A's own diagonal."""
 
@@ -36,7 +40,7 @@ def superlu(matrix: scipy.sparse.csc_matrix) -> Factor:
     try:
         factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except RuntimeError as error:
-        raise InputError(
+        raise SingularMatrix(
             "simulation step",
             expected="a regular system matrix",
             got=str(error),

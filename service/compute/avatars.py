@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from pydantic import BaseModel, Field
 
 from drape.avatar.wearer import Wearer, load_wearer
 from drape.body.model import BodyModel
-from drape.errors import NotFound, did_you_mean
+from drape.errors import ArtifactError, NotFound, did_you_mean
 from drape.garment.tailor import tailored, tailored_digest
+from drape.wanted import go_on
 from service.compute import garment_files
+from service.compute.records import read_record
 from service.stages.body_stages import BodyStages
 from service.stages.scene import Entry, Outfit, Scene
 from service.stages.stage import Make, call_here
@@ -26,7 +31,48 @@ if TYPE_CHECKING:
     from service.settings import Settings
 
 FOLDER = ".avatars"  # beside the garments, which their registry looks for without dots
-MOST_WORN = 8  # avatars whose stages and garments are kept; others are made again when they are worn
+log = logging.getLogger("drape.service")
+MOST_WORN = (
+    4  # avatars whose stages and garments are kept, 20 to 40 MB a garment; others are made again when they are worn
+)
+
+
+class AvatarFacts(BaseModel):
+    """The facts of an avatar that clients are told."""
+
+    name: str
+    digest: str
+    joints: dict[str, str] = Field(
+        description="SMPL's joints and the nodes of the character's skeleton that are these."
+    )
+    found_by: Literal["vrm", "names", "shape", "told"] = Field(
+        default="names", description="Whether VRM's bones, names, their places or PATCH told the joints."
+    )
+    confidence: float = Field(default=1.0, description="Of joints by their places: how like a person's these are.")
+    notes: list[str] = Field(default=[], description="What looks wrong with it, in words.")
+    nodes: list[str] = Field(description="All nodes of its file, parents first: the order of rig_poses.")
+    fit: dict[str, float] = Field(description="How far its trunk and limbs are from the body that stands for it [mm].")
+    height_m: float
+    rest_joints: list[list[float]] = Field(description="Of the body that stands for it [m], as BodyDocument has them.")
+    floor_m: float = Field(description="The height of its soles.")
+    scale: float = Field(description="Metres per unit of its file.")
+    vrm: str | None = Field(description="The version of VRM, where it is one.")
+    vertices: int = Field(description="Of its own surface.")
+
+
+class AvatarInfo(AvatarFacts):
+    """A user's character that wears garments."""
+
+    id: str
+
+
+@dataclass(frozen=True)
+class AvatarRecord:
+    """What is stored of an avatar beside its files."""
+
+    id: str
+    told: AvatarFacts
+    owner: str | None
 
 
 @dataclass(frozen=True)
@@ -36,8 +82,13 @@ class AvatarEntry:
     id: str
     path: Path
     source: Path
-    told: dict[str, Any]
+    told: AvatarFacts
     owner: str | None = None
+
+    @cached_property
+    def document(self) -> bytes:
+        """What clients are told of it, an ``AvatarInfo`` as JSON: thousands of nodes are written once."""
+        return AvatarInfo(id=self.id, **self.told.model_dump()).model_dump_json().encode()
 
     def seen_by(self, viewer: str | None) -> bool:
         """Whether the key ``viewer`` may know of it."""
@@ -72,13 +123,10 @@ class Avatars:
 
     def _read(self, about: Path) -> None:
         """Puts the avatar that ``about`` tells of in service; a file that was removed meanwhile is passed over."""
-        try:
-            held = json.loads(about.read_text(encoding="utf-8"))
-            entry = AvatarEntry(
-                held["id"], about.with_suffix(".npz"), about.with_suffix(".glb"), held["told"], held["owner"]
-            )
-        except (OSError, ValueError, KeyError, TypeError):
+        held = read_record(AvatarRecord, about)
+        if held is None:
             return
+        entry = AvatarEntry(held.id, about.with_suffix(".npz"), about.with_suffix(".glb"), held.told, held.owner)
         if entry.path.is_file() and entry != self._entries.get(entry.id):
             self._entries[entry.id] = entry
             self._undress(entry.id)
@@ -108,7 +156,7 @@ class Avatars:
         name = wearer.name
         if owner is not None:
             name = f"{name}-{hashlib.sha256(f'{owner} {wearer.digest}'.encode()).hexdigest()[:8]}"
-        elif (taken := self._entries.get(name)) is not None and taken.told["digest"] != wearer.digest:
+        elif (taken := self._entries.get(name)) is not None and taken.told.digest != wearer.digest:
             name = f"{name}-{wearer.digest[:8]}"
         return self._stored(name, made, source, owner, wearer)
 
@@ -125,7 +173,7 @@ class Avatars:
         made.replace(entry.path)
         if source != entry.source:
             source.replace(entry.source)
-        text = json.dumps({"id": name, "told": entry.told, "owner": owner})
+        text = json.dumps({"id": name, "told": entry.told.model_dump(), "owner": owner})
         garment_files.replace_text(entry.path.with_suffix(".json"), text)
         self._entries[name] = entry
         return entry
@@ -150,12 +198,21 @@ class Avatars:
     def _dressed(self, name: str) -> _Dressed:
         with self._one:
             if name not in self._worn:
-                wearer = load_wearer(self._entries[name].path, self._body)
+                wearer = self._stored_wearer(self._entries.get(name) or self.get(name))
                 self._worn[name] = _Dressed(wearer, self._stages_on(wearer.body), self._body, self._make)
                 while len(self._worn) > MOST_WORN:
                     self._worn.popitem(last=False)
             self._worn.move_to_end(name)
             return self._worn[name]
+
+    def _stored_wearer(self, entry: AvatarEntry) -> Wearer:
+        """The wearer in the file of ``entry``, which is set aside where that cannot be read."""
+        try:
+            return load_wearer(entry.path, self._body)
+        except ArtifactError as error:
+            log.warning("avatar set aside: %s", error)
+            self._entries.pop(entry.id, None)
+            raise NotFound(error.name, expected=error.expected, got=error.got, cure=error.cure) from error
 
     def dress(self, name: str, scene: Scene) -> Scene:
         """The garments of ``scene`` cut for the avatar ``name``; seconds for each that it never wore."""
@@ -176,27 +233,28 @@ class _Dressed:
         """``entry`` for this avatar."""
         digest = tailored_digest(entry.garment, self.wearer.body)
         with self._one:
+            go_on()
             if digest not in self._cut:
                 garment = self._make(tailored, entry.garment, self._standard, self.wearer.body)
                 self._cut[digest] = replace(entry, garment=garment, worn=self.stages)
             return self._cut[digest]
 
 
-def _facts(wearer: Wearer) -> dict[str, Any]:
+def _facts(wearer: Wearer) -> AvatarFacts:
     """The facts of ``wearer`` that clients are told."""
-    return {
-        "name": wearer.name,
-        "digest": wearer.digest,
-        "joints": wearer.joints,
-        "found_by": wearer.found_by,
-        "confidence": round(wearer.confidence, 3),
-        "notes": list(wearer.notes),
-        "nodes": list(wearer.nodes),
-        "fit": {"median_mm": round(wearer.median_mm, 2), "p95_mm": round(wearer.p95_mm, 2)},
-        "height_m": round(wearer.height_m, 4),
-        "rest_joints": np.round(wearer.body.joints_template, 6).tolist(),
-        "floor_m": round(float(wearer.body.v_template[:, 1].min()), 6),
-        "scale": wearer.scale,
-        "vrm": wearer.vrm or None,
-        "vertices": len(wearer.vertices),
-    }
+    return AvatarFacts(
+        name=wearer.name,
+        digest=wearer.digest,
+        joints=wearer.joints,
+        found_by=wearer.found_by,  # pyright: ignore[reportArgumentType]
+        confidence=round(wearer.confidence, 3),
+        notes=list(wearer.notes),
+        nodes=list(wearer.nodes),
+        fit={"median_mm": round(wearer.median_mm, 2), "p95_mm": round(wearer.p95_mm, 2)},
+        height_m=round(wearer.height_m, 4),
+        rest_joints=np.round(wearer.body.joints_template, 6).tolist(),
+        floor_m=round(float(wearer.body.v_template[:, 1].min()), 6),
+        scale=wearer.scale,
+        vrm=wearer.vrm or None,
+        vertices=len(wearer.vertices),
+    )

@@ -14,14 +14,14 @@ import logging
 import os
 import pickle
 import struct
-import subprocess
 import sys
 import threading
 from collections.abc import Callable
 from typing import IO, Any, ParamSpec, TypeVar
 
 from service.compute.background import step_back
-from service.settings import ROOT
+from service.compute.processes import Process, kill, start
+from service.watch.watchdog import spent_s, waits_for
 
 P = ParamSpec("P")
 Result = TypeVar("Result")
@@ -38,13 +38,14 @@ class ConstantsProcess:
     def __init__(self, wanted: Callable[[], bool]) -> None:
         self._wanted = wanted
         self._one = threading.Lock()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Process | None = None
 
     def call(self, function: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
         """``function(*arguments, **named)``, or what it raises; here as well where the process is lost."""
         if not self._wanted():
             return function(*arguments, **named)
         try:
+            waits_for(self._spent_s)
             with self._one:
                 succeeded, result = self._asked((function, arguments, named))
         except (OSError, EOFError):
@@ -54,16 +55,13 @@ class ConstantsProcess:
             raise result
         return result
 
+    def _spent_s(self) -> float:
+        process = self._process
+        return 0.0 if process is None else spent_s(process.pid)
+
     def _asked(self, call: Any) -> tuple[bool, Any]:
         if self._process is None:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "service.compute.constants_process"],
-                cwd=ROOT,
-                env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                start_new_session=True,
-            )
+            self._process = start("service.compute.constants_process")
         assert self._process.stdin is not None and self._process.stdout is not None
         try:
             send(self._process.stdin, call)
@@ -76,7 +74,7 @@ class ConstantsProcess:
         process, self._process = self._process, None
         if process is None:
             return
-        process.kill()
+        kill(process)
         process.wait()
         for file in (process.stdin, process.stdout):
             with contextlib.suppress(OSError):  # what was not sent
@@ -85,7 +83,7 @@ class ConstantsProcess:
     def close(self) -> None:
         """Ends the process; a call that it had is made where it was asked."""
         if (process := self._process) is not None:
-            process.kill()
+            kill(process)
         with self._one:
             self._end()
 

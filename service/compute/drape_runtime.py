@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -33,8 +34,10 @@ from service.stages.plan import Plan, make_plan
 from service.stages.stage import Stage, StageSetup, run, walk
 from service.watch.metrics import Metrics
 from service.watch.tracing import Tracing, make_tracing
+from service.watch.watchdog import moved
 
 if TYPE_CHECKING:
+    from drape.avatar.wearer import Wearer
     from service.settings import Settings
     from service.stages.scene import Scene
 
@@ -45,6 +48,7 @@ COST_FRAMES = 7  # that tell what one costs; the first has no past, and pays for
 COST_STEP_S = 1.0 / 30.0
 COST_TURN_RAD = 0.02  # a frame: cloth in slow motion, so that no stage takes its short way
 
+Result = TypeVar("Result")
 log = logging.getLogger("drape.service")
 
 
@@ -227,6 +231,11 @@ class DrapeRuntime:
             await self.threads.aside(worn.add, garment, feed)
         await asyncio.to_thread(lambda: [stage.prepare(plan) for stage in plan.stages])
 
+    async def made(self, function: Callable[..., Result], *arguments: object, **named: object) -> Result:
+        """``function(*arguments, **named)``, of a module and for one client: see ``ComputeThreads.apart`` and
+        ``ConstantsProcess.call``."""
+        return await self.threads.apart(lambda: self.constants_process.call(function, *arguments, **named))
+
     # --- frames ---
 
     async def stream_frames(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
@@ -249,6 +258,7 @@ class DrapeRuntime:
         A batch that fails is tried again one by one, so that no frame fails with another. A frame that fails leaves the
         memories as they were.
         """
+        moved()
         inputs = [one for one, _ in poses]
         try:
             *_, batch = self._walk(plan, inputs)
@@ -297,12 +307,12 @@ class DrapeRuntime:
         if self.tracing.on:
             self.tracing.stage(stage, took_s)
 
-    async def pose_body(self, clip: PoseInput) -> np.ndarray:
-        """World vertices [m] (F, Vb, 3) float32 of the body."""
+    async def pose_body(self, clip: PoseInput, wearer: Wearer | None = None) -> np.ndarray:
+        """World vertices [m] (F, Vb, 3) float32 of the body, or of the surface of a ``wearer``."""
+        pose = partial(self.body.posed_vertices, betas=clip.betas) if wearer is None else wearer.posed
 
         def compute(rows: slice) -> Iterator[np.ndarray]:
-            posed = self.body.posed_vertices(clip.poses[rows], clip.trans[rows], clip.betas)
-            yield posed.astype(np.float32)
+            yield pose(clip.poses[rows], clip.trans[rows]).astype(np.float32)
 
         parts = [part async for part in self.threads.in_chunks(len(clip.poses), compute)]
         return await asyncio.to_thread(np.concatenate, parts)

@@ -15,6 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from drape.errors import ArtifactError
+from service.compute.records import parsed_record
 from service.stages.scene import UNCHANGED, About
 
 OWNED = "of-"  # begins the folder of a key's garments
@@ -77,11 +78,10 @@ def about_path(path: Path) -> Path:
 def read_about(path: Path) -> About:
     """The ``About`` of the cache ``path``; refuses (``ArtifactError``) a file that does not say it."""
     try:
-        found = json.loads(about_path(path).read_text(encoding="utf-8"))
-        return About(found["title"], bool(found["published"]))
+        return parsed_record(About, about_path(path))
     except FileNotFoundError:
         return UNCHANGED
-    except (ValueError, KeyError, TypeError) as error:
+    except ValueError as error:
         cure = f"Delete {about_path(path).name}."
         label = f"garment {path.stem}"
         raise ArtifactError(label, expected="title and published", got="something else", cure=cure) from error
@@ -120,7 +120,7 @@ def claim(path: Path, wanted: str) -> bool:
         os.link(fresh, mine)  # with what it says, or not at all
         return True
     except FileExistsError:
-        holder = mine.read_text(encoding="utf-8")
+        holder = mine.read_text(encoding="utf-8", errors="replace")[:200].replace("\0", "")
         if holder == path.name or (path.parent / holder).exists():
             return holder == path.name
         os.replace(fresh, mine)

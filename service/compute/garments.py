@@ -14,7 +14,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
-from drape.errors import ArtifactError, DrapeError, InputError, NotFound, did_you_mean
+from drape.errors import ArtifactError, DrapeError, InputError, NotFound, did_you_mean, legible
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
 from drape.geometry.jets import JET_COUNT
 from drape.graph.feeds import garment_feed
@@ -44,9 +44,8 @@ class Registry:
         for path in garment_files.stored(settings.garments_dir):
             try:
                 self.add(self.prepare(path), "user", path)
-            except DrapeError as error:
-                log.warning("garment set aside: %s", error)
-                self.refused.append(f"{path.name}: {error}")
+            except Exception as error:  # whatever lies there, the start goes on
+                self.refused.append(set_aside(path, error))
 
     def entries(self) -> list[Entry]:
         """All garments, shipped ones first."""
@@ -140,6 +139,13 @@ class Registry:
         if all(other.garment.digest != entry.garment.digest for other in self.entries()):
             for garment in (entry.garment, entry.fine.garment):
                 self._worn.remove(garment)
+
+
+def set_aside(path: Path, error: Exception) -> str:
+    """A line, which the log has too, about the cache ``path``, which cannot be read."""
+    said = legible(f"{path.name}: {error if isinstance(error, DrapeError) else repr(error)[:200]}")
+    log.warning("garment set aside: %s", said)
+    return said
 
 
 def _loaded(path: Path, body: BodyModel, max_vertices: int) -> tuple[Garment, dict[str, np.ndarray]]:

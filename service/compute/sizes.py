@@ -15,6 +15,7 @@ from drape.errors import InputError, NotFound
 from drape.garment.cache import Garment
 from drape.garment.size_chart import Advice, advice, check_size, cut_for, deciding
 from drape.garment.sizes import SizeTable, load_table, sized, sized_digest, table_path
+from drape.wanted import go_on
 from service.stages.scene import Entry, Outfit, Scene
 from service.stages.stage import Make, call_here
 
@@ -74,6 +75,7 @@ class Sizes:
             return entry
         digest = sized_digest(entry.garment, table, size)
         with self._one:
+            go_on()
             if digest not in self._made:
                 self._made[digest] = self._make(sized, entry.garment, self._body, table, size)
         return replace(entry, garment=self._made[digest])

@@ -10,18 +10,20 @@ import contextvars
 import math
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from typing import TypeVar
 
 from service.compute.background import processor_count, thread_steps_back
 from service.errors import Busy, Draining
+from service.watch.watchdog import Lane, moved
 
 STREAM_WAIT_S = 0.02
 """What a chunk of a clip may take while there are streams, which share processors with it; one frame is the least."""
 STREAM_PAUSE_S = 1.0
 """Longer after the last frame of a stream nothing gives way to streams any more."""
+
+APART = 2  # threads for pictures, reports and files, which hold the interpreter lock most of their time
 
 CLIP_FPS = 1.0
 """Frames that a clip gets for every second of waiting, after ``DRAPE_CLIP_WAIT_S``; otherwise it is refused, before its
@@ -46,12 +48,9 @@ class ComputeThreads:
         self._bound, self._chunk_most, self._clip_wait_s = bound, chunk_frames, clip_wait_s
         self.hurried = False  # clips end now: the service is being restarted
         self.stream_threads = 1 if bound else stream_threads or processor_count()
-        self._for_streams = ThreadPoolExecutor(self.stream_threads, thread_name_prefix="drape-streams")
-        self._aside = (
-            self._for_streams
-            if bound
-            else ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape-aside", initializer=thread_steps_back)
-        )
+        self._for_streams = Lane("streams", self.stream_threads)
+        self._apart = Lane("apart", APART)
+        self._aside = self._for_streams if bound else Lane("aside", 1, initializer=thread_steps_back)
         self.streamed_s = -math.inf  # when a frame of a stream was last begun
         self._frame_done = asyncio.Event()  # of the streams' latest frame
         self._frame_done.set()
@@ -59,7 +58,7 @@ class ComputeThreads:
 
     def close(self) -> None:
         """Waits for the running chunk and ends the threads."""
-        for executor in (self._for_streams, self._aside):
+        for executor in (self._for_streams, self._aside, self._apart):
             executor.shutdown(wait=True, cancel_futures=True)
 
     @property
@@ -79,6 +78,11 @@ class ComputeThreads:
         """``function(*arguments)`` on the thread of what streams do not wait for, not begun beside a stream's frame."""
         await self._frame_done.wait()
         return await asyncio.get_running_loop().run_in_executor(self._aside, _here(function, *arguments))
+
+    async def apart(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """``function(*arguments)``, of seconds and for one client, on one of ``APART`` threads: others need not wait
+        for these, and who leaves the queue is through."""
+        return await asyncio.get_running_loop().run_in_executor(self._apart, _here(function, *arguments))
 
     async def in_chunks(self, frames: int, compute: Callable[[slice], Iterator[Result]]) -> AsyncIterator[Result]:
         """The last of what ``compute`` gives of all ``frames``, slice after slice, each step of it in its turn.
@@ -118,6 +122,7 @@ class ComputeThreads:
 
         def step() -> Result | None:
             nonlocal took_s
+            moved()
             begun_s = time.perf_counter()
             found = next(steps, None)
             took_s += time.perf_counter() - begun_s
@@ -150,7 +155,7 @@ class SlicedThread:
     """
 
     def __init__(self) -> None:
-        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape-pieces")
+        self._executor = Lane("pieces", 1, brief=True)
         self._free = asyncio.Event()
         self._free.set()
 

@@ -23,7 +23,7 @@ from drape.cloth.fabric import Fabric
 from drape.errors import DrapeError, Unavailable
 from drape.exact.frame import Lain, Sheet, exact
 from drape.garment.cache import Garment
-from service.compute.background import step_back
+from service.compute.background import end_with_parent, step_back
 from service.exact.folder import read_frame, write_frame
 
 
@@ -58,6 +58,7 @@ def run(block: Block, say: Any = print) -> None:
 
 
 def main() -> int:
+    end_with_parent()
     step_back()
     memory = int(sys.argv[1]) * 2**20
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
@@ -70,7 +71,9 @@ def main() -> int:
         answers.flush()
 
     try:
-        run(pickle.load(sys.stdin.buffer), say)
+        with sys.stdin.buffer as given:  # a file, whose room is free from then on
+            block = pickle.load(given)
+        run(block, say)
     except DrapeError as error:
         return _refuse(say, error)
     except MemoryError:

@@ -14,13 +14,18 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from drape.files.atomic import whole_file
+from drape.files.packed import UNREADABLE
+from drape.wanted import go_on
+from service.compute.records import read_record
 
 FOLDER = ".clips"
+MOST_FRAMES = 100_000  # that a stored clip may say it has
 ABOUT, CLIP, LOCK = "job.json", "clip.bin", "lock"
 COUNTS = ("crossings", "start_crossings", "steps")
 FIGURES = ("force_share", "depth_m", "energy_j", "start_j", *COUNTS)
@@ -34,7 +39,7 @@ class Accepted:
     id: str
     name: str
     owner: str | None
-    frames: int
+    frames: Annotated[int, Field(ge=1, le=MOST_FRAMES)]
     attempts: int = 0
     problem: dict[str, Any] | None = None
 
@@ -52,9 +57,8 @@ class Accepted:
 
 def read_accepted(folder: Path) -> Accepted | None:
     """The clip that was accepted in ``folder``, if one was."""
-    try:
-        accepted = Accepted(**json.loads((folder / ABOUT).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
+    accepted = read_record(Accepted, folder / ABOUT)
+    if accepted is None:
         return None
     known = accepted.problem is not None or (folder / CLIP).is_file()
     return accepted if folder.name == accepted.id and known else None
@@ -73,11 +77,13 @@ def write_frame(folder: Path, number: int, x: np.ndarray, told: dict[str, Any]) 
 
 def read_frame(folder: Path, number: int) -> tuple[np.ndarray, dict[str, Any]] | None:
     """What ``write_frame`` stored; None where there is no such frame."""
+    go_on()
     try:
         with np.load(frame_path(folder, number), allow_pickle=False) as stored:
-            told: dict[str, Any] = dict(zip(FIGURES, stored["told"].tolist(), strict=True))
-            return stored["x"], told | {name: int(told[name]) for name in COUNTS}
-    except (OSError, ValueError, KeyError, EOFError):
+            x, told = stored["x"], dict[str, Any](zip(FIGURES, stored["told"].tolist(), strict=True))
+            whole = x.ndim == 2 and x.shape[1] == 3 and np.isfinite(x).all()
+            return (x, told | {name: int(told[name]) for name in COUNTS}) if whole else None
+    except (*UNREADABLE, OverflowError):
         return None
 
 

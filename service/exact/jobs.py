@@ -8,11 +8,10 @@ import json
 import logging
 import os
 import pickle
-import signal
-import sys
 import uuid
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,10 +21,10 @@ from drape.cloth.fabric_table import fabric as fabric_named
 from drape.errors import DrapeError, MotionError, NotFound, Unavailable
 from drape.garment.wrapping import Wrapping
 from service import errors
+from service.compute.processes import ended, running
 from service.exact import folder as on_disk
 from service.exact.block import Block
 from service.exact.folder import Accepted, Lock
-from service.settings import ROOT
 from service.stages.batch import PoseInput
 
 if TYPE_CHECKING:
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
 KEPT = 32  # clips that have ended
 MOST_ATTEMPTS = 20  # starts of the service in which one clip is gone on with
 WAIT_S = 2.0  # until the drapes that frames start from are asked for again, where the service is busy
+BLOCK = "service.exact.block"
 MAKE_ROOM = "Delete clips that were fetched: DELETE /jobs/ID."
 log = logging.getLogger("drape.service")
 
@@ -91,7 +91,8 @@ class ExactClips:
             lock = Lock(folder)
             if accepted is None or not lock.held:
                 if lock.held:
-                    on_disk.remove(folder)  # its request was never answered
+                    if not (folder / on_disk.ABOUT).exists():  # its request was never answered
+                        on_disk.remove(folder)
                     lock.release()
                 continue
             job = self._jobs[accepted.id] = ClipJob(accepted, folder, problem=accepted.problem, lock=lock)
@@ -271,37 +272,22 @@ class ExactClips:
 
     async def _computed(self, job: ClipJob, block: Block) -> None:
         """Has ``block`` computed by a process of its own."""
-        given = await asyncio.to_thread(pickle.dumps, block)
-        environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "service.exact.block", str(self._settings.intake_memory_mb)),
-            cwd=ROOT,
-            env=environment,
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            start_new_session=True,
-        )
-        assert process.stdin is not None and process.stdout is not None
+        memory, most_s = str(self._settings.intake_memory_mb), self._settings.exact_frame_s
+        write = partial(pickle.dump, block)
         try:
-            with contextlib.suppress(ConnectionError):  # it has ended
-                process.stdin.write(given)
-                await process.stdin.drain()
-                process.stdin.close()
-            while line := await asyncio.wait_for(process.stdout.readline(), self._settings.exact_frame_s):
-                said = json.loads(line)
-                if "problem" in said:
-                    raise _refusal(said["problem"])
-                job.told[said.pop("frame")] = said
-            await process.wait()
+            async with running("exact", BLOCK, memory, write=write, folder=job.folder) as (process, answers):
+                while line := await asyncio.wait_for(answers.readline(), most_s):
+                    said = json.loads(line)
+                    if "problem" in said:
+                        raise _refusal(said["problem"])
+                    job.told[said.pop("frame")] = said
+                await asyncio.wait_for(ended(process), most_s)
         except TimeoutError:
-            expected = f"a frame within {self._settings.exact_frame_s:g} s"
+            expected = f"a frame within {most_s:g} s"
             cure = "Leave the pose out, or raise DRAPE_EXACT_FRAME_S."
             raise MotionError(f"frame {_next(job)}", expected=expected, got="none", cure=cure) from None
-        finally:
-            if process.returncode is None:
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(process.pid, signal.SIGKILL)
-                await process.wait()
+        except OSError as error:
+            raise errors.Full("disk", expected="room", got=str(error.strerror), cure=MAKE_ROOM) from error
         if process.returncode:
             got = f"a process that ended with status {process.returncode}"
             raise Unavailable(f"frame {_next(job)}", expected="its drape", got=got, cure="Ask again.")

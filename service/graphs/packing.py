@@ -28,7 +28,7 @@ from drape.garment.cache import Garment
 from drape.graph.blend import blended, warm_up
 from drape.graph.buckets import filled, filled_rows
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import Composition, PackedGarment, Place, compose
+from drape.graph.packing import Composition, PackedGarment, Place, compose, pack_garment
 from drape.graph.push_feed import SkinShapes
 from drape.kernels.elements import are_finite
 from service.graphs.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
@@ -133,25 +133,28 @@ class Packer:
         """Encodes ``garment`` and puts it in store under ``key``; ``feed`` is its ``garment_feed`` on this body."""
         if feed is None:
             feed = garment_feed(garment, body=self._body if self._engine.feels_body else None)
-        first = self._engine.first(garment)
+        packed = pack_garment(feed, self._engine.first(garment))  # frames wait for the lock, and not for this
         with self._lock:
-            self._store.add(key, garment, feed, first)
+            self._store.add(key, garment, packed)
             self._rows.pop(key, None)
             self._forget()
 
     def dressed(self, key: str, fabric: Fabric) -> str:
-        """The key of the garment ``key`` made of ``fabric``, put in store the first time, in a millisecond or two.
+        """The key of the garment ``key`` made of ``fabric``, put in store the first time, in ten milliseconds.
 
         The ``FABRICS_KEPT`` latest used are kept.
         """
         name = f"{key} of {fabric.digest}"
         with self._lock:
-            if name not in self._store:
+            garment = None if name in self._store else self._store.garment(key)
+        first = None if garment is None else self._engine.first(garment, fabric)
+        with self._lock:
+            if first is not None and name not in self._store:  # another thread may have been faster
                 for old in list(self._worn)[: len(self._worn) + 1 - FABRICS_KEPT]:
                     del self._worn[old]
                     if old in self._store:
                         self._store.remove(old)
-                self._store.dress(key, name, self._engine.first(self._store.garment(key), fabric))
+                self._store.dress(key, name, first)
                 self._forget()
             self._worn[name] = None
             self._worn.move_to_end(name)

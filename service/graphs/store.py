@@ -1,5 +1,5 @@
-"""Constants of garments as the packed graph reads them: ``Store``. Each array lies in one piece, a garment's own are
-views of it."""
+"""Constants of garments as the packed graph reads them: ``Store``. Once a call has asked for several garments each
+array lies in one piece, and a garment's own are views of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from drape.errors import NotFound
 from drape.garment.cache import Garment
-from drape.graph.packing import PackedGarment, Place, pack_garment
+from drape.graph.packing import PackedGarment, Place
 
 FIRST = "patch_first"  # what a fabric changes of the constants of a garment
 
@@ -34,14 +34,11 @@ class Store:
     def __contains__(self, key: str) -> bool:
         return key in self._garments
 
-    def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray], patch_first: np.ndarray) -> None:
-        """Puts ``garment`` with its ``garment_feed`` under ``key``, in place of what was there.
-
-        ``patch_first`` (K, n) is the encoder's.
-        """
+    def add(self, key: str, garment: Garment, packed: PackedGarment) -> None:
+        """Puts ``garment`` with its constants under ``key``, in place of what was there."""
         self._undress(key)
-        self._garments[key] = _Stored(garment, pack_garment(feed, patch_first))
-        self._lay_out()
+        self._garments[key] = _Stored(garment, packed)
+        self._arrays = {}
 
     def garment(self, key: str) -> Garment:
         """The garment ``key``; refuses one that is not in store."""
@@ -53,14 +50,14 @@ class Store:
         packed = self.packed(key)
         packed = replace(packed, stored=packed.stored | {FIRST: patch_first})
         self._garments[name] = _Stored(self._garments[key].garment, packed, key)
-        self._lay_out()
+        self._arrays = {}
 
     def remove(self, key: str) -> None:
         """Forgets the garment ``key``, in all fabrics; or of one that ``dress`` put there this one."""
         self.packed(key)
         self._undress(key)
         del self._garments[key]
-        self._lay_out()
+        self._arrays = {}
 
     def _undress(self, key: str) -> None:
         for name in [name for name, stored in self._garments.items() if stored.of == key]:
@@ -75,11 +72,15 @@ class Store:
         return self._garments[key].packed
 
     def place(self, key: str) -> Place:
-        """First rows of the garment ``key``."""
+        """First rows of the garment ``key`` in ``arrays``."""
+        self.arrays()
         return self._places[key]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The stored inputs of the packed graph by name."""
+        """The stored inputs of the packed graph by name, laid out anew where garments came or went: it takes a
+        millisecond a garment, and compiled networks never ask."""
+        if not self._arrays:
+            self._lay_out()
         return self._arrays
 
     @property

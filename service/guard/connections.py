@@ -1,25 +1,33 @@
 """Connections that may not be held open for nothing: ``http_protocol(settings)``.
 
 Uvicorn has a time for the pause between two requests only. Here the head of a request, what is left of a body after its
-answer, and the reading of an answer have theirs too, and connections are counted, in all and by address.
+answer, and the reading of an answer have theirs too, and connections are counted, in all and by address. A request
+ends with its connection: ``EndsWithClient``.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import select
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from starlette.requests import ClientDisconnect
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from drape.errors import DrapeError
+from drape.wanted import WANTED, Unwanted
 from service.errors import PROBLEM, Busy, TooLarge, TooSlow, problem
+from service.guard.limits import UPLOAD_PATHS
 
 if TYPE_CHECKING:
     from service.settings import Settings
 
 HEAD_BYTES = 64 * 1024  # of a request line and its headers
 REST_S = 2.0  # for what is left of a body after its answer
+LOOK_S = 0.25  # between two looks at a client that nothing is read of
+LEFT = "drape.left"  # the extension of a request's scope: a future that is done when the connection is lost
 
 
 class LimitedHttp(HttpToolsProtocol):
@@ -29,11 +37,14 @@ class LimitedHttp(HttpToolsProtocol):
     _head: asyncio.TimerHandle | None = None
     _rest: asyncio.TimerHandle | None = None
     _reading: asyncio.TimerHandle | None = None
+    _looking: asyncio.TimerHandle | None = None
     _head_bytes = 0
     _upgraded = False
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
+        self._left: asyncio.Future[None] = self.loop.create_future()
+        self._cycles: list[RequestResponseCycle] = []  # requests without their answer's end
         limits = self.settings
         clients = [getattr(one, "client", None) for one in self.connections]
         mine = sum(client is not None and self.client is not None and client[0] == self.client[0] for client in clients)
@@ -49,6 +60,9 @@ class LimitedHttp(HttpToolsProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._drop_timers()
+        for cycle in self._cycles:
+            cycle.disconnected = not cycle.response_complete
+        self._left.set_result(None)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
@@ -67,12 +81,16 @@ class LimitedHttp(HttpToolsProtocol):
 
     def on_message_begin(self) -> None:
         super().on_message_begin()
+        self.scope["extensions"] = {LEFT: self._left}  # pyright: ignore
         if self._head is None:
             self._await_head()
 
     def on_headers_complete(self) -> None:
         self._head = _ended(self._head)
         super().on_headers_complete()
+        if self.cycle is not None:
+            self._cycles = [*(one for one in self._cycles if not one.response_complete), self.cycle]
+            self._looking = self._looking or self.loop.call_later(LOOK_S, self._look)
 
     def handle_websocket_upgrade(self) -> None:
         self._drop_timers()
@@ -114,6 +132,16 @@ class LimitedHttp(HttpToolsProtocol):
 
         self._reading = self.loop.call_later(self.settings.read_s, look)
 
+    def _look(self) -> None:
+        """Cuts the connection where its client has gone: the loop does not see that while nothing is read, because a
+        body or another request waits."""
+        self._looking, poll = None, select.poll()
+        poll.register(self.transport.get_extra_info("socket").fileno(), getattr(select, "POLLRDHUP", 0))
+        if self.flow.read_paused and poll.poll(0):
+            self.transport.abort()
+        elif not self.cycle.response_complete:
+            self._looking = self.loop.call_later(LOOK_S, self._look)
+
     def _await_head(self) -> None:
         self._head_bytes = 0
         self._head = self.loop.call_later(self.settings.head_s, self._late)
@@ -134,7 +162,8 @@ class LimitedHttp(HttpToolsProtocol):
         self.transport.close()
 
     def _drop_timers(self) -> None:
-        self._head, self._rest, self._reading = (_ended(one) for one in (self._head, self._rest, self._reading))
+        timers = self._head, self._rest, self._reading, self._looking
+        self._head, self._rest, self._reading, self._looking = map(_ended, timers)
 
 
 def _ended(timer: asyncio.TimerHandle | None) -> None:
@@ -145,3 +174,37 @@ def _ended(timer: asyncio.TimerHandle | None) -> None:
 def http_protocol(settings: Settings) -> type[LimitedHttp]:
     """The protocol class with the limits of ``settings``, as uvicorn wants it."""
     return type("Http", (LimitedHttp,), {"settings": settings})
+
+
+class EndsWithClient:
+    """Cancels the work on a request whose connection is lost: nobody can fetch its answer. What changes something goes
+    on: an upload whose last byte has come, ``PATCH``, ``DELETE``, and what is shielded in other requests."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        left, work = scope.get("extensions", {}).get(LEFT), asyncio.current_task()
+        changes = scope.get("method") in ("PATCH", "DELETE") or scope.get("path") in UPLOAD_PATHS
+        if left is None or work is None or changes:
+            await self.app(scope, receive, send)
+            return
+
+        def end(_: object) -> None:
+            work.cancel()
+
+        async def sent(message: Message) -> None:
+            if message["type"] == "http.response.body" and not message.get("more_body"):
+                left.remove_done_callback(end)  # the line may end now
+            await send(message)
+
+        WANTED.set(lambda: not left.done())
+        left.add_done_callback(end)
+        try:
+            await self.app(scope, receive, sent)
+        except (asyncio.CancelledError, Unwanted):
+            if left.done():
+                raise ClientDisconnect from None
+            raise
+        finally:
+            left.remove_done_callback(end)

@@ -15,10 +15,10 @@ from pydantic import Field
 from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
 from drape.errors import BodyError, InputError, NotFound
 from drape.files.formats import AVATAR_SUFFIXES
-from service.compute.avatars import AvatarEntry
+from service.compute.avatars import AvatarInfo
 from service.errors import Full, TooLarge, TooSlow
 from service.http import schemas
-from service.http.answers import BINARY, json_answer
+from service.http.answers import BINARY, JSON, json_answer
 from service.http.covered_schemas import CoveredFaces, CoveredPrimitive
 from service.http.garment_routes import KNOWN, LEAST, MOST, USUAL
 from service.http.json_body import document_of, json_text, validated
@@ -66,16 +66,17 @@ async def add_avatar(
     return job_info(job)
 
 
-@router.get("/avatars")
-async def avatars(state: StateHere, client: ClientHere) -> list[schemas.AvatarInfo]:
+@router.get("/avatars", response_model=list[AvatarInfo])
+async def avatars(state: StateHere, client: ClientHere) -> Response:
     """The avatars that can wear garments."""
-    return [_info(entry) for entry in state.runtime.avatars.visible(client.name)]
+    documents = b",".join(entry.document for entry in state.runtime.avatars.visible(client.name))
+    return Response(b"[%b]" % documents, media_type=JSON)
 
 
-@router.get("/avatars/{avatar_id}", responses=responses(NotFound))
-async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> schemas.AvatarInfo:
+@router.get("/avatars/{avatar_id}", response_model=AvatarInfo, responses=responses(NotFound))
+async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> Response:
     """One avatar: which of its nodes is which joint, and how well our body fits it."""
-    return _info(await state.avatar(avatar_id, client))
+    return Response((await state.avatar(avatar_id, client)).document, media_type=JSON)
 
 
 @router.patch(
@@ -90,9 +91,11 @@ async def change_avatar(
     """Corrects which nodes are which joints; the avatar is made anew from its file. Poll the job."""
     entry = await state.avatar(avatar_id, client)
     asked = validated(AvatarChange, document_of(await json_text(request)))
-    told = json.dumps({**entry.told["joints"], **asked.joints})
+    if not await asyncio.to_thread(entry.source.is_file):
+        raise NotFound("avatar", expected="one whose file is stored", got="none", cure="Send the character again.")
+    told = json.dumps({**entry.told.joints, **asked.joints})
     pieces = _pieces(entry.source)
-    job = await state.uploads.submit(entry.told["name"], "glb", pieces, told, client, kind="avatar", replaces=entry.id)
+    job = await state.uploads.submit(entry.told.name, "glb", pieces, told, client, kind="avatar", replaces=entry.id)
     response.headers["Location"] = f"/jobs/{job.id}"
     return job_info(job)
 
@@ -130,8 +133,8 @@ async def avatar_covered(
         scene = await state.scene(None, garments.split(","), client, avatar=avatar_id, size=sizes)
         wearer = await state.wearer(avatar_id, client)
         cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
-        surface = entry.source, wearer.vertices, wearer.faces
-        covered, own = await asyncio.to_thread(state.runtime.constants_process.call, covered_in_file, *surface, cloth)
+        surface = entry.path, wearer.vertices, wearer.faces
+        covered, own = await state.runtime.made(covered_in_file, *surface, cloth)
     return CoveredFaces(
         deeper_m=DEEPER_M,
         share=round(float(covered.mean()), 4),
@@ -160,17 +163,13 @@ async def avatar_preview(
     async def made() -> bytes:
         wearer = await state.wearer(avatar_id, client)
         surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
-        return await asyncio.to_thread(state.runtime.constants_process.call, picture, surface, None, size)
+        return await state.runtime.made(picture, surface, None, size)
 
-    return await preview(state.previews, entry.told["digest"], size, if_none_match, made)
+    return await preview(state.previews, entry.told.digest, size, if_none_match, made)
 
 
 async def _pieces(file: Path) -> AsyncIterator[bytes]:
     """The bytes of ``file``."""
-    content = await asyncio.to_thread(file.read_bytes)
-    for start in range(0, len(content), PIECE_BYTES):
-        yield content[start : start + PIECE_BYTES]
-
-
-def _info(entry: AvatarEntry) -> schemas.AvatarInfo:
-    return schemas.AvatarInfo(id=entry.id, **entry.told)
+    with await asyncio.to_thread(file.open, "rb") as held:
+        while piece := await asyncio.to_thread(held.read, PIECE_BYTES):
+            yield piece

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from fastapi.responses import StreamingResponse
 
-from drape.avatar.character import read_character
-from drape.avatar.file_skeleton import file_skeleton
+from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.rig_file import Dressed, RigClip, rig_file
 from drape.body.model import BodyModel
 from drape.export import glb
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
     from drape.avatar.wearer import Wearer
     from service.compute.threads import SlicedThread
-    from service.http.clip_jobs import ClipJob
     from service.http.schemas import ClipOptions, PosedOptions
     from service.stages.batch import PoseInput
     from service.stages.placing import Placed
@@ -61,19 +59,30 @@ def garment_file(
     return file, file.head()
 
 
-def on_rig_file(scene: Scene, placed: Placed, job: ClipJob, wearer: Wearer, source: Path) -> tuple[GlbFile, bytes]:
-    """The file on the rig of ``wearer``, whose own file is ``source``, and what it begins with."""
-    payload = source.read_bytes()
+def dressed(scene: Scene, placed: Placed) -> list[Dressed]:
+    """The garments of ``scene`` where they are ``placed``, each in its colour."""
     ends = np.cumsum([worn.vertex_count for worn in scene.layers])[:-1]
-    layers = [
+    return [
         Dressed(worn.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)])
         for i, (worn, own) in enumerate(zip(scene.layers, np.split(placed.vertices, ends, axis=1), strict=True))
     ]
-    quaternions, places = wearer.to_rig(job.clip.poses, job.clip.trans)
+
+
+def on_rig_file(
+    layers: list[Dressed],
+    wearer: Wearer,
+    stored: Path,
+    clip: PoseInput,
+    turns: np.ndarray | None,
+    *,
+    fps: float,
+    quantised: bool,
+) -> tuple[GlbFile, bytes]:
+    """The file of ``layers`` on the rig of ``wearer``, which is ``stored``, and what it begins with."""
+    quaternions, places = wearer.to_rig(clip.poses, clip.trans)
     # Nodes that no joint of ours moves turn as they were told.
-    moves = RigClip(quaternions if job.turns is None else job.turns, places, job.asked.fps)
-    own = read_character(payload, label=wearer.name), file_skeleton(payload, label=wearer.name)
-    file = rig_file(layers, moves, wearer, *own, quantised=job.asked.quantised)
+    moves = RigClip(quaternions if turns is None else turns, places, fps)
+    file = rig_file(layers, moves, wearer, load_file_rig(stored), quantised=quantised)
     return file, file.head()
 
 

@@ -22,7 +22,7 @@ from service.errors import NotAcceptable, TooLarge, TooSlow
 from service.guard.limits import check_answer
 from service.http import exact_clips, schemas
 from service.http.answers import BINARY, GLB, JSON, PC2, USDA, binary_answer, choose, file_answer, json_answer
-from service.http.clip_files import body_file, export_answer, garment_file, on_rig_file
+from service.http.clip_files import body_file, dressed, export_answer, garment_file, on_rig_file
 from service.http.clip_jobs import ClipJob, floor_headers, jets_response, plan_headers, quality_headers, streamed_answer
 from service.http.json_body import check_marks, clip_marks, content_type, document_of, json_text, parsed, validated
 from service.http.openapi import clip_schema, responses
@@ -112,17 +112,19 @@ def _offered(asked: schemas.ClipOptions) -> tuple[str, ...]:
 async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str, str], state: State) -> Response:
     """The vertices of ``draped`` as ``kind``."""
     scene, asked = job.plan.shown, job.asked
-    placed = await _of_array(draped.vertices, draped.placed, asked.origin)
+    apart, placed = state.runtime.threads.apart, await _of_array(draped.vertices, draped.placed, asked.origin)
     if kind == GLB and asked.rig and asked.avatar is not None:
         wearer = await state.wearer(asked.avatar, job.client)
-        source = (await state.avatar(asked.avatar, job.client)).source
-        file = await asyncio.to_thread(on_rig_file, scene, placed, job, wearer, source)
+        stored = (await state.avatar(asked.avatar, job.client)).path
+        on_rig = partial(on_rig_file, fps=asked.fps, quantised=asked.quantised)
+        dressed_layers = await apart(dressed, scene, placed)
+        file = await state.runtime.made(on_rig, dressed_layers, wearer, stored, job.clip, job.turns)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind == GLB:
-        file = await asyncio.to_thread(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)
+        file = await apart(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind in (PC2, USDA):
-        return await asyncio.to_thread(export_answer, kind, scene, placed, asked.fps, state.sliced_thread, headers)
+        return await apart(export_answer, kind, scene, placed, asked.fps, state.sliced_thread, headers)
     worn = layer_list(scene) if isinstance(scene, Outfit) else None
     return await _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
 
@@ -141,7 +143,7 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
     asked, clip, _, _ = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state, client)
     kind = choose(request.headers.get("accept"), KINDS)
     if kind == GLB:
-        return file_answer(*await asyncio.to_thread(body_file, runtime.body, clip, asked), state.sliced_thread, {})
+        return file_answer(*await runtime.threads.apart(body_file, runtime.body, clip, asked), state.sliced_thread, {})
     _check_size(kind, len(clip.poses), runtime.body.vertex_count, runtime.settings)
     with state.access.using(client, "clips"), state.slot():
         if asked.origin == "world":
@@ -169,8 +171,7 @@ async def posed_avatar(avatar_id: str, request: Request, state: StateHere, clien
     wearer = await state.wearer(avatar_id, client)
     _check_size(kind, len(clip.poses), len(wearer.vertices), state.runtime.settings)
     with state.access.using(client, "clips"), state.slot():
-        posed = await asyncio.to_thread(wearer.posed, clip.poses, clip.trans)
-        return await _vertices_answer(Placed(posed.astype(np.float32)), asked.fps, kind, state)
+        return await _vertices_answer(Placed(await state.runtime.pose_body(clip, wearer)), asked.fps, kind, state)
 
 
 async def _clip(

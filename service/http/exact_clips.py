@@ -58,7 +58,7 @@ async def submitted(asked: schemas.ClipOptions, clip: PoseInput, state: State, c
     left_out = {"poses", "trans", "rig_poses"}
     about = asked.model_dump(mode="json", by_alias=True, exclude_none=True, exclude=left_out)
     message = await asyncio.to_thread(pack_clip, about, clip.poses, clip.trans)
-    return await state.exact.submit(entry.id, client.name, message, len(clip.poses))
+    return await asyncio.shield(state.exact.submit(entry.id, client.name, message, len(clip.poses)))
 
 
 async def _read(message: bytes, state: State, client: Client) -> ClipJob:

@@ -63,7 +63,7 @@ async def body_shape(body_id: str, request: Request, state: StateHere, client: C
     state.check_slot()
     asked = validated(ShapeRequest, document_of(await json_text(request))).model_dump(exclude_none=True)
     with state.access.using(client, "clips"), state.slot():
-        found = await asyncio.to_thread(runtime.constants_process.call, shape_of_measures, runtime.body, asked)
+        found = await runtime.made(shape_of_measures, runtime.body, asked)
     reached = Measures._asdict(found.reached)
     return ShapeDocument.model_validate({"betas": found.betas.tolist(), "measures": reached, "missed": found.missed})
 
@@ -92,9 +92,8 @@ async def garment_fit(garment_id: str, request: Request, state: StateHere, clien
     clip = _clip(asked, runtime.body)
     with state.access.using(client, "clips"), state.slot():
         draped = await runtime.drape(plan, clip)
-        call = runtime.constants_process.call
         garment, fabric = plan.scene.layers[0].garment, plan.fabrics[0]
-        found = await asyncio.to_thread(call, fit_report, garment, runtime.body, _worn(clip, draped), fabric=fabric)
+        found = await runtime.made(fit_report, garment, runtime.body, _worn(clip, draped), fabric=fabric)
     if kind == BINARY:
         rows = np.stack(_of_delivered(found, entry), axis=1)
         return binary_answer(rows, state.sliced_thread, {"X-Drape-Vertices": str(len(rows))})

@@ -6,7 +6,7 @@ import asyncio
 import gzip
 import hashlib
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 
 import numpy as np
 from fastapi import Response
@@ -20,7 +20,6 @@ from drape.wire.folds import pack_folds
 from drape.wire.messages import WIRE_VERSION
 from drape.wire.options import FabricChoice, FabricNumbers
 from service.http.json_body import document_of, validated
-from service.stages.stage import Make
 
 KEPT = 8  # messages of some 3 MB, compressed
 LEVEL = 6  # of compression: to half of the size
@@ -56,7 +55,7 @@ def packed(worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndar
 
 
 async def fold_message(
-    kept: FoldMessages, folded: Folded, *, asked: Mapping[str, str], kind: str, make: Make
+    kept: FoldMessages, folded: Folded, *, asked: Mapping[str, str], kind: str, make: Callable[..., Awaitable[bytes]]
 ) -> Response:
     """The answer with the message of ``folded``, which ``make`` makes where it is not ``kept``; 304 where the headers
     ``asked`` say that the client has it. It is compressed for who takes that."""
@@ -71,7 +70,7 @@ async def fold_message(
         return Response(status_code=304, headers=headers)
     message = kept.get(tag)
     if message is None:
-        message = await asyncio.to_thread(make, packed, *folded)
+        message = await make(packed, *folded)
         kept.keep(tag, message)
     if "gzip" not in asked.get("accept-encoding", ""):
         return Response(await asyncio.to_thread(gzip.decompress, message), media_type=kind, headers=headers)

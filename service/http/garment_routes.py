@@ -136,8 +136,7 @@ async def garment_folds(
     plan = runtime.plan(scene, DrapeOptions(geometry="jets", folds_by="client", folds=1, **chosen))  # may refuse
     worn, body = plan.scene.layers[0].garment, runtime.on(scene).body
     folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body)
-    make = runtime.constants_process.call
-    return await fold_message(state.fold_messages, folded, asked=request.headers, kind=kind, make=make)
+    return await fold_message(state.fold_messages, folded, asked=request.headers, kind=kind, make=runtime.made)
 
 
 @router.get(
@@ -156,13 +155,14 @@ async def garment_preview(
     """A picture of the delivered mesh at rest on the standard body, from the front and a little from the side."""
     garment, body = (await state.garment(garment_id, client)).garment, state.runtime.body
 
-    async def made() -> bytes:
+    def drawn() -> bytes:
         cloth = garment.vertices[: garment.vertex_count].astype(np.float64)
         worn = (cloth, garment.faces.astype(np.int64))
         skin = None if alone else (body.rest_vertices(np.zeros(body.shape_count)), body.faces.astype(np.int64))
-        return await asyncio.to_thread(state.runtime.constants_process.call, picture, worn, skin, size)
+        return state.runtime.constants_process.call(picture, worn, skin, size)
 
-    return await preview(state.previews, f"a{garment.digest}" if alone else garment.digest, size, if_none_match, made)
+    digest = f"a{garment.digest}" if alone else garment.digest
+    return await preview(state.previews, digest, size, if_none_match, lambda: state.runtime.threads.apart(drawn))
 
 
 @router.patch(

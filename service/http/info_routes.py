@@ -22,6 +22,7 @@ from service.http.answers import GLB, JSON, choose, file_answer, json_answer
 from service.http.openapi import EVERYWHERE, responses
 from service.http.query import Betas, queried_shape
 from service.state import ADMITTED, ClientHere, StateHere
+from service.watch.metrics import MEDIA_TYPE
 from service.watch.probes import PATHS, answer
 
 if TYPE_CHECKING:
@@ -187,6 +188,9 @@ def probe_routes(lifecycle: Lifecycle, metrics: Metrics) -> APIRouter:
     probes = APIRouter()
 
     async def probe(request: Request) -> Response:
+        if request.url.path == "/metrics":
+            rendered = request.app.state.drape.sliced_thread.each(metrics.pieces())
+            return Response(b"".join([piece async for piece in rendered]), media_type=MEDIA_TYPE)
         status, kind, content = answer(request.url.path, lifecycle, metrics)
         return Response(content, status, media_type=kind)
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from annotated_types import Len
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from drape.avatar.gltf import MOST_NODES
 from drape.body.skeleton import JOINT_COUNT
 from drape.files.formats import MESH_NAMES
+from drape.files.gltf_json import MOST_NODES
 from drape.graph.feeds import BETA_COUNT
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
 from service.compute.tiers import Tier
@@ -278,30 +278,6 @@ class JobInfo(BaseModel):
     notes: list[str] = Field(default=[], description="Of one that is done: what was left out or looks wrong, in words.")
     frames: int | None = Field(default=None, description="Of a clip: how many it has.")
     told: list[FrameTold] = Field(default=[], description="Of a clip: its frames that are there, in order.")
-
-
-class AvatarInfo(BaseModel):
-    """A user's character that wears garments."""
-
-    id: str
-    name: str
-    digest: str
-    joints: dict[str, str] = Field(
-        description="SMPL's joints and the nodes of the character's skeleton that are these."
-    )
-    found_by: Literal["vrm", "names", "shape", "told"] = Field(
-        default="names", description="Whether VRM's bones, names, their places or PATCH told the joints."
-    )
-    confidence: float = Field(default=1.0, description="Of joints by their places: how like a person's these are.")
-    notes: list[str] = Field(default=[], description="What looks wrong with it, in words.")
-    nodes: list[str] = Field(description="All nodes of its file, parents first: the order of rig_poses.")
-    fit: dict[str, float] = Field(description="How far its trunk and limbs are from the body that stands for it [mm].")
-    height_m: float
-    rest_joints: list[list[float]] = Field(description="Of the body that stands for it [m], as BodyDocument has them.")
-    floor_m: float = Field(description="The height of its soles.")
-    scale: float = Field(description="Metres per unit of its file.")
-    vrm: str | None = Field(description="The version of VRM, where it is one.")
-    vertices: int = Field(description="Of its own surface.")
 
 
 class BodyInfo(BaseModel):

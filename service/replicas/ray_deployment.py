@@ -24,6 +24,7 @@ from service.replicas.scaling import AGE, STREAMS, FrameAges, Load, Policy
 from service.settings import Settings
 from service.watch.logs import set_up
 from service.watch.metrics import Metrics
+from service.watch.outputs import free_outputs
 from service.watch.probes import Lifecycle
 
 if TYPE_CHECKING:
@@ -182,6 +183,7 @@ def run(serving: Application, settings: Settings, address: str | None) -> None:
     serve, told = _serve(), threading.Event()
     import ray  # pyright: ignore[reportMissingImports]
 
+    free_outputs(settings.log_format)
     start_ray(address)
     try:
         serve.start(http_options={"host": settings.host, "port": settings.port, "location": "HeadOnly"})

@@ -13,6 +13,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
+from drape.wanted import go_on
 from drape.wire.options import DrapeOptions
 from service.stages.batch import Batch, Memories, PoseInput
 from service.stages.plan import Plan
@@ -178,6 +179,7 @@ class KeptConstants(Generic[Constants]):
             with self._making:
                 found = self._find(key)
                 if found is None:
+                    go_on()
                     found = (make(),)
                     self._keep(key, found[0])
         return found[0]

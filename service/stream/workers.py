@@ -49,7 +49,7 @@ class Streams:
         self._sessions: set[Session] = set()
         self._wake = asyncio.Event()
         self._workers: list[asyncio.Task[None]] = []
-        self._count, self._busy = runtime.threads.stream_threads, 0  # workers, and how many of them compute
+        self._count = runtime.threads.stream_threads
         self._step_down = StepDown(runtime.step_count, time.monotonic())
 
     @property
@@ -137,13 +137,13 @@ class Streams:
                 await self._compute(batch)
 
     def _next_batch(self) -> list[Session]:
-        """The session that has waited longest, with its share of the others that wait under the same plan: what other
-        workers have nothing else to do for is left to them."""
+        """The session that has waited longest, with its share of the others that wait under the same plan: a batch
+        leaves when its last frame is through, and each takes hardly less than alone (0.86 to 0.97 of the time)."""
         ready = sorted(
             (s for s in self._sessions if s.ready()), key=lambda s: s.waiting.arrived_s if s.waiting else 0.0
         )
         same = [s for s in ready if s.held_to(self.tier) == ready[0].held_to(self.tier)]
-        share = -(-len(same) // (self._count - self._busy))
+        share = -(-len(same) // self._count)
         return same[: min(share, self._runtime.settings.chunk_frames)]
 
     async def _compute(self, batch: Sequence[Session]) -> None:
@@ -152,14 +152,10 @@ class Streams:
         inputs = [_pose_input(session, session.take()) for session in batch]
         if any(session.ready() for session in self._sessions):
             self._wake.set()  # for another worker, which may not have waited when it was told
-        self._busy += 1
-        try:
-            with self._sliced_thread.held(), self._span(plan, batch):
-                start_s = time.monotonic()
-                results = await self._runtime.stream_frames(plan, inputs)
-                now_s = time.monotonic()
-        finally:
-            self._busy -= 1
+        with self._sliced_thread.held(), self._span(plan, batch):
+            start_s = time.monotonic()
+            results = await self._runtime.stream_frames(plan, inputs)
+            now_s = time.monotonic()
         late = sum(session.taken_late() for session in batch)
         # Workers that sessions can keep busy share the time that there is.
         workers = max(1, min(self._count, len(self._sessions)))

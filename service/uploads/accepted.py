@@ -15,7 +15,11 @@ import uuid
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from service.compute.records import read_record
 
 Kind = Literal["garment", "avatar"]
 ABOUT = "job.json"
@@ -49,7 +53,7 @@ class Accepted:
     id: str
     name: str
     owner: str | None
-    file: str
+    file: Annotated[str, Field(pattern=r"^[^/\x00]{1,200}$")]
     avatar: str | None
     attempts: int = 0
     kind: Kind = "garment"
@@ -122,11 +126,9 @@ def elsewhere(root: Path, own: Path, job_id: str) -> tuple[Accepted, Path] | Non
 
 def read(folder: Path) -> Accepted | None:
     """The upload that was accepted in ``folder``, if one was."""
-    try:
-        accepted = Accepted(**json.loads((folder / ABOUT).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return None
-    return accepted if folder.name == accepted.id and (folder / accepted.file).is_file() else None
+    accepted = read_record(Accepted, folder / ABOUT)
+    known = accepted is not None and folder.name == accepted.id and (folder / accepted.file).is_file()
+    return accepted if known else None
 
 
 def _ended(staging: Path, shared: bool) -> bool:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
-import os
 import signal
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from drape.errors import ArtifactError, DrapeError, InputError, MeshError
+from service.compute.processes import ended, running
 from service.errors import TABLE, TooLarge
-from service.settings import ROOT, Settings
+from service.settings import Settings
 from service.uploads.accepted import Kind
+from service.uploads.sandbox import THINGS
 
 SHARES: dict[Kind, dict[str, float]] = {
     "garment": {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07},
@@ -39,12 +38,22 @@ async def run_sandbox(
 
     ``begun`` is called with each stage as the process begins it.
     """
-    process = await _start(file, out, settings, kind)
+    command = [str(file), "--out", str(out), "--body", settings.body, "--kind", kind]
+    command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
     label = f"upload {file.name}"
+    child = running(
+        "intake",
+        "service.uploads.sandbox",
+        *command,
+        # A command line takes no avatar above 128 KiB, and anybody may read it.
+        write=lambda stdin: stdin.write((avatar or "").encode()),
+        folder=file.parent,
+        quiet=True,
+    )
     try:
-        report = await asyncio.wait_for(
-            _conversation(process, (avatar or "").encode(), begun, SHARES[kind]), settings.intake_wall_s
-        )
+        async with child as (process, said), asyncio.timeout(settings.intake_wall_s):
+            report = await _report(said, begun, SHARES[kind])
+            await ended(process)
     except TimeoutError:
         raise TooLarge(
             label,
@@ -52,11 +61,6 @@ async def run_sandbox(
             got="no end by then",
             cure="Simplify the mesh.",
         ) from None
-    finally:
-        if process.returncode is None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            await process.wait()
     if report is not None and "problem" in report:
         raise _refusal(report["problem"])
     if report is not None and "file" in report:
@@ -70,43 +74,21 @@ async def run_sandbox(
         )
     raise MeshError(
         label,
-        expected="a mesh",
+        expected=THINGS[kind],
         got=f"a file on which the intake ends with status {process.returncode}",
-        cure="Export the mesh again.",
+        cure="Export it again.",
     )
 
 
-async def _start(file: Path, out: Path, settings: Settings, kind: Kind) -> asyncio.subprocess.Process:
-    command = [sys.executable, "-m", "service.uploads.sandbox", str(file), "--out", str(out), "--body", settings.body]
-    command += ["--kind", kind, "--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
-    # One thread each: their stacks and buffers count against the memory limit.
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    return await asyncio.create_subprocess_exec(
-        *command,
-        cwd=ROOT,
-        env=environment,
-        stdin=asyncio.subprocess.PIPE,  # a command line takes no avatar above 128 KiB, and anybody may read it
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.DEVNULL,
-        start_new_session=True,
-    )
-
-
-async def _conversation(
-    process: asyncio.subprocess.Process, said: bytes, begun: Callable[[str], None], stages: Mapping[str, float]
+async def _report(
+    said: asyncio.StreamReader, begun: Callable[[str], None], stages: Mapping[str, float]
 ) -> dict[str, Any] | None:
-    """The last line of JSON of ``process``, which hears ``said``; stages before it are told to ``begun``."""
-    assert process.stdin is not None and process.stdout is not None
-    with contextlib.suppress(ConnectionError):  # it has ended
-        process.stdin.write(said)
-        await process.stdin.drain()
-        process.stdin.close()
+    """The last line of JSON that was ``said``; stages before it are told to ``begun``."""
     last: dict[str, Any] | None = None
-    async for line in process.stdout:
+    async for line in said:
         last = _document(line)
         if last is not None and last.get("stage") in stages:
             begun(last["stage"])
-    await process.wait()
     return last
 
 

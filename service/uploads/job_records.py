@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from service.compute import records
 from service.compute.garment_files import replace_text
 
 FOLDER = ".jobs"
@@ -45,10 +46,7 @@ class JobRecord:
 
 def read_record(root: Path, job_id: str) -> JobRecord | None:
     """The record of the upload ``job_id`` under ``root``, if there is one."""
-    try:
-        return JobRecord(**json.loads(_path(root, job_id).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return None
+    return records.read_record(JobRecord, _path(root, job_id))
 
 
 def remove_record(root: Path, job_id: str) -> None:

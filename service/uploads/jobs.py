@@ -291,7 +291,7 @@ class Uploads:
         """What is otherwise than in the file that ``job`` brought, or looks wrong with it."""
         assert job.made is not None
         if job.kind == "avatar":
-            return tuple(self._runtime.avatars.get(job.made, job.owner).told["notes"])
+            return tuple(self._runtime.avatars.get(job.made, job.owner).told.notes)
         noted = self._runtime.garments.get(job.made, job.owner).garment.manifest.get("notes", ())
         return warnings_of(noted)
 

@@ -16,9 +16,11 @@ import sys
 from pathlib import Path
 
 from drape.errors import DrapeError, MeshError
-from service.compute.background import step_back
+from service.compute.background import end_with_parent, step_back
 
 FILE_LIMIT_BYTES = 2**30
+THINGS = {"garment": "a mesh", "avatar": "a character"}  # in words
+CURE = "Export it again."
 
 
 def set_limits(*, memory_mb: int, cpu_s: int) -> None:
@@ -62,6 +64,7 @@ def main() -> int:
     parser.add_argument("--memory-mb", type=int, required=True)
     parser.add_argument("--cpu-s", type=int, required=True)
     options = parser.parse_args()
+    end_with_parent()
     step_back()
     set_limits(memory_mb=options.memory_mb, cpu_s=options.cpu_s)
     try:
@@ -73,11 +76,11 @@ def main() -> int:
     except DrapeError as error:
         return _refuse(options.out, error)
     except MemoryError:
-        limit = f"a mesh that fits into {options.memory_mb} MB"
-        return _refuse(
-            options.out,
-            MeshError(options.file.name, expected=limit, got="one that does not", cure="Simplify the mesh."),
-        )
+        expected, cure = f"{THINGS[options.kind]} that fits into {options.memory_mb} MB", "Simplify its mesh."
+        return _refuse(options.out, MeshError(options.file.name, expected=expected, got="one that does not", cure=cure))
+    except Exception as error:  # a fault of ours that a strange file found: whoever sent it is told of the file
+        expected, got = f"{THINGS[options.kind]} that can be read", f"one at which it fails: {error!r}"
+        return _refuse(options.out, MeshError(options.file.name, expected=expected, got=got[:120], cure=CURE))
     print(json.dumps({"file": made.name}))
     return 0
 

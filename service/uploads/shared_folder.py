@@ -10,8 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from drape.errors import DrapeError, NotFound
+from drape.errors import NotFound
 from service.compute import garment_files
+from service.compute.garments import set_aside
 
 if TYPE_CHECKING:
     from service.compute.drape_runtime import DrapeRuntime
@@ -60,7 +61,7 @@ class SharedFolder:
         except NotFound:
             if not self._every_s:
                 raise
-        await self.look()
+        await asyncio.shield(self.look())  # which others need whole
         return asked()
 
     async def look(self) -> None:
@@ -94,8 +95,8 @@ class SharedFolder:
                 registry.add(await self._runtime.threads.aside(registry.prepare, path), "user", path)
         except FileNotFoundError:  # removed meanwhile: the next look sees it
             return
-        except DrapeError as error:
-            log.warning("garment set aside: %s", error)
+        except Exception as error:  # whatever lies there, the look goes on
+            set_aside(path, error)
 
     async def _go_on(self) -> None:
         while True:

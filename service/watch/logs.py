@@ -21,7 +21,9 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from drape.errors import legible
 from service.errors import Draining, InternalError, problem_response
+from service.watch.outputs import log_time
 from service.watch.probes import PATHS
 
 if TYPE_CHECKING:
@@ -37,10 +39,11 @@ log = logging.getLogger("drape.access")
 
 @dataclass(frozen=True)
 class Asker:
-    """Who asked what is being answered: the request's id and the client's address."""
+    """Who asked what is being answered: the request's id, the client's address, and where."""
 
     request: str
     client: str
+    scope: Scope
 
 
 ASKER: ContextVar[Asker | None] = ContextVar("asker", default=None)
@@ -53,7 +56,7 @@ class JsonLines(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         document = {
-            "time": time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(record.created)) + f".{int(record.msecs):03d}Z",
+            "time": log_time(record.created),
             "level": record.levelname.lower(),
             "logger": record.name,
             "message": record.getMessage(),
@@ -109,7 +112,7 @@ class RequestLog:
             await self.app(scope, receive, send)
             return
         headers, method = Headers(scope=scope), scope.get("method", "WS")
-        asker = Asker(request_id(headers), scope["client"][0] if scope.get("client") else "")
+        asker = Asker(request_id(headers), scope["client"][0] if scope.get("client") else "", scope)
         token = ASKER.set(asker)
         try:
             with self._tracing.request(method, headers, asker.request) as answered:
@@ -117,7 +120,7 @@ class RequestLog:
                 try:
                     status = await self._answered(scope, receive, send, asker)
                 finally:
-                    answered.told(method, _template(scope), status)
+                    answered.told(method, path_of(scope), status)
                     self._tell(scope, method, status, time.perf_counter() - begun_s)
         finally:
             ASKER.reset(token)
@@ -136,8 +139,8 @@ class RequestLog:
 
         try:
             await self.app(scope, receive, told)
-        except ClientDisconnect:
-            status = LEFT
+        except ClientDisconnect:  # before its answer, or in the middle of it
+            pass
         except asyncio.CancelledError:  # the end of the service, which waits no longer
             if scope["type"] == "http" and not status:
                 await problem_response(Draining())(scope, receive, told)
@@ -148,16 +151,16 @@ class RequestLog:
         return status or LEFT
 
     def _tell(self, scope: Scope, method: str, status: int, took_s: float) -> None:
-        path = _template(scope)
+        path = path_of(scope)
         self._metrics.requests.labels(method, path, str(status)).inc()
         if scope["type"] == "http":
             self._metrics.request_seconds.labels(path).observe(took_s)
-        said = {"method": method, "path": scope["path"][:200], "status": status, "ms": round(1e3 * took_s, 1)}
+        said = {"method": method, "path": legible(scope["path"][:200]), "status": status, "ms": round(1e3 * took_s, 1)}
         level = logging.DEBUG if scope["path"] in PATHS else logging.INFO
         log.log(level, "answered" if status != LEFT else "the client left", extra=said)
 
 
-def _template(scope: Scope) -> str:
+def path_of(scope: Scope) -> str:
     """The path with its parameters' names in place of their values; "page" for files of the page and unknown paths."""
     route: Any = scope.get("route")
     return getattr(route, "path", "") or "page"

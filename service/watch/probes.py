@@ -1,7 +1,7 @@
 """Whether the service lives and takes work, and who says so: ``Lifecycle``, and ``Probes`` on a port of its own.
 
-The event loop says that it turns, a few times a second. ``/livez``, ``/readyz`` and ``/metrics`` on the service's port
-wait for nothing but that loop. While it is busy they wait too; ``Probes`` is a thread with a port of its own
+The event loop says that it turns, a few times a second. ``/livez`` and ``/readyz`` on the service's port wait for
+nothing but that loop, and ``/metrics`` for frames of streams. ``Probes`` is a thread with a port of its own
 (``DRAPE_PROBE_PORT``). It sees a loop that has stopped turning, and it answers while models load.
 """
 
@@ -37,6 +37,7 @@ class Lifecycle:
         self._ready = self.draining = False
         self.hurried = False  # what is not through by now is told to come again
         self._turned_s: float | None = None
+        self.still: dict[str, float] = {}  # for how long [s] the oldest job of each lane has not moved: ``Watchdog``
         self.works: dict[str, Callable[[], bool]] = {}  # what must be running, by name
 
     def ready(self) -> None:
@@ -54,15 +55,21 @@ class Lifecycle:
         """Says that the loop has ended in good order: it need not turn any more."""
         self._turned_s = None
 
+    @property
+    def loop_still_s(self) -> float:
+        """For how long [s] the event loop has not come round."""
+        return 0.0 if self._turned_s is None else time.monotonic() - self._turned_s
+
     def unhealthy(self) -> DrapeError | None:
         """Why the process should be replaced; None while it lives."""
-        waited_s = 0.0 if self._turned_s is None else time.monotonic() - self._turned_s
-        if waited_s <= self._stuck_s:
+        waits = self.still | {"event loop": self.loop_still_s}
+        lane = max(waits, key=waits.__getitem__)
+        if waits[lane] <= self._stuck_s:
             return None
         return Unavailable(
-            "event loop",
-            expected=f"a turn within {self._stuck_s:g} s",
-            got=f"none for {waited_s:.1f} s",
+            lane,
+            expected=f"a {'turn' if lane == 'event loop' else 'move'} within {self._stuck_s:g} s",
+            got=f"none for {waits[lane]:.1f} s",
             cure="Restart the service and keep its log.",
         )
 

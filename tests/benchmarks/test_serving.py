@@ -1,4 +1,4 @@
-"""The load test of streams: its figures, a client of a real service, and the naive twin."""
+"""The load test of streams: its figures, and a client of a real service."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from drape.catalog import find_motions
 from drape.errors import DrapeError
 from drape.motion.readers import read_motion
 from tests.fixtures.serving import live, live_settings, make_settings, settings, tiny_folder
-from tests.fixtures.tiny_model import TINY
 
 __all__ = ["live", "live_settings", "make_settings", "settings", "tiny_folder"]  # fixtures
 CLIP = read_motion(find_motions(["walk"])[0])
@@ -56,14 +55,6 @@ def test_single_frames_are_posted(live: str):
     assert took_ms.shape == (3,) and (took_ms > 0.5).all()
     with pytest.raises(RuntimeError, match="404"):
         posts(live, "nobody", CLIP, 0.1)
-
-
-def test_the_twin_speaks_the_same_language(tiny_folder, tube):
-    folders = {"models_dir": tiny_folder / "models", "shipped_garments_dir": tiny_folder / "shipped"}
-    with server("benchmarks.speed.twin", model=TINY, **folders) as at:
-        (seen,) = asyncio.run(crowd(at.url, CLIP, 1, 0.3, garment="tube", folds=1))
-        assert at.cpu_s() > 0.0
-    assert seen.came_s and not seen.stepped
 
 
 def test_a_server_that_does_not_start_is_told():

@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from tests.architecture.repository import ROOT
 from tests.conftest import find_chromium
+from tests.fixtures.patience import PATIENT_S
 
 AXE = ROOT / "clients/web/node_modules/axe-core/axe.min.js"
 
@@ -55,7 +56,7 @@ class Page:
         self._number += 1
         self._connection.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
         while True:
-            message = json.loads(self._connection.recv(timeout=60.0))
+            message = json.loads(self._connection.recv(timeout=PATIENT_S))
             if message.get("id") == self._number:
                 if "error" in message and any(words in message["error"]["message"] for words in LEFT):
                     raise Gone(message["error"]["message"])
@@ -78,7 +79,7 @@ class Page:
         assert "exceptionDetails" not in result, result
         return result["result"].get("value")
 
-    def wait_for(self, expression: str, *, seconds: float = 60.0) -> Any:
+    def wait_for(self, expression: str, *, seconds: float = PATIENT_S) -> Any:
         """The value of ``expression`` once it is true, on this page or on one that comes in its place."""
         deadline = time.monotonic() + seconds
         while True:
@@ -116,6 +117,18 @@ class Page:
         data = self.call("Page.captureScreenshot", format="png")["data"]
         with Image.open(io.BytesIO(base64.b64decode(data))) as image:
             return np.asarray(image.convert("RGB")).astype(int)
+
+    def wait_for_picture(self, shows: Callable[[np.ndarray], bool], missing: str) -> np.ndarray:
+        """The first picture that ``shows`` what is waited for: on a busy machine it is behind what the page says."""
+        deadline = time.monotonic() + PATIENT_S
+        while not shows(picture := self.picture()):
+            assert time.monotonic() < deadline, missing
+            time.sleep(0.1)
+        return picture
+
+    def wait_until_it_moves(self, before: np.ndarray) -> None:
+        """Waits for a picture that differs from the one ``before``."""
+        self.wait_for_picture(lambda now: (np.abs(now - before).max(axis=-1) > 30).mean() > 0.001, "nothing moves")
 
 
 def violations(page: Page) -> list[str]:
@@ -155,7 +168,7 @@ def open_page(url: str, *, width: int = 900, height: int = 640) -> Iterator[Page
 
 
 def _debugging_port(profile: Path, process: subprocess.Popen[bytes]) -> int:
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + PATIENT_S
     file = profile / "DevToolsActivePort"
     while not (file.is_file() and (lines := file.read_text().splitlines())):
         assert process.poll() is None and time.monotonic() < deadline, "Chromium did not start"

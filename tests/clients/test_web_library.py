@@ -18,6 +18,7 @@ from websockets.sync.server import ServerConnection, serve
 from drape.garment.cache import Garment
 from drape.wire import messages as wire
 from tests.clients.node import answer_of
+from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.streams import PROTOCOLS, page_command
 
 FRAME = """
@@ -149,7 +150,7 @@ def service_that_ends(openings: list[float]) -> Iterator[str]:
     frame. ``openings`` gets when [s] each was opened."""
 
     def talk(socket: ServerConnection) -> None:
-        socket.recv(timeout=10.0)
+        socket.recv(timeout=PATIENT_S)
         openings.append(time.monotonic())
         if len(openings) == 1:
             socket.close(1011, "a fault")
@@ -157,7 +158,7 @@ def service_that_ends(openings: list[float]) -> Iterator[str]:
         socket.send(json.dumps({"type": "opened", "garment": "tube", "tier": "fast"}))
         try:
             while True:
-                message = socket.recv(timeout=10.0)
+                message = socket.recv(timeout=PATIENT_S)
                 assert isinstance(message, bytes)
                 if wire.message_kind(message) != wire.POSE:
                     continue
@@ -168,7 +169,7 @@ def service_that_ends(openings: list[float]) -> Iterator[str]:
                     wire.pack_frame(wire.Frame(pose.sequence, 0.0, 0.0, pose.trans, vertices, 0, 0, True, 0, 0))
                 )
                 if len(openings) == 2:
-                    socket.recv(timeout=10.0)  # its acknowledgement
+                    socket.recv(timeout=PATIENT_S)  # its acknowledgement
                     socket.close(1011, "a fault")
                     return
         except ConnectionClosed:

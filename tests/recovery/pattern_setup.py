@@ -41,6 +41,20 @@ def tube(front: Panel | None = None, back: Panel | None = None) -> Pattern:
     return Pattern("tube", (front, back), tuple(Stitch(first, second) for first, second in sides))
 
 
+def lowered(pattern: Pattern, degrees: float, moved_m: tuple[float, float] = (0.0, 0.0)) -> Pattern:
+    """``pattern`` with its sleeves as drawn for arms lowered by ``degrees``: turned, and moved inward and upward."""
+    panels = []
+    for panel in pattern.panels:
+        if panel.name.startswith("sleeve"):
+            place = panel.placement
+            side = np.sign(place.apply(panel.vertices)[:, 0].mean())
+            (a, b, c), (x, y, z) = place.rotation_deg, place.translation_m
+            there = (x - side * moved_m[0], y + moved_m[1], z)
+            panel = replace(panel, placement=Placement((a, b, c - float(side) * degrees), there))
+        panels.append(panel)
+    return replace(pattern, panels=tuple(panels))
+
+
 def bent_cap(pattern: Pattern) -> Pattern:
     """``pattern`` with the tops of both halves of the left cap moved 2 cm towards the hand."""
     panels = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,12 +18,14 @@ from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.samples import walk
-from recovery.drape.__main__ import main
+from recovery.drape.__main__ import left_words, main
 from recovery.drape.output import glb_bytes, obj_text, panel_texture
+from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.drape.posing import LARGEST_TURN_RAD, moved_with_bones, pose_steps, read_pose
 from recovery.pattern.bases import skirt
-from recovery.pattern.garmentcode import write_pattern
+from recovery.pattern.garmentcode import read_pattern, write_pattern
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
+from recovery.pattern.model import EdgeRef, Stitch
 from tests.recovery.pattern_setup import default_measurements, tube
 
 
@@ -137,6 +140,23 @@ def test_a_garment_that_is_not_at_rest_is_written_and_flagged(tmp_path, capsys):
     assert "NOT at rest" in printed.out
     assert f"{record['rest']['force_left_n']:.1e} N in the T-pose" in printed.err and "--edge-length" in printed.err
     assert (tmp_path / "out" / "skirt.glb").exists() and not list((tmp_path / "out").glob("*.npz"))
+
+
+def test_a_limb_through_cloth_is_refused_and_cloth_in_the_body_told(tmp_path, capsys):
+    """A skirt whose hem is sewn shut below the thighs; the same cloth, open, with a node in the body."""
+    source = read_pattern(Path(short_skirt(tmp_path)[0]))
+    front, back = (
+        min(range(len(panel.edges)), key=lambda n, p=panel: p.vertices[[p.edges[n].start, p.edges[n].end], 1].sum())
+        for panel in source.panels
+    )
+    shut = Stitch(EdgeRef("front", front), EdgeRef("back", back))
+    bag = write_pattern(replace(source, stitches=(*source.stitches, shut)), tmp_path / "bag.json")
+    assert main([str(bag), *short_skirt(tmp_path)[1:], "--iterations", "0", "--no-garment"]) == 2
+    assert "left leg and the right leg" in capsys.readouterr().err and not (tmp_path / "out").exists()
+    draped = drape_pattern(source, load_body(), DrapeOptions(edge_length_m=0.1, grid_m=0.05, iteration_limit=0))
+    assert "below the skin" not in left_words(draped)
+    sunk = {**draped.figures, "posed": {**draped.figures["rest"], "clearance_mm": -7.2}}
+    assert "7.2 mm below the skin" in left_words(replace(draped, figures=sunk))
 
 
 def test_the_command_refuses_with_one_sentence(tmp_path, capsys):

@@ -11,22 +11,26 @@ import torch
 from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
+from drape.body.skeleton import JOINT_NAMES
 from drape.errors import InputError
 from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, moved_clear, place_panels, scaled
 from recovery.drape.relax import Distance
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle, to_rest, topmost_opening
 from recovery.drape.sewing import SEWING_GAP_M, Sewn, in_numpy, sew
+from recovery.drape.sleeves import limb_openings, sleeve_panels
+from recovery.fit.contours import lost_parts
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
+from recovery.pattern.style import Style, lined
 from recovery.sim.contact import SkinContact
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.newton import equilibrium
 from recovery.sim.sdf import GridDistance, Plane, SignedDistance, Sphere
-from tests.recovery.pattern_setup import default_measurements, rectangle, tube
+from tests.recovery.pattern_setup import default_measurements, lowered, rectangle, tube
 from tests.recovery.sim_setup import WOVEN
 
 FAR = Plane((0.0, -10.0, 0.0))
@@ -86,8 +90,59 @@ def test_a_panel_in_the_body_moves_along_its_normal_until_it_is_clear():
 def test_base_patterns_stand_where_they_were_drafted(body, name):
     placed = place_panels(mesh_pattern(BASES[name](default_measurements()), 0.08), body, body_distance())
     assert placed.axes is Axes.BODY
-    assert placed.hangs_from == ("waist" if name in ("skirt", "trousers") else "shoulders")
+    holds = {"skirt": "waist", "trousers": "waist", "tube": "chest", "strapless_dress": "chest"}
+    assert placed.hangs_from == holds.get(name, "shoulders")
     assert abs(placed.lift_m) <= 0.02 and placed.outward_m <= 0.02
+
+
+def openings(pattern: Pattern, height: float = 0.0) -> dict[str, np.ndarray]:
+    """The mesh's openings of limbs with the panels ``height`` [m] above the place of the file."""
+    mesh = mesh_pattern(pattern, 0.08)
+    return limb_openings(mesh, mesh.placed() + np.array([0.0, height, 0.0]), top=True, crotch_m=-0.1)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "moved_m"), [(30.0, (0.0, 0.0)), (60.0, (0.1, -0.22)), (90.0, (0.2, 0.1)), (-50.0, (0.0, 0.05))]
+)
+def test_sleeves_for_lowered_arms_are_stood_round_the_arms_of_the_t_pose(body, degrees, moved_m):
+    """They lie as the base's do, but in their plane the arm is in the middle of the cuff; nothing else moves."""
+    base = BASES["tshirt"](default_measurements())
+    mesh, own = mesh_pattern(lowered(base, degrees, moved_m), 0.08), mesh_pattern(base, 0.08)
+    placed, plain = place_panels(mesh, body, body_distance()), place_panels(own, body, body_distance())
+    assert plain.turned_rad == 0.0 and sorted(placed.limbs) == sorted(plain.limbs) == ["left_arm", "right_arm"]
+    assert_allclose(np.degrees(placed.turned_rad), abs(degrees), atol=0.01)  # its arms are level within that
+    for number, panel in enumerate(base.panels):
+        mine = mesh.panel == number
+        way = placed.positions[mine] - plain.positions[mine]
+        assert_allclose(way, np.broadcast_to(way[0], way.shape), atol=1e-4)
+        assert panel.name.startswith("sleeve") or np.abs(way[0, :2]).max() < 0.011  # one level
+    cuff = np.concatenate(list(openings(base).values()))
+    arm = body.joints_template[JOINT_NAMES.index("left_elbow"), 1]
+    assert_allclose(mesh.nodes_from(placed.positions)[cuff, 1].mean(), arm, atol=1e-9)
+
+
+def test_threads_close_such_sleeves_round_the_arms(body):
+    """The pattern lies a hand's breadth beside the arms; unturned, its sleeves close below them."""
+    mesh = mesh_pattern(lowered(BASES["tshirt"](default_measurements()), 60.0, (0.1, -0.22)), 0.06)
+    placed = place_panels(mesh, body, body_distance())
+    nodes = sew(mesh, placed.positions, body_distance()).nodes
+    assert lost_parts(nodes, mesh.faces, body.joints_template, placed.limbs) == ()
+
+
+def test_a_sleeve_is_told_from_a_bodice_whose_openings_are_banded_and_from_one_without_sleeves():
+    bands = lined(BASES["tshirt"](default_measurements()), Style({"cuffs": 0.03, "neckband": 0.02, "hemband": 0.03}))
+    for pattern, wanted in ((bands, "sleeve_left"), (BASES["tank"](default_measurements()), "none")):
+        mesh = mesh_pattern(pattern, 0.06)
+        found = sleeve_panels(mesh, limb_openings(mesh, mesh.placed(), top=True, crotch_m=-0.1)["left_arm"])
+        names = [panel.name for panel in pattern.panels]
+        assert {names[number] for number in found} == {name for name in names if name.startswith(wanted)}
+
+
+def test_legs_are_told_from_arms():
+    trousers = BASES["trousers"](default_measurements())
+    assert set(openings(trousers)) == {"left_leg", "right_leg"}  # as a top that ends in legs
+    assert set(openings(trousers, height=2.0)) == {"left_arm", "right_arm"}  # as a jacket, open in front
+    assert openings(BASES["skirt"](default_measurements())) == {}
 
 
 @pytest.mark.data

@@ -17,6 +17,7 @@ from recovery.fit.contours import (
     lost_parts,
     match_contours,
     open_contours,
+    pierced_parts,
     place_of,
 )
 from recovery.fit.grading import Graded, contour_edges, grade
@@ -194,3 +195,13 @@ def test_a_limb_whose_bones_go_through_the_cloth_is_lost_though_its_cuff_is_roun
     slipped = sleeve - 0.15 * (np.abs(nodes[:, 1:2]) < 0.05) * np.array([0.0, 1.0, 0.0])
     assert lost_parts(slipped, faces, body, ["left_arm", "left_arm"]) == ("left_arm",)
     assert lost_parts(slipped, faces, body, ["trunk"]) == ("trunk",)
+    assert pierced_parts(sleeve, faces, body) == () and pierced_parts(slipped, faces, body) == ("left_arm",)
+
+
+def test_a_neck_or_a_hem_that_is_sewn_shut_is_gone_through():
+    """A lid across the trunk, between pelvis and head, and one across both thighs."""
+    body, square = joints(), np.array([(-0.3, 0.0, -0.3), (-0.3, 0.0, 0.3), (0.3, 0.0, 0.3), (0.3, 0.0, -0.3)])
+    lid = np.array([[0, 1, 2], [0, 2, 3]])
+    for name, above_m, parts in (("neck", -0.05, ("trunk",)), ("left_knee", 0.05, ("left_leg", "right_leg"))):
+        height = body[JOINT_NAMES.index(name), 1] + above_m
+        assert pierced_parts(square + np.array([0.0, height, 0.0]), lid, body) == parts

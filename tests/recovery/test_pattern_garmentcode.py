@@ -100,6 +100,28 @@ def test_a_clockwise_panel_is_mirrored_and_stays_where_it_was():
     assert_allclose(back.placement.apply(middle), placement.apply(np.array([[-0.175, 0.25]])), atol=1e-15)
 
 
+def test_a_front_that_is_drawn_clockwise_is_the_one_that_is_drawn_counter_clockwise():
+    """Its outside looks forward either way, so seams, curves and labels are the same."""
+    entry = spec()
+    given = garmentcode.pattern_from_spec(entry, name="shirt")
+    front = garmentcode.backward(given.panel("front"))
+    drawn = Pattern("shirt", (front, given.panel("back")))
+    other = garmentcode.pattern_to_spec(drawn)
+    clockwise = copy.deepcopy(entry)
+    clockwise["pattern"]["panels"]["front"] = other["pattern"]["panels"]["front"]
+    for stitch, number in zip(clockwise["pattern"]["stitches"], (2, 0), strict=True):
+        stitch[0]["edge"] = number  # edges 1 and 3 of four, counted the other way
+    assert geometry.area(front) < 0.0
+    got = garmentcode.pattern_from_spec(clockwise, name="shirt")
+    assert_same_pattern(got, replace(given, template={}))
+    assert [note.split(";")[0] for note in got.notes] == [
+        "panel front runs clockwise in the file",
+        "panel back runs clockwise in the file",
+        "template parameters are left out, since edges are numbered anew",
+    ]
+    assert len(given.notes) == 1
+
+
 def trapeze(params: list) -> dict:
     """The front alone with straight sides, its top 10 cm wide and an arc with ``params``."""
     entry = spec()

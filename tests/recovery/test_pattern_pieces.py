@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
+from recovery.catalogue.garments import CATALOGUE
 from recovery.pattern import geometry
 from recovery.pattern.bases import tshirt
-from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
-from recovery.pattern.pieces import NOTCH_DEPTH_M, hems, make_sheet, offset
+from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
+from recovery.pattern.pieces import NOTCH_DEPTH_M, Piece, hems, make_sheet, offset
 from recovery.pattern.triangulate import boundary_distance, inside
 from tests.recovery.pattern_setup import default_measurements, every_curve, polygon_mm, rectangle, tube
 
@@ -81,6 +83,115 @@ def test_a_hem_has_more_allowance_than_a_seam_and_corners_meet_both():
     assert_allclose([front.cutting.min(axis=0), front.cutting.max(axis=0)], [(-0.21, -0.325), (0.21, 0.31)], atol=1e-6)
     assert set(make_sheet(tube(), hem_m=0.01).pieces[0].allowances_m) == {0.01}
     assert set(make_sheet(tube(), allowance_m=0.0).pieces[0].allowances_m) == {0.0}
+
+
+def drawn(*corners: tuple[float, float]) -> Panel:
+    """A panel with straight edges between ``corners`` [m]."""
+    count = len(corners)
+    return Panel("front", np.array(corners), tuple(Edge(n, (n + 1) % count) for n in range(count)))
+
+
+def dense(polygon: np.ndarray) -> np.ndarray:
+    """Points of its sides, 16 each."""
+    return np.concatenate([a + np.linspace(0, 1, 17)[:-1, None] * (b - a) for a, b in _sides(polygon)])
+
+
+def check_outside(piece: Piece) -> None:
+    """The piece holds what is sewn, and is nowhere nearer to it than its least allowance, but on folds and in slits."""
+    sewing, cutting = dense(piece.sewing), dense(piece.cutting)
+    rim = boundary_distance(sewing, piece.cutting) < 1e-6
+    assert (inside(sewing, piece.cutting) | rim).all()
+    assert geometry.first_crossing(piece.cutting) is None
+    if not (free := [allowance for allowance in piece.allowances_m if allowance]):
+        return
+    assert boundary_distance(cutting, piece.sewing).min() > (0.0 if 0.0 in piece.allowances_m else min(free)) - 2e-6
+
+
+QUICK = ("tshirt", "shorts")  # the latter has darts
+
+SLITS = {
+    "one centimetre": ((0.2, 0.0), (0.2, 0.1), (0.21, 0.1), (0.21, 0.0)),
+    "two millimetres": ((0.2, 0.0), (0.2, 0.1), (0.202, 0.1), (0.202, 0.0)),
+    "slanted": ((0.2, 0.0), (0.25, 0.1), (0.257, 0.098), (0.21, 0.0)),
+    "wedge": ((0.195, 0.0), (0.2, 0.15), (0.205, 0.0)),
+    "keyhole": ((0.197, 0.0), (0.15, 0.05), (0.2, 0.1), (0.25, 0.05), (0.203, 0.0)),
+    "two": ((0.1, 0), (0.1, 0.1), (0.105, 0.1), (0.105, 0), (0.12, 0), (0.12, 0.1), (0.125, 0.1), (0.125, 0)),
+}
+
+
+@pytest.mark.parametrize("kind", SLITS)
+def test_a_hollow_narrower_than_two_allowances_is_cut_into(kind: str):
+    panel = drawn((0.0, 0.0), *SLITS[kind], (0.4, 0.0), (0.4, 0.5), (0.0, 0.5))
+    (piece,) = make_sheet(Pattern("slit", (panel,)), allowance_m=ALLOWANCE_M, hem_m=ALLOWANCE_M).pieces
+    sewing = dense(piece.sewing)
+    assert inside(sewing, piece.cutting).all() and geometry.first_crossing(piece.cutting) is None
+    assert not inside(dense(piece.cutting), piece.sewing).any()
+    # Each place of the sewing line is as near to a cut as at a mitred corner.
+    assert boundary_distance(sewing, piece.cutting).max() < 2.5 * ALLOWANCE_M
+    plain = boundary_distance(dense(piece.cutting), piece.sewing)[
+        np.linalg.norm(dense(piece.cutting) - 0.2, axis=1) > 0.35
+    ]
+    assert plain.min() > ALLOWANCE_M - 2e-6
+
+
+def dart(*, split: bool) -> Pattern:
+    """A waist with a dart, each leg one edge or two."""
+    tip = (
+        ((1.5, 60.0), (1.0, 56.0), (0.0, 48.0), (-1.0, 56.0), (-1.5, 60.0))
+        if split
+        else ((1.5, 60), (0, 48), (-1.5, 60))
+    )
+    corners = np.array([(-25, 0), (25, 0), (25, 60), *tip, (-25, 60)]) / 100.0
+    panel = drawn(*map(tuple, corners))
+    legs = [(4, 5), (3, 6)] if split else [(3, 4)]
+    return Pattern("dart", (panel,), tuple(Stitch(EdgeRef("front", a), EdgeRef("front", b)) for a, b in legs))
+
+
+@pytest.mark.parametrize("split", [False, True])
+def test_a_dart_stays_closed_and_its_legs_are_drawn(split: bool):
+    (piece,) = make_sheet(dart(split=split), allowance_m=ALLOWANCE_M).pieces
+    assert_allclose(piece.cutting[:, 1].max(), 0.61, atol=1e-6)
+    assert inside(np.array([(0.0, 0.605), (0.0, 0.55)]), piece.cutting).all()
+    assert min(np.linalg.norm(piece.sewing - [0.0, 0.48], axis=1)) < 1e-9
+    assert piece.allowances_m[3:5] == (0.0, 0.0)
+    mouth = sorted(notch.point[0] for notch in piece.notches)
+    assert_allclose(mouth, [-0.015, 0.015], atol=1e-9)
+    assert len(piece.cutting) == 4
+
+
+def test_an_edge_on_the_fold_has_no_allowance():
+    panel = drawn((0.0, 0.0), (0.25, 0.0), (0.25, 0.6), (0.0, 0.6))
+    for label, on_fold in (("fold", True), ("centre_front_fold", True), ("Unfolded", False), (None, False)):
+        edges = (*panel.edges[:3], replace(panel.edges[3], label=label))
+        (piece,) = make_sheet(Pattern("half", (replace(panel, edges=edges),)), allowance_m=ALLOWANCE_M).pieces
+        assert (piece.allowances_m[3] == 0.0) == on_fold == ("cut 1 on the fold" in piece.label.lines)
+        assert_allclose(piece.cutting[:, 0].min(), -piece.allowances_m[3], atol=1e-6)
+        check_outside(piece)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.long) for name in CATALOGUE]
+)
+def test_the_catalogue_is_cut_outside_its_sewing_lines(name: str):
+    for piece in make_sheet(CATALOGUE[name](default_measurements()).pattern).pieces:
+        check_outside(piece)
+
+
+def test_a_jagged_piece_holds_what_is_sewn_of_it():
+    corners = [(19, 6), (-17, 58), (-15, 41), (-79, 204), (-23, -14), (94, -25), (57, -13)]
+    star = np.array(corners) / 1000.0
+    cutting = offset(star, np.array([0.01, 0.025, 0.01, 0.025, 0.01, 0.01, 0.025]))
+    points = dense(star)
+    assert (inside(points, cutting) | (boundary_distance(points, cutting) < 1e-6)).all()
+    assert geometry.first_crossing(cutting) is None
+
+
+def test_a_hem_beside_a_side_that_hardly_turns_is_a_step():
+    bent = np.array([(0, 0), (0.4, 0), (0.41, 0.3), (0.4, 0.6), (0, 0.6)], dtype=float)
+    wide = offset(bent, np.array([0.01, 0.01, 0.025, 0.01, 0.01]))
+    along = bent[1] + np.linspace(0, 1, 50)[:, None] * (bent[2] - bent[1])
+    assert_allclose(boundary_distance(along, wide)[:-1], 0.01, atol=1e-5)
+    assert geometry.first_crossing(wide) is None
 
 
 def test_hems_are_told_from_necklines_cuffs_and_armholes():

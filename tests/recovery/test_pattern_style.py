@@ -32,6 +32,8 @@ STYLES = {
     "tank": {"neckband": 0.025, "yoke": 0.05},
     "sleeved_dress": {"neckband": 0.02, "front_yoke": 0.03, "cuffs": 0.03},
     "dress": {"hemband": 0.05},
+    "tube": {"waistband": 0.04, "hemband": 0.05},
+    "strapless_dress": {"hemband": 0.05},
 }
 
 
@@ -54,7 +56,7 @@ def area(pattern: Pattern) -> float:
 def test_openings_of_the_bases_have_names(name):
     found = {key: len(ones) for key, ones in openings_by_name(base(name)).items()}
     assert found == {
-        "skirt": {"waist": 1, "hem": 1},
+        **{name: {"waist": 1, "hem": 1} for name in ("skirt", "tube", "strapless_dress")},
         "trousers": {"waist": 1, "hem": 2},
         "tank": {"neck": 1, "hem": 1, "cuff": 0},
         "dress": {"neck": 1, "hem": 1, "cuff": 0},

@@ -28,7 +28,7 @@ from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import SurfaceDistance, chamfer, surface_chamfer, surface_distance
 from recovery.fit.cloth import named
-from recovery.fit.contours import lost_parts
+from recovery.fit.contours import lost_parts, lost_words
 from recovery.fit.recovered import Recovered
 from recovery.pattern.bases import BASES, tshirt
 from recovery.pattern.coordinates import control_points
@@ -41,7 +41,7 @@ from recovery.run import report_text
 from recovery.run.anew import SewnAnew, anew_words, sewn_anew
 from recovery.run.drafted import own_settings
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
-from recovery.run.job import describe_worn, lost_words, run_job
+from recovery.run.job import describe_worn, run_job
 from recovery.run.report import Page
 from recovery.run.report_pieces import add_pieces, scaled_drawing
 from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, summary, verdicts

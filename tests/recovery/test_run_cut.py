@@ -74,11 +74,25 @@ def test_a_sleeveless_dress_is_told_from_one_with_sleeves():
     assert told_base(seen(longer), default_measurements()) == "dress"
 
 
-def test_a_tube_at_the_chest_and_a_top_with_one_sleeve_have_no_base():
+@pytest.mark.parametrize(
+    ("low", "high", "base"), [(-0.5, 0.15, "skirt"), (-0.05, 0.38, "tube"), (-0.5, 0.38, "strapless_dress")]
+)
+def test_what_begins_at_the_chest_is_a_tube_or_a_strapless_dress_and_is_drafted_there(low, high, base):
+    body = default_measurements()
+    mesh = plain_mesh("tube", *round_tube([0.19] * 21, np.linspace(low, high, 21), 40))
+    assert told_base(seen(mesh), body) == base
+    pattern, settings = drafted(base, body, seen(mesh), {})
+    if base != "skirt":
+        tops = [panel.placement.apply(panel.vertices)[:, 1].max() for panel in pattern.panels]
+        assert_allclose(max(tops), high, rtol=0, atol=0.005)
+        assert_allclose(settings["length_m"], body.neck_y - low, rtol=0, atol=1e-6)
+
+
+def test_a_cape_and_a_top_with_one_sleeve_have_no_base():
     joints = load_body().joints_template
-    chest = plain_mesh("tube", *round_tube([0.25] * 21, np.linspace(-0.1, 0.38, 21), 40))
-    with pytest.raises(InputError, match=r"2 round the trunk, the upper one at the chest.*--base FILE\.json"):
-        told_base(Seen(chest.vertices, chest.faces, joints, joints), default_measurements())
+    cape = plain_mesh("cape", *round_tube(np.linspace(0.5, 0.12, 21).tolist(), np.linspace(0.2, 0.57, 21), 40))
+    with pytest.raises(InputError, match=r"2 round the trunk, the upper one at the neck.*--base FILE\.json"):
+        told_base(Seen(cape.vertices, cape.faces, joints, joints), default_measurements())
     tshirt = seen(worn("tshirt"))
     del tshirt.openings["left_arm"]
     with pytest.raises(InputError, match="got 1 round the right arm, 2 round the trunk"):

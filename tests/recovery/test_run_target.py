@@ -30,8 +30,9 @@ from recovery.run.target import (
     read_target,
 )
 from recovery.run.wearer import check_closed, inside_wearer, read_wearer, shaped_body
+from recovery.scan.holes import closed
 from recovery.scan.places import ScanFault
-from tests.drape.cloth.cloth_shapes import round_tube
+from tests.drape.cloth.cloth_shapes import grid, round_tube
 from tests.recovery.pattern_setup import default_measurements
 
 
@@ -92,6 +93,37 @@ def test_an_edge_with_three_faces_is_cut_and_a_solid_refused(body, tmp_path):
     assert "1 edges with more than two faces" in " / ".join(read.notes)
     with pytest.raises(MeshError, match="a closed surface"):
         read_target(write_obj(tmp_path / "u.obj", plain_mesh("body", body.v_template, body.faces)))
+
+
+def without(mesh: GarmentMesh, *faces: int) -> GarmentMesh:
+    return mesh.take_faces(~np.isin(np.arange(len(mesh.faces)), faces))
+
+
+SHEET = plain_mesh("sheet", *grid(8, 8, cell_m=0.08))
+SHUT = closed(skirt_tube(), lambda one: True).mesh
+LONE = plain_mesh("lone", np.concatenate([[[0, 0, 0.3], [0.3, 0, 0.3], [0, 0.3, 0.3]], np.ones((30, 3))]), [[0, 1, 2]])
+
+
+@pytest.mark.parametrize(
+    ("mesh", "got"),
+    [
+        (SHUT, "a closed surface"),
+        (without(SHUT, 700), r"closed once mended, with no border but holes \(1\)"),
+        (without(SHUT, 300, 700, 1100), r"closed once mended, with no border but holes \(3\)"),
+        (replace(SHUT, faces=SHUT.faces[:, ::-1]), "a closed surface"),
+        (SHEET, "open from hem to neck"),
+        (LONE, "open from hem to neck"),
+        (replace(SHEET, vertices=SHEET.vertices * [1.0, 0.0, 0.0]), "faces with an area, got none"),
+        (both(skirt_tube(), skirt_tube(radius=0.4))[0], "2 pieces of cloth.*; near the"),
+        (replace(SHEET, vertices=1e200 * SHEET.vertices), "Scale the file"),
+        (replace(SHEET, vertices=1e-30 * SHEET.vertices), "Scale the file"),
+    ],
+)
+def test_whatever_the_surface_the_refusal_is_a_sentence(tmp_path, mesh, got):
+    """Also one that mending closes, and one whose fault is a point: its place is told on the body."""
+    path = write_obj(tmp_path / "odd.obj", mesh)
+    with pytest.raises(MeshError, match=got):
+        prepare(Job(target=path, out=tmp_path, base=None, body="anny_default"))
 
 
 def test_a_whole_mesh_stays_as_it_is():
@@ -177,6 +209,27 @@ def test_a_garment_that_is_open_from_hem_to_top_is_refused_with_its_place(turned
     assert len(fault.value.points) and np.abs(fault.value.points[:, up] + 0.2).max() < 0.2
 
 
+@pytest.mark.parametrize("limb", [False, True])
+def test_a_garment_that_is_one_surface_with_its_wearer_is_refused_with_its_place(limb):
+    """A tube that closes over a ball as large as a head, or as over an arm; cut off it is a tube."""
+    if limb:
+        bag = round_tube([0.06] * 20 + [0.04, 0.01], [*np.linspace(0.0, 0.4, 20), 0.42, 0.43], 24)
+    else:
+        angle = np.linspace(-1.0, 1.55, 16)
+        radius, height = 0.1 * np.cos(angle), 0.75 + 0.1 * np.sin(angle)
+        bag = round_tube([0.3, 0.3, 0.06, *radius], [-0.3, 0.5, 0.6, *height], 40)
+    mesh = plain_mesh("worn", *bag)
+    top = max(meshes.boundary_loops(mesh.faces), key=lambda loop: mesh.vertices[loop, 1].mean())
+    tip = np.stack([np.roll(top, -1), top, np.full(len(top), len(mesh.vertices))], axis=1)
+    vertices = np.concatenate([mesh.vertices, mesh.vertices[top].mean(axis=0)[None]])
+    closed = plain_mesh("worn", vertices, np.concatenate([mesh.faces, tip]))
+    with pytest.raises(ScanFault, match=r"without its wearer.*closes as over a head.*--label") as fault:
+        mended(closed)
+    assert fault.value.points[0, 1] > 0.35
+    cut = closed.vertices[closed.faces][:, :, 1].max(axis=1) < (0.3 if limb else 0.55)
+    assert len(meshes.boundary_loops(mended(closed.take_faces(cut)).faces)) == 2
+
+
 def test_a_hole_is_noted_and_closed():
     mesh = skirt_tube()
     holed = mesh.take_faces(np.arange(len(mesh.faces)) != 410)
@@ -227,21 +280,21 @@ def test_a_body_is_found_inside_a_garment_in_another_unit_and_place(body):
     used, faces = np.unique(body.faces[keep], return_inverse=True)
     vertices = (near + 0.008 * normals)[used] + [0.1, 0.9, 0.0]
     base = base_pattern("tshirt", default_measurements())
-    mesh, wearer = inside_wearer(plain_mesh("scan", 100.0 * vertices, faces.reshape(-1, 3)), base)
+    mesh, wearer = inside_wearer(plain_mesh("scan", 100.0 * vertices, faces.reshape(-1, 3)), [base])
     assert_allclose(mesh.vertices, vertices)
     assert "from cm to m" in mesh.notes[-1]
     assert np.linalg.norm(wearer.skin.vertices[shirt] - (near[shirt] + [0.1, 0.9, 0.0]), axis=1).mean() < 0.025
     assert wearer.residual_mm < 12.0 and wearer.pose is not None
     assert wearer.pose[[13, 16], 2].sum() < -0.3 and wearer.pose[[14, 17], 2].sum() > 0.3
     with pytest.raises(MeshError, match="Say the unit"):
-        inside_wearer(plain_mesh("scan", 4000.0 * vertices, faces.reshape(-1, 3)), base)
+        inside_wearer(plain_mesh("scan", 4000.0 * vertices, faces.reshape(-1, 3)), [base])
     # A wide ring hangs on nobody.
     ring = plain_mesh("ring", *round_tube([0.5] * 9, np.linspace(1.0, 1.6, 9), 60))
     with pytest.raises(BodyError, match=r"the top 15 cm within 25 mm of the skin, got \d+ mm between them"):
-        inside_wearer(ring, base, unit="m")
+        inside_wearer(ring, [base], unit="m")
     # In a narrow one no body fits.
     with pytest.raises(BodyError, match="cloth that a body fits in"):
-        inside_wearer(plain_mesh("scan", vertices * [0.35, 1.0, 0.35], faces.reshape(-1, 3)), base, unit="m")
+        inside_wearer(plain_mesh("scan", vertices * [0.35, 1.0, 0.35], faces.reshape(-1, 3)), [base], unit="m")
 
 
 @pytest.mark.slow
@@ -253,7 +306,7 @@ def test_arms_bend_where_long_sleeves_do(body):
     used, faces = np.unique(body.faces[shirt[body.faces].all(axis=1)], return_inverse=True)
     vertices = (near + 0.01 * meshes.vertex_normals(near, body.faces))[used]
     base = base_pattern("tshirt", default_measurements())
-    _, wearer = inside_wearer(plain_mesh("scan", vertices, faces.reshape(-1, 3)), base, wanted=OPENINGS["tshirt"])
+    _, wearer = inside_wearer(plain_mesh("scan", vertices, faces.reshape(-1, 3)), [base], wanted=OPENINGS["tshirt"])
     assert wearer.pose is not None
     assert_allclose(wearer.pose[[18, 19], 1], [-0.7, 0.7], rtol=0, atol=0.25)
     assert np.linalg.norm(wearer.skin.vertices[shirt] - near[shirt], axis=1).mean() < 0.02

@@ -22,9 +22,9 @@ ROOT = Path(service.__file__).parent
 ORDER = (
     "errors",
     "settings",
+    "watch",
     "graphs",
     "stages",
-    "watch",
     "compute",
     "guard",
     "state",
@@ -34,12 +34,12 @@ ORDER = (
     "stream",
 )
 ABOVE = ("server", "app", "ray_app", "keys", "static", "__main__")
-# Files whose code runs between a pose's coming and its frame's leaving: twelve that make the frame, two that watch.
+# Files whose code runs between a pose's coming and its frame's leaving: twelve that make the frame, three that watch.
 ROAD = {
     *("stream/routes.py", "stream/workers.py", "compute/drape_runtime.py", "compute/threads.py"),
     *("stages/batch.py", "stages/stage.py", "stages/network.py", "graphs/packing.py", "graphs/compiled.py"),
     *("stages/swing.py", "stages/folds.py", "stages/encode.py"),
-    *("watch/logs.py", "watch/metrics.py"),
+    *("watch/logs.py", "watch/metrics.py", "watch/watchdog.py"),
 }
 
 

@@ -13,12 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from drape.errors import MeshError, NotFound
+from drape.errors import MeshError, NotFound, legible
 from drape.files.formats import MESH_FORMATS, listed, sniff
 
 BYTES_LIMIT = 96 * 2**20
 VERTEX_LIMIT = 200_000
 AVATAR_VERTEX_LIMIT = 400_000
+MATERIAL_CHARACTERS = 200  # of a name that is kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,8 @@ def read_mesh(
         raise mesh_fault(name, "a mesh", "an empty file")
     module, _, function = found.reader.partition(".")
     read = getattr(import_module(f"{__package__}.{module}"), function)
-    return read(payload, name=name, vertex_limit=vertex_limit)
+    mesh = read(payload, name=name, vertex_limit=vertex_limit)
+    return replace(mesh, material_names=tuple(legible(one)[:MATERIAL_CHARACTERS] for one in mesh.material_names))
 
 
 def _too_large(size: int) -> tuple[str, str, str]:

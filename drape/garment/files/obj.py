@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
+from json import detect_encoding
 
 import numpy as np
 
 from drape.errors import MeshError
 from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault
 
-# Statements that say nothing of the surface.
-_SILENT = frozenset(
-    "vn o g s mtllib l p vp cstype deg curv curv2 surf parm end bevel lod".split()  # noqa: SIM905
-)
+# Statements that say nothing of the surface, nor of what is left out.
+_SILENT = frozenset("o g s mtllib".split())  # noqa: SIM905
+_KEYWORD_LIMIT = 100
 _INTEGER = re.compile(r"[+-]?\d{1,18}\Z")  # more digits are no index, and no int64
 
 
@@ -36,25 +37,27 @@ class _ObjReader:
         self.face_material: list[int] = []
         self.material = -1
         self.polygon_count = 0
-        self.skipped: set[str] = set()
+        self.skipped: Counter[str] = Counter()
+        self.first_skipped = 0
 
     def fault(self, line: int, expected: str, got: str, cure: str = "Export the mesh again.") -> MeshError:
         return mesh_fault(f"{self.name} line {line}", expected, got[:80], cure)
 
     def read(self, payload: bytes) -> GarmentMesh:
-        if b"\0" in payload:
-            raise mesh_fault(self.name, "a text file (OBJ)", "binary data", "Name the file by its format.")
+        rows = re.split(r"\r\n?|\n", payload.decode(detect_encoding(payload), errors="replace").replace("\0", " "))
         pending = ""
-        for number, raw in enumerate(payload.decode("utf-8", errors="replace").splitlines(), start=1):
-            text = pending + raw.split("#", 1)[0].strip()
+        for number, raw in enumerate(rows, start=1):
+            # A material's name may hold a #; after a number it begins a comment.
+            data = re.split(r"\s#", raw, maxsplit=1) if raw.lstrip().startswith("usemtl") else raw.split("#", 1)
+            text = pending + data[0].strip()
             pending = ""
-            if text.endswith("\\"):
+            if text.endswith("\\") and number < len(rows):
                 pending = text[:-1] + " "
                 continue
-            words = text.split()
+            words = text.rstrip("\\").split()
             if words:
                 self.statement(number, words, text)
-        return self.finish()
+        return self.finish(is_binary=b"\0" in payload)
 
     def statement(self, number: int, words: list[str], text: str) -> None:
         keyword, rest = words[0], words[1:]
@@ -72,12 +75,10 @@ class _ObjReader:
         elif keyword == "usemtl":
             label = text[len("usemtl") :].strip() or "default"
             self.material = self.materials.setdefault(label, len(self.materials))
-        elif keyword in _SILENT:
-            self.skipped.add(keyword)
-        else:
-            raise self.fault(
-                number, "an OBJ statement (v, vt, vn, f, usemtl, ...)", repr(keyword), "Is this an OBJ file?"
-            )
+        elif keyword not in _SILENT:
+            # A hostile file does not choose how many there are.
+            self.skipped[keyword[:16] if len(self.skipped) < _KEYWORD_LIMIT else "others"] += 1
+            self.first_skipped = self.first_skipped or number
 
     def floats(self, number: int, words: list[str], count: int) -> tuple[float, ...]:
         try:
@@ -125,7 +126,12 @@ class _ObjReader:
             found.append(-1 if index is None else index - 1 if index > 0 else count + index)
         return found[0], found[1] if len(found) > 1 else -1
 
-    def finish(self) -> GarmentMesh:
+    def finish(self, *, is_binary: bool) -> GarmentMesh:
+        if not self.vertices and not self.faces and is_binary:
+            raise mesh_fault(self.name, "a text file (OBJ)", "binary data", "Name the file by its format.")
+        if not self.vertices and not self.faces and self.skipped:
+            expected, got = "an OBJ statement (v, vt, vn, f, usemtl, ...)", repr(next(iter(self.skipped)))
+            raise self.fault(self.first_skipped, expected, got, "Is this an OBJ file?")
         if not self.vertices or not self.faces:
             missing = "faces" if self.vertices else "vertices"
             raise mesh_fault(self.name, "vertices and faces", f"no {missing}", "Export the garment's surface.")
@@ -151,8 +157,10 @@ class _ObjReader:
             uv_faces[bare] = len(uv)
             uv = np.vstack([uv, [[0.0, 0.0]]])
             notes.append(f"{int(bare.sum())} faces without texture coordinates take (0, 0)")
-        if self.skipped & {"l", "p", "curv", "surf"}:
-            notes.append("lines, points and curves left out")
+        if self.skipped:
+            most = ", ".join(f"{count} {keyword!a}" for keyword, count in self.skipped.most_common(5))
+            rest = ", ..." if len(self.skipped) > 5 else ""
+            notes.append(f"statements left out that say nothing of the surface, {self.skipped.total()}: {most}{rest}")
         return GarmentMesh(
             name=self.name,
             vertices=np.array(self.vertices, dtype=np.float64)[:, :3],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.avatar.character import Character, read_character
-from drape.avatar.file_skeleton import FileSkeleton, file_skeleton
-from drape.avatar.gltf import GltfFile
+from drape.avatar.file_skeleton import FileRig, load_file_rig
 from drape.avatar.rig_file import Dressed, RigClip, rig_file
-from drape.avatar.wearer import Wearer, read_wearer
+from drape.avatar.wearer import Wearer, read_wearer, save_wearer
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
-from drape.errors import ArtifactError
+from drape.errors import BodyError
+from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
 from drape.geometry.rotations import rotvec_to_matrix
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
@@ -55,8 +55,14 @@ def worn(payload: bytes, body: BodyModel) -> Wearer:
 
 
 @pytest.fixture(scope="module")
-def read(payload: bytes) -> tuple[Character, FileSkeleton]:
-    return read_character(payload), file_skeleton(payload)
+def stored(worn: Wearer, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_wearer(worn, tmp_path_factory.mktemp("stored"))
+
+
+@pytest.fixture(scope="module")
+def read(stored: Path) -> FileRig:
+    """The rig as it is stored: nobody reads the file again."""
+    return load_file_rig(stored)
 
 
 @pytest.fixture(scope="module")
@@ -72,13 +78,13 @@ def moves(worn: Wearer) -> RigClip:
     return RigClip(*worn.to_rig(poses, trans), 30.0)
 
 
-def written(draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: tuple, **more: bool) -> bytes:
-    return rig_file([Dressed(tube, draped, COLOUR)], moves, worn, *read, **more).to_bytes()
+def written(draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: FileRig, **more: bool) -> bytes:
+    return rig_file([Dressed(tube, draped, COLOUR)], moves, worn, read, **more).to_bytes()
 
 
 @pytest.mark.parametrize("quantised", [True, False])
 def test_skinned_and_morphed_it_is_where_it_was_draped(
-    draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: tuple, quantised: bool
+    draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: FileRig, quantised: bool
 ):
     file = Reader(written(draped, tube, moves, worn, read, quantised=quantised))
     shown = file.skinned(FRAMES)[:, : tube.vertex_count] * worn.scale
@@ -88,9 +94,9 @@ def test_skinned_and_morphed_it_is_where_it_was_draped(
 
 
 def test_nodes_are_those_of_the_file(
-    payload: bytes, draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: tuple
+    payload: bytes, draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: FileRig
 ):
-    own, file = GltfFile(payload).json, Reader(written(draped, tube, moves, worn, read))
+    own, file = Reader(payload).json, Reader(written(draped, tube, moves, worn, read))
     names = [node["name"] for node in file.json["nodes"]]
     assert "toe end" in names and "Armature" in names and "lamp" not in names and "points" not in names
     assert [file.json["nodes"][top]["name"] for top in file.json["scenes"][0]["nodes"]] == ["Armature", tube.name]
@@ -109,11 +115,12 @@ def test_nodes_are_those_of_the_file(
     binds, found = own["skins"][0]["inverseBindMatrices"], file.array(file.json["skins"][0]["inverseBindMatrices"])
     assert_allclose(found[:-1], GltfFile(payload).array(binds).reshape(-1, 4, 4), atol=0)
     # The joint of the second skin is bound as if it were of the first: at rest it takes the surface where the toe does.
-    rest = read[1].world(read[1].moves[None], read[1].turns[None])[0][read[1].joints] @ np.swapaxes(found, -1, -2)
+    skeleton = read.skeleton
+    rest = skeleton.world(skeleton.moves[None], skeleton.turns[None])[0][skeleton.joints] @ np.swapaxes(found, -1, -2)
     assert_allclose(rest[-1], rest[JOINT_NAMES.index("left_foot")], atol=1e-5)
 
 
-def test_the_rig_moves_as_the_poses_say(draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: tuple):
+def test_the_rig_moves_as_the_poses_say(draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: FileRig):
     poses, trans = random_motion(FRAMES, spread_rad=0.9)
     file = Reader(written(draped, tube, moves, worn, read))
     names = [node["name"] for node in file.json["nodes"]]
@@ -128,7 +135,7 @@ def test_the_rig_moves_as_the_poses_say(draped: np.ndarray, tube: Garment, moves
 
 
 def test_without_targets_it_hangs_on_the_limbs_next_to_it(
-    draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: tuple
+    draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: FileRig
 ):
     file = Reader(written(draped, tube, moves, worn, read))
     held = file.json["meshes"][0]["primitives"][0]["attributes"]
@@ -141,7 +148,7 @@ def test_without_targets_it_hangs_on_the_limbs_next_to_it(
 
 
 def test_vertices_between_joints_that_turn_against_each_other_have_one(
-    draped: np.ndarray, tube: Garment, worn: Wearer, read: tuple
+    draped: np.ndarray, tube: Garment, worn: Wearer, read: FileRig
 ):
     poses = np.zeros((FRAMES, 24, 3))
     poses[:, JOINT_NAMES.index("spine1"), 1] = np.linspace(0.0, np.pi, FRAMES)  # a blend half-way is flat
@@ -151,15 +158,15 @@ def test_vertices_between_joints_that_turn_against_each_other_have_one(
 
 
 def test_the_khronos_validator_has_no_complaint(
-    draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: tuple, tmp_path: Path
+    draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: FileRig, tmp_path: Path
 ):
     for quantised in (True, False):
         assert khronos_complaints(written(draped, tube, moves, worn, read, quantised=quantised), tmp_path) == []
 
 
-def test_a_wearer_of_another_file_is_refused(
-    draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, body: BodyModel
-):
-    other = character(body, scheme="unreal")
-    with pytest.raises(ArtifactError, match="its own file"):
-        written(draped, tube, moves, worn, (read_character(other), file_skeleton(other)))
+def test_a_rig_that_is_not_stored_or_damaged_is_refused(worn: Wearer, stored: Path, tmp_path: Path):
+    cut = tmp_path / "cut.npz"
+    cut.write_bytes(stored.read_bytes()[:-300])
+    for path in (save_wearer(replace(worn, file=None), tmp_path), cut, tmp_path / "none.npz"):
+        with pytest.raises(BodyError, match="stored with its rig"):
+            load_file_rig(path)

@@ -62,8 +62,9 @@ def write_bvh(
     fps: float = 60.0,
     order: str = "ZXY",
     positions_last: bool = False,
+    tips: dict[int, np.ndarray] | None = None,
 ) -> Path:
-    """Write rotations relative to the parent (F, J, 3, 3) and root positions (F, 3)."""
+    """Write rotations relative to the parent (F, J, 3, 3) and root positions (F, 3); ``tips``: end sites by joint."""
     columns: list[np.ndarray] = []
     lines = ["HIERARCHY"]
 
@@ -84,7 +85,8 @@ def write_bvh(
         for child in children:
             add(child, depth + 1)
         if not children:
-            lines.extend([f"{pad}\tEnd Site", f"{pad}\t{{", f"{pad}\t\tOFFSET 0 0 0", f"{pad}\t}}"])
+            tip = " ".join(f"{value:.9f}" for value in (tips or {}).get(joint, np.zeros(3)))
+            lines.extend([f"{pad}\tEnd Site", f"{pad}\t{{", f"{pad}\t\tOFFSET {tip}", f"{pad}\t}}"])
         lines.append(f"{pad}}}")
 
     add(0, 0)

@@ -3,17 +3,19 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from drape.body.skeleton import PARENTS
 from drape.errors import MotionError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
 from drape.motion import bvh, text
+from drape.motion.alignment import least_turn
 from drape.motion.amass import Y_FROM_Z
 from drape.motion.bvh import read_bvh
 from drape.motion.readers import read_motion
 from drape.motion.retarget import global_rotations
 from drape.motion.samples import walk
-from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS
+from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS, CANONICAL_JOINTS
 from tests.drape.motion.motion_files import BODY, BODY_PARENTS, SCHEMES, scheme_names, t_pose_offsets, write_bvh
 
 # Files hold nine decimals of degrees and of the unit of length.
@@ -61,6 +63,22 @@ def reposed(local, rest):
     # The root's offset is zero, so that any frame may turn it.
     offsets = (frames[[max(parent, 0) for parent in BODY_PARENTS]] @ t_pose_offsets()[..., None])[..., 0]
     return offsets, told_from_parents(global_rotations(local, BODY_PARENTS) @ np.swapaxes(frames, -1, -2))
+
+
+def still():
+    return np.tile(np.eye(3), (22, 1, 1))
+
+
+def rest_tips(rest):
+    """End sites of head, hands and toes in a rest pose (22, 3, 3) of local rotations."""
+    frames = global_rotations(rest[None], BODY_PARENTS)[0]
+    ends = ("head", "left_wrist", "right_wrist", "left_foot", "right_foot")
+    return {BODY.index(name): 0.1 * frames[BODY.index(name)] @ np.array(BONE_DIRECTIONS[name]) for name in ends}
+
+
+def worst_degrees(clip, local):
+    got, want = read_globals(clip)[:, :22], global_rotations(local, BODY_PARENTS)
+    return np.degrees(np.linalg.norm(matrix_to_rotvec(np.swapaxes(want, -1, -2) @ got), axis=-1)).max()
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -167,7 +185,109 @@ def test_z_up_file_is_turned(local, root, wrote):
     assert_allclose(rotvec_to_matrix(clip.poses[:, 1:22]), local[:, 1:], rtol=0.0, atol=WRITTEN)
     assert_allclose(clip.trans, root @ Y_FROM_Z.T, rtol=0.0, atol=WRITTEN)
     with pytest.raises(MotionError, match="vertical axis"):
-        read_bvh(path, up="x")
+        read_bvh(path, up="up")
+
+
+@pytest.mark.parametrize("axis", ["y", "z", "x", "-y", "-z", "-x"])
+@pytest.mark.parametrize("drawn_upright", [False, True])
+def test_up_is_the_axis_that_the_person_stands_along(axis, drawn_upright, wrote):
+    clip = walk()
+    local, trans = rotvec_to_matrix(clip.poses[:132:12, :22]), clip.trans[:132:12]
+    up = float(f"{axis[:-1]}1") * np.eye(3)["xyz".index(axis[-1])]
+    world = least_turn(up, np.array([0.0, 1.0, 0.0]), np.eye(3)).T
+    # Either the skeleton is drawn in the file's axes, or as ours, and its root turns it.
+    rest = still()
+    rest[0] = np.eye(3) if drawn_upright else world
+    told = local.copy()
+    told[:, 0] = world @ local[:, 0]
+    offsets, told = reposed(told, rest)
+    clip = read_bvh(wrote(offsets=offsets, turns=told, places=trans @ world.T))
+    assert_allclose(rotvec_to_matrix(clip.poses[:, :22]), local, rtol=0.0, atol=WRITTEN)
+    assert_allclose(clip.trans, trans, rtol=0.0, atol=WRITTEN)
+
+
+def test_a_person_who_lies_is_not_put_upright(wrote):
+    supine = np.tile(still(), (3, 1, 1, 1))
+    supine[:, 0] = rotvec_to_matrix(np.array([-np.pi / 2.0, 0.0, 0.0]))
+    clip = read_bvh(wrote(turns=supine, places=np.tile([0.4, 0.15, 2.0], (3, 1))))
+    assert_allclose(rotvec_to_matrix(clip.poses[:, 0]), supine[:, 0], rtol=0.0, atol=WRITTEN)
+
+
+# Rest poses by the joints that turn in them, with all that they carry: trunks that are twisted, bent forward, bent
+# aside or turned about below the legs; the head alone; a chest that lies in the trunk's own frame.
+ODD_RESTS = {
+    "twisted": {"spine1": [0.0, 1.5, 0.0]},
+    "twisted a little": {"spine2": [0.0, 0.3, 0.0]},
+    "about face": {"spine3": [0.0, np.pi, 0.0]},
+    "twisted to and fro": {"spine2": [0.0, 1.5, 0.0], "spine3": [0.0, -1.5, 0.0]},
+    "bent forward": {"spine1": [0.5, 0.0, 0.0]},
+    "bent backward": {"spine2": [-1.6, 0.0, 0.0]},
+    "bent aside": {"spine3": [0.0, 0.0, 1.6]},
+    "legs forward": {"left_hip": [-1.2, 0.0, 0.0], "right_hip": [-1.2, 0.0, 0.0]},
+    "legs turned": {"left_hip": [0.0, 2.0, 0.0], "right_hip": [0.0, 2.0, 0.0]},
+    "head bowed": {"head": [1.6, 0.0, 0.0]},
+    "neck bowed": {"neck": [1.6, 0.0, 0.0]},
+    "hand turned down": {"left_wrist": [0.0, 0.0, -1.6]},
+}
+
+
+@pytest.mark.parametrize("kind", ODD_RESTS)
+def test_a_motion_is_the_same_from_any_rest_pose_of_the_trunk(kind, wrote):
+    clip = walk()
+    local = rotvec_to_matrix(clip.poses[:132:12, :22])
+    rest = still()
+    for name, turn in ODD_RESTS[kind].items():
+        rest[BODY.index(name)] = rotvec_to_matrix(np.array(turn))
+    offsets, told = reposed(local, rest)
+    clip = read_bvh(wrote(offsets=offsets, turns=told, places=clip.trans[:132:12], tips=rest_tips(rest)))
+    assert worst_degrees(clip, local) < 2.0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_bones_that_lie_in_frames_at_random_leave_a_still_person_as_it_stands(seed, wrote):
+    lowered = still()
+    for side, angle in (("left", -0.9), ("right", 0.9)):
+        lowered[BODY.index(f"{side}_shoulder")] = rotvec_to_matrix(np.array([0.0, 0.0, angle]))
+    local = np.tile(lowered, (2, 1, 1, 1))
+    turns = Rotation.create_group("O").as_matrix()
+    frames = turns[np.random.default_rng(seed).integers(0, len(turns), 22)]
+    rest = told_from_parents(frames)
+    offsets, told = reposed(local, rest)
+    clip = read_bvh(wrote(offsets=offsets, turns=told, places=np.tile([0.0, 0.95, 0.0], (2, 1)), tips=rest_tips(rest)))
+    assert worst_degrees(clip, local) < 2.0
+
+
+@pytest.mark.parametrize("trunk", [1, 2])
+def test_joints_of_a_short_trunk_turn_as_one(trunk, wrote):
+    gone = [f"spine{k}" for k in range(trunk + 1, 4)]
+    kept = [joint for joint in range(22) if BODY[joint] not in gone]
+    above = [BODY_PARENTS[j] if BODY_PARENTS[j] in kept else BODY.index(f"spine{trunk}") for j in kept]
+    joints = CANONICAL_JOINTS[:22].copy()
+    for side in ("left", "right"):  # level arms, as in a T-pose
+        joints[[BODY.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist")], 1] -= 0.035
+    turns = np.tile(np.eye(3), (2, len(kept), 1, 1))
+    # The chest is bent aside at rest, and its joint undoes it.
+    bend = rotvec_to_matrix(np.array([0.0, 0.0, 1.5]))
+    chest = kept.index(BODY.index(f"spine{trunk}"))
+    carried = {chest}
+    offsets = []
+    for k, (joint, parent) in enumerate(zip(kept, above, strict=True)):
+        offset = joints[joint] - joints[parent] if joint else np.zeros(3)
+        carried |= {k} if k and kept.index(parent) in carried else set()
+        offsets.append(bend @ offset if k in carried - {chest} else offset)
+    turns[:, chest] = bend.T
+    names = [scheme_names("lafan")[joint] for joint in kept]
+    parents = tuple([-1, *(kept.index(parent) for parent in above[1:])])
+    clip = read_bvh(
+        wrote(
+            names=names,
+            parents=parents,
+            offsets=np.array(offsets),
+            turns=turns,
+            places=np.tile([0.0, 0.9, 0.0], (2, 1)),
+        )
+    )
+    assert np.degrees(np.linalg.norm(clip.poses[:, :16], axis=-1)).max() < 2.0
 
 
 def test_joint_above_the_pelvis_carries_it(local, root, wrote):

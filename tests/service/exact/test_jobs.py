@@ -242,20 +242,12 @@ def test_what_a_process_says_at_its_end_is_raised(make_settings: Callable[..., S
     job = jobs.ClipJob(on_disk.Accepted("a", "tube", None, 2), tmp_path)
 
     def computed(program: str) -> None:
-        script = tmp_path / "process.py"
-        script.write_text(program)
-        start = asyncio.create_subprocess_exec
-
-        async def other(executable: str, *_: str, **more):
-            return await start(executable, str(script), **more)
-
-        monkeypatch.setattr(asyncio, "create_subprocess_exec", other)
+        (tmp_path / "spoken.py").write_text(program)
+        monkeypatch.setattr(jobs, "BLOCK", "spoken")
+        monkeypatch.setenv("PYTHONPATH", str(tmp_path))
         some = np.zeros(1)
         block = Block(None, None, None, some, some, tmp_path, some, some)  # pyright: ignore[reportArgumentType]
-        try:
-            asyncio.run(clips._computed(job, block))
-        finally:
-            monkeypatch.setattr(asyncio, "create_subprocess_exec", start)
+        asyncio.run(clips._computed(job, block))
 
     said = {"name": "disk", "expected": "room for a frame", "got": "No space left", "cure": "Make room, and ask again."}
     for kind in (Unavailable, MotionError):

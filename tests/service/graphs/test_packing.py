@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import shutil
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,6 +20,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.artifacts import load_manifest
 from drape.body.assets import load_body
+from drape.cloth.fabric_table import fabric
 from drape.contact.skin import body_skin, skin_table
 from drape.errors import ArtifactError, InputError, NotFound
 from drape.graph.feeds import body_feed, garment_feed
@@ -31,6 +33,7 @@ from service.graphs.engine import Engine
 from service.graphs.graph_names import PACKED
 from service.graphs.onnx_runtime import Device
 from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, Result, ScenePlan
+from service.graphs.store import FIRST
 from service.graphs.subgraph import cut
 from service.stages.batch import PoseInput
 from service.stages.stage import run
@@ -295,6 +298,62 @@ def test_constants_are_kept_once(bodies):
     for kind in KINDS:
         for name, array in packer.store.packed(kind).stored.items():
             assert np.shares_memory(array, packer.store.arrays()[name])
+
+
+def waits_not(packer: Packer, bodies, change: Callable[[Callable[[], None]], str]) -> None:
+    """Fails where a frame waits for a ``change`` of the garments that stands still; it names one that is in store."""
+    begun, go_on = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        begun.set()
+        assert go_on.wait(300.0)
+
+    with ThreadPoolExecutor(2) as threads:
+        try:
+            changing = threads.submit(change, hold)
+            assert begun.wait(300.0)
+            frame = threads.submit(packer.run, ScenePlan(), bodies, [("tank", 0)])
+            assert len(frame.result(100.0)) == 1 and not changing.done()
+        finally:
+            go_on.set()
+        assert changing.result(300.0) in packer.store
+
+
+def test_no_frame_waits_while_a_garment_is_packed(bodies):
+    packer, feed = make_packer(compiled=True), garment_feed(garment("shorts"), body=load_body())
+
+    def add(hold: Callable[[], None]) -> str:
+        class Held(dict):
+            def __getitem__(self, name: str) -> np.ndarray:
+                hold()
+                return super().__getitem__(name)
+
+        packer.add("more", garment("shorts"), Held(feed))
+        return "more"
+
+    waits_not(packer, bodies, add)
+
+
+def test_no_frame_waits_while_a_fabric_is_encoded(bodies, monkeypatch: pytest.MonkeyPatch):
+    packer = make_packer(compiled=True)
+    encode = packer._engine.first
+
+    def dress(hold: Callable[[], None]) -> str:
+        monkeypatch.setattr(packer._engine, "first", lambda *asked: (hold(), encode(*asked))[1])
+        return packer.dressed("tank", fabric("denim"))
+
+    waits_not(packer, bodies, dress)
+
+
+def test_constants_are_not_laid_out_before_a_graph_asks(bodies):
+    packer = make_packer(compiled=True)
+    packer.run(ScenePlan(), bodies, [("tank", 0), ("shorts", 1)])
+    tank = packer.store.packed("tank").stored[FIRST]
+    packer.add("more", garment("shorts"))
+    packer.remove("shorts")
+    assert packer.store.packed("tank").stored[FIRST] is tank, "a frame waits for no copy of all garments"
+    kept = {*KINDS, "more"} - {"shorts"}
+    assert len(packer.store.arrays()[FIRST]) == sum(packer.store.packed(key).patch_count for key in kept)
 
 
 def test_garments_come_and_go(bodies):

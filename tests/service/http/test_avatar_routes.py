@@ -29,6 +29,7 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
 from tests.fixtures.glb_reader import Reader
+from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.serving import files_in
 from tests.fixtures.streams import PROTOCOLS
 
@@ -41,7 +42,7 @@ POSES[:, 16:18, 2] = [-0.9, 0.9]
 def ended(api: httpx.Client, answer: httpx.Response) -> dict:
     assert answer.status_code == 202, answer.text
     assert answer.headers["Location"] == f"/jobs/{answer.json()['id']}"
-    deadline = time.monotonic() + 90.0
+    deadline = time.monotonic() + PATIENT_S
     while (job := api.get(answer.headers["Location"]).json())["state"] in ("queued", "running"):
         assert time.monotonic() < deadline
         time.sleep(0.05)
@@ -283,7 +284,7 @@ def test_a_file_that_is_no_character_leaves_nothing(api: httpx.Client, settings:
 
 
 def test_avatars_are_there_after_a_new_start(avatar: str, runtime_of_api: DrapeRuntime, settings: Settings):
-    assert runtime_of_api.avatars.get(avatar).told["vrm"] == "0"
+    assert runtime_of_api.avatars.get(avatar).told.vrm == "0"
     folder = settings.garments_dir / in_service.FOLDER
     (folder / "bad.json").write_text("{}")
     assert len(in_service.Avatars(runtime_of_api.body, settings, runtime_of_api._stages_on).visible(None)) == 1
@@ -335,7 +336,7 @@ def test_what_is_done_with_avatars_in_one_service_the_other_takes_over(
     assert there.dress(entry.id, tube) is before, "nothing changed"
     here.replaced(entry, save_wearer(replace(wearers[0], median_mm=3.0), tmp_path))
     there.follow()
-    assert there.get(entry.id, "alice").told["fit"]["median_mm"] == 3.0 and there.wearer(entry.id).median_mm == 3.0
+    assert there.get(entry.id, "alice").told.fit["median_mm"] == 3.0 and there.wearer(entry.id).median_mm == 3.0
     assert not there.worn or there.dress(entry.id, tube) is not before
     there.remove(there.get(entry.id, "alice"))
     here.follow()

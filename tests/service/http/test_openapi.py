@@ -29,6 +29,7 @@ from service.app import create_app
 from service.errors import PROBLEM
 from service.settings import Settings
 from tests.fixtures.fuzzing import examples
+from tests.fixtures.patience import PATIENT_S
 
 # Not positive_data_acceptance: no schema says that there are as many translations as poses.
 CHECKS = [
@@ -67,7 +68,7 @@ def requests_of(operation: APIOperation, mode: GenerationMode, known: dict[str, 
 def plain_answer(operation: APIOperation, known: dict[str, str]) -> int:
     """The status of what is there, asked for without a query; drawn names of sizes hardly ever are some that it has."""
     case = operation.Case(path_parameters={one.name: known[one.name] for one in operation.path_parameters})
-    response = case.call()
+    response = case.call(timeout=PATIENT_S)  # schemathesis cancels a request after 10 s, and the service says 503
     case.validate_response(response, checks=CHECKS[:-1])
     return response.status_code
 
@@ -84,7 +85,7 @@ def conform(requests: st.SearchStrategy[Case], few: int) -> Counter[int]:
     @given(case=requests, accept=st.sampled_from(MEDIA_TYPES))
     @examples(few)
     def ask(case: Case, accept: str | None) -> None:
-        response = case.call(headers={"Accept": accept} if accept else {})
+        response = case.call(headers={"Accept": accept} if accept else {}, timeout=PATIENT_S)
         counted[response.status_code] += 1
         case.validate_response(response, checks=CHECKS)
 

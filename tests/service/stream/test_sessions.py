@@ -110,6 +110,37 @@ def rest_input(frame: int = 0, memories: Memories | None = None) -> PoseInput:
     return PoseInput(REST[None], np.zeros((1, 3)), np.zeros(10), times_s, memories or {}, sequence=frame)
 
 
+def test_a_frame_is_left_to_a_worker_that_still_computes(make_runtime: Callable[..., DrapeRuntime], monkeypatch):
+    runtime = make_runtime(stream_threads=2)
+    streams = Streams(runtime, SlicedThread())
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
+    sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(3)]
+
+    async def beside() -> list[Session]:
+        begun, go_on, compute = asyncio.Event(), asyncio.Event(), runtime.stream_frames
+
+        async def slow(*asked):
+            begun.set()
+            await go_on.wait()
+            return await compute(*asked)
+
+        monkeypatch.setattr(runtime, "stream_frames", slow)
+        for session in sessions:
+            streams.add(session)
+        sessions[0].put(wire.Pose(0, 0.0, np.zeros(3), REST))
+        computing = asyncio.create_task(streams._compute(streams._next_batch()))
+        await begun.wait()
+        for session in sessions[1:]:
+            session.put(wire.Pose(0, 0.0, np.zeros(3), REST))
+            await asyncio.sleep(0.002)
+        found = streams._next_batch()
+        go_on.set()
+        await computing
+        return found
+
+    assert asyncio.run(beside()) == [sessions[1]], "both would leave when the second is through"
+
+
 def test_waiting_streams_are_shared_out_among_free_workers(make_runtime: Callable[..., DrapeRuntime]):
     runtime = make_runtime(stream_threads=2)
     streams = Streams(runtime, SlicedThread())

@@ -104,9 +104,7 @@ def test_a_garment_is_known_at_once_where_somebody_asks_for_it(
     for number, client in enumerate(pair):
         save_garment(tube_garment(body, name=f"new{number}", radius_m=0.2), folder)
         assert client.get(f"/garments/new{number}").status_code == 200
-        begun_s = time.monotonic()
         assert client.get("/garments/nothing").status_code == 404
-        assert time.monotonic() - begun_s < 2.0
 
 
 def test_an_avatar_that_one_has_the_other_knows_at_once(

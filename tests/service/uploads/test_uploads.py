@@ -29,6 +29,7 @@ from service.uploads.avatars import upload_avatar
 from service.uploads.job_records import JobRecord, read_record
 from service.uploads.jobs import SHARES, Job, Uploads, run_sandbox, warnings_of
 from tests.fixtures.meshes import garment_obj, huge_count_glb
+from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.serving import files_in, served
 
 
@@ -48,7 +49,7 @@ def finished(client: httpx.Client, response: httpx.Response, seen: list[dict] | 
     assert response.status_code == 202, response.text
     job = response.json()
     assert response.headers["Location"] == f"/jobs/{job['id']}"
-    deadline = time.monotonic() + 90.0
+    deadline = time.monotonic() + PATIENT_S
     while job["state"] in ("queued", "running"):
         assert time.monotonic() < deadline
         time.sleep(0.1)
@@ -296,7 +297,7 @@ def test_two_workers_run_two_uploads_and_a_client_that_leaves_cancels_its_own(
 
 def test_cancelled_uploads_end_and_leave_nothing(uploads: httpx.Client, upload_settings: Settings, tube: Garment):
     running, waiting = (post(uploads, garment_obj(tube), name="tube.obj", avatar="standard").json() for _ in range(2))
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + PATIENT_S
     while uploads.get(f"/jobs/{running['id']}").json()["stage"] != "start":
         assert time.monotonic() < deadline
         time.sleep(0.02)

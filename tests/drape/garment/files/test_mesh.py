@@ -54,6 +54,61 @@ s off
     assert "1 polygons triangulated" in mesh.notes
 
 
+WORLDLY = """mtllib sch\u00f6n.mtl
+o one\0name
+v 0 0 0 1
+v\t1 0 0 .1 .2 .3
+v 1 1 0 1 .1 .2 .3 # in colour
+ny 1 2 3
+ny 1 2 3
+vp 0.1 0.2
+ms 1
+call other.obj 1
+csh echo
+cstype bezier
+curv 0 1 1 2 \\
+ 3
+l 1 2
+p 1
+usemtl cloth#1
+f -3// -2// -1//
+usemtl cloth#2 # the other
+f 1 2 \\
+3 \\"""
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
+def test_obj_is_read_as_the_world_writes_it(encoding: str, newline: str):
+    mesh = read_mesh(WORLDLY.replace("\n", newline).encode(encoding), kind="obj")
+    assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [1, 1, 0]])
+    assert_array_equal(mesh.faces, [[0, 1, 2], [0, 1, 2]])
+    assert mesh.material_names == ("cloth#1", "cloth#2")
+    (note,) = mesh.notes
+    assert "statements left out that say nothing of the surface, 10: 2 'ny', 1 'vp'" in note
+
+
+@pytest.mark.parametrize(
+    ("payload", "message"),
+    [
+        (b"banana 1 2 3\n", "line 1: expected an OBJ statement"),
+        (b"\xef\xbb\xbf# of nothing\nny 1 2 3\n", "line 2: expected an OBJ statement"),
+        (b"ny 1 2 3\nv 0 0 0\n", "no faces"),
+        (b"glTF\2\0\0\0" + bytes(range(256)), "a text file"),
+    ],
+)
+def test_obj_without_a_surface_is_refused(payload: bytes, message: str):
+    with pytest.raises(MeshError, match=message):
+        read_mesh(payload, kind="obj")
+
+
+def test_obj_of_strange_words_does_not_grow_its_note():
+    strange = "".join(f"word{k} 1\n" for k in range(300))
+    (note,) = read_mesh(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n{strange}".encode(), kind="obj").notes
+    assert "300: 200 'others'" in note
+    assert len(note) < 200
+
+
 def test_obj_indices_may_point_ahead_and_faces_may_lack_uv():
     assert len(read_mesh(b"vt 0.5 0.5\nf 1 2 3\nvn 0 0 1\nv 0 0 0\nv 1 0 0\nv 0 1 0\n").uv) == 0
     mixed = read_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 0.5\nf 1/1 2/1 3/1\nf 1 2 3\n")
@@ -77,7 +132,6 @@ def test_obj_indices_may_point_ahead_and_faces_may_lack_uv():
         ("f 1.5 2 3", "corners like"),
         ("f 1 2 1" + 30 * "0", "corners like"),
         ("f 1 2 1" + 5000 * "0", "corners like"),
-        ("banana 1 2 3", "an OBJ statement"),
     ],
 )
 def test_obj_fault_names_its_line(line: str, message: str):

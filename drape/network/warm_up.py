@@ -1,4 +1,4 @@
-"""``python -m drape.network`` compiles the network's kernels and stores them, so that no service waits for it."""
+"""Compiles the network's kernels and stores them, so that no service waits for it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from drape.artifacts import MODELS_DIR, load_manifest, read_parameters
 from drape.body.assets import load_body
+from drape.body.pose_support import read_pose_support
 from drape.body.skeleton import JOINT_COUNT
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from drape.graph.feeds import garment_feed
@@ -14,11 +15,12 @@ from drape.graph.packing import pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes
 from drape.network.bodies import BodyFeed, moments, posed_body
 from drape.network.drape import checked_jets
+from drape.network.novelty import kept_poses, novelty
 from drape.network.patch_rows import patch_rows
 from drape.network.weights import weights_of
 
 
-def compile_all(model: str = "onefit") -> None:
+def warm_up(model: str = "onefit") -> None:
     """Drapes a shipped garment once with the shipped ``model``."""
     manifest, body = load_manifest(MODELS_DIR / model), load_body()
     assert manifest.weights is not None
@@ -35,7 +37,4 @@ def compile_all(model: str = "onefit") -> None:
     parts = skins["skin_rows"][0], skins["skin_bones"], shapes.counts
     feed = BodyFeed(local[:JOINT_COUNT], shape.joint_rest, shape.betas, np.empty(0, np.float32), *parts)
     checked_jets(weights, patch_rows(packed, first), posed_body(weights, feed, skin), 1, packed.patch_count)
-
-
-if __name__ == "__main__":
-    compile_all()
+    novelty(kept_poses(read_pose_support(MODELS_DIR / model / "poses.npz")), np.zeros((1, JOINT_COUNT, 3)))

@@ -1,12 +1,11 @@
 """A GLB file as it is read: its JSON, and accessors as arrays (glTF 2.0, sections 3.6 and 12).
 
-Nothing in a stranger's file is trusted: every offset, count and index is compared with what is there before an array
-is made, and what is made is bounded.
+Nothing in a stranger's file is trusted: its JSON is checked (``drape.files.gltf_json``), every offset, count and index
+is compared with what is there before an array is made, and what is made is bounded.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import struct
 from typing import Any
@@ -14,52 +13,42 @@ from typing import Any
 import numpy as np
 
 from drape.errors import MeshError
+from drape.files.gltf_json import EXPORT, SHRINK, Document, document_of, shown
 
-FILE_BYTES = 64 * 2**20
+FILE_BYTES = 96 * 2**20
 JSON_BYTES = 16 * 2**20
 MOST_NUMBERS = 16_000_000  # of an accessor: a million vertices have three million
-MOST_NODES = 4096
 COMPONENTS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 
 
 class GltfFile:
-    """The ``json`` of a GLB file and its arrays. Refuses (``MeshError``) bytes that are no GLB 2.0."""
+    """The checked ``document`` of a GLB file and its arrays. Refuses (``MeshError``) bytes that are no GLB 2.0."""
 
     def __init__(self, payload: bytes, *, label: str = "avatar") -> None:
         self.label = label
-        self.json, self._binary = _chunks(payload, label)
-        packed = [name for name in PACKED if name in self.listed("extensionsRequired")]
-        if packed:
-            raise MeshError(label, expected="meshes as they are", got=packed[0], cure="Export without compression.")
-        if len(self.listed("nodes")) > MOST_NODES:
-            got = str(len(self.listed("nodes")))
-            raise MeshError(f"{label}: nodes", expected=f"at most {MOST_NODES}", got=got, cure="Remove helper objects.")
+        self.document, self._binary = _chunks(payload, label)
 
-    def listed(self, key: str) -> list[Any]:
-        """The list ``key`` of the file, empty where it has none."""
-        found = self.json.get(key, [])
-        return found if isinstance(found, list) else []
-
-    def item(self, key: str, index: Any) -> dict[str, Any]:
-        """Entry ``index`` of the list ``key``."""
-        rows = self.listed(key)
-        if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(rows):
-            raise self._fault(key, f"an index below {len(rows)}", repr(index)[:40])
-        if not isinstance(rows[index], dict):
-            raise self._fault(f"{key}[{index}]", "an object", type(rows[index]).__name__)
+    def item(self, key: str, index: Any, said: str = "") -> Any:
+        """Entry ``index`` of the document's list ``key``, which ``said``, another field, tells of."""
+        rows = getattr(self.document, key)
+        if type(index) is not int or not 0 <= index < len(rows):
+            raise self._fault(said or key, f"an index of {key} below {len(rows)}", shown(index))
         return rows[index]
+
+    def count(self, index: Any) -> int:
+        """How many rows accessor ``index`` says that it has; 0 where that is no number, which ``array`` refuses."""
+        said = self.item("accessors", index, "primitives").get("count")
+        return min(said, 10**9) if type(said) is int else 0
 
     def array(self, index: Any) -> np.ndarray:
         """Accessor ``index``: (N, width), of numbers that are normalised where the file says so."""
-        accessor = self.item("accessors", index)
+        accessor, count = self.item("accessors", index), self.count(index)
         kind, width = _known(COMPONENTS, accessor.get("componentType")), _known(WIDTHS, accessor.get("type"))
-        count = accessor.get("count")
-        if kind is None or width is None or not isinstance(count, int) or not 0 < count * width <= MOST_NUMBERS:
-            wanted = f"numbers of a known type, at most {MOST_NUMBERS:,}"
-            raise self._fault(f"accessors[{index}]", wanted, f"{accessor.get('type')!r} of {count!r}"[:60])
+        if kind is None or width is None or not 0 < count * width <= MOST_NUMBERS:
+            got = ", ".join(shown(accessor.get(key)) for key in ("componentType", "type", "count"))
+            raise self._fault(f"accessors[{index}]", f"numbers of a known type, at most {MOST_NUMBERS:,}", got)
         if "bufferView" in accessor:
             found = self._rows(accessor["bufferView"], accessor.get("byteOffset", 0), count, width, kind)
         else:
@@ -81,7 +70,7 @@ class GltfFile:
         except (KeyError, TypeError) as error:
             raise self._fault("accessor.sparse", "count, indices and values", str(error)[:40]) from error
         if not isinstance(count, int) or not 0 < count <= len(array) or index_kind in (None, np.float32):
-            raise self._fault("accessor.sparse", f"at most {len(array)} whole indices", repr(count)[:40])
+            raise self._fault("accessor.sparse", f"at most {len(array)} whole indices", shown(count))
         rows = self._rows(views[0], where.get("byteOffset", 0), count, 1, index_kind)[:, 0].astype(np.int64)
         if rows.min() < 0 or rows.max() >= len(array):
             raise self._fault("accessor.sparse", f"indices below {len(array)}", str(rows.max()))
@@ -91,20 +80,20 @@ class GltfFile:
 
     def _rows(self, view: Any, offset: Any, count: int, width: int, kind: Any) -> np.ndarray:
         """``count`` rows of ``width`` numbers in buffer view ``view``, from ``offset`` bytes on."""
-        held = self.item("bufferViews", view)
+        held = self.item("buffer_views", view, "accessor.bufferView")
         start, size, stride = held.get("byteOffset", 0), held.get("byteLength", 0), held.get("byteStride")
         row = width * np.dtype(kind).itemsize
         stride = row if stride is None else stride
-        numbers = (start, size, stride, offset, held.get("buffer", 0))
-        if not all(isinstance(one, int) and not isinstance(one, bool) and one >= 0 for one in numbers):
-            raise self._fault(f"bufferViews[{view}]", "whole numbers", str(numbers)[:60])
+        numbers = (start, size, stride, offset, held.get("buffer", 0), count)
+        if not all(type(one) is int and one >= 0 for one in numbers):
+            raise self._fault(f"bufferViews[{view}]", "whole numbers", ", ".join(map(shown, numbers)))
         if held.get("buffer", 0) != 0 or "uri" in self.item("buffers", 0):
             raise self._fault("buffers", "one buffer, inside the file", "another file", "Export as one GLB file.")
         if stride < row or offset + (count - 1) * stride + row > size or start + size > len(self._binary):
             raise self._fault(f"bufferViews[{view}]", f"{count} rows of {row} bytes", f"{size} bytes of {stride}")
         return np.ndarray((count, width), kind, self._binary, start + offset, (stride, np.dtype(kind).itemsize)).copy()
 
-    def _fault(self, name: str, expected: str, got: str, cure: str = "Export the character again.") -> MeshError:
+    def _fault(self, name: str, expected: str, got: str, cure: str = EXPORT) -> MeshError:
         return MeshError(f"{self.label}: {name}", expected=expected, got=got, cure=cure)
 
 
@@ -113,9 +102,9 @@ def _known(table: dict[Any, Any], key: Any) -> Any:
     return table.get(key) if isinstance(key, (int, str)) else None
 
 
-def _chunks(payload: bytes, label: str) -> tuple[dict[str, Any], bytes]:
-    """The JSON of a GLB file and its binary chunk."""
-    cure = "Export the character as GLB (glTF 2.0, binary) or VRM."
+def _chunks(payload: bytes, label: str) -> tuple[Document, bytes]:
+    """The checked JSON of a GLB file and its binary chunk."""
+    cure = "Export it as GLB (glTF 2.0, binary) or VRM."
     if len(payload) > FILE_BYTES:
         got = f"{math.ceil(len(payload) / 2**20)} MB"
         raise MeshError(label, expected=f"at most {FILE_BYTES // 2**20} MB", got=got, cure="Shrink its textures.")
@@ -126,14 +115,12 @@ def _chunks(payload: bytes, label: str) -> tuple[dict[str, Any], bytes]:
         got = f"version {version}, {len(payload):,} of {size:,} bytes"
         raise MeshError(label, expected="a whole GLB 2.0 file", got=got, cure=cure)
     length, kind = _CHUNK.unpack_from(payload, 12)
-    if kind != b"JSON" or length > min(JSON_BYTES, len(payload) - 20):
+    if length > JSON_BYTES:
+        expected, got = f"at most {JSON_BYTES // 2**20} MB", f"{math.ceil(length / 2**20)} MB"
+        raise MeshError(f"{label}: JSON", expected=expected, got=got, cure=SHRINK)
+    if kind != b"JSON" or length > len(payload) - 20:
         raise MeshError(label, expected="JSON first", got=f"{kind!r} of {length:,} bytes", cure=cure)
-    try:
-        document = json.loads(payload[20 : 20 + length])
-    except (ValueError, RecursionError) as error:
-        raise MeshError(label, expected="JSON that can be read", got=str(error)[:60], cure=cure) from error
-    if not isinstance(document, dict):
-        raise MeshError(label, expected="a JSON object", got=type(document).__name__, cure=cure)
+    document = document_of(payload[20 : 20 + length], label)
     start = 20 + length
     if start + 8 > len(payload):
         return document, b""

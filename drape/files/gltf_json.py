@@ -1,0 +1,131 @@
+"""The JSON of a glTF file (2.0, section 5): the fields that are read, with their types and bounds; others are passed
+over. What they index is compared with what is there where it is read (``drape.files.gltf``)."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.alias_generators import to_camel
+
+from drape.errors import MeshError
+
+MOST_MARKS = 2_000_000  # commas, colons and brackets: the parser's objects; a character with 76 clips has 283,000
+MOST_NODES = 4096
+FIRST_ONLY = Field(fail_fast=True)  # one fault of a list is told, however many it has
+READ_WITHOUT = re.compile(  # extensions of looks and clips, which are not read, and those that are
+    r"(KHR_materials|KHR_texture|EXT_texture|MSFT_texture|KHR_lights|KHR_xmp|KHR_animation|VRMC)_\w+"
+    r"|VRM|KHR_mesh_quantization"
+)
+EXPORT, SHRINK = "Export it again.", "Remove custom properties (extras) and clips."
+
+Index = Annotated[int, Field(ge=0)]
+Text = Annotated[str, Field(max_length=1000)]  # with a length, or else pydantic takes what UTF-8 cannot say
+Indices = Annotated[list[Index], FIRST_ONLY]
+Objects = Annotated[list[dict[str, Any]], FIRST_ONLY]
+Number = Annotated[float, Field(ge=-1e9, le=1e9)]
+Three = Annotated[list[Number], Field(min_length=3, max_length=3), FIRST_ONLY]
+Four = Annotated[list[Number], Field(min_length=4, max_length=4), FIRST_ONLY]
+Sixteen = Annotated[list[Number], Field(min_length=16, max_length=16), FIRST_ONLY]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False, alias_generator=to_camel)
+
+
+class Node(_Part):
+    """A node: its transform is ``matrix``, column by column, or else the three others; ``rotation`` is x, y, z, w."""
+
+    name: Text | None = None
+    children: Indices = []
+    mesh: Index | None = None
+    camera: Index | None = None
+    skin: Index | None = None
+    matrix: Sixteen | None = None
+    translation: Three = [0.0, 0.0, 0.0]
+    rotation: Four = [0.0, 0.0, 0.0, 1.0]
+    scale: Three = [1.0, 1.0, 1.0]
+
+
+class Primitive(_Part):
+    """A primitive: accessors of its ``attributes`` and ``indices``; ``mode`` 4 are triangles."""
+
+    attributes: dict[Text, Index]
+    indices: Index | None = None
+    material: Index | None = None
+    mode: int = 4
+
+
+class Mesh(_Part):
+    """A mesh."""
+
+    primitives: Annotated[list[Primitive], FIRST_ONLY]
+
+
+class Skin(_Part):
+    """A skin: the nodes of its joints, and the accessor of their inverse bind matrices."""
+
+    joints: Indices
+    inverse_bind_matrices: Index | None = None
+
+
+class Scene(_Part):
+    """A scene: its nodes that have no parent."""
+
+    nodes: Indices = []
+
+
+class Document(_Part):
+    """The whole; what is told of the binary chunk is checked where it is read."""
+
+    extensions_required: Annotated[list[Text], FIRST_ONLY] = []
+    extensions: dict[str, Any] = {}
+    scene: Index | None = None
+    scenes: Annotated[list[Scene], FIRST_ONLY] = []
+    nodes: Annotated[list[Node], Field(max_length=MOST_NODES), FIRST_ONLY] = []
+    meshes: Annotated[list[Mesh], FIRST_ONLY] = []
+    skins: Annotated[list[Skin], FIRST_ONLY] = []
+    materials: Objects = []
+    images: Objects = []
+    accessors: Objects = []
+    buffer_views: Objects = []
+    buffers: Objects = []
+
+
+def document_of(text: bytes, label: str) -> Document:
+    """The checked document in the ``text`` of a file's JSON chunk; refuses (``MeshError``) anything else, the first
+    field that is wrong, and required extensions that change what is read."""
+    marks = sum(text.count(mark) for mark in b",:[{")
+    if marks > MOST_MARKS:
+        expected = f"at most {MOST_MARKS:,} commas, colons and brackets"
+        raise MeshError(f"{label}: JSON", expected=expected, got=f"{marks:,}", cure=SHRINK)
+    try:
+        document = json.loads(text.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise MeshError(f"{label}: JSON", expected="JSON that can be read", got=str(error)[:60], cure=EXPORT) from error
+    try:
+        found = Document.model_validate(document)
+    except ValidationError as error:
+        raise _refusal(error, label) from error
+    for name in found.extensions_required:
+        if not READ_WITHOUT.fullmatch(name):
+            cure = "Export without compression and without extensions."
+            expected = "no required extension that changes meshes"
+            raise MeshError(f"{label}: extensionsRequired", expected=expected, got=name[:60], cure=cure)
+    return found
+
+
+def _refusal(error: ValidationError, label: str) -> MeshError:
+    """The first complaint of pydantic as a refusal that names the field."""
+    first = error.errors(include_url=False)[0]
+    field = "".join(f"[{part}]" if isinstance(part, int) else f".{part[:60]}" for part in first["loc"]).lstrip(".")
+    wanted = re.sub(r"^([A-Z]\w+ should (be |have )?)| after validation.*| or instance of \w+", "", first["msg"])
+    expected, got = ("a value", "nothing") if first["type"] == "missing" else (wanted, shown(first["input"]))
+    return MeshError(f"{label}: {field or 'JSON'}", expected=expected, got=got, cure=EXPORT)
+
+
+def shown(value: Any) -> str:
+    """``value`` of a document in a few words, however deep it is."""
+    return f"a {type(value).__name__} of {len(value)}" if isinstance(value, (dict, list)) else repr(value)[:60]

@@ -1,0 +1,173 @@
+"""Rest poses that no person takes: what their bones tell of trunk and limbs, and what only the motion does.
+
+A bone tells two of the three angles of its joint, not its twist. Chest and pelvis are told whole, by the
+lines between the arms and between the hips. Other twists are told by a rest pose that a person can take;
+where it is none, they are those that people keep on average, which is zero in a limb and an even share in a trunk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
+from drape.motion.alignment import SLOPING_FOOT, least_turn, rest_bone
+from drape.motion.joint_names import ancestors
+from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS, JOINT_INDEX
+
+# Farther [rad] from its T-pose direction, seen from its parent, no person holds a bone (LAFAN lays all along x).
+_FAR = {"collar": 1.0, "shoulder": 2.0, "elbow": 2.0, "hip": 2.0, "knee": 2.5}
+_ASIDE = {"hip": 0.8, "knee": 0.4}  # the share of a leg's bone that lies aside, at the most
+_LIMBS = ("collar", "shoulder", "elbow", "wrist", "hand"), ("hip", "knee", "ankle", "foot")
+_FAR_TIP = 1.0  # [rad], of head, hand and toes from what carries them, at rest and on average in the clip
+
+# Bones of a straight trunk turn by less than this [rad] from one to the next, the shipped body's by 0.8 where the
+# spine begins; where the trunk stands over legs that stand, within _LEAN, by less than _SHARP_KINK.
+_KINK, _SHARP_KINK, _LEAN = 0.9, 1.3, 0.2
+_SHORT = 0.08  # of a trunk: a shorter bone has no say
+_TRUNK_TWIST = 0.7  # [rad], more than a joint of a trunk keeps on average beside what the rest pose tells
+
+# More [rad] than people keep a joint twisted on average.
+_TWIST = {"neck": 0.9, "head": 0.9, "collar": 0.9, "shoulder": 2.0, "elbow": 1.7, "wrist": 1.7, "hand": 0.9}
+_TWIST |= {"hip": 1.3, "knee": 0.9, "ankle": 0.9, "foot": 0.9}
+
+_SPINE = ("spine1", "spine2", "spine3")
+
+
+def trunk_ends(
+    rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]
+) -> tuple[dict[str, int], np.ndarray | None]:
+    """By a trunk's joint the file's joint that its bone points to, and the pelvis' up (3,); ``rest`` are places (J, 3).
+
+    A bent trunk is told bone by bone. A straight one is told from joint to joint of ours, and its up is None.
+    """
+    tops = [sources[name] for name in ("neck", "head", "spine3") if name in sources]
+    top = next(joint for joint in tops if sources["spine3"] in ancestors(parents, joint))
+    below = ancestors(parents, sources["pelvis"])
+    path = [sources["pelvis"], *(joint for joint in ancestors(parents, top)[::-1] if joint not in below)]
+    reach = _SHORT * np.linalg.norm(np.diff(rest[path], axis=0), axis=1).sum()
+
+    def far_end(start: int) -> int | None:
+        above = path[path.index(start) + 1 :]
+        return next((joint for joint in above if np.linalg.norm(rest[joint] - rest[start]) > reach), None)
+
+    bones, joint = [], path[0]
+    while (end := far_end(joint)) is not None:
+        bones.append((rest[end] - rest[joint]) / np.linalg.norm(rest[end] - rest[joint]))
+        joint = end
+    stance = sum(rest[sources[f"{side}_hip"]] - rest[sources[f"{side}_ankle"]] for side in ("left", "right"))
+
+    def leans(line: np.ndarray) -> bool:
+        return line @ stance < np.cos(_LEAN) * np.linalg.norm(line) * np.linalg.norm(stance)
+
+    chord_leans = leans(rest[top] - rest[path[0]])
+    kink = min((one @ other for one, other in pairwise(bones)), default=1.0)
+    kinked = kink < np.cos(_KINK if chord_leans else _SHARP_KINK)
+    if not bones or not (kinked or (chord_leans and not leans(bones[0]))):
+        return {name: top for name in _SPINE if sources[name] == sources["spine3"] != top}, None
+    ends = {name: far_end(sources[name]) for name in _SPINE}
+    return {name: end for name, end in ends.items() if end is not None}, bones[0]
+
+
+def arms_across(rest: np.ndarray, sources: Mapping[str, int]) -> np.ndarray | None:
+    """The line (3,) from the right arm to the left; None where a rest pose tells none.
+
+    It joins the shoulders, or where collars do not point apart their own places, which turn with the chest.
+    """
+    left, right = (rest[sources[f"{side}_shoulder"]] for side in ("left", "right"))
+    if "left_collar" in sources and "right_collar" in sources:
+        starts = [rest[sources[f"{side}_collar"]] for side in ("left", "right")]
+        collars = left - starts[0], right - starts[1]
+        if collars[0] @ collars[1] > -0.5 * np.linalg.norm(collars[0]) * np.linalg.norm(collars[1]):
+            left, right = starts
+    return left - right if np.linalg.norm(left - right) > 1e-9 else None
+
+
+def odd_limbs(rest: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray) -> set[str]:
+    """The joints of limbs that no person holds as the rest positions ``rest`` (J, 3) have them."""
+    found = set()
+    for limb in [[f"{side}_{joint}" for joint in limb] for side in ("left", "right") for limb in _LIMBS]:
+        for name in limb:
+            bone, part = rest_bone(rest, sources, name), name.split("_")[1]
+            if bone is None or part not in _FAR:
+                continue
+            seen = alignment[PARENTS[JOINT_INDEX[name]]].T @ bone
+            far = seen @ np.array(BONE_DIRECTIONS[name]) < np.cos(_FAR[part])
+            if far or abs(seen[0]) > _ASIDE.get(part, 2.0) or (part == "knee" and seen[2] > _ASIDE["knee"]):
+                found |= set(limb)
+    return found
+
+
+def tips_of(rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]) -> dict[str, np.ndarray]:
+    """Unit directions (3,) of feet, toes, hands and head to the joints and ends they carry, at ``rest`` (J, 3)."""
+    tips = {}
+    for name in ("left_ankle", "right_ankle", "left_foot", "right_foot", "left_wrist", "right_wrist", "head"):
+        carried = [k for k, parent in enumerate(parents) if parent == sources.get(name)]
+        tip = np.sum(rest[carried] - rest[sources.get(name, 0)], axis=0)
+        if np.linalg.norm(tip) > 1e-9:
+            tips[name] = tip / np.linalg.norm(tip)
+    return tips
+
+
+def turn_tips(turned: np.ndarray, tips: Mapping[str, np.ndarray], alignment: np.ndarray, odd: set[str]) -> set[str]:
+    """Turns joints in ``turned`` (F, 24, 3, 3) and ``alignment`` (24, 3, 3) as their ``tips`` lie; returns their names.
+
+    Those of limbs that are not ``odd`` stay, unless no person holds them so at rest and through the clip.
+    """
+    found = set()
+    for name, tip in tips.items():
+        joint = JOINT_INDEX[name]
+        carrier = alignment[PARENTS[joint]]
+        expected = carrier @ (SLOPING_FOOT if name.endswith("ankle") else np.array(BONE_DIRECTIONS[name]))
+        held = 0.5 * (np.trace(_relative(turned, PARENTS[joint], joint).mean(axis=0)) - 1.0)  # cosine of the mean turn
+        if name in odd or max(held, tip @ expected) < np.cos(_FAR_TIP):
+            own = least_turn(expected, tip, carrier) @ carrier
+            turned[:, joint] @= alignment[joint].T @ own
+            alignment[joint] = own
+            found.add(name)
+    return found
+
+
+def keep_mean_twists(
+    turned: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray, odd: set[str], told: set[str]
+) -> None:
+    """Turns joints of world rotations ``turned`` (F, 24, 3, 3) about their own bones as people keep them, in place.
+
+    A trunk's mean twist is shared evenly between pelvis and chest, as far as the rest pose's lies between theirs. Limbs
+    that are ``odd`` at rest have a mean twist of zero; hands and toes that were not ``told`` go with what carries them.
+    """
+    up = np.array(BONE_DIRECTIONS["spine1"])
+    twist = _mean_twist((alignment[0].T @ alignment[JOINT_INDEX["spine3"]])[None], up)
+    chain = [0, *(JOINT_INDEX[name] for name in _SPINE if sources[name] != sources["spine3"]), JOINT_INDEX["spine3"]]
+    share = _mean_twist(_relative(turned, 0, chain[-1]), up) / (len(chain) - 1)
+    for below, joint in pairwise(chain[:-1]):
+        turn = share - _mean_twist(_relative(turned, below, joint), up)
+        natural = np.clip(turn, min(0.0, twist), max(0.0, twist))
+        turned[:, joint] @= rotvec_to_matrix((natural if abs(turn - natural) < _TRUNK_TWIST else turn) * up)
+    for joint, name in enumerate(JOINT_NAMES):
+        if name not in sources or name in ("pelvis", *_SPINE):
+            continue
+        axis = SLOPING_FOOT if name.endswith("ankle") else np.array(BONE_DIRECTIONS[name])
+        turn = _mean_twist(_relative(turned, PARENTS[joint], joint), axis)
+        if name in odd or abs(turn) > _TWIST[name.split("_")[-1]]:
+            undo = rotvec_to_matrix(-turn * axis)
+            turned[:, joint] @= undo
+            for leaf in range(joint + 1, JOINT_COUNT):
+                if PARENTS[leaf] == joint and JOINT_NAMES[leaf] not in sources:
+                    turned[:, leaf] = turned[:, joint]
+                elif PARENTS[leaf] == joint and JOINT_NAMES[leaf] not in {*BONE_CHILD, *told}:
+                    turned[:, leaf] @= undo  # it shares its parent's alignment
+
+
+def _relative(turned: np.ndarray, parent: int, joint: int) -> np.ndarray:
+    return np.swapaxes(turned[:, parent], -1, -2) @ turned[:, joint]
+
+
+def _mean_twist(rotations: np.ndarray, axis: np.ndarray) -> float:
+    """The mean twist [rad] of rotations (F, 3, 3) about a unit ``axis`` (3,)."""
+    quaternions = matrix_to_quaternion(rotations)
+    # Twists are half angles of either sign: their mean is that of the doubled angles.
+    return float(np.angle(((quaternions[:, 0] + 1j * (quaternions[:, 1:] @ axis)) ** 2).sum()))

@@ -1,0 +1,94 @@
+"""Processes of the service: the one place that starts them, without a handler of forks, and ends them.
+
+``fork`` calls the handlers of ``pthread_atfork``. That of OpenBLAS waits for its threads, for ever where a thread of
+ours has them at work. ``subprocess`` on Linux takes ``vfork`` or ``posix_spawn``, which call none, unless it gets a
+``preexec_fn``, a ``user`` or a ``group``. asyncio under uvloop takes ``fork``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import weakref
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from functools import partial
+from pathlib import Path
+from typing import IO, Any
+
+from service.settings import ROOT
+from service.watch.watchdog import JOBS, Job, spent_s
+
+# One thread each: their stacks and buffers count against a memory limit.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+POLL_S = 0.01
+Process = subprocess.Popen[bytes]
+_started: weakref.WeakSet[Process] = weakref.WeakSet()
+
+
+def start(module: str, *arguments: str, stdin: Any = subprocess.PIPE, quiet: bool = False) -> Process:
+    """``python -m module`` in a session of its own with a pipe as standard output; ``quiet``: without its errors."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", module, *arguments],
+        cwd=ROOT,
+        env=os.environ | ONE_THREAD,
+        stdin=stdin,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL if quiet else None,
+        start_new_session=True,
+    )
+    _started.add(process)
+    return process
+
+
+def kill(process: Process) -> None:
+    """Kills ``process`` and what it has started."""
+    if process.poll() is None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+def kill_all() -> None:
+    """Kills every process that ``start`` has started."""
+    for process in tuple(_started):
+        kill(process)
+
+
+@asynccontextmanager
+async def running(
+    lane: str, module: str, *arguments: str, write: Callable[[IO[bytes]], Any], folder: Path, quiet: bool = False
+) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
+    """A process as a job of ``lane``, and what it says; it is killed with the block.
+
+    Its standard input is a file that ``write`` has written, which has no name in ``folder``: nobody need wait for the
+    process to read.
+    """
+    with tempfile.TemporaryFile(dir=folder) as file:
+        await asyncio.to_thread(write, file)
+        file.flush()
+        os.lseek(file.fileno(), 0, os.SEEK_SET)
+        process = start(module, *arguments, stdin=file, quiet=quiet)
+    job, reader = Job(lane, [partial(spent_s, process.pid)]), asyncio.StreamReader()
+    JOBS.add(job)
+    pipe: asyncio.BaseTransport | None = None
+    try:
+        loop = asyncio.get_running_loop()
+        pipe, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), process.stdout)
+        yield process, reader
+    finally:
+        JOBS.discard(job)
+        kill(process)
+        if pipe is not None:
+            pipe.close()
+        await ended(process)
+
+
+async def ended(process: Process) -> None:
+    """Waits for the end of ``process``, without a thread."""
+    while process.poll() is None:
+        await asyncio.sleep(POLL_S)

@@ -1,0 +1,35 @@
+"""Records on disk as JSON. One that cannot be read, damaged or of another version, is named in the log and stops
+nothing: no list, no start."""
+
+from __future__ import annotations
+
+import logging
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter
+
+Kind = TypeVar("Kind")
+log = logging.getLogger("drape.service")
+
+
+def parsed_record(kind: type[Kind], path: Path) -> Kind:
+    """The ``kind``, a dataclass or a model, in the JSON at ``path``; ``ValueError`` where it is another, or none."""
+    return _adapter(kind).validate_json(path.read_bytes())
+
+
+def read_record(kind: type[Kind], path: Path) -> Kind | None:
+    """The same; None where there is none, and, named in the log, where it cannot be read."""
+    try:
+        return parsed_record(kind, path)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        log.warning("record set aside: %s: %s", path, " ".join(str(error).split())[:200])
+        return None
+
+
+@cache
+def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)

@@ -1,0 +1,91 @@
+"""What holds the event loop, by cause: ``LoopWatch``.
+
+While the loop runs one step of one task, every stream waits. A step of a request is caused by its path, another by the
+function of its task. Python's collector stops all threads, in whichever it begins.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import time
+from collections import deque
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
+from typing import Any, cast
+
+from service.watch.logs import ASKER, path_of
+from service.watch.metrics import Metrics
+
+BRIEF_S = 1e-3  # shorter ones are not counted
+COLLECTOR = "collector"
+
+
+class LoopWatch:
+    """Counts what holds the loop for longer than ``BRIEF_S``: in ``Metrics.loop_held`` the time that it ``ran`` on a
+    processor, and that it ``waited``, for Python's lock, a processor or a disk."""
+
+    def __init__(self, metrics: Metrics) -> None:
+        self._metrics, self._begun_s = metrics, 0.0
+        self._pauses_s: deque[float] = deque()
+
+    @contextmanager
+    def watching(self) -> Iterator[None]:
+        """Watches the running loop and the collector."""
+        loop = asyncio.get_running_loop()
+        make: Any = lambda loop, work, **named: asyncio.Task(cast(Any, _Steps(work, self)), loop=loop, **named)  # noqa: E731
+        loop.set_task_factory(make)
+        gc.callbacks.append(self._collected)
+        try:
+            yield
+        finally:
+            gc.callbacks.remove(self._collected)
+            loop.set_task_factory(None)
+
+    def _collected(self, phase: str, _: dict[str, int]) -> None:
+        # It may come while a series is locked, so that nothing is counted here.
+        if phase == "start":
+            self._begun_s = time.perf_counter()
+        elif (took_s := time.perf_counter() - self._begun_s) >= BRIEF_S:
+            self._pauses_s.append(took_s)
+
+    def late(self, lag_s: float) -> None:
+        """Tells that the loop came round ``lag_s`` late, and counts the collector's pauses."""
+        self._metrics.loop_lag.set(lag_s)
+        while self._pauses_s:
+            self._metrics.loop_held.labels(COLLECTOR, "ran").observe(self._pauses_s.popleft())
+
+    def held(self, function: str, took_s: float, ran_s: float) -> None:
+        """Counts a step of a task of ``function``, which took ``took_s`` and was on a processor for ``ran_s``."""
+        asker = ASKER.get()
+        cause = function if asker is None else path_of(asker.scope)
+        for state, time_s in (("ran", ran_s), ("waited", took_s - ran_s)):
+            if time_s >= BRIEF_S:
+                self._metrics.loop_held.labels(cause, state).observe(time_s)
+
+
+class _Steps:
+    """A task's ``work`` whose steps are timed; otherwise it."""
+
+    def __init__(self, work: Any, watch: LoopWatch) -> None:
+        self._work, self._watch = work, watch
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._work, name)
+
+    def send(self, value: Any) -> Any:
+        return self._step(self._work.send, value)
+
+    def throw(self, *error: Any) -> Any:
+        return self._step(self._work.throw, *error)
+
+    def _step(self, step: Callable[..., Any], *given: Any) -> Any:
+        begun_s, ran_s = time.perf_counter(), time.thread_time()
+        try:
+            return step(*given)
+        finally:
+            if (took_s := time.perf_counter() - begun_s) >= BRIEF_S:
+                self._watch.held(getattr(self._work, "__qualname__", "task"), took_s, time.thread_time() - ran_s)
+
+
+Coroutine.register(_Steps)  # pyright: ignore[reportAttributeAccessIssue]  # a task takes nothing else
