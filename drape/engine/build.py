@@ -20,8 +20,9 @@ from typing import NamedTuple
 HERE = Path(__file__).resolve().parent
 SOURCE, LIBRARIES = HERE / "source", HERE / "libraries"
 COMPILER = "ziglang==0.15.2"
-FLAGS = "-O3 -std=c++20 -ffp-contract=on -fno-math-errno -fno-exceptions -fno-rtti -fPIC -Wall -Wextra -Wno-psabi".split()
-LINKED = "-shared -nostdlib++ -s".split()
+FLAGS = ["-O3", "-std=c++20", "-ffp-contract=on", "-fno-math-errno", "-fno-exceptions", "-fno-rtti", "-fPIC"]
+WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
+LINKED = ["-shared", "-nostdlib++", "-s"]
 UNITS = ("folds", "layers", "network", "physics", "swing")
 
 
@@ -44,7 +45,9 @@ TARGETS = {
     "linux-x86_64": [Target(f"engine-x86-64-v{level}", LINUX, f"x86_64_v{level}") for level in (2, 3, 4)],
     "linux-aarch64": [Target("engine-arm64", ARM, "generic")],
     "macos-arm64": [Target("engine-arm64", "aarch64-macos", "apple_m1")],
-    "windows-x86_64": [Target(f"engine-x86-64-v{level}", "x86_64-windows-gnu", f"x86_64_v{level}") for level in (2, 3, 4)],
+    "windows-x86_64": [
+        Target(f"engine-x86-64-v{level}", "x86_64-windows-gnu", f"x86_64_v{level}") for level in (2, 3, 4)
+    ],
 }
 
 
@@ -78,11 +81,20 @@ def host() -> str:
 
 
 def build(target: Target, folder: Path, *, doubles: bool = False, jobs: int = os.cpu_count() or 1) -> Path:
-    """Compiles the library of ``target`` into ``folder``, with kernels in float64 too where ``doubles`` are asked for."""
+    """Compiles the library of ``target`` into ``folder``, with kernels in float64 too where ``doubles`` are wanted."""
     zig, begin = compiler(), time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
-    environment = os.environ | {f"ZIG_{kind}_CACHE_DIR": str(cache_folder() / "compiled") for kind in ("GLOBAL", "LOCAL")}
-    common = [*FLAGS, *(["-DWITH_DOUBLES"] if doubles else []), "-target", target.triple, f"-mcpu={target.processor}"]
+    environment = os.environ | {
+        f"ZIG_{kind}_CACHE_DIR": str(cache_folder() / "compiled") for kind in ("GLOBAL", "LOCAL")
+    }
+    common = [
+        *FLAGS,
+        *WARNINGS,
+        *(["-DWITH_DOUBLES"] if doubles else []),
+        "-target",
+        target.triple,
+        f"-mcpu={target.processor}",
+    ]
     objects = [folder / f"{target.name}-{unit}.o" for unit in UNITS]
 
     def compiled(unit: str, to: Path) -> None:

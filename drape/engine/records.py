@@ -8,7 +8,7 @@ has a kind:
 |---|---|---|
 | ``number`` | ``double`` | 8 bytes |
 | ``count`` | ``int64_t`` | 8 bytes |
-| ``numbers``, ``float32s``, ``float64s``, ``int32s``, ``bytes`` | ``Array<T>``, ``Array<float>``, ...: where they begin, and how many | 16 bytes |
+| ``numbers``, ``int32s``, ``bytes``, ... | ``Array<T>``, ``Array<int32_t>``, ...: begin and number | 16 bytes |
 | the name of a record | that struct | its own |
 | such a name with ``[]`` | ``Array`` of such structs, one after the other | 16 bytes |
 
@@ -283,7 +283,7 @@ def header() -> str:
     for name, fields in RECORDS.items():
         lines += ["", f"template <class T> struct {name} {{"]
         lines += [f"  {_declared(kind)} {field};" for field, kind in fields.items()]
-        lines += ["};", f"static_assert(sizeof({name}<float>) == {8 * size(name)}, \"{name}\");"]
+        lines += ["};", f'static_assert(sizeof({name}<float>) == {8 * size(name)}, "{name}");']
     return "\n".join(lines) + "\n"
 
 
