@@ -1,0 +1,84 @@
+"""The engine's library: which file fits this processor, and whether it matches the Python beside it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from drape.engine.build import LIBRARIES
+from drape.engine.records import HASH
+from drape.errors import ArtifactError
+
+SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")
+LEVELS = {"v2": 2, "v3": 3, "v4": 4}
+CURE = "Build it: python -m drape.engine.build."
+
+
+class Scratch(ctypes.Structure):
+    """Memory that the engine works in: ``source/arrays.hpp``."""
+
+    _fields_ = [
+        ("begin", ctypes.c_void_p),
+        ("size", ctypes.c_int64),
+        ("used", ctypes.c_int64),
+        ("overflowed", ctypes.c_bool),
+    ]
+
+    def __init__(self, size: int) -> None:
+        self._memory = np.empty(size, np.uint8)
+        super().__init__(self._memory.ctypes.data, size, 0, False)
+
+
+def processor_level(folder: Path = LIBRARIES) -> tuple[int, bool]:
+    """The level of x86-64 of this processor, 0 on others, and whether it has tiles for numbers of 16 bits."""
+    probe = folder / f"probe{SUFFIX}"
+    if not probe.is_file():
+        raise ArtifactError("engine", expected=f"the file {probe.name}", got="none", cure=CURE)
+    found = ctypes.CDLL(str(probe)).drape_processor()
+    return found % 16, found >= 16
+
+
+def library_name(level: int, forced: str | None = None) -> str:
+    """The name, without its end, of the library for a processor of this ``level``; ``forced`` is ``DRAPE_ISA``.
+
+    Refuses (``ArtifactError``) a processor that no library is made for, and a level above its own.
+    """
+    if level == 0:
+        return "engine-arm64"
+    wanted = LEVELS.get(forced or f"v{level}", 0)
+    if not 2 <= wanted <= level:
+        raise ArtifactError(
+            "processor",
+            expected="x86-64 of level v2, v3 or v4, and no higher DRAPE_ISA than that",
+            got=f"v{level}" + (f", DRAPE_ISA {forced}" if forced else ""),
+            cure="Leave DRAPE_ISA out, or use a processor of 2009 or later.",
+        )
+    return f"engine-x86-64-v{wanted}"
+
+
+@cache
+def load(*, doubles: bool = False, folder: Path = LIBRARIES) -> ctypes.CDLL:
+    """The library for this processor, with kernels in float64 too where ``doubles`` are asked for.
+
+    Refuses (``ArtifactError``) what ``library_name`` does, a missing file, and one that was made from other sources
+    than the Python beside it.
+    """
+    name = library_name(processor_level(folder)[0], os.environ.get("DRAPE_ISA") or None)
+    path = folder / f"{name}{'-f64' if doubles else ''}{SUFFIX}"
+    if not path.is_file():
+        raise ArtifactError("engine", expected=f"the file {path.name}", got="none", cure=CURE)
+    found = ctypes.CDLL(str(path))
+    found.drape_records_hash.restype = ctypes.c_uint64
+    if found.drape_records_hash() != HASH:
+        raise ArtifactError("engine", expected="that of this version", got=f"another one: {path.name}", cure=CURE)
+    return found
+
+
+def empty_points(count: int, dtype: type[np.floating] | np.dtype) -> np.ndarray:
+    """Room for ``count`` points (P, 3), and for one number behind the last, which the engine reads and leaves out."""
+    return np.zeros(3 * count + 1, dtype)[: 3 * count].reshape(count, 3)

@@ -1,0 +1,347 @@
+"""Records: what the engine reads of a garment, a body or a frame, as structs of C++.
+
+This table is the one home of their layout. ``source/records.hpp`` is generated from it (``python -m
+drape.engine.records``), and a library that was compiled from another table is refused at load by its ``HASH``. A field
+has a kind:
+
+| kind | in C++ | size |
+|---|---|---|
+| ``number`` | ``double`` | 8 bytes |
+| ``count`` | ``int64_t`` | 8 bytes |
+| ``numbers``, ``int32s``, ``bytes``, ... | ``Array<T>``, ``Array<int32_t>``, ...: begin and number | 16 bytes |
+| the name of a record | that struct | its own |
+| such a name with ``[]`` | ``Array`` of such structs, one after the other | 16 bytes |
+
+Every size is a multiple of eight bytes on every processor, WebAssembly included, so that a record is a flat array of
+64-bit words. T is float or double, that of the kernel which reads the record.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HEADER = Path(__file__).parent / "source" / "records.hpp"
+
+RECORDS: dict[str, dict[str, str]] = {
+    "Constants": dict.fromkeys(
+        ("warp", "cross", "weft", "shear", "gap", "slack", "per_edge", "degenerate", "least", "reach"), "number"
+    ),
+    "Creases": {"corner": "int32s", "stiffness": "numbers", "cosine": "numbers", "sine": "numbers"},
+    "Sheet": {
+        "constants": "Constants",
+        "vertex": "int32s",
+        "place": "int32s",
+        "fan_start": "int32s",
+        "fan_other": "int32s",
+        "fan_slope": "numbers",
+        "bend_start": "int32s",
+        "bend_other": "int32s",
+        "bend_value": "numbers",
+        "own": "numbers",
+        "creases": "Creases",
+        "crease_start": "int32s",
+        "crease_lane": "int32s",
+        "crease_member": "int32s",
+    },
+    "SkinGraph": {"neighbour": "int32s", "reach_m2": "numbers", "rest": "numbers"},
+    "SheetNeighbours": {
+        "start": "int32s",
+        "vertex": "int32s",
+        "square": "float32s",
+        "clusters": "int32s",
+        "other_start": "int32s",
+        "other": "int32s",
+        "bound": "bytes",
+    },
+    "Tangles": dict.fromkeys(("corner", "across", "start", "beside"), "int32s"),
+    "StiffnessFactor": {
+        "place": "int32s",
+        "column": "int32s",
+        "size": "int32s",
+        "start": "int32s",
+        "member": "int32s",
+        "entry": "int32s",
+        "value": "numbers",
+        "inverse": "numbers",
+    },
+    "FoldConstants": {
+        "sheet": "Sheet",
+        "factor": "StiffnessFactor",
+        "graph": "SkinGraph",
+        "neighbours": "SheetNeighbours",
+        "index": "int32s",
+        "friction": "number",
+        "hem": "int32s",
+        "tangles": "Tangles",
+    },
+    "FineLevel": {
+        "sheet": "Sheet",
+        "near": "int32s",
+        "weight": "numbers",
+        "parent": "int32s",
+        "tangles": "Tangles",
+    },
+    "Levels": {"coarse": "FoldConstants", "kept": "int32s", "fine": "FineLevel"},
+    "Surroundings": {"skin": "numbers", "colliders": "float64s"},
+    "FoldEffort": {"steps": "count", "settle": "count", "cloth_contact": "count", "clearance_m": "number"},
+    # What a frame goes on from, and what it leaves in the same arrays' likes: ``drape.live.fold_step.FoldMemory``.
+    "FoldMemory": {
+        "network": "numbers",
+        "residual": "numbers",
+        "velocity": "numbers",
+        "grip": "numbers",
+        "own": "int32s",
+        "other": "int32s",
+        "added": "numbers",
+        "turn": "count",
+        "step_s": "number",
+    },
+    "SwingRows": {
+        "moving": "count",
+        "node": "int32s",
+        "place": "int32s",
+        "start": "int32s",
+        "other": "int32s",
+        "slope": "numbers",
+    },
+    "SwingMesh": {
+        "vertex": "int32s",
+        "mass_kg": "numbers",
+        "area_m2": "numbers",
+        "order": "int32s",
+        "start": "int32s",
+        "other": "int32s",
+        "slope": "numbers",
+        "weight_node": "int32s",
+        "weight": "numbers",
+        "pull_start": "int32s",
+        "pull_node": "int32s",
+        "pull": "numbers",
+        "rows": "SwingRows",
+    },
+    "SwingConstants": {
+        "mesh": "SwingMesh",
+        "graph": "SkinGraph",
+        "index": "int32s",
+        "young_n_per_m": "number",
+        "damping_per_s": "number",
+        "held": "numbers",
+    },
+    # ``drape.live.swing_step.SwingMemory``, seen from the frame's own origin; ``time_s`` is infinite without a past.
+    "SwingMemory": {
+        "network": "numbers",
+        "swung": "numbers",
+        "speed": "numbers",
+        "touched": "int32s",
+        "colliders": "float64s",
+        "origin": "float64s",
+        "time_s": "number",
+        "still_since_s": "number",
+    },
+    "Layer": {"weight": "numbers", "bias": "numbers", "slope": "number", "tiles": "uint32s"},
+    # ``drape.network.weights.Weights``; ``first`` and ``second`` have a layer for every correction.
+    "Weights": {
+        "mean": "numbers",
+        "inverse_deviation": "numbers",
+        "body": "Layer[]",
+        "from_body": "Layer",
+        "surroundings": "Layer",
+        "trunk": "Layer[]",
+        "heads": "Layer[]",
+        "first": "Layer[]",
+        "second": "Layer[]",
+        "basis": "numbers",
+        "basis_u": "numbers",
+        "basis_v": "numbers",
+        "logs": "numbers",
+    },
+    "PatchRows": {
+        "first": "numbers",
+        "weights": "numbers",
+        "heaviest": "int32s",
+        "rotation": "numbers",
+        "centre": "numbers",
+        "scale": "numbers",
+        "slopes": "numbers",
+        "columns": "numbers",
+        "fit": "numbers",
+        "rest": "numbers",
+        "anchor": "uint32s",
+        "member": "int32s",
+        "tangent": "numbers",
+        "unit": "numbers",
+        "place": "numbers",
+        "sample": "int32s",
+        "bias": "numbers",
+        "region": "numbers",
+        "other": "bytes",
+    },
+    "BodyFeed": {
+        "local": "numbers",
+        "rest": "numbers",
+        "betas": "numbers",
+        "motion": "numbers",
+        "skin_rows": "numbers",
+        "skin_bones": "int32s",
+        "skin_counts": "int32s",
+    },
+    "PosedBody": {
+        "quaternion": "numbers",
+        "rotation": "numbers",
+        "translation": "numbers",
+        "place": "numbers",
+        "code": "numbers",
+        "betas": "numbers",
+        "skin": "numbers",
+        "region": "numbers",
+    },
+    # ``drape.graph.blend.Tiles``: a garment's charts are 16 or 32 bits wide, the others are empty.
+    "Tiles": {
+        "scale": "numbers",
+        "columns": "numbers",
+        "patch": "int32s",
+        "charts": "uint16s",
+        "wide_charts": "int32s",
+    },
+    "PosedJets": {"jet": "numbers", "rotation": "numbers", "centre": "numbers"},
+    # Offline physics: ``drape.kernels.problem``, ``drape.exact.surroundings``, ``drape.exact.hessian``.
+    "Triangles": {
+        "corner": "int32s",
+        "inverse": "numbers",
+        "area": "numbers",
+        "start": "int32s",
+        "other": "int32s",
+        "slope": "numbers",
+    },
+    "Hinges": {
+        "corner": "int32s",
+        "stiffness": "numbers",
+        "cosine": "numbers",
+        "sine": "numbers",
+        "start": "int32s",
+        "member": "int32s",
+    },
+    "Problem": {
+        "constants": "Constants",
+        "triangles": "Triangles",
+        "hinges": "Hinges",
+        "weight_n": "numbers",
+        "contact_n_per_m": "numbers",
+    },
+    "Around": {
+        "point": "numbers",
+        "normal": "numbers",
+        "target": "numbers",
+        "target_n_per_m": "numbers",
+        "band": "numbers",
+        "band_n_per_m": "numbers",
+    },
+    "Pattern": dict.fromkeys(("start", "column", "diagonal", "face", "hinge"), "int32s"),
+    "System": {
+        "pattern": "Pattern",
+        "blocks": "numbers",
+        "inverse": "numbers",
+        "patch": "int32s",
+        "weight": "numbers",
+        "coarse": "numbers",
+    },
+}
+_ARRAYS = {
+    "numbers": "T",
+    "float32s": "float",
+    "float64s": "double",
+    "int32s": "int32_t",
+    "uint32s": "uint32_t",
+    "uint16s": "uint16_t",
+    "bytes": "uint8_t",
+}
+_TYPES = {
+    "float32s": np.dtype(np.float32),
+    "float64s": np.dtype(np.float64),
+    "int32s": np.dtype(np.int32),
+    "uint32s": np.dtype(np.uint32),
+    "uint16s": np.dtype(np.uint16),
+    "bytes": np.dtype(np.uint8),
+}
+HASH = int.from_bytes(hashlib.sha256(repr(RECORDS).encode()).digest()[:8], "little")
+
+
+def header() -> str:
+    """The text of ``source/records.hpp``."""
+    lines = [
+        "// Generated from drape/engine/records.py by `python -m drape.engine.records`: change the table there.",
+        "#pragma once",
+        '#include "arrays.hpp"',
+        "",
+        f"constexpr uint64_t RECORDS_HASH = 0x{HASH:016x}u;",
+    ]
+    for name, fields in RECORDS.items():
+        lines += ["", f"template <class T> struct {name} {{"]
+        lines += [f"  {_declared(kind)} {field};" for field, kind in fields.items()]
+        lines += ["};", f'static_assert(sizeof({name}<float>) == {8 * size(name)}, "{name}");']
+    return "\n".join(lines) + "\n"
+
+
+def _declared(kind: str) -> str:
+    if kind in _ARRAYS:
+        return f"Array<{_ARRAYS[kind]}>"
+    if kind.endswith("[]"):
+        return f"Array<{kind[:-2]}<T>>"
+    return {"number": "double", "count": "int64_t"}.get(kind, f"{kind}<T>")
+
+
+def size(name: str) -> int:
+    """The 64-bit words of a record."""
+    kinds = RECORDS[name].values()
+    return sum(size(kind) if kind in RECORDS else 1 if kind in ("number", "count") else 2 for kind in kinds)
+
+
+class Record:
+    """The words of a record, and the arrays that they point to.
+
+    ``address`` [bytes] is where the words are.
+    """
+
+    __slots__ = ("_arrays", "_words", "address")
+
+    def __init__(self, name: str, value: Any, dtype: Any) -> None:
+        """The record ``name`` of ``value``, which has its fields as attributes; numbers in arrays are of ``dtype``.
+
+        Raises ``TypeError`` where an array has another type or is not contiguous: that is our own mistake.
+        """
+        self._arrays: list[np.ndarray] = []
+        self._words = np.array(self._filled(name, value, np.dtype(dtype)), np.uint64)
+        self.address = self._words.ctypes.data
+
+    def _filled(self, name: str, value: Any, dtype: np.dtype) -> list[int]:
+        words: list[int] = []
+        for field, kind in RECORDS[name].items():
+            own = getattr(value, field)
+            if kind in RECORDS:
+                words += self._filled(kind, own, dtype)
+            elif kind.endswith("[]"):
+                parts = [word for one in own for word in self._filled(kind[:-2], one, dtype)]
+                words += self._array(field, np.array(parts, np.uint64), np.dtype(np.uint64))
+                words[-1] = len(own)
+            elif kind == "number":
+                words.append(struct.unpack("<Q", struct.pack("<d", own))[0])
+            elif kind == "count":
+                words.append(struct.unpack("<Q", struct.pack("<q", own))[0])
+            else:
+                words += self._array(f"{name}.{field}", own, _TYPES.get(kind, dtype))
+        return words
+
+    def _array(self, name: str, array: np.ndarray, dtype: np.dtype) -> list[int]:
+        if array.dtype != dtype or not array.flags.c_contiguous:
+            raise TypeError(f"{name}: expected contiguous {dtype}, got {array.dtype}, strides {array.strides}")
+        self._arrays.append(array)
+        return [array.ctypes.data, array.size]
+
+
+if __name__ == "__main__":
+    HEADER.write_text(header())

@@ -1,0 +1,54 @@
+// The lift: the last thing in a frame, which brings cloth that is still in the skin up to the clearance.
+//
+// Contact in the energy is a spring, and a few steps leave in the skin what came into it quickly. Each vertex that is
+// lower than the clearance h over a plane through p with the normal n goes up along it,
+//
+//     x += share fade max(0, low) n,   low = h - n . (x - p),
+//
+// fade 1 up to DEEP_M and 0 from TOO_DEEP_M on: no contact leaves cloth so deep, the plane goes on there beside the skin
+// that it stands for. A quarter of the way out of the plane of another part comes first, then all of the way out of that
+// of the own part. Two parts of the body that overlap leave room for neither; going all of the way out of both would tear
+// the cloth at the border, and it is the own skin that has to be hidden. The planes are those of the frame's contact, so
+// that no skin is searched. The next frame begins with the lifted cloth, as in position-based dynamics (Mueller et al.
+// 2007, "Position Based Dynamics", J. Vis. Commun. Image Represent. 18(2)).
+#pragma once
+#include "skin.hpp"
+
+constexpr double OTHER_SHARE = 0.25;                  // of the way out of another part
+constexpr double DEEP_M = 0.006, TOO_DEEP_M = 0.02;  // below the clearance
+
+// The points after a share of their way up to the clearance over planes. Points that are higher or too deep stay. Where
+// there is no plane its normal is zero.
+template <class T> INLINE Points<T> above(Points<T> points, Points<T> foot, Points<T> normal, T clearance, T share) {
+  const Row<T> zero = row_of(T(0)), one = row_of(T(1));
+  Row<T> low = clearance - dot(points - foot, normal);
+  Row<T> left = least<T>(most<T>(one - T(1.0 / (TOO_DEEP_M - DEEP_M)) * (low - T(DEEP_M)), zero), one);
+  return plus(points, where<T>(low > zero, share * left * low, zero), normal);
+}
+
+template <class T> INLINE void put_lifted(T* x, T* way, Points<T> before, Points<T> after) {
+  put_points(x, after);
+  put(way, root<T>(dot(after - before, after - before)));
+}
+
+// Moves x [m] (P, 3) in place up to the clearance [m] over planes, and writes how far each vertex went to way [m] (P,).
+template <class T> void lift(T* x, int64_t places, const T* planes, T clearance, T* way) {
+  for (int64_t first = 0; first < places; first += LANES, planes += PLANES) {
+    Points<T> before = points_in(x + 3 * first);
+    Points<T> after = above<T>(before, rows3_at(planes + OTHER_PLANE), rows3_at(planes + OTHER_PLANE + 3 * LANES), clearance,
+                               T(OTHER_SHARE));
+    after = above<T>(after, rows3_at(planes + OWN_PLANE), rows3_at(planes + OWN_PLANE + 3 * LANES), clearance, T(1));
+    put_lifted(x + 3 * first, way + first, before, after);
+  }
+}
+
+// The same over the own planes of each place's samples (own_planes), none of which is kept.
+template <class T>
+void lift_off_skin(T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent, T clearance, T* way) {
+  Walks walks;
+  for (int64_t first = 0; first < places; first += LANES) {
+    Points<T> before = points_in(x + 3 * first);
+    Planes<T> below = own_planes(before, own, parent + first, walks, skin);
+    put_lifted(x + 3 * first, way + first, before, above<T>(before, below.foot, below.unit, clearance, T(1)));
+  }
+}

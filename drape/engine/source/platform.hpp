@@ -1,0 +1,16 @@
+// What the engine takes from its compiler: Clang, without a standard library.
+//
+// Products are fused with sums only where a formula writes them in one expression (-ffp-contract=on), so the compiler's
+// front end decides it, the same way for every processor. Nothing else is reordered: equal bits follow wherever a
+// processor has fused products (x86-64-v3 and later, arm64).
+#pragma once
+#include <stddef.h>
+#include <stdint.h>
+
+#define INLINE static inline __attribute__((always_inline))
+#define INLINE_MEMBER inline __attribute__((always_inline))
+#if defined(_WIN32)
+#define EXPORT extern "C" __attribute__((dllexport))
+#else
+#define EXPORT extern "C" __attribute__((visibility("default")))
+#endif

@@ -1,0 +1,177 @@
+// Room between sheets: cloth that comes near to itself is kept apart, so that a garment does not cross itself.
+//
+// Under an arm, in a groin and behind a knee the network lays cloth close together and leaves it too little area. Steps
+// that give the cloth its area back crumple it through itself, at the size of its triangles. So it keeps a distance. Of
+// each vertex v the vertex nearest to it that is not of its sheet is found, within SPACING mean edges. With p the nearest
+// point to v of that one's triangles, n the unit vector from p to v and D = KEPT mean edges, KEPT_M at most, v stays half
+// of D before the middle between them where it is nearer,
+//
+//     n . (x - (v + p) / 2) >= D / 2,
+//
+// with contact's energy. Both sheets give way, and the middle is another one in every frame. Sheets that lie on each
+// other slide freely: p slides along, and n is the normal of the sheet and not the way to one of its vertices. The plane
+// takes the place of that of another part of the body where it is the nearer one. Two vertices are of one sheet where the
+// way through the air is nearly as long as that along the cloth: such cloth is only pressed together. Nothing is
+// remembered. Where cloth already crosses itself these planes have no side to tell.
+#pragma once
+#include "clusters.hpp"
+#include "sweeps.hpp"
+
+constexpr double SPACING = 0.95, ROOM_M = 0.018;  // mean edges within which vertices are looked for; the lists' reach
+// Mean edges from vertices to triangles: with less cloth passes through itself, with more it is kept from where physics
+// lays it, at 3 to 6 mm. Coarse cloth needs no more than KEPT_M.
+constexpr double KEPT = 0.5, KEPT_M = 0.0085;
+constexpr int BOUND_STEPS = 254;  // of an upper bound of a pair's square, up to that of ROOM_M
+constexpr double BOUND_M2 = ROOM_M * ROOM_M / BOUND_STEPS;
+
+// For every lane of the clusters the square [m^2] of the distance to the nearest one, and which lane that is.
+template <class T> struct NearestLanes {
+  T* square;
+  int32_t* which;
+  T most;
+};
+
+// The least square of the distance of each point of b to those of a that may count: a bound of the pair's list is an
+// upper bound of its square, so that a point below no bound counts in no pair.
+template <class T> INLINE Row<T> least_squares(const T* a, const T* b, const uint8_t* bound, T most_) {
+  Points<T> other = rows3_at(b);
+  Row<T> found = row_of(most_);
+#pragma clang loop unroll_count(4)
+  for (int i = 0; i < LANES; ++i) {
+    Row<T> x = a[i] - other.x, y = a[LANES + i] - other.y, z = a[2 * LANES + i] - other.z;
+    Row<T> far = x * x + y * y + z * z;
+    if (bound) {
+      typedef uint8_t Bytes __attribute__((ext_vector_type(16)));
+      Bytes steps;
+      __builtin_memcpy(&steps, bound + LANES * i, sizeof steps);
+      Row<T> limit = T(BOUND_M2) * __builtin_convertvector(steps, Row<T>);
+      far = where<T>(far < limit, far, row_of(most_));
+    }
+    found = least<T>(found, far);
+  }
+  return found;
+}
+
+template <class T> INLINE bool is_near(const SheetNeighbours<T>& n, int32_t v, int32_t u, T far) {
+  bool hit = false;
+  for (int64_t entry = n.start[v]; entry < n.start[v + 1]; ++entry) hit |= n.vertex[entry] == u && far >= T(n.square[entry]);
+  return hit;
+}
+
+// Lowers found to the distances of all pairs of the clusters a and b that count; listed: whether some of them may be of
+// one sheet.
+template <class T>
+void count_pairs(const T* rows, const SheetNeighbours<T>& n, int64_t a, int64_t b, Row<T> least_, bool listed,
+                 NearestLanes<T>& found) {
+  const T *own = rows + POINT_ROWS * a, *others = rows + POINT_ROWS * b;
+  for (uint32_t lanes = lanes_of<T>(least_ < row_of(found.most)); lanes; lanes &= lanes - 1) {
+    const int j = first_lane(lanes);
+    const Vector<T> there = lane3(others, j);
+    const int64_t q = LANES * b + j;
+    for (int i = 0; i < LANES; ++i) {
+      const int64_t p = LANES * a + i;
+      const Vector<T> way = lane3(own, i) - there;
+      const T far = dot(way, way);
+      if (!(far < more<T>(found.square[p], found.square[q]))) continue;
+      if (listed && is_near(n, n.clusters[p], n.clusters[q], far)) continue;
+      if (far < found.square[p]) found.square[p] = far, found.which[p] = int32_t(q);
+      if (far < found.square[q]) found.square[q] = far, found.which[q] = int32_t(p);
+    }
+  }
+}
+
+// Writes the distance [m] from each of the points (V, 3) to the nearest one that is not of its sheet to room (V,), and
+// that one to nearest (V,); reach [m], ROOM_M at most, and -1 where none is within that. Every pair of clusters whose
+// boxes come near each other is tested once. Hardly any has vertices that count.
+template <class T>
+void rooms(const T* points, const SheetNeighbours<T>& n, T reach, T* room, int32_t* nearest, Scratch& scratch) {
+  const int64_t mark = scratch.used, count = n.clusters.count / LANES;
+  T* rows = scratch.take<T>(POINT_ROWS * count);
+  int32_t *table = scratch.take<int32_t>(count), *found = scratch.take<int32_t>(count);
+  NearestLanes<T> lanes = {scratch.take<T>(LANES * count), scratch.take<int32_t>(LANES * count), reach * reach};
+  if (scratch.overflowed) return;
+  for (int64_t c = 0; c < count; ++c) {
+    for (int lane = 0; lane < LANES; ++lane) put_lane3(rows + POINT_ROWS * c, lane, point(points, n.clusters[LANES * c + lane]));
+    table[c] = -1;
+  }
+  for (int64_t e = 0; e < LANES * count; ++e) lanes.square[e] = lanes.most, lanes.which[e] = -1;
+  const Boxes<T> boxes = boxes_around(rows, count, POINT_ROWS, 0, 0, scratch);
+  if (scratch.overflowed) return;
+  for (int64_t a = 0; a < count; ++a) {
+    for (int64_t entry = n.other_start[a]; entry < n.other_start[a + 1]; ++entry) table[n.other[entry]] = int32_t(entry);
+    const int64_t close = find_close(a, boxes, lanes.most, found);
+    for (int64_t number = 0; number < close; ++number) {
+      const int64_t b = found[number];
+      const uint8_t* bound = table[b] >= 0 ? n.bound + LANES * LANES * table[b] : nullptr;
+      Row<T> least_ = bound ? least_squares(rows + POINT_ROWS * a, rows + POINT_ROWS * b, bound, lanes.most)
+                            : least_squares<T>(rows + POINT_ROWS * a, rows + POINT_ROWS * b, nullptr, lanes.most);
+      if (lanes_of<T>(least_ < row_of(lanes.most))) count_pairs(rows, n, a, b, least_, bound != nullptr, lanes);
+    }
+    for (int64_t entry = n.other_start[a]; entry < n.other_start[a + 1]; ++entry) table[n.other[entry]] = -1;
+  }
+  for (int64_t e = LANES * count - 1; e >= 0; --e) {  // a lane that repeats a vertex comes before its own
+    const bool is_close = lanes.square[e] < lanes.most;
+    // The root of the square of the reach may be less than the reach.
+    room[n.clusters[e]] = is_close ? root(lanes.square[e]) : reach;
+    nearest[n.clusters[e]] = is_close ? n.clusters[lanes.which[e]] : -1;
+  }
+  scratch.used = mark;
+}
+
+template <class T> INLINE Vector<T> shorter(Vector<T> way, Vector<T> other) {
+  return dot(way, way) < dot(other, other) ? way : other;
+}
+// What is left of off after its way along a side, which ends with the side.
+template <class T> INLINE Vector<T> from_side(Vector<T> off, Vector<T> side) {
+  const T share = dot(off, side) / dot(side, side);
+  return plus(off, -less<T>(more<T>(share, T(0)), T(1)), side);
+}
+
+// The shortest way to a point [m] from the triangles of the place u.
+template <class T> INLINE Vector<T> from_triangles(const T* x, const Sheet<T>& sheet, int64_t u, Vector<T> at) {
+  const Vector<T> corner = point(x, u), off = at - corner;
+  const int64_t lane = u % LANES;
+  Vector<T> found = off;
+  for (int64_t row = sheet.fan_start[u / LANES]; row < sheet.fan_start[u / LANES + 1]; ++row) {
+    const int32_t* other = sheet.fan_other + 2 * LANES * row + lane;
+    const Vector<T> a = point(x, other[0]) - corner, b = point(x, other[LANES]) - corner;
+    const T aa = dot(a, a), ab = dot(a, b), bb = dot(b, b), ap = dot(a, off), bp = dot(b, off);
+    const T s = bb * ap - ab * bp, t = aa * bp - ab * ap, square = aa * bb - ab * ab;
+    if (s >= 0 && t >= 0 && s + t <= square) {
+      found = shorter(off - mix(s / square, a, t / square, b), found);
+    } else {
+      found = shorter(from_side(off, a), found);
+      found = shorter(from_side(off, b), found);
+      found = shorter(from_side(off - a, b - a), found);
+    }
+  }
+  return found;
+}
+
+// Writes the planes that keep x [m] (P, 3) apart to those of other parts, with a 1 in APART_ROW.
+template <class T>
+void keep_apart(const T* x, const Sheet<T>& sheet, const SheetNeighbours<T>& neighbours, T* planes, Scratch& scratch) {
+  const Fabric<T> k(sheet.constants);
+  const int64_t mark = scratch.used, count = sheet.place.count;
+  const T reach = less<T>(T(SPACING) / k.per_edge, T(ROOM_M)), kept = less<T>(T(KEPT) / k.per_edge, T(KEPT_M));
+  T *points = scratch.take<T>(3 * count), *room = scratch.take<T>(count);
+  int32_t* nearest = scratch.take<int32_t>(count);
+  if (scratch.overflowed) return;
+  for (int64_t v = 0; v < count; ++v) put_point(points, v, point(x, sheet.place[v]));
+  rooms(points, neighbours, reach, room, nearest, scratch);
+  for (int64_t v = 0; v < count && !scratch.overflowed; ++v) {
+    if (nearest[v] < 0) continue;
+    const Vector<T> here = point(points, v), way = from_triangles(x, sheet, sheet.place[nearest[v]], here);
+    const T far = root(dot(way, way));
+    if (!(far > 0 && far < kept)) continue;
+    T* own = planes + PLANES * (sheet.place[v] / LANES) + sheet.place[v] % LANES;
+    const Vector<T> normal = scaled(T(1) / far, way);
+    const T height = T(0.5) * (far - kept) + k.gap;  // contact begins a gap over the plane
+    const Vector<T> foot = lane3(own + OTHER_PLANE, 0), other = lane3(own + OTHER_PLANE + 3 * LANES, 0);
+    if (dot(other, other) > 0 && dot(here - foot, other) < height) continue;
+    own[APART_ROW] = T(1);
+    put_lane3(own + OTHER_PLANE, 0, plus(here, -height, normal));
+    put_lane3(own + OTHER_PLANE + 3 * LANES, 0, normal);
+  }
+  scratch.used = mark;
+}

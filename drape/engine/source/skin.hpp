@@ -1,0 +1,371 @@
+// Contact with the posed skin: for every vertex a tangent plane of its own part of the body, and of another part.
+//
+// The skin is a graph of samples (S, 8): point and its square, normal and normal times point.
+//
+// Own part. A walk leads from the sample that the network's vertex had to the one that it has now, always on to the
+// nearest neighbour, and the folded vertex goes a few steps from there; a fold that once crossed an arm would otherwise
+// stay on the far side. About a heel or an armpit a walk ends where no neighbour is nearer though others are. When the
+// grid shows a nearer sample of the same part, the next walk starts there.
+//
+// Another part. A grid over the samples finds what else is near, the trunk near a sleeve or a thigh near a belly, for a
+// quarter of the vertices in each frame; in between the other ones walk. A sample counts where it is far from the own
+// one at rest. A nearer one counts where the skin is hollow between the two: it then lies above the tangent plane of the
+// own sample, as no sample of the same limb does.
+//
+// Planes. One tangent plane for all that lies nearest to a sample would give limbs facets. The plane of a sample s is
+// blended with those of its neighbours n, with weights that end at the samples' spacing r,
+//
+//     w_n = clip(1 - (|x - b_n|^2 - |x - b_s|^2) / r^2, 0, 1)^2,   d(x) = 1/2 sum w_n (n_n + n) . (x - b_n),
+//
+// n the blended normal of unit length and sum w = 1. Over a sphere the tangent plane of one sample is off by what the
+// surface falls away from it. A chord is at right angles to the mean of the normals at its ends: along this mean the
+// distance has no ripple. A plane ends at the side of its sample: beside a heel it would cut through free air. Where x
+// is more than BESIDE times r^2 to the side of s, the plane sinks below x.
+#pragma once
+#include "frames.hpp"
+#include "grid.hpp"
+#include "sweeps.hpp"
+
+constexpr int NEIGHBOURS = 8;
+constexpr int WALK_STEPS = 3;  // from the network's sample to the fold's: too few to reach the far side of an arm
+constexpr int TURNS = 4;       // frames until every vertex has looked for other parts
+constexpr double REACH_M = 0.03;  // how near another part must come: no vertex is deeper in one than that
+constexpr double PER_CELL = 1.0 / (2.0 * REACH_M);
+constexpr double NEARER = 0.8;  // of the squared distance to the own sample: one of the same part so near takes its place
+constexpr double BESIDE = 1.5, FREE = 2.5;  // squared ways to the side of a sample, times r^2, between which a plane ends
+constexpr double HOLLOW_M = 0.05, APART_M = 0.12;  // distance at rest from which skin may be hollow, and is another part
+
+// A posed skin and its graph.
+template <class T> struct Skin {
+  const T* samples;
+  int64_t count;
+  const int32_t* neighbour;  // (S, 8)
+  const T *reach_m2, *rest;  // (S,), (S, 3)
+  INLINE_MEMBER Vector<T> point_of(int64_t s) const { return {samples[8 * s], samples[8 * s + 1], samples[8 * s + 2]}; }
+  INLINE_MEMBER Vector<T> normal_of(int64_t s) const { return {samples[8 * s + 4], samples[8 * s + 5], samples[8 * s + 6]}; }
+};
+
+template <class T> INLINE Skin<T> skin_of(const Array<T>& samples, const SkinGraph<T>& graph) {
+  return {samples.begin, samples.count / 8, graph.neighbour.begin, graph.reach_m2.begin, graph.rest.begin};
+}
+
+// Sixteen walks at once: in each lane a place and the sample that it is at, whose neighbours are near, a row each.
+struct Walks { int32_t vertex[LANES], sample[LANES], near[NEIGHBOURS * LANES]; };
+
+INLINE void look_around(Walks& walks, const int32_t* neighbour) {
+  for (int lane = 0; lane < LANES; ++lane)
+    for (int n = 0; n < NEIGHBOURS; ++n) walks.near[LANES * n + lane] = neighbour[NEIGHBOURS * walks.sample[lane] + n];
+}
+
+template <class T> INLINE Row<T> squares_to(Points<T> points, const T* samples, const int32_t* index) {
+  FourRows<T> s = samples_at(samples, index, 0);
+  Points<T> way = Points<T>{s.a, s.b, s.c} - points;
+  return dot(way, way);
+}
+template <class T> INLINE T square_to(Vector<T> point, const Skin<T>& skin, int64_t sample) {
+  Vector<T> way = point - skin.point_of(sample);
+  return dot(way, way);
+}
+
+// Moves the samples of all lanes on to the ones nearest to points, by so many steps at most.
+template <class T> INLINE void walk(Points<T> points, Walks& walks, const Skin<T>& skin, int64_t steps) {
+  Row<T> square = squares_to<T>(points, skin.samples, walks.sample);
+  for (int64_t step = 0; step < steps; ++step) {
+    look_around(walks, skin.neighbour);
+    Mask<T> which = (Mask<T>)(-1);
+#pragma clang loop unroll(disable)
+    for (int n = 0; n < NEIGHBOURS; ++n) {
+      Row<T> other = squares_to<T>(points, skin.samples, walks.near + LANES * n);
+      which = square > other ? (Mask<T>)(n) : which;
+      square = least<T>(square, other);
+    }
+    uint32_t moved = lanes_of<T>(which >= 0);
+    if (!moved) break;
+    for (; moved; moved &= moved - 1) {
+      int lane = first_lane(moved);
+      walks.sample[lane] = walks.near[LANES * which[lane] + lane];
+    }
+  }
+}
+
+// Where a walk of one point ends.
+template <class T> INLINE int32_t walked(Vector<T> point, const Skin<T>& skin, int32_t own, int steps) {
+  T nearest = square_to(point, skin, own);
+  for (int step = 0; step < steps; ++step) {
+    const int32_t here = own;
+    for (int n = 0; n < NEIGHBOURS; ++n) {
+      int32_t other = skin.neighbour[NEIGHBOURS * here + n];
+      T square = square_to(point, skin, other);
+      if (square < nearest) nearest = square, own = other;
+    }
+    if (own == here) break;
+  }
+  return own;
+}
+
+// Moves the samples own (P,) on to the ones nearest to the points x [m] (P, 3); P is a multiple of LANES.
+template <class T> void follow(const T* x, int64_t places, const Skin<T>& skin, int32_t* own) {
+  Walks walks;
+  for (int64_t first = 0; first < places; first += LANES) {
+    const int64_t lanes = places - first < LANES ? places - first : LANES;
+    Points<T> points;
+    if (lanes == LANES) {
+      points = points_in(x + 3 * first);
+    } else {  // nodes of swing do not fill their last row: it repeats the last one
+      for (int lane = 0; lane < LANES; ++lane) {
+        Vector<T> p = point(x, first + (lane < lanes ? lane : lanes - 1));
+        points.x[lane] = p.x, points.y[lane] = p.y, points.z[lane] = p.z;
+      }
+    }
+    for (int lane = 0; lane < LANES; ++lane) walks.sample[lane] = own[first + (lane < lanes ? lane : lanes - 1)];
+    walk(points, walks, skin, skin.count);
+    for (int64_t lane = 0; lane < lanes; ++lane) own[first + lane] = walks.sample[lane];
+  }
+}
+
+template <class T> struct Planes { Points<T> foot, unit; };
+
+// The planes of the walks' samples and their neighbours below points.
+template <class T> INLINE Planes<T> planes_below(Points<T> points, Walks& walks, const Skin<T>& skin) {
+  look_around(walks, skin.neighbour);
+  const Row<T> zero = row_of(T(0)), one = row_of(T(1));
+  Row<T> reach;
+  for (int lane = 0; lane < LANES; ++lane) reach[lane] = skin.reach_m2[walks.sample[lane]];
+  Row<T> per_m2 = one / reach, total = one;
+  FourRows<T> s = samples_at(skin.samples, walks.sample, 0), n = samples_at(skin.samples, walks.sample, 4);
+  Points<T> where_ = {s.a, s.b, s.c}, normal = {n.a, n.b, n.c};
+  Row<T> product = n.d;
+  Row<T> own_square = dot(where_ - points, where_ - points);
+  Row<T> height = dot(normal, points) - product;
+  Row<T> aside = (own_square - height * height) * per_m2;
+  Indices own;
+  __builtin_memcpy(&own, walks.sample, sizeof own);
+#pragma clang loop unroll(disable)
+  for (int k = 0; k < NEIGHBOURS; ++k) {
+    const int32_t* near = walks.near + LANES * k;
+    FourRows<T> p = samples_at(skin.samples, near, 0), q = samples_at(skin.samples, near, 4);
+    Points<T> place = {p.a, p.b, p.c}, way = place - points;
+    Row<T> share = least<T>(most<T>(one - (dot(way, way) - own_square) * per_m2, zero), one);
+    Indices other;
+    __builtin_memcpy(&other, near, sizeof other);
+    // A sample may be its own neighbour, which counts once.
+    Row<T> weight = where<T>(__builtin_convertvector(other != own, Mask<T>), share * share, zero);
+    total += weight;
+    product = product + weight * q.d;
+    where_ = plus(where_, weight, place);
+    normal = plus(normal, weight, Points<T>{q.a, q.b, q.c});
+  }
+  Row<T> per = one / total, square = dot(normal, normal);
+  Points<T> unit = scaled(one / root<T>(where<T>(square > zero, square, one)), normal);
+  Row<T> by_samples = (dot(points, normal) - product) * per;
+  Row<T> by_blend = dot(unit, plus(points, -per, where_));
+  Row<T> beside = least<T>(most<T>((aside - T(BESIDE)) * T(1.0 / (FREE - BESIDE)), zero), one);
+  Row<T> distance = (one - beside) * T(0.5) * (by_samples + by_blend) + beside * T(REACH_M);
+  return {plus(points, -distance, unit), unit};
+}
+
+// Whether a sample is of another part of the body than the own one.
+template <class T> INLINE bool is_other(const Skin<T>& skin, int32_t own, int32_t sample) {
+  Vector<T> apart = point(skin.rest, sample) - point(skin.rest, own);
+  T rest = dot(apart, apart);
+  if (rest > T(APART_M * APART_M)) return true;
+  if (!(rest > T(HOLLOW_M * HOLLOW_M))) return false;
+  return dot(skin.normal_of(own), skin.point_of(sample) - skin.point_of(own)) > 0;
+}
+
+// The points of the samples in the order of a grid: three rows of all, each with room for LANES more.
+template <class T> const T* in_cells(const Skin<T>& skin, const Grid& grid, Scratch& scratch) {
+  const int64_t size = skin.count + LANES;
+  T* laid = scratch.take<T>(3 * size);
+  if (scratch.overflowed) return laid;
+  for (int64_t entry = 0; entry < size; ++entry) {
+    const bool there = entry < skin.count && grid.cells > 0;
+    Vector<T> p = there ? skin.point_of(grid.member[entry]) : Vector<T>{};
+    laid[entry] = p.x, laid[size + entry] = p.y, laid[2 * size + entry] = p.z;
+  }
+  return laid;
+}
+
+struct NearSamples { int32_t other, same; };
+
+// The sample nearest to a point [m] that is of another part than the own one, -1 where none is within reach, and the
+// nearest one of the same part: the own one unless another is NEARER.
+template <class T>
+INLINE NearSamples near_samples(Vector<T> at, const Skin<T>& skin, int32_t own, const Grid& grid, const T* laid) {
+  const int64_t size = skin.count + LANES;
+  NearSamples found = {-1, own};
+  const T reach = T(REACH_M * REACH_M), own_square = T(NEARER) * square_to(at, skin, own);
+  T nearest = reach, beside = own_square < reach ? own_square : reach;
+  const Cells cells = cells_around(grid, at, REACH_M);
+  for (int64_t i = cells.first[0]; i < cells.last[0]; ++i)
+    for (int64_t j = cells.first[1]; j < cells.last[1]; ++j) {
+      const Run run = column(grid, i, j, cells);
+      for (int64_t entry = run.begin; entry < run.end; entry += LANES) {
+        Row<T> x = row_at(laid + entry) - at.x, y = row_at(laid + size + entry) - at.y;
+        Row<T> z = row_at(laid + 2 * size + entry) - at.z;
+        Row<T> far = x * x + y * y + z * z;
+        T most_ = nearest > beside ? nearest : beside;
+        uint32_t near = lanes_of<T>(row_of(most_) > far) & lanes_before(run.end - entry);
+        for (; near; near &= near - 1) {
+          const int lane = first_lane(near);
+          const int32_t s = grid.member[entry + lane];
+          const T square = far[lane];
+          if (!(square < (nearest > beside ? nearest : beside))) continue;
+          if (is_other(skin, own, s)) {
+            if (square < nearest) found.other = s, nearest = square;
+          } else if (square < beside) {
+            found.same = s, beside = square;
+          }
+        }
+      }
+    }
+  return found;
+}
+
+// Few vertices are near another part: their planes wait until there are as many as lanes.
+template <class T> struct LatePlanes {
+  const T* x;
+  T* planes;
+  const Skin<T>& skin;
+  Walks walks;
+  int waiting;
+  INLINE_MEMBER void write() {
+    Planes<T> found = planes_below(points_at(x, walks.vertex), walks, skin);
+    for (int lane = 0; lane < waiting; ++lane) {
+      const int64_t v = walks.vertex[lane];
+      T* to = planes + PLANES * (v / LANES) + OTHER_PLANE + v % LANES;
+      to[0] = found.foot.x[lane], to[LANES] = found.foot.y[lane], to[2 * LANES] = found.foot.z[lane];
+      to[3 * LANES] = found.unit.x[lane], to[4 * LANES] = found.unit.y[lane], to[5 * LANES] = found.unit.z[lane];
+    }
+    waiting = 0;
+  }
+  INLINE_MEMBER void add(int64_t v, int32_t sample) {
+    walks.vertex[waiting] = int32_t(v), walks.sample[waiting] = sample;
+    if (++waiting == LANES) write();
+  }
+  INLINE_MEMBER void finish() {
+    if (waiting == 0) return;
+    for (int lane = waiting; lane < LANES; ++lane)
+      walks.vertex[lane] = walks.vertex[0], walks.sample[lane] = walks.sample[0];
+    write();
+  }
+};
+
+// Moves other (P,) on to what is near x [m] (P, 3), and writes both tangent planes. The grid is asked for the vertices
+// whose number is turn modulo TURNS, for all of them where turn is negative. A plane is the foot of x on it and its
+// normal; where no other part is near the second normal is zero.
+template <class T>
+void touch(const T* x, int64_t places, const Skin<T>& skin, const int32_t* vertex, int32_t* own, int32_t* other,
+           int64_t turn, T* planes, Scratch& scratch) {
+  const int64_t mark = scratch.used;
+  const Grid grid = grid_of(skin.samples, skin.count, 8, PER_CELL, scratch);
+  const T* laid = in_cells(skin, grid, scratch);
+  if (scratch.overflowed) return;
+  const Row<T> zero = row_of(T(0));
+  Walks walks;
+  LatePlanes<T> late = {x, planes, skin, {}, 0};
+  for (int64_t first = 0; first < places; first += LANES) {
+    T* block = planes + PLANES * (first / LANES);
+    __builtin_memcpy(walks.sample, own + first, sizeof walks.sample);
+    Points<T> points = points_in(x + 3 * first);
+    walk(points, walks, skin, WALK_STEPS);
+    Planes<T> below = planes_below(points, walks, skin);
+    put3(block + OWN_PLANE, below.foot);
+    put3(block + OWN_PLANE + 3 * LANES, below.unit);
+    for (int row = OTHER_PLANE; row < HELD_ROW; row += LANES) put(block + row, zero);
+    put(block + APART_ROW, zero);
+    for (int lane = 0; lane < LANES; ++lane) {
+      const int64_t v = first + lane;
+      const Vector<T> at = point(x, v);
+      int32_t found = other[v];
+      if (turn < 0 || vertex[v] % TURNS == turn) {
+        const NearSamples near = near_samples(at, skin, walks.sample[lane], grid, laid);
+        found = near.other;
+        if (near.same != walks.sample[lane]) own[v] = near.same;
+      } else if (found >= 0) {
+        found = walked(at, skin, found, WALK_STEPS);
+        if (square_to(at, skin, found) >= T(REACH_M * REACH_M) || !is_other(skin, walks.sample[lane], found)) found = -1;
+      }
+      other[v] = found;
+      if (found >= 0) late.add(v, found);
+    }
+  }
+  late.finish();
+  scratch.used = mark;
+}
+
+// The planes below points of a block, one step on from the samples own (C,) of what each place has in parent.
+template <class T>
+INLINE Planes<T> own_planes(Points<T> points, const int32_t* own, const int32_t* parent, Walks& walks, const Skin<T>& skin) {
+  for (int lane = 0; lane < LANES; ++lane) walks.sample[lane] = own[parent ? parent[lane] : lane];
+  walk(points, walks, skin, 1);
+  return planes_below(points, walks, skin);
+}
+
+// Writes the planes below x [m] (P, 3), one step on from the samples own (C,) of what each place has in parent (P,);
+// of its own place where there is no parent.
+template <class T>
+void put_own_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent, T* planes) {
+  Walks walks;
+  for (int64_t first = 0; first < places; first += LANES) {
+    Planes<T> below = own_planes(points_in(x + 3 * first), parent ? own : own + first, parent ? parent + first : nullptr,
+                                 walks, skin);
+    T* block = planes + PLANES * (first / LANES);
+    put3(block + OWN_PLANE, below.foot);
+    put3(block + OWN_PLANE + 3 * LANES, below.unit);
+  }
+}
+
+// Writes the planes below x [m] (P, 3) of other parts, of the samples other (C,) of what each place has in parent (P,);
+// of a sample -1 none.
+template <class T>
+void put_other_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* other, const int32_t* parent, T* planes) {
+  LatePlanes<T> late = {x, planes, skin, {}, 0};
+  for (int64_t v = 0; v < places; ++v)
+    if (other[parent[v]] >= 0) late.add(v, other[parent[v]]);
+  late.finish();
+}
+
+// The frames of the samples own of a block: the normal, the way to the first neighbour laid into the tangent plane, and
+// the product of the two. A sample without neighbours takes what lies on it along the normal alone.
+template <class T> struct SkinFrames {
+  Points<T> at;
+  AxesOf<T> axes;
+};
+template <class T> INLINE SkinFrames<T> skin_frames(const Skin<T>& skin, const int32_t* own) {
+  int32_t near[LANES];
+  for (int lane = 0; lane < LANES; ++lane) near[lane] = skin.neighbour[NEIGHBOURS * own[lane]];
+  FourRows<T> s = samples_at(skin.samples, own, 0), q = samples_at(skin.samples, own, 4);
+  FourRows<T> t = samples_at(skin.samples, near, 0);
+  const Row<T> zero = row_of(T(0)), one = row_of(T(1));
+  Points<T> at = {s.a, s.b, s.c}, n = {q.a, q.b, q.c}, way = Points<T>{t.a, t.b, t.c} - at;
+  Points<T> e = plus(way, -dot(way, n), n);
+  Row<T> square = dot(e, e);
+  e = scaled(one / root<T>(where<T>(square > zero, square, one)), e);
+  return {at, {n, e, cross(n, e)}};
+}
+
+// Writes where the posed skin has taken what sticks to it to stuck [m] (P, 3); grip [m] (P, 3) has the places in the
+// frames of the samples own (P,).
+template <class T> void stuck_places(const T* grip, int64_t places, const int32_t* own, const Skin<T>& skin, T* stuck) {
+  for (int64_t first = 0; first < places; first += LANES) {
+    SkinFrames<T> frame = skin_frames(skin, own + first);
+    put_points(stuck + 3 * first, frame.at + to_world(frame.axes, points_in(grip + 3 * first)));
+  }
+}
+
+// Writes the places that stuck [m] (P, 3) has after x [m] (P, 3) has moved to grip, in the frames of the samples own. A
+// place comes along below x, and is left behind by no more than SLIP_M.
+template <class T>
+void write_grip(const T* x, int64_t places, const T* stuck, const int32_t* own, const Skin<T>& skin, T* grip) {
+  const Row<T> one = row_of(T(1)), slip_m = row_of(T(SLIP_M));
+  for (int64_t first = 0; first < places; first += LANES) {
+    SkinFrames<T> frame = skin_frames(skin, own + first);
+    Points<T> points = points_in(x + 3 * first), n = frame.axes.n;
+    Points<T> slip = points - points_in(stuck + 3 * first);
+    slip = plus(slip, -dot(slip, n), n);
+    Row<T> length = root<T>(most<T>(dot(slip, slip), slip_m * slip_m));
+    Row<T> share = where<T>(length > slip_m, slip_m / length, one);
+    put_points(grip + 3 * first, to_frame(frame.axes, plus(points, -share, slip) - frame.at));
+  }
+}

@@ -1,0 +1,211 @@
+// Untangling: cloth that passes through itself is moved a little towards where it does not (Volino and
+// Magnenat-Thalmann 2006, "Resolving surface collisions through intersection contour minimization", ACM TOG 25(3)).
+//
+// Two sheets cross along a contour. Where an edge with the direction E passes through a triangle with the normal N, the
+// contour runs on both sides of the edge along R, the unit vectors in which the edge's own triangles cut that triangle.
+// Relative to the triangle the edge goes along
+//
+//     G = sum R - 2 N (E . sum R) / (E . N),
+//
+// by which the contour grows shorter fastest. The edge's ends go one way and the triangle's corners the other way, each
+// by the mean of its ways, no farther than the body moved. Both sheets stay as they are but for that: there is neither an
+// inside nor a side to remember. What crosses shallowly comes apart within a few frames; the memory of folds keeps it so.
+// Sheets that lie deep in each other have no short way out, and stay.
+//
+// The pairs of triangles that cross are found once, by boxes around sixteen triangles side by side and by cones around
+// their normals, and looked at again in each step.
+#pragma once
+#include "clusters.hpp"
+#include "records.hpp"
+
+constexpr int UNTANGLE_STEPS = 4;
+constexpr double LEAST_M = 0.0003, WAY_M = 0.002;
+constexpr int BORDER = -1, OTHERS = -2;  // in Tangles.across: nothing is across the edge; the edge is another triangle's
+constexpr int64_t MOST_PAIRS = 8192;     // of a frame: bounds its time
+constexpr double OBLIQUE = 0.05;         // the least cosine of edge and normal that counts
+// A way of half this size, squared, is halved: contours that all but close leave hardly any way.
+constexpr double SOFT = 0.25;
+constexpr double TOUCH_M2 = 1e-12;  // boxes that only touch may cross
+// Cloth side by side whose normals differ from an axis by less than 0.45 pi does not cross itself; by a right angle would
+// do but for cloth whose border crosses itself.
+constexpr ConeAngle CONE = {0.15643446504023092, -0.9510565162951535, 0.3090169943749475};
+
+// Rows of a cluster of triangles: three corners, the least and the most corner of the box, the normal, as long as twice
+// the area, and the plane's height along it.
+constexpr int CORNERS = 0, LOW = 9 * LANES, HIGH = 12 * LANES, NORMAL = 15 * LANES, HEIGHT = 18 * LANES;
+constexpr int TRIANGLE_ROWS = 19 * LANES;
+
+template <class T> INLINE void lay_triangles(const T* x, const int32_t* corner, T* to) {
+  Points<T> p = points_at(x, corner), q = points_at(x, corner + LANES), r = points_at(x, corner + 2 * LANES);
+  put3(to + CORNERS, p);
+  put3(to + CORNERS + 3 * LANES, q);
+  put3(to + CORNERS + 6 * LANES, r);
+  Points<T> n = cross(q - p, r - p);
+  put3(to + NORMAL, n);
+  put(to + HEIGHT, dot(n, p));
+  put3(to + LOW, Points<T>{least<T>(least<T>(p.x, q.x), r.x), least<T>(least<T>(p.y, q.y), r.y), least<T>(least<T>(p.z, q.z), r.z)});
+  put3(to + HIGH, Points<T>{most<T>(most<T>(p.x, q.x), r.x), most<T>(most<T>(p.y, q.y), r.y), most<T>(most<T>(p.z, q.z), r.z)});
+}
+
+// The triangles of a cluster whose box reaches box b.
+template <class T> INLINE uint32_t reach_box(const T* own, const T* boxes, int64_t b) {
+  const T* box = boxes + BOX_ROWS * (b / LANES) + b % LANES;
+  Points<T> low = rows3_at(own + LOW), high = rows3_at(own + HIGH);
+  Row<T> x = most<T>(low.x - box[3 * LANES], box[0] - high.x);
+  Row<T> y = most<T>(low.y - box[4 * LANES], box[LANES] - high.y);
+  Row<T> z = most<T>(low.z - box[5 * LANES], box[2 * LANES] - high.z);
+  return ~lanes_of<T>(most<T>(most<T>(x, y), z) > row_of(T(0))) & 0xFFFFu;
+}
+
+// The triangles of the other cluster that have corners on both sides of the plane of the own triangle i and whose box
+// overlaps that one's.
+template <class T> INLINE uint32_t have_sides(const T* own, int i, const T* other) {
+  const Vector<T> n = lane3(own + NORMAL, i), low = lane3(own + LOW, i), high = lane3(own + HIGH, i);
+  const T height = own[HEIGHT + i];
+  Points<T> p = rows3_at(other), q = rows3_at(other + 3 * LANES), r = rows3_at(other + 6 * LANES);
+  Row<T> a = n.x * p.x + n.y * p.y + n.z * p.z, b = n.x * q.x + n.y * q.y + n.z * q.z, c = n.x * r.x + n.y * r.y + n.z * r.z;
+  Row<T> apart = most<T>(least<T>(least<T>(a, b), c) - height, height - most<T>(most<T>(a, b), c));
+  Points<T> lower = rows3_at(other + LOW), higher = rows3_at(other + HIGH);
+  Row<T> x = most<T>(lower.x - high.x, low.x - higher.x);
+  Row<T> y = most<T>(lower.y - high.y, low.y - higher.y);
+  Row<T> z = most<T>(lower.z - high.z, low.z - higher.z);
+  return lanes_of<T>(row_of(T(0)) > most<T>(apart, most<T>(most<T>(x, y), z)));
+}
+
+// Whether the plane of triangle j of the other cluster has corners of triangle i on both sides.
+template <class T> INLINE bool is_parted(const T* own, int i, const T* other, int j) {
+  const Vector<T> p = lane3(other, j), n = lane3(other + NORMAL, j);
+  const T a = dot(n, lane3(own, i) - p), b = dot(n, lane3(own + 3 * LANES, i) - p), c = dot(n, lane3(own + 6 * LANES, i) - p);
+  return less<T>(less<T>(a, b), c) < 0 && more<T>(more<T>(a, b), c) > 0;
+}
+
+struct Threes { int32_t of[3]; };
+INLINE Threes threes(const int32_t* table, int64_t triangle) {
+  const int32_t* own = table + 3 * LANES * (triangle / LANES) + triangle % LANES;
+  return {{own[0], own[LANES], own[2 * LANES]}};
+}
+
+INLINE bool share_a_corner(Threes a, Threes b) {
+  bool same = false;
+  for (int n = 0; n < 3; ++n)
+    for (int m = 0; m < 3; ++m) same |= a.of[n] == b.of[m];
+  return same;
+}
+
+struct Pair { int32_t first, second; };  // triangles: cluster times LANES plus lane
+
+// Writes the pairs of triangles of the clusters chosen (n,), in rising order, that share no corner and may cross: each
+// has corners on both sides of the other one, and their boxes overlap. Returns their number, MOST_PAIRS at most.
+template <class T>
+int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* chosen, int64_t count, Pair* pairs, Scratch& scratch) {
+  if (count == 0) return 0;
+  const int64_t mark = scratch.used, all = tangles.start.count - 1;
+  T *rows = scratch.take<T>(TRIANGLE_ROWS * count), *cones = scratch.take<T>(4 * count);
+  int32_t *number = scratch.take<int32_t>(all), *joined = scratch.take<int32_t>(count), *close = scratch.take<int32_t>(count);
+  if (scratch.overflowed) return 0;
+  for (int64_t c = 0; c < all; ++c) number[c] = -1;
+  for (int64_t n = 0; n < count; ++n) {
+    lay_triangles(x, tangles.corner + 3 * LANES * chosen[n], rows + TRIANGLE_ROWS * n);
+    number[chosen[n]] = int32_t(n);
+    joined[n] = -1;
+  }
+  const Boxes<T> boxes = boxes_around(rows, count, TRIANGLE_ROWS, LOW, HIGH, scratch);
+  if (scratch.overflowed) return 0;
+  write_cones(rows, count, TRIANGLE_ROWS, NORMAL, CONE, cones);
+  int64_t filled = 0;
+  for (int64_t a = 0; a < count; ++a) {
+    const T* own = rows + TRIANGLE_ROWS * a;
+    for (int64_t entry = tangles.start[chosen[a]]; entry < tangles.start[chosen[a] + 1]; ++entry)
+      if (number[tangles.beside[entry]] >= 0) joined[number[tangles.beside[entry]]] = int32_t(a);
+    const int64_t found = find_close(a, boxes, T(TOUCH_M2), close);
+    for (int64_t entry = 0; entry < found; ++entry) {
+      const int64_t b = close[entry];
+      if (joined[b] == a && in_one_cone(cones, a, b)) continue;
+      const T* other = rows + TRIANGLE_ROWS * b;
+      for (uint32_t reach = reach_box(own, boxes.of, b); reach; reach &= reach - 1) {
+        const int i = first_lane(reach);
+        uint32_t sides = lanes_from(have_sides(own, i, other), a == b ? i + 1 : 0);
+        for (; sides && filled < MOST_PAIRS; sides &= sides - 1) {
+          const int j = first_lane(sides);
+          const int32_t p = int32_t(LANES * chosen[a] + i), q = int32_t(LANES * chosen[b] + j);
+          if (!share_a_corner(threes(tangles.corner, p), threes(tangles.corner, q)) && is_parted(own, i, other, j))
+            pairs[filled++] = {p, q};
+        }
+      }
+    }
+  }
+  scratch.used = mark;
+  return filled;
+}
+
+template <class T> INLINE T turn_of(Vector<T> a, Vector<T> b, Vector<T> y, Vector<T> normal) { return dot(cross(b - a, y - a), normal); }
+
+// The unit vector, in the triangle that lies inward of an edge, along the plane with the normal; zero where both are
+// parallel.
+template <class T> INLINE Vector<T> run_along(Vector<T> along, Vector<T> inward, Vector<T> normal) {
+  Vector<T> found = cross(normal, cross(along, inward));
+  T length = root(dot(found, found));
+  if (!(length > 0)) return found;
+  const Vector<T> into = plus(inward, -dot(inward, along), along);
+  length = dot(found, into) > 0 ? length : -length;
+  return {found.x / length, found.y / length, found.z / length};
+}
+
+template <class T> INLINE void go(T* way, T* count, int64_t v, T sign, Vector<T> a) {
+  put_point(way, v, plus(point(way, v), sign, a));
+  count[v] += T(1);
+}
+
+// Adds the ways of the edges of the triangle edged that pass through the triangle through.
+template <class T> void shorten(const T* x, const Tangles<T>& tangles, int64_t edged, int64_t through, T* way, T* count) {
+  const Threes corner = threes(tangles.corner, edged), across = threes(tangles.across, edged), other = threes(tangles.corner, through);
+  const Vector<T> a = point(x, other.of[0]), b = point(x, other.of[1]), c = point(x, other.of[2]);
+  Vector<T> normal = cross(b - a, c - a);
+  const T length = root(dot(normal, normal));
+  if (!(length > 0)) return;
+  normal = scaled(T(1) / length, normal);
+  for (int n = 0; n < 3; ++n) {
+    if (across.of[n] == OTHERS) continue;
+    const int32_t from = corner.of[n], to = corner.of[(n + 1) % 3];
+    const Vector<T> p = point(x, from), edge = point(x, to) - p;
+    const T below = dot(normal, p - a), above = dot(normal, point(x, to) - a);
+    if (!(below * above < 0)) continue;
+    const Vector<T> y = plus(p, below / (below - above), edge);
+    if (less<T>(less<T>(turn_of(a, b, y, normal), turn_of(b, c, y, normal)), turn_of(c, a, y, normal)) < 0) continue;
+    const Vector<T> along = scaled(T(1) / root(dot(edge, edge)), edge);
+    Vector<T> run = run_along(along, point(x, corner.of[(n + 2) % 3]) - p, normal);
+    if (across.of[n] != BORDER) run = run + run_along(along, point(x, across.of[n]) - p, normal);
+    T steep = dot(along, normal);
+    steep = steep > 0 ? more<T>(steep, T(OBLIQUE)) : less<T>(steep, T(-OBLIQUE));
+    Vector<T> shortest = plus(run, T(-2) * dot(along, run) / steep, normal);
+    shortest = scaled(T(1) / root(dot(shortest, shortest) + T(SOFT)), shortest);
+    go(way, count, from, T(1), shortest);
+    go(way, count, to, T(1), shortest);
+    for (int m = 0; m < 3; ++m) go(way, count, other.of[m], T(-1), shortest);
+  }
+}
+
+// Moves x [m] (P, 3) in place where triangles of the clusters chosen (n,) cross, by farthest [m] at most in each of steps.
+// Writes how many ways each place had in the last step to count (P,): more than none where cloth crossed. Returns the
+// number of pairs.
+template <class T>
+int64_t untangle(T* x, int64_t places, const Tangles<T>& tangles, const int32_t* chosen, int64_t number, T farthest, int steps,
+                 T* count, Scratch& scratch) {
+  const int64_t mark = scratch.used;
+  Pair* pairs = scratch.take<Pair>(MOST_PAIRS);
+  T* way = scratch.take<T>(3 * places);
+  if (scratch.overflowed) return 0;
+  const int64_t found = crossing(x, tangles, chosen, number, pairs, scratch);
+  for (int64_t v = 0; v < places; ++v) count[v] = 0;
+  for (int step = 0; step < steps && found > 0; ++step) {
+    for (int64_t v = 0; v < places; ++v) put_point(way, v, Vector<T>{}), count[v] = 0;
+    for (int64_t n = 0; n < found; ++n) {
+      shorten(x, tangles, pairs[n].first, pairs[n].second, way, count);
+      shorten(x, tangles, pairs[n].second, pairs[n].first, way, count);
+    }
+    for (int64_t v = 0; v < places; ++v)
+      if (count[v] > 0) put_point(x, v, plus(point(x, v), farthest / count[v], point(way, v)));
+  }
+  scratch.used = mark;
+  return found;
+}

@@ -1,0 +1,59 @@
+"""The engine's records have one home, and a library that does not fit is refused in a sentence."""
+
+from __future__ import annotations
+
+import ctypes
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drape.engine import records
+from drape.engine.library import library_name, load, processor_level
+from drape.errors import ArtifactError
+
+
+def test_the_header_is_the_table():
+    assert records.HEADER.read_text() == records.header()
+
+
+def test_a_record_has_the_words_of_its_fields():
+    corner, numbers = np.arange(8, dtype=np.int32), np.ones(2, np.float32)
+    creases = SimpleNamespace(corner=corner, stiffness=numbers, cosine=numbers, sine=numbers)
+    made = records.Record("Creases", creases, np.float32)
+    words = np.ctypeslib.as_array((ctypes.c_uint64 * records.size("Creases")).from_address(made.address))
+    assert words.tolist() == [corner.ctypes.data, 8, *(3 * [numbers.ctypes.data, 2])]
+
+
+@pytest.mark.parametrize("wrong", [np.zeros(4), np.zeros(8, np.int32)[::2]])
+def test_an_array_of_another_kind_is_our_own_mistake(wrong):
+    whole = np.zeros(4, np.float32)
+    with pytest.raises(TypeError, match="corner"):
+        records.Record("Creases", SimpleNamespace(corner=wrong, stiffness=whole, cosine=whole, sine=whole), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("level", "forced", "name"),
+    [
+        (0, None, "arm64"),
+        (4, None, "x86-64-v4"),
+        (4, "v2", "x86-64-v2"),
+        (3, "v3", "x86-64-v3"),
+        (2, None, "x86-64-v2"),
+    ],
+)
+def test_the_library_is_that_of_the_processor_or_a_lower_one(level, forced, name):
+    assert library_name(level, forced) == f"engine-{name}"
+
+
+@pytest.mark.parametrize(("level", "forced"), [(1, None), (3, "v4"), (4, "avx512")])
+def test_what_a_processor_cannot_run_is_refused(level, forced):
+    with pytest.raises(ArtifactError, match="DRAPE_ISA"):
+        library_name(level, forced)
+
+
+def test_a_folder_without_a_library_is_refused_with_the_cure(tmp_path):
+    with pytest.raises(ArtifactError, match=r"drape\.engine\.build"):
+        processor_level(tmp_path)
+    with pytest.raises(ArtifactError, match=r"drape\.engine\.build"):
+        load(folder=tmp_path)
