@@ -24,6 +24,7 @@ from collections import deque
 KEPT_BYTES = 128 * 1024  # of each output: some 600 lines
 LINE_BYTES = 16 * 1024  # a longer one is cut
 LAST_S = 1.0  # for what is kept when the service has ended
+TURN_S = 0.05  # for a reader that takes lines, but has waited for a processor
 COUNTS = struct.Struct("<2Q")  # lines dropped of standard output and of standard error
 _counts: list[int] = []  # the file that has them
 
@@ -83,7 +84,7 @@ def _hand_on(source: int, target: int, form: str, counts: int, place: int) -> No
     """Hands lines on from ``source`` to ``target`` until nobody can write any more; then what is kept, for
     ``LAST_S``. Their dropped lines are the number at ``place`` of ``counts``."""
     kept: deque[bytes] = deque()
-    news, size, dropped = threading.Condition(), 0, 0
+    news, size, dropped, stalled = threading.Condition(), 0, 0, False
 
     def drop() -> None:
         nonlocal dropped
@@ -92,11 +93,11 @@ def _hand_on(source: int, target: int, form: str, counts: int, place: int) -> No
             os.pwrite(counts, struct.pack("<Q", dropped), 8 * place)
 
     def write() -> None:
-        nonlocal size
+        nonlocal size, stalled
         told, begun = 0, b""  # the latter ends a line that the disk took a part of
         while True:
             with news:
-                news.wait_for(lambda: kept)
+                news.wait_for(lambda: len(kept) > 0)
                 line, missing = kept.popleft(), dropped - told
             left = whole = begun + _note(missing, form) + line if missing else line
             while left:
@@ -108,7 +109,8 @@ def _hand_on(source: int, target: int, form: str, counts: int, place: int) -> No
                     break
             begun = b"\n" if left and left != whole else b""
             with news:
-                size -= len(line)
+                size, stalled = size - len(line), False
+                news.notify_all()
                 if left:
                     drop()
                 else:
@@ -120,10 +122,12 @@ def _hand_on(source: int, target: int, form: str, counts: int, place: int) -> No
             with news:
                 kept.append(line)
                 size += len(line)
+                news.notify_all()
+                if size > KEPT_BYTES and not stalled and select.select([], [target], [], 0.0)[1]:
+                    stalled = not news.wait_for(lambda: size <= KEPT_BYTES, TURN_S)
                 while size > KEPT_BYTES and len(kept) > 1:
                     size -= len(kept.popleft())
                     drop()
-                news.notify()
     until_s = time.monotonic() + LAST_S
     while size and time.monotonic() < until_s:
         time.sleep(0.01)

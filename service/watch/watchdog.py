@@ -51,7 +51,6 @@ class Job:
     thread: int = 0
     moved_s: float = field(default_factory=time.monotonic)
     silent: bool = True
-    told: bool = False
 
     def __post_init__(self) -> None:
         self._spent_s, self._begun_s = sum(clock() for clock in self.clocks), self.moved_s
@@ -113,7 +112,7 @@ class Watchdog:
     def __init__(self, life: Lifecycle, metrics: Metrics, *, stuck_s: float, kill: Callable[[], None]) -> None:
         self._life, self._metrics, self._stuck_s, self._kill = life, metrics, stuck_s, kill
         self._loop = Job("event loop", [], threading.get_ident())
-        self._stopped = threading.Event()
+        self._stopped, self._told = threading.Event(), set[Job]()
         threading.Thread(target=self._watch, name="drape-watchdog", daemon=True).start()
 
     def stop(self) -> None:
@@ -138,14 +137,13 @@ class Watchdog:
             if one.look(now_s) > self._stuck_s and any("/numba/core/" in at.filename for at in one.stack()):
                 one.moved_s = now_s
             still[one.lane] = max(still.get(one.lane, 0.0), now_s - one.moved_s)
-        self._life.still = still
         for lane, waited_s in still.items():
             self._metrics.lane_still.labels(lane).set(waited_s)
-        for one in jobs:  # last: a log may keep who writes it waiting
-            before, one.told = one.told, now_s - one.moved_s > self._stuck_s
-            if one.told and not before:
-                stack = "".join(traceback.format_list(one.stack())) or "It is a process of its own.\n"
-                log.error("%s: a job has not moved for %.1f s\n%s", one.lane, now_s - one.moved_s, stack)
+        self._life.still = still  # who sees it there finds it in the metrics
+        before, self._told = self._told, {one for one in jobs if now_s - one.moved_s > self._stuck_s}
+        for one in self._told - before:  # last: a log may keep who writes it waiting
+            stack = "".join(traceback.format_list(one.stack())) or "It is a process of its own.\n"
+            log.error("%s: a job has not moved for %.1f s\n%s", one.lane, now_s - one.moved_s, stack)
 
 
 def end_when_told() -> None:

@@ -278,7 +278,10 @@ FACED = in_numpy(Plane((0.0, 0.0, 2.0), (0.0, 0.0, 1.0)))  # the front's right s
         (lambda: scaled(tube(), float("nan")), "scale"),
         (lambda: check_placed(Pattern("heap", (rectangle("a"), rectangle("b")))), "2 panels in one place"),
         (lambda: moved_clear(tube_mesh(), tube_mesh().placed(), FACED), "panel front"),
-        (lambda: place_panels(mesh_pattern(HIGH, 0.1), load_body(), body_distance()), "neck or the waist"),
+        (
+            lambda: place_panels(mesh_pattern(HIGH, 0.1), load_body(), body_distance()),
+            "the neck, the chest or the waist",
+        ),
         (lambda: sew(tube_mesh(), tube_mesh().placed(), slab), "edges that meet round the body"),
         # 0.8 m of cloth round a body of 1.6 m.
         (lambda: sew(tube_mesh(), apart(), in_numpy(cylinder(0.255))), "Size the pattern up"),

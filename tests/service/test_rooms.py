@@ -39,7 +39,7 @@ ROAD = {
     *("stream/routes.py", "stream/workers.py", "compute/drape_runtime.py", "compute/threads.py"),
     *("stages/batch.py", "stages/stage.py", "stages/network.py", "graphs/packing.py", "graphs/compiled.py"),
     *("stages/swing.py", "stages/folds.py", "stages/encode.py"),
-    *("watch/logs.py", "watch/metrics.py", "watch/watchdog.py"),
+    *("watch/logs.py", "watch/metrics.py", "watch/turns.py", "watch/watchdog.py"),
 }
 
 

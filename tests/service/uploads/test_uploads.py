@@ -202,7 +202,7 @@ def test_limits_end_the_process_with_a_sentence(make_settings: Callable[..., Set
     content = garment_obj(tube)
     with pytest.raises(TooLarge, match=r"within 0\.2 s, got no end by then"):
         sandboxed(make_settings(intake_wall_s=0.2), content, "tube.obj", tmp_path)
-    with pytest.raises(DrapeError, match=r"Simplify the mesh|Export the mesh again"):
+    with pytest.raises(DrapeError, match=r"Simplify (the|its) mesh|Export the mesh again"):
         sandboxed(make_settings(intake_memory_mb=256), content, "tube.obj", tmp_path)
     assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
 
