@@ -116,6 +116,9 @@ def _hand_on(source: int, target: int, form: str, counts: int, place: int) -> No
                 else:
                     told += missing
 
+    def fits() -> bool:
+        return size <= KEPT_BYTES
+
     threading.Thread(target=write, daemon=True).start()
     with os.fdopen(source, "rb") as lines:
         while line := lines.readline(LINE_BYTES):
@@ -123,9 +126,9 @@ def _hand_on(source: int, target: int, form: str, counts: int, place: int) -> No
                 kept.append(line)
                 size += len(line)
                 news.notify_all()
-                if size > KEPT_BYTES and not stalled and select.select([], [target], [], 0.0)[1]:
-                    stalled = not news.wait_for(lambda: size <= KEPT_BYTES, TURN_S)
-                while size > KEPT_BYTES and len(kept) > 1:
+                if not fits() and not stalled and select.select([], [target], [], 0.0)[1]:
+                    stalled = not news.wait_for(fits, TURN_S)
+                while not fits() and len(kept) > 1:
                     size -= len(kept.popleft())
                     drop()
     until_s = time.monotonic() + LAST_S
