@@ -18,7 +18,7 @@ COMMAND = re.compile(r"python -m ([A-Za-z_][\w.]*)")
 OF_A_COMMIT = re.compile(r"commit [0-9a-f]{7,}")
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)(?:\s+\"[^\"]*\")?\)")
 CODE = re.compile(r"```[a-z]*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
-MAKE_TARGET = re.compile(r"^(?:[A-Z_]+=\S+ )*make ([a-z][a-z-]*)", re.MULTILINE)
+MAKE_TARGET = re.compile(r"^(?:[A-Z_]+=\S+ )*make ([a-z][a-z0-9-]*)", re.MULTILINE)
 
 
 def is_command(name: str) -> bool:
@@ -79,7 +79,7 @@ def test_links_to_headings_resolve(document: Path):
 @pytest.mark.parametrize("document", CURRENT, ids=lambda path: str(path.relative_to(ROOT)))
 def test_make_targets_in_documents_exist(document: Path):
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    targets = set(re.findall(r"^([a-z][a-z-]*):", makefile, re.MULTILINE))
+    targets = set(re.findall(r"^([a-z][a-z0-9-]*):", makefile, re.MULTILINE))
     code = "\n".join(block or inline for block, inline in CODE.findall(document.read_text(encoding="utf-8")))
     assert set(MAKE_TARGET.findall(code)) - targets == set()
 
