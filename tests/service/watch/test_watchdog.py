@@ -173,7 +173,7 @@ def stream(url: str) -> None:
     with raw_stream(url) as one:
         one.open(garment="tube")
         one.socket.send(wire.pack_pose(wire.Pose(1, 0.0, np.zeros(3), np.full((24, 3), 0.01))))
-        one.socket.recv(timeout=LONG_S)
+        HELD.wait(LONG_S)
 
 
 def measures(url: str) -> None:
