@@ -32,9 +32,8 @@ if TYPE_CHECKING:
 
 FOLDER = ".avatars"  # beside the garments, which their registry looks for without dots
 log = logging.getLogger("drape.service")
-MOST_WORN = (
-    4  # avatars whose stages and garments are kept, 20 to 40 MB a garment; others are made again when they are worn
-)
+# Avatars whose stages and garments are kept, 20 to 40 MB a garment; others are made again when they are worn.
+MOST_WORN = 4
 
 
 class AvatarFacts(BaseModel):

@@ -57,6 +57,12 @@ template <class T> INLINE Hinge<T> hinge(const Vector<T> (&corner)[4], T cosine,
   return h;
 }
 
+// The hinge at four vertices of x [m] (V, 3).
+template <class T> INLINE Hinge<T> hinge_at(const T* x, const int32_t* vertex, T cosine, T sine, const Fabric<T>& k) {
+  const Vector<T> corner[4] = {point(x, vertex[0]), point(x, vertex[1]), point(x, vertex[2]), point(x, vertex[3])};
+  return hinge(corner, cosine, sine, k);
+}
+
 // The derivatives [1/m] of the fold by all four corners.
 template <class T> INLINE void fold_gradient(const Hinge<T>& h, T cosine, T sine, const Fabric<T>& k, Vector<T> (&out)[4]) {
   T cube = h.value * h.scale * h.scale * h.scale;

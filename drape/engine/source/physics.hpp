@@ -81,8 +81,7 @@ template <class T> double energy_and_gradient(const T* x, const Problem<T>& prob
   const Hinges<T>& hinges = problem.hinges;
   for (int64_t h = 0; h < hinges.stiffness.count; ++h) {
     const int32_t* vertex = hinges.corner + 4 * h;
-    const Vector<T> corner[4] = {point(x, vertex[0]), point(x, vertex[1]), point(x, vertex[2]), point(x, vertex[3])};
-    const Hinge<T> hinge_ = hinge(corner, hinges.cosine[h], hinges.sine[h], k);
+    const Hinge<T> hinge_ = hinge_at(x, vertex, hinges.cosine[h], hinges.sine[h], k);
     Vector<T> by[4];
     fold_gradient(hinge_, hinges.cosine[h], hinges.sine[h], k, by);
     total += double(hinges.stiffness[h] * (T(1) - hinge_.scale * hinge_.value));
@@ -119,8 +118,7 @@ template <class T> Felt<T> vertex_model(const T* x, int64_t v, const Problem<T>&
   for (int64_t entry = hinges.start[v]; entry < hinges.start[v + 1]; ++entry) {
     const int64_t h = hinges.member[entry] / 4, place = hinges.member[entry] % 4;
     const int32_t* vertex = hinges.corner + 4 * h;
-    const Vector<T> corner[4] = {point(x, vertex[0]), point(x, vertex[1]), point(x, vertex[2]), point(x, vertex[3])};
-    const Hinge<T> hinge_ = hinge(corner, hinges.cosine[h], hinges.sine[h], k);
+    const Hinge<T> hinge_ = hinge_at(x, vertex, hinges.cosine[h], hinges.sine[h], k);
     Vector<T> by[4];
     fold_gradient(hinge_, hinges.cosine[h], hinges.sine[h], k, by);
     felt.gradient = plus(felt.gradient, hinges.stiffness[h], by[place]);
@@ -256,8 +254,7 @@ void assemble(const T* x, const Problem<T>& problem, const Around<T>& around, co
     // k (cos d g g^T + sin d G), d the turn from rest, g and G the derivatives of the angle
     const int32_t *vertex = hinges.corner + 4 * h, *place = pattern.hinge + 16 * h;
     const T cosine = hinges.cosine[h], sine = hinges.sine[h], stiffness = hinges.stiffness[h];
-    const Vector<T> corner[4] = {point(x, vertex[0]), point(x, vertex[1]), point(x, vertex[2]), point(x, vertex[3])};
-    const Hinge<T> v = hinge(corner, cosine, sine, k);
+    const Hinge<T> v = hinge_at(x, vertex, cosine, sine, k);
     Vector<T> g[4];
     angle_gradient(v, k, g);
     const T curve = stiffness * (T(1) - exact * (T(1) - v.scale * v.value));

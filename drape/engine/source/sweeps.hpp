@@ -73,9 +73,8 @@ INLINE Model<T> outside(Points<T> x, const T* own, const T* planes, Points<T> ne
 template <bool CURVATURE, class T>
 INLINE void add_crease(Model<T>& model, const T* x, const Creases<T>& creases, int lane, int32_t member, const Fabric<T>& k) {
   const int32_t* vertex = creases.corner + 4 * (member / 4);
-  const Vector<T> corner[4] = {point(x, vertex[0]), point(x, vertex[1]), point(x, vertex[2]), point(x, vertex[3])};
   T cosine = creases.cosine[member / 4], sine = creases.sine[member / 4], stiffness = creases.stiffness[member / 4];
-  Hinge<T> h = hinge(corner, cosine, sine, k);
+  Hinge<T> h = hinge_at(x, vertex, cosine, sine, k);
   Vector<T> by[4];
   fold_gradient(h, cosine, sine, k, by);
   Vector<T> force = by[member % 4];
