@@ -64,6 +64,43 @@ INLINE void finish_tiles(const Layer<float>& layer, const Rows<float>& added, co
   }
 }
 
+// Writes the sums of a group's outputs of one block of inputs, or of TWO, to sums: four tiles, outputs by outputs, those of
+// the second block behind those of the first.
+template <bool TWO> WITH_TILES static void sum_tiles(const uint32_t* weight, const uint32_t* x, int64_t steps, float* sums) {
+#define LOAD(tile, from) __builtin_ia32_tileloadd64(tile, from, 64)
+#define STORE(tile, to) __builtin_ia32_tilestored64(tile, to, 64)
+#define MULTIPLY                                 \
+  __builtin_ia32_tdpbf16ps(0, 4, 6);             \
+  if (TWO) __builtin_ia32_tdpbf16ps(1, 4, 7);    \
+  __builtin_ia32_tdpbf16ps(2, 5, 6);             \
+  if (TWO) __builtin_ia32_tdpbf16ps(3, 5, 7)
+  const uint32_t* y = x + 2 * TILE * steps;
+  __builtin_ia32_tilezero(0);
+  __builtin_ia32_tilezero(1);
+  __builtin_ia32_tilezero(2);
+  __builtin_ia32_tilezero(3);
+  for (int64_t k = 0; k < steps; ++k, weight += 4 * TILE, x += 2 * TILE, y += 2 * TILE) {
+    LOAD(4, weight);
+    LOAD(5, weight + TILE);
+    LOAD(6, x);
+    if (TWO) LOAD(7, y);
+    MULTIPLY;
+    LOAD(4, weight + 2 * TILE);
+    LOAD(5, weight + 3 * TILE);
+    MULTIPLY;
+    LOAD(6, x + TILE);
+    if (TWO) LOAD(7, y + TILE);
+    MULTIPLY;
+  }
+  STORE(0, sums);
+  STORE(2, sums + 2 * TILE);
+  if (TWO) STORE(1, sums + TILE);
+  if (TWO) STORE(3, sums + 3 * TILE);
+#undef LOAD
+#undef STORE
+#undef MULTIPLY
+}
+
 WITH_TILES static void run_tiles(const Layer<float>& layer, const Rows<float>& inputs, const Rows<float>& added,
                                  const Rows<float>& outputs, int64_t blocks, Scratch& scratch) {
   const int64_t mark = scratch.used, count = layer.weight.count / layer.bias.count, steps = (count + TILE_INPUTS - 1) / TILE_INPUTS;
@@ -75,65 +112,16 @@ WITH_TILES static void run_tiles(const Layer<float>& layer, const Rows<float>& i
   shapes.of[0] = 1;  // the palette; then bytes a row and rows of each of eight tiles
   for (int tile = 0; tile < 8; ++tile) shapes.of[16 + 2 * tile] = 64, shapes.of[48 + tile] = LANES;
   __builtin_ia32_tile_loadconfig(&shapes);
-#define LOAD(tile, from) __builtin_ia32_tileloadd64(tile, from, 64)
-#define STORE(tile, to) __builtin_ia32_tilestored64(tile, to, 64)
-#define MULTIPLY_FOUR                     \
-  __builtin_ia32_tdpbf16ps(0, 4, 6);      \
-  __builtin_ia32_tdpbf16ps(1, 4, 7);      \
-  __builtin_ia32_tdpbf16ps(2, 5, 6);      \
-  __builtin_ia32_tdpbf16ps(3, 5, 7)
-#define MULTIPLY_TWO                      \
-  __builtin_ia32_tdpbf16ps(0, 4, 6);      \
-  __builtin_ia32_tdpbf16ps(2, 5, 6)
   for (int64_t n = 0; n < layer.bias.count; n += TILE_GROUP) {
-    const uint32_t* group = layer.tiles + 4 * TILE * steps * (n / TILE_GROUP);
+    const uint32_t* weight = layer.tiles + 4 * TILE * steps * (n / TILE_GROUP);
     for (int64_t block = 0; block < blocks; block += 2) {
-      const uint32_t *x = given + 2 * TILE * steps * block, *weight = group;
+      const uint32_t* x = given + 2 * TILE * steps * block;
       const bool two = block + 1 < blocks;
-      __builtin_ia32_tilezero(0);
-      __builtin_ia32_tilezero(2);
-      if (two) {
-        __builtin_ia32_tilezero(1);
-        __builtin_ia32_tilezero(3);
-        const uint32_t* y = x + 2 * TILE * steps;
-        for (int64_t k = 0; k < steps; ++k, weight += 4 * TILE, x += 2 * TILE, y += 2 * TILE) {
-          LOAD(4, weight);
-          LOAD(5, weight + TILE);
-          LOAD(6, x);
-          LOAD(7, y);
-          MULTIPLY_FOUR;
-          LOAD(4, weight + 2 * TILE);
-          LOAD(5, weight + 3 * TILE);
-          MULTIPLY_FOUR;
-          LOAD(6, x + TILE);
-          LOAD(7, y + TILE);
-          MULTIPLY_FOUR;
-        }
-        STORE(1, sums + TILE);
-        STORE(3, sums + 3 * TILE);
-      } else {
-        for (int64_t k = 0; k < steps; ++k, weight += 4 * TILE, x += 2 * TILE) {
-          LOAD(4, weight);
-          LOAD(5, weight + TILE);
-          LOAD(6, x);
-          MULTIPLY_TWO;
-          LOAD(4, weight + 2 * TILE);
-          LOAD(5, weight + 3 * TILE);
-          MULTIPLY_TWO;
-          LOAD(6, x + TILE);
-          MULTIPLY_TWO;
-        }
-      }
-      STORE(0, sums);
-      STORE(2, sums + 2 * TILE);
+      two ? sum_tiles<true>(weight, x, steps, sums) : sum_tiles<false>(weight, x, steps, sums);
       finish_tiles(layer, added, outputs, block, n, sums);
       if (two) finish_tiles(layer, added, outputs, block + 1, n, sums + TILE);
     }
   }
-#undef LOAD
-#undef STORE
-#undef MULTIPLY_FOUR
-#undef MULTIPLY_TWO
   __builtin_ia32_tilerelease();  // a thread that has tiles is slower to switch to
   scratch.used = mark;
 }
