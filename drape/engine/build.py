@@ -1,4 +1,4 @@
-"""``python -m drape.engine.build`` compiles the engine for this machine; ``--all`` for every target of a wheel.
+"""``python -m drape.engine.build`` compiles the engine for this processor; ``--all`` for every target of a wheel.
 
 The compiler is Clang out of the wheel ``ziglang``, so that no compiler of the system is needed. It is installed once
 into a cache folder (``DRAPE_CACHE``, ``~/.cache/drape``), 380 MB there, and is no part of the environment. It remembers
@@ -8,6 +8,7 @@ what it has compiled: one changed file takes seconds. This file needs nothing bu
 from __future__ import annotations
 
 import argparse
+import ctypes
 import os
 import platform
 import subprocess
@@ -24,6 +25,7 @@ FLAGS = ["-O3", "-std=c++20", "-ffp-contract=on", "-fno-math-errno", "-fno-excep
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
 LINKED = ["-shared", "-nostdlib++", "-s"]
 UNITS = ("folds", "layers", "network", "physics", "swing")
+TESTED = (*UNITS, "laws")  # of the library that only tests load: kernels in float64, and parts of kernels
 
 
 class Target(NamedTuple):
@@ -80,8 +82,8 @@ def host() -> str:
     return f"{system}-{machine}"
 
 
-def build(target: Target, folder: Path, *, doubles: bool = False, jobs: int = os.cpu_count() or 1) -> Path:
-    """Compiles the library of ``target`` into ``folder``, with kernels in float64 too where ``doubles`` are wanted."""
+def build(target: Target, folder: Path, *, tests: bool = False, jobs: int = os.cpu_count() or 1) -> Path:
+    """Compiles the library of ``target`` into ``folder``, or the one with what only ``tests`` call."""
     zig, begin = compiler(), time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     environment = os.environ | {
@@ -90,20 +92,21 @@ def build(target: Target, folder: Path, *, doubles: bool = False, jobs: int = os
     common = [
         *FLAGS,
         *WARNINGS,
-        *(["-DWITH_DOUBLES"] if doubles else []),
+        *(["-DFOR_TESTS"] if tests else []),
         "-target",
         target.triple,
         f"-mcpu={target.processor}",
     ]
-    objects = [folder / f"{target.name}-{unit}.o" for unit in UNITS]
+    units = TESTED if tests else UNITS
+    library = folder / (target.name + ("-tests" if tests else "") + target.suffix)
+    objects = [library.with_suffix(f".{unit}.o") for unit in units]
 
     def compiled(unit: str, to: Path) -> None:
         command = [*zig, "c++", *common, "-c", str(SOURCE / f"{unit}.cpp"), "-o", str(to)]
         subprocess.run(command, check=True, env=environment)
 
     with ThreadPoolExecutor(jobs) as pool:
-        list(pool.map(compiled, UNITS, objects))
-    library = folder / (target.name + ("-f64" if doubles else "") + target.suffix)
+        list(pool.map(compiled, units, objects))
     subprocess.run([*zig, "c++", *common, *LINKED, *map(str, objects), "-o", str(library)], check=True, env=environment)
     for each in objects:
         each.unlink()
@@ -119,18 +122,32 @@ def build_probe(system: str, folder: Path) -> None:
     subprocess.run([*command, str(SOURCE / "probe.cpp"), "-o", str(folder / f"probe{plain.suffix}")], check=True)
 
 
+def this_target(folder: Path) -> Target:
+    """The target of this processor; its probe is compiled into ``folder``."""
+    system = host()
+    build_probe(system, folder)
+    level = ctypes.CDLL(str(folder / f"probe{TARGETS[system][0].suffix}")).drape_processor() % 16
+    if "x86_64" in system and level < 2:
+        raise SystemExit("engine: expected a processor of x86-64-v2 or later; use one of 2009 or later")
+    return TARGETS[system][max(level - 2, 0)]
+
+
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(prog="python -m drape.engine.build", description=__doc__)
-    parser.add_argument("--all", action="store_true", help="every target of a wheel, not this machine's alone")
-    parser.add_argument("--doubles", action="store_true", help="kernels in float64 as well, as tests take them")
+    parser.add_argument("--all", action="store_true", help="every target of a wheel, not this processor's alone")
+    parser.add_argument("--tests", action="store_true", help="the library that only tests load as well")
     chosen = parser.parse_args()
-    for system in TARGETS if chosen.all else [host()]:
+    LIBRARIES.mkdir(exist_ok=True)
+    for system, targets in (TARGETS if chosen.all else {host(): [this_target(LIBRARIES)]}).items():
         folder = LIBRARIES / system if chosen.all else LIBRARIES
         folder.mkdir(parents=True, exist_ok=True)
-        build_probe(system, folder)
-        for target in TARGETS[system]:
-            build(target, folder, doubles=chosen.doubles)
+        if chosen.all:
+            build_probe(system, folder)
+        for target in targets:
+            build(target, folder)
+            if chosen.tests:
+                build(target, folder, tests=True)
 
 
 if __name__ == "__main__":

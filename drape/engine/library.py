@@ -62,14 +62,14 @@ def library_name(level: int, forced: str | None = None) -> str:
 
 
 @cache
-def load(*, doubles: bool = False, folder: Path = LIBRARIES) -> ctypes.CDLL:
-    """The library for this processor, with kernels in float64 too where ``doubles`` are asked for.
+def load(*, tests: bool = False, folder: Path = LIBRARIES) -> ctypes.CDLL:
+    """The library for this processor, or the one with what only ``tests`` call: kernels in float64, and parts of kernels.
 
     Refuses (``ArtifactError``) what ``library_name`` does, a missing file, and one that was made from other sources
     than the Python beside it.
     """
     name = library_name(processor_level(folder)[0], os.environ.get("DRAPE_ISA") or None)
-    path = folder / f"{name}{'-f64' if doubles else ''}{SUFFIX}"
+    path = folder / f"{name}{'-tests' if tests else ''}{SUFFIX}"
     if not path.is_file():
         raise ArtifactError("engine", expected=f"the file {path.name}", got="none", cure=CURE)
     found = ctypes.CDLL(str(path))

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -309,13 +310,15 @@ class Record:
 
     __slots__ = ("_arrays", "_words", "address")
 
-    def __init__(self, name: str, value: Any, dtype: Any) -> None:
-        """The record ``name`` of ``value``, which has its fields as attributes; numbers in arrays are of ``dtype``.
+    def __init__(self, name: str, value: Any, dtype: Any = None) -> None:
+        """The record ``name`` of ``value``, which has its fields as attributes. Numbers in arrays are of ``dtype``, or
+        else of the first such array's.
 
         Raises ``TypeError`` where an array has another type or is not contiguous: that is our own mistake.
         """
         self._arrays: list[np.ndarray] = []
-        self._words = np.array(self._filled(name, value, np.dtype(dtype)), np.uint64)
+        dtype = np.dtype(dtype or _numbers_type(name, value) or np.float32)
+        self._words = np.array(self._filled(name, value, dtype), np.uint64)
         self.address = self._words.ctypes.data
 
     def _filled(self, name: str, value: Any, dtype: np.dtype) -> list[int]:
@@ -341,6 +344,27 @@ class Record:
             raise TypeError(f"{name}: expected contiguous {dtype}, got {array.dtype}, strides {array.strides}")
         self._arrays.append(array)
         return [array.ctypes.data, array.size]
+
+
+class Recorded:
+    """Constants that the engine reads as the record of their class's name; such a class has its fields."""
+
+    @cached_property
+    def record(self) -> Record:
+        """Themselves as the engine reads them."""
+        return Record(type(self).__name__, self)
+
+
+def _numbers_type(name: str, value: Any) -> np.dtype | None:
+    """The type of the first numbers in ``value``, which has the fields of the record ``name``."""
+    for field, kind in RECORDS[name].items():
+        own, inner = getattr(value, field), kind.removesuffix("[]")
+        if kind == "numbers":
+            return own.dtype
+        for one in (own[:1] if kind.endswith("[]") else [own]) if inner in RECORDS else []:
+            if found := _numbers_type(inner, one):
+                return found
+    return None
 
 
 if __name__ == "__main__":

@@ -4,24 +4,29 @@
 #include "quantise.hpp"
 
 #define FOR_TYPE(T, suffix)                                                                                            \
-  EXPORT int drape_heights_##suffix(const T* x, const Sheet<T>* sheet, const int32_t* own, const Array<T>* skin,       \
+  EXPORT int64_t drape_heights_##suffix(const T* x, const Sheet<T>* sheet, const int32_t* own, const Array<T>* skin,   \
                                     const SkinGraph<T>* graph, T* height, Scratch* scratch) {                          \
+    const Flushed flushed;                                                                                             \
     layers::heights_over(x, *sheet, own, skin_of(*skin, *graph), height, *scratch);                                    \
-    return scratch->overflowed;                                                                                        \
+    return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
-  EXPORT int drape_ceiling_##suffix(const T* x, const Sheet<T>* sheet, const int32_t* index, const Array<T>* skin,     \
+  EXPORT int64_t drape_ceiling_##suffix(const T* x, const Sheet<T>* sheet, const int32_t* index, const Array<T>* skin, \
                                     const SkinGraph<T>* graph, T* ceiling, Scratch* scratch) {                         \
+    const Flushed flushed;                                                                                             \
     layers::ceiling_over(x, *sheet, index, skin_of(*skin, *graph), ceiling, *scratch);                                 \
-    return scratch->overflowed;                                                                                        \
+    return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
-  EXPORT int drape_press_##suffix(T* x, const Sheet<T>* sheet, const int32_t* own, const Array<T>* ground,             \
+  EXPORT int64_t drape_press_##suffix(T* x, const Sheet<T>* sheet, const int32_t* own, const Array<T>* ground,         \
                                   const SkinGraph<T>* graph, const T* ceiling, Scratch* scratch) {                     \
+    const Flushed flushed;                                                                                             \
     bool found = layers::press(x, *sheet, own, skin_of(*ground, *graph), ceiling, *scratch);                           \
     return scratch->overflowed ? -1 : found;                                                                           \
   }
 
 INSTANCES
 
-EXPORT void drape_quantise(const float* positions, int64_t vertices, float count, uint16_t* steps, float* box) {
-  quantise(positions, vertices, count, steps, box);
+#ifndef FOR_TESTS
+EXPORT void drape_quantise_f32(const float* positions, int64_t vertices, double count, uint16_t* steps, float* box) {
+  quantise(positions, vertices, float(count), steps, box);
 }
+#endif

@@ -1,0 +1,76 @@
+"""Calls of the engine: flat arrays, records and numbers in, a whole number out.
+
+Arrays that a function writes are given like those that it reads. The engine reads and writes memory by address, so an
+array of another type than the function's would be garbage: it is refused here, and so is one that is not contiguous.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from drape.engine.library import Scratch, load
+from drape.engine.records import Record, Recorded
+
+SUFFIX = {np.dtype(np.float32): "f32", np.dtype(np.float64): "f64"}
+_FIRST_BYTES = 1 << 20
+
+
+class _Room(threading.local):
+    """The scratch of a thread: no two calls share it."""
+
+    def __init__(self) -> None:
+        self.scratch = Scratch(_FIRST_BYTES)
+
+
+_ROOM = _Room()
+
+
+def call(name: str, dtype: Any, *given: Any) -> int:
+    """What the function ``name`` for numbers of ``dtype`` returns for what is ``given``: arrays, records, numbers.
+
+    Raises ``TypeError`` for an array of floats of another type, or that is not contiguous: that is our own mistake.
+    """
+    dtype = np.dtype(dtype)
+    return _function(name, dtype)(*(_argument(one, dtype) for one in given))
+
+
+def call_with_scratch(name: str, dtype: Any, *given: Any) -> int:
+    """The same of a function that takes scratch memory: this thread's, which grows until it is enough."""
+    dtype = np.dtype(dtype)
+    function, arguments = _function(name, dtype), [_argument(one, dtype) for one in given]
+    while True:
+        scratch = _ROOM.scratch
+        scratch.used, scratch.overflowed = 0, False
+        found = function(*arguments, ctypes.byref(scratch))
+        if not scratch.overflowed:
+            return found
+        _ROOM.scratch = Scratch(2 * scratch.size)
+
+
+@cache
+def _function(name: str, dtype: np.dtype) -> Callable[..., int]:
+    symbol = f"drape_{name}_{SUFFIX[dtype]}"
+    try:
+        function = getattr(load(), symbol)
+    except AttributeError:  # what only tests call
+        function = getattr(load(tests=True), symbol)
+    function.restype = ctypes.c_int64
+    return function
+
+
+def _argument(one: Any, dtype: np.dtype) -> Any:
+    if isinstance(one, np.ndarray):
+        if not one.flags.c_contiguous or (one.dtype.kind == "f" and one.dtype != dtype):
+            raise TypeError(f"expected contiguous {dtype}, got {one.dtype}, strides {one.strides}")
+        return ctypes.c_void_p(one.ctypes.data)
+    if isinstance(one, Record):
+        return ctypes.c_void_p(one.address)
+    if isinstance(one, Recorded):
+        return ctypes.c_void_p(one.record.address)
+    return ctypes.c_int64(one) if isinstance(one, bool | int | np.integer) else ctypes.c_double(one)
