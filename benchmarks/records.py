@@ -199,6 +199,12 @@ CHURN = {
     "slope_error_mb_h": ("its error", ".1f"), "descriptors": ("descriptors", "d"),
     "last_descriptors": ("at the end ", "d"), "threads": ("threads", "d"), "last_threads": ("at the end  ", "d"),
 }  # fmt: skip
+LATENESS = {
+    "beside": ("beside", "s"), "streams": ("streams", "d"), "run": ("run", "s"), "frames": ("frames", "d"),
+    "done": ("done", "d"), "delay_p50_ms": ("delay p50 [ms]", ".1f"), "delay_p99_ms": ("p99", ".1f"),
+    "delay_p999_ms": ("p99.9", ".1f"), "delay_max_ms": ("most", ".1f"), "own_p999_ms": ("own p99.9 [ms]", ".1f"),
+    "own_max_ms": ("most ", ".1f"), "late_max_ms": ("client late, most [ms]", ".1f"),
+}  # fmt: skip
 CLIENT_FOLDS = {
     "garment": ("garment", "s"), "clip": ("clip", "s"), "tier": ("tier", "s"), "frames": ("frames", "d"),
     "frame_bytes": ("vertices [B]", "d"), "jets_bytes": ("jets [B]", "d"), "constants_mb": ("constants [MB]", ".1f"),
@@ -332,6 +338,7 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("serving", SPEED_PAGE, "serving", serving_table),
     ("client_folds", "docs/guide/web.md", "client_folds", partial(alike, CLIENT_FOLDS)),
     ("static_page", "docs/guide/web.md", "static_page", partial(alike, STATIC_PAGE)),
+    ("lateness", SPEED_PAGE, "lateness", partial(alike, LATENESS)),
     ("churn", SPEED_PAGE, "churn", partial(alike, CHURN)),
     ("recovery_rounds", FIT_PAGE, "recovery_rounds", rounds_table),
     ("exact", "docs/guide/options.md", "exact", partial(alike, EXACT)),
