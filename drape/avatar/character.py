@@ -248,17 +248,16 @@ def _vrm_bones(file: GltfFile, place: dict[int, int]) -> tuple[dict[str, int], s
     """VRM's bones -> places of nodes, and the version of VRM."""
     extensions = file.document.extensions
     try:
-        if "VRMC_vrm" in extensions:
-            bones = extensions["VRMC_vrm"]["humanoid"]["humanBones"]
-            return {bone[:60]: place[held["node"]] for bone, held in bones.items()}, "1"
-        if "VRM" in extensions:
-            bones = extensions["VRM"]["humanoid"]["humanBones"]
-            return {held["bone"][:60]: place[held["node"]] for held in bones if held.get("node", -1) >= 0}, "0"
-    except (KeyError, TypeError, AttributeError) as error:
+        if extensions.vrmc_vrm is not None:
+            bones = extensions.vrmc_vrm.humanoid.human_bones
+            return {bone[:60]: place[held.node] for bone, held in bones.items()}, "1"
+        if extensions.vrm is not None:
+            named = extensions.vrm.humanoid.human_bones
+            return {held.bone[:60]: place[held.node] for held in named if held.node >= 0}, "0"
+    except KeyError as error:
         cure = "Export the VRM again, or send it as a plain GLB."
-        raise MeshError(
-            f"{file.label}: VRM", expected="humanBones of nodes", got=repr(error)[:60], cure=cure
-        ) from error
+        expected = "bones at nodes of the file"
+        raise MeshError(f"{file.label}: humanBones", expected=expected, got=f"node {error}", cure=cure) from error
     return {}, ""
 
 

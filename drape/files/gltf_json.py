@@ -77,11 +77,55 @@ class Scene(_Part):
     nodes: Indices = []
 
 
+class NamedBone(_Part):
+    """A bone of VRM 0 and its node, -1 where it has none."""
+
+    bone: Text
+    node: Annotated[int, Field(ge=-1)] = -1
+
+
+class PlacedBone(_Part):
+    """The node of a bone of VRM 1."""
+
+    node: Index
+
+
+class NamedBones(_Part):
+    """The bones of VRM 0."""
+
+    human_bones: Annotated[list[NamedBone], FIRST_ONLY]
+
+
+class PlacedBones(_Part):
+    """The bones of VRM 1 by their names."""
+
+    human_bones: dict[Text, PlacedBone]
+
+
+class Vrm(_Part):
+    """A VRM 0."""
+
+    humanoid: NamedBones
+
+
+class VrmcVrm(_Part):
+    """A VRM 1."""
+
+    humanoid: PlacedBones
+
+
+class Extensions(_Part):
+    """Extensions that say which node is which bone."""
+
+    vrm: Annotated[Vrm | None, Field(alias="VRM")] = None
+    vrmc_vrm: Annotated[VrmcVrm | None, Field(alias="VRMC_vrm")] = None
+
+
 class Document(_Part):
     """The whole; what is told of the binary chunk is checked where it is read."""
 
     extensions_required: Annotated[list[Text], FIRST_ONLY] = []
-    extensions: dict[str, Any] = {}
+    extensions: Extensions = Extensions()
     scene: Index | None = None
     scenes: Annotated[list[Scene], FIRST_ONLY] = []
     nodes: Annotated[list[Node], Field(max_length=MOST_NODES), FIRST_ONLY] = []

@@ -123,7 +123,11 @@ FAULTS: dict[str, tuple[Change, str]] = {
     "no joints": (lambda j: j["skins"][0].update(joints=[]), "1 to 400 joints"),
     "few binds": (lambda j: j["skins"][0].update(joints=j["skins"][0]["joints"][:3]), "(3, 16)"),
     "an entry that is no object": (lambda j: j["nodes"].__setitem__(3, 5), "nodes[3]: expected a valid dictionary"),
-    "a VRM without bones": (lambda j: j.update(extensions={"VRM": {}}), "humanBones"),
+    "a VRM without bones": (lambda j: j.update(extensions={"VRM": {}}), "extensions.VRM.humanoid: expected a value"),
+    "a VRM whose bones are a list": (
+        lambda j: j.update(extensions={"VRMC_vrm": {"humanoid": {"humanBones": []}}}),
+        "humanBones: expected a valid dictionary, got a list of 0",
+    ),
     "a VRM of other nodes": (
         lambda j: j.update(extensions={"VRMC_vrm": {"humanoid": {"humanBones": {"hips": {"node": 999}}}}}),
         "humanBones",
