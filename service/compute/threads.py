@@ -10,7 +10,7 @@ import contextvars
 import math
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import TypeVar
 
@@ -21,7 +21,7 @@ from service.watch.watchdog import Lane, moved
 STREAM_WAIT_S = 0.02
 """What a chunk of a clip may take while there are streams, which share processors with it; one frame is the least."""
 STREAM_PAUSE_S = 1.0
-"""Longer after the last frame of a stream nothing gives way to streams any more."""
+"""Longer after the last frame of a stream nothing gives way to streams any more, nor to a frame that takes longer."""
 
 APART = 2  # threads for pictures, reports and files, which hold the interpreter lock most of their time
 
@@ -76,7 +76,7 @@ class ComputeThreads:
 
     async def aside(self, function: Callable[..., Result], *arguments: object) -> Result:
         """``function(*arguments)`` on the thread of what streams do not wait for, not begun beside a stream's frame."""
-        await self._frame_done.wait()
+        await _given_way(self._frame_done)
         return await asyncio.get_running_loop().run_in_executor(self._aside, _here(function, *arguments))
 
     async def apart(self, function: Callable[..., Result], *arguments: object) -> Result:
@@ -169,9 +169,9 @@ class SlicedThread:
 
     async def each(self, pieces: Iterator[Result]) -> AsyncIterator[Result]:
         """All of ``pieces``, one turn of the thread for each: other work comes between them, and frames come first."""
-        end = object()
+        end, gives_way = object(), True
         while True:
-            await self._free.wait()
+            gives_way = gives_way and await _given_way(self._free)
             if (piece := await self.run(next, pieces, end)) is end:
                 return
             yield piece  # pyright: ignore[reportReturnType]
@@ -189,6 +189,14 @@ class SlicedThread:
     def close(self) -> None:
         """Ends the thread after the piece at hand."""
         self._executor.shutdown(wait=True, cancel_futures=True)
+
+
+async def _given_way(free: asyncio.Event) -> bool:
+    """Waits until ``free`` is set, and for no longer than ``STREAM_PAUSE_S``: whether it is."""
+    if not free.is_set():
+        with suppress(TimeoutError):
+            await asyncio.wait_for(free.wait(), STREAM_PAUSE_S)
+    return free.is_set()
 
 
 def _here(function: Callable[..., Result], *arguments: object) -> Callable[[], Result]:

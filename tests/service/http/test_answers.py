@@ -6,6 +6,7 @@ import asyncio
 import json
 import time
 from pathlib import Path
+from threading import Event
 
 import httpx
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from clients.client import DrapeClient
 from drape.body.model import BodyModel
 from drape.export.glb_file import PIECE_BYTES, GlbFile
+from service.compute import threads
 from service.compute.threads import SlicedThread
 from service.http.answers import PIECE_NUMBERS, file_answer, json_pieces, messages_answer, number_pieces
 from service.stages.placing import Placed
@@ -101,6 +103,27 @@ def test_no_piece_begins_while_a_frame_is_computed():
     asyncio.run(held())
     sliced_thread.close()
     assert done == list(range(9))
+
+
+def test_a_frame_that_hangs_keeps_neither_pieces_nor_clips(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(threads, "STREAM_PAUSE_S", 0.01)
+    sliced_thread, let_go = SlicedThread(), Event()
+    compute = threads.ComputeThreads(bound=False, stream_threads=1, chunk_frames=8, clip_wait_s=1.0)
+
+    async def beside() -> tuple[list[int], str]:
+        with sliced_thread.held():
+            hangs = asyncio.create_task(compute.for_streams(let_go.wait))
+            found = [piece async for piece in sliced_thread.each(iter(range(9)))], await compute.aside(lambda: "a step")
+            let_go.set()
+            await hangs
+        return found
+
+    try:
+        assert asyncio.run(beside()) == (list(range(9)), "a step")
+    finally:
+        let_go.set()
+        sliced_thread.close()
+        compute.close()
 
 
 @pytest.mark.parametrize("sizes", [(), (5,), (PIECE_BYTES, 3), (10_000,) * 100])
