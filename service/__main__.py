@@ -34,6 +34,7 @@ def _serve(overrides: dict[str, object]) -> int:
     # Imported here, so that --help and a missing package do not need everything.
     try:
         from service.app import create_app
+        from service.compute.background import give_back_memory
         from service.compute.drape_runtime import DrapeRuntime
         from service.server import bind, make_server
         from service.settings import check_exposed, load_settings
@@ -49,6 +50,7 @@ def _serve(overrides: dict[str, object]) -> int:
         return 2
     # While it loads, and at the very end. A process with the number 1 ends by no signal that nobody handles.
     signal.signal(signal.SIGTERM, lambda *_: os._exit(128 + signal.SIGTERM))
+    give_back_memory()
     settings = load_settings(**overrides)
     check_exposed(settings)
     set_up(settings.log_format)

@@ -48,9 +48,8 @@ class Folds(Stage):
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
         self._garments: dict[str, Garment] = {}
-        self.kept_bytes = KEPT_BYTES
         self._constants = KeptConstants[Constants](
-            lambda kept: sum(made.nbytes for made in kept) > self.kept_bytes  # fabrics beside those in use go
+            lambda kept: sum(made.nbytes for made in kept) > KEPT_BYTES  # fabrics beside those in use go
         )
         self._wrappings = KeptConstants[Wrapping]()
         warm_up()

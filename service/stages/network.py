@@ -64,7 +64,8 @@ class Network(Stage):
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
         self.packer = Packer(self.engine, self.body)
-        self._shape = lru_cache(SHAPES_KEPT)(lambda betas: pack_body(self.body, np.frombuffer(betas, np.float64)))
+        body = setup.body  # not ``self``: a stage in a ring stays until the collector comes, which is seldom
+        self._shape = lru_cache(SHAPES_KEPT)(lambda betas: pack_body(body, np.frombuffer(betas, np.float64)))
         self._skin_in_graph = self.engine.feels_body and self.body.posedirs is None
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:

@@ -1,0 +1,26 @@
+"""The stages of a body: what becomes of them."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from collections.abc import Callable
+
+from drape.wire.options import DrapeOptions
+from service.compute.drape_runtime import DrapeRuntime
+from service.stages.plan import make_plan
+
+
+def test_stages_that_nobody_uses_go_at_once_with_what_they_hold(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime(folds=1, inertia="mesh")
+    entry, stages = runtime.garments.entries()[0], runtime._stages_on(runtime.body)
+    stages.add(entry.garment, stages.feed(entry.garment))
+    for stage in stages.stages:
+        stage.prepare(make_plan(stages.stages, entry, DrapeOptions(folds=1, push_out=True)))
+    names, held = [stage.name for stage in stages.stages], [weakref.ref(stage) for stage in stages.stages]
+    gc.disable()  # the collector comes seldom, and what a ring of garments' constants holds is tens of megabytes
+    try:
+        del stage, stages
+        assert [name for name, one in zip(names, held, strict=True) if one() is not None] == []
+    finally:
+        gc.enable()
