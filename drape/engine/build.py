@@ -1,4 +1,4 @@
-"""``python -m drape.engine.build`` compiles the engine for this processor; ``--all`` for every target of a wheel.
+"""``python drape/engine/build.py`` compiles the engine for this processor; ``--all`` for every target of a wheel.
 
 The compiler is Clang out of the wheel ``ziglang``, so that no compiler of the system is needed. It is installed once
 into a cache folder (``DRAPE_CACHE``, ``~/.cache/drape``), 380 MB there, and is no part of the environment. It remembers
@@ -83,22 +83,16 @@ def host() -> str:
 
 
 def build(target: Target, folder: Path, *, tests: bool = False, jobs: int = os.cpu_count() or 1) -> Path:
-    """Compiles the library of ``target`` into ``folder``, or the one with what only ``tests`` call."""
-    zig, begin = compiler(), time.monotonic()
-    folder.mkdir(parents=True, exist_ok=True)
+    """Compiles the library of ``target`` into ``folder``, or the one with what only ``tests`` call. One that is newer
+    than all sources is left."""
+    library = folder / (target.name + ("-tests" if tests else "") + target.suffix)
+    if _is_newer(library):
+        return library
+    zig, begin, units = compiler(), time.monotonic(), TESTED if tests else UNITS
     environment = os.environ | {
         f"ZIG_{kind}_CACHE_DIR": str(cache_folder() / "compiled") for kind in ("GLOBAL", "LOCAL")
     }
-    common = [
-        *FLAGS,
-        *WARNINGS,
-        *(["-DFOR_TESTS"] if tests else []),
-        "-target",
-        target.triple,
-        f"-mcpu={target.processor}",
-    ]
-    units = TESTED if tests else UNITS
-    library = folder / (target.name + ("-tests" if tests else "") + target.suffix)
+    common = [*FLAGS, *WARNINGS, *(["-DFOR_TESTS"] if tests else []), *_aimed(target)]
     objects = [library.with_suffix(f".{unit}.o") for unit in units]
 
     def compiled(unit: str, to: Path) -> None:
@@ -107,47 +101,68 @@ def build(target: Target, folder: Path, *, tests: bool = False, jobs: int = os.c
 
     with ThreadPoolExecutor(jobs) as pool:
         list(pool.map(compiled, units, objects))
-    subprocess.run([*zig, "c++", *common, *LINKED, *map(str, objects), "-o", str(library)], check=True, env=environment)
+    made = library.with_suffix(".new")  # moved into place whole: another process may have the old one open
+    subprocess.run([*zig, "c++", *common, *LINKED, *map(str, objects), "-o", str(made)], check=True, env=environment)
+    made.replace(library)
     for each in objects:
         each.unlink()
     print(f"engine: {library.name} in {time.monotonic() - begin:.1f} s", flush=True)
     return library
 
 
-def build_probe(system: str, folder: Path) -> None:
+def build_probe(system: str, folder: Path) -> Path:
     """Compiles the library that tells what a processor has; only processors of x86-64 differ."""
-    target = TARGETS[system][0]
-    plain = target._replace(name="probe", processor="baseline")
-    command = [*compiler(), "c++", *FLAGS, "-target", plain.triple, f"-mcpu={plain.processor}", *LINKED]
-    subprocess.run([*command, str(SOURCE / "probe.cpp"), "-o", str(folder / f"probe{plain.suffix}")], check=True)
+    target = TARGETS[system][0]._replace(name="probe", processor="baseline")
+    probe = folder / f"probe{target.suffix}"
+    if not _is_newer(probe):
+        command = [*compiler(), "c++", *FLAGS, *_aimed(target), *LINKED, str(SOURCE / "probe.cpp"), "-o", str(probe)]
+        subprocess.run(command, check=True)
+    return probe
 
 
-def this_target(folder: Path) -> Target:
-    """The target of this processor; its probe is compiled into ``folder``."""
-    system = host()
+def build_here(folder: Path = LIBRARIES, *, tests: bool = False) -> None:
+    """Compiles what this processor needs into ``folder``; ends the program with a sentence on one that is too old."""
+    folder.mkdir(parents=True, exist_ok=True)
+    level = ctypes.CDLL(str(build_probe(host(), folder))).drape_processor() % 16
+    if "x86_64" in host() and level < 2:
+        raise SystemExit(f"engine: expected a processor of x86-64-v2 or later, got v{level}; use one of 2009 or later")
+    target = TARGETS[host()][max(level - 2, 0)]
+    build(target, folder)
+    if tests:
+        build(target, folder, tests=True)
+
+
+def build_system(system: str, folder: Path) -> None:
+    """Compiles what a wheel for ``system`` carries into ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
     build_probe(system, folder)
-    level = ctypes.CDLL(str(folder / f"probe{TARGETS[system][0].suffix}")).drape_processor() % 16
-    if "x86_64" in system and level < 2:
-        raise SystemExit("engine: expected a processor of x86-64-v2 or later; use one of 2009 or later")
-    return TARGETS[system][max(level - 2, 0)]
+    for target in TARGETS[system]:
+        build(target, folder)
+
+
+def _aimed(target: Target) -> list[str]:
+    return ["-target", target.triple, f"-mcpu={target.processor}"]
+
+
+def _is_newer(library: Path) -> bool:
+    sources = [*SOURCE.iterdir(), Path(__file__)]
+    return library.is_file() and library.stat().st_mtime > max(one.stat().st_mtime for one in sources)
 
 
 def main() -> None:
     """The command."""
-    parser = argparse.ArgumentParser(prog="python -m drape.engine.build", description=__doc__)
-    parser.add_argument("--all", action="store_true", help="every target of a wheel, not this processor's alone")
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tests", action="store_true", help="the library that only tests load as well")
+    parser.add_argument("--system", action="store_true", help="every level of processors of this system")
+    parser.add_argument("--all", action="store_true", help="every system, each in a folder of its own")
     chosen = parser.parse_args()
-    LIBRARIES.mkdir(exist_ok=True)
-    for system, targets in (TARGETS if chosen.all else {host(): [this_target(LIBRARIES)]}).items():
-        folder = LIBRARIES / system if chosen.all else LIBRARIES
-        folder.mkdir(parents=True, exist_ok=True)
-        if chosen.all:
-            build_probe(system, folder)
-        for target in targets:
-            build(target, folder)
-            if chosen.tests:
-                build(target, folder, tests=True)
+    if chosen.all:
+        for system in TARGETS:
+            build_system(system, LIBRARIES / system)
+    elif chosen.system:
+        build_system(host(), LIBRARIES)
+    else:
+        build_here(tests=chosen.tests)
 
 
 if __name__ == "__main__":
