@@ -9,12 +9,18 @@ RUN npm ci --no-audit --no-fund
 COPY clients/web ./
 RUN npm run build
 
+# For every processor of this system, so that no container compiles.
+FROM python:3.12-slim AS engine
+WORKDIR /app
+COPY drape/engine drape/engine
+RUN DRAPE_CACHE=/tmp/cache python drape/engine/build.py --system
+
 FROM python:3.12-slim
 # Which ONNX Runtime: cpu or gpu, never both.
 ARG EXTRA=cpu
-ENV NUMBA_CACHE_DIR=/app/.cache/numba PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1 PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
+ENV DRAPE_ENGINE=apart PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1 PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 WORKDIR /app
-COPY pyproject.toml README.md LICENSE ./
+COPY pyproject.toml hatch_build.py README.md LICENSE ./
 COPY drape drape
 COPY service service
 COPY clients clients
@@ -24,11 +30,10 @@ RUN pip install -e ".[service,otel,${EXTRA}]"
 # The promise that the service runs without torch is kept here, not only in the tests.
 RUN python -c "import importlib.util as u, sys; sys.exit('torch is in the image' if u.find_spec('torch') else 0)"
 COPY --from=page /page/dist clients/web/dist
+COPY --from=engine /app/drape/engine/libraries drape/engine/libraries
 RUN useradd --create-home --uid 10001 drape && mkdir -p .cache runs && chown drape .cache runs
 USER drape
-# Kernels, which a container stores too: on a processor of another kind its first start compiles them anew, for two to four minutes.
-RUN python -m drape.warm_up && python -m drape.exact
 EXPOSE 8000
-HEALTHCHECK --interval=10s --timeout=3s --start-period=300s --retries=3 \
+HEALTHCHECK --interval=10s --timeout=3s --start-period=30s --retries=3 \
     CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8000/livez', timeout=2)"]
 CMD ["python", "-m", "service", "--host", "0.0.0.0", "--port", "8000"]

@@ -34,6 +34,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15
 WEB := clients/web
+ENGINE_SOURCES := drape/engine/build.py $(wildcard drape/engine/source/*)
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
 .PHONY: help serve setup browser test test-all test-avx2 test-quick check audit format bench soak page clean
@@ -47,18 +48,28 @@ $(BIN)/python:
 	@PYTHON="$(PYTHON)" scripts/timed "virtual environment" scripts/make_venv $(VENV)
 
 $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
-	@scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,clients]'
+	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,clients]'
 	@scripts/timed "kernels" $(BIN)/python -m drape.warm_up
 	@touch $@
+
+# The engine needs nothing but Python, so it is compiled beside the packages.
+$(VENV)/.engine-stamp: $(ENGINE_SOURCES) | $(BIN)/python
+	@scripts/timed "engine" $(BIN)/python drape/engine/build.py
+	@touch $@
+
+$(VENV)/.engine-tests-stamp: $(ENGINE_SOURCES) | $(BIN)/python
+	@scripts/timed "engine" $(BIN)/python drape/engine/build.py --tests
+	@touch $(VENV)/.engine-stamp $@
 
 # torch first and alone: later requirements then find it and cannot pull another build of it.
 $(VENV)/.setup-stamp: pyproject.toml | $(BIN)/python
 	@scripts/timed "torch" scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
-	@scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
+	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
 	@scripts/timed "kernels" $(BIN)/python -m tests.fixtures.kernels
 	@touch $(VENV)/.serve-stamp $@
 
-setup: $(VENV)/.setup-stamp
+setup:
+	@$(MAKE) --no-print-directory -j2 $(VENV)/.setup-stamp $(VENV)/.engine-tests-stamp
 
 # --- the page ---
 
@@ -71,7 +82,7 @@ page: $(WEB)/dist/.stamp
 
 # The page is built beside the packages, which keep one core busy.
 serve:
-	@$(MAKE) --no-print-directory -j2 $(VENV)/.serve-stamp $(if $(filter 0,$(PAGE)),,page)
+	@$(MAKE) --no-print-directory -j3 $(VENV)/.serve-stamp $(VENV)/.engine-stamp $(if $(filter 0,$(PAGE)),,page)
 	exec $(BIN)/python -m service --host $(HOST) --port $(PORT) $(ARGS)
 
 # The page and the browser are wanted by tests, not required: without them the browser tests skip and say why.
