@@ -13,6 +13,7 @@
 #include "lift.hpp"
 #include "numbers.hpp"
 #include "pace.hpp"
+#include "places.hpp"
 #include "residual.hpp"
 #include "room.hpp"
 #include "untangle.hpp"
@@ -43,13 +44,6 @@ template <class T> struct FoldSchedule {
   T friction, clearance, untangle;
 };
 
-// The vertices [m] (V, 3) at their places (P, 3), behind which there is room for one number.
-template <class T> void placed(const T* vertices, const Array<int32_t>& vertex, T* places) {
-  int64_t p = 0;
-  for (; p + LANES <= vertex.count; p += LANES) put_points(places + 3 * p, points_at(vertices, vertex + p));
-  for (; p < vertex.count; ++p) put_point(places, p, point(vertices, vertex[p]));
-}
-
 // Writes the vertices [m] (V, 3) from what is at the place (V,) of each, and tells the share of them that were lifted by
 // more than MOVED_M, and the most of any.
 template <class T> void delivered(const T* x, const T* lifted, const Array<int32_t>& place, T* vertices, FoldOutcome& outcome) {
@@ -63,28 +57,6 @@ template <class T> void delivered(const T* x, const T* lifted, const Array<int32
   }
   outcome.lifted_share = double(count) / double(place.count);
   outcome.lifted_max_m = double(farthest);
-}
-
-// The largest distance [m] between a place of x (P, 3) and that of y, NaN where one is.
-template <class T> T farthest_m(const T* x, const T* y, int64_t places) {
-  Row<T> worst = row_of(T(0)), total = worst;
-  for (int64_t first = 0; first < places; first += LANES) {
-    Points<T> way = points_in(x + 3 * first) - points_in(y + 3 * first);
-    Row<T> square = dot(way, way);
-    worst = most<T>(square, worst);
-    total = total + square;
-  }
-  return lanes_of<T>(total != total) ? T(__builtin_nan("")) : root(most_lane<T>(worst));
-}
-
-// RMS way [m] of the vertices at the place (V,) of each, from before to network [m] (P, 3).
-template <class T> double moved_m(const T* before, const T* network, const Array<int32_t>& place) {
-  double total = 0;
-  for (int64_t v = 0; v < place.count; ++v) {
-    const Vector<T> way = point(network, place[v]) - point(before, place[v]);
-    total += double(dot(way, way));
-  }
-  return root(total / double(place.count));
 }
 
 // Writes the stiffness and slack that hold each place: those of the waistband and of the leash; where the skin has taken
@@ -200,19 +172,20 @@ template <class T>
 FoldOutcome advanced(const T* network, const FoldMemory<T>& past, bool follows, const Skin<T>& skin, const Array<double>& colliders,
                      const FoldConstants<T>& cloth, const FoldEffort<T>& effort, FoldMemory<T>& after, T* x, T* lifted, T* planes,
                      Scratch& scratch) {
-  const int64_t places = cloth.sheet.vertex.count;
+  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
+  T* before = scratch.take<T>(3 * places);  // the network's places, which points_at reads, with room behind them
+  if (scratch.overflowed) return {};
+  __builtin_memcpy(before, follows ? past.network.begin : network, size_t(3 * places) * sizeof(T));
   const FoldState<T> state = {after.residual.begin, after.velocity.begin, after.grip.begin, after.own.begin, after.other.begin};
   const double step_s = follows ? past.step_s : FIRST_STEP_S;
   const int64_t rounds = effort.steps == 0 ? 0 : follows ? 1 : effort.settle;
   const double kept = effort.steps ? 1 : exponential_of(-step_s / FADE_S), still = kept == 1 ? 1 : 0;
-  const double way_m = follows ? moved_m<T>(past.network.begin, network, cloth.sheet.place) : 0;
+  const double way_m = follows ? moved_m<T>(before, network, cloth.sheet.place) : 0;
   // Each is half of the fabric's.
   const Constants<T>& k = cloth.sheet.constants;
   const Pace pace = paced(effort.steps, calmness(way_m), k.warp + k.weft > STIFF_N_PER_M);
   const double momentum = !follows && rounds >= LONG_ROUNDS ? SETTLING_MOMENTUM : pace.momentum;
-  // No farther than the network moved, or cloth on a body that stands still would not come to rest; but for LEAST_M, or
-  // cloth would crumple through itself there.
-  const double untangle_m = follows ? smaller(WAY_M, larger(way_m, LEAST_M)) : WAY_M;
+  const double untangle_m = follows ? farthest_way(way_m) : WAY_M;
   const double friction = follows ? grip_left(way_m, step_s) * cloth.friction : 0;
   const FoldSchedule<T> schedule = {T(step_s), T(momentum), T(pace.share), rounds, pace.steps, pace.sweeps,
                                     follows ? past.turn : -1, effort.cloth_contact && rounds > 0, T(friction),
@@ -226,8 +199,8 @@ FoldOutcome advanced(const T* network, const FoldMemory<T>& past, bool follows, 
     state.velocity[i] = follows ? T(still) * past.velocity[i] : T(0);
     state.grip[i] = follows ? past.grip[i] : T(0);
   }
-  const T far = advance(follows ? past.network.begin : network, network, state, skin, colliders, cloth, schedule, x, lifted, planes,
-                        scratch);
+  const T far = advance(before, network, state, skin, colliders, cloth, schedule, x, lifted, planes, scratch);
+  scratch.used = mark;
   return {!follows, 0, !(far <= T(FAR_M)), follows ? (past.turn + 1) % TURNS : 1, untangle_m, 0, 0};
 }
 
@@ -252,7 +225,7 @@ FoldOutcome fold_places(const T* network, const FoldMemory<T>& past, const Skin<
   return outcome;
 }
 
-// Writes the folded vertices [m] (V, 3) of one level and the memory after them. vertices has room for one number more.
+// Writes the folded vertices [m] (V, 3) of one level and the memory after them.
 template <class T>
 FoldOutcome fold_one_level(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around, const FoldConstants<T>& cloth,
                            const FoldEffort<T>& effort, FoldMemory<T>& after, T* folded, Scratch& scratch) {

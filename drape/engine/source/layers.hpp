@@ -21,6 +21,7 @@
 // and is evened out, since a step at the hem of the outer garment would show below it. Evened, it stays above the skin as
 // well. What is above the ceiling still then comes down alone.
 #pragma once
+#include "places.hpp"
 #include "skin.hpp"
 
 namespace layers {
@@ -72,14 +73,16 @@ template <class T> T half_way(int64_t s, T far, const Skin<T>& skin, const Grid&
 }
 
 // Writes how high [m] (S,) a garment raises each sample of the skin: 0 where no vertex lies over it. Its triangles face
-// outward, x [m] (P, 3) are its places, and each raises the sample that it is at, own (P,), and that one's neighbours.
+// outward, its vertices are [m] (V, 3), and each place raises the sample that it is at, own (P,), and that one's
+// neighbours.
 template <class T>
-void heights_over(const T* x, const Sheet<T>& sheet, const int32_t* own, const Skin<T>& skin, T* height, Scratch& scratch) {
-  const int64_t mark = scratch.used, places = sheet.vertex.count;
-  T *frames = scratch.take<T>(FRAMES * (places / LANES)), *far = scratch.take<T>(skin.count);
+void heights_over(const T* vertices, const LaidCloth<T>& cloth, const int32_t* own, const Skin<T>& skin, T* height, Scratch& scratch) {
+  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
+  T *frames = scratch.take<T>(FRAMES * (places / LANES)), *far = scratch.take<T>(skin.count), *x = scratch.take<T>(3 * places);
   const Grid grid = grid_of(skin.samples, skin.count, 8, PER_CELL, scratch);
   if (scratch.overflowed) return;
-  surface_frames(x, sheet, frames);
+  placed(vertices, cloth.sheet.vertex, x);
+  surface_frames(x, cloth.sheet, frames);
   for (int64_t s = 0; s < skin.count; ++s) height[s] = far[s] = 0;
   for (int64_t v = 0; v < places; ++v) {
     const Vector<T> lies = lane3(frames + FRAMES * (v / LANES), int(v % LANES)), at = point(x, v);
@@ -107,17 +110,18 @@ void heights_over(const T* x, const Sheet<T>& sheet, const int32_t* own, const S
   scratch.used = mark;
 }
 
-// Writes the ceiling (S, 5) that a garment with the places x [m] (P, 3) is over the samples of the skin; index (P,) are
-// the samples nearest to its places at rest.
+// Writes the ceiling (S, 5) that a garment with these vertices [m] (V, 3) is over the samples of the skin.
 template <class T>
-void ceiling_over(const T* x, const Sheet<T>& sheet, const int32_t* index, const Skin<T>& skin, T* ceiling, Scratch& scratch) {
-  const int64_t mark = scratch.used, places = sheet.vertex.count;
+void ceiling_over(const T* vertices, const LaidCloth<T>& cloth, const Skin<T>& skin, T* ceiling, Scratch& scratch) {
+  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
   T *frames = scratch.take<T>(FRAMES * (places / LANES)), *before = scratch.take<T>(CEILING * skin.count);
+  T* x = scratch.take<T>(3 * places);
   int32_t* own = scratch.take<int32_t>(places);
   if (scratch.overflowed) return;
-  for (int64_t p = 0; p < places; ++p) own[p] = index[p];
+  placed(vertices, cloth.sheet.vertex, x);
+  for (int64_t p = 0; p < places; ++p) own[p] = cloth.index[p];
   follow(x, places, skin, own);
-  surface_frames(x, sheet, frames);
+  surface_frames(x, cloth.sheet, frames);
   for (int64_t i = 0; i < CEILING * skin.count; ++i) ceiling[i] = i % CEILING ? T(0) : T(__builtin_inf());
   for (int64_t v = 0; v < places; ++v) {
     const Vector<T> lies = lane3(frames + FRAMES * (v / LANES), int(v % LANES)), at = point(x, v);
@@ -249,21 +253,24 @@ template <class T> void spread_down(const T* x, const Sheet<T>& sheet, T* down, 
   scratch.used = mark;
 }
 
-// Moves the places x [m] (P, 3) of an inner garment that are above a ceiling (S, 5) below it, with the cloth around;
-// whether any was. own (P,) is the sample that each place is at.
+// Writes the vertices [m] (V, 3) of an inner garment after those above a ceiling (S, 5) went below it, with the cloth
+// around; whether any was. own (P,) is the sample that each place is at.
 template <class T>
-bool press(T* x, const Sheet<T>& sheet, const int32_t* own, const Skin<T>& ground, const T* ceiling, Scratch& scratch) {
-  const int64_t mark = scratch.used, places = sheet.vertex.count;
-  T* down = scratch.take<T>(3 * places);
+bool press(const T* vertices, const LaidCloth<T>& cloth, const int32_t* own, const Skin<T>& ground, const T* ceiling, T* pressed,
+           Scratch& scratch) {
+  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
+  T *down = scratch.take<T>(3 * places), *x = scratch.take<T>(3 * places);
   if (scratch.overflowed) return false;
+  placed(vertices, cloth.sheet.vertex, x);
   for (int64_t i = 0; i < 3 * places; ++i) down[i] = 0;
   const bool found = too_high(x, places, own, ground, ceiling, down);
   if (found) {
-    spread_down(x, sheet, down, scratch);
+    spread_down(x, cloth.sheet, down, scratch);
     stay_above_skin(x, places, own, ground, down);
     for (int64_t i = 0; i < 3 * places; ++i) x[i] += down[i], down[i] = 0;
     too_high(x, places, own, ground, ceiling, down);
-    for (int64_t i = 0; i < 3 * places; ++i) x[i] += down[i];
+    for (int64_t v = 0; v < cloth.sheet.place.count; ++v)
+      put_point(pressed, v, point(x, cloth.sheet.place[v]) + point(down, cloth.sheet.place[v]));
   }
   scratch.used = mark;
   return found;

@@ -40,7 +40,7 @@ template <class T> int64_t close_clusters(const T* planes, const FineLevel<T>& f
 }
 
 // Writes the folded vertices [m] (V, 3) of two levels and the memory after them: that of the coarse cloth, and what sweeps
-// added [m] to the fine one. vertices has room for one number more.
+// added [m] to the fine one.
 template <class T>
 FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around, const Levels<T>& levels,
                             const FoldEffort<T>& effort, FoldMemory<T>& after, T* folded, Scratch& scratch) {
@@ -51,12 +51,12 @@ FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const 
   T *network = scratch.take<T>(3 * places), *x = scratch.take<T>(3 * places), *lifted = scratch.take<T>(places);
   T *planes = scratch.take<T>(PLANES * (places / LANES)), *start = scratch.take<T>(3 * places), *crossed = scratch.take<T>(places);
   T *off = scratch.take<T>(3 * below), *coarse_x = scratch.take<T>(3 * below), *coarse_lifted = scratch.take<T>(below);
-  T* coarse_planes = scratch.take<T>(PLANES * (below / LANES));
+  T *coarse_planes = scratch.take<T>(PLANES * (below / LANES)), *under = scratch.take<T>(3 * below);
   int32_t* close = scratch.take<int32_t>(fine.tangles.start.count);
   if (scratch.overflowed) return {};
   placed(vertices, fine.sheet.vertex, network);
-  T* under = after.network.begin;
   placed(vertices, levels.kept, under);
+  __builtin_memcpy(after.network.begin, under, size_t(3 * below) * sizeof(T));
   FoldEffort<T> coarsely = effort;
   if (effort.steps == 0) coarsely.clearance_m = 0;  // what no step moved is lifted on the fine cloth
   FoldOutcome outcome = fold_places(under, past, skin, around.colliders, coarse, coarsely, after, coarse_x, coarse_lifted,
@@ -95,6 +95,7 @@ FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const 
     __builtin_memcpy(folded, vertices, size_t(3 * fine.sheet.place.count) * sizeof(T));
     outcome.reset = 1;
   }
+  outcome.lost = lost;
   scratch.used = mark;
   return outcome;
 }
@@ -105,6 +106,60 @@ FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const 
 // takes most of that out, and needs no search: contact is that with the samples of the skin that the cloth is followed
 // to. How far a frame was eased goes along with the network's surface, fades with the time EASED_S and is where the next
 // step begins. The memory has the network's coarse places, the samples own, and how far each was eased in residual.
+
+// Writes how far [m] (P, 3) so many steps move the coarse cloth from where the network has it, under [m] (P, 3), with room
+// for one number behind it: in the world's axes to off, in those of the surface to eased. It begins with a share of what
+// it was eased before, if anything. What is no fold is left out.
+template <class T>
+void ease_off(const T* under, const T* before, T share, const int32_t* own, const Skin<T>& skin, const FoldConstants<T>& cloth,
+              int64_t steps, T* eased, T* off, Scratch& scratch) {
+  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count, count = cloth.factor.place.count;
+  T *x = scratch.take<T>(3 * places), *gradient = scratch.take<T>(3 * places);
+  T *frames = scratch.take<T>(FRAMES * (places / LANES)), *planes = scratch.take<T>(PLANES * (places / LANES));
+  T *q = scratch.take<T>(3 * count), *s = scratch.take<T>(3 * (count + LANES));
+  if (scratch.overflowed) return;
+  surface_frames(under, cloth.sheet, frames);
+  for (int64_t block = 0; block < places / LANES; ++block) {
+    const int64_t first = 3 * LANES * block;
+    Points<T> points = points_in(under + first);
+    if (before) points = points + to_world(axes_in(frames + FRAMES * block), scaled(row_of(share), points_in(before + first)));
+    put_points(x + first, points);
+  }
+  hold_places<T>(cloth.sheet, nullptr, T(0), planes);
+  put_own_planes<T>(x, places, skin, own, nullptr, planes);
+  for (int64_t step = 0; step < steps; ++step) {
+    gradient_at<T>(x, cloth.sheet, planes, under, T(HOLD), gradient);
+    whole_step(x, cloth.factor, gradient, T(1), q, s);
+  }
+  const bool fits = farthest_m(x, under, places) <= T(FAR_M);
+  for (int64_t block = 0; block < places / LANES; ++block) {
+    const int64_t first = 3 * LANES * block;
+    Points<T> way = fits ? points_in(x + first) - points_in(under + first) : Points<T>{};
+    put_points(off + first, way);
+    put_points(eased + first, fits ? to_frame(axes_in(frames + FRAMES * block), way) : way);
+  }
+  scratch.used = mark;
+}
+
+// Moves x [m] (P, 3) in place up to the clearance [m] over the skin below it and out of the colliders; own (C,) are the
+// samples below the coarse places. Writes how far each place was lifted (P,).
+template <class T>
+void lift_off(T* x, const int32_t* own, const Skin<T>& skin, const Array<double>& colliders, const FineLevel<T>& fine, T clearance,
+              T* planes, T* lifted) {
+  const int64_t places = fine.sheet.vertex.count;
+  for (int64_t i = 0; i < places; i += LANES) put(lifted + i, T(0));
+  if (colliders.count == 0) {
+    if (clearance > 0) lift_off_skin(x, places, skin, own, fine.parent.begin, clearance, lifted);
+    return;
+  }
+  for (int64_t i = 0; i < PLANES * (places / LANES); i += LANES) put(planes + i, T(0));
+  put_own_planes(x, places, skin, own, fine.parent.begin, planes);
+  put_collider_planes(x, places, colliders, planes);
+  leave_colliders(x, places, colliders, planes, clearance);
+  if (clearance > 0) lift(x, places, planes, clearance, lifted);
+}
+
+// Writes the eased and lifted vertices [m] (V, 3), and the memory after them.
 template <class T>
 FoldOutcome lift_alone(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around, const Levels<T>& levels,
                        const FoldEffort<T>& effort, FoldMemory<T>& after, T* lifted_vertices, Scratch& scratch) {
@@ -113,54 +168,21 @@ FoldOutcome lift_alone(const T* vertices, const FoldMemory<T>& past, const Surro
   const Skin<T> skin = skin_of(around.skin, coarse.graph);
   const int64_t mark = scratch.used, places = fine.sheet.vertex.count, below = coarse.sheet.vertex.count;
   T *x = scratch.take<T>(3 * places), *lifted = scratch.take<T>(places), *planes = scratch.take<T>(PLANES * (places / LANES));
-  T *off = scratch.take<T>(3 * below), *moved = scratch.take<T>(3 * below), *gradient = scratch.take<T>(3 * below);
-  T *frames = scratch.take<T>(FRAMES * (below / LANES)), *coarse_planes = scratch.take<T>(PLANES * (below / LANES));
-  T *q = scratch.take<T>(3 * coarse.factor.place.count), *s = scratch.take<T>(3 * (coarse.factor.place.count + LANES));
+  T *under = scratch.take<T>(3 * below), *off = scratch.take<T>(3 * below);
   if (scratch.overflowed) return {};
   placed(vertices, fine.sheet.vertex, x);
-  T *under = after.network.begin, *eased = after.residual.begin;
   placed(vertices, levels.kept, under);
   const bool follows = past.step_s < INFINITE && farthest_m<T>(under, past.network.begin, below) <= T(CUT_M);
   for (int64_t p = 0; p < below; ++p) after.own[p] = follows ? past.own[p] : coarse.index[p];
   follow(under, below, skin, after.own.begin);
-
   const double share = follows ? exponential_of(-past.step_s / EASED_S) : 0;
-  surface_frames(under, coarse.sheet, frames);
-  for (int64_t block = 0; block < below / LANES; ++block) {
-    const int64_t first = 3 * LANES * block;
-    Points<T> points = points_in(under + first);
-    if (follows) points = points + to_world(axes_in(frames + FRAMES * block), scaled(row_of(T(share)), points_in(past.residual + first)));
-    put_points(moved + first, points);
-  }
-  hold_places<T>(coarse.sheet, nullptr, T(0), coarse_planes);
-  put_own_planes<T>(moved, below, skin, after.own.begin, nullptr, coarse_planes);
-  for (int64_t step = 0; step < (follows ? 1 : effort.settle); ++step) {
-    gradient_at<T>(moved, coarse.sheet, coarse_planes, under, T(HOLD), gradient);
-    whole_step(moved, coarse.factor, gradient, T(1), q, s);
-  }
-  const bool fits = farthest_m(moved, under, below) <= T(FAR_M);  // what is no fold is left out
-  for (int64_t block = 0; block < below / LANES; ++block) {
-    const int64_t first = 3 * LANES * block;
-    Points<T> way = fits ? points_in(moved + first) - points_in(under + first) : Points<T>{};
-    put_points(off + first, way);
-    put_points(eased + first, fits ? to_frame(axes_in(frames + FRAMES * block), way) : way);
-  }
-
-  for (int64_t block = 0; block < places / LANES; ++block) {
-    const int64_t first = 3 * LANES * block;
-    put_points(x + first, carried(points_in(x + first), off, fine, block));
-    put(lifted + LANES * block, T(0));
-  }
-  const T clearance = T(effort.clearance_m);
-  if (around.colliders.count == 0) {
-    if (clearance > 0) lift_off_skin(x, places, skin, after.own.begin, fine.parent.begin, clearance, lifted);
-  } else {
-    for (int64_t i = 0; i < PLANES * (places / LANES); i += LANES) put(planes + i, T(0));
-    put_own_planes(x, places, skin, after.own.begin, fine.parent.begin, planes);
-    put_collider_planes(x, places, around.colliders, planes);
-    leave_colliders(x, places, around.colliders, planes, clearance);
-    if (clearance > 0) lift(x, places, planes, clearance, lifted);
-  }
+  ease_off<T>(under, follows ? past.residual.begin : nullptr, T(share), after.own.begin, skin, coarse, follows ? 1 : effort.settle,
+              after.residual.begin, off, scratch);
+  if (scratch.overflowed) return {};
+  __builtin_memcpy(after.network.begin, under, size_t(3 * below) * sizeof(T));
+  for (int64_t block = 0; block < places / LANES; ++block)
+    put_points(x + 3 * LANES * block, carried(points_in(x + 3 * LANES * block), off, fine, block));
+  lift_off<T>(x, after.own.begin, skin, around.colliders, fine, T(effort.clearance_m), planes, lifted);
   FoldOutcome outcome = {!follows, 0, 0, 0, 0, 0, 0};
   delivered(x, lifted, fine.sheet.place, lifted_vertices, outcome);
   scratch.used = mark;

@@ -45,8 +45,11 @@ template <class T> struct Skin {
   INLINE_MEMBER Vector<T> normal_of(int64_t s) const { return {samples[8 * s + 4], samples[8 * s + 5], samples[8 * s + 6]}; }
 };
 
+template <class T> INLINE Skin<T> skin_of(const T* samples, int64_t count, const SkinGraph<T>& graph) {
+  return {samples, count, graph.neighbour.begin, graph.reach_m2.begin, graph.rest.begin};
+}
 template <class T> INLINE Skin<T> skin_of(const Array<T>& samples, const SkinGraph<T>& graph) {
-  return {samples.begin, samples.count / 8, graph.neighbour.begin, graph.reach_m2.begin, graph.rest.begin};
+  return skin_of(samples.begin, samples.count / 8, graph);
 }
 
 // Sixteen walks at once: in each lane a place and the sample that it is at, whose neighbours are near, a row each.

@@ -79,6 +79,10 @@ template <class T> INLINE bool is_parted(const T* own, int i, const T* other, in
   return less<T>(less<T>(a, b), c) < 0 && more<T>(more<T>(a, b), c) > 0;
 }
 
+// How far [m] a step goes at most where the network moved by moved_m [m]: no farther than that, or cloth on a body that
+// stands still would not come to rest; but for LEAST_M, or cloth would crumple through itself there.
+INLINE double farthest_way(double moved_m) { return less<double>(WAY_M, more<double>(moved_m, LEAST_M)); }
+
 struct Threes { int32_t of[3]; };
 INLINE Threes threes(const int32_t* table, int64_t triangle) {
   const int32_t* own = table + 3 * LANES * (triangle / LANES) + triangle % LANES;
