@@ -31,8 +31,9 @@ EXPORT uint64_t drape_records_hash() { return RECORDS_HASH; }
 INSTANCES
 
 #ifndef FOR_TESTS
-EXPORT int64_t drape_reached_f64(const int32_t* start, const int32_t* other, const double* length, int64_t count, double most,
-                                 int32_t* begins, int32_t* found, double* ways, int64_t room, Scratch* scratch) {
+EXPORT int64_t drape_reached_f64(const int32_t* start, const int32_t* other, const double* length, int64_t count,
+                                 double most, int32_t* begins, int32_t* found, double* ways, int64_t room,
+                                 Scratch* scratch) {
   return reached(start, other, length, count, most, begins, found, ways, room, *scratch);
 }
 #endif

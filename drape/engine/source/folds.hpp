@@ -32,8 +32,8 @@ struct FoldOutcome {
   double untangle_m, lifted_share, lifted_max_m;
 };
 
-// The cloth of a frame: where its places are [m] (P, 3), with room for one number behind them, how far [m] each was lifted
-// (P,), and the planes that held it.
+// The cloth of a frame: where its places are [m] (P, 3), with room for one number behind them, how far [m] each was
+// lifted (P,), and the planes that held it.
 template <class T> struct Laid {
   T *x, *lifted, *planes;
   Laid(int64_t places, Scratch& scratch)
@@ -48,8 +48,8 @@ template <class T> struct FoldSchedule {
   T friction, clearance, untangle;
 };
 
-// Writes the vertices [m] (V, 3) from what is at the place (V,) of each, and tells the share of them that were lifted by
-// more than MOVED_M, and the most of any.
+// Writes the vertices [m] (V, 3) from what is at the place (V,) of each, and tells the share of them that were lifted
+// by more than MOVED_M, and the most of any.
 template <class T>
 void delivered(const Laid<T>& laid, const Array<int32_t>& place, T* vertices, FoldOutcome& outcome) {
   int64_t count = 0;
@@ -64,8 +64,8 @@ void delivered(const Laid<T>& laid, const Array<int32_t>& place, T* vertices, Fo
   outcome.lifted_max_m = double(farthest);
 }
 
-// Writes the stiffness and slack that hold each place: those of the waistband and of the leash; where the skin has taken
-// it, and friction times contact's stiffness. There is no plane yet.
+// Writes the stiffness and slack that hold each place: those of the waistband and of the leash; where the skin has
+// taken it, and friction times contact's stiffness. There is no plane yet.
 template <class T> void hold_places(const Sheet<T>& sheet, const T* stuck, T friction, T* planes) {
   for (int64_t block = 0; block < sheet.fan_start.count - 1; ++block, planes += PLANES) {
     const T* own = sheet.own + OWN * block;
@@ -209,8 +209,8 @@ FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>&
   return {!follows, 0, !(far <= T(FAR_M)), follows ? (past.turn + 1) % TURNS : 1, untangle_m, 0, 0};
 }
 
-// Lays the cloth of a frame around the network's places [m] (P, 3). A frame whose result is no fold is computed once more
-// without its past. What it leaves is nothing if that is none either: the network's drape is delivered then.
+// Lays the cloth of a frame around the network's places [m] (P, 3). A frame whose result is no fold is computed once
+// more without its past. What it leaves is nothing if that is none either: the network's drape is delivered then.
 template <class T>
 FoldOutcome fold_places(const Laid<T>& laid, const T* network, const FoldMemory<T>& past, const Surroundings<T>& around,
                         const FoldConstants<T>& cloth, const FoldEffort<T>& effort, FoldMemory<T>& after,

@@ -22,14 +22,6 @@
     mend(off, cloth->sheet, T(far), forget, before);                                                                   \
     return 0;                                                                                                          \
   }                                                                                                                    \
-  EXPORT int64_t drape_law_keep_residual_##suffix(T* off, const T* before, const T* network,                           \
-                                                  const FoldConstants<T>* cloth, Scratch* scratch) {                   \
-    T* frames = scratch->take<T>(FRAMES * (cloth->sheet.vertex.count / LANES));                                        \
-    if (scratch->overflowed) return -1;                                                                                \
-    surface_frames(network, cloth->sheet, frames);                                                                     \
-    keep_residual(off, before, network, frames, cloth->sheet, cloth->hem, *scratch);                                   \
-    return -scratch->overflowed;                                                                                       \
-  }                                                                                                                    \
   EXPORT int64_t drape_law_even_hem_##suffix(T* off, const T* before, const T* network, const FoldConstants<T>* cloth, \
                                              Scratch* scratch) {                                                       \
     T* even = scratch->take<T>(cloth->hem.count);                                                                      \

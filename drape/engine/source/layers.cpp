@@ -4,8 +4,8 @@
 #include "quantise.hpp"
 
 #define FOR_TYPE(T, suffix)                                                                                            \
-  EXPORT int64_t drape_heights_##suffix(const T* vertices, const LaidCloth<T>* cloth, const int32_t* own, const T* skin,\
-                                        int64_t samples, T* height, Scratch* scratch) {                                \
+  EXPORT int64_t drape_heights_##suffix(const T* vertices, const LaidCloth<T>* cloth, const int32_t* own,              \
+                                        const T* skin, int64_t samples, T* height, Scratch* scratch) {                 \
     const Flushed flushed;                                                                                             \
     layers::heights_over(vertices, *cloth, own, skin_of(skin, samples, cloth->graph), height, *scratch);               \
     return -scratch->overflowed;                                                                                       \

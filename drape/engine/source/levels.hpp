@@ -1,8 +1,8 @@
 // Folds on two levels: steps of a coarse cloth, and sweeps that settle the fine one around it.
 //
-// What is costly in a frame is contact: with the skin, and of cloth with itself. Folds of a few centimetres need no fine
-// cloth for it. So the coarse cloth, about a fifth of the vertices, takes the frame's steps (folds.hpp). Their way from
-// the network's drape is carried to all vertices by weights W, and
+// What is costly in a frame is contact: with the skin, and of cloth with itself. Folds of a few centimetres need no
+// fine cloth for it. So the coarse cloth, about a fifth of the vertices, takes the frame's steps (folds.hpp). Their way
+// from the network's drape is carried to all vertices by weights W, and
 //
 //     x = X + W (x_c - X_c) + share e
 //
@@ -12,10 +12,10 @@
 #pragma once
 #include "folds.hpp"
 
-constexpr int NEAREST = 8;          // coarse vertices that a fine one takes from
-constexpr int APART_STEPS = 2;      // of untangling the fine cloth: four leave fewer crossings and cost time and gain
-constexpr double KEPT_S = 0.25;     // in which what sweeps added comes down to 1/e: more lets fine folds pass each other
-constexpr double EASED_S = 0.65;    // in which what eased cloth without folds comes down to 1/e
+constexpr int NEAREST = 8;      // coarse vertices that a fine one takes from
+constexpr int APART_STEPS = 2;  // of untangling the fine cloth: four leave fewer crossings and cost time and gain
+constexpr double KEPT_S = 0.25;  // in which what sweeps added comes down to 1/e: more lets fine folds pass each other
+constexpr double EASED_S = 0.65;  // in which what eased cloth without folds comes down to 1/e
 
 // The points of a block of the fine cloth, moved as the coarse places are that went off [m] (P, 3).
 template <class T> INLINE Points<T> carried(Points<T> points, const T* off, const FineLevel<T>& fine, int64_t block) {
@@ -24,8 +24,8 @@ template <class T> INLINE Points<T> carried(Points<T> points, const T* off, cons
   return points;
 }
 
-// Writes the clusters of the fine cloth's tangles with a triangle whose first corner's coarse place is kept apart by its
-// planes. Returns their number.
+// Writes the clusters of the fine cloth's tangles with a triangle whose first corner's coarse place is kept apart by
+// its planes. Returns their number.
 template <class T> int64_t close_clusters(const T* planes, const FineLevel<T>& fine, int32_t* found) {
   int64_t filled = 0;
   for (int64_t c = 0; c < fine.tangles.start.count - 1; ++c) {
@@ -39,8 +39,8 @@ template <class T> int64_t close_clusters(const T* planes, const FineLevel<T>& f
   return filled;
 }
 
-// A share that is kept of what sweeps added before, how far [m] what crosses comes apart in a step, the clearance [m] of
-// the lift, and the sweeps.
+// A share that is kept of what sweeps added before, how far [m] what crosses comes apart in a step, the clearance [m]
+// of the lift, and the sweeps.
 template <class T> struct FineSchedule {
   T share, untangle, clearance;
   int64_t sweeps;
@@ -115,16 +115,18 @@ FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const 
   return outcome;
 }
 
-// Cloth without folds: the network's drape, eased by one step a frame of the whole coarse cloth, and lifted off the skin.
+// Cloth without folds: the network's drape, eased by one step a frame of the whole coarse cloth, and lifted off the
+// skin.
 //
 // The network stretches cloth that no triangle of it feels. A step of the stiffness that the coarse cloth has at rest
 // takes most of that out, and needs no search: contact is that with the samples of the skin that the cloth is followed
-// to. How far a frame was eased goes along with the network's surface, fades with the time EASED_S and is where the next
-// step begins. The memory has the network's coarse places, the samples own, and how far each was eased in residual.
+// to. How far a frame was eased goes along with the network's surface, fades with the time EASED_S and is where the
+// next step begins. The memory has the network's coarse places, the samples own, and how far each was eased in
+// residual.
 
-// Writes how far [m] (P, 3) so many steps move the coarse cloth from where the network has it, under [m] (P, 3), with room
-// for one number behind it: in the world's axes to off, in those of the surface to eased. It begins with a share of what
-// it was eased before, if anything. What is no fold is left out.
+// Writes how far [m] (P, 3) so many steps move the coarse cloth from where the network has it, under [m] (P, 3), with
+// room for one number behind it: in the world's axes to off, in those of the surface to eased. It begins with a share
+// of what it was eased before, if anything. What is no fold is left out.
 template <class T>
 void ease_off(const T* under, const T* before, T share, const int32_t* own, const Skin<T>& skin,
               const FoldConstants<T>& cloth, int64_t steps, T* eased, T* off, Scratch& scratch) {
@@ -157,8 +159,8 @@ void ease_off(const T* under, const T* before, T share, const int32_t* own, cons
   scratch.used = mark;
 }
 
-// Lifts the fine cloth up to the clearance [m] over the skin and out of the colliders; own (C,) are the samples below the
-// coarse places.
+// Lifts the fine cloth up to the clearance [m] over the skin and out of the colliders; own (C,) are the samples below
+// the coarse places.
 template <class T>
 void lift_off(const Laid<T>& laid, const int32_t* own, const Skin<T>& skin, const Array<double>& colliders,
               const FineLevel<T>& fine, T clearance) {
