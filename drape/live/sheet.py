@@ -40,8 +40,8 @@ class Sheet(NamedTuple):
     and of ``bend_value``, their numbers in the matrix Q [N/m]. ``own`` has four rows a block: weight [N], the diagonal
     of Q, contact's stiffness and the waistband's [N/m].
 
-    Block b has the entries ``crease_start[b]`` to
-    ``crease_start[b + 1]`` of ``crease_lane`` and ``crease_member``, 4 h + c where that lane is corner c of hinge h.
+    Block b has the entries ``crease_start[b]`` to ``crease_start[b + 1]`` of ``crease_lane`` and ``crease_member``,
+    4 h + c where that lane is corner c of hinge h of the ``creases``.
     """
 
     constants: KernelConstants
