@@ -34,7 +34,7 @@ from drape.garment.fine import fine_garment
 from drape.garment.tailor import tailored
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from drape.live.fold_constants import fold_constants
-from drape.live.fold_step import FoldEffort, warm_up
+from drape.live.fold_step import FoldEffort
 from drape.motion.rig_poses import poses_to_rig
 from service.stages.folds import SETTLE
 
@@ -102,7 +102,6 @@ def skin_seen(wearer: Wearer, garment: Garment, clip: Clip, network: Network, fo
 def main(run: Run) -> None:
     """A row for every character, garment and clip."""
     options, body = run.options, load_body()
-    warm_up()
     for path in characters(options.avatars):
         begun_s = time.perf_counter()
         wearer = read_wearer(path.read_bytes(), name=wearer_name(path.stem), body=body)

@@ -21,7 +21,7 @@ from benchmarks.tables import Row, text_table
 from drape.body.assets import load_body
 from drape.catalog import find_motions
 from drape.geometry import meshes
-from drape.live.fold_step import FoldEffort, warm_up
+from drape.live.fold_step import FoldEffort
 from drape.motion.readers import read_motion
 
 RATES_FPS = (15.0, 30.0, 60.0)
@@ -86,7 +86,6 @@ def main(run: Run) -> None:
     """Rows of every scene at every rate, summed up over the clips."""
     options, body = run.options, load_body()
     network = Network.asked(options, body, passes=0)
-    warm_up()
     rows: list[Row] = []
     for motion in map(read_motion, find_motions(options.motions)):
         for fps in options.fps:

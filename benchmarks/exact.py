@@ -30,7 +30,7 @@ from drape.body.assets import load_body
 from drape.catalog import find_motions
 from drape.cloth import metrics
 from drape.exact.frame import Sheet, exact
-from drape.live.fold_step import FoldEffort, warm_up
+from drape.live.fold_step import FoldEffort
 
 ACCURATE = FoldEffort(4, cloth_contact=True)
 SEEN = ("skin_pixels_pct", "detail_mm", "colliding_triangle_pct")
@@ -103,7 +103,6 @@ def main(run: Run) -> None:
     """Rows of every scene."""
     options, body = run.options, load_body()
     network = Network.asked(options, body, passes=PASSES["network_all"])
-    warm_up()
     paths = find_motions(options.motions)
     clips = [Clip.read(path, FPS, options.frames, body, looked_at=options.looked_at) for path in paths]
     for scene in scenes(options, clips, body):

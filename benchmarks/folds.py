@@ -32,7 +32,7 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.geometry import meshes
-from drape.live.fold_step import FoldEffort, warm_up
+from drape.live.fold_step import FoldEffort
 
 OPTIMA = 6  # frames of a clip, at most, whose optimum is looked for
 PASSES = {"network_0": 0, "network_all": None}  # starts of folds besides skinning
@@ -159,7 +159,6 @@ def main(run: Run) -> None:
     """Rows of every scene."""
     options, body = run.options, load_body()
     networks = open_networks(options, body)
-    warm_up()
     for scene in scenes(options, read_clips(options, body, options.fps), body):
         run.add(measure(scene, networks, options))
     run.extra |= {"frames": options.frames, "model": options.model}

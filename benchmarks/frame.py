@@ -2,9 +2,9 @@
 
     python -m benchmarks.frame [--quick] [--save]
 
-Rows "kernel": a walk in jersey with motion, as a stream has it, by stage and compiled kernel; ``Python`` is the rest
-of the stage, NumPy with it. Times are medians over frames, ``share`` is of the frame. ``floor_ms``: the bytes of all
-arrays that a kernel is given and gives at this machine's rate of copying as many, or the multiply-adds of its matrices
+Rows "kernel": a walk in jersey with motion, as a stream has it, by stage and function of the engine; ``Python`` is the
+rest of the stage, NumPy with it. Times are medians over frames, ``share`` is of the frame. ``floor_ms``: bytes of all
+arrays that a function is given at this machine's rate of copying as many, or the multiply-adds of its matrices
 at its rate of a large product, whichever takes longer. Kernels below a hundredth of the frame stand together. The row
 of the stage ``frame`` is the whole, its ``share`` what the rows add up to; ``bare_ms`` is a stream beside it whose
 kernels nobody times.

@@ -29,7 +29,7 @@ from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
 from drape.cloth.fabric_table import fabric
 from drape.garment.fine import fine_garment
-from drape.live.fold_step import FoldEffort, Frame, fold, warm_up
+from drape.live.fold_step import FoldEffort, Frame, fold
 
 STILL = 20  # rounds that a still gets
 OWN = "own"
@@ -100,7 +100,6 @@ def main(run: Run) -> None:
     """Rows of every garment in every fabric over every clip, and their means."""
     options, body = run.options, load_body()
     network = Network(model_folder(options.model), body, threads=options.threads)
-    warm_up()
     clips = read_clips(options, body, options.fps)
     for path in find_garments(options.garments):
         garment = fine_garment(open_garment(path, body))

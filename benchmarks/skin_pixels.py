@@ -29,7 +29,7 @@ from drape.garment.wrapping import Wrapping
 from drape.graph.feeds import garment_feed
 from drape.graph.push_feed import pack_push
 from drape.live.fold_constants import fold_constants
-from drape.live.fold_step import FoldEffort, warm_up
+from drape.live.fold_step import FoldEffort
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 from service.stages.folds import SETTLE
@@ -102,7 +102,6 @@ def main(run: Run) -> None:
     clip = Clip.hard(poses, body)
     networks = {passes: Network.asked(options, body, passes=passes) for passes in (0, None)}
     pictured = [PosedBody.of(posed, body.faces) for posed in clip.body_vertices]
-    warm_up()
     for path in find_garments(options.garments):
         run.add(measure(open_garment(path, body), clip, pictured, networks, options.folds))
     run.extra |= {"poses": list(poses.labels), "folds": options.folds, **networks[None].record()}

@@ -13,7 +13,7 @@ import numpy as np
 
 from drape.graph import blend
 from drape.kernels.quantised import quantise
-from drape.live import fold_step, swing_step, two_level
+from drape.live import swing_step
 from drape.live.dissection import LEAF, dissected
 from drape.network import warm_up as network
 
@@ -31,16 +31,13 @@ def _messages() -> None:
     quantise(np.zeros((1, 3), np.float32))
 
 
-# The longest first. The last one calls kernels that the others have compiled by then.
+# The longest first.
 SERVICE: Parts = {
-    "folds": fold_step.warm_up,
     "network": network.warm_up,
     "swing": swing_step.warm_up,
-    "lift": two_level.warm_up_lift,
     "vertices": blend.warm_up,
     "dissection": _dissect,
     "messages": _messages,
-    "folds in two levels": two_level.warm_up,
 }
 
 

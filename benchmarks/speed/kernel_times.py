@@ -1,8 +1,7 @@
-"""Compiled kernels as Python calls them: how long each call takes, and how many bytes it is given and gives.
+"""Functions of the engine as Python calls them: how long each call takes, and how many bytes it is given.
 
-A kernel is a name in a module. While names are ``replaced``, calls from Python go through what stands in their place;
-kernels that kernels call are compiled into these and seen as part of them. All kernels must have been called before:
-one that is compiled meanwhile would read the names.
+A function is a name that is given to ``drape.engine.calls``. While those are ``replaced``, calls go through what stands
+in their place.
 """
 
 from __future__ import annotations
@@ -11,30 +10,37 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numba.core.registry import CPUDispatcher
+
+from drape.engine import calls
+from drape.engine.records import Record, Recorded
 
 PACKAGES = ("drape", "service")
 PYTHON = "Python"
 Calls = list[tuple[str, float, float]]  # names, processor [s], wall [s]
-Spent = dict[tuple[str, str], np.ndarray]  # by stage and kernel: calls, processor [ms], wall [ms]
+Spent = dict[tuple[str, str], np.ndarray]  # by stage and function: calls, processor [ms], wall [ms]
 
 
 @contextmanager
 def replaced(make: Callable[[str, Any], Callable[..., Any]]) -> Iterator[int]:
-    """A context in which modules call ``make(name, kernel)`` in place of each kernel; gives the number of names."""
+    """A context in which modules call ``make(name, function)`` in place of each function of the engine; gives the
+    number of names that call one."""
+
+    def stands_for(calling: Callable[..., int], name: str, dtype: Any, *given: Any) -> Any:
+        return make(name, partial(calling, name, dtype))(*given)
+
     names = [
         (module, name, value)
         for key, module in list(sys.modules.items())
-        if key.split(".")[0] in PACKAGES
+        if key.split(".")[0] in PACKAGES and module is not calls
         for name, value in list(vars(module).items())
-        if isinstance(value, CPUDispatcher)
+        if value is calls.call or value is calls.call_with_scratch
     ]
     for module, name, value in names:
-        home = value.py_func.__module__.split(".")[-1]
-        setattr(module, name, make(f"{home}.{value.py_func.__name__}", value))
+        setattr(module, name, partial(stands_for, value))
     try:
         yield len(names)
     finally:
@@ -45,7 +51,7 @@ def replaced(make: Callable[[str, Any], Callable[..., Any]]) -> Iterator[int]:
 class Trace:
     """Where the time of this thread's frames goes.
 
-    ``begin`` comes before a frame and ``took`` after each of its stages; between them ``timed`` kernels run.
+    ``begin`` comes before a frame and ``took`` after each of its stages; between them ``timed`` functions run.
     """
 
     def __init__(self) -> None:
@@ -65,25 +71,25 @@ class Trace:
         self._calls, self._mark = [], now
 
     def frames(self) -> list[Spent]:
-        """What each frame spent; of what a stage spends, that outside of kernels is ``PYTHON``."""
+        """What each frame spent; of what a stage spends, that outside of the engine is ``PYTHON``."""
         found: list[Spent] = []
         for frame in self._frames:
             found.append({})
-            for stage, cpu_s, wall_s, calls in frame:
+            for stage, cpu_s, wall_s, called in frame:
                 rest = np.array([1.0, 1e3 * cpu_s, 1e3 * wall_s])
-                for name, cpu, wall in calls:
+                for name, cpu, wall in called:
                     one = np.array([1.0, 1e3 * cpu, 1e3 * wall])
                     found[-1][stage, name] = found[-1].get((stage, name), 0.0) + one
                     rest[1:] -= one[1:]
                 found[-1][stage, PYTHON] = rest
         return found
 
-    def timed(self, name: str, kernel: Any) -> Callable[..., Any]:
-        """``kernel``, whose calls are told to the trace."""
+    def timed(self, name: str, function: Any) -> Callable[..., Any]:
+        """``function``, whose calls are told to the trace."""
 
         def call(*arguments: Any) -> Any:
             cpu, wall = _now()
-            found = kernel(*arguments)
+            found = function(*arguments)
             cpu_after, wall_after = _now()
             self._calls.append((name, cpu_after - cpu, wall_after - wall))
             return found
@@ -96,9 +102,13 @@ def _now() -> tuple[float, float]:
 
 
 def arrays_of(value: Any) -> Iterator[np.ndarray]:
-    """The arrays in ``value``: itself, or those of a tuple of any depth."""
+    """The arrays in ``value``: itself, those of a record, or those of a tuple of any depth."""
     if isinstance(value, np.ndarray):
         yield value
+    elif isinstance(value, Record):
+        yield from value.arrays
+    elif isinstance(value, Recorded):
+        yield from value.record.arrays
     elif isinstance(value, tuple):
         for one in value:
             yield from arrays_of(one)
@@ -109,13 +119,12 @@ def moved_bytes(*values: Any) -> int:
     return sum({(array.ctypes.data, array.nbytes): array.nbytes for array in arrays_of(values)}.values())
 
 
-def multiply_adds(name: str, arguments: tuple[Any, ...]) -> int:
-    """Multiply-adds of the matrices of the kernel ``name``, 0 where it has none: layers of the network, whose rows are
-    the patches, and products with the columns of tiles."""
-    if name == "drape.checked_jets":
-        weights, rows, _, passes, _ = arguments
-        layers = (weights.surroundings, *weights.trunk, *weights.heads)
-        once = sum(layer.weight.size for layer in layers)
-        each = sum(layer.weight[0].size for layer in weights.corrections)
+def multiply_adds(name: str, given: tuple[Any, ...]) -> int:
+    """Multiply-adds of the matrices of the function ``name``, 0 where it has none: layers of the network, whose rows
+    are the patches, and products with the columns of tiles."""
+    if name == "jets":
+        weights, rows, _, passes, *_ = given
+        once = sum(layer.weight.size for layer in (weights.surroundings, *weights.trunk, *weights.heads))
+        each = weights.first[0].weight.size + weights.second[0].weight.size
         return len(rows.scale) * (once + passes * each)
-    return 3 * arguments[1].columns.size if name == "blend.blend" else 0
+    return 3 * given[1].columns.size if name == "vertices" else 0

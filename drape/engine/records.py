@@ -18,6 +18,7 @@ Every size is a multiple of eight bytes on every processor, WebAssembly included
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import struct
 from functools import cached_property
@@ -80,6 +81,8 @@ RECORDS: dict[str, dict[str, str]] = {
         "hem": "int32s",
         "tangles": "Tangles",
     },
+    # ``drape.live.fold_constants.LaidCloth``: what garments over and below a cloth read of it.
+    "LaidCloth": {"sheet": "Sheet", "graph": "SkinGraph", "index": "int32s"},
     "FineLevel": {
         "sheet": "Sheet",
         "near": "int32s",
@@ -90,7 +93,7 @@ RECORDS: dict[str, dict[str, str]] = {
     "Levels": {"coarse": "FoldConstants", "kept": "int32s", "fine": "FineLevel"},
     "Surroundings": {"skin": "numbers", "colliders": "float64s"},
     "FoldEffort": {"steps": "count", "settle": "count", "cloth_contact": "count", "clearance_m": "number"},
-    # What a frame goes on from, and what it leaves in the same arrays' likes: ``drape.live.fold_step.FoldMemory``.
+    # What a frame goes on from, and what it leaves in the same arrays' likes: ``drape.live.fold_step.FoldArrays``.
     "FoldMemory": {
         "network": "numbers",
         "residual": "numbers",
@@ -303,12 +306,12 @@ def size(name: str) -> int:
 
 
 class Record:
-    """The words of a record, and the arrays that they point to.
+    """The words of a record, and the ``arrays`` that they point to.
 
     ``address`` [bytes] is where the words are.
     """
 
-    __slots__ = ("_arrays", "_words", "address")
+    __slots__ = ("_words", "address", "arrays")
 
     def __init__(self, name: str, value: Any, dtype: Any = None) -> None:
         """The record ``name`` of ``value``, which has its fields as attributes. Numbers in arrays are of ``dtype``, or
@@ -316,7 +319,7 @@ class Record:
 
         Raises ``TypeError`` where an array has another type or is not contiguous: that is our own mistake.
         """
-        self._arrays: list[np.ndarray] = []
+        self.arrays: list[np.ndarray] = []
         dtype = np.dtype(dtype or _numbers_type(name, value) or np.float32)
         self._words = np.array(self._filled(name, value, dtype), np.uint64)
         self.address = self._words.ctypes.data
@@ -342,7 +345,7 @@ class Record:
     def _array(self, name: str, array: np.ndarray, dtype: np.dtype) -> list[int]:
         if array.dtype != dtype or not array.flags.c_contiguous:
             raise TypeError(f"{name}: expected contiguous {dtype}, got {array.dtype}, strides {array.strides}")
-        self._arrays.append(array)
+        self.arrays.append(array)
         return [array.ctypes.data, array.size]
 
 
@@ -353,6 +356,10 @@ class Recorded:
     def record(self) -> Record:
         """Themselves as the engine reads them."""
         return Record(type(self).__name__, self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a pickle has of them: not what was made from them, which holds addresses."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
 
 
 def _numbers_type(name: str, value: Any) -> np.dtype | None:

@@ -12,7 +12,6 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from drape.geometry.colliders import NONE
-from drape.kernels.compiled import kernel
 
 PAUSE_S = 0.25  # a frame that comes later than that after the one before has no past
 CUT_M = 0.30  # nor has one in which the network moved a vertex farther
@@ -67,7 +66,6 @@ class FrameMemory:
         return replace(self, time_s=time_s)
 
 
-@kernel
-def step_between(before_s, after_s):
+def step_between(before_s: float, after_s: float) -> float:
     """The step [s] from one frame to the next one."""
     return max(after_s - before_s, SHORTEST_STEP_S)

@@ -15,12 +15,9 @@ import numpy as np
 
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import nearest_vertices
-from drape.kernels.compiled import part
-from drape.kernels.elements import add, scaled
-from drape.kernels.lanes import LANES, points_at, row_at
 from drape.live.room import reached
 
-NEAREST = 8  # coarse vertices
+NEAREST = 8  # coarse vertices that one takes from: the engine's as well
 LEAST = 3  # with fewer a vertex takes the nearest one's
 REACH = 3.5  # times the coarse cloth's mean edge
 WIDER, POLE, TINY = 1.05, 1e-4, 1e-9
@@ -75,12 +72,3 @@ def _weights(points: np.ndarray, normals: np.ndarray, around: np.ndarray, far: n
     matrix = np.einsum("vka,vkb->vab", weighted, basis)
     matrix += TINY * np.trace(matrix, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     return np.linalg.solve(matrix, weighted.transpose(0, 2, 1))[:, 0]
-
-
-@part
-def carried_points(points, off, fine, block):
-    """The ``points`` of a block of the ``fine`` cloth, moved as the coarse places are that went ``off`` [m] (P, 3)."""
-    for n in range(NEAREST):
-        row = LANES * (NEAREST * block + n)
-        points = add(points, scaled(row_at(fine.weight, row), points_at(off, fine.near, row)))
-    return points

@@ -14,12 +14,11 @@ from drape.wire.folds import NUMBERS
 def fold_arrays(constants: FoldConstants) -> dict[str, np.ndarray]:
     """The arrays of ``constants``: the cloth's tables, the factor, the skin's graph, and which triangles may cross."""
     sheet, factor, near, tangles = constants.sheet, constants.factor, constants.neighbours, constants.tangles
-    known = sheet.constants._asdict() | {"friction": constants.friction}
     creases = {name: getattr(sheet.creases, name) for name in ("corner", "stiffness", "cosine", "sine")}
     entries = {name: getattr(sheet, f"crease_{name}") for name in ("start", "lane", "member")}
     tables = ("vertex", "place", "fan_start", "fan_other", "fan_slope", "bend_start", "bend_other", "bend_value", "own")
     return {
-        "numbers": np.array([known[name] for name in NUMBERS]),
+        "numbers": np.array([*(getattr(sheet.constants, name) for name in NUMBERS[:-1]), constants.friction]),
         **{name: getattr(sheet, name) for name in tables},
         **{f"crease_{name}": array for name, array in (creases | entries).items()},
         **{f"factor_{name}": array for name, array in factor._asdict().items()},

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,12 +15,12 @@ from drape.cloth.material import Material
 from drape.cloth.waistband import STIFFNESS_N_M2, waistband
 from drape.contact.samples import Samples
 from drape.contact.skin import body_skin
+from drape.engine.records import Recorded
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 from drape.live.room import SheetNeighbours, sheet_neighbours
 from drape.live.sheet import Sheet, sheet
 from drape.live.skin_walks import SkinGraph, nearest_at_rest, skin_graph
-from drape.live.sweeps import HOLD
 from drape.live.untangle import Tangles, tangles_of
 from drape.live.whole import StiffnessFactor, stiffness_factor
 
@@ -32,6 +32,7 @@ LYING_M, HANGING_M, LEAST = 0.01, 0.025, 0.03
 # Planes of physics stand off the skin that is seen by 0.2 to 0.3 mm in the mean, those of samples do not. Contact
 # begins so much farther out than in the energy of cloth, and a little for steps that are few.
 INSIDE_M = 0.0004
+HOLD = 0.4  # the share of contact's stiffness that steps of the whole allow leash and friction: the engine's as well
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,8 @@ class WornCloth:
         return self.band_n_per_m + HOLD * lies * contact
 
 
-class LaidCloth(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class LaidCloth(Recorded):
     """What garments over and below a cloth read of it: its ``sheet``, the skin's ``graph``, and the sample nearest to
     each place at rest, ``index`` (P,)."""
 
@@ -71,9 +73,15 @@ class LaidCloth(NamedTuple):
     graph: SkinGraph
     index: np.ndarray
 
+    @property
+    def dtype(self) -> np.dtype:
+        """The type of its numbers."""
+        return self.sheet.own.dtype
 
-class FoldConstants(NamedTuple):
-    """The arrays that kernels read: the cloth's ``sheet``, the ``factor`` of its stiffness, the skin's ``graph``.
+
+@dataclass(frozen=True, eq=False)
+class FoldConstants(Recorded):
+    """The arrays that the engine reads: the cloth's ``sheet``, the ``factor`` of its stiffness, the skin's ``graph``.
 
     ``neighbours``: which vertices are of one sheet; ``index`` (P,): the sample nearest to each place at rest;
     ``friction`` with the skin, in frames with a past; ``hem`` (H, 3): places of border vertices, each between its
@@ -103,9 +111,9 @@ class FoldConstants(NamedTuple):
     @property
     def nbytes(self) -> int:
         """Memory of the arrays."""
-        return array_bytes(tuple(self))
+        return array_bytes(self)
 
-    @property
+    @cached_property
     def laid(self) -> LaidCloth:
         """As garments over and below it read it."""
         return LaidCloth(self.sheet, self.graph, self.index)
@@ -155,7 +163,9 @@ def leash_n_per_m(vertices: np.ndarray, area: np.ndarray, skin: Samples, index: 
 
 
 def array_bytes(value: object) -> int:
-    """Memory of the arrays in nested tuples."""
+    """Memory of the arrays in nested tuples and dataclasses."""
     if isinstance(value, np.ndarray):
         return value.nbytes
+    if is_dataclass(value):
+        value = tuple(getattr(value, field.name) for field in fields(value))
     return sum(map(array_bytes, value)) if isinstance(value, tuple) else 0

@@ -1,4 +1,4 @@
-"""A cloth as the kernels of folds read it: in blocks of ``LANES`` vertices of one colour.
+"""A cloth as the engine reads it for folds: in blocks of ``LANES`` vertices of one colour.
 
 No two vertices of a colour share an element, so that a block's vertices may move at once. Every table has the numbers
 of a block's vertices next to each other, as vector instructions take them. A block that its colour does not fill ends
@@ -13,11 +13,20 @@ import numpy as np
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
-from drape.kernels.lanes import LANES
-from drape.kernels.problem import Hinges, KernelConstants, Problem, Triangles, problem
+from drape.kernels.problem import KernelConstants, Problem, Triangles, problem
 
-PLANE_ROWS = 19
+LANES = 16  # vertices side by side, as the engine computes them
 ALIKE = 0.99  # edges as long as this share of the longest one count as equally long
+
+
+class Creases(NamedTuple):
+    """Hinges that are not flat at rest: the places ``corner`` (H, 4); ``stiffness`` (H,) [J]; ``cosine``, ``sine``
+    (H,) of the rest angle."""
+
+    corner: np.ndarray
+    stiffness: np.ndarray
+    cosine: np.ndarray
+    sine: np.ndarray
 
 
 class Sheet(NamedTuple):
@@ -31,8 +40,8 @@ class Sheet(NamedTuple):
     and of ``bend_value``, their numbers in the matrix Q [N/m]. ``own`` has four rows a block: weight [N], the diagonal
     of Q, contact's stiffness and the waistband's [N/m].
 
-    ``creases`` are the hinges that are not flat at rest, by places. Block b has the entries ``crease_start[b]`` to
-    ``crease_start[b + 1]`` of ``crease_lane`` and ``crease_member``, 4 h + c where that lane is corner c of hinge h.
+    Block b has the entries ``crease_start[b]`` to ``crease_start[b + 1]`` of ``crease_lane`` and ``crease_member``,
+    4 h + c where that lane is corner c of hinge h of the ``creases``.
     """
 
     constants: KernelConstants
@@ -45,7 +54,7 @@ class Sheet(NamedTuple):
     bend_other: np.ndarray
     bend_value: np.ndarray
     own: np.ndarray
-    creases: Hinges
+    creases: Creases
     crease_start: np.ndarray
     crease_lane: np.ndarray
     crease_member: np.ndarray
@@ -86,7 +95,7 @@ def sheet(
         bend_other=np.ascontiguousarray(bend_other, np.int32).reshape(-1),
         bend_value=np.ascontiguousarray(bend_value, dtype).reshape(-1),
         own=np.ascontiguousarray(own, dtype).reshape(-1),
-        creases=creases._replace(corner=place[creases.corner]),
+        creases=Creases(place[creases.corner], creases.stiffness, creases.cosine, creases.sine),
         crease_start=crease_start,
         crease_lane=crease_lane,
         crease_member=crease_member,

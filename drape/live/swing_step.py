@@ -24,12 +24,11 @@ import numpy as np
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import at, dot, farthest_m, scaled, sub
 from drape.kernels.lanes import LANES
-from drape.live.clock import CUT_M, FIRST_STEP_S, Frame, FrameMemory, Surroundings, step_between, writable
-from drape.live.colliders import write_planes
+from drape.live.clock import CUT_M, FIRST_STEP_S, Frame, FrameMemory, Surroundings, writable
 from drape.live.fold_constants import array_bytes
-from drape.live.places import placed
-from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples, follow
+from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples
 from drape.live.swing_carry import move_vertices
+from drape.live.swing_compiled import follow, placed, step_between, write_planes
 from drape.live.swing_mesh import SHARED, SwingMesh
 from drape.live.swing_nodes import GAP_M, TOUCH_M, Ground, Springs, fall_back, keep_length, write_bounds
 from drape.live.swing_rows import swing_rows

@@ -1,4 +1,4 @@
-"""A step of the whole cloth: what is too long or too short anywhere is spread over all of it at once.
+"""The stiffness by which a step of the whole cloth spreads over all of it what is too long or too short anywhere.
 
     K q = -dE/dx,   x += q
 
@@ -32,13 +32,9 @@ import scipy.sparse.linalg
 
 from drape.cloth.energies import ClothMesh, contact_n_per_m
 from drape.cloth.material import Material
-from drape.kernels.compiled import kernel
-from drape.kernels.elements import add_to, scaled
-from drape.kernels.lanes import LANES, points_at, put3, row_at, rows3_at, sums
 from drape.live.dissection import COSTS, dissected, runs
-from drape.live.sheet import Sheet
+from drape.live.sheet import LANES, Sheet
 
-CLAMP_M = 0.02  # a step moves no vertex farther
 # The spring on every vertex, as a share of contact's stiffness: K does not know which contacts are closed. With 0.07
 # cloth in contact rattles; with more than this folds come more slowly.
 SPRING = 0.2
@@ -121,76 +117,3 @@ def _panel(lower: Any, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
     own, below = dense[: end - begin], dense[end - begin :]
     inverse = np.linalg.inv(own)
     return member, np.concatenate([inverse - np.eye(len(own)), -below @ inverse]).T
-
-
-@kernel
-def whole_step(x, factor, gradient, share):
-    """Moves ``x`` [m] (P, 3) in place by a ``share`` of -K^-1 ``gradient`` [N] (P, 3), scaled down to ``CLAMP_M``.
-
-    Nothing moves where a number of that is not finite.
-    """
-    q = np.empty((len(factor.place), 3), x.dtype)
-    for i in range(len(q)):
-        for axis in range(3):
-            q[i, axis] = -gradient[factor.place[i], axis]
-    solve(factor, q)
-    most = x.dtype.type(0)
-    for i in range(len(q)):
-        square = q[i, 0] * q[i, 0] + q[i, 1] * q[i, 1] + q[i, 2] * q[i, 2]
-        if not square <= most:
-            most = square
-    if not most < np.inf:
-        return
-    clamp = x.dtype.type(CLAMP_M)
-    share *= clamp / max(np.sqrt(most), clamp)
-    for i in range(len(q)):
-        for axis in range(3):
-            x[factor.place[i], axis] += share * q[i, axis]
-
-
-@kernel
-def solve(factor, y):
-    """Replaces ``y`` (V, 3), in the factor's order, by K^-1 y."""
-    scratch = np.empty(3 * (len(y) + LANES), y.dtype)  # as many rows of three as the largest panel may have
-    for panel in range(len(factor.size)):
-        _down(factor, panel, y, scratch)
-    for i in range(len(y)):
-        for axis in range(3):
-            y[i, axis] *= factor.inverse[i]
-    for panel in range(len(factor.size) - 1, -1, -1):
-        _up(factor, panel, y, scratch)
-
-
-@kernel
-def _down(factor, panel, y, s):
-    """Adds what the columns of a ``panel`` say to its members: y_JR += P y_J."""
-    first, last, begin, entry = factor.column[panel], factor.column[panel + 1], factor.start[panel], factor.entry[panel]
-    rows = factor.start[panel + 1] - begin
-    for row in range(0, rows, LANES):
-        value = row_at(factor.value, entry + row)
-        a, b, c = value * y[first, 0], value * y[first, 1], value * y[first, 2]
-        for j in range(first + 1, last):
-            value = row_at(factor.value, entry + (j - first) * rows + row)
-            a, b, c = a + value * y[j, 0], b + value * y[j, 1], c + value * y[j, 2]
-        put3(s, 3 * row, (a, b, c))
-    for row in range(0, rows, LANES):
-        for lane in range(min(LANES, factor.size[panel] - row)):
-            i = factor.member[begin + row + lane]
-            for axis in range(3):
-                y[i, axis] += s[3 * row + LANES * axis + lane]
-
-
-@kernel
-def _up(factor, panel, y, s):
-    """Adds what the members of a ``panel`` say to its columns: y_J += P^T y_JR."""
-    first, last, begin, entry = factor.column[panel], factor.column[panel + 1], factor.start[panel], factor.entry[panel]
-    rows = factor.start[panel + 1] - begin
-    for row in range(0, rows, LANES):
-        put3(s, 3 * row, points_at(y, factor.member, begin + row))
-    for j in range(first, last):
-        a, b, c = scaled(row_at(factor.value, entry), rows3_at(s, 0))
-        for row in range(LANES, rows, LANES):
-            value, other = row_at(factor.value, entry + row), rows3_at(s, 3 * row)
-            a, b, c = a + value * other[0], b + value * other[1], c + value * other[2]
-        entry += rows
-        add_to(y, j, sums(a, b, c))

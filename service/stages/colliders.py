@@ -18,8 +18,6 @@ from service.stages.batch import Batch
 from service.stages.plan import Plan
 from service.stages.stage import Stage
 
-NO_PLANES = np.zeros(0, np.float32)  # so that all leave, wherever the skin is
-
 
 class Colliders(Stage):
     """Moves each layer's vertices to the nearest place outside of the colliders, up to the clearance."""
@@ -50,6 +48,6 @@ class Colliders(Stage):
             assert layer.vertices is not None
             vertices = np.array(layer.vertices, order="C")
             for x, root in zip(vertices, batch.root, strict=True):
-                leave(x, seen_from(batch.plan.colliders, root), NO_PLANES, self.settings.clearance_m)
+                leave(x, seen_from(batch.plan.colliders, root), self.settings.clearance_m)
             layers.append(replace(layer, vertices=vertices))
         return replace(batch, layers=tuple(layers))

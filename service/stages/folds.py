@@ -17,7 +17,7 @@ from drape.live import two_level
 from drape.live.ceiling import ceiling_over, lower, pressed
 from drape.live.clock import Frame
 from drape.live.fold_constants import LaidCloth
-from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, warm_up
+from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport
 from drape.live.raised_skin import heights_over, raised
 from drape.live.skin_walks import TouchedSamples
 from drape.live.two_level import LiftMemory, Memory, OneLevel, TwoLevel, TwoLevelMemory
@@ -52,8 +52,6 @@ class Folds(Stage):
             lambda kept: sum(made.nbytes for made in kept) > KEPT_BYTES  # fabrics beside those in use go
         )
         self._wrappings = KeptConstants[Wrapping]()
-        warm_up()
-        two_level.warm_up()
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         if not options.folds and not (options.coarse and options.geometry == "vertices"):
@@ -253,9 +251,8 @@ class _Lain:
     def heights(self, layer: Layer) -> np.ndarray:
         """How high [m] (F, S) over the ground ``layer`` lies."""
         assert layer.vertices is not None
-        sheet, graph = self.made.sheet, self.made.graph
         each = zip(layer.vertices, self.own, self.ground, strict=True)
-        return np.stack([heights_over(one, sheet, own, ground, graph) for one, own, ground in each])
+        return np.stack([heights_over(one, self.made, *row) for one, *row in each])
 
 
 class _Told:

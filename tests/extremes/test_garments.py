@@ -18,11 +18,11 @@ from drape.garment.files.mesh import plain_mesh
 from drape.garment.mesh_checks import check_mesh
 from drape.geometry import jets
 from drape.live.fold_constants import FoldConstants, WornCloth
-from drape.live.fold_step import FAR_M, FoldEffort, Frame, fold
+from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.live.skin_walks import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import shirt
-from tests.drape.live.folds_setup import arm
+from tests.drape.live.folds_setup import FAR_M, arm
 
 BODY = load_body()
 CONDITION_LIMIT = 2e5  # of the normal matrix of a chart's fit, its ridge included

@@ -7,9 +7,9 @@ import pytest
 
 from drape.cloth.fabric_table import FABRICS
 from drape.live.fold_constants import FoldConstants
-from drape.live.fold_step import FAR_M, FoldEffort, fold
+from drape.live.fold_step import FoldEffort, fold
 from service.compute.drape_runtime import DrapeRuntime
-from tests.drape.live.folds_setup import frame, sleeve
+from tests.drape.live.folds_setup import FAR_M, frame, sleeve
 from tests.extremes.frames import check_bounded, draped
 from tests.fixtures.poses import random_motion
 

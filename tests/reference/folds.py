@@ -11,20 +11,22 @@ from drape.exact.surroundings import Surroundings, surroundings
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point
 from drape.kernels.problem import Problem, problem
-from drape.live import pace as pacing
 from drape.live.clock import FIRST_STEP_S, step_between
-from drape.live.fold_constants import WornCloth
+from drape.live.fold_constants import HOLD, WornCloth
 from drape.live.fold_step import FoldEffort, FoldMemory, Frame
-from drape.live.lift import DEEP_M, OTHER, TOO_DEEP_M
-from drape.live.places import moved_m
-from drape.live.residual import FORGET, HEM, LACK, MEND_M
-from drape.live.room import FOLDED, KEPT, KEPT_M, NEAR_M, ROOM_M, SPACING
+from drape.live.room import FOLDED, NEAR_M, ROOM_M
 from drape.live.sheet import ALIKE
-from drape.live.skin_contact import APART_M, BESIDE, FREE, HOLLOW_M, NEARER, REACH_M, STEPS, TURNS
 from drape.live.skin_walks import SkinGraph, TouchedSamples
-from drape.live.sweeps import HOLD, SLIP_M
-from drape.live.whole import CLAMP_M, stiffness
+from drape.live.whole import stiffness
+from tests.reference import pace as pacing
 from tests.reference import solver as reference
+
+SLIP_M, CLAMP_M = 1e-3, 0.02
+STEPS, TURNS, NEARER, REACH_M = 3, 4, 0.8, 0.03  # of walks and of searches for other parts
+BESIDE, FREE, HOLLOW_M, APART_M = 1.5, 2.5, 0.05, 0.12
+FORGET, LACK, HEM, MEND_M = 24.0, 0.003, 24.0, 0.03
+SPACING, KEPT, KEPT_M = 0.95, 0.5, 0.0085
+OTHER, DEEP_M, TOO_DEEP_M = 0.25, 0.006, 0.02  # of the lift
 
 
 def fold(
@@ -45,7 +47,7 @@ def fold(
     stuck = stuck_places(past.grip, frame.skin, dressed.graph, past.touched.own)
     touched = follow(network, frame.skin, dressed.graph, past.touched)
     stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > pacing.STIFF_N_PER_M
-    way_m = moved_m(past.network, network, np.arange(len(network)))
+    way_m = pacing.moved_m(past.network, network)
     friction = pacing.grip_left(way_m, step_s) * dressed.friction if memory else 0.0
     pace = pacing.paced(effort.steps, pacing.calmness(way_m), stiff=stiff)
     long = memory is None and effort.settle >= pacing.LONG_ROUNDS

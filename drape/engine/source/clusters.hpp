@@ -44,18 +44,20 @@ template <class T> INLINE T* no_boxes(int64_t blocks, Scratch& scratch) {
   T* boxes = scratch.take<T>(BOX_ROWS * blocks);
   if (scratch.overflowed) return boxes;
   for (int64_t block = 0; block < blocks; ++block)
-    for (int row = 0; row < 6; ++row) put(boxes + BOX_ROWS * block + LANES * row, T(row < 3 ? __builtin_inf() : -__builtin_inf()));
+    for (int row = 0; row < 6; ++row)
+      put(boxes + BOX_ROWS * block + LANES * row, T(row < 3 ? __builtin_inf() : -__builtin_inf()));
   return boxes;
 }
 
-// The boxes [m] around count clusters, which have size numbers of rows each, and those around groups of them. Three rows
-// from low on have the least coordinates of a cluster's members, three from high on the most.
+// The boxes [m] around count clusters, which have size numbers of rows each, and those around groups of them. Three
+// rows from low on have the least coordinates of a cluster's members, three from high on the most.
 template <class T> Boxes<T> boxes_around(const T* rows, int64_t count, int size, int low, int high, Scratch& scratch) {
   const int64_t groups = whole_blocks(count), blocks = whole_blocks(groups);
   Boxes<T> boxes = {no_boxes<T>(groups, scratch), no_boxes<T>(blocks, scratch), count, blocks};
   if (scratch.overflowed) return boxes;
   for (int64_t c = 0; c < count; ++c) enclose(rows + size * c + low, rows + size * c + high, boxes.of, c);
-  for (int64_t g = 0; g < groups; ++g) enclose(boxes.of + BOX_ROWS * g, boxes.of + BOX_ROWS * g + POINT_ROWS, boxes.groups, g);
+  for (int64_t g = 0; g < groups; ++g)
+    enclose(boxes.of + BOX_ROWS * g, boxes.of + BOX_ROWS * g + POINT_ROWS, boxes.groups, g);
   return boxes;
 }
 
@@ -102,7 +104,8 @@ template <class T> void write_cones(const T* rows, int64_t count, int size, int 
     const T cosine = less<T>(least_lane<T>(axis.x * n.x + axis.y * n.y + axis.z * n.z), T(1));
     // cos 2 (angle - a), a the largest angle of a normal to the axis
     const T sine = root(more<T>(T(1) - cosine * cosine, T(0)));
-    const T limit = T(angle.cosine_twice) * (T(2) * cosine * cosine - T(1)) + T(angle.sine_twice) * T(2) * cosine * sine;
+    const T limit =
+        T(angle.cosine_twice) * (T(2) * cosine * cosine - T(1)) + T(angle.sine_twice) * T(2) * cosine * sine;
     cones[4 * c] = axis.x, cones[4 * c + 1] = axis.y, cones[4 * c + 2] = axis.z;
     cones[4 * c + 3] = cosine > T(angle.cosine) ? limit : T(2);
   }

@@ -5,11 +5,11 @@
 // node without a past that is in a box, or behind it, leaves it by the face through which the way from the skin below
 // enters it: what hangs from a thigh lies on the seat.
 //
-// Folds. A vertex near a collider has its tangent plane in the place of the plane of another part of the body, where the
-// collider is nearer. At the end of a frame what is still inside goes all of the way out.
+// Folds. A vertex near a collider has its tangent plane in the place of the plane of another part of the body, where
+// the collider is nearer. At the end of a frame what is still inside goes all of the way out.
 //
-// Skin that is itself in a collider keeps the cloth on it there, THIN_M deeper than it is: bodies sit into the seats that
-// are beneath them, and skin must not show.
+// Skin that is itself in a collider keeps the cloth on it there, THIN_M deeper than it is: bodies sit into the seats
+// that are beneath them, and skin must not show.
 //
 // Distances are computed in doubles: colliders may be large and far from the body.
 #pragma once
@@ -77,18 +77,19 @@ INLINE Out entered(const double* collider, Vector<double> start, Vector<double> 
   return {dot(axis, end - point(collider, 0)) - collider[HALF + face], axis};
 }
 
-// Writes the planes that hold each node c [m] (N, 3) out of the two colliders in which it is deepest to planes (N, 2, 4):
-// a normal n, zero where there is none, and n . x of its points. came [m] (N, 3) is where the nodes were, and first says
-// that they were nowhere; touched (N,) are their samples of the skin (S, 8). Returns how many are behind a plane.
+// Writes the planes that hold each node c [m] (N, 3) out of the two colliders in which it is deepest to planes (N, 2,
+// 4): a normal n, zero where there is none, and n . x of its points. came [m] (N, 3) is where the nodes were, and first
+// says that they were nowhere; touched (N,) are their samples of the skin (S, 8). Returns how many are behind a plane.
 template <class T>
-int64_t write_node_planes(const T* c, const T* came, int64_t nodes, bool first, const Array<double>& colliders, const T* skin,
-                          const int32_t* touched, T* planes) {
+int64_t write_node_planes(const T* c, const T* came, int64_t nodes, bool first, const Array<double>& colliders,
+                          const T* skin, const int32_t* touched, T* planes) {
   int64_t inside = 0;
   for (int64_t i = 0; i < nodes; ++i) {
     T* own = planes + 8 * i;
     for (int k = 0; k < 8; ++k) own[k] = 0;
     const T* sample = skin + 8 * int64_t(touched[i]);
-    const Vector<double> here = in_doubles(point(c, i)), there = in_doubles(point(came, i)), below = in_doubles(point(sample, 0));
+    const Vector<double> here = in_doubles(point(c, i)), there = in_doubles(point(came, i));
+    const Vector<double> below = in_doubles(point(sample, 0));
     const bool worn = dot(here - below, here - below) < WORN_M * WORN_M;
     double least_ = NODE_NEAR_M, second = NODE_NEAR_M;
     for (int64_t m = 0; m < colliders.count / COLLIDER; ++m) {
@@ -123,7 +124,7 @@ int64_t write_node_planes(const T* c, const T* came, int64_t nodes, bool first, 
 template <class T> bool is_near_collider(const T* x, int64_t places, const double* collider) {
   for (int axis = 0; axis < 3; ++axis) {
     double low = INFINITE, high = -INFINITE, half = collider[RADIUS] + NEAR_M;
-    for (int64_t v = 0; v < places; ++v) low = smaller(double(x[3 * v + axis]), low), high = larger(double(x[3 * v + axis]), high);
+    for (int64_t i = axis; i < 3 * places; i += 3) low = smaller(double(x[i]), low), high = larger(double(x[i]), high);
     for (int n = 0; n < 3; ++n) half += absolute(collider[AXES + 3 * n + axis]) * collider[HALF + n];
     if (low > collider[axis] + half || high < collider[axis] - half) return false;
   }
@@ -155,8 +156,10 @@ template <class T> void put_collider_planes(const T* x, int64_t places, const Ar
   }
 }
 
-// Moves x [m] (P, 3) in place out of colliders, up to the clearance [m]; wherever the skin is where there are no planes.
-template <class T> void leave_colliders(T* x, int64_t places, const Array<double>& colliders, const T* planes, T clearance) {
+// Moves x [m] (P, 3) in place out of colliders, up to the clearance [m]; wherever the skin is where there are no
+// planes.
+template <class T>
+void leave_colliders(T* x, int64_t places, const Array<double>& colliders, const T* planes, T clearance) {
   for (const double* collider = colliders.begin; collider < colliders.begin + colliders.count; collider += COLLIDER) {
     if (!is_near_collider(x, places, collider)) continue;
     for (int64_t v = 0; v < places; ++v) {

@@ -13,6 +13,7 @@
 #include "lift.hpp"
 #include "numbers.hpp"
 #include "pace.hpp"
+#include "places.hpp"
 #include "residual.hpp"
 #include "room.hpp"
 #include "untangle.hpp"
@@ -31,9 +32,13 @@ struct FoldOutcome {
   double untangle_m, lifted_share, lifted_max_m;
 };
 
-template <class T> struct FoldState {
-  T *residual, *velocity, *grip;  // (P, 3)
-  int32_t *own, *other;           // (P,)
+// The cloth of a frame: where its places are [m] (P, 3), with room for one number behind them, how far [m] each was
+// lifted (P,), and the planes that held it.
+template <class T> struct Laid {
+  T *x, *lifted, *planes;
+  Laid(int64_t places, Scratch& scratch)
+      : x(scratch.take<T>(3 * places)), lifted(scratch.take<T>(places)),
+        planes(scratch.take<T>(PLANES * (places / LANES))) {}
 };
 
 template <class T> struct FoldSchedule {
@@ -43,21 +48,15 @@ template <class T> struct FoldSchedule {
   T friction, clearance, untangle;
 };
 
-// The vertices [m] (V, 3) at their places (P, 3), behind which there is room for one number.
-template <class T> void placed(const T* vertices, const Array<int32_t>& vertex, T* places) {
-  int64_t p = 0;
-  for (; p + LANES <= vertex.count; p += LANES) put_points(places + 3 * p, points_at(vertices, vertex + p));
-  for (; p < vertex.count; ++p) put_point(places, p, point(vertices, vertex[p]));
-}
-
-// Writes the vertices [m] (V, 3) from what is at the place (V,) of each, and tells the share of them that were lifted by
-// more than MOVED_M, and the most of any.
-template <class T> void delivered(const T* x, const T* lifted, const Array<int32_t>& place, T* vertices, FoldOutcome& outcome) {
+// Writes the vertices [m] (V, 3) from what is at the place (V,) of each, and tells the share of them that were lifted
+// by more than MOVED_M, and the most of any.
+template <class T>
+void delivered(const Laid<T>& laid, const Array<int32_t>& place, T* vertices, FoldOutcome& outcome) {
   int64_t count = 0;
   T farthest = 0;
   for (int64_t v = 0; v < place.count; ++v) {
-    put_point(vertices, v, point(x, place[v]));
-    const T own = lifted[place[v]];
+    put_point(vertices, v, point(laid.x, place[v]));
+    const T own = laid.lifted[place[v]];
     count += own > T(MOVED_M);
     farthest = more<T>(own, farthest);
   }
@@ -65,30 +64,8 @@ template <class T> void delivered(const T* x, const T* lifted, const Array<int32
   outcome.lifted_max_m = double(farthest);
 }
 
-// The largest distance [m] between a place of x (P, 3) and that of y, NaN where one is.
-template <class T> T farthest_m(const T* x, const T* y, int64_t places) {
-  Row<T> worst = row_of(T(0)), total = worst;
-  for (int64_t first = 0; first < places; first += LANES) {
-    Points<T> way = points_in(x + 3 * first) - points_in(y + 3 * first);
-    Row<T> square = dot(way, way);
-    worst = most<T>(square, worst);
-    total = total + square;
-  }
-  return lanes_of<T>(total != total) ? T(__builtin_nan("")) : root(most_lane<T>(worst));
-}
-
-// RMS way [m] of the vertices at the place (V,) of each, from before to network [m] (P, 3).
-template <class T> double moved_m(const T* before, const T* network, const Array<int32_t>& place) {
-  double total = 0;
-  for (int64_t v = 0; v < place.count; ++v) {
-    const Vector<T> way = point(network, place[v]) - point(before, place[v]);
-    total += double(dot(way, way));
-  }
-  return root(total / double(place.count));
-}
-
-// Writes the stiffness and slack that hold each place: those of the waistband and of the leash; where the skin has taken
-// it, and friction times contact's stiffness. There is no plane yet.
+// Writes the stiffness and slack that hold each place: those of the waistband and of the leash; where the skin has
+// taken it, and friction times contact's stiffness. There is no plane yet.
 template <class T> void hold_places(const Sheet<T>& sheet, const T* stuck, T friction, T* planes) {
   for (int64_t block = 0; block < sheet.fan_start.count - 1; ++block, planes += PLANES) {
     const T* own = sheet.own + OWN * block;
@@ -114,18 +91,19 @@ template <class T> void set_way(T* way, const T* x, const T* before, int64_t pla
   for (int64_t i = 0; i < 3 * places; i += LANES) put(way + i, row_at(x + i) - row_at(before + i));
 }
 
-// Moves x by the rounds of a schedule and the lift, in place, and writes the way of the last step and how far each place
-// was lifted (P,). planes are left as they held the cloth.
+// Moves x by the rounds of a schedule and the lift, and writes the way of the last step. The samples of after are moved
+// on. planes are left as they held the cloth.
 template <class T>
-void descend_rounds(T* x, T* way, T* lifted, const T* network, const T* stuck, const Skin<T>& skin, const Array<double>& colliders,
-                    int32_t* own, int32_t* other, const FoldConstants<T>& cloth, const FoldSchedule<T>& schedule, T* planes,
+void descend_rounds(const Laid<T>& laid, T* way, const T* network, const T* stuck, const Surroundings<T>& around,
+                    const FoldConstants<T>& cloth, const FoldSchedule<T>& schedule, FoldMemory<T>& after,
                     Scratch& scratch) {
   const Sheet<T>& sheet = cloth.sheet;
+  const Skin<T> skin = skin_of(around.skin, cloth.graph);
   const int64_t mark = scratch.used, places = sheet.vertex.count, clusters = cloth.tangles.start.count - 1;
-  const T reach = T(sheet.constants.reach), hold = T(HOLD);
-  T *gradient = scratch.take<T>(3 * places), *before = scratch.take<T>(3 * places), *crossed = scratch.take<T>(places);
-  T *q = scratch.take<T>(3 * cloth.factor.place.count), *s = scratch.take<T>(3 * (cloth.factor.place.count + LANES));
-  int32_t* every = scratch.take<int32_t>(clusters);
+  const int64_t rows = cloth.factor.place.count;
+  T *x = laid.x, *planes = laid.planes, *gradient = scratch.take<T>(3 * places), *before = scratch.take<T>(3 * places);
+  T *crossed = scratch.take<T>(places), *q = scratch.take<T>(3 * rows), *s = scratch.take<T>(3 * (rows + LANES));
+  int32_t *every = scratch.take<int32_t>(clusters), *own = after.own.begin, *other = after.other.begin;
   if (scratch.overflowed) return;
   for (int64_t c = 0; c < clusters; ++c) every[c] = int32_t(c);
   follow(network, places, skin, own);
@@ -133,139 +111,138 @@ void descend_rounds(T* x, T* way, T* lifted, const T* network, const T* stuck, c
   const size_t bytes = size_t(3 * places) * sizeof(T);
   for (int64_t round = 0; round < schedule.rounds; ++round) {
     touch(x, places, skin, sheet.vertex.begin, own, other, schedule.turn, planes, scratch);
-    put_collider_planes(x, places, colliders, planes);
+    put_collider_planes(x, places, around.colliders, planes);
     if (schedule.within) keep_apart(x, sheet, cloth.neighbours, planes, scratch);
     if (round == 0 && schedule.turn < 0)
       // Triangles that the network stretches are stiffer than K knows, and steps would run away: sweeps first.
       for (int64_t sweep = 0; sweep < schedule.rounds; ++sweep) descend(x, sheet, planes, network);
-    for (int64_t step = 0; step < schedule.steps; ++step) {
+    for (int64_t turn = 0; turn < schedule.steps + schedule.sweeps; ++turn) {
+      const bool is_step = turn < schedule.steps, goes_on = is_step || schedule.steps == 0;
       __builtin_memcpy(before, x, bytes);
-      go_on(x, way, places, schedule.momentum, reach);
-      gradient_at(x, sheet, planes, network, hold, gradient);
-      whole_step(x, cloth.factor, gradient, schedule.share, q, s);
-      set_way(way, x, before, places);
-    }
-    for (int64_t sweep = 0; sweep < schedule.sweeps; ++sweep) {
-      __builtin_memcpy(before, x, bytes);
-      if (schedule.steps == 0) go_on(x, way, places, schedule.momentum, reach);
-      descend(x, sheet, planes, network);
-      if (schedule.steps == 0) set_way(way, x, before, places);
+      if (goes_on) go_on(x, way, places, schedule.momentum, T(sheet.constants.reach));
+      if (is_step) {
+        gradient_at(x, sheet, planes, network, T(HOLD), gradient);
+        whole_step(x, cloth.factor, gradient, schedule.share, q, s);
+      } else {
+        descend(x, sheet, planes, network);
+      }
+      if (goes_on) set_way(way, x, before, places);
     }
     if (schedule.within &&
         untangle(x, places, cloth.tangles, every, clusters, schedule.untangle, UNTANGLE_STEPS, crossed, scratch) > 0)
       ease(x, network, crossed, T(EASE / WAY_M) * schedule.untangle, sheet, scratch);
   }
-  if (schedule.rounds == 0 && (schedule.clearance > 0 || colliders.count))  // folds without steps have no planes yet
+  if (schedule.rounds == 0 && (schedule.clearance > 0 || around.colliders.count))  // there are no planes yet
     touch(x, places, skin, sheet.vertex.begin, own, other, schedule.turn, planes, scratch);
-  leave_colliders(x, places, colliders, planes, schedule.clearance);
-  if (schedule.clearance > 0) lift(x, places, planes, schedule.clearance, lifted);
+  leave_colliders(x, places, around.colliders, planes, schedule.clearance);
+  if (schedule.clearance > 0) lift(x, places, planes, schedule.clearance, laid.lifted);
   scratch.used = mark;
 }
 
-// Writes x [m] (P, 3), with room for one number behind it, and how far [m] each place was lifted (P,). The state is moved
-// on in place. Returns how far [m] the farthest place is from the network, NaN where one is.
+// Writes where the cloth lies, and moves after on in place. Returns how far [m] the farthest place is from the network,
+// NaN where one is.
 template <class T>
-T advance(const T* before, const T* network, const FoldState<T>& state, const Skin<T>& skin, const Array<double>& colliders,
-          const FoldConstants<T>& cloth, const FoldSchedule<T>& schedule, T* x, T* lifted, T* planes, Scratch& scratch) {
+T advance(const Laid<T>& laid, const T* before, const T* network, const Surroundings<T>& around,
+          const FoldConstants<T>& cloth, const FoldSchedule<T>& schedule, FoldMemory<T>& after, Scratch& scratch) {
   const Sheet<T>& sheet = cloth.sheet;
+  const Skin<T> skin = skin_of(around.skin, cloth.graph);
   const int64_t mark = scratch.used, places = sheet.vertex.count;
-  T *stuck = scratch.take<T>(3 * places), *frames = scratch.take<T>(FRAMES * (places / LANES)), *way = scratch.take<T>(3 * places);
+  T *x = laid.x, *stuck = scratch.take<T>(3 * places), *way = scratch.take<T>(3 * places);
+  T* frames = scratch.take<T>(FRAMES * (places / LANES));
   if (scratch.overflowed) return T(__builtin_nan(""));
-  stuck_places(state.grip, places, state.own, skin, stuck);
+  stuck_places<T>(after.grip, places, after.own, skin, stuck);
   surface_frames(network, sheet, frames);
   for (int64_t block = 0; block < places / LANES; ++block) {
     const int64_t first = 3 * LANES * block;
     const AxesOf<T> axes = axes_in(frames + FRAMES * block);
-    put_points(x + first, to_world(axes, points_in(state.residual + first)));
-    put_points(way + first, to_world(axes, scaled(row_of(schedule.step_s), points_in(state.velocity + first))));
+    put_points(x + first, to_world(axes, points_in(after.residual + first)));
+    put_points(way + first, to_world(axes, scaled(row_of(schedule.step_s), points_in(after.velocity + first))));
   }
   keep_residual(x, before, network, frames, sheet, cloth.hem, scratch);
   for (int64_t i = 0; i < 3 * places; i += LANES) put(x + i, row_at(x + i) + row_at(network + i));
-  for (int64_t i = 0; i < places; i += LANES) put(lifted + i, T(0));
-  descend_rounds(x, way, lifted, network, stuck, skin, colliders, state.own, state.other, cloth, schedule, planes, scratch);
-  write_grip(x, places, schedule.turn < 0 ? x : stuck, state.own, skin, state.grip);
+  for (int64_t i = 0; i < places; i += LANES) put(laid.lifted + i, T(0));
+  descend_rounds(laid, way, network, stuck, around, cloth, schedule, after, scratch);
+  write_grip<T>(x, places, schedule.turn < 0 ? x : stuck, after.own, skin, after.grip);
   const Row<T> per_s = row_of(T(1) / schedule.step_s);
   for (int64_t block = 0; block < places / LANES; ++block) {
     const int64_t first = 3 * LANES * block;
     const AxesOf<T> axes = axes_in(frames + FRAMES * block);
-    put_points(state.residual + first, to_frame(axes, points_in(x + first) - points_in(network + first)));
-    put_points(state.velocity + first, to_frame(axes, scaled(per_s, points_in(way + first))));
+    put_points(after.residual + first, to_frame(axes, points_in(x + first) - points_in(network + first)));
+    put_points(after.velocity + first, to_frame(axes, scaled(per_s, points_in(way + first))));
   }
   scratch.used = mark;
   return farthest_m(x, network, places);
 }
 
-// A frame after past, which is none where its step is infinite. Writes x, lifted, planes and the arrays of the memory.
+// The frame after past, or one without a past. Writes where the cloth lies, and the arrays of after.
 template <class T>
-FoldOutcome advanced(const T* network, const FoldMemory<T>& past, bool follows, const Skin<T>& skin, const Array<double>& colliders,
-                     const FoldConstants<T>& cloth, const FoldEffort<T>& effort, FoldMemory<T>& after, T* x, T* lifted, T* planes,
-                     Scratch& scratch) {
-  const int64_t places = cloth.sheet.vertex.count;
-  const FoldState<T> state = {after.residual.begin, after.velocity.begin, after.grip.begin, after.own.begin, after.other.begin};
+FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>& past, bool follows,
+                     const Surroundings<T>& around, const FoldConstants<T>& cloth, const FoldEffort<T>& effort,
+                     FoldMemory<T>& after, Scratch& scratch) {
+  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
+  T* before = scratch.take<T>(3 * places);  // the network's places, which points_at reads, with room behind them
+  if (scratch.overflowed) return {};
+  __builtin_memcpy(before, follows ? past.network.begin : network, size_t(3 * places) * sizeof(T));
   const double step_s = follows ? past.step_s : FIRST_STEP_S;
   const int64_t rounds = effort.steps == 0 ? 0 : follows ? 1 : effort.settle;
   const double kept = effort.steps ? 1 : exponential_of(-step_s / FADE_S), still = kept == 1 ? 1 : 0;
-  const double way_m = follows ? moved_m<T>(past.network.begin, network, cloth.sheet.place) : 0;
-  // Each is half of the fabric's.
-  const Constants<T>& k = cloth.sheet.constants;
+  const double way_m = follows ? moved_m<T>(before, network, cloth.sheet.place) : 0;
+  const Constants<T>& k = cloth.sheet.constants;  // of which each is half of the fabric's
   const Pace pace = paced(effort.steps, calmness(way_m), k.warp + k.weft > STIFF_N_PER_M);
   const double momentum = !follows && rounds >= LONG_ROUNDS ? SETTLING_MOMENTUM : pace.momentum;
-  // No farther than the network moved, or cloth on a body that stands still would not come to rest; but for LEAST_M, or
-  // cloth would crumple through itself there.
-  const double untangle_m = follows ? smaller(WAY_M, larger(way_m, LEAST_M)) : WAY_M;
+  const double untangle_m = follows ? farthest_way(way_m) : WAY_M;
   const double friction = follows ? grip_left(way_m, step_s) * cloth.friction : 0;
   const FoldSchedule<T> schedule = {T(step_s), T(momentum), T(pace.share), rounds, pace.steps, pace.sweeps,
                                     follows ? past.turn : -1, effort.cloth_contact && rounds > 0, T(friction),
                                     T(effort.clearance_m), T(untangle_m)};
   for (int64_t p = 0; p < places; ++p) {
-    state.own[p] = follows ? past.own[p] : cloth.index[p];
-    state.other[p] = follows ? past.other[p] : -1;
+    after.own[p] = follows ? past.own[p] : cloth.index[p];
+    after.other[p] = follows ? past.other[p] : -1;
   }
   for (int64_t i = 0; i < 3 * places; ++i) {
-    state.residual[i] = follows ? T(kept) * past.residual[i] : T(0);
-    state.velocity[i] = follows ? T(still) * past.velocity[i] : T(0);
-    state.grip[i] = follows ? past.grip[i] : T(0);
+    after.residual[i] = follows ? T(kept) * past.residual[i] : T(0);
+    after.velocity[i] = follows ? T(still) * past.velocity[i] : T(0);
+    after.grip[i] = follows ? past.grip[i] : T(0);
   }
-  const T far = advance(follows ? past.network.begin : network, network, state, skin, colliders, cloth, schedule, x, lifted, planes,
-                        scratch);
+  const T far = advance(laid, before, network, around, cloth, schedule, after, scratch);
+  scratch.used = mark;
   return {!follows, 0, !(far <= T(FAR_M)), follows ? (past.turn + 1) % TURNS : 1, untangle_m, 0, 0};
 }
 
-// The cloth x of a frame from the network's places [m] (P, 3). A frame whose result is no fold is computed once more
-// without its past. What it leaves is nothing if that is none either: the network's drape is delivered then.
+// Lays the cloth of a frame around the network's places [m] (P, 3). A frame whose result is no fold is computed once
+// more without its past. What it leaves is nothing if that is none either: the network's drape is delivered then.
 template <class T>
-FoldOutcome fold_places(const T* network, const FoldMemory<T>& past, const Skin<T>& skin, const Array<double>& colliders,
-                        const FoldConstants<T>& cloth, const FoldEffort<T>& effort, FoldMemory<T>& after, T* x, T* lifted, T* planes,
+FoldOutcome fold_places(const Laid<T>& laid, const T* network, const FoldMemory<T>& past, const Surroundings<T>& around,
+                        const FoldConstants<T>& cloth, const FoldEffort<T>& effort, FoldMemory<T>& after,
                         Scratch& scratch) {
   const int64_t places = cloth.sheet.vertex.count;
-  const bool follows = past.step_s < INFINITE && farthest_m<T>(network, past.network.begin, places) <= T(CUT_M);
+  const bool follows = past.step_s < INFINITE && farthest_m<T>(network, past.network, places) <= T(CUT_M);
+  __builtin_memcpy(after.network.begin, network, size_t(3 * places) * sizeof(T));
   if (follows) {
-    FoldOutcome outcome = advanced(network, past, true, skin, colliders, cloth, effort, after, x, lifted, planes, scratch);
+    FoldOutcome outcome = advanced(laid, network, past, true, around, cloth, effort, after, scratch);
     if (!outcome.lost) return outcome;
   }
-  FoldOutcome outcome = advanced(network, past, false, skin, colliders, cloth, effort, after, x, lifted, planes, scratch);
+  FoldOutcome outcome = advanced(laid, network, past, false, around, cloth, effort, after, scratch);
   outcome.reset = follows || outcome.lost;
   if (!outcome.lost) return outcome;
   outcome.turn = 0;
-  for (int64_t p = 0; p < places; ++p) after.own[p] = cloth.index[p], after.other[p] = -1, lifted[p] = 0;
+  for (int64_t p = 0; p < places; ++p) after.own[p] = cloth.index[p], after.other[p] = -1, laid.lifted[p] = 0;
   for (int64_t i = 0; i < 3 * places; ++i) after.residual[i] = after.velocity[i] = after.grip[i] = 0;
   return outcome;
 }
 
-// Writes the folded vertices [m] (V, 3) of one level and the memory after them. vertices has room for one number more.
+// Writes the folded vertices [m] (V, 3) of one level and the memory after them.
 template <class T>
-FoldOutcome fold_one_level(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around, const FoldConstants<T>& cloth,
-                           const FoldEffort<T>& effort, FoldMemory<T>& after, T* folded, Scratch& scratch) {
-  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
-  T *network = scratch.take<T>(3 * places), *x = scratch.take<T>(3 * places), *lifted = scratch.take<T>(places);
-  T* planes = scratch.take<T>(PLANES * (places / LANES));
+FoldOutcome fold_one_level(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around,
+                           const FoldConstants<T>& cloth, const FoldEffort<T>& effort, FoldMemory<T>& after, T* folded,
+                           Scratch& scratch) {
+  const int64_t places = cloth.sheet.vertex.count;
+  const Laid<T> laid(places, scratch);
+  T* network = scratch.take<T>(3 * places);
   if (scratch.overflowed) return {};
   placed(vertices, cloth.sheet.vertex, network);
-  FoldOutcome outcome = fold_places(network, past, skin_of(around.skin, cloth.graph), around.colliders, cloth, effort, after, x, lifted,
-                                    planes, scratch);
-  __builtin_memcpy(after.network.begin, network, size_t(3 * places) * sizeof(T));
-  delivered(x, lifted, cloth.sheet.place, folded, outcome);
+  FoldOutcome outcome = fold_places(laid, network, past, around, cloth, effort, after, scratch);
+  delivered(laid, cloth.sheet.place, folded, outcome);
   if (outcome.lost) __builtin_memcpy(folded, vertices, size_t(3 * cloth.sheet.place.count) * sizeof(T));
-  scratch.used = mark;
   return outcome;
 }

@@ -2,12 +2,14 @@
 #pragma once
 #include "elements.hpp"
 
-constexpr int COVER = 9 * LANES;  // behind normal, edge and their product, three rows each: the share of the area at rest
+constexpr int COVER = 9 * LANES;  // behind normal, edge and their product, three rows each: the share of the rest area
 constexpr int FRAMES = COVER + LANES;  // numbers of a block
 
 template <class T> struct AxesOf { Points<T> n, e, b; };  // normal, edge, and their product
 
-template <class T> INLINE Points<T> to_frame(const AxesOf<T>& f, Points<T> a) { return {dot(f.n, a), dot(f.e, a), dot(f.b, a)}; }
+template <class T> INLINE Points<T> to_frame(const AxesOf<T>& f, Points<T> a) {
+  return {dot(f.n, a), dot(f.e, a), dot(f.b, a)};
+}
 template <class T> INLINE Points<T> to_world(const AxesOf<T>& f, Points<T> a) {
   return plus(plus(scaled(a.x, f.n), a.y, f.e), a.z, f.b);
 }
@@ -21,10 +23,10 @@ template <class T> INLINE Points<T> unit_or_none(Points<T> a) {
   return scaled(where<T>(square > zero, one / root<T>(where<T>(square > zero, square, one)), zero), a);
 }
 
-// Writes the frames of surface [m] (P, 3): normal, edge and their product, nine rows a block. A tenth row has the area of
-// the triangles around each vertex over their area at rest. The edge is the first one of the vertex's first triangle,
-// laid into the tangent plane; a sheet puts that triangle first whose edge is longest at rest. A vertex without an area
-// or an edge gets a frame of zeros.
+// Writes the frames of surface [m] (P, 3): normal, edge and their product, nine rows a block. A tenth row has the area
+// of the triangles around each vertex over their area at rest. The edge is the first one of the vertex's first
+// triangle, laid into the tangent plane; a sheet puts that triangle first whose edge is longest at rest. A vertex
+// without an area or an edge gets a frame of zeros.
 template <class T> void surface_frames(const T* surface, const Sheet<T>& sheet, T* frames) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
   for (int64_t block = 0; block < sheet.fan_start.count - 1; ++block) {

@@ -4,22 +4,24 @@
 #include "quantise.hpp"
 
 #define FOR_TYPE(T, suffix)                                                                                            \
-  EXPORT int64_t drape_heights_##suffix(const T* x, const Sheet<T>* sheet, const int32_t* own, const Array<T>* skin,   \
-                                    const SkinGraph<T>* graph, T* height, Scratch* scratch) {                          \
+  EXPORT int64_t drape_heights_##suffix(const T* vertices, const LaidCloth<T>* cloth, const int32_t* own,              \
+                                        const T* skin, int64_t samples, T* height, Scratch* scratch) {                 \
     const Flushed flushed;                                                                                             \
-    layers::heights_over(x, *sheet, own, skin_of(*skin, *graph), height, *scratch);                                    \
+    layers::heights_over(vertices, *cloth, own, skin_of(skin, samples, cloth->graph), height, *scratch);               \
     return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
-  EXPORT int64_t drape_ceiling_##suffix(const T* x, const Sheet<T>* sheet, const int32_t* index, const Array<T>* skin, \
-                                    const SkinGraph<T>* graph, T* ceiling, Scratch* scratch) {                         \
+  EXPORT int64_t drape_ceiling_##suffix(const T* vertices, const LaidCloth<T>* cloth, const T* skin, int64_t samples,  \
+                                        T* ceiling, Scratch* scratch) {                                                \
     const Flushed flushed;                                                                                             \
-    layers::ceiling_over(x, *sheet, index, skin_of(*skin, *graph), ceiling, *scratch);                                 \
+    layers::ceiling_over(vertices, *cloth, skin_of(skin, samples, cloth->graph), ceiling, *scratch);                   \
     return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
-  EXPORT int64_t drape_press_##suffix(T* x, const Sheet<T>* sheet, const int32_t* own, const Array<T>* ground,         \
-                                  const SkinGraph<T>* graph, const T* ceiling, Scratch* scratch) {                     \
+  EXPORT int64_t drape_press_##suffix(const T* vertices, const LaidCloth<T>* cloth, const int32_t* own,                \
+                                      const T* ground, int64_t samples, const T* ceiling, T* pressed,                  \
+                                      Scratch* scratch) {                                                              \
     const Flushed flushed;                                                                                             \
-    bool found = layers::press(x, *sheet, own, skin_of(*ground, *graph), ceiling, *scratch);                           \
+    const Skin<T> skin = skin_of(ground, samples, cloth->graph);                                                       \
+    const bool found = layers::press(vertices, *cloth, own, skin, ceiling, pressed, *scratch);                         \
     return scratch->overflowed ? -1 : found;                                                                           \
   }
 

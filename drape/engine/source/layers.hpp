@@ -3,24 +3,25 @@
 // Raised skin. A sample of the skin goes up along its normal to the highest vertex of the inner garments that lies over
 // it, within the samples' spacing. So an outer garment rests on the inner one as that does on the body, with the same
 // gap. The skin tells on which side of the inner garment the outer one is, so that this side cannot be lost. Cloth may
-// span a crease: trousers hang before the belly of one who squats, far from both of its walls. Walls that were raised to
-// that cloth would stand in each other and crumple the outer garment. A sample therefore goes no farther than half of the
-// way to skin that faces it; but it goes at least as far as the height of the vertex times the cosine between the cloth's
-// normal and the skin's. A sample that rises above CLOSE_M rises above its neighbours below cloth by no more than
-// STEEPEST of their distance: no outer garment follows a steeper ground without passing through itself.
+// span a crease: trousers hang before the belly of one who squats, far from both of its walls. Walls that were raised
+// to that cloth would stand in each other and crumple the outer garment. A sample therefore goes no farther than half
+// of the way to skin that faces it; but it goes at least as far as the height of the vertex times the cosine between
+// the cloth's normal and the skin's. A sample that rises above CLOSE_M rises above its neighbours below cloth by no
+// more than STEEPEST of their distance: no outer garment follows a steeper ground without passing through itself.
 //
 // Ceiling. In life the outer garment presses the inner one to the skin. So it is a ceiling: for each sample of the skin
-// the tangent plane of the outer cloth at the lowest of its vertices that lies over the sample. A sample beside it counts
-// as covered where most of its neighbours are, and gets the mean of their planes. What is above the ceiling comes down
-// along the planes' normals, to CEILING_GAP_M below the lowest of those of its own sample and of the samples around,
-// though no nearer than LEAST_OVER_M to what lies below it. The cloth around comes along: way D spreads over the
-// triangles, of two neighbours at distance l
+// the tangent plane of the outer cloth at the lowest of its vertices that lies over the sample. A sample beside it
+// counts as covered where most of its neighbours are, and gets the mean of their planes. What is above the ceiling
+// comes down along the planes' normals, to CEILING_GAP_M below the lowest of those of its own sample and of the samples
+// around, though no nearer than LEAST_OVER_M to what lies below it. The cloth around comes along: way D spreads over
+// the triangles, of two neighbours at distance l
 //
 //     D_v = (1 - l / FADE_M) D_u   where that is longer than D_v,
 //
-// and is evened out, since a step at the hem of the outer garment would show below it. Evened, it stays above the skin as
-// well. What is above the ceiling still then comes down alone.
+// and is evened out, since a step at the hem of the outer garment would show below it. Evened, it stays above the skin
+// as well. What is above the ceiling still then comes down alone.
 #pragma once
+#include "places.hpp"
 #include "skin.hpp"
 
 namespace layers {
@@ -37,11 +38,11 @@ constexpr int MOST_COVERED = 5, FILLS = 2;  // covered neighbours that make a sa
 constexpr double FADE_M = 0.1;
 constexpr int EVENED = 4;               // times that the way is averaged with that of the neighbours
 constexpr double LEAST_WAY_M = 1e-3;    // by which a way must grow, or the line gets long
-constexpr double ASLANT = 0.05;         // cosine between plane and skin below which the skin bounds no way along the plane
+constexpr double ASLANT = 0.05;  // cosine between plane and skin below which the skin bounds no way along the plane
 
-constexpr int CEILING = 5;  // numbers of a sample's ceiling: height [m], infinite where nothing covers it; normal; offset [m]
+constexpr int CEILING = 5;  // of a sample: height [m], infinite where nothing covers it; normal; offset [m]
 
-template <class T> struct Over { T up, aside; };  // how high [m] a point is over a sample, how far from its normal [m^2]
+template <class T> struct Over { T up, aside; };  // how high [m] over a sample, how far from its normal [m^2]
 template <class T> INLINE Over<T> over(Vector<T> at, const Skin<T>& skin, int64_t s) {
   const Vector<T> way = at - skin.point_of(s);
   const T up = dot(way, skin.normal_of(s));
@@ -65,21 +66,26 @@ template <class T> T half_way(int64_t s, T far, const Skin<T>& skin, const Grid&
         const int32_t other = grid.member[entry];
         const Vector<T> way = skin.point_of(other) - here;
         const T along = dot(way, normal);
-        if (along > 0 && along < nearest && dot(normal, skin.normal_of(other)) < 0 && dot(way, way) - along * along < aside) nearest = along;
+        const bool faces = dot(normal, skin.normal_of(other)) < 0 && dot(way, way) - along * along < aside;
+        if (along > 0 && along < nearest && faces) nearest = along;
       }
     }
   return T(0.5) * nearest;
 }
 
 // Writes how high [m] (S,) a garment raises each sample of the skin: 0 where no vertex lies over it. Its triangles face
-// outward, x [m] (P, 3) are its places, and each raises the sample that it is at, own (P,), and that one's neighbours.
+// outward, its vertices are [m] (V, 3), and each place raises the sample that it is at, own (P,), and that one's
+// neighbours.
 template <class T>
-void heights_over(const T* x, const Sheet<T>& sheet, const int32_t* own, const Skin<T>& skin, T* height, Scratch& scratch) {
-  const int64_t mark = scratch.used, places = sheet.vertex.count;
+void heights_over(const T* vertices, const LaidCloth<T>& cloth, const int32_t* own, const Skin<T>& skin, T* height,
+                  Scratch& scratch) {
+  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
   T *frames = scratch.take<T>(FRAMES * (places / LANES)), *far = scratch.take<T>(skin.count);
+  T* x = scratch.take<T>(3 * places);
   const Grid grid = grid_of(skin.samples, skin.count, 8, PER_CELL, scratch);
   if (scratch.overflowed) return;
-  surface_frames(x, sheet, frames);
+  placed(vertices, cloth.sheet.vertex, x);
+  surface_frames(x, cloth.sheet, frames);
   for (int64_t s = 0; s < skin.count; ++s) height[s] = far[s] = 0;
   for (int64_t v = 0; v < places; ++v) {
     const Vector<T> lies = lane3(frames + FRAMES * (v / LANES), int(v % LANES)), at = point(x, v);
@@ -107,17 +113,18 @@ void heights_over(const T* x, const Sheet<T>& sheet, const int32_t* own, const S
   scratch.used = mark;
 }
 
-// Writes the ceiling (S, 5) that a garment with the places x [m] (P, 3) is over the samples of the skin; index (P,) are
-// the samples nearest to its places at rest.
+// Writes the ceiling (S, 5) that a garment with these vertices [m] (V, 3) is over the samples of the skin.
 template <class T>
-void ceiling_over(const T* x, const Sheet<T>& sheet, const int32_t* index, const Skin<T>& skin, T* ceiling, Scratch& scratch) {
-  const int64_t mark = scratch.used, places = sheet.vertex.count;
+void ceiling_over(const T* vertices, const LaidCloth<T>& cloth, const Skin<T>& skin, T* ceiling, Scratch& scratch) {
+  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
   T *frames = scratch.take<T>(FRAMES * (places / LANES)), *before = scratch.take<T>(CEILING * skin.count);
+  T* x = scratch.take<T>(3 * places);
   int32_t* own = scratch.take<int32_t>(places);
   if (scratch.overflowed) return;
-  for (int64_t p = 0; p < places; ++p) own[p] = index[p];
+  placed(vertices, cloth.sheet.vertex, x);
+  for (int64_t p = 0; p < places; ++p) own[p] = cloth.index[p];
   follow(x, places, skin, own);
-  surface_frames(x, sheet, frames);
+  surface_frames(x, cloth.sheet, frames);
   for (int64_t i = 0; i < CEILING * skin.count; ++i) ceiling[i] = i % CEILING ? T(0) : T(__builtin_inf());
   for (int64_t v = 0; v < places; ++v) {
     const Vector<T> lies = lane3(frames + FRAMES * (v / LANES), int(v % LANES)), at = point(x, v);
@@ -177,13 +184,14 @@ bool too_high(const T* x, int64_t places, const int32_t* own, const Skin<T>& ski
     const T length = root(dot(normal, normal));
     if (!(highest > 0 && length > 0)) continue;
     found = true;
-    put_point(down, v, Vector<T>{-highest * normal.x / length, -highest * normal.y / length, -highest * normal.z / length});
+    const Vector<T> way = scaled(-highest, normal);
+    put_point(down, v, Vector<T>{way.x / length, way.y / length, way.z / length});
   }
   return found;
 }
 
-// Shortens the ways down [m] (P, 3) that end nearer than LEAST_OVER_M to the skin. The skin is the highest of the planes
-// of the samples below: in a hollow, as at the neck, that of one is too low.
+// Shortens the ways down [m] (P, 3) that end nearer than LEAST_OVER_M to the skin. The skin is the highest of the
+// planes of the samples below: in a hollow, as at the neck, that of one is too low.
 template <class T> void stay_above_skin(const T* x, int64_t places, const int32_t* own, const Skin<T>& skin, T* down) {
   for (int64_t v = 0; v < places; ++v) {
     const Vector<T> way = point(down, v), at = point(x, v);
@@ -249,21 +257,24 @@ template <class T> void spread_down(const T* x, const Sheet<T>& sheet, T* down, 
   scratch.used = mark;
 }
 
-// Moves the places x [m] (P, 3) of an inner garment that are above a ceiling (S, 5) below it, with the cloth around;
-// whether any was. own (P,) is the sample that each place is at.
+// Writes the vertices [m] (V, 3) of an inner garment after those above a ceiling (S, 5) went below it, with the cloth
+// around; whether any was. own (P,) is the sample that each place is at.
 template <class T>
-bool press(T* x, const Sheet<T>& sheet, const int32_t* own, const Skin<T>& ground, const T* ceiling, Scratch& scratch) {
-  const int64_t mark = scratch.used, places = sheet.vertex.count;
-  T* down = scratch.take<T>(3 * places);
+bool press(const T* vertices, const LaidCloth<T>& cloth, const int32_t* own, const Skin<T>& ground, const T* ceiling,
+           T* pressed, Scratch& scratch) {
+  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
+  T *down = scratch.take<T>(3 * places), *x = scratch.take<T>(3 * places);
   if (scratch.overflowed) return false;
+  placed(vertices, cloth.sheet.vertex, x);
   for (int64_t i = 0; i < 3 * places; ++i) down[i] = 0;
   const bool found = too_high(x, places, own, ground, ceiling, down);
   if (found) {
-    spread_down(x, sheet, down, scratch);
+    spread_down(x, cloth.sheet, down, scratch);
     stay_above_skin(x, places, own, ground, down);
     for (int64_t i = 0; i < 3 * places; ++i) x[i] += down[i], down[i] = 0;
     too_high(x, places, own, ground, ceiling, down);
-    for (int64_t i = 0; i < 3 * places; ++i) x[i] += down[i];
+    for (int64_t v = 0; v < cloth.sheet.place.count; ++v)
+      put_point(pressed, v, point(x, cloth.sheet.place[v]) + point(down, cloth.sheet.place[v]));
   }
   scratch.used = mark;
   return found;

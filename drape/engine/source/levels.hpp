@@ -1,8 +1,8 @@
 // Folds on two levels: steps of a coarse cloth, and sweeps that settle the fine one around it.
 //
-// What is costly in a frame is contact: with the skin, and of cloth with itself. Folds of a few centimetres need no fine
-// cloth for it. So the coarse cloth, about a fifth of the vertices, takes the frame's steps (folds.hpp). Their way from
-// the network's drape is carried to all vertices by weights W, and
+// What is costly in a frame is contact: with the skin, and of cloth with itself. Folds of a few centimetres need no
+// fine cloth for it. So the coarse cloth, about a fifth of the vertices, takes the frame's steps (folds.hpp). Their way
+// from the network's drape is carried to all vertices by weights W, and
 //
 //     x = X + W (x_c - X_c) + share e
 //
@@ -12,10 +12,10 @@
 #pragma once
 #include "folds.hpp"
 
-constexpr int NEAREST = 8;          // coarse vertices that a fine one takes from
-constexpr int APART_STEPS = 2;      // of untangling the fine cloth: four leave fewer crossings and cost time and gain
-constexpr double KEPT_S = 0.25;     // in which what sweeps added comes down to 1/e: more lets fine folds pass each other
-constexpr double EASED_S = 0.65;    // in which what eased cloth without folds comes down to 1/e
+constexpr int NEAREST = 8;      // coarse vertices that a fine one takes from
+constexpr int APART_STEPS = 2;  // of untangling the fine cloth: four leave fewer crossings and cost time and gain
+constexpr double KEPT_S = 0.25;  // in which what sweeps added comes down to 1/e: more lets fine folds pass each other
+constexpr double EASED_S = 0.65;  // in which what eased cloth without folds comes down to 1/e
 
 // The points of a block of the fine cloth, moved as the coarse places are that went off [m] (P, 3).
 template <class T> INLINE Points<T> carried(Points<T> points, const T* off, const FineLevel<T>& fine, int64_t block) {
@@ -24,8 +24,8 @@ template <class T> INLINE Points<T> carried(Points<T> points, const T* off, cons
   return points;
 }
 
-// Writes the clusters of the fine cloth's tangles with a triangle whose first corner's coarse place is kept apart by its
-// planes. Returns their number.
+// Writes the clusters of the fine cloth's tangles with a triangle whose first corner's coarse place is kept apart by
+// its planes. Returns their number.
 template <class T> int64_t close_clusters(const T* planes, const FineLevel<T>& fine, int32_t* found) {
   int64_t filled = 0;
   for (int64_t c = 0; c < fine.tangles.start.count - 1; ++c) {
@@ -39,130 +39,170 @@ template <class T> int64_t close_clusters(const T* planes, const FineLevel<T>& f
   return filled;
 }
 
-// Writes the folded vertices [m] (V, 3) of two levels and the memory after them: that of the coarse cloth, and what sweeps
-// added [m] to the fine one. vertices has room for one number more.
-template <class T>
-FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around, const Levels<T>& levels,
-                            const FoldEffort<T>& effort, FoldMemory<T>& after, T* folded, Scratch& scratch) {
-  const FoldConstants<T>& coarse = levels.coarse;
-  const FineLevel<T>& fine = levels.fine;
-  const Skin<T> skin = skin_of(around.skin, coarse.graph);
-  const int64_t mark = scratch.used, places = fine.sheet.vertex.count, below = coarse.sheet.vertex.count;
-  T *network = scratch.take<T>(3 * places), *x = scratch.take<T>(3 * places), *lifted = scratch.take<T>(places);
-  T *planes = scratch.take<T>(PLANES * (places / LANES)), *start = scratch.take<T>(3 * places), *crossed = scratch.take<T>(places);
-  T *off = scratch.take<T>(3 * below), *coarse_x = scratch.take<T>(3 * below), *coarse_lifted = scratch.take<T>(below);
-  T* coarse_planes = scratch.take<T>(PLANES * (below / LANES));
-  int32_t* close = scratch.take<int32_t>(fine.tangles.start.count);
-  if (scratch.overflowed) return {};
-  placed(vertices, fine.sheet.vertex, network);
-  T* under = after.network.begin;
-  placed(vertices, levels.kept, under);
-  FoldEffort<T> coarsely = effort;
-  if (effort.steps == 0) coarsely.clearance_m = 0;  // what no step moved is lifted on the fine cloth
-  FoldOutcome outcome = fold_places(under, past, skin, around.colliders, coarse, coarsely, after, coarse_x, coarse_lifted,
-                                    coarse_planes, scratch);
-  if (scratch.overflowed) return outcome;
-  for (int64_t i = 0; i < 3 * below; ++i) off[i] = outcome.lost ? T(0) : coarse_x[i] - under[i];
+// A share that is kept of what sweeps added before, how far [m] what crosses comes apart in a step, the clearance [m]
+// of the lift, and the sweeps.
+template <class T> struct FineSchedule {
+  T share, untangle, clearance;
+  int64_t sweeps;
+};
 
-  const T clearance = T(effort.clearance_m);
-  const int64_t sweeps = effort.steps * (outcome.settled ? effort.settle : 1);
-  const double share = outcome.settled ? 0 : exponential_of(-past.step_s / (effort.steps ? KEPT_S : FADE_S));
+// Lays the fine cloth around the network's places [m] (P, 3). The coarse cloth lies off [m] (P, 3) the network, on the
+// samples of after. What sweeps added before is read, and that of after is written.
+template <class T>
+void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* network, const T* off, const T* before,
+                 const Surroundings<T>& around, const Levels<T>& levels, const FineSchedule<T>& schedule,
+                 FoldMemory<T>& after, Scratch& scratch) {
+  const FineLevel<T>& fine = levels.fine;
+  const Skin<T> skin = skin_of(around.skin, levels.coarse.graph);
+  const int64_t mark = scratch.used, places = fine.sheet.vertex.count;
+  T *x = laid.x, *planes = laid.planes, *start = scratch.take<T>(3 * places), *crossed = scratch.take<T>(places);
+  int32_t* close = scratch.take<int32_t>(fine.tangles.start.count);
+  if (scratch.overflowed) return;
   for (int64_t block = 0; block < places / LANES; ++block) {
     const int64_t first = 3 * LANES * block;
     Points<T> points = carried(points_in(network + first), off, fine, block);
     put_points(start + first, points);
-    if (share > 0) points = plus(points, row_of(T(share)), points_in(past.added + first));
+    if (schedule.share > 0) points = plus(points, row_of(schedule.share), points_in(before + first));
     put_points(x + first, points);
-    put(lifted + LANES * block, T(0));
+    put(laid.lifted + LANES * block, T(0));
   }
   hold_places<T>(fine.sheet, nullptr, T(0), planes);
-  put_own_planes(x, places, skin, after.own.begin, fine.parent.begin, planes);
-  put_other_planes(x, places, skin, after.other.begin, fine.parent.begin, planes);
+  put_own_planes<T>(x, places, skin, after.own, fine.parent, planes);
+  put_other_planes<T>(x, places, skin, after.other, fine.parent, planes);
   put_collider_planes(x, places, around.colliders, planes);
-  for (int64_t sweep = 0; sweep < sweeps; ++sweep) descend(x, fine.sheet, planes, network);
-  if (sweeps > 0 && effort.cloth_contact)
-    untangle(x, places, fine.tangles, close, close_clusters(coarse_planes, fine, close), T(outcome.untangle_m), APART_STEPS,
-             crossed, scratch);
-  leave_colliders(x, places, around.colliders, planes, clearance);
-  if (clearance > 0) lift(x, places, planes, clearance, lifted);
-  const bool lost = !(farthest_m(x, network, places) <= T(FAR_M));
-  for (int64_t i = 0; i < 3 * places; i += LANES)
-    put(after.added + i, lost ? row_of(T(0)) : row_at(x + i) - row_at(start + i));
-  if (lost)
-    for (int64_t p = 0; p < places; ++p) lifted[p] = 0;
-  delivered(x, lifted, fine.sheet.place, folded, outcome);
-  if (lost) {
-    __builtin_memcpy(folded, vertices, size_t(3 * fine.sheet.place.count) * sizeof(T));
-    outcome.reset = 1;
+  for (int64_t sweep = 0; sweep < schedule.sweeps; ++sweep) descend(x, fine.sheet, planes, network);
+  if (schedule.untangle > 0) {
+    const int64_t found = close_clusters(coarse.planes, fine, close);
+    untangle(x, places, fine.tangles, close, found, schedule.untangle, APART_STEPS, crossed, scratch);
   }
+  leave_colliders(x, places, around.colliders, planes, schedule.clearance);
+  if (schedule.clearance > 0) lift(x, places, planes, schedule.clearance, laid.lifted);
+  for (int64_t i = 0; i < 3 * places; i += LANES) put(after.added + i, row_at(x + i) - row_at(start + i));
   scratch.used = mark;
+}
+
+// Writes the folded vertices [m] (V, 3) of two levels and the memory after them: that of the coarse cloth, and what
+// sweeps added [m] to the fine one.
+template <class T>
+FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around,
+                            const Levels<T>& levels, const FoldEffort<T>& effort, FoldMemory<T>& after, T* folded,
+                            Scratch& scratch) {
+  const FineLevel<T>& fine = levels.fine;
+  const int64_t places = fine.sheet.vertex.count, below = levels.coarse.sheet.vertex.count;
+  const Laid<T> laid(places, scratch), coarse(below, scratch);
+  T *network = scratch.take<T>(3 * places), *under = scratch.take<T>(3 * below), *off = scratch.take<T>(3 * below);
+  if (scratch.overflowed) return {};
+  placed(vertices, fine.sheet.vertex, network);
+  placed(vertices, levels.kept, under);
+  FoldEffort<T> coarsely = effort;
+  if (effort.steps == 0) coarsely.clearance_m = 0;  // what no step moved is lifted on the fine cloth
+  FoldOutcome outcome = fold_places(coarse, under, past, around, levels.coarse, coarsely, after, scratch);
+  if (scratch.overflowed) return outcome;
+  for (int64_t i = 0; i < 3 * below; ++i) off[i] = outcome.lost ? T(0) : coarse.x[i] - under[i];
+  const int64_t sweeps = effort.steps * (outcome.settled ? effort.settle : 1);
+  const double share = outcome.settled ? 0 : exponential_of(-past.step_s / (effort.steps ? KEPT_S : FADE_S));
+  const double untangle_m = sweeps > 0 && effort.cloth_contact ? outcome.untangle_m : 0;
+  const FineSchedule<T> schedule = {T(share), T(untangle_m), T(effort.clearance_m), sweeps};
+  settle_fine<T>(laid, coarse, network, off, past.added, around, levels, schedule, after, scratch);
+  outcome.lost = !(farthest_m(laid.x, network, places) <= T(FAR_M));
+  if (outcome.lost) {
+    outcome.reset = 1;
+    for (int64_t p = 0; p < places; ++p) laid.lifted[p] = 0;
+    for (int64_t i = 0; i < 3 * places; ++i) after.added[i] = 0;
+  }
+  delivered(laid, fine.sheet.place, folded, outcome);
+  if (outcome.lost) __builtin_memcpy(folded, vertices, size_t(3 * fine.sheet.place.count) * sizeof(T));
   return outcome;
 }
 
-// Cloth without folds: the network's drape, eased by one step a frame of the whole coarse cloth, and lifted off the skin.
+// Cloth without folds: the network's drape, eased by one step a frame of the whole coarse cloth, and lifted off the
+// skin.
 //
 // The network stretches cloth that no triangle of it feels. A step of the stiffness that the coarse cloth has at rest
 // takes most of that out, and needs no search: contact is that with the samples of the skin that the cloth is followed
-// to. How far a frame was eased goes along with the network's surface, fades with the time EASED_S and is where the next
-// step begins. The memory has the network's coarse places, the samples own, and how far each was eased in residual.
-template <class T>
-FoldOutcome lift_alone(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around, const Levels<T>& levels,
-                       const FoldEffort<T>& effort, FoldMemory<T>& after, T* lifted_vertices, Scratch& scratch) {
-  const FoldConstants<T>& coarse = levels.coarse;
-  const FineLevel<T>& fine = levels.fine;
-  const Skin<T> skin = skin_of(around.skin, coarse.graph);
-  const int64_t mark = scratch.used, places = fine.sheet.vertex.count, below = coarse.sheet.vertex.count;
-  T *x = scratch.take<T>(3 * places), *lifted = scratch.take<T>(places), *planes = scratch.take<T>(PLANES * (places / LANES));
-  T *off = scratch.take<T>(3 * below), *moved = scratch.take<T>(3 * below), *gradient = scratch.take<T>(3 * below);
-  T *frames = scratch.take<T>(FRAMES * (below / LANES)), *coarse_planes = scratch.take<T>(PLANES * (below / LANES));
-  T *q = scratch.take<T>(3 * coarse.factor.place.count), *s = scratch.take<T>(3 * (coarse.factor.place.count + LANES));
-  if (scratch.overflowed) return {};
-  placed(vertices, fine.sheet.vertex, x);
-  T *under = after.network.begin, *eased = after.residual.begin;
-  placed(vertices, levels.kept, under);
-  const bool follows = past.step_s < INFINITE && farthest_m<T>(under, past.network.begin, below) <= T(CUT_M);
-  for (int64_t p = 0; p < below; ++p) after.own[p] = follows ? past.own[p] : coarse.index[p];
-  follow(under, below, skin, after.own.begin);
+// to. How far a frame was eased goes along with the network's surface, fades with the time EASED_S and is where the
+// next step begins. The memory has the network's coarse places, the samples own, and how far each was eased in
+// residual.
 
-  const double share = follows ? exponential_of(-past.step_s / EASED_S) : 0;
-  surface_frames(under, coarse.sheet, frames);
-  for (int64_t block = 0; block < below / LANES; ++block) {
+// Writes how far [m] (P, 3) so many steps move the coarse cloth from where the network has it, under [m] (P, 3), with
+// room for one number behind it: in the world's axes to off, in those of the surface to eased. It begins with a share
+// of what it was eased before, if anything. What is no fold is left out.
+template <class T>
+void ease_off(const T* under, const T* before, T share, const int32_t* own, const Skin<T>& skin,
+              const FoldConstants<T>& cloth, int64_t steps, T* eased, T* off, Scratch& scratch) {
+  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count, count = cloth.factor.place.count;
+  T *x = scratch.take<T>(3 * places), *gradient = scratch.take<T>(3 * places);
+  T *frames = scratch.take<T>(FRAMES * (places / LANES)), *planes = scratch.take<T>(PLANES * (places / LANES));
+  T *q = scratch.take<T>(3 * count), *s = scratch.take<T>(3 * (count + LANES));
+  if (scratch.overflowed) return;
+  surface_frames(under, cloth.sheet, frames);
+  for (int64_t block = 0; block < places / LANES; ++block) {
     const int64_t first = 3 * LANES * block;
+    const AxesOf<T> axes = axes_in(frames + FRAMES * block);
     Points<T> points = points_in(under + first);
-    if (follows) points = points + to_world(axes_in(frames + FRAMES * block), scaled(row_of(T(share)), points_in(past.residual + first)));
-    put_points(moved + first, points);
+    if (before) points = points + to_world(axes, scaled(row_of(share), points_in(before + first)));
+    put_points(x + first, points);
   }
-  hold_places<T>(coarse.sheet, nullptr, T(0), coarse_planes);
-  put_own_planes<T>(moved, below, skin, after.own.begin, nullptr, coarse_planes);
-  for (int64_t step = 0; step < (follows ? 1 : effort.settle); ++step) {
-    gradient_at<T>(moved, coarse.sheet, coarse_planes, under, T(HOLD), gradient);
-    whole_step(moved, coarse.factor, gradient, T(1), q, s);
+  hold_places<T>(cloth.sheet, nullptr, T(0), planes);
+  put_own_planes<T>(x, places, skin, own, nullptr, planes);
+  for (int64_t step = 0; step < steps; ++step) {
+    gradient_at<T>(x, cloth.sheet, planes, under, T(HOLD), gradient);
+    whole_step(x, cloth.factor, gradient, T(1), q, s);
   }
-  const bool fits = farthest_m(moved, under, below) <= T(FAR_M);  // what is no fold is left out
-  for (int64_t block = 0; block < below / LANES; ++block) {
+  const bool fits = farthest_m<T>(x, under, places) <= T(FAR_M);
+  for (int64_t block = 0; block < places / LANES; ++block) {
     const int64_t first = 3 * LANES * block;
-    Points<T> way = fits ? points_in(moved + first) - points_in(under + first) : Points<T>{};
+    Points<T> way = fits ? points_in(x + first) - points_in(under + first) : Points<T>{};
     put_points(off + first, way);
     put_points(eased + first, fits ? to_frame(axes_in(frames + FRAMES * block), way) : way);
   }
-
-  for (int64_t block = 0; block < places / LANES; ++block) {
-    const int64_t first = 3 * LANES * block;
-    put_points(x + first, carried(points_in(x + first), off, fine, block));
-    put(lifted + LANES * block, T(0));
-  }
-  const T clearance = T(effort.clearance_m);
-  if (around.colliders.count == 0) {
-    if (clearance > 0) lift_off_skin(x, places, skin, after.own.begin, fine.parent.begin, clearance, lifted);
-  } else {
-    for (int64_t i = 0; i < PLANES * (places / LANES); i += LANES) put(planes + i, T(0));
-    put_own_planes(x, places, skin, after.own.begin, fine.parent.begin, planes);
-    put_collider_planes(x, places, around.colliders, planes);
-    leave_colliders(x, places, around.colliders, planes, clearance);
-    if (clearance > 0) lift(x, places, planes, clearance, lifted);
-  }
-  FoldOutcome outcome = {!follows, 0, 0, 0, 0, 0, 0};
-  delivered(x, lifted, fine.sheet.place, lifted_vertices, outcome);
   scratch.used = mark;
+}
+
+// Lifts the fine cloth up to the clearance [m] over the skin and out of the colliders; own (C,) are the samples below
+// the coarse places.
+template <class T>
+void lift_off(const Laid<T>& laid, const int32_t* own, const Skin<T>& skin, const Array<double>& colliders,
+              const FineLevel<T>& fine, T clearance) {
+  const int64_t places = fine.sheet.vertex.count;
+  for (int64_t i = 0; i < places; i += LANES) put(laid.lifted + i, T(0));
+  if (colliders.count == 0) {
+    if (clearance > 0) lift_off_skin(laid.x, places, skin, own, fine.parent.begin, clearance, laid.lifted);
+    return;
+  }
+  for (int64_t i = 0; i < PLANES * (places / LANES); i += LANES) put(laid.planes + i, T(0));
+  put_own_planes(laid.x, places, skin, own, fine.parent.begin, laid.planes);
+  put_collider_planes(laid.x, places, colliders, laid.planes);
+  leave_colliders(laid.x, places, colliders, laid.planes, clearance);
+  if (clearance > 0) lift(laid.x, places, laid.planes, clearance, laid.lifted);
+}
+
+// Writes the eased and lifted vertices [m] (V, 3), and the memory after them.
+template <class T>
+FoldOutcome lift_alone(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around,
+                       const Levels<T>& levels, const FoldEffort<T>& effort, FoldMemory<T>& after, T* lifted_vertices,
+                       Scratch& scratch) {
+  const FoldConstants<T>& coarse = levels.coarse;
+  const FineLevel<T>& fine = levels.fine;
+  const Skin<T> skin = skin_of(around.skin, coarse.graph);
+  const int64_t places = fine.sheet.vertex.count, below = coarse.sheet.vertex.count;
+  const Laid<T> laid(places, scratch);
+  T *x = laid.x, *under = scratch.take<T>(3 * below), *off = scratch.take<T>(3 * below);
+  if (scratch.overflowed) return {};
+  placed(vertices, fine.sheet.vertex, x);
+  placed(vertices, levels.kept, under);
+  __builtin_memcpy(after.network.begin, under, size_t(3 * below) * sizeof(T));
+  const bool follows = past.step_s < INFINITE && farthest_m<T>(under, past.network, below) <= T(CUT_M);
+  for (int64_t p = 0; p < below; ++p) after.own[p] = follows ? past.own[p] : coarse.index[p];
+  follow(under, below, skin, after.own.begin);
+  const double share = follows ? exponential_of(-past.step_s / EASED_S) : 0;
+  ease_off<T>(under, follows ? past.residual.begin : nullptr, T(share), after.own, skin, coarse,
+              follows ? 1 : effort.settle, after.residual, off, scratch);
+  if (scratch.overflowed) return {};
+  for (int64_t block = 0; block < places / LANES; ++block)
+    put_points(x + 3 * LANES * block, carried(points_in(x + 3 * LANES * block), off, fine, block));
+  lift_off<T>(laid, after.own, skin, around.colliders, fine, T(effort.clearance_m));
+  FoldOutcome outcome = {!follows, 0, 0, 0, 0, 0, 0};
+  delivered(laid, fine.sheet.place, lifted_vertices, outcome);
   return outcome;
 }

@@ -5,12 +5,12 @@
 //
 //     x += share fade max(0, low) n,   low = h - n . (x - p),
 //
-// fade 1 up to DEEP_M and 0 from TOO_DEEP_M on: no contact leaves cloth so deep, the plane goes on there beside the skin
-// that it stands for. A quarter of the way out of the plane of another part comes first, then all of the way out of that
-// of the own part. Two parts of the body that overlap leave room for neither; going all of the way out of both would tear
-// the cloth at the border, and it is the own skin that has to be hidden. The planes are those of the frame's contact, so
-// that no skin is searched. The next frame begins with the lifted cloth, as in position-based dynamics (Mueller et al.
-// 2007, "Position Based Dynamics", J. Vis. Commun. Image Represent. 18(2)).
+// fade 1 up to DEEP_M and 0 from TOO_DEEP_M on: no contact leaves cloth so deep, the plane goes on there beside the
+// skin that it stands for. A quarter of the way out of the plane of another part comes first, then all of the way out
+// of that of the own part. Two parts of the body that overlap leave room for neither; going all of the way out of both
+// would tear the cloth at the border, and it is the own skin that has to be hidden. The planes are those of the frame's
+// contact, so that no skin is searched. The next frame begins with the lifted cloth, as in position-based dynamics
+// (Mueller et al. 2007, "Position Based Dynamics", J. Vis. Commun. Image Represent. 18(2)).
 #pragma once
 #include "skin.hpp"
 
@@ -35,16 +35,17 @@ template <class T> INLINE void put_lifted(T* x, T* way, Points<T> before, Points
 template <class T> void lift(T* x, int64_t places, const T* planes, T clearance, T* way) {
   for (int64_t first = 0; first < places; first += LANES, planes += PLANES) {
     Points<T> before = points_in(x + 3 * first);
-    Points<T> after = above<T>(before, rows3_at(planes + OTHER_PLANE), rows3_at(planes + OTHER_PLANE + 3 * LANES), clearance,
-                               T(OTHER_SHARE));
-    after = above<T>(after, rows3_at(planes + OWN_PLANE), rows3_at(planes + OWN_PLANE + 3 * LANES), clearance, T(1));
+    const T *own = planes + OWN_PLANE, *other = planes + OTHER_PLANE;
+    Points<T> after = above<T>(before, rows3_at(other), rows3_at(other + 3 * LANES), clearance, T(OTHER_SHARE));
+    after = above<T>(after, rows3_at(own), rows3_at(own + 3 * LANES), clearance, T(1));
     put_lifted(x + 3 * first, way + first, before, after);
   }
 }
 
 // The same over the own planes of each place's samples (own_planes), none of which is kept.
 template <class T>
-void lift_off_skin(T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent, T clearance, T* way) {
+void lift_off_skin(T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent, T clearance,
+                   T* way) {
   Walks walks;
   for (int64_t first = 0; first < places; first += LANES) {
     Points<T> before = points_in(x + 3 * first);

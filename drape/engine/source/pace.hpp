@@ -2,13 +2,14 @@
 #pragma once
 #include "platform.hpp"
 
-// The share of the last step's way that comes before a step: in slow motion, and in fast motion of soft and stiff cloth.
+// The share of the last step's way that comes before a step: in slow motion, and in fast motion of soft and stiff
+// cloth.
 constexpr double MOMENTUM = 0.9, FAST_MOMENTUM = 0.7, STIFF_MOMENTUM = 0.5;
 // That of a frame without a past with at least so many rounds: sixty rounds then come as far as five hundred with 0.9.
 // Eight rounds would come less far.
 constexpr double SETTLING_MOMENTUM = 0.98;
 constexpr int64_t LONG_ROUNDS = 16;
-constexpr double SLOW_M = 0.01, FAST_M = 0.02;  // RMS way of the network's vertices a frame, between which motion is fast
+constexpr double SLOW_M = 0.01, FAST_M = 0.02;  // RMS way of the network's vertices a frame: slow, fast
 constexpr int64_t FAST_SWEEPS = 2;              // sweeps that fast motion adds
 constexpr double STIFF_SHARE = 0.5;             // what fast motion leaves of a step of the whole in stiff cloth
 // Mean membrane stiffness along warp and weft from which cloth counts as stiff: denim, satin, poplin, but no knit.
@@ -33,9 +34,9 @@ INLINE double grip_left(double way_m, double step_s) {
   return 1 - (1 - SHAKEN) * (shaken < 1 ? shaken : 1);
 }
 
-// A step of the whole answers to where soft cloth was, and in fast motion that is out of date: steps fade out, and sweeps
-// take their place. Stiff cloth crumples without steps: half of each stays, with less momentum, and sweeps for contact
-// are added.
+// A step of the whole answers to where soft cloth was, and in fast motion that is out of date: steps fade out, and
+// sweeps take their place. Stiff cloth crumples without steps: half of each stays, with less momentum, and sweeps for
+// contact are added.
 INLINE Pace paced(int64_t steps, double calm, bool stiff) {
   const int64_t half = steps / 2 > 1 ? steps / 2 : 1;
   if (stiff)

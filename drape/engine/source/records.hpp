@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0xb63f149dba2020d4u;
+constexpr uint64_t RECORDS_HASH = 0xb194a93714c5df76u;
 
 template <class T> struct Constants {
   double warp;
@@ -93,6 +93,13 @@ template <class T> struct FoldConstants {
   Tangles<T> tangles;
 };
 static_assert(sizeof(FoldConstants<float>) == 728, "FoldConstants");
+
+template <class T> struct LaidCloth {
+  Sheet<T> sheet;
+  SkinGraph<T> graph;
+  Array<int32_t> index;
+};
+static_assert(sizeof(LaidCloth<float>) == 400, "LaidCloth");
 
 template <class T> struct FineLevel {
   Sheet<T> sheet;

@@ -1,21 +1,23 @@
 // What folds keep of the frame before: residuals that tear are mended, and those of another pose are forgotten.
 //
 // Memory keeps what one pose folded where the next one needs no fold, and thin cloth in motion crumples. A few steps do
-// not undo that: to bend costs cloth hardly anything. So in every frame a residual r goes towards the mean m of those of
-// its neighbours,
+// not undo that: to bend costs cloth hardly anything. So in every frame a residual r goes towards the mean m of those
+// of its neighbours,
 //
 //     r += f (m - r),   f = s / (1 + s),   s = FORGET |e - e0| / |e| / (1 + (l / LACK)^2).
 //
-// e is the vertex's first edge in the network's drape of this frame and e0 that edge in the frame before, so that s grows
-// with the way by which the cloth turns and not with the number of frames. Cloth on a body that stands still forgets
-// nothing, and comes to rest as a still does. l is the share of its area that the network leaves out around the vertex,
+// e is the vertex's first edge in the network's drape of this frame and e0 that edge in the frame before, so that s
+// grows with the way by which the cloth turns and not with the number of frames. Cloth on a body that stands still
+// forgets nothing, and comes to rest as a still does. l is the share of its area that the network leaves out around the
+// vertex,
 //
 //     l = max(0, 1 - sum |a x b| / 2 / sum A),
 //
 // a and b the sides of its triangles and A their areas at rest: there folds are needed, and stay.
 //
 // Hems are sewn double and do not frill, but along a border the mesh has no hinges. Residuals there also go towards the
-// mean of their two neighbours' along the border, by s / (1 + s) with s = HEM |e - e0| / |e|, e the way to the next one.
+// mean of their two neighbours' along the border, by s / (1 + s) with s = HEM |e - e0| / |e|, e the way to the next
+// one.
 //
 // Where cloth still crosses itself at the end of a frame its residual goes towards the mean as well: the network's
 // surface is smooth, and a crumple that has passed through itself goes back with it.
@@ -24,10 +26,11 @@
 
 constexpr double MEND_M = 0.03;  // a residual that far from its neighbours' follows them
 constexpr double FORGET = 24.0, LACK = 0.003, HEM = 24.0;
-constexpr double EASE = 0.5;  // the share of its way to the mean where cloth crosses and the network moves by WAY_M or more
+constexpr double EASE = 0.5;  // the share of its way to the mean where cloth crosses and the network moves by WAY_M
 
 // Writes f (P,): none where nothing moved.
-template <class T> void write_forget(const T* before, const T* network, const T* frames, const Sheet<T>& sheet, T* forget) {
+template <class T>
+void write_forget(const T* before, const T* network, const T* frames, const Sheet<T>& sheet, T* forget) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
   for (int64_t block = 0; block < sheet.fan_start.count - 1; ++block) {
     const int64_t row = sheet.fan_start[block], first = 3 * LANES * block;
@@ -88,11 +91,11 @@ template <class T> void even_hem(T* off, const T* before, const T* network, cons
   for (int64_t e = 0; e < count; ++e) put_point(off, hem[3 * e + 1], point(even, e));
 }
 
-// Mends, forgets and evens the residuals off [m] (P, 3), world, in place. before and network [m] (P, 3) are the network's
-// drapes of the frame before and of this one, frames those of the latter.
+// Mends, forgets and evens the residuals off [m] (P, 3), world, in place. before and network [m] (P, 3) are the
+// network's drapes of the frame before and of this one, frames those of the latter.
 template <class T>
-void keep_residual(T* off, const T* before, const T* network, const T* frames, const Sheet<T>& sheet, const Array<int32_t>& hem,
-                   Scratch& scratch) {
+void keep_residual(T* off, const T* before, const T* network, const T* frames, const Sheet<T>& sheet,
+                   const Array<int32_t>& hem, Scratch& scratch) {
   const int64_t mark = scratch.used, places = sheet.vertex.count;
   T *forget = scratch.take<T>(places), *copy = scratch.take<T>(3 * places + 1), *even = scratch.take<T>(hem.count);
   if (scratch.overflowed) return;
@@ -104,7 +107,8 @@ void keep_residual(T* off, const T* before, const T* network, const T* frames, c
 
 // Moves the residuals of x [m] (P, 3) by a share of the way to their neighbours' mean, in place, where crossed (P,) is
 // above zero.
-template <class T> void ease(T* x, const T* network, const T* crossed, T share, const Sheet<T>& sheet, Scratch& scratch) {
+template <class T>
+void ease(T* x, const T* network, const T* crossed, T share, const Sheet<T>& sheet, Scratch& scratch) {
   const int64_t mark = scratch.used, places = sheet.vertex.count;
   T *forget = scratch.take<T>(places), *off = scratch.take<T>(3 * places + 1), *copy = scratch.take<T>(3 * places + 1);
   if (scratch.overflowed) return;

@@ -2,17 +2,17 @@
 //
 // Under an arm, in a groin and behind a knee the network lays cloth close together and leaves it too little area. Steps
 // that give the cloth its area back crumple it through itself, at the size of its triangles. So it keeps a distance. Of
-// each vertex v the vertex nearest to it that is not of its sheet is found, within SPACING mean edges. With p the nearest
-// point to v of that one's triangles, n the unit vector from p to v and D = KEPT mean edges, KEPT_M at most, v stays half
-// of D before the middle between them where it is nearer,
+// each vertex v the vertex nearest to it that is not of its sheet is found, within SPACING mean edges. With p the
+// nearest point to v of that one's triangles, n the unit vector from p to v and D = KEPT mean edges, KEPT_M at most, v
+// stays half of D before the middle between them where it is nearer,
 //
 //     n . (x - (v + p) / 2) >= D / 2,
 //
 // with contact's energy. Both sheets give way, and the middle is another one in every frame. Sheets that lie on each
-// other slide freely: p slides along, and n is the normal of the sheet and not the way to one of its vertices. The plane
-// takes the place of that of another part of the body where it is the nearer one. Two vertices are of one sheet where the
-// way through the air is nearly as long as that along the cloth: such cloth is only pressed together. Nothing is
-// remembered. Where cloth already crosses itself these planes have no side to tell.
+// other slide freely: p slides along, and n is the normal of the sheet and not the way to one of its vertices. The
+// plane takes the place of that of another part of the body where it is the nearer one. Two vertices are of one sheet
+// where the way through the air is nearly as long as that along the cloth: such cloth is only pressed together. Nothing
+// is remembered. Where cloth already crosses itself these planes have no side to tell.
 #pragma once
 #include "clusters.hpp"
 #include "sweeps.hpp"
@@ -54,7 +54,7 @@ template <class T> INLINE Row<T> least_squares(const T* a, const T* b, const uin
 
 template <class T> INLINE bool is_near(const SheetNeighbours<T>& n, int32_t v, int32_t u, T far) {
   bool hit = false;
-  for (int64_t entry = n.start[v]; entry < n.start[v + 1]; ++entry) hit |= n.vertex[entry] == u && far >= T(n.square[entry]);
+  for (int64_t i = n.start[v]; i < n.start[v + 1]; ++i) hit |= n.vertex[i] == u && far >= T(n.square[i]);
   return hit;
 }
 
@@ -91,14 +91,15 @@ void rooms(const T* points, const SheetNeighbours<T>& n, T reach, T* room, int32
   NearestLanes<T> lanes = {scratch.take<T>(LANES * count), scratch.take<int32_t>(LANES * count), reach * reach};
   if (scratch.overflowed) return;
   for (int64_t c = 0; c < count; ++c) {
-    for (int lane = 0; lane < LANES; ++lane) put_lane3(rows + POINT_ROWS * c, lane, point(points, n.clusters[LANES * c + lane]));
+    for (int lane = 0; lane < LANES; ++lane)
+      put_lane3(rows + POINT_ROWS * c, lane, point(points, n.clusters[LANES * c + lane]));
     table[c] = -1;
   }
   for (int64_t e = 0; e < LANES * count; ++e) lanes.square[e] = lanes.most, lanes.which[e] = -1;
   const Boxes<T> boxes = boxes_around(rows, count, POINT_ROWS, 0, 0, scratch);
   if (scratch.overflowed) return;
   for (int64_t a = 0; a < count; ++a) {
-    for (int64_t entry = n.other_start[a]; entry < n.other_start[a + 1]; ++entry) table[n.other[entry]] = int32_t(entry);
+    for (int64_t i = n.other_start[a]; i < n.other_start[a + 1]; ++i) table[n.other[i]] = int32_t(i);
     const int64_t close = find_close(a, boxes, lanes.most, found);
     for (int64_t number = 0; number < close; ++number) {
       const int64_t b = found[number];
@@ -107,7 +108,7 @@ void rooms(const T* points, const SheetNeighbours<T>& n, T reach, T* room, int32
                             : least_squares<T>(rows + POINT_ROWS * a, rows + POINT_ROWS * b, nullptr, lanes.most);
       if (lanes_of<T>(least_ < row_of(lanes.most))) count_pairs(rows, n, a, b, least_, bound != nullptr, lanes);
     }
-    for (int64_t entry = n.other_start[a]; entry < n.other_start[a + 1]; ++entry) table[n.other[entry]] = -1;
+    for (int64_t i = n.other_start[a]; i < n.other_start[a + 1]; ++i) table[n.other[i]] = -1;
   }
   for (int64_t e = LANES * count - 1; e >= 0; --e) {  // a lane that repeats a vertex comes before its own
     const bool is_close = lanes.square[e] < lanes.most;

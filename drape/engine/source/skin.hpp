@@ -9,8 +9,8 @@
 //
 // Another part. A grid over the samples finds what else is near, the trunk near a sleeve or a thigh near a belly, for a
 // quarter of the vertices in each frame; in between the other ones walk. A sample counts where it is far from the own
-// one at rest. A nearer one counts where the skin is hollow between the two: it then lies above the tangent plane of the
-// own sample, as no sample of the same limb does.
+// one at rest. A nearer one counts where the skin is hollow between the two: it then lies above the tangent plane of
+// the own sample, as no sample of the same limb does.
 //
 // Planes. One tangent plane for all that lies nearest to a sample would give limbs facets. The plane of a sample s is
 // blended with those of its neighbours n, with weights that end at the samples' spacing r,
@@ -31,9 +31,9 @@ constexpr int WALK_STEPS = 3;  // from the network's sample to the fold's: too f
 constexpr int TURNS = 4;       // frames until every vertex has looked for other parts
 constexpr double REACH_M = 0.03;  // how near another part must come: no vertex is deeper in one than that
 constexpr double PER_CELL = 1.0 / (2.0 * REACH_M);
-constexpr double NEARER = 0.8;  // of the squared distance to the own sample: one of the same part so near takes its place
-constexpr double BESIDE = 1.5, FREE = 2.5;  // squared ways to the side of a sample, times r^2, between which a plane ends
-constexpr double HOLLOW_M = 0.05, APART_M = 0.12;  // distance at rest from which skin may be hollow, and is another part
+constexpr double NEARER = 0.8;  // of the squared distance to the own sample: one of its part so near takes its place
+constexpr double BESIDE = 1.5, FREE = 2.5;  // squared ways aside of a sample, times r^2, between which a plane ends
+constexpr double HOLLOW_M = 0.05, APART_M = 0.12;  // at rest, from which skin may be hollow, and is another part
 
 // A posed skin and its graph.
 template <class T> struct Skin {
@@ -41,12 +41,15 @@ template <class T> struct Skin {
   int64_t count;
   const int32_t* neighbour;  // (S, 8)
   const T *reach_m2, *rest;  // (S,), (S, 3)
-  INLINE_MEMBER Vector<T> point_of(int64_t s) const { return {samples[8 * s], samples[8 * s + 1], samples[8 * s + 2]}; }
-  INLINE_MEMBER Vector<T> normal_of(int64_t s) const { return {samples[8 * s + 4], samples[8 * s + 5], samples[8 * s + 6]}; }
+  INLINE_MEMBER Vector<T> point_of(int64_t s) const { return point(samples + 8 * s, 0); }
+  INLINE_MEMBER Vector<T> normal_of(int64_t s) const { return point(samples + 8 * s + 4, 0); }
 };
 
+template <class T> INLINE Skin<T> skin_of(const T* samples, int64_t count, const SkinGraph<T>& graph) {
+  return {samples, count, graph.neighbour.begin, graph.reach_m2.begin, graph.rest.begin};
+}
 template <class T> INLINE Skin<T> skin_of(const Array<T>& samples, const SkinGraph<T>& graph) {
-  return {samples.begin, samples.count / 8, graph.neighbour.begin, graph.reach_m2.begin, graph.rest.begin};
+  return skin_of(samples.begin, samples.count / 8, graph);
 }
 
 // Sixteen walks at once: in each lane a place and the sample that it is at, whose neighbours are near, a row each.
@@ -284,7 +287,8 @@ void touch(const T* x, int64_t places, const Skin<T>& skin, const int32_t* verte
         if (near.same != walks.sample[lane]) own[v] = near.same;
       } else if (found >= 0) {
         found = walked(at, skin, found, WALK_STEPS);
-        if (square_to(at, skin, found) >= T(REACH_M * REACH_M) || !is_other(skin, walks.sample[lane], found)) found = -1;
+        const bool far = square_to(at, skin, found) >= T(REACH_M * REACH_M);
+        if (far || !is_other(skin, walks.sample[lane], found)) found = -1;
       }
       other[v] = found;
       if (found >= 0) late.add(v, found);
@@ -296,7 +300,8 @@ void touch(const T* x, int64_t places, const Skin<T>& skin, const int32_t* verte
 
 // The planes below points of a block, one step on from the samples own (C,) of what each place has in parent.
 template <class T>
-INLINE Planes<T> own_planes(Points<T> points, const int32_t* own, const int32_t* parent, Walks& walks, const Skin<T>& skin) {
+INLINE Planes<T> own_planes(Points<T> points, const int32_t* own, const int32_t* parent, Walks& walks,
+                            const Skin<T>& skin) {
   for (int lane = 0; lane < LANES; ++lane) walks.sample[lane] = own[parent ? parent[lane] : lane];
   walk(points, walks, skin, 1);
   return planes_below(points, walks, skin);
@@ -305,11 +310,12 @@ INLINE Planes<T> own_planes(Points<T> points, const int32_t* own, const int32_t*
 // Writes the planes below x [m] (P, 3), one step on from the samples own (C,) of what each place has in parent (P,);
 // of its own place where there is no parent.
 template <class T>
-void put_own_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent, T* planes) {
+void put_own_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent,
+                    T* planes) {
   Walks walks;
   for (int64_t first = 0; first < places; first += LANES) {
-    Planes<T> below = own_planes(points_in(x + 3 * first), parent ? own : own + first, parent ? parent + first : nullptr,
-                                 walks, skin);
+    const int32_t *from = parent ? own : own + first, *of = parent ? parent + first : nullptr;
+    Planes<T> below = own_planes(points_in(x + 3 * first), from, of, walks, skin);
     T* block = planes + PLANES * (first / LANES);
     put3(block + OWN_PLANE, below.foot);
     put3(block + OWN_PLANE + 3 * LANES, below.unit);
@@ -319,7 +325,8 @@ void put_own_planes(const T* x, int64_t places, const Skin<T>& skin, const int32
 // Writes the planes below x [m] (P, 3) of other parts, of the samples other (C,) of what each place has in parent (P,);
 // of a sample -1 none.
 template <class T>
-void put_other_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* other, const int32_t* parent, T* planes) {
+void put_other_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* other, const int32_t* parent,
+                      T* planes) {
   LatePlanes<T> late = {x, planes, skin, {}, 0};
   for (int64_t v = 0; v < places; ++v)
     if (other[parent[v]] >= 0) late.add(v, other[parent[v]]);

@@ -5,8 +5,8 @@
 //     x -= H^-1 g,   |H^-1 g| <= reach,
 //
 // g the gradient of the energy by the vertex, H its Hessian without the terms that could make it indefinite. The energy
-// is that of triangles and creases (elements.hpp), of quadratic bending, and for each vertex with weight w and contact's
-// stiffness c
+// is that of triangles and creases (elements.hpp), of quadratic bending, and for each vertex with weight w and
+// contact's stiffness c
 //
 //     w x_y + c/2 (gap - n.(x - p))+^2 for each of two planes + held/2 (|x - b| - slack)+^2 + friction.
 //
@@ -18,8 +18,8 @@
 #include "elements.hpp"
 
 // The rows of a block of planes: point and normal of the own part, and of another one; stiffness and slack of the hold
-// to the network's place; where the skin has taken the vertex, and friction times contact's stiffness; above 0 where the
-// second plane keeps cloth apart from cloth.
+// to the network's place; where the skin has taken the vertex, and friction times contact's stiffness; above 0 where
+// the second plane keeps cloth apart from cloth.
 constexpr int OWN_PLANE = 0, OTHER_PLANE = 6 * LANES, HELD_ROW = 12 * LANES, SLACK_ROW = 13 * LANES;
 constexpr int STUCK = 14 * LANES, FRICTION_ROW = 17 * LANES, APART_ROW = 18 * LANES, PLANES = 19 * LANES;
 // The rows of a block of a sheet's own numbers.
@@ -69,9 +69,11 @@ INLINE Model<T> outside(Points<T> x, const T* own, const T* planes, Points<T> ne
   return {force, outer(h, lost, way)};
 }
 
-// Adds a hinge that is not flat at rest to one lane of the model: entry 4 h + c where that vertex is corner c of hinge h.
+// Adds a hinge that is not flat at rest to one lane of the model: entry 4 h + c where that vertex is corner c of hinge
+// h.
 template <bool CURVATURE, class T>
-INLINE void add_crease(Model<T>& model, const T* x, const Creases<T>& creases, int lane, int32_t member, const Fabric<T>& k) {
+INLINE void add_crease(Model<T>& model, const T* x, const Creases<T>& creases, int lane, int32_t member,
+                       const Fabric<T>& k) {
   const int32_t* vertex = creases.corner + 4 * (member / 4);
   T cosine = creases.cosine[member / 4], sine = creases.sine[member / 4], stiffness = creases.stiffness[member / 4];
   Hinge<T> h = hinge_at(x, vertex, cosine, sine, k);

@@ -8,9 +8,9 @@
 //     G = sum R - 2 N (E . sum R) / (E . N),
 //
 // by which the contour grows shorter fastest. The edge's ends go one way and the triangle's corners the other way, each
-// by the mean of its ways, no farther than the body moved. Both sheets stay as they are but for that: there is neither an
-// inside nor a side to remember. What crosses shallowly comes apart within a few frames; the memory of folds keeps it so.
-// Sheets that lie deep in each other have no short way out, and stay.
+// by the mean of its ways, no farther than the body moved. Both sheets stay as they are but for that: there is neither
+// an inside nor a side to remember. What crosses shallowly comes apart within a few frames; the memory of folds keeps
+// it so. Sheets that lie deep in each other have no short way out, and stay.
 //
 // The pairs of triangles that cross are found once, by boxes around sixteen triangles side by side and by cones around
 // their normals, and looked at again in each step.
@@ -20,20 +20,22 @@
 
 constexpr int UNTANGLE_STEPS = 4;
 constexpr double LEAST_M = 0.0003, WAY_M = 0.002;
-constexpr int BORDER = -1, OTHERS = -2;  // in Tangles.across: nothing is across the edge; the edge is another triangle's
+constexpr int BORDER = -1, OTHERS = -2;  // in Tangles.across: nothing is across the edge; it is another triangle's
 constexpr int64_t MOST_PAIRS = 8192;     // of a frame: bounds its time
 constexpr double OBLIQUE = 0.05;         // the least cosine of edge and normal that counts
 // A way of half this size, squared, is halved: contours that all but close leave hardly any way.
 constexpr double SOFT = 0.25;
 constexpr double TOUCH_M2 = 1e-12;  // boxes that only touch may cross
-// Cloth side by side whose normals differ from an axis by less than 0.45 pi does not cross itself; by a right angle would
-// do but for cloth whose border crosses itself.
+// Cloth side by side whose normals differ from an axis by less than 0.45 pi does not cross itself; by a right angle
+// would do but for cloth whose border crosses itself.
 constexpr ConeAngle CONE = {0.15643446504023092, -0.9510565162951535, 0.3090169943749475};
 
 // Rows of a cluster of triangles: three corners, the least and the most corner of the box, the normal, as long as twice
 // the area, and the plane's height along it.
 constexpr int CORNERS = 0, LOW = 9 * LANES, HIGH = 12 * LANES, NORMAL = 15 * LANES, HEIGHT = 18 * LANES;
 constexpr int TRIANGLE_ROWS = 19 * LANES;
+
+template <class T> INLINE Row<T> heights(Vector<T> n, Points<T> p) { return n.x * p.x + n.y * p.y + n.z * p.z; }
 
 template <class T> INLINE void lay_triangles(const T* x, const int32_t* corner, T* to) {
   Points<T> p = points_at(x, corner), q = points_at(x, corner + LANES), r = points_at(x, corner + 2 * LANES);
@@ -43,8 +45,10 @@ template <class T> INLINE void lay_triangles(const T* x, const int32_t* corner, 
   Points<T> n = cross(q - p, r - p);
   put3(to + NORMAL, n);
   put(to + HEIGHT, dot(n, p));
-  put3(to + LOW, Points<T>{least<T>(least<T>(p.x, q.x), r.x), least<T>(least<T>(p.y, q.y), r.y), least<T>(least<T>(p.z, q.z), r.z)});
-  put3(to + HIGH, Points<T>{most<T>(most<T>(p.x, q.x), r.x), most<T>(most<T>(p.y, q.y), r.y), most<T>(most<T>(p.z, q.z), r.z)});
+  const Points<T> low = {least<T>(p.x, q.x), least<T>(p.y, q.y), least<T>(p.z, q.z)};
+  const Points<T> high = {most<T>(p.x, q.x), most<T>(p.y, q.y), most<T>(p.z, q.z)};
+  put3(to + LOW, Points<T>{least<T>(low.x, r.x), least<T>(low.y, r.y), least<T>(low.z, r.z)});
+  put3(to + HIGH, Points<T>{most<T>(high.x, r.x), most<T>(high.y, r.y), most<T>(high.z, r.z)});
 }
 
 // The triangles of a cluster whose box reaches box b.
@@ -62,8 +66,8 @@ template <class T> INLINE uint32_t reach_box(const T* own, const T* boxes, int64
 template <class T> INLINE uint32_t have_sides(const T* own, int i, const T* other) {
   const Vector<T> n = lane3(own + NORMAL, i), low = lane3(own + LOW, i), high = lane3(own + HIGH, i);
   const T height = own[HEIGHT + i];
-  Points<T> p = rows3_at(other), q = rows3_at(other + 3 * LANES), r = rows3_at(other + 6 * LANES);
-  Row<T> a = n.x * p.x + n.y * p.y + n.z * p.z, b = n.x * q.x + n.y * q.y + n.z * q.z, c = n.x * r.x + n.y * r.y + n.z * r.z;
+  Row<T> a = heights(n, rows3_at(other)), b = heights(n, rows3_at(other + 3 * LANES));
+  Row<T> c = heights(n, rows3_at(other + 6 * LANES));
   Row<T> apart = most<T>(least<T>(least<T>(a, b), c) - height, height - most<T>(most<T>(a, b), c));
   Points<T> lower = rows3_at(other + LOW), higher = rows3_at(other + HIGH);
   Row<T> x = most<T>(lower.x - high.x, low.x - higher.x);
@@ -75,9 +79,14 @@ template <class T> INLINE uint32_t have_sides(const T* own, int i, const T* othe
 // Whether the plane of triangle j of the other cluster has corners of triangle i on both sides.
 template <class T> INLINE bool is_parted(const T* own, int i, const T* other, int j) {
   const Vector<T> p = lane3(other, j), n = lane3(other + NORMAL, j);
-  const T a = dot(n, lane3(own, i) - p), b = dot(n, lane3(own + 3 * LANES, i) - p), c = dot(n, lane3(own + 6 * LANES, i) - p);
+  const T a = dot(n, lane3(own, i) - p), b = dot(n, lane3(own + 3 * LANES, i) - p);
+  const T c = dot(n, lane3(own + 6 * LANES, i) - p);
   return less<T>(less<T>(a, b), c) < 0 && more<T>(more<T>(a, b), c) > 0;
 }
+
+// How far [m] a step goes at most where the network moved by moved_m [m]: no farther than that, or cloth on a body that
+// stands still would not come to rest; but for LEAST_M, or cloth would crumple through itself there.
+INLINE double farthest_way(double moved_m) { return less<double>(WAY_M, more<double>(moved_m, LEAST_M)); }
 
 struct Threes { int32_t of[3]; };
 INLINE Threes threes(const int32_t* table, int64_t triangle) {
@@ -97,11 +106,13 @@ struct Pair { int32_t first, second; };  // triangles: cluster times LANES plus 
 // Writes the pairs of triangles of the clusters chosen (n,), in rising order, that share no corner and may cross: each
 // has corners on both sides of the other one, and their boxes overlap. Returns their number, MOST_PAIRS at most.
 template <class T>
-int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* chosen, int64_t count, Pair* pairs, Scratch& scratch) {
+int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* chosen, int64_t count, Pair* pairs,
+                 Scratch& scratch) {
   if (count == 0) return 0;
   const int64_t mark = scratch.used, all = tangles.start.count - 1;
   T *rows = scratch.take<T>(TRIANGLE_ROWS * count), *cones = scratch.take<T>(4 * count);
-  int32_t *number = scratch.take<int32_t>(all), *joined = scratch.take<int32_t>(count), *close = scratch.take<int32_t>(count);
+  int32_t *number = scratch.take<int32_t>(all), *joined = scratch.take<int32_t>(count);
+  int32_t* close = scratch.take<int32_t>(count);
   if (scratch.overflowed) return 0;
   for (int64_t c = 0; c < all; ++c) number[c] = -1;
   for (int64_t n = 0; n < count; ++n) {
@@ -138,7 +149,9 @@ int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* chosen, i
   return filled;
 }
 
-template <class T> INLINE T turn_of(Vector<T> a, Vector<T> b, Vector<T> y, Vector<T> normal) { return dot(cross(b - a, y - a), normal); }
+template <class T> INLINE T turn_of(Vector<T> a, Vector<T> b, Vector<T> y, Vector<T> normal) {
+  return dot(cross(b - a, y - a), normal);
+}
 
 // The unit vector, in the triangle that lies inward of an edge, along the plane with the normal; zero where both are
 // parallel.
@@ -157,8 +170,10 @@ template <class T> INLINE void go(T* way, T* count, int64_t v, T sign, Vector<T>
 }
 
 // Adds the ways of the edges of the triangle edged that pass through the triangle through.
-template <class T> void shorten(const T* x, const Tangles<T>& tangles, int64_t edged, int64_t through, T* way, T* count) {
-  const Threes corner = threes(tangles.corner, edged), across = threes(tangles.across, edged), other = threes(tangles.corner, through);
+template <class T>
+void shorten(const T* x, const Tangles<T>& tangles, int64_t edged, int64_t through, T* way, T* count) {
+  const Threes corner = threes(tangles.corner, edged), across = threes(tangles.across, edged);
+  const Threes other = threes(tangles.corner, through);
   const Vector<T> a = point(x, other.of[0]), b = point(x, other.of[1]), c = point(x, other.of[2]);
   Vector<T> normal = cross(b - a, c - a);
   const T length = root(dot(normal, normal));
@@ -185,12 +200,12 @@ template <class T> void shorten(const T* x, const Tangles<T>& tangles, int64_t e
   }
 }
 
-// Moves x [m] (P, 3) in place where triangles of the clusters chosen (n,) cross, by farthest [m] at most in each of steps.
-// Writes how many ways each place had in the last step to count (P,): more than none where cloth crossed. Returns the
-// number of pairs.
+// Moves x [m] (P, 3) in place where triangles of the clusters chosen (n,) cross, by farthest [m] at most in each of
+// steps. Writes how many ways each place had in the last step to count (P,): more than none where cloth crossed.
+// Returns the number of pairs.
 template <class T>
-int64_t untangle(T* x, int64_t places, const Tangles<T>& tangles, const int32_t* chosen, int64_t number, T farthest, int steps,
-                 T* count, Scratch& scratch) {
+int64_t untangle(T* x, int64_t places, const Tangles<T>& tangles, const int32_t* chosen, int64_t number, T farthest,
+                 int steps, T* count, Scratch& scratch) {
   const int64_t mark = scratch.used;
   Pair* pairs = scratch.take<Pair>(MOST_PAIRS);
   T* way = scratch.take<T>(3 * places);

@@ -2,9 +2,10 @@
 //
 //     K q = -dE/dx,   x += q
 //
-// K is the stiffness of the cloth at rest, alike in all three axes. It never changes, so its factor L D L^T is made once
-// (Liu, Bouaziz and Kavan 2017, "Quasi-Newton Methods for Real-Time Simulation of Hyperelastic Materials", ACM TOG
-// 36(3)). Columns J of L whose rows R below are nearly the same make a panel, a dense matrix that stands for all of them,
+// K is the stiffness of the cloth at rest, alike in all three axes. It never changes, so its factor L D L^T is made
+// once (Liu, Bouaziz and Kavan 2017, "Quasi-Newton Methods for Real-Time Simulation of Hyperelastic Materials", ACM TOG
+// 36(3)). Columns J of L whose rows R below are nearly the same make a panel, a dense matrix that stands for all of
+// them,
 //
 //     P = [ L_JJ^-1 - 1 ; -L_RJ L_JJ^-1 ],   y_JR += P y_J  on the way down,   y_J += P^T y_JR  on the way up.
 //

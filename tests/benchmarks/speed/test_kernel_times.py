@@ -1,4 +1,4 @@
-"""Kernels that are timed: counted by stage, put back afterwards, and weighed by their arrays."""
+"""Functions of the engine that are timed: counted by stage, put back afterwards, and weighed by their arrays."""
 
 from __future__ import annotations
 
@@ -8,41 +8,41 @@ import pytest
 from benchmarks import frame
 from benchmarks.speed import rates
 from benchmarks.speed.kernel_times import PYTHON, Trace, moved_bytes, multiply_adds, replaced
+from drape.engine import calls
+from drape.engine.records import Record
+from drape.geometry.colliders import NONE
 from drape.graph.blend import Tiles
-from drape.live import places, two_level
-from drape.network.dense import Layer
+from drape.live import colliders
+from drape.live.clock import Surroundings
 
 POINTS = np.zeros((16, 3), np.float32)
 
 
-def test_kernels_are_counted_by_stage_and_put_back():
-    before, trace = (places.moved_m, two_level.placed), Trace()
-    index = np.arange(16, dtype=np.int32)
-    places.placed(POINTS, index)  # compiled
+def test_calls_are_counted_by_stage_and_put_back():
+    trace = Trace()
     with replaced(trace.timed) as count:
-        assert count > 2 and places.moved_m is not before[0]
+        assert count > 2 and colliders.call is not calls.call
         trace.begin()
         for _ in range(2):
-            places.moved_m(POINTS, POINTS, index)
+            colliders.leave(POINTS, NONE, 0.0)
+        trace.took("colliders", 0.0)
+        colliders.leave(POINTS, NONE, 0.0)
         trace.took("folds", 0.0)
-        two_level.placed(POINTS, index)
-        trace.took("swing", 0.0)
-    assert (places.moved_m, two_level.placed) == before
+    assert colliders.call is calls.call
     (spent,) = trace.frames()
-    calls = {key: found[0] for key, found in spent.items()}
-    assert calls == {
-        ("folds", "places.moved_m"): 2, ("folds", PYTHON): 1,
-        ("swing", "places.placed"): 1, ("swing", PYTHON): 1,
+    assert {key: found[0] for key, found in spent.items()} == {
+        ("colliders", "leave"): 2, ("colliders", PYTHON): 1, ("folds", "leave"): 1, ("folds", PYTHON): 1,
     }  # fmt: skip
     assert all(found[1] >= 0.0 and found[2] > 0.0 for found in spent.values())
 
 
-def test_a_kernel_moves_each_of_its_arrays_once():
-    layer = Layer(np.zeros((4, 3), np.float32), np.zeros(4, np.float32), np.float32(0.1), np.zeros(0, np.uint32))
-    assert moved_bytes((POINTS, (layer, 3, POINTS)), POINTS) == POINTS.nbytes + 4 * 12 + 4 * 4
+def test_a_call_moves_each_of_its_arrays_once():
+    skin = np.zeros((4, 8), np.float32)
+    around = Record("Surroundings", Surroundings(skin, np.zeros((1, 16))))
+    assert moved_bytes((POINTS, (around, 3, POINTS)), skin) == POINTS.nbytes + skin.nbytes + 16 * 8
     tiles = Tiles(POINTS, np.zeros((2, 18, 32)), POINTS, POINTS)
-    assert multiply_adds("blend.blend", ((), tiles)) == 3 * 2 * 18 * 32
-    assert multiply_adds("places.moved_m", (POINTS,)) == 0
+    assert multiply_adds("vertices", ((), tiles)) == 3 * 2 * 18 * 32
+    assert multiply_adds("leave", (POINTS,)) == 0
 
 
 def test_the_floor_is_the_longer_of_bytes_and_multiply_adds(monkeypatch: pytest.MonkeyPatch):

@@ -17,10 +17,9 @@ from drape.engine.library import Scratch, empty_points, load
 from drape.engine.records import Record
 from drape.exact import descent, hessian
 from drape.kernels.quantised import quantise
-from drape.live.fold_step import FoldEffort, fold
 from drape.live.swing_step import swing
 from tests.drape.kernels.solver_setup import crumpled
-from tests.drape.live import folds_setup, swing_setup
+from tests.drape.live import swing_setup
 
 pytestmark = pytest.mark.long
 SUFFIXES = {np.float32: "f32", np.float64: "f64"}
@@ -42,65 +41,6 @@ def pointer(array: np.ndarray) -> ctypes.c_void_p:
 
 def at(record: Record) -> ctypes.c_void_p:
     return ctypes.c_void_p(record.address)
-
-
-class Outcome(ctypes.Structure):
-    _fields_ = [
-        *((name, ctypes.c_int64) for name in ("settled", "reset", "lost", "turn")),
-        *((name, ctypes.c_double) for name in ("untangle_m", "lifted_share", "lifted_max_m")),
-    ]
-
-
-def memory(places: int, dtype: type[np.floating]) -> SimpleNamespace:
-    room = {name: empty_points(places, dtype) for name in ("network", "residual", "velocity", "grip")}
-    samples = {name: np.zeros(places, np.int32) for name in ("own", "other")}
-    return SimpleNamespace(**room, **samples, added=empty_points(0, dtype), turn=0, step_s=math.inf)
-
-
-def folded_by(engine, made, frames, effort, dtype) -> list[tuple[np.ndarray, Outcome]]:
-    cloth, scratch = Record("FoldConstants", made, dtype), Scratch(64 << 20)
-    past, found = memory(len(made.sheet.vertex), dtype), []
-    for one in frames:
-        after, vertices = memory(len(made.sheet.vertex), dtype), empty_points(len(one.vertices), dtype)
-        vertices[:] = one.vertices
-        around = SimpleNamespace(skin=np.ascontiguousarray(one.skin, dtype), colliders=np.zeros((0, 16)))
-        records = [
-            Record(name, value, dtype)
-            for name, value in (
-                ("FoldMemory", past),
-                ("Surroundings", around),
-                ("FoldEffort", effort),
-                ("FoldMemory", after),
-            )
-        ]
-        out, outcome = np.empty_like(vertices), Outcome()
-        scratch.used = 0
-        failed = getattr(engine, f"drape_fold_{SUFFIXES[dtype]}")(
-            pointer(vertices), at(records[0]), at(records[1]), at(cloth), at(records[2]), at(records[3]), pointer(out),
-            ctypes.byref(outcome), ctypes.byref(scratch),
-        )  # fmt: skip
-        assert not failed
-        after.turn, after.step_s = outcome.turn, 1.0 / 30.0
-        past = after
-        found.append((out, outcome))
-    return found
-
-
-@TYPES
-@pytest.mark.parametrize(
-    "effort", [folds_setup.EFFORT, folds_setup.HELD, FoldEffort(steps=0), FoldEffort(3, 8, True, 0.0)]
-)
-@pytest.mark.parametrize("material", ["rib", "denim"])
-def test_folds_are_those_of_the_kernels(engine, material, effort, dtype):
-    rest, _ = folds_setup.sleeve(material)
-    made = folds_setup.constants(material, dtype=dtype)
-    frames = [folds_setup.frame(rest, number) for number in range(6)]
-    past = None
-    for one, (found, outcome) in zip(frames, folded_by(engine, made, frames, effort, dtype), strict=True):
-        expected, past, report = fold(made, past, one, effort)
-        assert np.abs(found - expected).max() < (1e-11 if dtype is np.float64 else 1e-5)
-        assert (outcome.settled, outcome.reset) == (report.settled, report.reset)
-        assert outcome.lifted_share == pytest.approx(report.lifted_share, abs=1e-3)
 
 
 @TYPES

@@ -12,16 +12,18 @@ import scipy.sparse
 from drape.cloth.energies import ClothMesh
 from drape.cloth.rest_state import RestState, modelled
 from drape.contact.samples import Samples, sample_table
+from drape.engine.library import empty_points
 from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold
 from drape.live.sheet import LANES
 from drape.live.skin_walks import nearest_at_rest, skin_graph
-from drape.live.sweeps import PLANES
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.kernels.solver_setup import MATERIALS
 
 RADIUS_M, HEIGHT_M, EASE_M = 0.05, 0.12, 0.006
+PLANE_ROWS = 19  # of a block of places: a point and a normal of the own part, then those of another one
+FAR_M = 0.25  # a vertex farther from the network's drape is no fold
 AWAY_M = 0.4  # of the wall at rest; in frames it is at the sleeve
 EFFORT = FoldEffort(steps=2, settle=2)
 HELD = EFFORT._replace(cloth_contact=True)
@@ -94,14 +96,26 @@ def without_body(one: Frame) -> Frame:
 
 
 def planes_of(point: np.ndarray, normal: np.ndarray, other: object = 0.0, across: object = 0.0) -> np.ndarray:
-    """Planes as kernels have them, for places (P, 3): points [m] and normals of the own part, and of another one.
+    """Planes as the engine has them, for places (P, 3): points [m] and normals of the own part, and of another one.
 
     Nothing holds the places or rubs.
     """
-    rows = np.zeros((len(point), PLANES // LANES), point.dtype)
+    rows = np.zeros((len(point), PLANE_ROWS), point.dtype)
     for i, part in enumerate((point, normal, other, across)):
         rows[:, 3 * i : 3 * i + 3] = part
     return np.ascontiguousarray(rows.reshape(-1, LANES, rows.shape[1]).transpose(0, 2, 1)).reshape(-1)
+
+
+def rows_of(planes: np.ndarray) -> np.ndarray:
+    """The rows (P, ``PLANE_ROWS``) of ``planes`` for each place."""
+    return planes.reshape(-1, PLANE_ROWS, LANES).transpose(0, 2, 1).reshape(-1, PLANE_ROWS)
+
+
+def spared(points: np.ndarray) -> np.ndarray:
+    """``points`` (P, 3) once more, with the room behind them that the engine needs."""
+    found = empty_points(len(points), points.dtype)
+    found[:] = points
+    return found
 
 
 def turn_about_y(angle_rad: float) -> np.ndarray:

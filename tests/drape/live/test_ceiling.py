@@ -10,14 +10,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.contact.samples import Samples, sample_table
-from drape.live import ceiling
-from drape.live.ceiling import FADE_M, GAP_M, HIGHEST_M, LEAST_M, _above_skin, ceiling_over, lower, pressed
+from drape.engine.calls import call
+from drape.engine.records import Record
+from drape.live.ceiling import ceiling_over, lower, pressed
 from drape.live.fold_constants import FoldConstants, WornCloth
-from drape.live.fold_step import warm_up
 from drape.live.skin_walks import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import grid
 
 SIDE_M, SPACING_M = 0.3, 0.02
+FADE_M, GAP_M, HIGHEST_M, LEAST_M = 0.1, 0.003, 0.12, 0.0025
 UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -138,7 +139,8 @@ def test_a_way_down_into_a_hollow_ends_above_both_of_its_sides():
     x = INNER[0] + rises(INNER[0][:, 0])
     aside = INNER[0] - 0.012 * np.array([1.0, 0.0, 0.0])  # beyond the crease the own sample is on its other side
     own, down = nearest_at_rest(aside, floor()[0]), np.tile(-0.04 * UP, (len(x), 1))
-    _above_skin(x, own, hollow, worn(*INNER).graph, down)
+    graph = Record("SkinGraph", worn(*INNER).graph)
+    call("law_stay_above_skin", np.float64, x, len(x), own, hollow, len(hollow), graph, down)
     above = (x + down)[:, 1] - 0.4 * np.abs(x[:, 0] - 0.5 * SIDE_M)
     assert above.min() > 0.9 * LEAST_M and above.mean() < 0.01
 
@@ -172,15 +174,3 @@ def test_numbers_that_are_none_press_nothing():
     own = nearest_at_rest(INNER[0], floor()[0])[made.sheet.vertex]
     after = pressed(broken, made.laid, own, SKIN, over(0.05))
     assert np.isfinite(np.delete(after, 7, axis=0)).all()
-
-
-def test_an_outfit_finds_its_kernels_compiled():
-    kernels = [getattr(ceiling, name) for name in ("_lower", "_too_high", "_spread", "_above_skin")]
-    warm_up()
-    warm = [set(kernel.signatures) for kernel in kernels]
-    made = worn(*INNER, dtype=np.float32)
-    own = nearest_at_rest(INNER[0], floor()[0])[made.sheet.vertex]
-    over_it = ceiling_over(OUTER[0].astype(np.float32), worn(*OUTER, dtype=np.float32).laid, SKIN)
-    after = pressed(INNER[0].astype(np.float32), made.laid, own, SKIN, over_it)
-    assert not np.array_equal(after, INNER[0].astype(np.float32)) and all(warm)
-    assert [set(kernel.signatures) for kernel in kernels] == warm

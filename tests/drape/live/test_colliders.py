@@ -1,4 +1,4 @@
-"""Cloth against colliders: kernels against the readable distance, a strip that lies down, a sleeve that is pushed."""
+"""Cloth against colliders: the engine and the readable distance, a strip that lies down, a sleeve that is pushed."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.contact.projection import CLEARANCE_M
+from drape.engine.calls import call
 from drape.geometry.colliders import box, capsule, distances, plane
 from drape.live.clock import Frame
-from drape.live.colliders import THIN_M, entered, leave, outside, put_planes, write_planes
+from drape.live.colliders import leave
 from drape.live.fold_step import FoldEffort, FoldMemory, fold
 from drape.live.sheet import LANES
 from drape.live.swing_step import SETTLE, STILL_S, SwingMemory, swing
@@ -29,15 +30,27 @@ SEVERAL = np.stack(
 )
 UP = np.array([0.0, 1.0, 0.0])
 POINTS = np.random.default_rng(5).uniform(-0.6, 0.6, (300, 3))
-FLOOR_M = -0.35
+FLOOR_M, THIN_M = -0.35, 0.003
 NOWHERE = np.zeros(3)
+
+
+def outside(collider: np.ndarray, point: np.ndarray) -> tuple[float, np.ndarray]:
+    """The distance [m] of ``point`` to ``collider`` (16,), and the unit normal that leads out of it."""
+    call("law_outside", np.float64, collider, point, found := np.empty(4))
+    return float(found[0]), found[1:]
+
+
+def entered(collider: np.ndarray, start: tuple[float, ...], end: tuple[float, ...]) -> tuple[float, np.ndarray]:
+    """The distance [m] of ``end`` to the face by which the way from ``start`` enters ``collider``, and its normal."""
+    call("law_entered", np.float64, collider, np.array(start), np.array(end), found := np.empty(4))
+    return float(found[0]), found[1:]
 
 
 @pytest.mark.parametrize("which", range(len(SEVERAL)))
 def test_the_normal_is_the_gradient_of_the_distance(which: int):
     one, step = SEVERAL[which : which + 1], 1e-6
     for point in POINTS:
-        distance, normal = outside(one, 0, tuple(point))
+        distance, normal = outside(one[0], point)
         assert_allclose(distance, distances(one, point[None])[0], atol=1e-9)
         ahead = point + step * np.eye(3)
         slope = (distances(one, ahead) - distances(one, point - step * np.eye(3))) / (2.0 * step)
@@ -46,16 +59,16 @@ def test_the_normal_is_the_gradient_of_the_distance(which: int):
 
 
 def test_a_way_into_a_box_enters_by_one_face():
-    plate = box([0.0, 0.0, 0.0], [1.0, 0.1, 1.0])[None]
+    plate = box([0.0, 0.0, 0.0], [1.0, 0.1, 1.0])
     above = (0.1, 0.4, 0.0)
-    assert_allclose(entered(plate, 0, above, (0.2, -0.03, 0.0))[0], -0.08)
-    assert_array_equal(entered(plate, 0, above, (0.2, -0.03, 0.0))[1], [0.0, 1.0, 0.0])
-    assert_allclose(entered(plate, 0, above, (0.2, -0.3, 0.0))[0], -0.35)  # right through
-    assert_array_equal(entered(plate, 0, (0.9, 0.0, 0.1), (0.3, 0.0, 0.1))[1], [1.0, 0.0, 0.0])
+    assert_allclose(entered(plate, above, (0.2, -0.03, 0.0))[0], -0.08)
+    assert_array_equal(entered(plate, above, (0.2, -0.03, 0.0))[1], [0.0, 1.0, 0.0])
+    assert_allclose(entered(plate, above, (0.2, -0.3, 0.0))[0], -0.35)  # right through
+    assert_array_equal(entered(plate, (0.9, 0.0, 0.1), (0.3, 0.0, 0.1))[1], [1.0, 0.0, 0.0])
     for end in [(0.2, 0.1, 0.0), (0.1, 0.6, 0.0), (1.5, 0.0, 0.0), (0.7, -0.2, 0.0)]:  # the last leaves by a side
-        assert np.isinf(entered(plate, 0, above, end)[0])
-    assert np.isinf(entered(plate, 0, (0.9, 0.4, 0.0), (0.9, -0.4, 0.0))[0]), "beside it"
-    assert np.isinf(entered(capsule([0, 0, 0], [1, 0, 0], 0.1)[None], 0, above, (0.1, -0.4, 0.0))[0])
+        assert np.isinf(entered(plate, above, end)[0])
+    assert np.isinf(entered(plate, (0.9, 0.4, 0.0), (0.9, -0.4, 0.0))[0]), "beside it"
+    assert np.isinf(entered(capsule([0, 0, 0], [1, 0, 0], 0.1), above, (0.1, -0.4, 0.0))[0])
 
 
 def test_a_node_has_the_planes_of_the_two_that_it_is_deepest_in():
@@ -63,7 +76,8 @@ def test_a_node_has_the_planes_of_the_two_that_it_is_deepest_in():
     walls = np.stack([plane([0, 0, 1.0], 0.0), plane([0, 1.0, 0], -0.3), plane([0, 1.0, 0], 0.0)])
     planes, touched = np.empty((2, 2, 4)), np.zeros(2, np.int32)
     came = c + np.array([0.0, 0.1, 0.1])
-    assert write_planes(c, came, False, walls, FAR_SKIN, touched, planes) == 1
+    given = (c, came, len(c), walls, len(walls), np.array(FAR_SKIN, np.float64), touched, planes)
+    assert call("law_node_planes", np.float64, *given) == 1
     assert_allclose(planes[0], [[0, 1, 0, 0], [0, 0, 1, 0]], atol=1e-9)
     assert_array_equal(planes[1], np.zeros((2, 4)))
 
@@ -73,12 +87,13 @@ def test_cloth_leaves_but_not_from_below_the_skin_that_it_is_on():
     x = np.zeros((LANES, 3))
     x[:, 1] = np.linspace(-0.02, 0.02, LANES)
     free, near, worn = x.copy(), x.copy(), x.copy()
-    leave(free, floor, np.zeros(0), CLEARANCE_M)
+    leave(free, floor, CLEARANCE_M)
     assert_allclose(free[:, 1], np.maximum(x[:, 1], CLEARANCE_M), atol=1e-9)
-    leave(near, floor, planes_of(np.tile(UP, (LANES, 1)), -UP), CLEARANCE_M)
+    planes = planes_of(np.tile(UP, (LANES, 1)), -UP)
+    call("law_leave", np.float64, near, LANES, floor, 1, planes, CLEARANCE_M)
     assert_array_equal(near, free)
     foot = np.tile(-0.01 * UP, (LANES, 1))  # skin a centimetre below the floor
-    leave(worn, floor, planes_of(foot, -UP), CLEARANCE_M)
+    call("law_leave", np.float64, worn, LANES, floor, 1, planes_of(foot, -UP), CLEARANCE_M)
     assert_allclose(worn[:, 1], np.maximum(x[:, 1], CLEARANCE_M - 0.01 - THIN_M), atol=1e-9)
 
 
@@ -89,11 +104,11 @@ def test_a_collider_has_the_place_of_another_part_where_it_is_nearer():
     far = np.full((LANES, 3), 9.0)
     planes = planes_of(far, UP, -1.0, UP)
     before = planes.copy()
-    put_planes(x, floor, planes)
+    call("law_collider_planes", np.float64, x, LANES, floor, 1, planes)
     assert (planes != before).any()
     again = planes_of(far, UP, 0.002, UP)  # a part of the body that is nearer than the floor
     kept = again.copy()
-    put_planes(x, floor, again)
+    call("law_collider_planes", np.float64, x, LANES, floor, 1, again)
     assert_array_equal(again, kept)
 
 

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from drape.engine.calls import call_with_scratch
 from drape.live.clock import PAUSE_S, Frame
-from drape.live.eased import EASED_S, LiftMemory, ease_off, lifted_alone
-from drape.live.fold_step import FAR_M, FoldEffort
+from drape.live.eased import LiftMemory, lifted_alone
+from drape.live.fold_step import FoldEffort
 from drape.live.two_level import TwoLevel
+from tests.drape.live.folds_setup import FAR_M, spared
 from tests.drape.live.tank_setup import strain
 
 IDLE = FoldEffort(0, clearance_m=0.004)
+EASED_S = 0.65  # in which what eased cloth comes down to 1/e
 
 
 def turned(frame: Frame, angle_rad: float) -> Frame:
@@ -26,11 +29,15 @@ def turned(frame: Frame, angle_rad: float) -> Frame:
     return replace(frame, vertices=(frame.vertices @ turn).astype(np.float32), skin=skin)
 
 
-def eased(made: TwoLevel, points: np.ndarray, skin: np.ndarray, steps: int) -> np.ndarray:
-    """How far [m] (V, 3) ``steps`` move the coarse cloth from ``points`` (P, 3), none before."""
-    coarse = made.coarse
-    skin = np.array(skin, np.float32)
-    return ease_off(points, np.zeros_like(points), 0.0, coarse.index.copy(), skin, coarse, steps)[1][coarse.sheet.place]
+def eased(made: TwoLevel, still: Frame, before: np.ndarray, share: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """How far (V, 3) ``steps`` move the coarse cloth from the drape of ``still``, with a ``share`` of what it was eased
+    ``before`` (P, 3): in the frames of the surface, and in the world's axes."""
+    levels, skin = made.levels, np.ascontiguousarray(still.skin, np.float32)
+    under, coarse = spared(still.vertices[levels.kept]), levels.coarse
+    found = np.empty_like(under), np.empty_like(under)
+    given = (share, coarse.index, skin, len(skin), coarse, steps, *found)
+    call_with_scratch("law_ease_off", np.float32, under, before, *given)
+    return found[0][coarse.sheet.place], found[1][coarse.sheet.place]
 
 
 def test_a_step_lowers_the_strain_and_frames_lower_it_further(tank: TwoLevel, still: Frame):
@@ -52,12 +59,9 @@ def test_what_was_eased_turns_with_the_body_and_fades(tank: TwoLevel, still: Fra
     here, _, _ = tank.fold(memory, replace(still, time_s=later_s), IDLE)
     there, _, _ = tank.fold(memory, replace(turned(still, angle), time_s=later_s), IDLE)
     assert_allclose(turned(replace(still, vertices=here), angle).vertices, there, atol=2e-5)
-    under = still.vertices[tank.kept]
-    skin, index, none = np.array(still.skin, np.float32), tank.coarse.index.copy(), np.zeros_like(under)
-    kept, _ = ease_off(under, memory.eased, np.exp(-later_s / EASED_S), index, skin, tank.coarse, 0)
-    place = tank.coarse.sheet.place
-    assert_allclose(kept[place], np.exp(-later_s / EASED_S) * memory.eased[place], atol=1e-6)
-    assert not ease_off(under, none, 1.0, index, skin, tank.coarse, 0)[1][place].any()
+    share, place = np.exp(-later_s / EASED_S), tank.levels.coarse.sheet.place
+    kept, _ = eased(tank, still, memory.eased, share, 0)
+    assert_allclose(kept, share * memory.eased[place], atol=1e-6)
 
 
 def test_what_is_no_fold_is_left_out(tank: TwoLevel, still: Frame):
@@ -88,6 +92,6 @@ def test_cloth_is_lifted_after_it_was_eased(tank: TwoLevel, still: Frame, cleara
 
 
 def test_more_steps_move_the_cloth_further_and_none_leave_it(tank: TwoLevel, still: Frame):
-    under = np.ascontiguousarray(still.vertices[tank.kept])
-    ways = [np.linalg.norm(eased(tank, under, still.skin, steps), axis=1).mean() for steps in (0, 1, 8)]
+    none = np.zeros((len(tank.levels.kept), 3), np.float32)
+    ways = [np.linalg.norm(eased(tank, still, none, 0.0, steps)[1], axis=1).mean() for steps in (0, 1, 8)]
     assert ways[0] == 0.0 and 1e-4 < ways[1] < ways[2] < 0.02

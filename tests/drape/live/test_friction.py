@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse
@@ -9,19 +11,20 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.energies import ClothMesh
 from drape.contact.samples import Samples, sample_table
+from drape.engine.calls import call
+from drape.engine.records import Record
 from drape.kernels.problem import problem
 from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.fold_step import FoldEffort, fold
 from drape.live.sheet import LANES
-from drape.live.skin_contact import stuck_places, write_grip
 from drape.live.skin_walks import SkinGraph, TouchedSamples, nearest_at_rest, skin_graph
-from drape.live.sweeps import SLIP_M
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.kernels.solver_setup import MATERIALS
 from tests.drape.live.folds_setup import folded, frame, held_for, shifted, sleeve, turn_about_y
 from tests.fixtures.laws import each
 from tests.reference import folds as reference
+from tests.reference.folds import SLIP_M
 
 FRAMES, SPACING_M = 20, 0.02
 
@@ -70,7 +73,7 @@ def test_without_friction_it_slides_and_a_frame_without_a_past_has_none():
     assert slid_m(angle, 0.0).sum() > 15.0 * SLIP_M
     start, worn, skin = slope(angle, 0.5)
     made, one = FoldConstants.of(worn, dtype=np.float64), Frame(start, skin, 0.0)
-    rough, slippery = (fold(item, None, one, FoldEffort(2))[0] for item in (made, made._replace(friction=0.0)))
+    rough, slippery = (fold(item, None, one, FoldEffort(2))[0] for item in (made, replace(made, friction=0.0)))
     assert_array_equal(rough, slippery)
 
 
@@ -97,16 +100,22 @@ def in_blocks(rows: np.ndarray) -> np.ndarray:
     return np.resize(rows, (len(rows) + -len(rows) % LANES, *rows.shape[1:]))
 
 
+def stuck_places(grip: np.ndarray, own: np.ndarray, skin: np.ndarray, graph: SkinGraph) -> np.ndarray:
+    """Where the posed ``skin`` has taken what lies ``grip`` [m] (P, 3) in the frames of its samples ``own`` (P,)."""
+    found, record = np.empty_like(grip), Record("SkinGraph", graph)
+    call("law_stuck_places", np.float64, grip, len(grip), own, skin, len(skin), record, found)
+    return found
+
+
 def test_what_sticks_to_the_skin_goes_with_it_as_a_solid_where_it_moves_as_one():
     rest, worn = sleeve()
     one, turn, way = frame(rest, 0), turn_about_y(0.4), np.array([0.1, 0.2, -0.3])
     skin, graph = one.skin.astype(np.float64), worn.graph
     moved = np.asarray(sample_table(skin[:, :3] @ turn.T + way, skin[:, 4:7] @ turn.T), dtype=np.float64)
     own, x = in_blocks(worn.index), in_blocks(one.vertices.astype(np.float64))
-    touched = TouchedSamples(own, np.full_like(own, -1))
-    grip, found = np.empty_like(x), np.empty_like(x)
-    write_grip(x, x, touched, skin, graph, grip)
-    stuck_places(grip, touched, moved, graph, found)
+    grip, count = np.empty_like(x), (len(skin), Record("SkinGraph", graph))
+    call("write_grip", np.float64, x, len(x), x, own, skin, *count, grip)
+    found = stuck_places(grip, own, moved, graph)
     assert_allclose(found, x @ turn.T + way, rtol=0.0, atol=1e-9)
     assert_allclose(grip, reference.write_grip(x, x, skin, graph, own), rtol=0.0, atol=1e-12)
     assert_allclose(found, reference.stuck_places(grip, moved, graph, own), rtol=0.0, atol=1e-12)
@@ -115,8 +124,7 @@ def test_what_sticks_to_the_skin_goes_with_it_as_a_solid_where_it_moves_as_one()
 def test_a_sample_without_neighbours_takes_cloth_along_its_normal():
     graph = SkinGraph(np.zeros((1, 8), np.int32), np.ones(1), np.zeros((1, 3)))
     skin = np.asarray(sample_table(np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]])), dtype=np.float64)
-    touched, found = TouchedSamples(np.zeros(LANES, np.int32), np.full(LANES, -1, np.int32)), np.empty((LANES, 3))
-    stuck_places(in_blocks(np.array([[0.01, 0.02, 0.03]])), touched, skin, graph, found)
+    found = stuck_places(in_blocks(np.array([[0.01, 0.02, 0.03]])), np.zeros(LANES, np.int32), skin, graph)
     assert_allclose(found, np.tile([0.0, 0.01, 0.0], (LANES, 1)), atol=1e-15)
 
 

@@ -9,19 +9,20 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.contact.projection import CLEARANCE_M, MOVED_M
+from drape.engine.calls import call
 from drape.live.fold_step import FoldEffort, fold
-from drape.live.lift import DEEP_M, OTHER, TOO_DEEP_M, lift
 from drape.live.raised_skin import raised
 from drape.live.sheet import LANES
 from tests.drape.live.folds_setup import RADIUS_M, constants, frame, planes_of, sleeve
+from tests.reference.folds import DEEP_M, OTHER, TOO_DEEP_M
 
 UP, SIDE = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
 NOWHERE = np.zeros((LANES, 3))
 
 
 def lifted(x: np.ndarray, planes: np.ndarray, clearance_m: float = CLEARANCE_M) -> tuple[np.ndarray, np.ndarray]:
-    moved, way = x.copy(), np.empty(len(x))
-    lift(moved, planes, clearance_m, way)
+    moved, way = x.copy(), np.empty(len(x), x.dtype)
+    call("law_lift", x.dtype, moved, len(x), planes, clearance_m, way)
     return moved, way
 
 
@@ -74,6 +75,5 @@ def test_a_frame_ends_clear_of_the_skin_and_tells_what_was_lifted():
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_no_number_is_lifted_to_one(dtype):
-    x = np.full((LANES, 3), np.nan, dtype)
-    lift(x, planes_of(NOWHERE.astype(dtype), UP), dtype(CLEARANCE_M), np.empty(LANES, dtype))
-    assert np.isnan(x).all(), "the guard of the frame sees it"
+    moved, _ = lifted(np.full((LANES, 3), np.nan, dtype), planes_of(NOWHERE.astype(dtype), UP))
+    assert np.isnan(moved).all(), "the guard of the frame sees it"

@@ -11,13 +11,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.contact.samples import sample_table
+from drape.live.fold_constants import LaidCloth
 from drape.live.fold_step import fold
-from drape.live.raised_skin import CLOSE_M, HIGHEST_M, STEEPEST, heights_over, raised
+from drape.live.raised_skin import heights_over, raised
 from drape.live.sheet import sheet
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph
 from tests.drape.live.folds_setup import EASE_M, HELD, RADIUS_M, constants, frame, sleeve
 
 SPACING_M = 0.02
+CLOSE_M, HIGHEST_M, STEEPEST = 0.02, 0.06, 0.7
 
 
 def floor(count: int = 6) -> tuple[np.ndarray, SkinGraph]:
@@ -45,7 +47,8 @@ def heights(
     cloth = ClothMesh.from_rest(flakes(np.zeros((count, 3))), faces[:, ::-1] if flipped else faces)
     made = sheet(cloth, Material(), np.zeros(3 * count), dtype=np.float64)
     sample = np.repeat(own, 3 * count // np.size(own)).astype(np.int32)
-    return heights_over(vertices, made, sample[made.vertex], skin, graph)
+    laid = LaidCloth(made, graph, np.zeros(len(made.vertex), np.int32))
+    return heights_over(vertices, laid, sample[made.vertex], skin)
 
 
 def test_a_sample_is_raised_to_the_highest_cloth_over_it():
@@ -122,7 +125,7 @@ def test_an_outer_sleeve_rests_on_an_inner_one():
     one = frame(rest, 0, noise_m=0.0)
     skin = one.skin.astype(np.float32)
     inner, memory, _ = fold(made, None, replace(one, skin=skin), HELD)
-    ground = raised(skin, heights_over(inner, made.sheet, memory.touched.own, skin, made.graph))
+    ground = raised(skin, heights_over(inner, made.laid, memory.touched.own, skin))
     outer, _, _ = fold(made, None, replace(one, skin=ground), HELD)
     radius = [np.linalg.norm(x[:, [0, 2]], axis=1) for x in (inner, outer)]
     # Neither at the rims nor at the wall.

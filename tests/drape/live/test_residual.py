@@ -6,27 +6,33 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.live.residual import LACK, MEND_M, ease, even_hem, keep_residual, mend, write_forget
-from drape.live.sheet import LANES
-from drape.live.surface_frames import FRAMES, surface_frames
-from tests.drape.live.folds_setup import constants, sleeve
+from drape.engine.calls import call_with_scratch
+from tests.drape.live.folds_setup import constants, sleeve, spared
 from tests.reference import folds as reference
+from tests.reference.folds import LACK, MEND_M
 
 
 def shares(before: np.ndarray, network: np.ndarray) -> np.ndarray:
-    """What each vertex forgets (V,), by the kernel."""
-    sheet = constants(dtype=np.float64).sheet
-    found, here = np.empty(len(sheet.vertex)), network[sheet.vertex]
-    write_forget(before[sheet.vertex], here, frames_of(here), sheet, found)
-    return found[sheet.place]
+    """What each vertex forgets (V,), by the engine."""
+    made, (before, network) = constants(dtype=np.float64), (placed(each) for each in (before, network))
+    law("forget", before, network, made, found := np.empty(len(network)))
+    return found[made.sheet.place]
 
 
-def frames_of(surface: np.ndarray) -> np.ndarray:
-    """The frames of ``surface`` (P, 3)."""
-    sheet = constants(dtype=np.float64).sheet
-    frames = np.empty(FRAMES // LANES * len(surface))
-    surface_frames(surface, sheet, frames)
-    return frames
+def placed(points: np.ndarray) -> np.ndarray:
+    """``points`` (V, 3) at their places (P, 3)."""
+    return spared(points[constants(dtype=np.float64).sheet.vertex])
+
+
+def law(name: str, *given: object) -> None:
+    call_with_scratch(f"law_{name}", np.float64, *given)
+
+
+def mended(off: np.ndarray, lost: np.ndarray) -> np.ndarray:
+    """``off`` (V, 3) after each forgot its share ``lost`` (V,)."""
+    made = constants(dtype=np.float64)
+    law("mend", found := placed(off), made, MEND_M, lost[made.sheet.vertex])
+    return found[made.sheet.place]
 
 
 def turned(points: np.ndarray, angle_rad: float) -> np.ndarray:
@@ -35,19 +41,16 @@ def turned(points: np.ndarray, angle_rad: float) -> np.ndarray:
 
 
 def test_a_residual_far_from_its_neighbours_follows_them(rng):
-    (rest, worn), sheet = sleeve(), constants(dtype=np.float64).sheet
+    rest, worn = sleeve()
     off, lost = 0.01 * rng.normal(size=rest.shape), rng.uniform(0.0, 1.0, len(rest))
     off[7] += 0.05
-    found = off[sheet.vertex]
-    mend(found, sheet, MEND_M, lost[sheet.vertex])
-    assert_allclose(found[sheet.place], reference.mended(off, worn.cloth.faces, lost), rtol=0.0, atol=1e-15)
-    kept = off[sheet.vertex]
-    mend(kept, sheet, MEND_M, np.zeros(len(sheet.vertex)))
-    same = (kept[sheet.place] == off).all(axis=1)
-    assert not same[7] and same.any() and np.linalg.norm(kept[sheet.place][7]) < 0.02
+    assert_allclose(mended(off, lost), reference.mended(off, worn.cloth.faces, lost), rtol=0.0, atol=1e-15)
+    kept = mended(off, np.zeros(len(rest)))
+    same = (kept == off).all(axis=1)
+    assert not same[7] and same.any() and np.linalg.norm(kept[7]) < 0.02
 
 
-def test_the_kernel_forgets_as_much_as_the_readable_equation(rng):
+def test_the_engine_forgets_as_much_as_the_readable_equation(rng):
     rest, worn = sleeve()
     network = rest + 0.002 * rng.normal(size=rest.shape)
     before = network + 0.001 * rng.normal(size=rest.shape)
@@ -55,13 +58,10 @@ def test_the_kernel_forgets_as_much_as_the_readable_equation(rng):
 
 
 def test_cloth_that_moves_without_turning_forgets_nothing(rng):
-    (rest, _), sheet = sleeve(), constants(dtype=np.float64).sheet
+    rest, _ = sleeve()
     assert (shares(rest + 0.3, rest) < 1e-12).all()
-    off = 0.001 * rng.normal(size=(len(sheet.vertex), 3))
-    kept = off.copy()
-    here = rest[sheet.vertex]
-    keep_residual(kept, here, here, frames_of(here), sheet, constants(dtype=np.float64).hem)
-    assert_array_equal(kept, off)
+    off = 0.001 * rng.normal(size=rest.shape)
+    assert_array_equal(mended(off, shares(rest, rest)), off)
 
 
 @pytest.mark.parametrize("frames", [1, 4])
@@ -82,10 +82,9 @@ def test_where_the_network_leaves_area_out_folds_stay():
 
 def test_hems_are_evened_along_the_border_and_nothing_else_is(rng):
     (rest, worn), made = sleeve(), constants(dtype=np.float64)
-    place, vertex = made.sheet.place, made.sheet.vertex
+    place = made.sheet.place
     off, before = 0.001 * rng.normal(size=rest.shape), rest + 0.001 * rng.normal(size=rest.shape)
-    found = off[vertex]
-    even_hem(found, before[vertex], rest[vertex], made.hem)
+    law("even_hem", found := placed(off), placed(before), placed(rest), made)
     wanted = reference.evened(off, before, rest, worn.cloth.faces)
     assert_allclose(found[place], wanted, rtol=0.0, atol=1e-15)
     border = np.isin(place, made.hem[:, 1])
@@ -100,11 +99,11 @@ def test_what_crosses_goes_back_with_its_neighbours_and_nothing_else_moves(rng):
     network, off = np.zeros((2, len(made.sheet.vertex), 3))
     network[made.sheet.place], off[made.sheet.place] = rest, 0.01 * rng.normal(size=rest.shape)
     x, crossed = network + off, np.zeros(len(network))
-    ease(x, network, crossed, 0.5, made.sheet)
+    law("ease", x, network, crossed, 0.5, made)
     assert_array_equal(x, network + off)
     crossed[made.sheet.place[:3]] = 2.0
     share = np.where(np.arange(len(rest)) < 3, 0.5, 0.0)
-    ease(x, network, crossed, 0.5, made.sheet)
+    law("ease", x, network, crossed, 0.5, made)
     wanted = reference.mended(off[made.sheet.place], worn.cloth.faces, share, far_m=np.inf)
     assert_allclose((x - network)[made.sheet.place], wanted, rtol=0.0, atol=1e-12)
     assert_array_equal(x[crossed == 0.0], (network + off)[crossed == 0.0])

@@ -8,11 +8,13 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.energies import ClothMesh
+from drape.engine.calls import call_with_scratch
+from drape.engine.records import Record
 from drape.kernels.triangle_pairs import crossing_pairs
 from drape.live.clock import Frame
 from drape.live.fold_constants import LEASH_N_M3, FoldConstants
 from drape.live.fold_step import fold
-from drape.live.room import BOUND_M2, ROOM_M, rooms, sheet_neighbours
+from drape.live.room import BOUND_M2, ROOM_M, SheetNeighbours, sheet_neighbours
 from drape.live.sheet import LANES
 from drape.live.untangle import Tangles
 from tests.drape.cloth.cloth_shapes import grid, tube
@@ -28,9 +30,15 @@ def flattened(one: Frame, share: float) -> Frame:
     return replace(one, vertices=pressed)
 
 
+def rooms(points: np.ndarray, neighbours: SheetNeighbours, room: np.ndarray, nearest: np.ndarray) -> None:
+    """Writes the distance [m] from each of ``points`` (V, 3) to the nearest that is not of its sheet, and that one."""
+    near = Record("SheetNeighbours", neighbours)
+    call_with_scratch("law_rooms", points.dtype, points, near, ROOM_M, room, nearest)
+
+
 def room_of(cloth: ClothMesh, points: np.ndarray) -> np.ndarray:
     found, nearest = np.empty(len(points), points.dtype), np.empty(len(points), np.int32)
-    rooms(points, sheet_neighbours(cloth), ROOM_M, found, nearest)
+    rooms(points, sheet_neighbours(cloth), found, nearest)
     some = nearest >= 0
     assert_allclose(np.linalg.norm(points - points[nearest], axis=1)[some], found[some], rtol=1e-4, atol=1e-7)
     assert (found[~some] == points.dtype.type(ROOM_M)).all()
@@ -66,7 +74,7 @@ def test_rooms_do_not_know_where_their_arrays_lie(rng):
         points = np.empty(cloud.size + offset, np.float32)[offset:].reshape(cloud.shape)
         points[:] = cloud
         found.append(np.empty(len(vertices) + offset, np.float32)[offset:])
-        rooms(points, near, ROOM_M, found[-1], np.empty(len(vertices), np.int32))
+        rooms(points, near, found[-1], np.empty(len(vertices), np.int32))
     assert (found[0] < ROOM_M).any()
     assert_array_equal(found[1:], np.tile(found[0], (7, 1)))
 
@@ -121,11 +129,11 @@ def test_no_room_is_found_between_numbers_that_are_none():
     assert_array_equal(room_of(ClothMesh.from_rest(vertices, faces), np.full_like(vertices, np.nan)), ROOM_M)
 
 
-def test_the_compiled_planes_equal_the_readable_ones():
+def test_the_engines_planes_equal_the_readable_ones():
     (rest, worn), wanted_memory = sleeve(), None
     frames = [without_body(flattened(frame(rest, number), 0.08)) for number in range(3)]
     nothing = np.zeros(0, np.int32)  # that crosses is moved apart: the readable way has planes only
-    made = constants(dtype=np.float64)._replace(tangles=Tangles(nothing, nothing, np.zeros(1, np.int32), nothing))
+    made = replace(constants(dtype=np.float64), tangles=Tangles(nothing, nothing, np.zeros(1, np.int32), nothing))
     for one, (x, _, _) in zip(frames, folded(made, frames, HELD), strict=True):
         wanted, wanted_memory = reference.fold(worn, wanted_memory, one, HELD)
         assert_allclose(x, wanted, rtol=0.0, atol=1e-10)

@@ -7,22 +7,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.contact.samples import sample_table
+from drape.engine.calls import call, call_with_scratch
+from drape.engine.records import Record
 from drape.live.sheet import LANES
-from drape.live.skin_contact import (
-    APART_M,
-    BESIDE,
-    FREE,
-    NEARER,
-    REACH_M,
-    ParentSamples,
-    put_other_planes,
-    put_own_planes,
-    touch,
-)
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples
-from drape.live.sweeps import OTHER_PLANE, PLANES
-from tests.drape.live.folds_setup import arm, constants, sleeve
+from tests.drape.live.folds_setup import PLANE_ROWS, arm, constants, rows_of, sleeve, spared
 from tests.reference import folds as reference
+from tests.reference.folds import APART_M, BESIDE, FREE, NEARER, REACH_M
 
 SPACING_M = 0.02
 UP = np.array([0.0, 1.0, 0.0])
@@ -36,10 +27,16 @@ def touched_by(
     made, count = constants(dtype=np.float64), len(point)
     own = np.arange(count, dtype=np.int32)
     graph = SkinGraph(np.tile(own[:, None], NEIGHBOURS), np.full(count, SPACING_M**2), rest)
-    places = np.tile(x, (len(made.sheet.vertex), 1))
-    planes = np.zeros(PLANES // LANES * len(places))
+    places, skin = (
+        spared(np.tile(x, (len(made.sheet.vertex), 1))),
+        np.array(sample_table(point, np.tile(UP, (count, 1)))),
+    )
+    planes = np.zeros(PLANE_ROWS * len(places))
     touched = TouchedSamples(np.zeros(len(places), np.int32), np.full(len(places), -1, np.int32))
-    touch(places, sample_table(point, np.tile(UP, (count, 1))), graph, made.sheet, touched, turn, planes)
+    call_with_scratch(
+        "law_touch", np.float64, places, len(places), skin, count, Record("SkinGraph", graph), made.sheet.vertex,
+        *touched, turn, planes,
+    )  # fmt: skip
     rows = rows_of(planes)
     return touched, ((places - rows[:, :3]) * rows[:, 3:6]).sum(axis=1)
 
@@ -82,29 +79,23 @@ def test_a_plane_ends_beside_its_sample(height_m):
         assert_allclose(distance_m(aside), REACH_M, rtol=0, atol=1e-12)
 
 
-def rows_of(planes: np.ndarray) -> np.ndarray:
-    """The rows of ``planes`` for each place."""
-    return planes.reshape(-1, PLANES // LANES, LANES).transpose(0, 2, 1).reshape(-1, PLANES // LANES)
-
-
 def test_fine_places_take_the_planes_of_their_parents_samples(rng):
     rest, worn = sleeve(creased=False)
-    skin = sample_table(*(rows + 0.002 * rng.normal(size=rows.shape) for rows in (arm().point, arm().normal)))
-    x = np.resize(rest, (10 * LANES, 3)) + 0.003 * rng.normal(size=(10 * LANES, 3))
-    samples, parent = rng.integers(0, len(skin), size=40), rng.integers(0, 40, size=len(x))
+    skin = np.array(sample_table(*(rows + 0.002 * rng.normal(size=rows.shape) for rows in (arm().point, arm().normal))))
+    x = spared(np.resize(rest, (10 * LANES, 3)) + 0.003 * rng.normal(size=(10 * LANES, 3)))
+    samples, parent = rng.integers(0, len(skin), 40, np.int32), rng.integers(0, 40, len(x), np.int32)
     samples[::5] = -1
-    planes = np.zeros(PLANES // LANES * len(x))
-    put_other_planes(x, skin, worn.graph, ParentSamples(samples, parent), planes)
+    planes, given = np.zeros(PLANE_ROWS * len(x)), (x, len(x), skin, len(skin), Record("SkinGraph", worn.graph))
+    call("law_other_planes", np.float64, *given, samples, parent, planes)
     there, rows = samples[parent] >= 0, rows_of(planes)
-    first = OTHER_PLANE // LANES
     assert_array_equal(rows[~there], 0.0)
     assert 0 < there.sum() < len(x)
     point, normal = reference.planes(x[there], skin, worn, samples[parent][there])
-    assert_allclose(rows[there, first : first + 3], point, rtol=0, atol=1e-12)
-    assert_allclose(rows[there, first + 3 : first + 6], normal, rtol=0, atol=1e-12)
+    assert_allclose(rows[there, 6:9], point, rtol=0, atol=1e-12)
+    assert_allclose(rows[there, 9:12], normal, rtol=0, atol=1e-12)
 
     samples = np.maximum(samples, 0)
-    put_own_planes(x, skin, worn.graph, ParentSamples(samples, parent), planes)
+    call("law_own_planes", np.float64, *given, samples, parent, planes)
     around = np.concatenate([samples[parent][:, None], worn.graph.neighbour[samples[parent]]], axis=1)
     nearest = np.linalg.norm(skin[around, :3] - x[:, None], axis=2).argmin(axis=1)
     assert nearest.any()

@@ -10,11 +10,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.assets import load_body
 from drape.cloth.fabric_table import fabric
 from drape.live.clock import PAUSE_S, Frame
-from drape.live.fold_step import FAR_M, FoldEffort
-from drape.live.pace import FADE_S
+from drape.live.fold_step import FoldEffort
 from drape.live.two_level import LiftMemory, TwoLevel, TwoLevelMemory, fold_two_level, one_level
+from tests.drape.live.folds_setup import FAR_M
 from tests.drape.live.tank_setup import strain
 from tests.fixtures.garments import shipped
+from tests.reference.pace import FADE_S
 
 EFFORT = FoldEffort(steps=1, settle=2, cloth_contact=True)
 

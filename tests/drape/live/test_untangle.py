@@ -6,22 +6,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from drape.engine.calls import call_with_scratch
+from drape.engine.records import Record
 from drape.kernels.triangle_pairs import crossing_pairs
 from drape.live.sheet import LANES
-from drape.live.untangle import (
-    BORDER,
-    LEAST_M,
-    OTHERS,
-    STEPS,
-    WAY_M,
-    Tangles,
-    crossing,
-    farthest_way,
-    tangles_of,
-    untangle,
-)
+from drape.live.untangle import BORDER, OTHERS, Tangles, tangles_of
 from tests.drape.cloth.cloth_shapes import grid
+from tests.drape.live.folds_setup import spared
 from tests.fixtures.laws import each
+
+STEPS, WAY_M, MOST_PAIRS = 4, 0.002, 8192
 
 
 def sheets(depth_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -42,11 +36,23 @@ def poked(depth_m: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def every(tangles: Tangles) -> np.ndarray:
-    return np.arange(len(tangles.start) - 1)
+    return np.arange(len(tangles.start) - 1, dtype=np.int32)
 
 
-def apart(x: np.ndarray, tangles: Tangles, farthest: float) -> np.ndarray:
-    return untangle(x, tangles, every(tangles), farthest)
+def apart(x: np.ndarray, tangles: Tangles, chosen: np.ndarray | None = None) -> np.ndarray:
+    """Moves ``x`` (V, 3) in place, and tells how many ways each vertex had in the last step (V,)."""
+    chosen, moved = every(tangles) if chosen is None else chosen, spared(x)
+    given = (len(x), Record("Tangles", tangles), chosen, len(chosen), WAY_M, count := np.empty(len(x), x.dtype))
+    call_with_scratch("law_untangle", x.dtype, moved, *given)
+    x[:] = moved
+    return count
+
+
+def crossing(x: np.ndarray, tangles: Tangles) -> np.ndarray:
+    """Pairs (N, 2) of triangles that may cross, cluster times ``LANES`` plus lane."""
+    chosen, pairs = every(tangles), np.empty((MOST_PAIRS, 2), np.int32)
+    given = (spared(x), Record("Tangles", tangles), chosen, len(chosen), pairs)
+    return pairs[: call_with_scratch("law_crossing", x.dtype, *given)]
 
 
 def triangles_of(pairs: np.ndarray, tangles: Tangles, faces: np.ndarray) -> set[tuple[int, ...]]:
@@ -63,7 +69,7 @@ def test_no_pair_that_crosses_is_missed(rng, dtype):
     tangles = tangles_of(faces, np.arange(len(x)))
     crosses = crossing_pairs(x.astype(np.float64), faces)
     assert len(crosses) > 10
-    assert set(map(tuple, crosses)) <= triangles_of(crossing(x, tangles, every(tangles)), tangles, faces)
+    assert set(map(tuple, crosses)) <= triangles_of(crossing(x, tangles), tangles, faces)
 
 
 def test_cloth_that_folds_onto_itself_is_searched():
@@ -76,14 +82,14 @@ def test_cloth_that_folds_onto_itself_is_searched():
     crosses = crossing_pairs(turned, faces)
     tangles = tangles_of(faces, np.arange(len(turned)))
     assert len(crosses) > 0
-    assert set(map(tuple, crosses)) <= triangles_of(crossing(turned, tangles, every(tangles)), tangles, faces)
+    assert set(map(tuple, crosses)) <= triangles_of(crossing(turned, tangles), tangles, faces)
 
 
 def test_smooth_cloth_stays_bit_for_bit():
     vertices, faces = grid(12, 12)
     x = vertices + 0.01 * np.sin(40.0 * vertices[:, [1, 2, 0]])
     before = x.copy()
-    assert not apart(x, tangles_of(faces, np.arange(len(x))), WAY_M).any()
+    assert not apart(x, tangles_of(faces, np.arange(len(x)))).any()
     assert_array_equal(x, before)
 
 
@@ -94,7 +100,7 @@ def test_a_bump_that_passes_through_comes_out(dtype):
     assert len(crossing_pairs(x.astype(np.float64), faces)) > 0
     for _ in range(8):
         before = x.copy()
-        apart(x, tangles, x.dtype.type(WAY_M))
+        apart(x, tangles)
         assert np.abs(x - before).max() <= 1.01 * STEPS * WAY_M
     assert len(crossing_pairs(x.astype(np.float64), faces)) == 0
 
@@ -103,7 +109,7 @@ def test_both_sheets_share_the_way():
     """One sheet is pushed one way, the other one the other way."""
     vertices, faces = poked(0.002)
     x = vertices.copy()
-    apart(x, tangles_of(faces, np.arange(len(x))), WAY_M)
+    apart(x, tangles_of(faces, np.arange(len(x))))
     half = len(x) // 2
     first, second = (x - vertices)[:half].sum(axis=0), (x - vertices)[half:].sum(axis=0)
     assert float(first @ second) < 0.0
@@ -131,7 +137,7 @@ def test_a_triangle_without_an_area_moves_nothing():
     vertices, faces = sheets(0.004)
     vertices[faces[0]] = vertices[faces[0, 0]]
     x = vertices.copy()
-    apart(x, tangles_of(faces, np.arange(len(x))), WAY_M)
+    apart(x, tangles_of(faces, np.arange(len(x))))
     assert np.isfinite(x).all()
     assert pytest.approx(0.0, abs=(STEPS + 1) * WAY_M) == float(np.abs(x - vertices).max())
 
@@ -143,13 +149,9 @@ def test_clusters_that_are_not_chosen_stay_as_they_are():
     both = np.concatenate([faces, faces + len(vertices)])
     tangles = tangles_of(both, np.arange(len(x)))
     corner = tangles.corner.reshape(-1, 3 * LANES)
-    first = np.flatnonzero((corner < len(vertices)).all(axis=1))
+    first = np.flatnonzero((corner < len(vertices)).all(axis=1)).astype(np.int32)
     assert 0 < len(first) < len(corner)
     before = x.copy()
-    assert untangle(x, tangles, first, WAY_M).any() and not untangle(x, tangles, first[:0], WAY_M).any()
+    assert apart(x, tangles, first).any() and not apart(x, tangles, first[:0]).any()
     assert_array_equal(x[len(vertices) :], before[len(vertices) :])
     assert np.abs(x - before)[: len(vertices)].max() > 0.0
-
-
-def test_no_way_is_farther_than_the_network_moved_but_for_the_least():
-    assert [farthest_way(way_m) for way_m in (0.0, 0.001, 0.1)] == [LEAST_M, 0.001, WAY_M]

@@ -10,15 +10,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.energies import ClothMesh, membrane
 from drape.cloth.rest_state import flat
-from drape.kernels.elements import with_spare
+from drape.engine.calls import call, call_with_scratch
+from drape.engine.library import empty_points
 from drape.kernels.problem import problem
 from drape.live.fold_constants import WornCloth
 from drape.live.sheet import LANES
-from drape.live.sweeps import PLANES, SCRATCH, gradient_at, leash
-from drape.live.whole import CLAMP_M, SPRING, solve, stiffness, whole_step
+from drape.live.whole import SPRING, stiffness
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.kernels.solver_setup import MATERIALS
-from tests.drape.live.folds_setup import constants, planes_of, sleeve
+from tests.drape.live.folds_setup import PLANE_ROWS, constants, planes_of, sleeve, spared
+from tests.reference.folds import CLAMP_M
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +37,8 @@ def test_the_factor_solves_what_the_matrix_says(rng, worn, dtype, within):
     factor, place = made.factor, made.sheet.place
     force, found = rng.normal(size=(len(place), 3)), np.zeros((len(made.sheet.vertex), 3))
     found[place] = force
-    y = found[factor.place].astype(dtype)
-    solve(factor, y)
+    y = spared(found[factor.place].astype(dtype))
+    call_with_scratch("law_solve", dtype, made, y)
     found[factor.place] = y
     wanted = np.linalg.solve(matrix_of(worn), force)
     assert_allclose(found[place], wanted, rtol=0.0, atol=within * np.abs(wanted).max())
@@ -76,17 +77,16 @@ def pressed(depth_m: float, *, dtype: type[np.floating] = np.float64, factor: fl
     own = made.sheet.own.reshape(-1, 4, LANES).copy()
     own[:, 0] = 0.0
     sheet = made.sheet._replace(own=own.reshape(-1))
-    x = with_spare(np.zeros((len(sheet.vertex), 3), dtype))
-    x[:] = 0.0
+    changed = made.factor._replace(inverse=made.factor.inverse * dtype(factor))
+    made, x = replace(made, sheet=sheet, factor=changed), empty_points(len(sheet.vertex), dtype)
     x[sheet.place] = sleeve(creased=False)[0]
     up = np.array([0.0, 0.0, 1.0], dtype)
-    planes = np.empty(PLANES // LANES * len(x), dtype)
-    leash(sheet, planes)
+    call("law_hold", dtype, made, planes := np.empty(PLANE_ROWS * len(x), dtype))
     planes += planes_of(x + dtype(depth_m - 0.004) * up, up)  # contact begins at a gap of 4 mm
     gradient = np.empty_like(x)
-    gradient_at(x, sheet, planes, x.copy(), np.empty(SCRATCH, dtype), gradient)
     before = x.copy()
-    whole_step(x, made.factor._replace(inverse=made.factor.inverse * dtype(factor)), gradient, dtype(0.5))
+    call("law_gradient", dtype, x, made, planes, before, gradient)
+    call_with_scratch("law_whole_step", dtype, x, made, gradient, 0.5)
     return (x - before)[sheet.place], gradient[sheet.place]
 
 

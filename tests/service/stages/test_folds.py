@@ -249,7 +249,7 @@ def test_resets_are_counted_and_told(runtime: DrapeRuntime, monkeypatch: pytest.
         assert httpx.post(url + "/drape", json=document | {"folds": 0}).headers["X-Drape-Folds"] == "0"
         whole = step.memory_of
         for levels in (step, two_level):
-            torn = lambda *of: replace(whole(*of), residual=np.full_like(of[1], np.nan))  # noqa: E731
+            torn = lambda *of: replace(whole(*of), residual=np.full_like(of[1].residual, np.nan))  # noqa: E731
             monkeypatch.setattr(levels, "memory_of", torn)
         headers = httpx.post(url + "/drape", json=document).headers
         assert headers["X-Drape-Folds-Resets"] == str(len(POSES) - 1), "no frame leads to a fold"

@@ -1,0 +1,30 @@
+// Vertices in the order of their mesh and at the places where a sheet has them, and how far they are from others.
+#pragma once
+#include "clusters.hpp"
+
+// The vertices [m] (V, 3) at their places (P, 3).
+template <class T> void placed(const T* vertices, const Array<int32_t>& vertex, T* places) {
+  for (int64_t p = 0; p < vertex.count; ++p) put_point(places, p, point(vertices, vertex[p]));
+}
+
+// The largest distance [m] between a place of x (P, 3) and that of y, NaN where one is.
+template <class T> T farthest_m(const T* x, const T* y, int64_t places) {
+  Row<T> worst = row_of(T(0)), total = worst;
+  for (int64_t first = 0; first < places; first += LANES) {
+    Points<T> way = points_in(x + 3 * first) - points_in(y + 3 * first);
+    Row<T> square = dot(way, way);
+    worst = most<T>(square, worst);
+    total = total + square;
+  }
+  return lanes_of<T>(total != total) ? T(__builtin_nan("")) : root(most_lane<T>(worst));
+}
+
+// RMS way [m] of the vertices at the place (V,) of each, from before to network [m] (P, 3).
+template <class T> double moved_m(const T* before, const T* network, const Array<int32_t>& place) {
+  double total = 0;
+  for (int64_t v = 0; v < place.count; ++v) {
+    const Vector<T> way = point(network, place[v]) - point(before, place[v]);
+    total += double(dot(way, way));
+  }
+  return root(total / double(place.count));
+}
