@@ -15,11 +15,9 @@ import pytest
 from drape.engine.build import TARGETS, build, build_probe, host
 from drape.engine.library import Scratch, empty_points, load
 from drape.engine.records import Record
-from drape.exact import descent, hessian
 from drape.kernels.quantised import quantise
 from drape.live.fold_step import FoldEffort, fold
 from drape.live.swing_step import swing
-from tests.drape.kernels.solver_setup import crumpled
 from tests.drape.live import folds_setup, swing_setup
 
 pytestmark = pytest.mark.long
@@ -149,36 +147,3 @@ def test_steps_of_positions_are_those_of_the_kernels(engine):
     )
     assert np.array_equal(steps, expected)
     assert np.array_equal(box, [low, size])
-
-
-def test_energy_sweeps_and_hessian_of_physics_are_those_of_the_kernels(engine):
-    scene = crumpled()
-    problem, around = Record("Problem", scene.problem, np.float64), Record("Around", scene.around, np.float64)
-    given, count = (at(problem), at(around)), len(scene.x)
-
-    expected, found = np.empty_like(scene.x), np.empty_like(scene.x)
-    energy = descent.energy_and_gradient(scene.x, scene.problem, scene.around, expected)
-    engine.drape_energy_f64.restype = ctypes.c_double
-    assert engine.drape_energy_f64(pointer(scene.x), *given, pointer(found)) == pytest.approx(energy, rel=1e-12)
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
-
-    for guarded in (False, True):
-        expected, found = scene.x.copy(), empty_points(count, np.float64)
-        found[:] = scene.x
-        descent.sweep(expected, scene.problem, scene.around, guarded)
-        order = pointer(scene.problem.order)
-        engine.drape_sweep_f64(pointer(found), *given, order, ctypes.c_int64(count), ctypes.c_int(guarded))
-        assert np.abs(found - expected).max() < 1e-11
-
-    expected, found = np.empty((count, 3, 3)), np.empty((count, 3, 3))
-    descent.diagonal_blocks(scene.x, scene.problem, scene.around, expected)
-    engine.drape_diagonal_f64(pointer(scene.x), *given, pointer(found))
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
-
-    pattern = hessian.pattern(scene.cloth)
-    expected, found = np.empty((len(pattern.column), 3, 3)), np.empty((len(pattern.column), 3, 3))
-    for exact in (0.0, 0.5, 1.0):
-        hessian.assemble(scene.x, scene.problem, scene.around, pattern, exact, expected)
-        where = at(record := Record("Pattern", pattern, np.float64))
-        engine.drape_hessian_f64(pointer(scene.x), *given, where, ctypes.c_double(exact), pointer(found))
-        assert found == pytest.approx(expected, rel=1e-8, abs=1e-8), record

@@ -11,6 +11,8 @@ from drape.kernels.triangle_pairs import Pairs, crossing_pairs, pairs_within, wa
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.kernels.test_triangle_pairs import crumpled
 
+KEPT, SLIGHT_M = 0.2, 1e-7  # of a distance, by a step; a lack that counts as none: drape/engine/source/apart.hpp
+
 
 def test_the_barriers_force_is_the_slope_of_its_energy(rng):
     x, faces, edges = crumpled(rng)
@@ -35,8 +37,14 @@ def test_a_free_share_of_a_step_keeps_every_pair_apart(rng):
         assert 0.0 < least <= 1.0 and least == share.min()
         for part in np.linspace(0.0, 1.0, 5):
             _, way = ways_of(x + part * least * step, pairs)
-            assert (np.linalg.norm(way, axis=1) >= apart.KEPT * before - 1e-12).all()
+            assert (np.linalg.norm(way, axis=1) >= KEPT * before - 1e-12).all()
     assert apart.free_shares(x, np.zeros_like(x), *pairs, np.empty(len(x))) == 1.0
+
+
+def test_what_touches_stays():
+    x, corner = np.array([[0.0, 0, 0], [0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.arange(4, dtype=np.int32)[None]
+    share = np.empty(4)
+    assert apart.free_shares(x, np.eye(4, 3), corner, 1, share) == 0.0
 
 
 def test_a_step_that_yields_takes_along_what_is_in_its_way(rng):
@@ -50,8 +58,8 @@ def test_a_step_that_yields_takes_along_what_is_in_its_way(rng):
         bent = step.copy()
         apart.yield_to(x, bent, *pairs, (least_m, more_m))
         gained = np.einsum("nc,nci,ni->n", weight, bent[pairs.corner], way) / distance
-        wanted = np.maximum(apart.KEPT * distance, np.minimum(least_m, distance + more_m)) - distance
-        assert (gained >= wanted - 20.0 * apart.SLIGHT_M).all()
+        wanted = np.maximum(KEPT * distance, np.minimum(least_m, distance + more_m)) - distance
+        assert (gained >= wanted - 20.0 * SLIGHT_M).all()
         assert apart.free_shares(x, bent, *pairs, np.empty(len(x))) > apart.ENOUGH
         assert_allclose(bent.sum(axis=0), step.sum(axis=0), atol=1e-12)  # what one gives the other takes
         assert bent[~upper, 1].mean() < -0.001
@@ -72,7 +80,7 @@ def test_a_sheet_that_goes_through_another_stops_before_it():
 def two_grids() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A sheet 3 mm over another, shifted; both in one mesh, and which vertices are the upper ones."""
     rest, faces = grid(4, 4, cell_m=0.01)
-    rest = rest[:, [0, 2, 1]]
+    rest = np.ascontiguousarray(rest[:, [0, 2, 1]])
     both = np.concatenate([rest, rest + np.array([0.003, 0.003, 0.004])])
     return both, np.concatenate([faces, faces + len(rest)]), np.arange(len(both)) >= len(rest)
 
