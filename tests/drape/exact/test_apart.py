@@ -25,6 +25,20 @@ def test_the_barriers_force_is_the_slope_of_its_energy(rng):
     assert_allclose(gradient.sum(axis=0), 0.0, atol=1e-9 * np.abs(gradient).sum())
 
 
+def test_the_barriers_curvature_is_the_slope_of_its_force_towards_what_is_near():
+    x, corner = np.array([[0.2, 0.001, 0.3], [0, 0, 0], [0, 0, 1], [1, 0, 0]]), np.arange(4, dtype=np.int32)[None]
+    blocks, step, ends = np.zeros((16, 3, 3)), np.array([0.0, 1e-8, 0.0]), []
+    apart.add_curvature(x, corner, 1, 30.0, np.arange(16, dtype=np.int32).reshape(1, 4, 4), blocks)
+    for sign in (1.0, -1.0):
+        moved, gradient = x.copy(), np.zeros_like(x)
+        moved[0] += sign * step
+        apart.push_apart(moved, corner, 1, 30.0, gradient)
+        ends.append(gradient)
+    slope = (ends[0] - ends[1]) / (2.0 * step[1])  # of the force at each corner, by the first one's height
+    assert_allclose(blocks.reshape(4, 4, 3, 3)[:, 0, :, 1], slope, rtol=1e-6, atol=1e-6 * np.abs(slope).max())
+    assert_allclose(blocks.reshape(4, 4, 3, 3), blocks.reshape(4, 4, 3, 3).transpose(1, 0, 3, 2))
+
+
 def test_a_free_share_of_a_step_keeps_every_pair_apart(rng):
     x, faces, _ = two_grids()
     edges = meshes.unique_edges(faces)
