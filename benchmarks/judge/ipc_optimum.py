@@ -5,12 +5,12 @@ Energy and method are those of ``drape.exact.apart``.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.judge import physics, physics_cache
+from drape.engine.build import SOURCE
 from drape.exact import apart
 from drape.exact.newton import Band, Cloth, Found
 from drape.kernels import triangle_pairs
@@ -21,7 +21,8 @@ STEPS = 120  # at most; they end a few hundredths of a joule above where they le
 def stored_minimum(task: physics.Task, folder: Path | None) -> tuple[physics.Optimum, bool]:
     """The optimum of ``minimise`` for ``task``, and whether it was in ``folder`` (``physics_cache.cached``)."""
     plain = physics_cache.cache_key(task, STEPS, physics.TOLERANCE)
-    key = physics_cache.key_of([plain], (), (sys.modules[__name__], apart, triangle_pairs))
+    own = [Path(__file__), *(Path(str(module.__file__)) for module in (apart, triangle_pairs))]
+    key = physics_cache.key_of([plain], (), [*own, SOURCE / "apart.hpp", SOURCE / "pairs.hpp"])
     return physics_cache.cached(key, lambda: minimise(task, step_limit=STEPS), folder)
 
 

@@ -213,7 +213,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "wide_charts": "int32s",
     },
     "PosedJets": {"jet": "numbers", "rotation": "numbers", "centre": "numbers"},
-    # Offline physics: ``drape.kernels.problem``, ``drape.exact.surroundings``, ``drape.exact.hessian``.
+    # Offline physics: ``drape.kernels.problem``, ``drape.exact.surroundings``, ``hessian`` and ``linear`` there.
     "Triangles": {
         "corner": "int32s",
         "inverse": "numbers",
@@ -246,12 +246,12 @@ RECORDS: dict[str, dict[str, str]] = {
         "band_n_per_m": "numbers",
     },
     "Pattern": dict.fromkeys(("start", "column", "diagonal", "face", "hinge"), "int32s"),
+    "Charts": {"patch": "int32s", "weight": "numbers"},
     "System": {
         "pattern": "Pattern",
         "blocks": "numbers",
         "inverse": "numbers",
-        "patch": "int32s",
-        "weight": "numbers",
+        "charts": "Charts",
         "coarse": "numbers",
     },
 }

@@ -1,11 +1,8 @@
 """A distance to a posed body that has no steps: tangent planes of its skin, blended.
 
-    d(x) = sum w_i n_i . (x - b_i) / sum w_i,   w_i = exp(-|x - b_i|^2 / h^2)
-
-over points b_i of the skin with normals n_i, the body's vertices and the middles of its edges: implicit moving least
-squares (Kolluri 2008, "Provably good moving least squares", ACM Trans. Algorithms 4(2)). As h falls it comes near to
-the plane of the nearest point (``drape.cloth.contact`` has that of the nearest vertex), a distance that jumps where
-another one becomes the nearest.
+``drape/engine/source/blended_planes.hpp`` has the formula, that of implicit moving least squares. Planes are those of
+the body's vertices and of the middles of its edges. The plane of the nearest vertex (``drape.cloth.contact``) is a
+distance that jumps where another one becomes the nearest.
 
 Vertices are 12 to 20 mm apart. The planes of vertices alone stand off the faces that are seen by 0.4 mm (0.9 mm on
 thighs) in the median and by 1.5 to 2.4 mm in one place of twenty; with the middles it is 0.2 to 0.3 and 0.9 mm.
@@ -17,16 +14,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from drape.cloth.contact import BodyContact
-from drape.kernels.compiled import kernel
-from drape.kernels.elements import add, at, sub
-from drape.kernels.grid import cells_within, column, grid_of
+from drape.engine.calls import call_with_scratch
 
-WIDTH_M = 0.006  # h
-FADED = 14.0  # exponent at which a weight counts as none: 1e-6 of the nearest one's
 REACH_M = 0.04  # points of the skin farther away are not blended, unless contact reaches nearly as far
 REACH_GAPS = 1.25  # then so many times as far as contact
 BEHIND = -0.2  # cosine between a plane's normal and the way to a point beyond reach, below which that is inside
-CLEAR_M = 0.005  # the most that a point which does not touch moves before it is looked at again
 FAR_M = 0.02  # a point asks for what is nearest again when it has moved by so much
 TINY = 1e-12  # the length of a normal that is none
 
@@ -43,7 +35,7 @@ class BlendedPlanes:
     def __init__(self, point: np.ndarray, normal: np.ndarray, point_count: int, gap_m: float) -> None:
         self._reach, self._gap = max(REACH_M, REACH_GAPS * gap_m), gap_m
         self._skin = np.ascontiguousarray(point, dtype=np.float64), np.ascontiguousarray(normal, dtype=np.float64)
-        self._grid, self._tree = grid_of(self._skin[0], 1.0 / self._reach), KDTree(point)
+        self._tree = KDTree(point)
         self._asked = np.full((point_count, 3), np.inf)  # where the nearest point of the skin was looked up
         self._free = np.zeros(point_count, dtype=bool)  # so far outside there that nothing is touched within FAR_M
         self._beyond = np.zeros(point_count, dtype=bool)  # no skin is within reach
@@ -67,8 +59,9 @@ class BlendedPlanes:
 
         A normal is the gradient of the distance, not quite of unit length.
         """
-        planes = self._point, self._normal, self._bend
-        blend(x, self._skin, self._grid, (self._reach, self._gap), (self._blended, self._clear, self._beyond), planes)
+        skin = *self._skin, len(self._skin[0]), self._reach, self._gap
+        last = self._blended, self._clear, self._beyond
+        call_with_scratch("blend", np.float64, x, len(x), *skin, *last, self._point, self._normal, self._bend)
         still = self._free & (np.linalg.norm(x - self._asked, axis=1) < FAR_M)
         asking = np.flatnonzero(self._beyond & ~still)
         if len(asking):
@@ -94,90 +87,3 @@ def blended_distance(
         point, normal, _ = BlendedPlanes.of_body(contact, posed, len(x), gap_m)(x)
         found[frame] = ((x - point) * normal).sum(axis=1)
     return found
-
-
-@kernel
-def blend(x, skin, grid, ranges, last, planes):
-    """Writes the ``planes``, point and normal (V, 3) and bend (V, 3, 3), of the points ``x`` [m] (V, 3).
-
-    ``skin`` are points of the skin and their normals in their ``grid``, ``ranges`` the reach of the blend and of
-    contact [m]. ``last`` are three records. A point keeps its plane while it is less than ``clear`` [m] (V,) from where
-    it was last ``blended`` (V, 3); otherwise both are renewed. A point with no skin within reach keeps its plane too,
-    and is marked in ``beyond`` (V,).
-    """
-    (corner, skin_normal), (blended, clear, beyond) = skin, last
-    point, normal, bend = planes
-    wide_m, gap = ranges
-    reach, sharp = wide_m * wide_m, 1.0 / (WIDTH_M * WIDTH_M)
-    around = (wide_m, wide_m, wide_m)
-    mean, slope = np.empty(3), np.empty(3)
-    for v in range(len(x)):
-        beyond[v] = False
-        p, q, r = x[v, 0] - blended[v, 0], x[v, 1] - blended[v, 1], x[v, 2] - blended[v, 2]
-        if p * p + q * q + r * r < clear[v] * clear[v]:
-            continue
-        blended[v, 0], blended[v, 1], blended[v, 2] = x[v, 0], x[v, 1], x[v, 2]
-        clear[v] = 0.0
-        bend[v] = 0.0
-        own = at(x, v)
-        first, end = cells_within(grid, sub(own, around), add(own, around))
-        least = reach
-        for a in range(first[0], end[0]):
-            for b in range(first[1], end[1]):
-                start, stop = column(grid, a, b, first, end)
-                for entry in range(start, stop):
-                    p, q, r = sub(own, at(corner, grid.member[entry]))
-                    least = min(least, p * p + q * q + r * r)
-        if least >= reach:
-            beyond[v] = True
-            continue
-        most = min(least + FADED / sharp, reach)
-        # After a move by c what is blended is nearer than ``wide``, and so within reach: no plane of those may be met.
-        near = np.sqrt(least)
-        c = min(CLEAR_M, max((reach - FADED / sharp - least) / (2.0 * (near + wide_m)), 0.0))
-        wide = (np.sqrt((near + c) * (near + c) + FADED / sharp) + c) ** 2
-        lowest = np.inf
-        total = distance = 0.0
-        mean[:] = 0.0
-        slope[:] = 0.0
-        for derivatives in range(2):
-            if derivatives:
-                distance /= total
-                for i in range(3):
-                    mean[i] /= total
-            for a in range(first[0], end[0]):
-                for b in range(first[1], end[1]):
-                    start, stop = column(grid, a, b, first, end)
-                    for entry in range(start, stop):
-                        k = grid.member[entry]
-                        p, q, r = sub(own, at(corner, k))
-                        square = p * p + q * q + r * r
-                        if square >= most and (derivatives or square >= wide):
-                            continue
-                        n = at(skin_normal, k)
-                        height = p * n[0] + q * n[1] + r * n[2]
-                        lowest = min(lowest, height)
-                        if square >= most:
-                            continue
-                        weight = np.exp((least - square) * sharp)
-                        if not derivatives:
-                            total += weight
-                            distance += weight * height
-                            mean[0] += weight * p
-                            mean[1] += weight * q
-                            mean[2] += weight * r
-                            continue
-                        weight /= total
-                        # The derivative of log w_i less that of log sum w: towards b_i from the mean of all b.
-                        g = (2.0 * sharp * (mean[0] - p), 2.0 * sharp * (mean[1] - q), 2.0 * sharp * (mean[2] - r))
-                        more = height - distance
-                        for i in range(3):
-                            slope[i] += weight * (n[i] + more * g[i])
-                            for j in range(3):
-                                bend[v, i, j] += weight * (g[i] * n[j] + n[i] * g[j] + more * g[i] * g[j])
-        # Where planes of several sides are blended the distance falls faster than the way, each of them does not.
-        clear[v] = min(c, max(lowest - gap, 0.0))
-        size = slope[0] * slope[0] + slope[1] * slope[1] + slope[2] * slope[2]
-        for i in range(3):
-            normal[v, i] = slope[i]
-            point[v, i] = x[v, i] - distance / size * slope[i]

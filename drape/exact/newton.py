@@ -9,6 +9,7 @@ the nearest body vertices step where a vertex comes nearer to another one, and t
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from drape.cloth.material import Material
 from drape.exact import descent, hessian, linear, settling
 from drape.exact.blended_planes import BlendedPlanes
 from drape.exact.linear import Charts
-from drape.exact.surroundings import Surroundings, surroundings
+from drape.exact.surroundings import Around, surroundings
 from drape.kernels.problem import Problem, problem
 
 TOLERANCE = 0.01  # of the weight: the norm of the force left at rest
@@ -104,7 +105,7 @@ class Descent:
     ) -> None:
         self.cloth, self.problem, self.band, self.drawn = cloth, cloth.problem, band, drawn
         self._planes = BlendedPlanes.of_body(contact, posed, len(start), float(cloth.problem.constants.gap))
-        self._met: tuple[np.ndarray, Surroundings, np.ndarray] | None = None  # what ``around`` gave last, of what
+        self._met: tuple[np.ndarray, Around, np.ndarray] | None = None  # what ``around`` gave last, of what
         self.steps = self._layings = 0
         self.exact = 0.0  # how much of the Hessian's indefinite part is in it, until the force is small
         self.shift: float | None = None  # from then on [N/m], on the whole Hessian
@@ -113,19 +114,19 @@ class Descent:
         self._per_shift = (area / area.mean())[:, None, None] * np.eye(3)
         self._diagonal = np.empty((len(start), 3, 3))
         self._coarse, self._coarse_age = np.zeros((0, 0), np.float32), COARSE_AGE
-        self.now = self.best = self.found(start)
+        self.now = self.best = self.found(np.ascontiguousarray(start, np.float64))
         self.start_j = self.now.energy
 
-    def around(self, x: np.ndarray) -> tuple[Surroundings, np.ndarray]:
+    def around(self, x: np.ndarray) -> tuple[Around, np.ndarray]:
         """The planes and springs that act on ``x``, and the second derivatives of its distance to the body."""
         if self._met is not None and self._met[0] is x:
             return self._met[1:]
         point, normal, bend = self._planes(x)
         planes = surroundings(self.problem, point, normal)
         if self.band is not None:
-            planes = planes._replace(band=self.band.anchor, band_n_per_m=self.band.n_per_m)
+            planes = replace(planes, band=self.band.anchor, band_n_per_m=self.band.n_per_m)
         if self.drawn is not None:
-            planes = planes._replace(target=self.drawn.anchor, target_n_per_m=self.drawn.n_per_m)
+            planes = replace(planes, target=self.drawn.anchor, target_n_per_m=self.drawn.n_per_m)
         self._met = x, planes, bend
         return planes, bend
 
@@ -186,7 +187,7 @@ class Descent:
         origin, around = self.now.x, self.around(self.now.x)[0]
         x = origin.copy()
         for _ in range(times):
-            descent.sweep(x, self.problem._replace(order=order), around, True)
+            descent.sweep(x, self.problem, around, True, order)
             x = self._swept(origin, x)
         there = self.found(x)
         if there.energy < self.now.energy:
@@ -238,7 +239,7 @@ class Descent:
             single = blocks.astype(np.float32)
             self._renew_coarse(pattern, single)
             system = linear.System(pattern, single, inverse, self.cloth.charts, self._coarse)
-            count = linear.conjugate_gradients(system, force, np.float32(left), ITERATIONS, moved)
+            count = linear.conjugate_gradients(system, force, left, ITERATIONS, moved)
             # A direction that curves down leads far away, unless it came late.
             if self.shift is not None:
                 if count > 0 or count < -LATE or self.shift > 1e8:

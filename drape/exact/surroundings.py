@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
+from drape.engine.records import Recorded
 from drape.errors import InputError
-from drape.kernels.compiled import part
-from drape.kernels.elements import add, at, dot, outer, scaled, shifted, sub
 from drape.kernels.problem import Problem
 
 
-class Surroundings(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Around(Recorded):
     """Planes and springs of V vertices.
 
     ``point``, ``normal`` (V, 3): planes of the body, whose normals need not be of unit length. ``target`` (V, 3) with
@@ -28,7 +28,7 @@ class Surroundings(NamedTuple):
     band_n_per_m: np.ndarray
 
 
-def surroundings(problem: Problem, point: np.ndarray, normal: np.ndarray) -> Surroundings:
+def surroundings(problem: Problem, point: np.ndarray, normal: np.ndarray) -> Around:
     """The tangent planes (V, 3) alone; the springs have no stiffness."""
     dtype = problem.weight_n.dtype
     point, normal = (np.ascontiguousarray(rows, dtype=dtype) for rows in (point, normal))
@@ -40,37 +40,4 @@ def surroundings(problem: Problem, point: np.ndarray, normal: np.ndarray) -> Sur
             cure="Give one plane per vertex.",
         )
     nowhere, none = np.zeros_like(point), np.zeros(len(point), dtype)
-    return Surroundings(point, normal, nowhere, none, nowhere, none)
-
-
-@part
-def outside(x, v, problem, around):
-    """Energy [J], gradient [N] and symmetric Hessian [N/m] of weight, contact and springs at the point ``x`` of v."""
-    k = problem.constants
-    normal = at(around.normal, v)
-    weight = problem.weight_n[v]
-    energy = weight * x[1]
-    gradient = (k.zero, weight, k.zero)
-    hessian = (k.zero, k.zero, k.zero, k.zero, k.zero, k.zero)
-    depth = k.gap - dot(sub(x, at(around.point, v)), normal)
-    if depth > k.zero:
-        stiffness = problem.contact_n_per_m[v]
-        energy += k.half * stiffness * depth * depth
-        gradient = add(gradient, scaled(-stiffness * depth, normal))
-        hessian = outer(hessian, stiffness, normal)
-    spring = around.target_n_per_m[v]
-    if spring > k.zero:
-        way = sub(x, at(around.target, v))
-        energy += k.half * spring * dot(way, way)
-        gradient = add(gradient, scaled(spring, way))
-        hessian = shifted(hessian, spring)
-    spring = around.band_n_per_m[v]
-    if spring > k.zero:
-        way = sub(x, at(around.band, v))
-        length = np.sqrt(dot(way, way))
-        if length > k.slack:
-            past = length - k.slack
-            energy += k.half * spring * past * past
-            gradient = add(gradient, scaled(spring * past / length, way))
-            hessian = outer(shifted(hessian, spring * past / length), spring * k.slack / length**3, way)
-    return energy, gradient, hessian
+    return Around(point, normal, nowhere, none, nowhere, none)

@@ -1,11 +1,11 @@
-"""A cloth as flat arrays, in float32 or float64, for kernels to read.
+"""A cloth as flat arrays, in float32 or float64, for the engine to read.
 
-They are named tuples of arrays, because numba takes those as arguments. Their energy is that of
-``drape.cloth.energies``, written as kernels in ``drape.kernels.elements``.
+Their energy is that of ``drape.cloth.energies``; the engine's formulas are in ``drape/engine/source/elements.hpp``.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ import scipy.sparse
 from drape.cloth.energies import DEGENERATE, ClothMesh, contact_n_per_m
 from drape.cloth.material import Material
 from drape.cloth.waistband import SLACK_M
+from drape.engine.records import Recorded
 from drape.geometry import meshes
 from drape.kernels.colouring import colour_order
 
@@ -91,7 +92,8 @@ class QuadraticBending(NamedTuple):
     diagonal: np.ndarray
 
 
-class Problem(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Problem(Recorded):
     """A cloth of V vertices, without what surrounds it.
 
     ``weight_n`` (V,) [N]; ``contact_n_per_m`` (V,) [N/m]. ``order`` (V,) has the vertices colour by colour, and

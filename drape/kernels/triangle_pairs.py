@@ -9,14 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.kernels.compiled import kernel
-from drape.kernels.elements import at, dot, sub
-from drape.kernels.grid import cells_within, column, grid_of
+from drape.engine.calls import call, call_with_scratch
 
-PARALLEL = 1e-9  # of the squared lengths' product: two edges with less between them have no nearest points
-TINY_M2 = 1e-30
-MOST_CELLS = 128.0  # of the grid along the mesh: bounds the memory
-ROUNDED = 1e-9  # of the mesh's extent: what a place in the grid may be off by rounding
 CHUNK_PAIRS = 1_000_000  # pairs of triangles looked at together: bounds the memory
 
 
@@ -35,7 +29,7 @@ def pairs_within(
     ``faces`` (F, 3), ``edges`` (E, 2). The weights (N, 4) make the way (N, 3) [m] between the nearest points of a pair,
     the third result, of its corners.
     """
-    points = np.arange(len(x), dtype=np.int32)[:, None]
+    x, points = np.ascontiguousarray(x, np.float64), np.arange(len(x), dtype=np.int32)[:, None]
     faces, edges = np.ascontiguousarray(faces, np.int32), np.ascontiguousarray(edges, np.int32)
     over, beside = near_boxes(x, points, faces, reach_m), near_boxes(x, edges, edges, reach_m)
     by_triangle = np.concatenate([points[over[:, 0]], faces[over[:, 1]]], axis=1)
@@ -49,145 +43,21 @@ def near_boxes(x: np.ndarray, first: np.ndarray, second: np.ndarray, reach_m: fl
     """Numbers (N, 2) of rows of ``first`` and ``second``, vertices of elements, that share none of them and whose boxes
     are at most ``reach_m`` apart along every axis; of one set of elements each pair once, the lower number first.
     """
-    own, other = (np.stack([x[element].min(axis=1), x[element].max(axis=1)]) for element in (first, second))
     if not len(second):
         return np.zeros((0, 2), np.int32)
-    origin, unit = x.min(axis=0), float(np.ptp(x, axis=0).max()) or 1.0
-    size, reach = float((other[1] - other[0]).max()) / unit, reach_m / unit
-    grid = grid_of((other.mean(axis=0) - origin) / unit, min(1.0 / max(reach + size, 1e-12), MOST_CELLS))
-    half = 0.5 * size + reach + ROUNDED
-    window = (own[0] - origin) / unit - half, (own[1] - origin) / unit + half
-    return _near_boxes((own, other), (first, second), grid, window, reach_m, first is second)
+    elements, count = (first, *first.shape, second, *second.shape, first is second), 16 * len(first)
+    while True:
+        found = np.empty((count, 2), np.int32)
+        count = call_with_scratch("near_boxes", np.float64, x, len(x), *elements, float(reach_m), found, len(found))
+        if count <= len(found):
+            return found[:count]
 
 
-@kernel
-def _near_boxes(boxes, elements, grid, window, reach, same):
-    (own, other), (first, second) = boxes, elements
-    found, filled = np.empty((16 * len(first) + 16, 2), np.int32), 0
-    for e in range(len(first)):
-        begin, end = cells_within(grid, at(window[0], e), at(window[1], e))
-        for a in range(begin[0], end[0]):
-            for b in range(begin[1], end[1]):
-                start, stop = column(grid, a, b, begin, end)
-                for entry in range(start, stop):
-                    f = grid.member[entry]
-                    if (same and f <= e) or _far(own, e, other, f, reach) or _joined(first, e, second, f):
-                        continue
-                    if filled == len(found):
-                        longer = np.empty((2 * len(found), 2), np.int32)
-                        longer[:filled] = found
-                        found = longer
-                    found[filled, 0], found[filled, 1] = e, f
-                    filled += 1
-    return found[:filled]
-
-
-@kernel
-def _far(own, e, other, f, reach):
-    """Whether the boxes e of ``own`` and f of ``other`` are more than ``reach`` apart along an axis."""
-    far = False
-    for i in range(3):
-        far |= other[0, f, i] > own[1, e, i] + reach or other[1, f, i] < own[0, e, i] - reach
-    return far
-
-
-@kernel
-def _joined(first, e, second, f):
-    """Whether the elements e and f share a vertex."""
-    for n in range(first.shape[1]):
-        for m in range(second.shape[1]):
-            if first[e, n] == second[f, m]:
-                return True
-    return False
-
-
-# --- distances --------------------------------------------------------------------------------------------------------
-
-
-@kernel
-def ways(x, corner, triangles):
+def ways(x: np.ndarray, corner: np.ndarray, triangles: int) -> tuple[np.ndarray, np.ndarray]:
     """The weights (N, 4) of the corners in the way between the nearest points of each pair, and that way [m] (N, 3)."""
     weights, found = np.empty((len(corner), 4)), np.empty((len(corner), 3))
-    for n in range(len(corner)):
-        weight, way = way_between(x, corner[n], n < triangles)
-        for c in range(4):
-            weights[n, c] = weight[c]
-        for i in range(3):
-            found[n, i] = way[i]
+    call("ways", np.float64, x, corner, len(corner), triangles, weights, found)
     return weights, found
-
-
-@kernel
-def way_between(x, corner, by_triangle):
-    """The same of one pair, as tuples."""
-    a, b, c, d = at(x, corner[0]), at(x, corner[1]), at(x, corner[2]), at(x, corner[3])
-    if by_triangle:
-        u, v, w = _weights_in_triangle(a, b, c, d)
-        weight = (1.0, -u, -v, -w)
-    else:
-        t, u = _shares_of_edges(a, b, c, d)
-        weight = (1.0 - t, t, u - 1.0, -u)
-    way = (
-        weight[0] * a[0] + weight[1] * b[0] + weight[2] * c[0] + weight[3] * d[0],
-        weight[0] * a[1] + weight[1] * b[1] + weight[2] * c[1] + weight[3] * d[1],
-        weight[0] * a[2] + weight[1] * b[2] + weight[2] * c[2] + weight[3] * d[2],
-    )
-    return weight, way
-
-
-@kernel
-def _clamped(a):
-    return min(max(a, 0.0), 1.0)
-
-
-@kernel
-def _weights_in_triangle(p, a, b, c):
-    """Barycentric coordinates of the point of the triangle a, b, c that is nearest to p (Ericson 2005, 5.1.5)."""
-    ab, ac, ap = sub(b, a), sub(c, a), sub(p, a)
-    d1, d2 = dot(ab, ap), dot(ac, ap)
-    if d1 <= 0.0 and d2 <= 0.0:
-        return 1.0, 0.0, 0.0
-    bp = sub(p, b)
-    d3, d4 = dot(ab, bp), dot(ac, bp)
-    if d3 >= 0.0 and d4 <= d3:
-        return 0.0, 1.0, 0.0
-    vc = d1 * d4 - d3 * d2
-    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        t = d1 / (d1 - d3)
-        return 1.0 - t, t, 0.0
-    cp = sub(p, c)
-    d5, d6 = dot(ab, cp), dot(ac, cp)
-    if d6 >= 0.0 and d5 <= d6:
-        return 0.0, 0.0, 1.0
-    vb = d5 * d2 - d1 * d6
-    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        t = d2 / (d2 - d6)
-        return 1.0 - t, 0.0, t
-    va = d3 * d6 - d5 * d4
-    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        t = (d4 - d3) / (d4 - d3 + d5 - d6)
-        return 0.0, 1.0 - t, t
-    total = va + vb + vc
-    return va / total, vb / total, vc / total
-
-
-@kernel
-def _shares_of_edges(p, q, r, s):
-    """How far along the edges pq and rs the two points are that are nearest to each other (Ericson 2005, 5.1.9).
-
-    Of parallel edges the middle of the first, where the second reaches so far.
-    """
-    first, second, between = sub(q, p), sub(s, r), sub(p, r)
-    a, e, f = max(dot(first, first), TINY_M2), max(dot(second, second), TINY_M2), dot(second, between)
-    b, c = dot(first, second), dot(first, between)
-    denominator = a * e - b * b
-    t = _clamped((b * f - c * e) / denominator) if denominator > PARALLEL * a * e else 0.5
-    u = (b * t + f) / e
-    if u < 0.0:
-        return _clamped(-c / a), 0.0
-    if u > 1.0:
-        return _clamped((b - c) / a), 1.0
-    return t, u
 
 
 # --- crossings --------------------------------------------------------------------------------------------------------
@@ -202,7 +72,7 @@ def crossing_pairs(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
     determinants; coordinates are taken relative to the mesh, so that they hold far from the origin.
     """
     corners = x[faces] - x[faces].reshape(-1, 3).mean(axis=0)
-    small = np.ascontiguousarray(faces, np.int32)
+    x, small = np.ascontiguousarray(x, np.float64), np.ascontiguousarray(faces, np.int32)
     pairs = near_boxes(x, small, small, 0.0).astype(np.int64)
     chunks = range(0, len(pairs), CHUNK_PAIRS)
     crosses = [_cross(*(corners[side] for side in pairs[start : start + CHUNK_PAIRS].T)) for start in chunks]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from drape.cloth.energies import ClothMesh
-from drape.exact.surroundings import Surroundings, surroundings
+from drape.exact.surroundings import Around as Outside
+from drape.exact.surroundings import surroundings
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point
 from drape.kernels.problem import Problem, problem
@@ -53,11 +55,11 @@ def fold(
     long = memory is None and effort.settle >= pacing.LONG_ROUNDS
     momentum = pacing.SETTLING_MOMENTUM if long else pace.momentum
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
-    made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
+    made = replace(made, hinges=made.creases)  # the others bend by the quadratic matrix
     for number in range(0 if effort.steps == 0 else 1 if memory else effort.settle):
         here, touched = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
         around = touching(made, dressed, x, frame.skin, here)
-        own = around.own._replace(band=network, band_n_per_m=dressed.band_n_per_m)
+        own = replace(around.own, band=network, band_n_per_m=dressed.band_n_per_m)
         around = around._replace(own=own, stuck=stuck, friction=friction)
         if effort.cloth_contact:
             around = kept_apart(x, around, made, dressed.cloth)
@@ -215,7 +217,7 @@ class Around(NamedTuple):
     ``point`` and ``normal`` (V, 3), whose springs ``n_per_m`` (V,) are zero where there is none; what holds gives
     ``slack`` [m] (V,). Against ``friction`` vertices leave where they were ``stuck`` [m] (V, 3)."""
 
-    own: Surroundings
+    own: Outside
     point: np.ndarray
     normal: np.ndarray
     n_per_m: np.ndarray
@@ -369,15 +371,16 @@ def gradient_known(x: np.ndarray, made: Problem, around: Around, known_n_per_m: 
     closed = contact * (made.constants.gap > ((x - around.own.point) * around.own.normal).sum(axis=1))
     closed = closed + around.n_per_m * (made.constants.gap > ((x - around.point) * around.normal).sum(axis=1))
     share = contact / np.maximum(closed, contact)
-    made = made._replace(contact_n_per_m=share * contact)
-    around = around._replace(own=around.own._replace(band_n_per_m=less * held), n_per_m=share * around.n_per_m)
+    made = replace(made, contact_n_per_m=share * contact)
+    own = replace(around.own, band_n_per_m=less * held)
+    around = around._replace(own=own, n_per_m=share * around.n_per_m)
     _, gradient = reference.energy_and_gradient(x, _with_slack(made, around.slack), around.own)
     gradient += _pushed(x, made, around, slice(None))[0] + less[:, None] * rub
     return gradient + np.stack([_bending(x, made, v) for v in range(len(x))])
 
 
 def _with_slack(made: Problem, slack: np.ndarray) -> Problem:
-    return made._replace(constants=made.constants._replace(slack=slack))
+    return replace(made, constants=made.constants._replace(slack=slack))
 
 
 def _bending(x: np.ndarray, made: Problem, v: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The kernels of the local solver once more, in NumPy float64, to be read and compared with."""
+"""The formulas of the local solver once more, in NumPy float64, to be read and compared with."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.exact.surroundings import Surroundings
+from drape.exact.surroundings import Around
 from drape.kernels.problem import Problem
 
 
@@ -81,7 +81,7 @@ def hinges(problem: Problem, x: np.ndarray, which: np.ndarray) -> Terms:
     return Terms(energy, stiffness[:, None, None] * fold, block)
 
 
-def outside(problem: Problem, around: Surroundings, x: np.ndarray, which: np.ndarray) -> Terms:
+def outside(problem: Problem, around: Around, x: np.ndarray, which: np.ndarray) -> Terms:
     """Weight, contact with the body's planes and springs of the vertices ``which`` (n,); one corner each."""
     k, p = problem.constants, x[which]
     weight = problem.weight_n[which]
@@ -106,7 +106,7 @@ def outside(problem: Problem, around: Surroundings, x: np.ndarray, which: np.nda
     return Terms(energy, gradient[:, None], block[:, None])
 
 
-def energy_and_gradient(x: np.ndarray, problem: Problem, around: Surroundings) -> tuple[float, np.ndarray]:
+def energy_and_gradient(x: np.ndarray, problem: Problem, around: Around) -> tuple[float, np.ndarray]:
     """Energy [J] at ``x`` [m] (V, 3) and its gradient [N] (V, 3)."""
     everything = [
         (problem.triangles.corner, triangles(problem, x, np.arange(len(problem.triangles.corner)))),
@@ -119,7 +119,7 @@ def energy_and_gradient(x: np.ndarray, problem: Problem, around: Surroundings) -
     return float(sum(terms.energy.sum() for _, terms in everything)), gradient
 
 
-def vertex_block(v: int, x: np.ndarray, problem: Problem, around: Surroundings) -> tuple[np.ndarray, np.ndarray]:
+def vertex_block(v: int, x: np.ndarray, problem: Problem, around: Around) -> tuple[np.ndarray, np.ndarray]:
     """Gradient [N] (3,) and positive Hessian block [N/m] (3, 3) of vertex ``v``."""
     gradient, block = np.zeros(3), np.zeros((3, 3))
     for corner, terms in ((problem.triangles.corner, triangles), (problem.hinges.corner, hinges)):
@@ -132,7 +132,7 @@ def vertex_block(v: int, x: np.ndarray, problem: Problem, around: Surroundings) 
     return gradient + own.gradient[0, 0], block + own.block[0, 0] + problem.constants.least * np.eye(3)
 
 
-def sweep(x: np.ndarray, problem: Problem, around: Surroundings) -> np.ndarray:
+def sweep(x: np.ndarray, problem: Problem, around: Around) -> np.ndarray:
     """One unguarded sweep of vertex block descent from ``x`` [m] (V, 3), vertices in the order of their colours."""
     moved = x.copy()
     for v in problem.order:

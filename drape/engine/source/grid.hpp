@@ -58,19 +58,25 @@ template <class T> Grid grid_of(const T* points, int64_t n, int width, double pe
   return grid;
 }
 
-// The cells that the box of half a side reach [m] around a point meets.
-template <class T> INLINE Cells cells_around(const Grid& grid, Vector<T> point, double reach) {
-  const double at[3] = {double(point.x), double(point.y), double(point.z)};
+// The cells that the box from low to high [m] meets.
+INLINE Cells cells_within(const Grid& grid, Vector<double> low, Vector<double> high) {
+  const double lower[3] = {low.x, low.y, low.z}, higher[3] = {high.x, high.y, high.z};
   Cells cells;
   for (int axis = 0; axis < 3; ++axis) {
     // Clamped before it is made whole: a point may be anywhere, or no number.
     double count = double(grid.count[axis]);
-    double low = __builtin_floor((at[axis] - reach - grid.low[axis]) * grid.per_m);
-    double high = __builtin_floor((at[axis] + reach - grid.low[axis]) * grid.per_m) + 1;
-    cells.first[axis] = int64_t(low > 0 ? (low < count ? low : count) : 0);
-    cells.last[axis] = int64_t(high > 0 ? (high < count ? high : count) : 0);
+    double first = __builtin_floor((lower[axis] - grid.low[axis]) * grid.per_m);
+    double last = __builtin_floor((higher[axis] - grid.low[axis]) * grid.per_m) + 1;
+    cells.first[axis] = int64_t(first > 0 ? (first < count ? first : count) : 0);
+    cells.last[axis] = int64_t(last > 0 ? (last < count ? last : count) : 0);
   }
   return cells;
+}
+
+// The cells that the box of half a side reach [m] around a point meets.
+template <class T> INLINE Cells cells_around(const Grid& grid, Vector<T> point, double reach) {
+  const Vector<double> at = {double(point.x), double(point.y), double(point.z)}, aside = {reach, reach, reach};
+  return cells_within(grid, at - aside, at + aside);
 }
 
 // Where in grid.member the points of the cells (i, j) of a column begin and end.
@@ -79,4 +85,13 @@ INLINE Run column(const Grid& grid, int64_t i, int64_t j, const Cells& cells) {
   int64_t row = (i * grid.count[1] + j) * grid.count[2], first = cells.first[2];
   int64_t last = cells.last[2] > first ? cells.last[2] : first;
   return {grid.start[row + first], grid.start[row + last]};
+}
+
+// Calls see(n) for every point n in the cells.
+template <class See> INLINE void for_each_point(const Grid& grid, const Cells& cells, See see) {
+  for (int64_t i = cells.first[0]; i < cells.last[0]; ++i)
+    for (int64_t j = cells.first[1]; j < cells.last[1]; ++j) {
+      const Run run = column(grid, i, j, cells);
+      for (int64_t entry = run.begin; entry < run.end; ++entry) see(int64_t(grid.member[entry]));
+    }
 }

@@ -11,6 +11,10 @@ template <class T> INLINE Vector<T> product(const T* block, Vector<T> a) {
           block[6] * a.x + block[7] * a.y + block[8] * a.z};
 }
 
+template <class T> INLINE Vector<T> product_at(const System<T>& system, int64_t z, const T* x) {
+  return product(system.blocks + 9 * z, point(x, system.pattern.column[z]));
+}
+
 template <class T> double inner(const T* a, const T* b, int64_t count) {
   double total = 0;
   for (int64_t v = 0; v < count; ++v) total += double(dot(point(a, v), point(b, v)));
@@ -23,7 +27,7 @@ template <class T> double multiply(const System<T>& system, const T* x, T* y) {
   double total = 0;
   for (int64_t v = 0; v < p.diagonal.count; ++v) {
     Vector<T> sum = {};
-    for (int64_t z = p.start[v]; z < p.start[v + 1]; ++z) sum = sum + product(system.blocks + 9 * z, point(x, p.column[z]));
+    for (int64_t z = p.start[v]; z < p.start[v + 1]; ++z) sum = sum + product_at(system, z, x);
     put_point(y, v, sum);
     total += double(dot(point(x, v), sum));
   }
@@ -36,67 +40,73 @@ template <class T> void gauss_seidel(const System<T>& system, const T* r, T* y) 
   const int64_t count = p.diagonal.count;
   for (int64_t v = 0; v < count; ++v) {
     Vector<T> left = point(r, v);
-    for (int64_t z = p.start[v]; z < p.diagonal[v]; ++z) left = left - product(system.blocks + 9 * z, point(y, p.column[z]));
+    for (int64_t z = p.start[v]; z < p.diagonal[v]; ++z) left = left - product_at(system, z, y);
     put_point(y, v, product(system.inverse + 9 * v, left));
   }
   for (int64_t v = count - 1; v >= 0; --v) {
     Vector<T> sum = {};
-    for (int64_t z = p.diagonal[v] + 1; z < p.start[v + 1]; ++z) sum = sum + product(system.blocks + 9 * z, point(y, p.column[z]));
+    for (int64_t z = p.diagonal[v] + 1; z < p.start[v + 1]; ++z) sum = sum + product_at(system, z, y);
     put_point(y, v, point(y, v) - product(system.inverse + 9 * v, sum));
   }
 }
 
+// Forces on the charts, and their displacements (3 K,) under these; none (size 0) where there are no charts.
+template <class T> struct Coarse {
+  T *force, *moved;
+  int64_t size;
+};
+
 // y = M^-1 r: Gauss-Seidel plus the solution on the charts, which each carry one displacement; returns r . y.
-template <class T> double precondition(const System<T>& system, const T* r, T* y, T* force, T* moved) {
-  const int64_t count = system.pattern.diagonal.count, charts = system.patch.count / count;
+template <class T> double precondition(const System<T>& system, const T* r, T* y, Coarse<T> coarse) {
+  const int64_t count = system.pattern.diagonal.count, charts = system.charts.patch.count / count, size = coarse.size;
+  const int32_t* patch = system.charts.patch;
+  const T* weight = system.charts.weight;
   gauss_seidel(system, r, y);
-  int64_t size = 0;
-  while ((size + 1) * (size + 1) <= system.coarse.count) ++size;  // the matrix (3 K, 3 K) is none where there are no charts
-  if (size) {
-    for (int64_t i = 0; i < size; ++i) force[i] = 0;
-    for (int64_t v = 0; v < count; ++v)
-      for (int64_t c = charts * v; c < charts * (v + 1); ++c)
-        put_point(force, system.patch[c], plus(point(force, system.patch[c]), system.weight[c], point(r, v)));
-    for (int64_t i = 0; i < size; ++i) {
-      T sum = 0;
-      for (int64_t j = 0; j < size; ++j) sum += system.coarse[size * i + j] * force[j];
-      moved[i] = sum;
-    }
-    for (int64_t v = 0; v < count; ++v)
-      for (int64_t c = charts * v; c < charts * (v + 1); ++c)
-        put_point(y, v, plus(point(y, v), system.weight[c], point(moved, system.patch[c])));
-  }
+  for (int64_t i = 0; i < size; ++i) coarse.force[i] = coarse.moved[i] = 0;
+  for (int64_t v = 0; size && v < count; ++v)
+    for (int64_t c = charts * v; c < charts * (v + 1); ++c)
+      add_point(coarse.force, patch[c], scaled(weight[c], point(r, v)));
+  // The matrix is symmetric: column by column, sums stand side by side.
+  for (int64_t j = 0; j < size; ++j)
+    for (int64_t i = 0; i < size; ++i) coarse.moved[i] += system.coarse[size * j + i] * coarse.force[j];
+  for (int64_t v = 0; size && v < count; ++v)
+    for (int64_t c = charts * v; c < charts * (v + 1); ++c)
+      add_point(y, v, scaled(weight[c], point(coarse.moved, patch[c])));
   return inner(r, y, count);
 }
 
-// out (3 K, 3 K) = P^T H P, P the charts' basis.
-template <class T> void galerkin(const System<T>& system, T* out, int64_t size) {
-  const Pattern<T>& p = system.pattern;
-  const int64_t count = p.diagonal.count, charts = system.patch.count / count;
+// out (size, size) = P^T H P of the blocks of H, P the basis of size / 3 charts.
+template <class T>
+void galerkin(const Charts<T>& charts, const Pattern<T>& p, const T* blocks, T* out, int64_t size) {
+  const int64_t count = p.diagonal.count, each = charts.patch.count / count;
   for (int64_t i = 0; i < size * size; ++i) out[i] = 0;
   for (int64_t v = 0; v < count; ++v)
     for (int64_t z = p.start[v]; z < p.start[v + 1]; ++z)
-      for (int64_t a = charts * v; a < charts * (v + 1); ++a)
-        for (int64_t b = charts * p.column[z]; b < charts * (p.column[z] + 1); ++b) {
-          const T w = system.weight[a] * system.weight[b];
+      for (int64_t a = each * v; a < each * (v + 1); ++a)
+        for (int64_t b = each * p.column[z]; b < each * (p.column[z] + 1); ++b) {
+          const T w = charts.weight[a] * charts.weight[b];
           if (w == 0) continue;
-          T* to = out + size * 3 * system.patch[a] + 3 * system.patch[b];
+          T* to = out + size * 3 * charts.patch[a] + 3 * charts.patch[b];
           for (int i = 0; i < 3; ++i)
-            for (int j = 0; j < 3; ++j) to[size * i + j] += w * system.blocks[9 * z + 3 * i + j];
+            for (int j = 0; j < 3; ++j) to[size * i + j] += w * blocks[9 * z + 3 * i + j];
         }
 }
 
 // Writes moved (V, 3) with H moved near force; returns the iterations, negative where H curved down. Ends when the norm
-// of the residual is a share of that of force, after limit iterations, or on a direction of negative curvature, which is
-// left out unless it is the first (Steihaug 1983).
+// of the residual is a share of that of force, after limit iterations, or on a direction of negative curvature, which
+// is left out unless it is the first (Steihaug 1983, "The conjugate gradient method and trust regions in large scale
+// optimization", SIAM J. Numer. Anal. 20(3)).
 template <class T>
-int64_t conjugate_gradients(const System<T>& system, const T* force, double share, int64_t limit, T* moved, Scratch& scratch) {
+int64_t conjugate_gradients(const System<T>& system, const T* force, double share, int64_t limit, T* moved,
+                            Scratch& scratch) {
   const int64_t mark = scratch.used, count = system.pattern.diagonal.count, n = 3 * count;
+  int64_t size = 0;
+  while (size * size < system.coarse.count) ++size;
   T *r = scratch.take<T>(n), *y = scratch.take<T>(n), *w = scratch.take<T>(n), *p = scratch.take<T>(n);
-  T *on_charts = scratch.take<T>(system.coarse.count + 3), *by_charts = scratch.take<T>(system.coarse.count + 3);
+  const Coarse<T> coarse = {scratch.take<T>(size), scratch.take<T>(size), size};
   if (scratch.overflowed) return 0;
   for (int64_t i = 0; i < n; ++i) moved[i] = 0, r[i] = force[i], y[i] = 0;
-  double before = precondition(system, r, y, on_charts, by_charts);
+  double before = precondition(system, r, y, coarse);
   const double bound = share * share * inner(force, force, count);
   for (int64_t i = 0; i < n; ++i) p[i] = y[i];
   int64_t done = limit;
@@ -113,7 +123,7 @@ int64_t conjugate_gradients(const System<T>& system, const T* force, double shar
       done = round + 1;
       break;
     }
-    const double now = precondition(system, r, y, on_charts, by_charts);
+    const double now = precondition(system, r, y, coarse);
     const T ratio = T(now / before);
     before = now;
     for (int64_t i = 0; i < n; ++i) p[i] = y[i] + ratio * p[i];

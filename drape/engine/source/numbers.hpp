@@ -13,3 +13,15 @@ INLINE double exponential_of(double x) {
   union { uint64_t bits; double value; } power = {uint64_t(int64_t(n) + 1023) << 52};
   return sum * power.value;
 }
+
+// The natural logarithm of a normal number above zero, within two units in the last place.
+INLINE double logarithm_of(double x) {
+  // x = 2^n m, m between the roots of 1/2 and 2; ln m = 2 (s + s^3 / 3 + s^5 / 5 + ...), s = (m - 1) / (m + 1)
+  union { double value; uint64_t bits; } m = {x};
+  const int64_t n = int64_t(m.bits - 0x3FE6A09E667F3BCDu) >> 52;
+  m.bits -= uint64_t(n) << 52;
+  const double s = (m.value - 1) / (m.value + 1), square = s * s;
+  double sum = 0;
+  for (int i = 19; i > 0; i -= 2) sum = 1.0 / i + square * sum;
+  return double(n) * 0.6931471805599453 + 2 * s * sum;
+}

@@ -1,6 +1,8 @@
 // Offline physics: energy, gradient, Hessian and guarded sweeps of a cloth over planes of the body, vertex by vertex.
 //
-// The energy is that of elements.hpp with every hinge, of weight, contact and two springs; energies are summed in doubles.
+// The energy is that of elements.hpp with every hinge, of weight, contact and two springs. Sweeps are those of vertex
+// block descent (Chen et al. 2024, "Vertex Block Descent", ACM TOG 43(4)): one vertex after the other goes to the
+// minimum of its own quadratic model.
 #pragma once
 #include "arrays.hpp"
 #include "elements.hpp"
@@ -9,19 +11,31 @@ namespace physics {
 
 constexpr int TRIES = 6;  // halvings of a guarded vertex's step before it stays
 
+template <class T> struct Cloth {
+  const Problem<T>& problem;
+  const Around<T>& around;
+  Fabric<T> k;
+  Cloth(const Problem<T>& own, const Around<T>& there) : problem(own), around(there), k(own.constants) {}
+};
+
 template <class T> struct Felt {
   double energy;
   Vector<T> gradient;
   Symmetric<T> hessian;
 };
 
-template <class T> INLINE Symmetric<T> shifted(Symmetric<T> h, T s) { return {h.xx + s, h.xy, h.xz, h.yy + s, h.yz, h.zz + s}; }
+template <class T> INLINE Symmetric<T> shifted(Symmetric<T> h, T s) {
+  return {h.xx + s, h.xy, h.xz, h.yy + s, h.yz, h.zz + s};
+}
 template <class T> INLINE T stress_energy(Stress<T> s, Columns<T> f) {
   return T(0.5) * (T(0.5) * (s.pp * (dot(f.p, f.p) - T(1)) + s.tt * (dot(f.t, f.t) - T(1))) + s.pt * dot(f.p, f.t));
 }
 
 // Weight, contact and springs at the point x of vertex v.
-template <class T> Felt<T> outside(Vector<T> x, int64_t v, const Problem<T>& problem, const Around<T>& around, const Fabric<T>& k) {
+template <class T> Felt<T> outside(Vector<T> x, int64_t v, const Cloth<T>& cloth) {
+  const Problem<T>& problem = cloth.problem;
+  const Around<T>& around = cloth.around;
+  const Fabric<T>& k = cloth.k;
   const Vector<T> normal = point(around.normal.begin, v);
   const T weight = problem.weight_n[v];
   double energy = double(weight * x.y);
@@ -53,23 +67,28 @@ template <class T> Felt<T> outside(Vector<T> x, int64_t v, const Problem<T>& pro
   return {energy, gradient, hessian};
 }
 
-template <class T> INLINE void add_point(T* x, int64_t v, Vector<T> a) { put_point(x, v, point(x, v) + a); }
+// The columns of F of triangle f.
+template <class T> INLINE Columns<T> columns_of(const T* x, const Triangles<T>& t, int64_t f) {
+  const int32_t* corner = t.corner + 3 * f;
+  const T* d = t.inverse + 4 * f;
+  const Vector<T> origin = point(x, corner[0]);
+  return columns(point(x, corner[1]) - origin, point(x, corner[2]) - origin, d[0], d[1], d[2], d[3]);
+}
 
 // The energy [J] at x [m] (V, 3); writes its gradient [N] (V, 3).
-template <class T> double energy_and_gradient(const T* x, const Problem<T>& problem, const Around<T>& around, T* gradient) {
-  const Fabric<T> k(problem.constants);
+template <class T> double energy_and_gradient(const T* x, const Cloth<T>& cloth, T* gradient) {
+  const Fabric<T>& k = cloth.k;
   double total = 0;
-  for (int64_t v = 0; v < problem.weight_n.count; ++v) {
-    const Felt<T> felt = outside(point(x, v), v, problem, around, k);
+  for (int64_t v = 0; v < cloth.problem.weight_n.count; ++v) {
+    const Felt<T> felt = outside(point(x, v), v, cloth);
     put_point(gradient, v, felt.gradient);
     total += felt.energy;
   }
-  const Triangles<T>& t = problem.triangles;
+  const Triangles<T>& t = cloth.problem.triangles;
   for (int64_t f = 0; f < t.area.count; ++f) {
-    const int32_t *corner = t.corner + 3 * f;
+    const int32_t* corner = t.corner + 3 * f;
     const T* d = t.inverse + 4 * f;
-    const Vector<T> first = point(x, corner[1]) - point(x, corner[0]), second = point(x, corner[2]) - point(x, corner[0]);
-    const Columns<T> c = {mix(d[0], first, d[1], second), mix(d[2], first, d[3], second)};
+    const Columns<T> c = columns_of(x, t, f);
     const Stress<T> s = stress(c, t.area[f], k);
     total += double(stress_energy(s, c));
     const Vector<T> by_p = mix(s.pp, c.p, s.pt, c.t), by_t = mix(s.pt, c.p, s.tt, c.t);
@@ -78,7 +97,7 @@ template <class T> double energy_and_gradient(const T* x, const Problem<T>& prob
     add_point(gradient, corner[2], by_second);
     add_point(gradient, corner[0], scaled(T(-1), by_first + by_second));
   }
-  const Hinges<T>& hinges = problem.hinges;
+  const Hinges<T>& hinges = cloth.problem.hinges;
   for (int64_t h = 0; h < hinges.stiffness.count; ++h) {
     const int32_t* vertex = hinges.corner + 4 * h;
     const Hinge<T> hinge_ = hinge_at(x, vertex, hinges.cosine[h], hinges.sine[h], k);
@@ -98,12 +117,13 @@ template <class T> INLINE Corner<T> corner_at(const T* x, Vector<T> own, const T
   return {columns(first, second, s[0], s[2], s[1], s[3]), -s[0] - s[2], -s[1] - s[3], s[4]};
 }
 
-// Gradient and positive Hessian of a vertex: Gauss-Newton of triangles, with the stress that pulls, and of hinges' angles,
-// as stiff folded as flat, so that it bounds the curvature.
-template <class T> Felt<T> vertex_model(const T* x, int64_t v, const Problem<T>& problem, const Around<T>& around, const Fabric<T>& k) {
+// Gradient and positive Hessian of a vertex: Gauss-Newton of triangles, with the stress that pulls, and of hinges'
+// angles, as stiff folded as flat, so that it bounds the curvature.
+template <class T> Felt<T> vertex_model(const T* x, int64_t v, const Cloth<T>& cloth) {
+  const Fabric<T>& k = cloth.k;
   const Vector<T> own = point(x, v);
-  Felt<T> felt = outside(own, v, problem, around, k);
-  const Triangles<T>& t = problem.triangles;
+  Felt<T> felt = outside(own, v, cloth);
+  const Triangles<T>& t = cloth.problem.triangles;
   for (int64_t entry = t.start[v]; entry < t.start[v + 1]; ++entry) {
     const Corner<T> c = corner_at(x, own, t, entry);
     const Stress<T> s = stress(c.f, c.area, k);
@@ -114,7 +134,7 @@ template <class T> Felt<T> vertex_model(const T* x, int64_t v, const Problem<T>&
     const T pt = c.area * (T(2) * k.cross + k.shear) * c.mp * c.mt;
     felt.hessian = squares(felt.hessian, pp, pt, tt, c.f.p, c.f.t, pull > 0 ? pull : T(0));
   }
-  const Hinges<T>& hinges = problem.hinges;
+  const Hinges<T>& hinges = cloth.problem.hinges;
   for (int64_t entry = hinges.start[v]; entry < hinges.start[v + 1]; ++entry) {
     const int64_t h = hinges.member[entry] / 4, place = hinges.member[entry] % 4;
     const int32_t* vertex = hinges.corner + 4 * h;
@@ -130,14 +150,15 @@ template <class T> Felt<T> vertex_model(const T* x, int64_t v, const Problem<T>&
 }
 
 // Energy [J] of all that vertex v moves, with v at own.
-template <class T> double local_energy(const T* x, Vector<T> own, int64_t v, const Problem<T>& problem, const Around<T>& around, const Fabric<T>& k) {
-  double total = outside(own, v, problem, around, k).energy;
-  const Triangles<T>& t = problem.triangles;
+template <class T> double local_energy(const T* x, Vector<T> own, int64_t v, const Cloth<T>& cloth) {
+  const Fabric<T>& k = cloth.k;
+  double total = outside(own, v, cloth).energy;
+  const Triangles<T>& t = cloth.problem.triangles;
   for (int64_t entry = t.start[v]; entry < t.start[v + 1]; ++entry) {
     const Corner<T> c = corner_at(x, own, t, entry);
     total += double(stress_energy(stress(c.f, c.area, k), c.f));
   }
-  const Hinges<T>& hinges = problem.hinges;
+  const Hinges<T>& hinges = cloth.problem.hinges;
   for (int64_t entry = hinges.start[v]; entry < hinges.start[v + 1]; ++entry) {
     const int64_t h = hinges.member[entry] / 4, place = hinges.member[entry] % 4;
     const int32_t* vertex = hinges.corner + 4 * h;
@@ -151,21 +172,20 @@ template <class T> double local_energy(const T* x, Vector<T> own, int64_t v, con
 
 // One sweep of vertex block descent over the vertices order (n,), in place. guarded: a vertex whose step does not lower
 // the energy halves it, and stays after TRIES halvings.
-template <class T>
-void sweep(T* x, const Problem<T>& problem, const Around<T>& around, const int32_t* order, int64_t count, bool guarded) {
-  const Fabric<T> k(problem.constants);
+template <class T> void sweep(T* x, const Cloth<T>& cloth, const int32_t* order, int64_t count, bool guarded) {
+  const T reach = cloth.k.reach;
   for (int64_t n = 0; n < count; ++n) {
     const int64_t v = order[n];
     const Vector<T> own = point(x, v);
-    const Felt<T> felt = vertex_model(x, v, problem, around, k);
+    const Felt<T> felt = vertex_model(x, v, cloth);
     Vector<T> step = scaled(T(-1), solved(felt.hessian, felt.gradient));
     const T length = root(dot(step, step));
-    if (length > k.reach) step = scaled(k.reach / length, step);
+    if (length > reach) step = scaled(reach / length, step);
     T share = 1;
     if (guarded) {
-      const double before = local_energy(x, own, v, problem, around, k);
+      const double before = local_energy(x, own, v, cloth);
       int tries = 0;
-      while (tries < TRIES && !(local_energy(x, plus(own, share, step), v, problem, around, k) <= before)) share *= T(0.5), ++tries;
+      for (; tries < TRIES && !(local_energy(x, plus(own, share, step), v, cloth) <= before); ++tries) share *= T(0.5);
       if (tries == TRIES) share = 0;
     }
     put_point(x, v, plus(own, share, step));
@@ -173,13 +193,14 @@ void sweep(T* x, const Problem<T>& problem, const Around<T>& around, const int32
 }
 
 template <class T> INLINE void put_block(T* block, Symmetric<T> h) {
-  block[0] = h.xx, block[1] = block[3] = h.xy, block[2] = block[6] = h.xz, block[4] = h.yy, block[5] = block[7] = h.yz, block[8] = h.zz;
+  const T of[9] = {h.xx, h.xy, h.xz, h.xy, h.yy, h.yz, h.xz, h.yz, h.zz};
+  for (int i = 0; i < 9; ++i) block[i] = of[i];
 }
 
 // Writes the positive blocks (V, 3, 3) with which sweeps move the vertices.
-template <class T> void diagonal_blocks(const T* x, const Problem<T>& problem, const Around<T>& around, T* blocks) {
-  const Fabric<T> k(problem.constants);
-  for (int64_t v = 0; v < problem.weight_n.count; ++v) put_block(blocks + 9 * v, vertex_model(x, v, problem, around, k).hessian);
+template <class T> void diagonal_blocks(const T* x, const Cloth<T>& cloth, T* blocks) {
+  const int64_t count = cloth.problem.weight_n.count;
+  for (int64_t v = 0; v < count; ++v) put_block(blocks + 9 * v, vertex_model(x, v, cloth).hessian);
 }
 
 template <class T> INLINE void add_product(T* block, Vector<T> a, Vector<T> b) {
@@ -197,13 +218,16 @@ template <class T> INLINE Stress<T> tension(Stress<T> s) {
   return {share * (s.pp - low), share * (s.tt - low), share * s.pt};
 }
 
-// Adds factor d(c_i n / q) = n / q dc_i + c_i (I - 2 n n^T / q) dn / q of one triangle of a hinge to its sixteen blocks.
+// Adds factor d(c_i n / q) = n / q dc_i + c_i (I - 2 n n^T / q) dn / q of one triangle of a hinge, that with the corner
+// third, to the hinge's sixteen blocks.
 template <class T>
-void add_angle_hessian(T* blocks, const int32_t* place, T factor, int third, Vector<T> e, Vector<T> arm, Vector<T> n, T sign, const Fabric<T>& k) {
-  const T q = dot(n, n) + k.degenerate, length = root(dot(e, e) + k.degenerate), per = k.per_edge * k.per_edge / q * factor;
-  const Vector<T> u = scaled(T(1) / length, e), none = {};
+void add_angle_hessian(T* blocks, const int32_t* place, T factor, int third, const Hinge<T>& h, const Fabric<T>& k) {
+  const Vector<T> e = h.e, arm = third == 2 ? h.a : h.b, n = third == 2 ? h.n1 : h.n2, none = {};
+  const T sign = third == 2 ? 1 : -1, q = dot(n, n) + k.degenerate, length = root(dot(e, e) + k.degenerate);
+  const T per = k.per_edge * k.per_edge / q * factor;
+  const Vector<T> u = scaled(T(1) / length, e), minus = scaled(T(-1), u), normal = scaled(per, n);
   const T along = dot(arm, u);
-  const Vector<T> height = scaled(T(1) / length, plus(arm, -along, u)), minus = scaled(T(-1), u), normal = scaled(per, n);
+  const Vector<T> height = scaled(T(1) / length, plus(arm, -along, u));
   const int places[3] = {0, 1, third};
   const T coefficient[3] = {length - along, along, -length};
   const Vector<T> slopes[3][3] = {{height, u - height, minus}, {minus - height, height, u}, {u, minus, none}};
@@ -223,16 +247,13 @@ void add_angle_hessian(T* blocks, const int32_t* place, T factor, int third, Vec
 // Writes the Hessian [N/m] to blocks (N, 3, 3), those of the pattern. It is the exact one for exact 1. For 0 it is
 // positive: only tensile stress counts, hinges are as stiff as unfolded ones, and the curvature of their angle is left
 // out. Values between mix the two.
-template <class T>
-void assemble(const T* x, const Problem<T>& problem, const Around<T>& around, const Pattern<T>& pattern, T exact, T* blocks) {
-  const Fabric<T> k(problem.constants);
+template <class T> void assemble(const T* x, const Cloth<T>& cloth, const Pattern<T>& pattern, T exact, T* blocks) {
+  const Fabric<T>& k = cloth.k;
   for (int64_t i = 0; i < 9 * pattern.column.count; ++i) blocks[i] = 0;
-  const Triangles<T>& t = problem.triangles;
+  const Triangles<T>& t = cloth.problem.triangles;
   for (int64_t f = 0; f < t.area.count; ++f) {
-    const int32_t* corner = t.corner + 3 * f;
     const T *d = t.inverse + 4 * f, area = t.area[f];
-    const Vector<T> first = point(x, corner[1]) - point(x, corner[0]), second = point(x, corner[2]) - point(x, corner[0]);
-    const Columns<T> c = {mix(d[0], first, d[1], second), mix(d[2], first, d[3], second)};
+    const Columns<T> c = columns_of(x, t, f);
     const Stress<T> all = stress(c, area, k), pulls = tension(all);
     const T pp = exact * all.pp + (T(1) - exact) * pulls.pp, tt = exact * all.tt + (T(1) - exact) * pulls.tt;
     const T pt = exact * all.pt + (T(1) - exact) * pulls.pt;
@@ -241,15 +262,17 @@ void assemble(const T* x, const Problem<T>& problem, const Around<T>& around, co
       for (int n = 0; n < 3; ++n) {
         const T mp = slope[m][0], mt = slope[m][1], np = slope[n][0], nt = slope[n][1];
         T* block = blocks + 9 * int64_t(pattern.face[9 * f + 3 * m + n]);
-        const T by_p = area * (T(2) * k.warp * mp * np + k.shear * mt * nt), by_t = area * (T(2) * k.weft * mt * nt + k.shear * mp * np);
-        const T mixed = area * (T(2) * k.cross * mp * nt + k.shear * mt * np), back = area * (T(2) * k.cross * mt * np + k.shear * mp * nt);
+        const T by_p = area * (T(2) * k.warp * mp * np + k.shear * mt * nt);
+        const T by_t = area * (T(2) * k.weft * mt * nt + k.shear * mp * np);
+        const T mixed = area * (T(2) * k.cross * mp * nt + k.shear * mt * np);
+        const T back = area * (T(2) * k.cross * mt * np + k.shear * mp * nt);
         add_product(block, c.p, mix(by_p, c.p, mixed, c.t));
         add_product(block, c.t, mix(back, c.p, by_t, c.t));
         const T pull = pp * mp * np + tt * mt * nt + pt * (mp * nt + mt * np);
         block[0] += pull, block[4] += pull, block[8] += pull;
       }
   }
-  const Hinges<T>& hinges = problem.hinges;
+  const Hinges<T>& hinges = cloth.problem.hinges;
   for (int64_t h = 0; h < hinges.stiffness.count; ++h) {
     // k (cos d g g^T + sin d G), d the turn from rest, g and G the derivatives of the angle
     const int32_t *vertex = hinges.corner + 4 * h, *place = pattern.hinge + 16 * h;
@@ -262,13 +285,12 @@ void assemble(const T* x, const Problem<T>& problem, const Around<T>& around, co
     for (int m = 0; m < 4; ++m)
       for (int n = 0; n < 4; ++n) add_product(blocks + 9 * int64_t(place[4 * m + n]), g[m], scaled(curve, g[n]));
     if (force == 0) continue;
-    add_angle_hessian(blocks, place, force, 2, v.e, v.a, v.n1, T(1), k);
-    add_angle_hessian(blocks, place, force, 3, v.e, v.b, v.n2, T(-1), k);
+    add_angle_hessian(blocks, place, force, 2, v, k);
+    add_angle_hessian(blocks, place, force, 3, v, k);
   }
-  for (int64_t v = 0; v < problem.weight_n.count; ++v) {
-    const Symmetric<T> h = outside(point(x, v), v, problem, around, k).hessian;
+  for (int64_t v = 0; v < cloth.problem.weight_n.count; ++v) {
     T own[9];
-    put_block(own, h);
+    put_block(own, outside(point(x, v), v, cloth).hessian);
     for (int i = 0; i < 9; ++i) blocks[9 * int64_t(pattern.diagonal[v]) + i] += own[i];
   }
 }

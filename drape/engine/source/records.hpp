@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0xb194a93714c5df76u;
+constexpr uint64_t RECORDS_HASH = 0x22b7d6ef9075d83au;
 
 template <class T> struct Constants {
   double warp;
@@ -328,12 +328,17 @@ template <class T> struct Pattern {
 };
 static_assert(sizeof(Pattern<float>) == 80, "Pattern");
 
+template <class T> struct Charts {
+  Array<int32_t> patch;
+  Array<T> weight;
+};
+static_assert(sizeof(Charts<float>) == 32, "Charts");
+
 template <class T> struct System {
   Pattern<T> pattern;
   Array<T> blocks;
   Array<T> inverse;
-  Array<int32_t> patch;
-  Array<T> weight;
+  Charts<T> charts;
   Array<T> coarse;
 };
 static_assert(sizeof(System<float>) == 160, "System");

@@ -27,6 +27,7 @@ template <class T> INLINE void put_point(T* x, int64_t v, Vector<T> a) {
   x[3 * v + 1] = a.y;
   x[3 * v + 2] = a.z;
 }
+template <class T> INLINE void add_point(T* x, int64_t v, Vector<T> a) { put_point(x, v, point(x, v) + a); }
 
 // The entries 00, 01, 02, 11, 12, 22.
 template <class N> struct Symmetric { N xx, xy, xz, yy, yz, zz; };

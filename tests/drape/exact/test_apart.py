@@ -11,6 +11,8 @@ from drape.kernels.triangle_pairs import Pairs, crossing_pairs, pairs_within, wa
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.kernels.test_triangle_pairs import crumpled
 
+KEPT, SLIGHT_M = 0.2, 1e-7  # of a distance, by a step; a lack that counts as none: drape/engine/source/apart.hpp
+
 
 def test_the_barriers_force_is_the_slope_of_its_energy(rng):
     x, faces, edges = crumpled(rng)
@@ -21,6 +23,20 @@ def test_the_barriers_force_is_the_slope_of_its_energy(rng):
     ahead, behind = (apart.push_apart(x + sign * step * way, *pairs, 30.0, np.zeros_like(x)) for sign in (1.0, -1.0))
     assert_allclose((gradient * way).sum(), (ahead - behind) / (2.0 * step), rtol=1e-4)
     assert_allclose(gradient.sum(axis=0), 0.0, atol=1e-9 * np.abs(gradient).sum())
+
+
+def test_the_barriers_curvature_is_the_slope_of_its_force_towards_what_is_near():
+    x, corner = np.array([[0.2, 0.001, 0.3], [0, 0, 0], [0, 0, 1], [1, 0, 0]]), np.arange(4, dtype=np.int32)[None]
+    blocks, step, ends = np.zeros((16, 3, 3)), np.array([0.0, 1e-8, 0.0]), []
+    apart.add_curvature(x, corner, 1, 30.0, np.arange(16, dtype=np.int32).reshape(1, 4, 4), blocks)
+    for sign in (1.0, -1.0):
+        moved, gradient = x.copy(), np.zeros_like(x)
+        moved[0] += sign * step
+        apart.push_apart(moved, corner, 1, 30.0, gradient)
+        ends.append(gradient)
+    slope = (ends[0] - ends[1]) / (2.0 * step[1])  # of the force at each corner, by the first one's height
+    assert_allclose(blocks.reshape(4, 4, 3, 3)[:, 0, :, 1], slope, rtol=1e-6, atol=1e-6 * np.abs(slope).max())
+    assert_allclose(blocks.reshape(4, 4, 3, 3), blocks.reshape(4, 4, 3, 3).transpose(1, 0, 3, 2))
 
 
 def test_a_free_share_of_a_step_keeps_every_pair_apart(rng):
@@ -35,8 +51,14 @@ def test_a_free_share_of_a_step_keeps_every_pair_apart(rng):
         assert 0.0 < least <= 1.0 and least == share.min()
         for part in np.linspace(0.0, 1.0, 5):
             _, way = ways_of(x + part * least * step, pairs)
-            assert (np.linalg.norm(way, axis=1) >= apart.KEPT * before - 1e-12).all()
+            assert (np.linalg.norm(way, axis=1) >= KEPT * before - 1e-12).all()
     assert apart.free_shares(x, np.zeros_like(x), *pairs, np.empty(len(x))) == 1.0
+
+
+def test_what_touches_stays():
+    x, corner = np.array([[0.0, 0, 0], [0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.arange(4, dtype=np.int32)[None]
+    share = np.empty(4)
+    assert apart.free_shares(x, np.eye(4, 3), corner, 1, share) == 0.0
 
 
 def test_a_step_that_yields_takes_along_what_is_in_its_way(rng):
@@ -50,8 +72,8 @@ def test_a_step_that_yields_takes_along_what_is_in_its_way(rng):
         bent = step.copy()
         apart.yield_to(x, bent, *pairs, (least_m, more_m))
         gained = np.einsum("nc,nci,ni->n", weight, bent[pairs.corner], way) / distance
-        wanted = np.maximum(apart.KEPT * distance, np.minimum(least_m, distance + more_m)) - distance
-        assert (gained >= wanted - 20.0 * apart.SLIGHT_M).all()
+        wanted = np.maximum(KEPT * distance, np.minimum(least_m, distance + more_m)) - distance
+        assert (gained >= wanted - 20.0 * SLIGHT_M).all()
         assert apart.free_shares(x, bent, *pairs, np.empty(len(x))) > apart.ENOUGH
         assert_allclose(bent.sum(axis=0), step.sum(axis=0), atol=1e-12)  # what one gives the other takes
         assert bent[~upper, 1].mean() < -0.001
@@ -72,7 +94,7 @@ def test_a_sheet_that_goes_through_another_stops_before_it():
 def two_grids() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A sheet 3 mm over another, shifted; both in one mesh, and which vertices are the upper ones."""
     rest, faces = grid(4, 4, cell_m=0.01)
-    rest = rest[:, [0, 2, 1]]
+    rest = np.ascontiguousarray(rest[:, [0, 2, 1]])
     both = np.concatenate([rest, rest + np.array([0.003, 0.003, 0.004])])
     return both, np.concatenate([faces, faces + len(rest)]), np.arange(len(both)) >= len(rest)
 

@@ -1,4 +1,4 @@
-"""Energy, gradient and sweeps: compiled against readable, against the energies of the product, and their laws."""
+"""Energy, gradient and sweeps: the engine against the reference and the energies of the product, and their laws."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def test_the_energy_is_that_of_the_product(material, flat_rest):
 
 def test_springs_are_inertia_and_waistband():
     bare, held = crumpled(springs=False), crumpled()
-    around = bare.around._replace(
+    around = replace(
+        bare.around,
         target=held.around.target,
         target_n_per_m=bare.cloth.vertex_mass(bare.material) / 0.02**2,
         band=held.around.band,
@@ -52,7 +53,7 @@ def test_springs_are_inertia_and_waistband():
 
 
 @pytest.mark.parametrize(("material", "flat_rest"), CASES)
-def test_kernels_equal_the_reference(material, flat_rest):
+def test_the_engine_equals_the_reference(material, flat_rest):
     scene = crumpled(material, flat_rest=flat_rest)
     gradient = np.empty_like(scene.x)
     energy = descent.energy_and_gradient(scene.x, scene.problem, scene.around, gradient)

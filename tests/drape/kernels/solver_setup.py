@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.cloth.rest_state import flat, grain_along, modelled
-from drape.exact.surroundings import Surroundings, surroundings
+from drape.exact.surroundings import Around, surroundings
 from drape.kernels.problem import Problem, problem
 from tests.drape.cloth.cloth_shapes import grid
 
@@ -26,7 +27,7 @@ class Scene(NamedTuple):
     cloth: ClothMesh
     material: Material
     problem: Problem
-    around: Surroundings
+    around: Around
     x: np.ndarray
 
 
@@ -34,7 +35,6 @@ def crumpled(
     material: str = "isotropic",
     *,
     flat_rest: bool = False,
-    dtype: type[np.floating] = np.float64,
     springs: bool = True,
     noise_m=0.001,
 ) -> Scene:
@@ -45,17 +45,18 @@ def crumpled(
     grain = grain_along(rest, faces, (np.sin(0.4), np.cos(0.4), 0.0))
     state = (flat if flat_rest else modelled)(rest, faces, grain)
     cloth = ClothMesh.of(state, faces, len(rest))
-    made = problem(cloth, MATERIALS[material], dtype=dtype)
+    made = problem(cloth, MATERIALS[material], dtype=np.float64)
     x = rest + noise_m * rng.normal(size=rest.shape)
     normals = rng.normal(size=x.shape)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     away = np.where(np.arange(len(x)) % 2 == 0, 0.002, 0.008)[:, None]
     around = surroundings(made, x - away * normals, normals)
     if springs:
-        around = around._replace(
-            target=(x + 1e-3 * rng.normal(size=x.shape)).astype(dtype),
-            target_n_per_m=np.where(np.arange(len(x)) % 4 == 0, 2.0, 0.0).astype(dtype),
-            band=(x + 1e-2 * rng.normal(size=x.shape)).astype(dtype),
-            band_n_per_m=np.where(np.arange(len(x)) % 5 == 0, 3.0, 0.0).astype(dtype),
+        around = replace(
+            around,
+            target=x + 1e-3 * rng.normal(size=x.shape),
+            target_n_per_m=np.where(np.arange(len(x)) % 4 == 0, 2.0, 0.0),
+            band=x + 1e-2 * rng.normal(size=x.shape),
+            band_n_per_m=np.where(np.arange(len(x)) % 5 == 0, 3.0, 0.0),
         )
-    return Scene(cloth, MATERIALS[material], made, around, x.astype(dtype))
+    return Scene(cloth, MATERIALS[material], made, around, x)

@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.testing import assert_array_equal
 
-from drape.kernels.grid import WIDEST_M, cells_within, column, grid_of
+from drape.engine.calls import call_with_scratch
 from tests.fixtures.laws import each
 
+WIDEST_M = 10.0  # points farther apart than that, along an axis, are in no cell
 for_each_type = each(dtype=(np.float32, np.float64))
-
-
-@njit
-def _met(grid, low, high, times):
-    first, last = cells_within(grid, low, high)
-    for i in range(first[0], last[0]):
-        for j in range(first[1], last[1]):
-            begin, end = column(grid, i, j, first, last)
-            for entry in range(begin, end):
-                times[grid.member[entry]] += 1
 
 
 def met(points: np.ndarray, low: np.ndarray, high: np.ndarray, per_m: float = 20.0) -> np.ndarray:
     """How often a walk from ``low`` to ``high`` meets each point."""
-    times = np.zeros(len(points), int)
-    _met(grid_of(points, per_m), tuple(low), tuple(high), times)
+    times = np.zeros(len(points), np.int64)
+    call_with_scratch("law_walk", points.dtype, points, *points.shape, per_m, *map(float, (*low, *high)), times)
     return times
 
 

@@ -99,7 +99,7 @@ def test_folds_lower_the_energy_and_more_of_them_lower_it_further():
 
     def energy(x: np.ndarray) -> float:
         around = reference.touching(flat, worn, x, one.skin, touched)
-        held = around.own._replace(band=one.vertices, band_n_per_m=worn.band_n_per_m)
+        held = replace(around.own, band=one.vertices, band_n_per_m=worn.band_n_per_m)
         return reference.energy(x, flat, around._replace(own=held))
 
     before = energy(one.vertices)

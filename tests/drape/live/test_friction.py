@@ -91,7 +91,7 @@ def test_its_force_is_coulombs(slip_m: float):
     along = way * [1.0, 0.0, 1.0]
     assert_allclose(force, 0.5 * min(slip_m / SLIP_M, 1.0) * press_n[:, None] * along, rtol=1e-6)
     assert np.linalg.eigvalsh(hessian).min() > -1e-9
-    lifted = around._replace(own=around.own._replace(point=around.own.point - [0.0, 0.002, 0.0]))
+    lifted = around._replace(own=replace(around.own, point=around.own.point - [0.0, 0.002, 0.0]))
     assert not reference.rubbed(x, made, lifted, slice(None))[0].any()
 
 
