@@ -11,11 +11,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed  # noqa: TID251
 
 import numpy as np
 
-from drape.graph import blend
-from drape.kernels.quantised import quantise
 from drape.live import fold_step, swing_step, two_level
 from drape.live.dissection import LEAF, dissected
-from drape.network import warm_up as network
 
 Parts = dict[str, Callable[[], object]]
 
@@ -27,19 +24,12 @@ def _dissect() -> None:
     dissected(start, neighbour.reshape(-1))
 
 
-def _messages() -> None:
-    quantise(np.zeros((1, 3), np.float32))
-
-
 # The longest first. The last one calls kernels that the others have compiled by then.
 SERVICE: Parts = {
     "folds": fold_step.warm_up,
-    "network": network.warm_up,
     "swing": swing_step.warm_up,
     "lift": two_level.warm_up_lift,
-    "vertices": blend.warm_up,
     "dissection": _dissect,
-    "messages": _messages,
     "folds in two levels": two_level.warm_up,
 }
 

@@ -16,7 +16,6 @@ from drape.engine.build import TARGETS, build, build_probe, host
 from drape.engine.library import Scratch, empty_points, load
 from drape.engine.records import Record
 from drape.exact import descent, hessian
-from drape.kernels.quantised import quantise
 from drape.live.fold_step import FoldEffort, fold
 from drape.live.swing_step import swing
 from tests.drape.kernels.solver_setup import crumpled
@@ -138,17 +137,6 @@ def test_a_swing_is_that_of_the_kernels(engine, dtype):
         assert moved >= 0
         assert np.abs((out if moved else vertices) - expected).max() < (1e-9 if dtype is np.float64 else 1e-4)
         before = after
-
-
-def test_steps_of_positions_are_those_of_the_kernels(engine):
-    points = np.random.default_rng(0).normal(size=(1001, 3)).astype(np.float32)
-    expected, low, size = quantise(points)
-    steps, box = np.empty(points.shape, np.uint16), np.empty((2, 3), np.float32)
-    engine.drape_quantise(
-        pointer(points), ctypes.c_int64(len(points)), ctypes.c_float(65535), pointer(steps), pointer(box)
-    )
-    assert np.array_equal(steps, expected)
-    assert np.array_equal(box, [low, size])
 
 
 def test_energy_sweeps_and_hessian_of_physics_are_those_of_the_kernels(engine):
