@@ -16,6 +16,7 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.feeds import garment_feed
 from tests.fixtures.garments import shipped
 from tests.training.training_setup import CPU, JERSEY, TINY, body, source
+from training.checkpoint import FORMER_SWITCHES, model_config_from
 from training.config import ModelConfig, paper
 from training.consensus import (
     TRACE_SHARE,
@@ -186,10 +187,16 @@ def test_passes_choose_how_many_corrections_are_taken():
     assert torch.equal(got[2], got[3])
 
 
-def test_corrections_fit_no_network_but_one_of_vector_jets_with_surroundings():
-    for wrong in (replace(paper().model, corrections=1), ModelConfig(surroundings=False)):
-        with pytest.raises(ValueError, match="agreed_base, corrections and closing_fit"):
-            OneFit(wrong)
+def test_corrections_fit_no_network_but_one_of_vector_jets():
+    with pytest.raises(ValueError, match="corrections: expected 0"):
+        OneFit(replace(paper().model, corrections=1))
+
+
+def test_files_may_name_the_parts_of_a_network_that_its_variant_has():
+    named = dict.fromkeys(FORMER_SWITCHES, True)
+    assert model_config_from({"variant": "vector", **named}) == model_config_from({"variant": "vector"})
+    with pytest.raises(ValueError, match="closing_fit: expected True"):
+        model_config_from({"variant": "vector", **named, "closing_fit": False})
 
 
 def test_autocast_stays_near_full_precision():
