@@ -46,9 +46,10 @@ class PushConstants(Recorded):
         push = feed.push if isinstance(feed, LayerFeed) else feed
         kind = push.patch_fit.dtype
         arrays = {field.name: np.ascontiguousarray(getattr(push, field.name)) for field in fields(PushFeed)}
-        over = (feed.region.reshape(-1), feed.cloth_member, feed.cloth_rows) if isinstance(feed, LayerFeed) else ()
-        over = over or (np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, kind))
-        return cls(len(push.patch_fit), *arrays.values(), _LOGITS.astype(kind), *map(np.ascontiguousarray, over))
+        over = {"region": np.empty(0, np.int32), "cloth_member": np.empty(0, np.int32), "cloth_rows": np.empty(0, kind)}
+        if isinstance(feed, LayerFeed):
+            over = {"region": feed.region.reshape(-1), "cloth_member": feed.cloth_member, "cloth_rows": feed.cloth_rows}
+        return cls(patches=len(push.patch_fit), logits=_LOGITS.astype(kind), **arrays, **over)
 
     @property
     def bytes(self) -> int:

@@ -53,9 +53,9 @@ class PosedBody(Recorded):
 def posed_body(weights: Weights, feed: BodyFeed, skin: np.ndarray) -> PosedBody:
     """The ``PosedBody`` of ``feed``. Its ``skin`` (S, 8) is written, or given where ``feed`` has no rows for it."""
     kind = skin.dtype
-    bones = [np.empty((JOINT_COUNT, size), kind) for size in (4, 9, 3, 3)]
+    quaternion, rotation, translation, place = (np.empty((JOINT_COUNT, size), kind) for size in (4, 9, 3, 3))
     code, region = np.empty(len(weights.from_body.bias), kind), np.empty((len(skin) // REGION_SIZE, 4), kind)
-    body = PosedBody(*bones, code, feed.betas, skin, region)
+    body = PosedBody(quaternion, rotation, translation, place, code, feed.betas, skin, region)
     call_with_scratch("pose_body", kind, weights, feed, body)
     return body
 

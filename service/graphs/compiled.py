@@ -76,8 +76,9 @@ class CompiledNetwork:
             parts = feed["skin_rows"][feed["body_shape"][row]]
         code = feed["dynamic_code"][row] if "dynamic_code" in feed else np.empty(0)
         local, rest = feed["joint_quaternion"][row][:JOINT_COUNT], feed["joint_rest"][row]
-        plain = [np.ascontiguousarray(array, np.float32) for array in (local, rest, feed["betas"][row], code)]
-        return posed_body(self._weights, BodyFeed(*plain, parts, bones, skin_counts), skin)
+        given = (local, rest, feed["betas"][row], code)
+        local, rest, betas, code = (np.ascontiguousarray(array, np.float32) for array in given)
+        return posed_body(self._weights, BodyFeed(local, rest, betas, code, parts, bones, skin_counts), skin)
 
     def drape(
         self, garment: GarmentRows, body: PosedBody, passes: int | None, *, vertices: bool

@@ -75,9 +75,8 @@ class Engine:
 
     On a CPU ``drape.engine`` computes the network with its encoders (``compiled``), if it covers it, and every
     push-out; then ONNX Runtime is not needed. On a GPU it is the graph with weights of 16 bits (``half``), if the model
-    has that.
-    ``bound``: parts of graphs run in buckets (``service.graphs.binding``), by default on a GPU. A model of another kind
-    runs on a CPU as it is, by its readable graph (``whole``): all of its passes.
+    has that. ``bound``: parts of graphs run in buckets (``service.graphs.binding``), by default on a GPU. A model of
+    another kind runs on a CPU as it is, by its readable graph (``whole``): all of its passes.
     Refuses (``ArtifactError``) a folder without the graphs that the service runs.
     """
 

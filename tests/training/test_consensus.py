@@ -17,7 +17,7 @@ from drape.graph.feeds import garment_feed
 from tests.fixtures.garments import shipped
 from tests.training.training_setup import CPU, JERSEY, TINY, body, source
 from training.checkpoint import FORMER_SWITCHES, model_config_from
-from training.config import ModelConfig, paper
+from training.config import ModelConfig, as_published, paper
 from training.consensus import (
     TRACE_SHARE,
     GatheredConsensus,
@@ -123,10 +123,10 @@ def test_charts_that_agree_stay_as_they_are_in_the_closing_fit():
     assert float((again - anchors).abs().max()) < 5e-4  # the ridge and the rest's own detail
 
 
-def test_network_closes_with_full_jets_or_not_as_it_is_told():
+def test_a_network_of_vector_jets_closes_with_full_ones():
     bodies = source().pose(np.zeros((1, 24, 3)) + 0.1, np.zeros((1, body().shape_count))).tensors
-    for closing, count in ((True, jets.FULL_COUNT), (False, jets.JET_COUNT)):
-        model = OneFit(replace(TINY, closing_fit=closing)).eval()
+    for config, count in ((TINY, jets.FULL_COUNT), (as_published(TINY), jets.JET_COUNT)):
+        model = OneFit(config).eval()
         with torch.no_grad():
             embedding = model.garment(partition().encoded(JERSEY))
             jet = model(bodies, partition().patches, embedding, charts=partition().consensus).jet

@@ -68,7 +68,7 @@ def test_it_is_the_formula(dtype: type):
 def test_it_is_the_formula_over_others(dtype: type):
     feed = layer_feed(shipped("shorts"), [shipped("tank")], load_body())
     vertices, under, constants = drawn("shorts"), drawn("tank"), PushConstants.of(in_type(feed, dtype))
-    given = (array.astype(dtype) for array in (vertices, skin()))
-    found = push_frames(*given, constants, CLEARANCE_M, under=under.astype(dtype), jets=True)
+    given, samples, below = (array.astype(dtype) for array in (vertices, skin(), under))
+    found = push_frames(given, samples, constants, CLEARANCE_M, under=below, jets=True)
     expected = push_over_in_parts(vertices, under, skin(), in_type(feed, np.float64))
     compared(found, expected, vertices, dtype)

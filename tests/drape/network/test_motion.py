@@ -46,5 +46,6 @@ def test_codes_and_states_are_those_of_training(dtype: type, rng: np.random.Gene
 
 def test_without_motion_a_state_of_zero_stays_and_gives_a_code_of_zero():
     _, encoder = made(np.float32)
-    code, after = advance(encoder, *(np.zeros(size, np.float32) for size in ((1, 24, 12), (1, 20))), np.ones(1, "f4"))
+    features, state = np.zeros((1, 24, 12), np.float32), np.zeros((1, 20), np.float32)
+    code, after = advance(encoder, features, state, np.ones(1, np.float32))
     assert not code.any() and not after.any()
