@@ -65,7 +65,7 @@ def library_name(level: int, forced: str | None = None) -> str:
 
 @cache
 def load(*, tests: bool = False, folder: Path = LIBRARIES) -> ctypes.CDLL:
-    """The library for this processor, or the one with what only ``tests`` call: kernels in float64, and parts of kernels.
+    """The library for this processor, or the one with what only ``tests`` call: kernels in float64, parts of kernels.
 
     Refuses (``ArtifactError``) what ``library_name`` does, a missing file, and one that was made from other sources
     than the Python beside it.
