@@ -11,11 +11,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed  # noqa: TID251
 
 import numpy as np
 
-from drape.graph import blend
-from drape.kernels.quantised import quantise
 from drape.live import swing_step
 from drape.live.dissection import LEAF, dissected
-from drape.network import warm_up as network
 
 Parts = dict[str, Callable[[], object]]
 
@@ -27,17 +24,10 @@ def _dissect() -> None:
     dissected(start, neighbour.reshape(-1))
 
 
-def _messages() -> None:
-    quantise(np.zeros((1, 3), np.float32))
-
-
 # The longest first.
 SERVICE: Parts = {
-    "network": network.warm_up,
     "swing": swing_step.warm_up,
-    "vertices": blend.warm_up,
     "dissection": _dissect,
-    "messages": _messages,
 }
 
 

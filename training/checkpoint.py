@@ -13,6 +13,9 @@ from drape.errors import ArtifactError
 from drape.files.atomic import whole_file
 from training.config import DataConfig, ModelConfig, MotionConfig, TrainConfig
 
+# Parts of a network that files name one by one; its variant says which it has.
+FORMER_SWITCHES = ("surroundings", "agreed_base", "closing_fit", "feels_body")
+
 
 def save(path: Path, payload: dict[str, Any], config: TrainConfig) -> None:
     """Writes ``payload`` with ``config``; a crash leaves the file before."""
@@ -26,7 +29,7 @@ def load(path: Path) -> tuple[dict[str, Any], TrainConfig]:
     try:
         payload = torch.load(path, map_location="cpu", weights_only=True)
         config = config_from(payload.pop("config"))
-    except (OSError, RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
+    except (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError) as error:
         raise ArtifactError(
             f"checkpoint {path.name}",
             expected="a checkpoint of this program",
@@ -51,8 +54,16 @@ def config_from(data: dict[str, Any]) -> TrainConfig:
 
 
 def model_config_from(data: dict[str, Any]) -> ModelConfig:
-    """The sizes of a network from their dictionary form."""
-    return ModelConfig(**{"fabric": False, **_tuples(data)})  # networks from before fabrics do not name it
+    """The sizes of a network from their dictionary form.
+
+    Raises ``ValueError`` for a network without a part that its variant has now.
+    """
+    sizes = {name: value for name, value in _tuples(data).items() if name not in FORMER_SWITCHES}
+    config = ModelConfig(**{"fabric": False, **sizes})  # networks from before fabrics do not name it
+    odd = [name for name in FORMER_SWITCHES if data.get(name, config.vector) != config.vector]
+    if odd:
+        raise ValueError(f"{odd[0]}: expected {config.vector} with variant {config.variant!r}. Train it anew.")
+    return config
 
 
 def _tuples(values: dict[str, Any]) -> dict[str, Any]:

@@ -20,13 +20,14 @@ class ModelConfig:
 
     ``variant`` "vector": vector jets in rigidly skinned patch frames; "paper": height jet,
     translation and scale in the rest pose, vertices skinned after (the published method).
-    ``output_gain`` keeps the untrained drape near plain skinning. ``surroundings``: the decoder also
-    sees the posed joints and gravity in each patch's own frame (not in the published network).
-    ``agreed_base``: jets start from the blend of the rigid charts, fitted to every chart anew, and not from charts
-    that disagree. ``corrections``: passes in which charts are brought to agree, feel their strain and are corrected,
-    by networks of ``correction_hidden`` units. ``closing_fit``: at the end charts are fitted to their blend once more,
-    with the height's order in the plane as well (docs/decisions/0008-representation.md). ``feels_body``: corrections
-    also see how near the posed body is to each patch and which way it pushes (drape.contact.proximity).
+    ``output_gain`` keeps the untrained drape near plain skinning.
+
+    What vector jets have past the published network: the decoder also sees the posed joints and gravity in each
+    patch's own frame. Jets start from the blend of the rigid charts, fitted to every chart anew, and not from charts
+    that disagree. In ``corrections`` passes charts are brought to agree, feel their strain and how near the posed body
+    is and which way it pushes (drape.contact.proximity), and are corrected, by networks of ``correction_hidden`` units.
+    At the end charts are fitted to their blend once more, with the height's order in the plane as well
+    (docs/decisions/0008-representation.md).
     ``fabric``: patches are also described by what they are made of (drape.garment.fabric_features).
     ``state_decay_s`` is the time constant of the recurrent state, ``state_rest_s`` the time after which
     a still body's is zero (training.recurrent).
@@ -48,18 +49,14 @@ class ModelConfig:
     state_decay_s: float = 0.5
     state_rest_s: float = 1.8
     output_gain: float = 0.1
-    surroundings: bool = True
-    agreed_base: bool = True
     corrections: int = 4
     correction_hidden: int = 256
-    closing_fit: bool = True
-    feels_body: bool = True
     fabric: bool = True
 
     @property
-    def agrees(self) -> bool:
-        """Whether the network needs the tables of ``drape.garment.consensus``."""
-        return self.agreed_base or self.corrections > 0 or self.closing_fit
+    def vector(self) -> bool:
+        """Whether jets are vectors in posed frames, which agree and feel their surroundings."""
+        return self.variant == "vector"
 
     @property
     def encoder_feature_count(self) -> int:
@@ -70,11 +67,11 @@ class ModelConfig:
     def parts(self) -> tuple[str, ...]:
         """Those of ``drape.graph.inputs.PARTS`` that the network has."""
         there = {
-            PAPER: self.variant == "paper",
-            SURROUNDINGS: self.surroundings,
+            PAPER: not self.vector,
+            SURROUNDINGS: self.vector,
             DYNAMIC: self.dynamic,
-            AGREES: self.agrees,
-            FEELS: self.feels_body,
+            AGREES: self.vector,
+            FEELS: self.vector,
         }
         return tuple(part for part in PARTS if there[part])
 
@@ -193,16 +190,7 @@ class TrainConfig:
 
 def as_published(model: ModelConfig) -> ModelConfig:
     """``model`` with the published representation, and without what was added to it since."""
-    return replace(
-        model,
-        variant="paper",
-        surroundings=False,
-        agreed_base=False,
-        corrections=0,
-        closing_fit=False,
-        feels_body=False,
-        fabric=False,
-    )
+    return replace(model, variant="paper", corrections=0, fabric=False)
 
 
 def shipped() -> TrainConfig:

@@ -98,8 +98,8 @@ class Decoder(nn.Module):
         width = config.decoder_sizes[0]
         self.from_patch = nn.Linear(config.embedding_size, width)
         self.from_body = nn.Linear(config.body_code_size, width, bias=False)
-        around = SURROUNDINGS_COUNT + (jets.JET_COUNT if config.agreed_base else 0)
-        self.from_surroundings = nn.Linear(around, width, bias=False) if config.surroundings else None
+        around = SURROUNDINGS_COUNT + jets.JET_COUNT
+        self.from_surroundings = nn.Linear(around, width, bias=False) if config.vector else None
         self.trunk = mlp(list(config.decoder_sizes), last_activation=True)
         self.heads = nn.ModuleDict(
             {name: mlp([config.decoder_sizes[-1], *config.head_sizes, size]) for name, size in heads.items()}
@@ -117,7 +117,7 @@ class Decoder(nn.Module):
     ) -> tuple[dict[str, Tensor], Tensor]:
         """Outputs by head, and the trunk's outputs (F, K, n), which corrections read.
 
-        ``surroundings`` (F, K, 75, or 102 with the agreed base) where the configuration has them.
+        ``surroundings`` (F, K, 102), with the agreed base, of vector jets.
         """
         x = self.from_body(body_code)[:, None] + self.from_patch(embedding)[None]
         if self.from_surroundings is not None:
@@ -131,12 +131,12 @@ class Correction(nn.Sequential):
     """Code, strain and body proximity of a patch -> change of its jets (F, K, 27).
 
     Inputs: the decoder's code of the patch, strain and force of ``training.consensus``, and the jets themselves; then
-    the body proximity, closeness and force, where the configuration has it.
+    the body proximity, closeness and force.
     """
 
     def __init__(self, config: ModelConfig) -> None:
         inputs = config.decoder_sizes[-1] + STRAIN_COUNT + 2 * jets.JET_COUNT
-        inputs += CLOSENESS_COUNT + jets.JET_COUNT if config.feels_body else 0
+        inputs += CLOSENESS_COUNT + jets.JET_COUNT
         super().__init__(*mlp([inputs, config.correction_hidden, jets.JET_COUNT]))
         last = self[-1]
         assert isinstance(last, nn.Linear)

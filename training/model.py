@@ -50,18 +50,14 @@ class OneFit(nn.Module):
         self.garment = GarmentEncoder(config)
         self.body = StaticEncoder(config)
         self.dynamic = DynamicEncoder(config) if config.dynamic else None
-        if config.variant == "vector":
+        if config.vector:
             heads = {"plane": 2 * jets.IN_PLANE_COUNT, "height": jets.HEIGHT_COUNT}
         elif config.variant == "paper":
             heads = {"height": jets.HEIGHT_COUNT, "translation": 3, "scale": 1}
         else:
             raise ValueError(f"variant: expected 'vector' or 'paper', got {config.variant!r}. Choose one of them.")
-        if config.agrees and (config.variant != "vector" or not config.surroundings):
-            raise ValueError(
-                f"agreed_base, corrections and closing_fit: expected none with variant {config.variant!r} and "
-                f"surroundings {config.surroundings}, got {config.agreed_base}, {config.corrections} and "
-                f"{config.closing_fit}. Leave them out."
-            )
+        if config.corrections and not config.vector:
+            raise ValueError(f"corrections: expected 0 with variant {config.variant!r}, got {config.corrections}.")
         self.decoder = Decoder(config, heads)
         self.corrections = nn.ModuleList(Correction(config) for _ in range(config.corrections))
         self.register_buffer("tangent_terms", tangent_terms(), persistent=False)
@@ -86,7 +82,7 @@ class OneFit(nn.Module):
     @property
     def jet_count(self) -> int:
         """Numbers of a patch that ``forward`` returns."""
-        return jets.FULL_COUNT if self.config.closing_fit else jets.JET_COUNT
+        return jets.FULL_COUNT if self.config.vector else jets.JET_COUNT
 
     def _mixed(self, like: Tensor) -> AbstractContextManager:
         if not self.autocast:
@@ -108,7 +104,7 @@ class OneFit(nn.Module):
             out, hidden = self.decoder(code, embedding, surroundings)
         out = {name: value.float() for name, value in out.items()} if self.autocast else out
         gain = self.config.output_gain
-        if self.config.variant == "vector":
+        if self.config.vector:
             return gain * torch.cat([out["plane"], out["height"]], dim=-1), hidden
         return gain * torch.cat(_paper_as_vector(out), dim=-1), hidden
 
@@ -125,16 +121,15 @@ class OneFit(nn.Module):
         """Posed patches of F bodies.
 
         ``dynamic_code`` (F, 256), times the motion knob, is added to that of the pose. ``charts``: the garment's
-        tables, where the network ``agrees``; ``passes``: of the corrections, all of them by default.
+        tables, of vector jets; ``passes``: of the corrections, all of them by default.
         """
         rotation, centre = pose_frames(body, patches)
-        around = patch_surroundings(body, rotation, centre) if self.config.surroundings else None
-        base = None
-        if self.config.agreed_base:
-            assert charts is not None and around is not None
+        around = base = None
+        if self.config.vector:
+            assert charts is not None
             frames = torch.cat([centre[..., None, :], rotation.mT], dim=-2)
             base = agreed_jets(charts.anchors(frames), charts, rotation, centre, patches.scale)
-            around = torch.cat([around, base], dim=-1)
+            around = torch.cat([patch_surroundings(body, rotation, centre), base], dim=-1)
         jet, hidden = self.predict(body, embedding, around, dynamic_code)
         jet = jet if base is None else base + jet
         near = None  # tangent planes of the body, looked up once: corrections move patches by less than they are wide
@@ -143,23 +138,21 @@ class OneFit(nn.Module):
             anchors = charts.anchors(posed_coefficients(Posed(rotation, centre, jet), patches.scale))
             jet = agreed_jets(anchors, charts, rotation, centre, patches.scale)
             strain, force = strain_and_force(jet, charts, self.tangent_terms)
-            body_felt = []
-            if self.config.feels_body:
-                # Proximity is an input alone: no gradient flows through it.
-                with torch.no_grad():
-                    points = self._points(jet, rotation, centre, patches)
-                    if near is None:
-                        assert patches.skin is not None and body.skin is not None
-                        near = planes(points, body.skin, patches.skin)
-                    body_felt = self._felt(rotation, points, near)
+            # Proximity is an input alone: no gradient flows through it.
+            with torch.no_grad():
+                points = self._points(jet, rotation, centre, patches)
+                if near is None:
+                    assert patches.skin is not None and body.skin is not None
+                    near = planes(points, body.skin, patches.skin)
+                body_felt = self._felt(rotation, points, near)
             with self._mixed(hidden):
                 change = correction(hidden, strain, force, jet, body_felt)
             jet = jet + self.config.output_gain * (change.float() if self.autocast else change)
-        if self.config.closing_fit:
+        if self.config.vector:
             assert charts is not None
             anchors = charts.anchors(posed_coefficients(Posed(rotation, centre, jet), patches.scale))
             jet = closing_jets(anchors, charts, rotation, centre, patches.scale)
-        if self.config.variant == "paper":
+        else:
             rotation, centre = rest_frames(body, patches)
         return Posed(rotation, centre, jet)
 

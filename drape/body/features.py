@@ -14,6 +14,7 @@ import numpy as np
 
 from drape.arrays import Array, like, namespace
 from drape.body.skeleton import JOINT_COUNT
+from drape.engine.calls import call
 from drape.geometry.rotations import matrix_to_sixd
 
 STATIC_PER_JOINT = 9
@@ -35,6 +36,15 @@ class Kinematics:
     def __getitem__(self, index: int | slice | tuple) -> Kinematics:
         """The bodies at ``index`` of the leading axes."""
         return Kinematics(self.static[index], self.joints[index], self.rotations[index])
+
+
+def joint_rotations(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit quaternions wxyz (F, 24, 4) and matrices (F, 24, 3, 3) of ``poses`` (F, 24, 3) [rad], float64: the
+    formulas of ``drape.geometry.rotations`` by the engine, which numpy takes fifty calls for."""
+    turns = np.ascontiguousarray(poses, np.float64)
+    quaternions, matrices = np.empty((*turns.shape[:2], 4)), np.empty((*turns.shape, 3))
+    call("turns", np.float64, turns, turns.size // 3, quaternions, matrices)
+    return quaternions, matrices
 
 
 def static_features(local_rotations: Array, world_rotations: Array) -> Array:

@@ -12,8 +12,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from drape.body.features import joint_rotations
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import ArtifactError
 from drape.files.packed import UNREADABLE
@@ -28,7 +28,7 @@ _FIRST_COLUMNS, _UP = (0, 3, 6, 1, 4, 7), (3, 4, 5)  # entries of a matrix: its 
 PART_ENTRIES = (*([9 * joint + i for joint in joints for i in _FIRST_COLUMNS] for joints in (LEGS, TRUNK)), _UP)
 _TAKEN = np.concatenate(PART_ENTRIES)  # the entries of a pose's matrices that are compared, part after part
 _ENDS = np.cumsum([len(part) for part in PART_ENTRIES]).tolist()
-_SLICES = tuple(slice(end - len(part), end) for part, end in zip(PART_ENTRIES, _ENDS, strict=True))
+PART_SLICES = tuple(slice(end - len(part), end) for part, end in zip(PART_ENTRIES, _ENDS, strict=True))
 PART_JOINTS = np.array([max(1, len(part) // SIXD) for part in PART_ENTRIES], dtype=np.float32)
 
 
@@ -55,7 +55,7 @@ class PoseSupport:
     def distances(self, poses: np.ndarray) -> np.ndarray:
         """From each part of ``poses`` (F, 24, 3) [rad] to the nearest kept one (F, 3): root mean square of joints."""
         rows, squared = pose_rows(poses).astype(np.float32), np.empty((len(poses), len(PARTS)), dtype=np.float32)
-        for number, (part, (turned, squares)) in enumerate(zip(_SLICES, self.columns, strict=True)):
+        for number, (part, (turned, squares)) in enumerate(zip(PART_SLICES, self.columns, strict=True)):
             one = rows[:, part]
             squared[:, number] = (squares - 2.0 * one @ turned).min(axis=1) + (one * one).sum(axis=1)
         return np.sqrt(np.maximum(squared, 0.0) / PART_JOINTS)
@@ -73,16 +73,14 @@ class PoseSupport:
 
 def pose_rows(poses: np.ndarray) -> np.ndarray:
     """The compared numbers (F, 129) of ``poses`` (F, 24, 3) [rad], part after part in the order of ``PARTS``."""
-    # One call in C for a frame, where the formula of drape.geometry in numpy takes fifty; it refuses to read an array
-    # that nobody may write, hence the copy.
-    matrices = Rotation.from_rotvec(np.array(poses, dtype=np.float64).reshape(-1, 3)).as_matrix()
-    return matrices.reshape(len(poses), 9 * JOINT_COUNT).take(_TAKEN, axis=1)
+    matrices = joint_rotations(poses)[1].reshape(len(poses), 9 * JOINT_COUNT)
+    return matrices.take(_TAKEN, axis=1)
 
 
 def pose_parts(poses: np.ndarray) -> dict[str, np.ndarray]:
     """The rows of ``poses`` (F, 24, 3) [rad] by the names in ``PARTS``: (F, 48), (F, 78) and (F, 3)."""
     rows = pose_rows(poses)
-    return {name: rows[:, part] for name, part in zip(PARTS, _SLICES, strict=True)}
+    return {name: rows[:, part] for name, part in zip(PARTS, PART_SLICES, strict=True)}
 
 
 def read_pose_support(path: Path) -> PoseSupport:

@@ -24,8 +24,8 @@ COMPILER = "ziglang==0.15.2"
 FLAGS = ["-O3", "-std=c++20", "-ffp-contract=on", "-fno-math-errno", "-fno-exceptions", "-fno-rtti", "-fPIC"]
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
 LINKED = ["-shared", "-nostdlib++", "-s"]
-UNITS = ("folds", "layers", "network", "physics", "swing")
-TESTED = (*UNITS, "laws_folds", "laws_physics")  # of the library that only tests load: kernels in float64, and parts of kernels
+UNITS = ("folds", "layers", "network", "physics", "push", "swing")
+TESTED = (*UNITS, "laws_folds", "laws_physics")  # of the library that only tests load: float64, and parts of kernels
 
 
 class Target(NamedTuple):

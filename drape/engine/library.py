@@ -16,6 +16,8 @@ from drape.errors import ArtifactError
 
 SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")
 LEVELS = {"v2": 2, "v3": 3, "v4": 4}
+LANES = 16  # numbers of a row
+_PERMIT = (158, 0x1023, 18)  # the system's call for the state of tiles: arch_prctl, ARCH_REQ_XCOMP_PERM, XTILEDATA
 CURE = "Build it: python -m drape.engine.build."
 
 
@@ -63,7 +65,7 @@ def library_name(level: int, forced: str | None = None) -> str:
 
 @cache
 def load(*, tests: bool = False, folder: Path = LIBRARIES) -> ctypes.CDLL:
-    """The library for this processor, or the one with what only ``tests`` call: kernels in float64, and parts of kernels.
+    """The library for this processor, or the one with what only ``tests`` call: kernels in float64, parts of kernels.
 
     Refuses (``ArtifactError``) what ``library_name`` does, a missing file, and one that was made from other sources
     than the Python beside it.
@@ -77,6 +79,16 @@ def load(*, tests: bool = False, folder: Path = LIBRARIES) -> ctypes.CDLL:
     if found.drape_records_hash() != HASH:
         raise ArtifactError("engine", expected="that of this version", got=f"another one: {path.name}", cure=CURE)
     return found
+
+
+@cache
+def has_tiles() -> bool:
+    """Whether layers may be given tiles: the processor and the library for it have them, and Linux lets this process
+    keep their state."""
+    level, tiles = processor_level()
+    if not tiles or library_name(level, os.environ.get("DRAPE_ISA") or None) != library_name(4):
+        return False
+    return platform.system() == "Linux" and ctypes.CDLL(None).syscall(*map(ctypes.c_long, _PERMIT)) == 0
 
 
 def empty_points(count: int, dtype: type[np.floating] | np.dtype) -> np.ndarray:

@@ -164,6 +164,19 @@ RECORDS: dict[str, dict[str, str]] = {
         "basis_v": "numbers",
         "logs": "numbers",
     },
+    # ``drape.network.motion.MotionEncoder``
+    "MotionEncoder": {
+        "scale": "numbers",
+        "joint": "Layer[]",
+        "body": "Layer[]",
+        "input": "Layer",
+        "state": "Layer",
+        "out": "Layer",
+        "decay_s": "number",
+        "offset": "number",
+    },
+    # ``drape.network.novelty.KeptPoses``
+    "KeptPoses": {"parts": "Layer[]", "counts": "int32s", "entry": "int32s", "over": "numbers"},
     "PatchRows": {
         "first": "numbers",
         "weights": "numbers",
@@ -213,6 +226,21 @@ RECORDS: dict[str, dict[str, str]] = {
         "wide_charts": "int32s",
     },
     "PosedJets": {"jet": "numbers", "rotation": "numbers", "centre": "numbers"},
+    # ``drape.graph.push.PushConstants``
+    "PushConstants": {
+        "patches": "count",
+        "block_vertex": "int32s",
+        "vertex_slot": "int32s",
+        "own_cluster": "int32s",
+        "own_bias": "numbers",
+        "other": "bytes",
+        "region_bias": "numbers",
+        "patch_block": "int32s",
+        "patch_fit": "numbers",
+        "tile_basis": "numbers",
+        "tile_patch": "int32s",
+        "slot_charts": "int32s",
+    },
     # Offline physics: ``drape.kernels.problem``, ``drape.exact.surroundings``, ``hessian`` and ``linear`` there.
     "Triangles": {
         "corner": "int32s",

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drape.body.features import joint_rotations
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.contact.proximity import in_halves
@@ -33,7 +34,6 @@ from drape.graph.packed import (
     StoredProximity,
     StoredTiles,
 )
-from drape.kernels.rotations import put_quaternions
 
 KINDS = {spec.name: spec.dtype for kind in (StoredPatches, StoredTiles) for spec in kind.specs(PARTS)}
 
@@ -56,7 +56,7 @@ class PackedBody:
     def rows(self, poses: np.ndarray) -> dict[str, np.ndarray]:
         """Inputs of the packed graph for ``poses`` (F, 24, 3) [rad], float32."""
         quaternion = np.empty((len(poses), JOINT_COUNT + 1, 4), dtype=np.float32)
-        put_quaternions(np.array(poses, np.float64, order="C"), quaternion)
+        quaternion[:, :JOINT_COUNT] = joint_rotations(poses)[0]
         quaternion[:, JOINT_COUNT] = (1.0, 0.0, 0.0, 0.0)  # the ancestor of joints that have none
         return {
             "joint_quaternion": quaternion,

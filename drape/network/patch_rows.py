@@ -1,4 +1,4 @@
-"""The constants of a garment's patches as the network's kernels read them: sixteen patches a row.
+"""The constants of a garment's patches as the engine reads them: sixteen patches a row.
 
 Each array is flat. It has the rows of a block of sixteen patches one after the other; the last block is filled up with
 its last patch.
@@ -6,18 +6,21 @@ its last patch.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
 from drape.contact.proximity import from_halves
 from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE
+from drape.engine.library import LANES
+from drape.engine.records import Recorded
 from drape.garment.consensus import MEMBERS
 from drape.graph.packing import PackedGarment
-from drape.kernels.lanes import LANES
+from drape.network.dense import rows_of
 
 
-class PatchRows(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class PatchRows(Recorded):
     """The rows of the patches of a garment.
 
     ``first`` (its half of the first layer), ``weights`` (24) of the bones and the ``heaviest`` one, the frame at rest
@@ -83,7 +86,4 @@ def patch_rows(garment: PackedGarment, first: np.ndarray) -> PatchRows:
 
 
 def _rows(values: np.ndarray) -> np.ndarray:
-    """``values`` (K, ...) of patches as rows."""
-    flat = values.reshape(len(values), -1)
-    filled = np.concatenate([flat, np.repeat(flat[-1:], -len(flat) % LANES, axis=0)])
-    return np.ascontiguousarray(filled.reshape(-1, LANES, flat.shape[1]).swapaxes(1, 2)).reshape(-1)
+    return rows_of(values).reshape(-1)

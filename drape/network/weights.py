@@ -1,78 +1,83 @@
-"""The weights of the network as its kernels take them, from the parameters of a model's folder."""
+"""The weights of the network as the engine takes them, from the parameters of a model's folder."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
+from drape.contact.projection import OTHER_LEAST
+from drape.contact.proximity import OTHER_STEPS
+from drape.engine.records import Recorded
+from drape.garment.consensus import strain_points
+from drape.geometry import jets
 from drape.graph.inputs import SLOPE
-from drape.kernels.tiles import aligned
-from drape.network.dense import BodyLayer, Layer, body_layer, layer
+from drape.network.dense import Layer, body_layer, layer
 
 
-class Corrections(NamedTuple):
-    """One layer of all n corrections, which have one size: ``Layer``'s arrays with an axis of corrections before."""
-
-    weight: np.ndarray
-    bias: np.ndarray
-    slope: np.floating
-    tiles: np.ndarray
-
-
-class Weights(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Weights(Recorded):
     """The weights: of the body's features, of its code (``body``, then ``from_body``), of the surroundings of a patch,
-    of the trunk and the heads, and the two layers of all corrections."""
+    of the trunk and the heads, and the two layers of each correction.
+
+    And constants: the jets' ``basis`` (7, 15) at the points that are felt, with its derivatives, and the ``logs`` (16,)
+    of how much a sample is another part.
+    """
 
     mean: np.ndarray
     inverse_deviation: np.ndarray
-    body: tuple[BodyLayer, ...]
-    from_body: BodyLayer
+    body: tuple[Layer, ...]
+    from_body: Layer
     surroundings: Layer
     trunk: tuple[Layer, ...]
     heads: tuple[Layer, ...]
-    corrections: tuple[Corrections, Corrections]
+    first: tuple[Layer, ...]
+    second: tuple[Layer, ...]
+    basis: np.ndarray
+    basis_u: np.ndarray
+    basis_v: np.ndarray
+    logs: np.ndarray
 
 
 def weights_of(parameters: Mapping[str, np.ndarray], output_gain: float) -> Weights:
     """The weights of ``parameters`` by their names in training; ``output_gain`` is the factor of jets."""
     decoder = "decoder."
     nothing = np.zeros(len(parameters[decoder + "from_surroundings.weight"]), np.float32)
-    heads = [_layers(parameters, f"{decoder}heads.{name}.") for name in ("plane", "height")]
-    trunk = _layers(parameters, decoder + "trunk.")
+    heads = [layers_of(parameters, f"{decoder}heads.{name}.") for name in ("plane", "height")]
+    count = len({name.split(".")[1] for name in parameters if name.startswith("corrections.")})
+    pairs = [_made(layers_of(parameters, f"corrections.{i}."), output_gain) for i in range(count)]
+    points, order = strain_points(), jets.HEIGHT_ORDER
+    along = [jets.basis_derivative(points, order, **times) for times in ({"u_times": 1}, {"v_times": 1})]
+    logs = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)
     return Weights(
         parameters["body.standardise.mean"],
         parameters["body.standardise.inverse_deviation"],
-        tuple(body_layer(*each) for each in _layers(parameters, "body.layers.")),
+        body_layers(layers_of(parameters, "body.layers.")),
         body_layer(parameters[decoder + "from_body.weight"]),
         layer(parameters[decoder + "from_surroundings.weight"], nothing, SLOPE),
-        tuple(layer(*each, SLOPE) for each in trunk),
+        tuple(layer(*each, SLOPE) for each in layers_of(parameters, decoder + "trunk.")),
         _made([_beside(*each, shared=depth == 0) for depth, each in enumerate(zip(*heads, strict=True))], output_gain),
-        _stacked(parameters, output_gain),
+        tuple(first for first, _ in pairs),
+        tuple(second for _, second in pairs),
+        *(np.ascontiguousarray(each, np.float32) for each in (jets.basis(points, order), *along, logs)),
     )
 
 
-def _stacked(parameters: Mapping[str, np.ndarray], gain: float) -> tuple[Corrections, Corrections]:
-    """Both layers of all corrections."""
-    count = len({name.split(".")[1] for name in parameters if name.startswith("corrections.")})
-    pairs = [_made(_layers(parameters, f"corrections.{i}."), gain) for i in range(count)]
-    first, last = (
-        Corrections(
-            np.stack([one.weight for one in each]),
-            np.stack([one.bias for one in each]),
-            each[0].slope,
-            aligned(np.stack([one.tiles for one in each])),
-        )
-        for each in zip(*pairs, strict=True)
-    )
-    return first, last
+def layers_of(parameters: Mapping[str, np.ndarray], start: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Weights and biases, zeros where there are none, of the layers whose names begin with ``start``, in order."""
+    numbers = sorted({int(name[len(start) :].split(".")[0]) for name in parameters if name.startswith(start)})
+    weights = [(number, parameters[f"{start}{number}.weight"]) for number in numbers]
+    return [
+        (weight, parameters.get(f"{start}{number}.bias", np.zeros(len(weight), weight.dtype)))
+        for number, weight in weights
+    ]
 
 
-def _layers(parameters: Mapping[str, np.ndarray], start: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Weights and biases of the layers whose names begin with ``start``, in order."""
-    numbers = {int(name[len(start) :].split(".")[0]) for name in parameters if name.startswith(start)}
-    return [(parameters[f"{start}{number}.weight"], parameters[f"{start}{number}.bias"]) for number in sorted(numbers)]
+def body_layers(layers: list[tuple[np.ndarray, np.ndarray]], *, last: float = 1.0) -> tuple[Layer, ...]:
+    """The ``layers`` of a body, between which numbers are bent; ``last`` is the slope of what the last one gives."""
+    count = len(layers)
+    return tuple(body_layer(*each, SLOPE if i + 1 < count else last) for i, each in enumerate(layers))
 
 
 def _made(layers: list[tuple[np.ndarray, np.ndarray]], gain: float) -> tuple[Layer, ...]:

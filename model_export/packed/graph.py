@@ -53,14 +53,14 @@ def packed_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
 
 def packed_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
     """Outputs of the packed graph of ``model``, in order."""
-    passes = model.config.corrections + 1 if model.config.closing_fit and model.config.corrections else 0
+    passes = model.config.corrections + 1 if model.config.corrections else 0
     return (
         TensorSpec("vertices", ("blocks", VERTICES_PER_BLOCK, 3), "float32", ROOT),
         TensorSpec("jet", ("patches", model.jet_count), "float32", "patch scales"),
         TensorSpec("frame_rotation", ("patches", 3, 3), "float32", "1"),
         TensorSpec("frame_centre", ("patches", 3), "float32", ROOT),
-        *((SKIN_OUTPUT,) if model.config.feels_body else ()),
-        # Jets before the first correction and after each; none where no closing fit takes them.
+        SKIN_OUTPUT,
+        # Jets before the first correction and after each.
         *(TensorSpec(pass_name(i), ("patches", jets.JET_COUNT), "float32", "patch scales") for i in range(passes)),
     )
 
@@ -84,14 +84,14 @@ class PosedPatches:
     """Posed jets (P, 3, 18), jets in the frames (P, 27 or 45), and the frames.
 
     ``skin`` (B, R, 12, 8) of the bodies, where patches feel it.
-    ``passes``: jets (P, 27) before the first correction and after each, where a closing fit follows them.
+    ``passes``: jets (P, 27) before the first correction and after each; none without corrections.
     """
 
     coefficients: Tensor
     jet: Tensor
     frames: Frames
-    skin: Tensor | None = None
-    passes: tuple[Tensor, ...] = ()
+    skin: Tensor
+    passes: tuple[Tensor, ...]
 
 
 class FirstGraph(nn.Module):
@@ -116,7 +116,7 @@ class PackedGraph(nn.Module):
 
     def __init__(self, model: OneFit) -> None:
         super().__init__()
-        if model.config.variant != "vector":
+        if not model.config.vector:
             raise ArtifactError(
                 "variant",
                 expected="'vector'",
@@ -124,13 +124,13 @@ class PackedGraph(nn.Module):
                 cure="Only vector jets are packed; serve this model with its drape graph.",
             )
         decoder = model.decoder
+        assert decoder.from_surroundings is not None
         self.body = model.body
         self.from_body = decoder.from_body
         self.trunk = decoder.trunk
         self.from_surroundings = layers.surroundings_layer(decoder.from_surroundings)
         self.head = layers.merged_heads(decoder.heads, model.config.output_gain)
         self.kinematics, self.charts, self.strain, self.contact = Kinematics(), Charts(), Strain(), Contact()
-        self.based, self.closes = model.config.agreed_base, model.config.closing_fit
         self.corrections = nn.ModuleList(
             layers.correction_layers(correction, model.config.output_gain) for correction in model.corrections
         )
@@ -144,7 +144,7 @@ class PackedGraph(nn.Module):
         vertices = self.charts.blend(coefficients, rows(tiles.positions, index.tile_stored), index.vertex_charts)
         return (
             vertices, posed.jet, posed.frames.rotation, posed.frames.centre.reshape(-1, 3),
-            *(() if posed.skin is None else (posed.skin,)), *posed.passes,
+            posed.skin, *posed.passes,
         )  # fmt: skip
 
     def pose(self, bodies: PackedBodies, patches: StoredPatches, index: Indices) -> PosedPatches:
@@ -154,48 +154,35 @@ class PackedGraph(nn.Module):
         if bodies.dynamic_code is not None:
             code = code + bodies.dynamic_code
         frames = self.kinematics.frames(bodies, bones, patches, index)
-        charts, stored = self.charts, patches.charts
-        base = None
-        if self.based:
-            assert stored is not None
-            base = charts.agreed(frames.out @ stored.columns[:, :4], stored, index, frames)
+        charts, stored, felt = self.charts, patches.charts, patches.proximity
+        assert stored is not None and felt is not None and bodies.skins is not None
+        base = charts.agreed(frames.out @ stored.columns[:, :4], stored, index, frames)
         x = patches.first + rows(self.from_body(code), index.body)
-        if self.from_surroundings is not None:
-            x = self._with_surroundings(x, rows(bones.joints.mT, index.body), frames, base)
+        x = self._with_surroundings(x, rows(bones.joints.mT, index.body), frames, base)
         hidden = self.trunk(nn.functional.leaky_relu(x, SLOPE))
-        jet = self.head(hidden) if base is None else base + self.head(hidden)
-        passes = [jet]
-        columns = charts.columns(stored.columns) if stored is not None else None
-        skin = near = stretch = places = None
-        if bodies.skins is not None:
-            skin = posed_skins(bodies.skins, bones.rotation, bones.translation)
+        jet = base + self.head(hidden)
+        passes, columns = [jet], charts.columns(stored.columns)
+        skin = posed_skins(bodies.skins, bones.rotation, bones.translation)
+        near = stretch = places = None
         for correction in self.corrections:
-            assert stored is not None and columns is not None
             jet = charts.agreed(charts.posed(frames, jet) @ columns, stored, index, frames)
             stretch = self.strain.stretch(stored.tangent, stored.unit) if stretch is None else stretch
-            inputs = [hidden, *self.strain(jet, stretch), jet]
-            if patches.proximity is not None:
-                assert skin is not None
-                places = self.contact.places(patches.proximity) if places is None else places
-                points = self.contact.points(jet, places)
-                if near is None:
-                    near = self.contact.near(points, skin, patches.proximity, index.body, frames)
-                inputs += self.contact(points, near)
+            places = self.contact.places(felt) if places is None else places
+            points = self.contact.points(jet, places)
+            near = self.contact.near(points, skin, felt, index.body, frames) if near is None else near
+            inputs = [hidden, *self.strain(jet, stretch), jet, *self.contact(points, near)]
             jet = jet + correction(torch.cat(inputs, dim=-1))
             passes.append(jet)
-        if self.closes:
-            assert stored is not None and columns is not None
-            jet = charts.closed(charts.posed(frames, jet) @ columns, stored, index, frames)
-        kept = tuple(passes) if self.closes and len(passes) > 1 else ()
+        jet = charts.closed(charts.posed(frames, jet) @ columns, stored, index, frames)
+        kept = tuple(passes) if len(passes) > 1 else ()
         return PosedPatches(charts.posed(frames, jet), jet, frames, skin, kept)
 
-    def _with_surroundings(self, x: Tensor, joints: Tensor, frames: Frames, base: Tensor | None) -> Tensor:
+    def _with_surroundings(self, x: Tensor, joints: Tensor, frames: Frames, base: Tensor) -> Tensor:
         """``x`` plus the layer on ``training.model.patch_surroundings`` of posed joints (P, 3, 24), and on ``base``."""
-        assert self.from_surroundings is not None
         offset = frames.rotation.mT @ (joints - frames.centre)
         # A maximum and not a sum: the exporter's optimiser takes "+ 1e-12" for "+ 0" and drops the guard.
         squared = ((offset * offset).reshape(-1, 3 * JOINT_COUNT) @ self.axis_sums).reshape(-1, 1, JOINT_COUNT)
         reach = torch.sqrt(torch.clamp(squared, min=1e-12))
         saturated = (offset * (torch.tanh(reach * (1.0 / JOINT_REACH_M)) / reach)).reshape(-1, 3 * JOINT_COUNT)
-        parts = [saturated, frames.rotation.reshape(-1, 9), *([] if base is None else [base])]
-        return torch.addmm(x, torch.cat(parts, dim=-1), self.from_surroundings)
+        seen = torch.cat([saturated, frames.rotation.reshape(-1, 9), base], dim=-1)
+        return torch.addmm(x, seen, self.from_surroundings)

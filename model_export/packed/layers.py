@@ -12,16 +12,12 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.graph.inputs import SLOPE
 
 
-def surroundings_layer(layer: nn.Linear | None) -> nn.Parameter | None:
-    """The layer's weights (81, n) for [offsets as (3, 24), rotation] instead of [offsets as (24, 3), gravity].
-
-    With the agreed base (108, n): its jets come last.
-    """
-    if layer is None:
-        return None
+def surroundings_layer(layer: nn.Linear) -> nn.Parameter:
+    """The layer's weights (108, n) for [offsets as (3, 24), rotation, jets of the agreed base] instead of [offsets as
+    (24, 3), gravity, these jets]."""
     count = 3 * JOINT_COUNT
     weight = layer.weight.detach()
-    base = weight[:, count + 3 :].T  # of the agreed base, where the network has one
+    base = weight[:, count + 3 :].T
     made = torch.zeros(count + 9 + len(base), layer.out_features)
     made[count + 9 :] = base
     made[:count] = weight[:, :count].reshape(-1, JOINT_COUNT, 3).permute(2, 1, 0).reshape(count, -1)

@@ -1,6 +1,7 @@
-"""The packed graph's network on a processor: compiled kernels (``drape.network``) in place of an inference engine.
+"""The shipped kind of network on a processor: the engine (``drape.engine``) in place of an inference engine's graphs.
 
-Most of the graph's eight hundred operations are so small that an engine takes longer to begin one than to compute it.
+Most of the graphs' eight hundred operations are so small that an inference engine takes longer to begin one than to
+compute it.
 """
 
 from __future__ import annotations
@@ -17,16 +18,17 @@ from drape.graph.packing import PackedGarment
 from drape.network.bodies import BodyFeed, PosedBody, posed_body
 from drape.network.dense import OUTPUTS
 from drape.network.drape import checked_jets
+from drape.network.garments import encoded, garment_encoder
+from drape.network.motion import advance, motion_encoder
 from drape.network.patch_rows import PatchRows, patch_rows
 from drape.network.weights import weights_of
 from service.graphs.graph_names import FIRST, JETS, SKIN
 
 
 def is_covered(network: Mapping[str, Any]) -> bool:
-    """Whether the kernels compute the ``network`` that a manifest describes: the shipped kind, of whatever size."""
-    wanted = ("surroundings", "agreed_base", "closing_fit", "feels_body", "corrections")
-    sized = int(network.get("decoder_sizes", (0,))[-1])  # codes are read in whole rows
-    return network.get("variant") == "vector" and all(network.get(name) for name in wanted) and not sized % OUTPUTS
+    """Whether the engine computes the ``network`` that a manifest describes: the shipped kind, of whatever size."""
+    whole = all(int(size) % OUTPUTS == 0 for size in network.get("decoder_sizes", (1,)))  # codes are read in whole rows
+    return network.get("variant") == "vector" and bool(network.get("corrections")) and whole
 
 
 class GarmentRows(NamedTuple):
@@ -38,14 +40,28 @@ class GarmentRows(NamedTuple):
 
 
 class CompiledNetwork:
-    """A network of ``parameters`` by their names, which ``network`` describes. Callers flush subnormal numbers."""
+    """A network of ``parameters`` by their names, which ``network`` describes."""
 
     def __init__(self, parameters: Mapping[str, np.ndarray], network: Mapping[str, Any]) -> None:
         self._weights = weights_of(parameters, float(network["output_gain"]))
         self._corrections = int(network["corrections"])
+        self._garments = garment_encoder(parameters)
+        self._motion = motion_encoder(parameters, network) if network.get("dynamic") else None
+        self._code_size = int(network["body_code_size"])
+
+    def first(self, features: np.ndarray) -> np.ndarray:
+        """The garment encoder's output for patches with ``features`` (K, m), (K, n) float32."""
+        return encoded(self._garments, features)
+
+    def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Codes (n, C) and next states (n, H) of a dynamic network, for motion (n, 24, 12), states (n, H) and steps
+        (n,) [s], all float32."""
+        assert self._motion is not None
+        code, after = advance(self._motion, features, state, dt_s)
+        return code[:, : self._code_size], after
 
     def rows(self, garment: PackedGarment) -> GarmentRows:
-        """The constants of ``garment`` as the kernels read them."""
+        """The constants of ``garment`` as the engine reads them."""
         return GarmentRows(patch_rows(garment, garment.stored[FIRST]), Tiles.of(garment), garment.vertex_count)
 
     def body(self, feed: Mapping[str, np.ndarray], row: int, skin_counts: np.ndarray) -> PosedBody:
@@ -60,7 +76,8 @@ class CompiledNetwork:
             parts = feed["skin_rows"][feed["body_shape"][row]]
         code = feed["dynamic_code"][row] if "dynamic_code" in feed else np.empty(0)
         local, rest = feed["joint_quaternion"][row][:JOINT_COUNT], feed["joint_rest"][row]
-        local, rest, betas, code = _plain(local, rest, feed["betas"][row], code)
+        given = (local, rest, feed["betas"][row], code)
+        local, rest, betas, code = (np.ascontiguousarray(array, np.float32) for array in given)
         return posed_body(self._weights, BodyFeed(local, rest, betas, code, parts, bones, skin_counts), skin)
 
     def drape(
@@ -73,9 +90,4 @@ class CompiledNetwork:
         jets, finite = checked_jets(self._weights, garment.patches, body, count, len(garment.tiles.scale))
         if vertices:
             blend(jets, garment.tiles, drawn)
-        return {**dict(zip(JETS, jets, strict=True)), "vertices": drawn}, finite
-
-
-def _plain(*arrays: np.ndarray) -> list[np.ndarray]:
-    """Copies, C-contiguous float32: kernels are compiled for arrays that may be written."""
-    return [np.array(array, np.float32, order="C") for array in arrays]
+        return dict(zip(JETS, (jets.jet, jets.rotation, jets.centre), strict=True)) | {"vertices": drawn}, finite

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drape.artifacts import Manifest, TensorSpec, WeightsSpec, load_manifest, read_parameters
+from drape.artifacts import GraphSpec, Manifest, TensorSpec, WeightsSpec, load_manifest, read_parameters
 from drape.body.model import BodyModel
 from drape.body.pose_support import read_pose_support
 from drape.cloth.fabric import Fabric
@@ -21,7 +21,9 @@ from drape.graph.packing import pass_name
 from service.graphs.binding import BoundSession
 from service.graphs.compiled import CompiledNetwork, is_covered
 from service.graphs.graph_names import (
+    DRAPE,
     DYNAMIC,
+    EMBEDDING,
     ENCODER,
     FIRST,
     HALF,
@@ -47,7 +49,7 @@ if TYPE_CHECKING:
     import onnxruntime
 
 REQUIRED_OUTPUTS = {
-    ENCODER: (FIRST,),
+    DRAPE: ("vertices", *JETS),
     PACKED: ("vertices", *JETS),
     PUSH: ("pushed", "jet_push", "left", SKIN),
     PUSH_OVER: ("pushed", "jet_push", "left", SKIN),
@@ -71,9 +73,10 @@ class Engine:
     one at a time. The packed graph of a ``dynamic`` model takes ``dynamic_code`` (B, ``code_size``), zeros for bodies
     at rest.
 
-    On a CPU kernels compute the packed graph's network (``compiled``), if they cover it. On a GPU it is the graph with
-    weights of 16 bits (``half``), if the model has that. ``bound``: parts of graphs run in buckets
-    (``service.graphs.binding``), by default on a GPU.
+    On a CPU ``drape.engine`` computes the network with its encoders (``compiled``), if it covers it, and every
+    push-out; then ONNX Runtime is not needed. On a GPU it is the graph with weights of 16 bits (``half``), if the model
+    has that. ``bound``: parts of graphs run in buckets (``service.graphs.binding``), by default on a GPU. A model of
+    another kind runs on a CPU as it is, by its readable graph (``whole``): all of its passes.
     Refuses (``ArtifactError``) a folder without the graphs that the service runs.
     """
 
@@ -86,33 +89,41 @@ class Engine:
         half: bool | None = None,
         bound: bool | None = None,
     ) -> None:
-        check_distributions()
         self._device = device or Device()
         self.on_cpu = self._device.provider == "cpu"
         on_gpu = not self.on_cpu
         self.bound = on_gpu if bound is None else bound
         self.manifest: Manifest = load_manifest(folder)
         self.dynamic = self.manifest.dynamic
-        _check_graphs(folder.name, self.manifest)
+        weights, network = self.manifest.weights, self.manifest.network
+        self.half = (on_gpu if half is None else half) and HALF in self.manifest.graphs
+        plain = compiled and not self.bound and not self.half  # no part of the packed graph is asked for
+        covered = plain and weights is not None and is_covered(network)
+        self.whole = plain and not covered and DRAPE in self.manifest.graphs
+        self._encoded, drapes = (EMBEDDING, (DRAPE,)) if self.whole else (FIRST, (PACKED, *PUSHES))
+        graphs = (ENCODER, *drapes, *((DYNAMIC,) if self.dynamic else ()))
+        _check_graphs(folder.name, self.manifest, graphs, encoded=self._encoded)
+        self._drapes = self.manifest.graphs[drapes[0]]
         poses = self.manifest.poses
         self.pose_support = None if poses is None else read_pose_support(folder / poses.file)
         self.state_size = self.manifest.state_size
-        self.code_size = _code_size(folder.name, self.manifest)
-        self.half = (on_gpu if half is None else half) and HALF in self.manifest.graphs
-        weights, network = self.manifest.weights, self.manifest.network
+        self.code_size = _code_size(folder.name, self.manifest, self._drapes)
         self.compiled: CompiledNetwork | None = None
-        if compiled and not self.bound and not self.half and weights is not None and is_covered(network):
+        if covered and weights is not None:
             self.compiled = _compiled(folder, weights, network)
+        else:
+            check_distributions()
         self.nodes_off_provider = 0  # of parts opened so far; on a GPU each waits for a copy
         # Read now: a folder replaced later must not mix its graphs with those of this one.
-        files = {name: self.manifest.graphs[name].file for name in (*_run_graphs(self.manifest), self._chosen(PACKED))}
+        files = {name: self.manifest.graphs[self._chosen(name)].file for name in graphs}
         self._files = {name: (folder / file).read_bytes() for name, file in files.items()}
         self._weights = {weights.file: (folder / weights.file).read_bytes()} if weights else {}
         self._opened: dict[tuple[Any, ...], Session] = {}
         self._opening = threading.Lock()
-        self.open_cut(ENCODER, [FIRST])
-        if self.dynamic:
-            self.open_cut(DYNAMIC, REQUIRED_OUTPUTS[DYNAMIC])
+        if self.compiled is None:
+            self.open_cut(ENCODER, [self._encoded])
+            if self.dynamic:
+                self.open_cut(DYNAMIC, REQUIRED_OUTPUTS[DYNAMIC])
         self.provider = PROVIDER_NAMES[self._device.provider]
 
     def _chosen(self, graph: str) -> str:
@@ -135,14 +146,19 @@ class Engine:
         """The encoder's output for a garment's patches, (K, n) float32: constant per garment, fabric and model."""
         wanted = self.manifest.graphs[ENCODER].inputs[0].shape[-1]
         features = encoder_features(garment, int(wanted), fabric)
-        return self.open_cut(ENCODER, [FIRST]).run([FIRST], {"patch_features": features})[0]
+        if self.compiled is not None:
+            return self.compiled.first(features)
+        return self.open_cut(ENCODER, [self._encoded]).run([self._encoded], {"patch_features": features})[0]
 
     def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Codes (n, C) and next states (n, H), float32, of motion (n, 24, 12), states (n, H) and steps (n,) [s]."""
         inputs = {"motion_features": features, "state": state, "dt_s": dt_s}
         feed = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in inputs.items()}
-        outputs = REQUIRED_OUTPUTS[DYNAMIC]
-        code, after = self.open_cut(DYNAMIC, outputs).run(outputs, feed)
+        if self.compiled is not None:
+            code, after = self.compiled.advance(*feed.values())
+        else:
+            outputs = REQUIRED_OUTPUTS[DYNAMIC]
+            code, after = self.open_cut(DYNAMIC, outputs).run(outputs, feed)
         if not (np.isfinite(code).all() and np.isfinite(after).all()):
             raise ArtifactError(
                 f"{self.manifest.name} next_state",
@@ -163,14 +179,19 @@ class Engine:
         return self._device.threads
 
     @property
+    def pushes(self) -> bool:
+        """Whether push-outs run as graphs: on a GPU."""
+        return self.bound or not self.on_cpu
+
+    @property
     def feels_body(self) -> bool:
-        """Whether the packed graph poses the skin of its bodies, for what patches feel of it."""
-        return SKIN in _names(self.manifest.graphs[PACKED].outputs)
+        """Whether the network poses the skin of its bodies, for what patches feel of it."""
+        return SKIN in _names(self._drapes.outputs) or "body_skin" in _names(self._drapes.inputs)
 
     @property
     def pass_count(self) -> int:
         """Corrections of which a scene may choose how many run; 0 where the model leaves no choice."""
-        outputs = _names(self.manifest.graphs[PACKED].outputs)
+        outputs = _names(self._drapes.outputs)
         return next(count for count in range(len(outputs) + 1) if pass_name(count + 1) not in outputs)
 
     def check_passes(self, passes: int | None) -> int | None:
@@ -190,7 +211,8 @@ class Engine:
         passes: int | None = None,
         given: Collection[str] = (),
     ) -> Session:
-        """The session of what ``outputs`` of ``graph`` need and nothing else (``graphs.subgraph``), opened once.
+        """The session of what ``outputs`` of ``graph`` need and nothing else (``graphs.subgraph``), or of a graph as it
+        is where that is ``whole``; opened once.
 
         The packed graph runs ``passes`` corrections, all by default. ``given`` outputs become inputs.
         """
@@ -224,6 +246,8 @@ class Engine:
     def _cut(
         self, graph: str, outputs: Sequence[str], direct: Collection[str], passes: int | None, given: Collection[str]
     ) -> bytes:
+        if self.whole:
+            return self._files[graph]
         instead = None if passes is None else {pass_name(self.pass_count): pass_name(passes)}
         return cut(self._files[graph], outputs, direct=direct, instead=instead, given=given)
 
@@ -274,25 +298,21 @@ def _names(tensors: Sequence[TensorSpec]) -> set[str]:
     return {tensor.name for tensor in tensors}
 
 
-def _run_graphs(manifest: Manifest) -> tuple[str, ...]:
-    """The graphs that a model must have to be served; its readable ``drape`` is the reference of its export only."""
-    return (ENCODER, PACKED, *PUSHES, *((DYNAMIC,) if manifest.dynamic else ()))
-
-
-def _check_graphs(model: str, manifest: Manifest) -> None:
-    """Refuses a model without a graph that is run, or one of these without an output that is read."""
-    for name in _run_graphs(manifest):
+def _check_graphs(model: str, manifest: Manifest, run: Sequence[str], *, encoded: str) -> None:
+    """Refuses a model without a graph that is ``run``, or one of these without an output that is read."""
+    for name in run:
         spec = manifest.graphs.get(name)
         if spec is None:
             raise misexported(f"{model} graphs", expected=f"a graph {name!r}", got=str(sorted(manifest.graphs)))
-        missing = set(REQUIRED_OUTPUTS[name]) - _names(spec.outputs)
+        missing = {encoded} if name == ENCODER else set(REQUIRED_OUTPUTS[name])
+        missing -= _names(spec.outputs)
         if missing:
             raise misexported(f"{model} {name} outputs", expected=", ".join(sorted(missing)), got="none")
 
 
-def _code_size(model: str, manifest: Manifest) -> int:
+def _code_size(model: str, manifest: Manifest, drapes: GraphSpec) -> int:
     """Numbers of a dynamic code, 0 of a static model; refuses graphs that are not what the manifest says."""
-    code = {t.name: t.shape[-1] for t in manifest.graphs[PACKED].inputs}.get("dynamic_code", 0)
+    code = {t.name: t.shape[-1] for t in drapes.inputs}.get("dynamic_code", 0)
     states = [t.shape[-1] for t in manifest.graphs[DYNAMIC].inputs if t.name == "state"] if manifest.dynamic else [0]
     fits = (code != 0) == manifest.dynamic and states == [manifest.state_size]
     if not fits or not isinstance(code, int):

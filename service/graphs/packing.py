@@ -1,10 +1,10 @@
 """Drapes any mix of garments, clients and frames through the packed graph: ``Packer``.
 
-A ``ScenePlan`` names what a scene needs, and its session holds no other nodes. A batch is a list of items, each a
-garment and a body. What the graph is fed with besides bodies is kept for each batch while memory allows, since streams
-repeat theirs. On a CPU kernels make vertices of the graph's jets (``drape.graph.blend``), three times as fast as the
-graph does. An item has the same bits in any batch on a CPU (``tests/service/graphs``), so a batch may be run in parts
-of any size.
+A ``ScenePlan`` names what a scene needs. A batch is a list of items, each a garment and a body. On a CPU the engine
+drapes item after item (``service.graphs.compiled``); on a GPU a graph drapes all of them, in a session that holds no
+nodes but the plan's. What that is fed with besides bodies is kept for each batch while memory allows, since streams
+repeat theirs. An item has the same bits in any batch on a CPU (``tests/service/graphs``), so a batch may be run in
+parts of any size.
 """
 
 from __future__ import annotations
@@ -19,18 +19,15 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
-from drape.arrays.subnormals import flushed
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.contact.samples import REGION_SIZE
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
-from drape.graph.blend import blended, warm_up
 from drape.graph.buckets import filled, filled_rows
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import Composition, PackedGarment, Place, compose, pack_garment
+from drape.graph.packing import Composition, Place, compose, pack_garment
 from drape.graph.push_feed import SkinShapes
-from drape.kernels.elements import are_finite
 from service.graphs.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
 from service.graphs.store import Store
 
@@ -45,7 +42,7 @@ OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
     "jets": JETS,
     "both": ("vertices", *JETS),
 }
-STORED_INDEX = ("patch_stored", "tile_stored")  # of no use where one garment is all there is
+STORED_INDEX = ("patch_stored", "tile_stored")  # of no use in the model of one garment
 SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
 TILES_PER_BUCKET = 65536  # of devices with memory of their own
@@ -86,14 +83,12 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class _Call:
-    """A call of the graph for some items under a plan: its session, what this is asked for (``fetched``) and fed with
-    besides bodies, where each item lies in the answer, and the items' garments, which may be removed meanwhile."""
+    """A call of the graph for some items under a plan: its session, what this is fed with besides bodies, and where
+    each item lies in the answer."""
 
     session: Session
-    fetched: tuple[str, ...]
     feed: dict[str, Value]
     composition: Composition
-    garments: tuple[PackedGarment, ...]
 
 
 class Packer:
@@ -116,13 +111,16 @@ class Packer:
         self._rows: dict[str, GarmentRows] = {}  # by key, where the network is compiled
         several = engine.compiled is not None and engine.threads > 1
         self._threads = ThreadPoolExecutor(engine.threads, "drape-items") if several else None
-        if engine.on_cpu:
-            warm_up()
 
     @property
     def store(self) -> Store:
         """Constants of the garments; change it through this class."""
         return self._store
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory of the garments' constants."""
+        return self._store.bytes
 
     @property
     def kept_bytes(self) -> int:
@@ -174,9 +172,8 @@ class Packer:
         one_shape = self._skins is not None
         if self._engine.compiled:
             return
-        kinds = {(not self._engine.bound, one_shape), (False, one_shape), *([(False, False)] if shapes else [])}
-        for alone, one_shape in sorted(kinds):
-            self._session(plan, alone=alone, one_shape=one_shape, skin_given=skin_given)
+        for kind in sorted({one_shape, one_shape and not shapes}):
+            self._session(plan, one_shape=kind, skin_given=skin_given)
 
     def run(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
         """Results of ``items``, in their order. ``bodies`` are ``PackedBody.rows``, joined over clients.
@@ -248,12 +245,8 @@ class Packer:
         call = self._call(plan, items, one_shape=one_shape, skin_given=skin_given)
         given = call.feed | bodies
         feed = {name: given[name] for name in call.session.inputs}
-        found = call.session.run(call.fetched, feed, unchanging=(*SKIN_CONSTANTS, *call.composition.arrays))
-        results = _apart(call.fetched, found, call.composition, [row for _, row in items])
-        if "vertices" in plan.outputs and "vertices" not in call.fetched:
-            for garment, arrays in zip(call.garments, results, strict=True):
-                arrays["vertices"] = blended(garment, *(arrays[name] for name in JETS))
-        answers = [{name: arrays[name] for name in plan.outputs} for arrays in results]
+        found = call.session.run(plan.outputs, feed, unchanging=(*SKIN_CONSTANTS, *call.composition.arrays))
+        answers = _apart(plan.outputs, found, call.composition, [row for _, row in items])
         return [Result(arrays, _finite(arrays)) for arrays in answers]
 
     def _with_skins(self, bodies: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -278,9 +271,8 @@ class Packer:
                 arrays[SKIN] = body.skin.reshape(-1, REGION_SIZE, 8)
             return Result({name: arrays[name] for name in outputs}, finite)
 
-        with flushed():  # threads that it starts take this over
-            posed = dict(zip(rows, self._each(lambda row: network.body(bodies, row, counts), rows), strict=True))
-            return self._each(drape, items)
+        posed = dict(zip(rows, self._each(lambda row: network.body(bodies, row, counts), rows), strict=True))
+        return self._each(drape, items)
 
     def _garment_rows(self, network: CompiledNetwork, key: str) -> GarmentRows:
         with self._lock:
@@ -301,11 +293,9 @@ class Packer:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        # Of a batch of one the constants are the graph's inputs; where they would lie on a device twice, none are.
-        alone = len(items) == 1 and not self._engine.bound
-        session = self._session(plan, alone=alone, one_shape=one_shape, skin_given=skin_given)
+        session = self._session(plan, one_shape=one_shape, skin_given=skin_given)
         with self._lock:
-            call = self._made(session, self._fetched(plan), items, alone=alone)
+            call = self._made(session, items)
             if key not in self._kept:  # another thread may have been faster
                 self._kept_bytes += call.composition.bytes
             self._kept[key] = call
@@ -314,37 +304,27 @@ class Packer:
                 self._kept_bytes -= dropped.composition.bytes
         return call
 
-    def _made(self, session: Session, fetched: tuple[str, ...], items: Sequence[Item], *, alone: bool) -> _Call:
-        garments = tuple(self._store.packed(key) for key, _ in items)
-        places = [Place(0, 0)] if alone else [self._store.place(key) for key, _ in items]
-        composition = compose([(g, place, row) for g, place, (_, row) in zip(garments, places, items, strict=True)])
+    def _made(self, session: Session, items: Sequence[Item]) -> _Call:
+        composition = compose([(self._store.packed(key), self._store.place(key), row) for key, row in items])
         if self._engine.bound and len(items) > 1:
             composition = filled(composition)
-        label, stored = (items[0][0], garments[0].stored) if alone else ("", self._store.arrays())
+        stored = self._store.arrays()
         names = stored.keys() & set(session.inputs)
-        feed: dict[str, Value] = {name: self._constant(name, stored[name], label) for name in names}
+        feed: dict[str, Value] = {name: self._constant(name, stored[name]) for name in names}
         for name, array in composition.arrays.items():  # in a bucket they are written
             feed[name] = array if self._engine.bound else self._engine.value(array)
-        return _Call(session, fetched, feed, composition, garments)
+        return _Call(session, feed, composition)
 
-    def _session(self, plan: ScenePlan, *, alone: bool, one_shape: bool, skin_given: bool) -> Session:
-        """The session for ``plan``: for one item ``alone`` or several, and for bodies of ``one_shape`` or several."""
-        direct = (STORED_INDEX if alone else ()) + (SHAPE_INDEX if one_shape else ())
-        given = (SKIN,) if skin_given else ()
-        return self._engine.open_cut(PACKED, self._fetched(plan), direct=direct, passes=plan.passes, given=given)
+    def _session(self, plan: ScenePlan, *, one_shape: bool, skin_given: bool) -> Session:
+        """The session for ``plan``, for bodies of ``one_shape`` or several."""
+        direct, given = (SHAPE_INDEX if one_shape else ()), ((SKIN,) if skin_given else ())
+        return self._engine.open_cut(PACKED, plan.outputs, direct=direct, passes=plan.passes, given=given)
 
-    def _fetched(self, plan: ScenePlan) -> tuple[str, ...]:
-        """Outputs of the graph that answer ``plan``: on a CPU jets in place of vertices."""
-        if not self._engine.on_cpu or "vertices" not in plan.outputs:
-            return plan.outputs
-        return tuple(dict.fromkeys((*JETS, *(name for name in plan.outputs if name != "vertices"))))
-
-    def _constant(self, name: str, array: np.ndarray, key: str) -> Any:
+    def _constant(self, name: str, array: np.ndarray) -> Any:
         """A stored array where the graph computes, handed over once."""
-        label = f"{key} {name}"
-        if label not in self._values:
-            self._values[label] = self._engine.value(array)
-        return self._values[label]
+        if name not in self._values:
+            self._values[name] = self._engine.value(array)
+        return self._values[name]
 
     def _forget(self) -> None:
         self._engine.forget(PACKED)
@@ -372,7 +352,7 @@ def _apart(
 def _finite(arrays: dict[str, np.ndarray]) -> bool:
     """Whether the network's answer in the outputs of an item is finite."""
     checked = [arrays[name] for name in ("vertices", *JETS) if name in arrays]
-    return all(are_finite(array.reshape(-1)) for array in checked)
+    return all(bool(np.isfinite(array).all()) for array in checked)
 
 
 def check_finite(engine: Engine, finite: bool) -> None:

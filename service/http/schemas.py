@@ -144,7 +144,7 @@ class Health(BaseModel):
     model_digest: str
     dynamic: bool
     provider: str
-    compiled: bool = Field(description="Whether compiled kernels compute the network, in place of an inference engine.")
+    compiled: bool = Field(description="Whether our own engine computes the network, in place of an inference engine.")
     half: bool = Field(description="Whether the network's matrices are multiplied in float16.")
     elsewhere: int = Field(description="Operations that do not run on the provider; on a GPU each waits for a copy.")
     device_bytes: int = Field(description="Memory of the garments' constants and of buckets where the graphs compute.")

@@ -1,7 +1,7 @@
 """The collision projection (the push-out): every garment out of the body and of the garments below it.
 
 Folds end off the skin by themselves, from the planes that they know anyway; then there is nothing left to project.
-``Pusher`` holds its constants and runs its two graphs.
+``Pusher`` holds its constants. On a CPU the engine pushes (``drape.graph.push``), on a GPU two graphs do.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.contact.cloth_samples import cloth_samples
-from drape.contact.projection import CLEARANCE_M, MOVED_M
+from drape.contact.projection import CLEARANCE_M, MOVED_M, PushFeed
 from drape.contact.samples import Samples
 from drape.contact.skin import body_skin
 from drape.errors import NotFound
 from drape.garment.cache import Garment
-from drape.graph.layer_feed import Sheet, pack_layer
+from drape.graph.layer_feed import LayerFeed, Sheet, pack_layer
+from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import pack_push, pushed_jets
 from drape.wire.options import DrapeOptions
 from service.graphs.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from service.graphs.engine import Engine
     from service.graphs.onnx_runtime import Session, Value
 
-    Constants = dict[str, onnxruntime.OrtValue]
+    Constants = dict[str, onnxruntime.OrtValue] | PushConstants
 
 OUTPUT = "pushed"
 JET_OUTPUTS = (OUTPUT, "jet_push", "left")
@@ -152,17 +153,17 @@ class Pusher:
         self._clearance = np.full(1, np.float32(clearance_m))
         self._stored: dict[str, _Stored] = {}
         self._layers = KeptConstants["Constants"](lambda kept: len(kept) > KEPT_OUTFITS)
-        for graph in PUSHES:  # now, not in the first frame
+        for graph in PUSHES if engine.pushes else ():  # now, not in the first frame
             self._session(graph, jets=False)
 
     @property
     def held_bytes(self) -> int:
         """Memory of the garments' constants where the graphs compute."""
-        return sum(value.tensor_size_in_bytes() for one in self._stored.values() for value in one.constants.values())
+        return sum(_bytes(one.constants) for one in self._stored.values())
 
     def add(self, key: str, feed: dict[str, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> None:
         """Puts the garment ``key`` in store: its ``garment_feed``, rest vertices [m] (V, 3) and faces."""
-        constants = self._values(self._make(_garment_arrays, feed, vertices, self._skin))
+        constants = self._values(self._make(_garment_arrays, feed, vertices, self._skin), PushFeed)
         self._stored[key] = _Stored(feed, vertices, faces, constants)
 
     def remove(self, key: str) -> None:
@@ -178,7 +179,7 @@ class Pusher:
         """
         for count in range(1, len(keys)):
             self._layer(tuple(keys[: count + 1]))
-        for graph in PUSHES[: len(keys)]:
+        for graph in PUSHES[: len(keys)] if self._engine.pushes else ():
             self._session(graph, jets=jets)
 
     def _session(self, graph: str, *, jets: bool) -> Session:
@@ -201,6 +202,30 @@ class Pusher:
         """
         stored = self._get(keys[-1])
         vertices = np.ascontiguousarray(vertices, dtype=np.float32)
+        constants = stored.constants if under is None else self._layer(tuple(keys))
+        if isinstance(constants, PushConstants):
+            clearance_m, jets = float(self._clearance[0]), posed is not None
+            moved, way_m, *parts = push_frames(vertices, skin, constants, clearance_m, under=under, jets=jets)
+        else:
+            moved, *parts = self._by_graph(
+                constants, vertices, skin, under, (OUTPUT,) if posed is None else JET_OUTPUTS
+            )
+            way_m = np.linalg.norm(moved - vertices, axis=-1)
+        if posed is None:
+            return Pushed(moved, way_m)
+        coefficients, left_m = parts
+        jet = pushed_jets(posed.jet, posed.rotation, stored.feed["patch_scale"], coefficients)
+        return Pushed(moved, way_m, jet, left_m)
+
+    def _by_graph(
+        self,
+        constants: dict[str, onnxruntime.OrtValue],
+        vertices: np.ndarray,
+        skin: np.ndarray,
+        under: np.ndarray | None,
+        outputs: Sequence[str],
+    ) -> list[np.ndarray]:
+        """The ``outputs`` of the graph that pushes out of the body, or of what is ``under`` too."""
         arrays: dict[str, Value] = {
             SKIN: skin,
             # Of these two the graphs read only how many frames and parts there are.
@@ -209,19 +234,11 @@ class Pusher:
             "vertices": vertices,
             "clearance": self._clearance,
         }
-        if under is None:
-            arrays |= stored.constants
-        else:
-            arrays |= {**self._layer(tuple(keys)), "under": np.ascontiguousarray(under, dtype=np.float32)}
-        outputs = (OUTPUT,) if posed is None else JET_OUTPUTS
-        session = self._session(PUSH if under is None else PUSH_OVER, jets=posed is not None)
-        found = session.run(outputs, {name: arrays[name] for name in session.inputs}, unchanging=SKIN_CONSTANTS)
-        way_m = np.linalg.norm(found[0] - vertices, axis=-1)
-        if posed is None:
-            return Pushed(found[0], way_m)
-        moved, coefficients, left_m = found
-        jet = pushed_jets(posed.jet, posed.rotation, stored.feed["patch_scale"], coefficients)
-        return Pushed(moved, way_m, jet, left_m)
+        arrays |= constants
+        if under is not None:
+            arrays["under"] = np.ascontiguousarray(under, dtype=np.float32)
+        session = self._session(PUSH if under is None else PUSH_OVER, jets=len(outputs) > 1)
+        return session.run(outputs, {name: arrays[name] for name in session.inputs}, unchanging=SKIN_CONSTANTS)
 
     def _get(self, key: str) -> _Stored:
         if key not in self._stored:
@@ -236,7 +253,8 @@ class Pusher:
 
         def make() -> Constants:
             sheets = [self._sheet(stored) for stored in inner]
-            return self._values(self._make(_arrays_over, outer.feed, outer.vertices, self._skin, sheets))
+            arrays = self._make(_arrays_over, outer.feed, outer.vertices, self._skin, sheets)
+            return self._values(arrays, LayerFeed)
 
         return self._layers.get(keys, make)
 
@@ -247,9 +265,17 @@ class Pusher:
             stored.sheet = Sheet(stored.vertices, stored.faces, samples)
         return stored.sheet
 
-    def _values(self, arrays: dict[str, np.ndarray]) -> Constants:
-        """Constants where the graphs compute, handed over once."""
+    def _values(self, arrays: dict[str, np.ndarray], kind: type[PushFeed | LayerFeed]) -> Constants:
+        """The constants ``arrays`` of a ``kind`` where they are computed with, handed over once."""
+        if not self._engine.pushes:
+            return PushConstants.of(kind.from_flat(arrays))
         return {name: self._engine.value(array) for name, array in arrays.items()}
+
+
+def _bytes(constants: Constants) -> int:
+    if isinstance(constants, PushConstants):
+        return constants.bytes
+    return sum(value.tensor_size_in_bytes() for value in constants.values())
 
 
 def _garment_arrays(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples) -> dict[str, np.ndarray]:

@@ -18,7 +18,7 @@ from drape.wire.messages import Answer, Frame, pack_frame, pack_same, resent
 from drape.wire.options import DrapeOptions
 from service.stages.batch import Batch, Memories, PoseInput, changed
 from service.stages.plan import Plan
-from service.stages.stage import BODY, Stage, StageSetup
+from service.stages.stage import BODY, Stage
 
 KEY = ("idle", BODY)
 REST_S = 2.0  # of the same pose, until cloth has come to rest, by the client's clock
@@ -29,10 +29,6 @@ class Encode(Stage):
     """Packs every frame as a FRAME or JETS message with its client's sequence and time."""
 
     name = "encode"
-
-    def __init__(self, setup: StageSetup) -> None:
-        super().__init__(setup)
-        quantise(np.zeros((1, 3), np.float32))  # so that no frame waits for the kernel
 
     def wanted(self, plan: Plan) -> bool:
         return plan.messages

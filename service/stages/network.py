@@ -12,6 +12,7 @@ import numpy as np
 
 from drape.body.skeleton import JOINT_COUNT
 from drape.contact.skin import posed_table
+from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.graph.packing import pack_body
@@ -19,6 +20,7 @@ from drape.network.novelty import kept_poses, novelty
 from drape.wire.options import DrapeOptions
 from service.graphs.graph_names import JETS, SKIN
 from service.graphs.packing import Packer, Result, ScenePlan, Shape, check_finite
+from service.graphs.whole_graph import WholeGraph
 from service.stages.batch import Batch, Jets, Layer, changed, joined, stacked
 from service.stages.plan import Plan
 from service.stages.scene import check_known
@@ -41,8 +43,6 @@ class Novelty(Stage):
         super().__init__(setup)
         support = self.engine.pose_support
         self._kept = None if support is None else kept_poses(support)
-        if self._kept is not None:  # so that no frame waits for the kernel
-            novelty(self._kept, np.zeros((1, JOINT_COUNT, 3)))
 
     def wanted(self, plan: Plan) -> bool:
         return self._kept is not None
@@ -63,7 +63,7 @@ class Network(Stage):
 
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
-        self.packer = Packer(self.engine, self.body)
+        self.packer = WholeGraph(self.engine, self.body) if self.engine.whole else Packer(self.engine, self.body)
         body = setup.body  # not ``self``: a stage in a ring stays until the collector comes, which is seldom
         self._shape = lru_cache(SHAPES_KEPT)(lambda betas: pack_body(body, np.frombuffer(betas, np.float64)))
         self._skin_in_graph = self.engine.feels_body and self.body.posedirs is None
@@ -72,7 +72,15 @@ class Network(Stage):
         return {"passes": self.engine.check_passes(options.passes)}
 
     def check(self, plan: Plan) -> None:
-        check_known(plan.fabrics, known=self.engine.knows_fabrics, model=self.engine.manifest.name)
+        model = self.engine.manifest
+        check_known(plan.fabrics, known=self.engine.knows_fabrics, model=model.name)
+        if plan.options.geometry == "jets" and model.network.get("variant") == "paper":
+            raise InputError(
+                "geometry",
+                expected=f"vertices with model {model.name}",
+                got="jets, which it has in the rest pose",
+                cure="Leave it out.",
+            )
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self.packer.add(garment.digest, garment, feed)
@@ -86,7 +94,7 @@ class Network(Stage):
 
     @property
     def held_bytes(self) -> int:
-        return self.packer.store.bytes
+        return self.packer.held_bytes
 
     def whole_model(self, plan: Plan, betas: np.ndarray) -> bytes:
         """The graph of the jets of the one garment of ``plan`` on a body of the shape ``betas``, by itself: ``Packer``.

@@ -16,7 +16,8 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.feeds import garment_feed
 from tests.fixtures.garments import shipped
 from tests.training.training_setup import CPU, JERSEY, TINY, body, source
-from training.config import ModelConfig, paper
+from training.checkpoint import FORMER_SWITCHES, model_config_from
+from training.config import ModelConfig, as_published, paper
 from training.consensus import (
     TRACE_SHARE,
     GatheredConsensus,
@@ -122,13 +123,13 @@ def test_charts_that_agree_stay_as_they_are_in_the_closing_fit():
     assert float((again - anchors).abs().max()) < 5e-4  # the ridge and the rest's own detail
 
 
-def test_network_closes_with_full_jets_or_not_as_it_is_told():
+def test_a_network_of_vector_jets_closes_with_full_ones():
     bodies = source().pose(np.zeros((1, 24, 3)) + 0.1, np.zeros((1, body().shape_count))).tensors
-    for closing, count in ((True, jets.FULL_COUNT), (False, jets.JET_COUNT)):
-        model = OneFit(replace(TINY, closing_fit=closing)).eval()
+    for config, count in ((TINY, jets.FULL_COUNT), (as_published(TINY), jets.JET_COUNT)):
+        model = OneFit(config).eval()
         with torch.no_grad():
-            embedding = model.garment(partition().encoded(JERSEY))
-            jet = model(bodies, partition().patches, embedding, charts=partition().consensus).jet
+            features = partition().encoded(JERSEY)[:, : config.encoder_feature_count]
+            jet = model(bodies, partition().patches, model.garment(features), charts=partition().consensus).jet
         assert jet.shape[-1] == model.jet_count == count
 
 
@@ -186,10 +187,16 @@ def test_passes_choose_how_many_corrections_are_taken():
     assert torch.equal(got[2], got[3])
 
 
-def test_corrections_fit_no_network_but_one_of_vector_jets_with_surroundings():
-    for wrong in (replace(paper().model, corrections=1), ModelConfig(surroundings=False)):
-        with pytest.raises(ValueError, match="agreed_base, corrections and closing_fit"):
-            OneFit(wrong)
+def test_corrections_fit_no_network_but_one_of_vector_jets():
+    with pytest.raises(ValueError, match="corrections: expected 0"):
+        OneFit(replace(paper().model, corrections=1))
+
+
+def test_files_may_name_the_parts_of_a_network_that_its_variant_has():
+    named = dict.fromkeys(FORMER_SWITCHES, True)
+    assert model_config_from({"variant": "vector", **named}) == model_config_from({"variant": "vector"})
+    with pytest.raises(ValueError, match="closing_fit: expected True"):
+        model_config_from({"variant": "vector", **named, "closing_fit": False})
 
 
 def test_autocast_stays_near_full_precision():

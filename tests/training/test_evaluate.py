@@ -33,12 +33,8 @@ def network(variant: str = "vector", *, silent: bool = False) -> OneFit:
     """A tiny network; ``silent`` adds nothing to the jets."""
     torch.manual_seed(1)
     torch.set_num_threads(1)
-    plain = (
-        replace(TINY, agreed_base=False, corrections=0, closing_fit=False, feels_body=False)
-        if variant == "vector"
-        else as_published(TINY)
-    )
-    return OneFit(replace(plain if silent or variant == "paper" else TINY, output_gain=0.0 if silent else 5.0)).eval()
+    config = TINY if variant == "vector" else as_published(TINY)
+    return OneFit(replace(config, output_gain=0.0 if silent else 5.0)).eval()
 
 
 def bend() -> np.ndarray:
@@ -48,11 +44,12 @@ def bend() -> np.ndarray:
     return poses
 
 
-def test_a_silent_network_leaves_the_garment_to_its_rigid_patches(tube):
+def test_a_silent_network_turns_the_garment_with_the_body(tube):
     # The tiny model of the service tests does the same, in float64 and without torch; features zero: no lift.
-    garment = replace(tube, patch_features=np.zeros_like(tube.patch_features))
-    vertices, posed = posed_patches(network(silent=True), garment, source(), bend())
-    expected = skinned_vertices(body(), garment, bend())
+    garment, poses = replace(tube, patch_features=np.zeros_like(tube.patch_features)), bend()
+    poses[:, 1:] = 0.0  # where patches turn against each other their charts are brought to agree
+    vertices, posed = posed_patches(network(silent=True), garment, source(), poses)
+    expected = skinned_vertices(body(), garment, poses)
     assert_allclose(vertices, expected, rtol=0.0, atol=2e-6)
     assert posed.rotation.shape == (2, garment.patch_count, 3, 3)
 

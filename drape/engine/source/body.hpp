@@ -3,11 +3,11 @@
 // The formulas are those of drape.geometry.rigid, drape.body.features and drape.contact.skin.
 #pragma once
 #include "dense.hpp"
+#include "numbers.hpp"
 
 constexpr int JOINTS = 24, STATIC_PER_JOINT = 9;
 constexpr int PARENTS[JOINTS] = {-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21};
 constexpr int PART_SIZE = 48, REGION_SIZE = 12;  // samples that are posed together, and that are looked up together
-constexpr double BENT_SLOPE = 0.01;               // of layers of the body's code
 
 // The product of the quaternions wxyz a and b.
 template <class T> INLINE void put_product(const T* a, const T* b, T* out) {
@@ -25,13 +25,25 @@ template <class T> INLINE void put_matrix(const T* q, T* out) {
   out[6] = two * (x * z - w * y), out[7] = two * (y * z + w * x), out[8] = T(1) - two * (x * x + y * y);
 }
 
+// Writes the unit quaternions (N, 4) and matrices (N, 9) of rotation vectors [rad] (N, 3).
+INLINE void describe_turns(const double* turns, int64_t count, double* quaternion, double* matrix) {
+  for (int64_t i = 0; i < count; ++i, quaternion += 4, matrix += 9) {
+    const Vector<double> turn = point(turns, i);
+    const double angle = root(dot(turn, turn));
+    const SineCosine half = sine_cosine_of(0.5 * angle);
+    quaternion[0] = half.cosine;
+    put_point(quaternion + 1, 0, scaled(angle > 1e-8 ? half.sine / angle : 0.5, turn));
+    put_matrix(quaternion, matrix);
+  }
+}
+
 template <class T> INLINE Vector<T> turned_vector(const T* matrix, Vector<T> a) {
   return {matrix[0] * a.x + matrix[1] * a.y + matrix[2] * a.z, matrix[3] * a.x + matrix[4] * a.y + matrix[5] * a.z,
           matrix[6] * a.x + matrix[7] * a.y + matrix[8] * a.z};
 }
 
-// Writes quaternions (24, 4), rotations (24, 9) and joints [m] (24, 3) of bones with local quaternions (24, 4) and joints
-// rest [m] (24, 3). The root stays at its place.
+// Writes quaternions (24, 4), rotations (24, 9) and joints [m] (24, 3) of bones with local quaternions (24, 4) and
+// joints rest [m] (24, 3). The root stays at its place.
 template <class T> void pose_bones(const T* local, const T* rest, T* quaternion, T* rotation, T* place) {
   for (int joint = 0; joint < JOINTS; ++joint) {
     const int parent = PARENTS[joint];
@@ -39,7 +51,8 @@ template <class T> void pose_bones(const T* local, const T* rest, T* quaternion,
       for (int i = 0; i < 4; ++i) quaternion[i] = local[i];
     } else {
       put_product(quaternion + 4 * parent, local + 4 * joint, quaternion + 4 * joint);
-      put_point(place, joint, point(place, parent) + turned_vector(rotation + 9 * parent, point(rest, joint) - point(rest, parent)));
+      put_point(place, joint, point(place, parent) + turned_vector(rotation + 9 * parent,
+          point(rest, joint) - point(rest, parent)));
     }
     put_matrix(quaternion + 4 * joint, rotation + 9 * joint);
   }
@@ -58,6 +71,36 @@ template <class T> void describe_pose(const T* local, const T* rotation, T* feat
       own[6 + i] = -rotation[9 * joint + 3 + i];
     }
   }
+}
+
+// Writes what drape.body.features.Kinematics has of bodies with local quaternions (F, 24, 4), root translations trans
+// [m] (F, 3) and joints rest [m] (24, 3): static descriptors (F, 24, 9), joints [m] (F, 24, 3) and rotations (F, 24,
+// 9).
+template <class T>
+void describe_bodies(const T* local, const T* trans, const T* rest, int64_t frames, T* features, T* joints,
+    T* rotations) {
+  T quaternion[4 * JOINTS];
+  for (int64_t frame = 0; frame < frames; ++frame, local += 4 * JOINTS, features += STATIC_PER_JOINT * JOINTS,
+               joints += 3 * JOINTS, rotations += 9 * JOINTS) {
+    put_point(joints, 0, point(rest, 0) + point(trans, frame));
+    pose_bones(local, rest, quaternion, rotations, joints);
+    describe_pose(local, rotations, features);
+  }
+}
+
+// Writes the eight numbers of so many samples: point, its square, normal, and their product.
+template <class T> INLINE void put_samples(T* skin, Points<T> p, Points<T> n, int count) {
+  const Row<T> square = dot(p, p), across = dot(p, n);
+  for (int lane = 0; lane < count; ++lane, skin += 8) {
+    skin[0] = p.x[lane], skin[1] = p.y[lane], skin[2] = p.z[lane], skin[3] = square[lane];
+    skin[4] = n.x[lane], skin[5] = n.y[lane], skin[6] = n.z[lane], skin[7] = across[lane];
+  }
+}
+
+// The unit normals of surfaces with the tangents u and v.
+template <class T> INLINE Points<T> unit_cross(Points<T> u, Points<T> v) {
+  const Points<T> n = cross(u, v);
+  return scaled(T(1) / root<T>(most<T>(dot(n, n), row_of(T(1e-12)))), n);
 }
 
 // Writes the samples (S, 8) of drape.contact.samples.sample_table: sums over bones, a part at a time.
@@ -88,22 +131,56 @@ template <class T> void pose_skin(const T* rotation, const T* translation, const
       u = {row_at(from), row_at(from + WIDTH), row_at(from + 2 * WIDTH)};
       from += PART_SIZE;
       v = {row_at(from), row_at(from + WIDTH), row_at(from + 2 * WIDTH)};
-      Points<T> n = cross(u, v);
-      n = scaled(T(1) / root<T>(most<T>(dot(n, n), row_of(T(1e-12)))), n);
-      Row<T> square = dot(p, p), across = dot(p, n);
-      for (int lane = 0; lane < LANES; ++lane) {
-        T* own = skin + 8 * (PART_SIZE * part + first + lane);
-        own[0] = p.x[lane], own[1] = p.y[lane], own[2] = p.z[lane], own[3] = square[lane];
-        own[4] = n.x[lane], own[5] = n.y[lane], own[6] = n.z[lane], own[7] = across[lane];
-      }
+      put_samples<T>(skin + 8 * (PART_SIZE * part + first), p, unit_cross<T>(u, v), LANES);
     }
   }
 }
 
+// Writes how unlike kept poses the poses with joint matrices (F, 24, 9) are, (F,): of the parts of a body the largest
+// distance from the nearest kept one. A part is a layer that gives |k|^2 - 2 k.x of each kept pose k.
+template <class T>
+void compare_poses(const KeptPoses<T>& kept, const T* matrices, int64_t frames, T* novelty, Scratch& scratch) {
+  int64_t most_ = 0;
+  for (int64_t p = 0; p < kept.parts.count; ++p) most_ = more(most_, kept.parts[p].bias.count);
+  T *numbers = scratch.take<T>(kept.entry.count), *squares = scratch.take<T>(most_);
+  if (scratch.overflowed) return;
+  for (int64_t frame = 0; frame < frames; ++frame, matrices += 9 * JOINTS) {
+    const int32_t* entry = kept.entry;
+    T furthest = 0;
+    for (int64_t p = 0; p < kept.parts.count; ++p) {
+      const Layer<T>& part = kept.parts[p];
+      const int64_t count = part.weight.count / part.bias.count;
+      T own = 0;
+      for (int64_t i = 0; i < count; ++i) {
+        numbers[i] = matrices[entry[i]];
+        own += numbers[i] * numbers[i];
+      }
+      entry += count;
+      run_body_layer(part, numbers, squares);
+      T nearest = squares[0];
+      for (int64_t k = 1; k < kept.counts[p]; ++k) nearest = less(squares[k], nearest);
+      furthest = more((nearest + own) / kept.over[p], furthest);
+    }
+    novelty[frame] = root(furthest);
+  }
+}
+
+// Writes the mean points of regions of samples [m] (R, 4), with half of their squares.
+template <class T> void put_regions(const T* skin, int64_t regions, T* region) {
+  for (int64_t r = 0; r < regions; ++r) {
+    Vector<T> mean = {};
+    for (int64_t s = REGION_SIZE * r; s < REGION_SIZE * (r + 1); ++s) mean = mean + point(skin + 8 * s, 0);
+    mean = scaled(T(1.0 / REGION_SIZE), mean);
+    put_point(region + 4 * r, 0, mean);
+    region[4 * r + 3] = T(0.5) * dot(mean, mean);
+  }
+}
+
 // Poses a body for the network: writes the bones, the body's half of the first layer (code), the samples of the skin,
-// which are given where the feed has no rows for them, and the mean points of its regions [m] (R, 4), with half of their
-// squares.
-template <class T> void pose_body(const Weights<T>& weights, const BodyFeed<T>& feed, PosedBody<T>& body, Scratch& scratch) {
+// which are given where the feed has no rows for them, and the mean points of its regions [m] (R, 4), with half of
+// their squares.
+template <class T> void pose_body(const Weights<T>& weights, const BodyFeed<T>& feed, PosedBody<T>& body,
+    Scratch& scratch) {
   const int64_t mark = scratch.used;
   int64_t widest = weights.mean.count;
   for (int64_t n = 0; n < weights.body.count; ++n)
@@ -113,7 +190,8 @@ template <class T> void pose_body(const Weights<T>& weights, const BodyFeed<T>& 
   put_point(body.place.begin, 0, Vector<T>{});
   pose_bones(feed.local.begin, feed.rest.begin, body.quaternion.begin, body.rotation.begin, body.place.begin);
   for (int joint = 0; joint < JOINTS; ++joint)
-    put_point(body.translation.begin, joint, point(body.place.begin, joint) - turned_vector(body.rotation + 9 * joint, point(feed.rest.begin, joint)));
+    put_point(body.translation.begin, joint, point(body.place.begin, joint) - turned_vector(body.rotation + 9 * joint,
+        point(feed.rest.begin, joint)));
   describe_pose(feed.local.begin, body.rotation.begin, features);
   for (int64_t i = 0; i < feed.betas.count; ++i) features[STATIC_PER_JOINT * JOINTS + i] = feed.betas[i];
   for (int64_t i = 0; i < weights.mean.count; ++i) {
@@ -121,19 +199,13 @@ template <class T> void pose_body(const Weights<T>& weights, const BodyFeed<T>& 
     features[i] = scaled_ > -5 ? (scaled_ < 5 ? scaled_ : T(5)) : T(-5);
   }
   for (int64_t number = 0; number < weights.body.count; ++number) {
-    run_body_layer(weights.body[number], features, number + 1 == weights.body.count ? T(1) : T(BENT_SLOPE), outputs);
+    run_body_layer(weights.body[number], features, outputs);
     T* other = features;
     features = outputs, outputs = other;
   }
   for (int64_t i = 0; i < feed.motion.count; ++i) features[i] += feed.motion[i];
-  run_body_layer(weights.from_body, features, T(1), body.code.begin);
+  run_body_layer(weights.from_body, features, body.code.begin);
   if (feed.skin_rows.count) pose_skin(body.rotation.begin, body.translation.begin, feed, body.skin.begin);
-  for (int64_t r = 0; r < body.region.count / 4; ++r) {
-    Vector<T> mean = {};
-    for (int64_t s = REGION_SIZE * r; s < REGION_SIZE * (r + 1); ++s) mean = mean + point(body.skin + 8 * s, 0);
-    mean = scaled(T(1.0 / REGION_SIZE), mean);
-    put_point(body.region + 4 * r, 0, mean);
-    body.region[4 * r + 3] = T(0.5) * dot(mean, mean);
-  }
+  put_regions(body.skin.begin, body.region.count / 4, body.region.begin);
   scratch.used = mark;
 }

@@ -14,7 +14,8 @@ constexpr int BLOCKS_AT_ONCE = 3, OUTPUTS_AT_ONCE = 2;
 #endif
 
 template <int BLOCKS, class T>
-INLINE void sum_blocks(const Layer<T>& layer, const Rows<T>& inputs, const Rows<T>& added, const Rows<T>& outputs, int64_t block) {
+INLINE void sum_blocks(const Layer<T>& layer, const Rows<T>& inputs, const Rows<T>& added, const Rows<T>& outputs,
+    int64_t block) {
   const int64_t count = layer.weight.count / layer.bias.count;
   const T slope = T(layer.slope);
   for (int64_t n = 0; n < layer.bias.count; n += OUTPUTS_AT_ONCE) {
@@ -39,12 +40,13 @@ INLINE void sum_blocks(const Layer<T>& layer, const Rows<T>& inputs, const Rows<
 #pragma clang loop unroll(full)
     for (int b = 0; b < BLOCKS; ++b)
 #pragma clang loop unroll(full)
-      for (int i = 0; i < OUTPUTS_AT_ONCE; ++i) put(outputs.at(block + b) + LANES * (n + i), most<T>(sum[b][i], sum[b][i] * slope));
+      for (int i = 0; i < OUTPUTS_AT_ONCE; ++i)
+        put(outputs.at(block + b) + LANES * (n + i), most<T>(sum[b][i], sum[b][i] * slope));
   }
 }
 
-INLINE bool run_by_tiles(const Layer<float>& layer, const Rows<float>& inputs, const Rows<float>& added, const Rows<float>& outputs,
-                         int64_t blocks, Scratch& scratch) {
+INLINE bool run_by_tiles(const Layer<float>& layer, const Rows<float>& inputs, const Rows<float>& added,
+    const Rows<float>& outputs, int64_t blocks, Scratch& scratch) {
 #ifdef WITH_TILES
   if (layer.tiles.count == 0) return false;
   run_tiles(layer, inputs, added, outputs, blocks, scratch);
@@ -54,26 +56,30 @@ INLINE bool run_by_tiles(const Layer<float>& layer, const Rows<float>& inputs, c
   return false;
 #endif
 }
-INLINE bool run_by_tiles(const Layer<double>&, const Rows<double>&, const Rows<double>&, const Rows<double>&, int64_t, Scratch&) {
+INLINE bool run_by_tiles(const Layer<double>&, const Rows<double>&, const Rows<double>&, const Rows<double>&, int64_t,
+    Scratch&) {
   return false;
 }
 
 // Writes the layer of the inputs of so many blocks of patches, plus added where that has values, to outputs. A negative
 // sum is multiplied by the layer's slope.
 template <class T>
-void run_layer(const Layer<T>& layer, const Rows<T>& inputs, const Rows<T>& added, const Rows<T>& outputs, int64_t blocks, Scratch& scratch) {
+void run_layer(const Layer<T>& layer, const Rows<T>& inputs, const Rows<T>& added, const Rows<T>& outputs,
+    int64_t blocks, Scratch& scratch) {
   if (run_by_tiles(layer, inputs, added, outputs, blocks, scratch)) return;
   int64_t block = 0;
   // The last four go two by two: three and one would read an input for fewer products.
-  for (; blocks - block >= BLOCKS_AT_ONCE && blocks - block != 4; block += BLOCKS_AT_ONCE) sum_blocks<BLOCKS_AT_ONCE>(layer, inputs, added, outputs, block);
+  for (; blocks - block >= BLOCKS_AT_ONCE && blocks - block != 4; block += BLOCKS_AT_ONCE)
+    sum_blocks<BLOCKS_AT_ONCE>(layer, inputs, added, outputs, block);
   for (; blocks - block >= 2; block += 2) sum_blocks<2>(layer, inputs, added, outputs, block);
   if (block < blocks) sum_blocks<1>(layer, inputs, added, outputs, block);
 }
 
-// Writes the layer of the numbers inputs of one body to outputs, negative sums times slope. Its weights have sixteen
-// outputs side by side, so that memory is read from end to end.
-template <class T> void run_body_layer(const Layer<T>& layer, const T* inputs, T slope, T* outputs) {
+// Writes the layer of the numbers inputs of one body to outputs. Its weights have sixteen outputs side by side, so that
+// memory is read from end to end.
+template <class T> void run_body_layer(const Layer<T>& layer, const T* inputs, T* outputs) {
   const int64_t count = layer.weight.count / layer.bias.count;
+  const T slope = T(layer.slope);
   for (int64_t n = 0; n < layer.bias.count; n += LANES) {
     const T* weight = layer.weight + n * count;
     Row<T> total = row_at(layer.bias + n), other = row_of(T(0));

@@ -1,13 +1,13 @@
 // What corrections feel: the strain of posed charts and the force on their jets, and how near the body is.
 //
-// Strain (training.consensus.strain_and_force, softened). At each of seven points the tangents t_u, t_v are those at rest
-// plus what the jets add. With the products of unit vectors of PatchRows.unit, strain is linear in the products g of the
-// tangents:
+// Strain (training.consensus.strain_and_force, softened). At each of seven points the tangents t_u, t_v are those at
+// rest plus what the jets add. With the products of unit vectors of PatchRows.unit, strain is linear in the products g
+// of the tangents:
 //
 //     E11 = (aa g_uu - 1) / 2,   E22 = (bb g_uu + 2 bc g_uv + cc g_vv - 1) / 2,   2 E12 = ab g_uu + ac g_uv.
 //
-// Proximity (drape.contact.proximity, in the patches' own frames). Tangent planes of the body are looked up once, in the
-// world; each pass moves points along the axes of their patch.
+// Proximity (drape.contact.proximity, in the patches' own frames). Tangent planes of the body are looked up once, in
+// the world; each pass moves points along the axes of their patch.
 #pragma once
 #include "patches.hpp"
 
@@ -18,9 +18,11 @@ constexpr double SOFTENING = 4.0;          // 4 x / (1 + |4 x|)
 constexpr double TRACE_SHARE = 0.3;        // of the strain's trace in the force that it makes: Poisson's effect
 constexpr int STRAIN = 3 * POINTS;         // rows of the strain; behind them the force
 constexpr int OWN_SAMPLES = 40, OTHER_SAMPLES = 2 * REGION_SIZE;  // of the own part, and of two regions of others
-constexpr int PLANES_FELT = 6 * 2 * POINTS;  // rows of a block's planes: normal, offset, share and pull of points before two parts
+// rows of a block's planes: normal, offset, share and pull of points before two parts
+constexpr int PLANES_FELT = 6 * 2 * POINTS;
 constexpr double BANDWIDTH_M = 0.014, PER_BANDWIDTH = 1.0 / (BANDWIDTH_M * BANDWIDTH_M), LEAST_NORMAL = 1e-12;
-constexpr double BESIDE_LOW_M2 = 0.026 * 0.026, BESIDE_HIGH_M2 = 0.016 * 0.016;  // so far beside samples is beyond their end
+// so far beside samples is beyond their end
+constexpr double BESIDE_LOW_M2 = 0.026 * 0.026, BESIDE_HIGH_M2 = 0.016 * 0.016;
 constexpr double AGREE_LOW = 0.35, AGREE_HIGH = 0.65;  // where mixed normals agree less, two surfaces are mixed
 constexpr double FELT_GAP_M = 0.006, UNIT_M = 0.01, DEEP_LOW_M = -0.060, DEEP_HIGH_M = -0.045;
 constexpr double REGION_BIAS_M2 = 0.002;  // squared distance [m^2] that one logit of a region outweighs
@@ -47,27 +49,33 @@ template <class T> INLINE void add_force(T* force, Points<T> a, const T* terms) 
     put(force + LANES * i, row_at(force + LANES * i) + a.x * terms[i]);
     put(force + LANES * (PLANE + i), row_at(force + LANES * (PLANE + i)) + a.y * terms[i]);
   }
-  for (int i = 0; i < HEIGHT; ++i) put(force + LANES * (2 * PLANE + i), row_at(force + LANES * (2 * PLANE + i)) + a.z * terms[i]);
+  for (int i = 2 * PLANE; i < 2 * PLANE + HEIGHT; ++i)
+    put(force + LANES * i, row_at(force + LANES * i) + a.z * terms[i - 2 * PLANE]);
 }
 
 // Writes softened strain (21 rows) and force (27 rows) of the jets.
 template <class T>
-void feel_strain(const Weights<T>& weights, const Rows<T>& jets, const PatchRows<T>& rows, int64_t blocks, const Rows<T>& felt) {
+void feel_strain(const Weights<T>& weights, const Rows<T>& jets, const PatchRows<T>& rows, int64_t blocks,
+    const Rows<T>& felt) {
   T force[LANES * JETS];
   for (int64_t block = 0; block < blocks; ++block) {
-    const T *jet = jets.at(block), *still = rows.tangent + LANES * 6 * POINTS * block, *unit = rows.unit + LANES * 6 * POINTS * block;
+    const T *jet = jets.at(block), *still = rows.tangent + LANES * 6 * POINTS * block;
+    const T* unit = rows.unit + LANES * 6 * POINTS * block;
     T* to = felt.at(block);
     for (int i = 0; i < JETS; ++i) put(force + LANES * i, T(0));
     for (int p = 0; p < POINTS; ++p) {
       const T *by_u = weights.basis_u + HEIGHT * p, *by_v = weights.basis_v + HEIGHT * p, *m = unit + LANES * p;
-      Points<T> u = tangent_of<T>(jet, still + LANES * p, by_u), v = tangent_of<T>(jet, still + LANES * (3 * POINTS + p), by_v);
+      Points<T> u = tangent_of<T>(jet, still + LANES * p, by_u);
+      Points<T> v = tangent_of<T>(jet, still + LANES * (3 * POINTS + p), by_v);
       Row<T> uu = dot(u, u), uv = dot(u, v), vv = dot(v, v);
       Row<T> aa = row_at(m), ab = row_at(m + LANES * POINTS), ac = row_at(m + 2 * LANES * POINTS);
-      Row<T> bb = row_at(m + 3 * LANES * POINTS), bc = row_at(m + 4 * LANES * POINTS), cc = row_at(m + 5 * LANES * POINTS);
+      Row<T> bb = row_at(m + 3 * LANES * POINTS), bc = row_at(m + 4 * LANES * POINTS),
+          cc = row_at(m + 5 * LANES * POINTS);
       const T half = T(0.5 * SOFTENING), trace = T(TRACE_SHARE);
       Row<T> e = half * (aa * uu) - half, f = half * (bb * uu + T(2) * (bc * uv) + cc * vv) - half;
       Row<T> g = T(SOFTENING) * (ab * uu + ac * uv);
-      put(to + LANES * p, soft<T>(e)), put(to + LANES * (POINTS + p), soft<T>(f)), put(to + LANES * (2 * POINTS + p), soft<T>(g));
+      put(to + LANES * p, soft<T>(e)), put(to + LANES * (POINTS + p), soft<T>(f)),
+          put(to + LANES * (2 * POINTS + p), soft<T>(g));
       Row<T> by_e = (T(1) + trace) * e + trace * f, by_f = trace * e + (T(1) + trace) * f, by_g = T(0.5) * g;
       Row<T> by_uu = aa * by_e + bb * by_f + T(2) * (ab * by_g);  // twice the derivative by g_uu
       Row<T> by_uv = bc * by_f + ac * by_g, by_vv = cc * by_f;
@@ -81,13 +89,32 @@ void feel_strain(const Weights<T>& weights, const Rows<T>& jets, const PatchRows
 // A point of the patches of a block [patch scales].
 template <class T> INLINE Points<T> felt_point(const Weights<T>& weights, const T* jet, const T* place, int p) {
   const T* basis = weights.basis + HEIGHT * p;
-  Points<T> at = {row_at(place + LANES * p), row_at(place + LANES * (POINTS + p)), row_at(place + LANES * (2 * POINTS + p))};
+  Points<T> at = {row_at(place + LANES * p), row_at(place + LANES * (POINTS + p)),
+      row_at(place + LANES * (2 * POINTS + p))};
   for (int i = 0; i < PLANE; ++i) {
     at.x = at.x + row_at(jet + LANES * i) * basis[i];
     at.y = at.y + row_at(jet + LANES * (PLANE + i)) * basis[i];
   }
   for (int i = 0; i < HEIGHT; ++i) at.z = at.z + row_at(jet + LANES * (2 * PLANE + i)) * basis[i];
   return at;
+}
+
+// A surface of samples as points see it (drape.contact.field): with the means b, n and across of the samples' points,
+// normals and products of both,
+//
+//     distance = 1/2 (n . x - across) + 1/2 n . (x - b) / |n|,
+//
+// and a unit normal. there fades out beyond the end of the surface, and where mixed normals do not agree.
+template <class T> struct SurfaceOf {
+  Points<T> normal;
+  Row<T> distance, there;
+};
+template <class T> INLINE SurfaceOf<T> surface(Points<T> at, Points<T> mean, Points<T> normal, Row<T> across) {
+  const Row<T> length = root<T>(most<T>(dot(normal, normal), row_of(T(LEAST_NORMAL))));
+  const Points<T> unit = {normal.x / length, normal.y / length, normal.z / length}, off = at - mean;
+  const Row<T> along = dot(unit, off), beside = dot(off, off) - along * along;
+  return {unit, T(0.5) * (dot(normal, at) - across + along),
+          ramp<T>(beside, T(BESIDE_LOW_M2), T(BESIDE_HIGH_M2)) * ramp<T>(length, T(AGREE_LOW), T(AGREE_HIGH))};
 }
 
 // The samples near a block's points: their eight numbers one after the other, and their biases, a row each.
@@ -101,10 +128,11 @@ template <class T> struct NearSamplesOf {
   }
 };
 
-// Writes the planes of a block of the means of count samples about each point: local in the frames, places in the world.
+// Writes the planes of a block of the means of count samples about each point: local in the frames, places in the
+// world.
 template <class T>
-void write_felt_planes(const NearSamplesOf<T>& near, int count, Row<T> there, const Points<T> (&local)[POINTS], const Points<T> (&places)[POINTS],
-                       const T* frame, T* planes) {
+void write_felt_planes(const NearSamplesOf<T>& near, int count, Row<T> there, const Points<T> (&local)[POINTS],
+    const Points<T> (&places)[POINTS], const T* frame, T* planes) {
   T logits[LANES * OWN_SAMPLES];
   const Row<T> zero = row_of(T(0));
   Row<T> unit_per = row_at(frame + SCALE) * T(-1.0 / UNIT_M);
@@ -128,17 +156,12 @@ void write_felt_planes(const NearSamplesOf<T>& near, int count, Row<T> there, co
       across = across + share * row_at(own + 7 * LANES);
     }
     Row<T> per = T(1) / total, fading = there * per;
-    normal = scaled(fading, normal), across = fading * across;
-    Row<T> length = root<T>(most<T>(dot(normal, normal), row_of(T(LEAST_NORMAL))));
-    Points<T> unit = {normal.x / length, normal.y / length, normal.z / length}, off = plus(at, -per, mean);
-    Row<T> along = dot(unit, off), distance = T(0.5) * (dot(normal, at) - across + along);
-    Row<T> beside = dot(off, off) - along * along;
-    Row<T> share = ramp<T>(beside, T(BESIDE_LOW_M2), T(BESIDE_HIGH_M2)) * ramp<T>(distance, T(DEEP_LOW_M), T(DEEP_HIGH_M));
-    share = share * ramp<T>(length, T(AGREE_LOW), T(AGREE_HIGH));
-    Points<T> n = into_frame(frame, scaled(unit_per, unit));
+    SurfaceOf<T> found = surface<T>(at, scaled(per, mean), scaled(fading, normal), fading * across);
+    Row<T> share = found.there * ramp<T>(found.distance, T(DEEP_LOW_M), T(DEEP_HIGH_M));
+    Points<T> n = into_frame(frame, scaled(unit_per, found.normal));
     T* to = planes + 6 * LANES * point_;
     put3(to, n);
-    put(to + 3 * LANES, (T(FELT_GAP_M) - distance) * T(1.0 / UNIT_M) - dot(n, local[point_]));
+    put(to + 3 * LANES, (T(FELT_GAP_M) - found.distance) * T(1.0 / UNIT_M) - dot(n, local[point_]));
     put(to + 4 * LANES, share);
     put(to + 5 * LANES, share / unit_per);
   }
@@ -146,8 +169,8 @@ void write_felt_planes(const NearSamplesOf<T>& near, int count, Row<T> there, co
 
 // Writes the tangent planes of the body near the patches of jets.
 template <class T>
-void find_planes(const Weights<T>& weights, const Rows<T>& jets, const PosedBody<T>& body, const T* frames, const PatchRows<T>& rows,
-                 int64_t blocks, T* planes) {
+void find_planes(const Weights<T>& weights, const Rows<T>& jets, const PosedBody<T>& body, const T* frames,
+    const PatchRows<T>& rows, int64_t blocks, T* planes) {
   const int64_t regions = body.region.count / 4;
   NearSamplesOf<T> near;
   for (int64_t block = 0; block < blocks; ++block) {
@@ -189,13 +212,15 @@ void find_planes(const Weights<T>& weights, const Rows<T>& jets, const PosedBody
       }
       near.take(body.skin, index, s);
     }
-    write_felt_planes<T>(near, OTHER_SAMPLES, there, local, places, frame, planes + LANES * (PLANES_FELT * block + 6 * POINTS));
+    write_felt_planes<T>(near, OTHER_SAMPLES, there, local, places, frame,
+        planes + LANES * (PLANES_FELT * block + 6 * POINTS));
   }
 }
 
 // Writes closeness (14 rows) to the planes and their softened force (27 rows) on the jets.
 template <class T>
-void feel_body(const Weights<T>& weights, const Rows<T>& jets, const PatchRows<T>& rows, const T* planes, int64_t blocks, const Rows<T>& felt) {
+void feel_body(const Weights<T>& weights, const Rows<T>& jets, const PatchRows<T>& rows, const T* planes,
+    int64_t blocks, const Rows<T>& felt) {
   T force[LANES * JETS];
   for (int64_t block = 0; block < blocks; ++block) {
     const T *jet = jets.at(block), *place = rows.place + LANES * 3 * POINTS * block;

@@ -6,10 +6,11 @@
 
 namespace network {
 
-// Writes full jets [patch scales] (K, 45), rotations (K, 9) and centres [m] (K, 3) of the patches on a body, after so many
-// corrections. Patches that fill the last row up are left out. Returns whether all numbers are finite.
+// Writes full jets [patch scales] (K, 45), rotations (K, 9) and centres [m] (K, 3) of the patches on a body, after so
+// many corrections. Patches that fill the last row up are left out. Returns whether all numbers are finite.
 template <class T>
-bool pose_jets(const Weights<T>& weights, const PatchRows<T>& rows, const PosedBody<T>& body, int64_t passes, PosedJets<T>& out, Scratch& scratch) {
+bool pose_jets(const Weights<T>& weights, const PatchRows<T>& rows, const PosedBody<T>& body, int64_t passes,
+    PosedJets<T>& out, Scratch& scratch) {
   const int64_t mark = scratch.used, blocks = rows.scale.count / LANES, patches = out.centre.count / 3;
   T *frames = scratch.take<T>(FRAME * blocks), *said = scratch.take<T>(3 * LANES * MEMBERS * blocks);
   T *anchors = scratch.take<T>(3 * (rows.anchor.count / 4)), *planes = scratch.take<T>(LANES * PLANES_FELT * blocks);
@@ -62,7 +63,8 @@ bool pose_jets(const Weights<T>& weights, const PatchRows<T>& rows, const PosedB
     if (number == 0) find_planes(weights, jet, body, frames, rows, blocks, planes);
     feel_body(weights, jet, rows, planes, blocks, from(felt, force + 2 * JETS));
     for (int64_t block = 0; block < blocks; ++block)
-      for (int i = 0; i < JETS; ++i) put(felt.at(block) + LANES * (force + JETS + i), row_at(jet.at(block) + LANES * i));
+      for (int i = 0; i < JETS; ++i)
+        put(felt.at(block) + LANES * (force + JETS + i), row_at(jet.at(block) + LANES * i));
     run_layer(weights.first[number], felt, nothing, hidden, blocks, scratch);
     run_layer(weights.second[number], hidden, jet, jet, blocks, scratch);
   }
@@ -84,7 +86,8 @@ bool pose_jets(const Weights<T>& weights, const PatchRows<T>& rows, const PosedB
 constexpr int REST = 3, TILE_COLUMNS = REST + HEIGHT, TILE_CHARTS = 32;  // numbers of a chart; charts of a tile
 
 // Writes the vertices (V, 3) of posed jets: each the sum of what its four charts say.
-template <class T> void blend_vertices(const PosedJets<T>& jets, const Tiles<T>& tiles, T* vertices, int64_t count, Scratch& scratch) {
+template <class T> void blend_vertices(const PosedJets<T>& jets, const Tiles<T>& tiles, T* vertices, int64_t count,
+    Scratch& scratch) {
   const int64_t mark = scratch.used, patches = jets.centre.count / 3, quantity = tiles.patch.count;
   const int64_t width = jets.jet.count / patches, plane = (width - HEIGHT) / 2, said_count = quantity * TILE_CHARTS;
   T *posed = scratch.take<T>(3 * TILE_COLUMNS * patches), *said = scratch.take<T>(3 * said_count);
@@ -101,7 +104,8 @@ template <class T> void blend_vertices(const PosedJets<T>& jets, const Tiles<T>&
       own[REST] += jets.centre[3 * k + axis];
     }
   for (int64_t tile = 0; tile < quantity; ++tile) {
-    const T *own = posed + 3 * TILE_COLUMNS * tiles.patch[tile], *columns = tiles.columns + TILE_COLUMNS * TILE_CHARTS * tile;
+    const T *own = posed + 3 * TILE_COLUMNS * tiles.patch[tile];
+    const T* columns = tiles.columns + TILE_COLUMNS * TILE_CHARTS * tile;
     Row<T> sum[3][2] = {};
     for (int i = 0; i < TILE_COLUMNS; ++i) {
       Row<T> a = row_at(columns + TILE_CHARTS * i), b = row_at(columns + TILE_CHARTS * i + LANES);
@@ -117,7 +121,10 @@ template <class T> void blend_vertices(const PosedJets<T>& jets, const Tiles<T>&
   const int64_t stride = (tiles.charts.count ? tiles.charts.count : tiles.wide_charts.count) / 4;
   for (int64_t v = 0; v < count; ++v) {
     Vector<T> p[4];
-    for (int i = 0; i < 4; ++i) p[i] = point(said, tiles.charts.count ? int64_t(tiles.charts[stride * i + v]) : int64_t(tiles.wide_charts[stride * i + v]));
+    for (int i = 0; i < 4; ++i) {
+      const int64_t place = stride * i + v;
+      p[i] = point(said, tiles.charts.count ? int64_t(tiles.charts[place]) : int64_t(tiles.wide_charts[place]));
+    }
     put_point(vertices, v, (p[0] + p[1]) + (p[2] + p[3]));
   }
   scratch.used = mark;

@@ -1,8 +1,8 @@
 // Posed patches: their frames, what a patch sees of its surroundings, and the consensus of charts.
 //
-// Frames are those of drape.geometry.skinning.blend_frames, surroundings those of training.model.patch_surroundings, and
-// charts those of training.consensus. A member's columns are its weight w times its rest place and the basis (1, u, v,
-// uu, uv, vv); those of the third and fourth order are products of two of them, over w.
+// Frames are those of drape.geometry.skinning.blend_frames, surroundings those of training.model.patch_surroundings,
+// and charts those of training.consensus. A member's columns are its weight w times its rest place and the basis (1, u,
+// v, uu, uv, vv); those of the third and fourth order are products of two of them, over w.
 #pragma once
 #include "body.hpp"
 
@@ -11,7 +11,8 @@ namespace network {
 constexpr int ROTATION = 0, CENTRE = 9 * LANES, SCALE = 12 * LANES, FRAME = 13 * LANES;  // of a block's frames; [m]
 constexpr int GRAVITY = 3 * JOINTS, SEEN = GRAVITY + 3;  // of the surroundings' rows, behind the joints; their count
 constexpr int MEMBERS = 56, COLUMNS = 9, FIT = 21;       // of a chart; of a member; rows of a fit
-constexpr int PLANE = 6, HEIGHT = 15, JETS = 27, FULL = 45;  // numbers of a polynomial in the plane, of the height; of jets
+// numbers of a polynomial in the plane, of the height; of jets
+constexpr int PLANE = 6, HEIGHT = 15, JETS = 27, FULL = 45;
 constexpr double JOINT_REACH_M = 0.3;
 
 template <class T> INLINE Points<T> centre_of(const T* frame) { return rows3_at(frame + CENTRE); }
@@ -58,14 +59,16 @@ template <class T> void pose_frames(const PosedBody<T>& body, const PatchRows<T>
                                {two * (x * z - w * y), two * (y * z + w * x), one - two * (x * x + y * y)}};
     const T* rest = rows.rotation + LANES * 9 * block;
     for (int column = 0; column < 3; ++column) {
-      Points<T> own = {row_at(rest + LANES * column), row_at(rest + LANES * (3 + column)), row_at(rest + LANES * (6 + column))};
+      Points<T> own = {row_at(rest + LANES * column), row_at(rest + LANES * (3 + column)),
+          row_at(rest + LANES * (6 + column))};
       for (int axis = 0; axis < 3; ++axis) put(to + ROTATION + LANES * (3 * axis + column), dot(turn[axis], own));
     }
     // The centre, moved by the body's shape, goes where the blended bones take it.
     Points<T> c = rows3_at(rows.centre + LANES * 3 * block), moved = {};
     const T* slopes = rows.slopes + LANES * 3 * betas * block;
     for (int64_t i = 0; i < betas; ++i)
-      c = plus(c, row_of(body.betas[i]), Points<T>{row_at(slopes + LANES * i), row_at(slopes + LANES * (betas + i)), row_at(slopes + LANES * (2 * betas + i))});
+      c = plus(c, row_of(body.betas[i]), Points<T>{row_at(slopes + LANES * i), row_at(slopes + LANES * (betas + i)),
+          row_at(slopes + LANES * (2 * betas + i))});
     for (int joint = 0; joint < JOINTS; ++joint) {
       const T *m = body.rotation + 9 * joint, *t = body.translation + 3 * joint;
       Points<T> way = {c.x * m[0] + c.y * m[1] + c.z * m[2] + t[0], c.x * m[3] + c.y * m[4] + c.z * m[5] + t[1],
@@ -78,7 +81,8 @@ template <class T> void pose_frames(const PosedBody<T>& body, const PatchRows<T>
 }
 
 // Writes the joints and gravity in the axes of each patch to the first SEEN rows.
-template <class T> void see_surroundings(const PosedBody<T>& body, const T* frames, int64_t blocks, const Rows<T>& seen) {
+template <class T> void see_surroundings(const PosedBody<T>& body, const T* frames, int64_t blocks,
+    const Rows<T>& seen) {
   for (int64_t block = 0; block < blocks; ++block) {
     const T* frame = frames + FRAME * block;
     T* to = seen.at(block);
@@ -90,7 +94,8 @@ template <class T> void see_surroundings(const PosedBody<T>& body, const T* fram
       Row<T> share = tangent<T>(reach * T(1.0 / JOINT_REACH_M)) / reach;
       put3(to + LANES * 3 * joint, scaled(share, way));
     }
-    for (int axis = 0; axis < 3; ++axis) put(to + LANES * (GRAVITY + axis), -row_at(frame + ROTATION + LANES * (3 + axis)));
+    for (int axis = 0; axis < 3; ++axis)
+      put(to + LANES * (GRAVITY + axis), -row_at(frame + ROTATION + LANES * (3 + axis)));
   }
 }
 
@@ -100,8 +105,8 @@ template <class T> INLINE Row<T> in_plane(const T* jet, const Row<T> (&basis)[6]
   return sum;
 }
 
-// Writes where charts put their members, times their weights, to said [m] (members, 3). jets are none where charts are at
-// rest in their frames.
+// Writes where charts put their members, times their weights, to said [m] (members, 3). jets are none where charts are
+// at rest in their frames.
 template <class T> void say(const Rows<T>& jets, const T* frames, const PatchRows<T>& rows, int64_t blocks, T* said) {
   for (int64_t block = 0; block < blocks; ++block) {
     const T* frame = frames + FRAME * block;
@@ -123,7 +128,8 @@ template <class T> void say(const Rows<T>& jets, const T* frames, const PatchRow
         for (int i = 1; i < 9; ++i) more_ = more_ + row_at(high + LANES * i) * product[i];
         p.z = p.z + T(1) / most<T>(weight, row_of(T(1e-30))) * more_;
       }
-      put_points(said + 3 * LANES * (MEMBERS * block + member), plus(out_of_frame(frame, scaled(scale, p)), weight, centre));
+      const Points<T> world = plus(out_of_frame(frame, scaled(scale, p)), weight, centre);
+      put_points(said + 3 * LANES * (MEMBERS * block + member), world);
     }
   }
 }
@@ -150,7 +156,8 @@ template <int COUNT, class T> INLINE void fit_rows(const T* off, const T* fit, c
 
 // Writes jets that fit the anchors [m] (A, 3): 45 numbers where closing, else 27.
 template <class T>
-void fit_anchors(const T* anchors, const T* frames, const PatchRows<T>& rows, int64_t blocks, bool closing, const Rows<T>& jets) {
+void fit_anchors(const T* anchors, const T* frames, const PatchRows<T>& rows, int64_t blocks, bool closing,
+    const Rows<T>& jets) {
   T off[3 * LANES * MEMBERS];
   for (int64_t block = 0; block < blocks; ++block) {
     const T* frame = frames + FRAME * block;
@@ -159,7 +166,8 @@ void fit_anchors(const T* anchors, const T* frames, const PatchRows<T>& rows, in
     for (int member = 0; member < MEMBERS; ++member) {
       Points<T> place = points_at(anchors, rows.member + LANES * (MEMBERS * block + member));
       Points<T> way = scaled(per, into_frame(frame, place - centre));
-      put(off + LANES * member, way.x), put(off + LANES * (MEMBERS + member), way.y), put(off + LANES * (2 * MEMBERS + member), way.z);
+      put(off + LANES * member, way.x), put(off + LANES * (MEMBERS + member), way.y),
+          put(off + LANES * (2 * MEMBERS + member), way.z);
     }
     const T *fit = rows.fit + LANES * FIT * MEMBERS * block, *rest = rows.rest + LANES * 3 * FIT * block;
     T* to = jets.at(block);
@@ -168,7 +176,8 @@ void fit_anchors(const T* anchors, const T* frames, const PatchRows<T>& rows, in
         fit_rows<5>(off + LANES * MEMBERS * axis, fit + LANES * first, rest + LANES * (FIT * axis + first),
                     to + LANES * ((closing ? HEIGHT * axis : 2 * PLANE) + first));
     for (int axis = 0; !closing && axis < 2; ++axis)
-      fit_rows<6>(off + LANES * MEMBERS * axis, fit + LANES * HEIGHT, rest + LANES * (FIT * axis + HEIGHT), to + LANES * PLANE * axis);
+      fit_rows<6>(off + LANES * MEMBERS * axis, fit + LANES * HEIGHT, rest + LANES * (FIT * axis + HEIGHT),
+          to + LANES * PLANE * axis);
   }
 }
 

@@ -9,7 +9,8 @@ constexpr double FLAT_M = 1e-9;  // the least step: a box without a side has one
 INLINE void quantise(const float* positions, int64_t vertices, float count, uint16_t* steps, float* box) {
   const int64_t numbers = 3 * vertices, whole_runs = numbers / (3 * LANES) * (3 * LANES);
   Row<float> low[3], high[3];
-  for (int i = 0; i < 3 * LANES; ++i) low[i / LANES][i % LANES] = high[i / LANES][i % LANES] = vertices ? positions[i % 3] : 0;
+  for (int i = 0; i < 3 * LANES; ++i) low[i / LANES][i % LANES] = high[i / LANES][i % LANES] = vertices
+      ? positions[i % 3] : 0;
   for (int64_t begin = 0; begin < whole_runs; begin += 3 * LANES)
     for (int row = 0; row < 3; ++row) {
       Row<float> own = row_at(positions + begin + LANES * row);
@@ -30,7 +31,8 @@ INLINE void quantise(const float* positions, int64_t vertices, float count, uint
     box[axis] = least_, box[3 + axis] = size > float(FLAT_M) ? size : float(FLAT_M);
   }
   Row<float> corner[3], size[3];
-  for (int i = 0; i < 3 * LANES; ++i) corner[i / LANES][i % LANES] = box[i % 3], size[i / LANES][i % LANES] = box[3 + i % 3];
+  for (int i = 0; i < 3 * LANES; ++i) corner[i / LANES][i % LANES] = box[i % 3],
+      size[i / LANES][i % LANES] = box[3 + i % 3];
   const float round = 1.5f * 8388608.f;  // added and taken away, it rounds a smaller number to a whole one
   typedef uint16_t Steps __attribute__((ext_vector_type(16)));
   for (int64_t begin = 0; begin < whole_runs; begin += 3 * LANES)

@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0x22b7d6ef9075d83au;
+constexpr uint64_t RECORDS_HASH = 0xfbbc7d861a5c91ebu;
 
 template <class T> struct Constants {
   double warp;
@@ -218,6 +218,26 @@ template <class T> struct Weights {
 };
 static_assert(sizeof(Weights<float>) == 288, "Weights");
 
+template <class T> struct MotionEncoder {
+  Array<T> scale;
+  Array<Layer<T>> joint;
+  Array<Layer<T>> body;
+  Layer<T> input;
+  Layer<T> state;
+  Layer<T> out;
+  double decay_s;
+  double offset;
+};
+static_assert(sizeof(MotionEncoder<float>) == 232, "MotionEncoder");
+
+template <class T> struct KeptPoses {
+  Array<Layer<T>> parts;
+  Array<int32_t> counts;
+  Array<int32_t> entry;
+  Array<T> over;
+};
+static_assert(sizeof(KeptPoses<float>) == 64, "KeptPoses");
+
 template <class T> struct PatchRows {
   Array<T> first;
   Array<T> weights;
@@ -279,6 +299,22 @@ template <class T> struct PosedJets {
   Array<T> centre;
 };
 static_assert(sizeof(PosedJets<float>) == 48, "PosedJets");
+
+template <class T> struct PushConstants {
+  int64_t patches;
+  Array<int32_t> block_vertex;
+  Array<int32_t> vertex_slot;
+  Array<int32_t> own_cluster;
+  Array<T> own_bias;
+  Array<uint8_t> other;
+  Array<T> region_bias;
+  Array<int32_t> patch_block;
+  Array<T> patch_fit;
+  Array<T> tile_basis;
+  Array<int32_t> tile_patch;
+  Array<int32_t> slot_charts;
+};
+static_assert(sizeof(PushConstants<float>) == 184, "PushConstants");
 
 template <class T> struct Triangles {
   Array<int32_t> corner;

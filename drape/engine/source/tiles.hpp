@@ -38,7 +38,8 @@ INLINE Row<float> as_numbers(Words words) {
 }
 
 // Writes inputs as tiles: of each block and each TILE_INPUTS, filled up with zeros, the halves and what these lack.
-WITH_TILES static inline void split_inputs(const Rows<float>& inputs, int64_t blocks, int64_t count, int64_t steps, uint32_t* given) {
+WITH_TILES static inline void split_inputs(const Rows<float>& inputs, int64_t blocks, int64_t count, int64_t steps,
+    uint32_t* given) {
   for (int64_t block = 0; block < blocks; ++block) {
     const float* from = inputs.at(block);
     for (int64_t k = 0; k < TILE_INPUTS * steps; k += 2) {
@@ -54,8 +55,8 @@ WITH_TILES static inline void split_inputs(const Rows<float>& inputs, int64_t bl
 }
 
 // Writes a group's outputs of a block, whose sums are the tiles at sums and two behind it.
-INLINE void finish_tiles(const Layer<float>& layer, const Rows<float>& added, const Rows<float>& outputs, int64_t block, int64_t n,
-                         const float* sums) {
+INLINE void finish_tiles(const Layer<float>& layer, const Rows<float>& added, const Rows<float>& outputs, int64_t block,
+    int64_t n, const float* sums) {
   const int64_t last = layer.bias.count - n < TILE_GROUP ? layer.bias.count - n : TILE_GROUP;
   for (int64_t m = 0; m < last; ++m) {
     Row<float> row = row_at(sums + 2 * TILE * (m / LANES) + LANES * (m % LANES)) + layer.bias[n + m];
@@ -64,9 +65,10 @@ INLINE void finish_tiles(const Layer<float>& layer, const Rows<float>& added, co
   }
 }
 
-// Writes the sums of a group's outputs of one block of inputs, or of TWO, to sums: four tiles, outputs by outputs, those of
-// the second block behind those of the first.
-template <bool TWO> WITH_TILES static void sum_tiles(const uint32_t* weight, const uint32_t* x, int64_t steps, float* sums) {
+// Writes the sums of a group's outputs of one block of inputs, or of TWO, to sums: four tiles, outputs by outputs,
+// those of the second block behind those of the first.
+template <bool TWO> WITH_TILES static void sum_tiles(const uint32_t* weight, const uint32_t* x, int64_t steps,
+    float* sums) {
 #define LOAD(tile, from) __builtin_ia32_tileloadd64(tile, from, 64)
 #define STORE(tile, to) __builtin_ia32_tilestored64(tile, to, 64)
 #define MULTIPLY                                 \
@@ -103,7 +105,8 @@ template <bool TWO> WITH_TILES static void sum_tiles(const uint32_t* weight, con
 
 WITH_TILES static void run_tiles(const Layer<float>& layer, const Rows<float>& inputs, const Rows<float>& added,
                                  const Rows<float>& outputs, int64_t blocks, Scratch& scratch) {
-  const int64_t mark = scratch.used, count = layer.weight.count / layer.bias.count, steps = (count + TILE_INPUTS - 1) / TILE_INPUTS;
+  const int64_t mark = scratch.used, count = layer.weight.count / layer.bias.count,
+      steps = (count + TILE_INPUTS - 1) / TILE_INPUTS;
   uint32_t* given = scratch.take<uint32_t>(2 * TILE * steps * blocks);
   float* sums = scratch.take<float>(4 * TILE);
   if (scratch.overflowed) return;

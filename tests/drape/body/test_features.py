@@ -8,7 +8,9 @@ import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body import features
+from drape.body.features import joint_rotations
 from drape.body.skeleton import JOINT_COUNT, PARENTS
+from drape.geometry import rotations
 from drape.geometry.rigid import forward_kinematics
 from drape.geometry.rotations import matrix_to_sixd, rotvec_to_matrix
 from tests.fixtures.garments import default_body
@@ -132,3 +134,12 @@ def test_rounding_is_no_motion(local):
     assert 0.0 < np.abs(plain).max() < features.STILL
     got = features.motion_features(now, before, now, dt_s, dt_s)
     assert_array_equal(got, np.zeros((5, JOINT_COUNT, features.DYNAMIC_PER_JOINT)))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 1.0, np.pi, 40.0, 1e4])
+def test_rotations_of_joints_are_those_of_the_readable_formulas(angle: float):
+    poses = angle * np.random.default_rng(1).normal(size=(2, 24, 3))
+    quaternions, matrices = joint_rotations(poses)
+    rounding = 1e-14 + angle * np.finfo(np.float64).eps  # of the angle itself
+    assert_allclose(quaternions, rotations.rotvec_to_quaternion(poses), rtol=0.0, atol=rounding)
+    assert_allclose(matrices, rotations.rotvec_to_matrix(poses), rtol=0.0, atol=2.0 * rounding)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drape.engine import records
-from drape.engine.library import library_name, load, processor_level
+from drape.engine.library import has_tiles, library_name, load, processor_level
 from drape.errors import ArtifactError
 
 
@@ -50,6 +50,11 @@ def test_the_library_is_that_of_the_processor_or_a_lower_one(level, forced, name
 def test_what_a_processor_cannot_run_is_refused(level, forced):
     with pytest.raises(ArtifactError, match="DRAPE_ISA"):
         library_name(level, forced)
+
+
+def test_a_library_for_lower_processors_has_no_tiles(monkeypatch):
+    monkeypatch.setenv("DRAPE_ISA", "v2")
+    assert not has_tiles.__wrapped__()
 
 
 def test_a_folder_without_a_library_is_refused_with_the_cure(tmp_path):

@@ -1,4 +1,4 @@
-"""Vertices of posed jets as the compiled kernels make them: the formula in float64, whatever the index's type."""
+"""Vertices of posed jets as the engine makes them: the formula in float64, whatever the index's type."""
 
 from __future__ import annotations
 
@@ -10,12 +10,18 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
-from drape.graph.blend import blended
+from drape.graph.blend import PosedJets, Tiles, blend
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import pack_garment
+from drape.graph.packing import PackedGarment, pack_garment
 from tests.fixtures.garments import tube
 
 TERMS = 4 * 18  # of a vertex
+
+
+def blended(garment: PackedGarment, *jets: np.ndarray) -> np.ndarray:
+    vertices = np.empty((garment.vertex_count, 3), np.float32)
+    blend(PosedJets(*jets), Tiles.of(garment), vertices)
+    return vertices
 
 
 @pytest.mark.parametrize("width", [jets.JET_COUNT, jets.FULL_COUNT])

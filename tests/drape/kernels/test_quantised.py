@@ -1,4 +1,4 @@
-"""Points in whole steps, compiled: the bits of the readable formula, whatever the number of points."""
+"""Points in whole steps: the bits of the readable formula, whatever the number of points."""
 
 from __future__ import annotations
 

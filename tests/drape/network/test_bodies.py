@@ -1,4 +1,4 @@
-"""Bodies as the network sees them, compiled: what motion is told of them is what the readable formulas say."""
+"""Bodies as the network sees them: what motion is told of them is what the readable formulas say."""
 
 from __future__ import annotations
 

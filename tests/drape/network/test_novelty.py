@@ -1,4 +1,4 @@
-"""Novelty, compiled: the numbers of ``PoseSupport``, frame by frame."""
+"""Novelty by the engine: the numbers of ``PoseSupport``, frame by frame."""
 
 from __future__ import annotations
 

@@ -44,8 +44,7 @@ def bodies() -> dict[str, np.ndarray]:
 
 
 def made(engine: Engine) -> Packer:
-    """A packer whose vertices the graph makes, as on devices that are bound."""
-    engine.on_cpu = False
+    """A packer of ``KINDS``."""
     packer = Packer(engine, load_body())
     for kind in KINDS:
         packer.add(kind, garment(kind))
@@ -107,7 +106,7 @@ def test_garments_that_come_and_go_leave_no_stale_constants(bodies: dict[str, np
 
 
 @pytest.mark.slow
-def test_the_push_out_in_buckets_is_the_same():
+def test_the_push_out_in_buckets_is_that_of_the_engine():
     body, whole = load_body(), garment("shorts")
     poses, _ = random_motion(2, spread_rad=0.35)
     found = []
@@ -121,8 +120,8 @@ def test_the_push_out_in_buckets_is_the_same():
         assert_array_equal(one.vertices[0], got.vertices[0])
         assert got.way_m.max() > 1e-3, "must push for the test to mean something"
         found.append((got.vertices, by_jets.jet, by_jets.left_m))
-    for plain, bound in zip(*found, strict=True):
-        assert_array_equal(bound, plain)
+    for by_engine, bound, rounding in zip(*found, (2e-5, 5e-4, 2e-5), strict=True):
+        assert_allclose(bound, by_engine, rtol=0, atol=rounding)
 
 
 @pytest.mark.slow
@@ -142,7 +141,7 @@ def test_a_service_in_buckets_is_warm_and_answers_alike(make_settings, tmp_path:
         assert runtime.device_bytes > 0
         runtime.close()
     for plain, bound in zip(*found, strict=True):
-        assert_array_equal(bound.vertices, plain.vertices)
+        assert_allclose(bound.vertices, plain.vertices, rtol=0, atol=2e-5)  # pushed out by the engine and by a graph
 
 
 # --- one session ---

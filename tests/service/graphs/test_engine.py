@@ -21,12 +21,14 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, InputError, Unavailable
 from drape.garment.cache import Garment
+from drape.graph.feeds import garment_feed
 from drape.graph.packing import pack_body
 from service.graphs.binding import BoundSession
 from service.graphs.engine import Engine
 from service.graphs.graph_names import DYNAMIC, ENCODER, PACKED, PUSH, PUSH_OVER
 from service.graphs.onnx_runtime import Device, Session, check_distributions, open_session
 from service.graphs.packing import Packer, ScenePlan
+from service.stages.collision import Pusher
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.packed import MOVING, garment
 from tests.fixtures.poses import random_motion
@@ -81,7 +83,9 @@ def test_one_onnxruntime_is_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert check_distributions() == name
 
 
-def test_the_readable_graph_is_never_opened(folder: Path, body: BodyModel, tube: Garment, monkeypatch):
+def test_the_readable_graph_is_not_opened_where_there_is_a_packed_one(
+    folder: Path, body: BodyModel, tube: Garment, monkeypatch
+):
     """It stays in the folder as the reference of the export's check; a model without it is served."""
     opened: list[str] = []
 
@@ -104,8 +108,25 @@ def test_the_readable_graph_is_never_opened(folder: Path, body: BodyModel, tube:
     assert engine.provider == "CPUExecutionProvider"
 
 
+def test_the_engine_needs_no_onnx_runtime(tiny_folder: Path, monkeypatch: pytest.MonkeyPatch):
+    def refused(*_: object, **__: object) -> None:
+        raise AssertionError("ONNX Runtime was asked for")
+
+    for name in ("check_distributions", "open_session"):
+        monkeypatch.setattr(f"service.graphs.engine.{name}", refused)
+    engine = Engine(tiny_folder / "models" / TINY_DYNAMIC)
+    packer, pusher = Packer(engine, load_body()), Pusher(engine, load_body())
+    whole = garment("tank")
+    packer.add("tank", whole)
+    pusher.add("tank", garment_feed(whole), whole.vertices[: whole.vertex_count], whole.faces)
+    engine.advance(np.zeros((1, 24, 12)), np.zeros((1, STATE_SIZE)), np.full(1, 0.03))
+    plan, body = ScenePlan(skin=True), pack_body(load_body()).rows(np.zeros((1, 24, 3)))
+    (found,) = packer.run(plan, body, [("tank", 0)])
+    pusher.push(["tank"], found.arrays["vertices"][None], found.arrays["skin"][None])
+
+
 def test_a_part_of_a_graph_is_opened_once(folder: Path):
-    engine = Engine(folder)
+    engine = Engine(folder, compiled=False)
     part = engine.open_cut(PACKED, ["vertices"])
     assert engine.open_cut(PACKED, ("vertices",), passes=engine.pass_count) is part  # all of them are the default
     assert engine.open_cut(PACKED, ["vertices"], passes=0) is not part
@@ -151,17 +172,17 @@ def test_a_file_that_is_no_graph_is_refused(folder: Path):
     (folder / "garment_encoder.onnx").write_bytes(b"not a graph")
     respecify(folder, ENCODER)
     with pytest.raises(ArtifactError, match="model: expected an ONNX model"):
-        Engine(folder)
+        Engine(folder, compiled=False)
 
 
 def test_a_manifest_with_other_tensors_is_refused_by_name(folder: Path):
     inputs = load_manifest(folder).graphs[ENCODER].inputs
     respecify(folder, ENCODER, inputs=(dataclasses.replace(inputs[0], name="features"),))
     with pytest.raises(ArtifactError, match="tiny garment_encoder inputs"):
-        Engine(folder)
+        Engine(folder, compiled=False)
     respecify(folder, ENCODER, inputs=(dataclasses.replace(inputs[0], dtype="float64"),))
     with pytest.raises(ArtifactError, match="patch_features: expected float64"):
-        Engine(folder)
+        Engine(folder, compiled=False)
 
 
 def test_features_of_another_length_are_refused(folder: Path):
@@ -287,7 +308,7 @@ def test_a_folder_without_shared_weights_gives_the_same_bits(weights_folder: Pat
     assert manifest.weights is not None
     (weights_folder / manifest.weights.file).unlink()
     (weights_folder / "manifest.json").write_text(replace(manifest, graphs=graphs, weights=None).to_json())
-    alone, shared = Engine(weights_folder), Engine(MODELS_DIR / "onefit")
+    alone, shared = (Engine(folder, compiled=False) for folder in (weights_folder, MODELS_DIR / "onefit"))
     assert load_manifest(weights_folder).weights is None
     shirt = garment("tank")
     same([alone.first(shirt)], [shared.first(shirt)])

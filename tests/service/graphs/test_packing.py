@@ -32,7 +32,7 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import Engine
 from service.graphs.graph_names import PACKED
 from service.graphs.onnx_runtime import Device
-from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, Result, ScenePlan
+from service.graphs.packing import SHAPE_INDEX, Packer, Result, ScenePlan
 from service.graphs.store import FIRST
 from service.graphs.subgraph import cut
 from service.stages.batch import PoseInput
@@ -45,7 +45,6 @@ from training.model import OneFit
 
 pytestmark = pytest.mark.slow
 BODIES = 64
-TERMS = 4 * 18  # of a vertex: those of four charts, each shorter than a body
 WEIGHTS_FOLDER = "session.model_external_initializers_file_folder_path"  # of models that come as bytes
 PLANS = [ScenePlan(), ScenePlan("both", skin=True), ScenePlan("jets"), ScenePlan(passes=0)]
 
@@ -61,11 +60,9 @@ def bodies() -> dict[str, np.ndarray]:
     return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
 
-def make_packer(threads: int = 1, *, compiled: bool = False, in_graph: bool = False, **options: int) -> Packer:
-    """A packer of ``KINDS``; ``in_graph``: vertices are made by the graph, as where it does not run on a CPU."""
-    engine = Engine(exported()[1], device=Device(threads=threads), compiled=compiled)
-    engine.on_cpu = not in_graph
-    packer = Packer(engine, load_body(), **options)
+def make_packer(threads: int = 1, *, compiled: bool = False, **options: int) -> Packer:
+    """A packer of ``KINDS``."""
+    packer = Packer(Engine(exported()[1], device=Device(threads=threads), compiled=compiled), load_body(), **options)
     for kind in KINDS:
         packer.add(kind, garment(kind))
     return packer
@@ -130,18 +127,6 @@ def with_passes(readable: DrapeGraph, passes: int) -> DrapeGraph:
     return shorter
 
 
-def test_vertices_that_the_graph_does_not_make_are_those_that_it_would_make(packer: Packer, bodies):
-    items = [(KINDS[i % len(KINDS)], i) for i in range(6)]
-    by_graph = make_packer(in_graph=True)
-    for shape in ("vertices", "both"):
-        assert "vertices" not in packer._fetched(ScenePlan(shape))
-        found = packer.run(ScenePlan(shape), bodies, items)
-        for (kind, _), got, graph in zip(items, found, by_graph.run(ScenePlan(shape), bodies, items), strict=True):
-            want = graph.arrays["vertices"]
-            assert got.arrays["vertices"].shape == want.shape == (garment(kind).vertex_count, 3)
-            assert_allclose(got.arrays["vertices"], want, rtol=0, atol=TERMS * np.spacing(np.float32(2.0)))
-
-
 def test_passes_that_the_model_does_not_have_are_refused(packer: Packer, tmp_path: Path):
     rows = pack_body(load_body()).rows(np.zeros((1, 24, 3)))
     for passes in (-1, Engine(exported()[1]).pass_count + 1):
@@ -159,9 +144,9 @@ def test_fewer_passes_take_fewer_weights():
     assert held[0] - held[1] >= sum(p.numel() for p in exported()[0].corrections.parameters())
 
 
-@pytest.mark.parametrize(("threads", "in_graph"), [(1, False), (2, False), (1, True)])
-def test_an_item_has_the_same_bits_alone_and_in_any_batch(bodies, threads: int, in_graph: bool):
-    packer = make_packer(threads, in_graph=in_graph)
+@pytest.mark.parametrize(("threads", "compiled"), [(1, False), (2, False), (2, True)])
+def test_an_item_has_the_same_bits_alone_and_in_any_batch(bodies, threads: int, compiled: bool):
+    packer = make_packer(threads, compiled=compiled)
     generator = np.random.default_rng(threads)
     alone: dict[tuple[ScenePlan, str, int], dict[str, np.ndarray]] = {}
     for size in (1, 2, 3, 7, 20, BODIES):
@@ -198,19 +183,19 @@ def test_a_body_is_posed_once_for_all_that_it_wears(bodies, monkeypatch: pytest.
     assert posed == [0, 1]
 
 
-def kernels(packer: Packer, plan: ScenePlan, alone: bool, folder: Path) -> list[str]:
+def nodes_run(packer: Packer, plan: ScenePlan, folder: Path) -> list[str]:
     """Names of the nodes that ONNX Runtime ran for ``plan``, from its own profile."""
-    engine, fetched = packer._engine, packer._fetched(plan)
-    data = cut((exported()[1] / "packed.onnx").read_bytes(), fetched, direct=direct_of(alone))
+    engine = packer._engine
+    data = cut((exported()[1] / "packed.onnx").read_bytes(), plan.outputs, direct=SHAPE_INDEX)
     options = onnxruntime.SessionOptions()
     options.enable_profiling, options.profile_file_prefix = True, str(folder / "profile")
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL  # names stay
     options.add_session_config_entry(WEIGHTS_FOLDER, str(exported()[1]))
     session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    key = PACKED, fetched, direct_of(alone), plan.passes, ()
+    key = PACKED, plan.outputs, SHAPE_INDEX, plan.passes, ()
     engine._opened[key] = _Recorded(session)  # type: ignore[assignment]
     rows = pack_body(load_body()).rows(np.zeros((1, 24, 3)))
-    packer.run(plan, rows, [("tank", 0)] if alone else [("tank", 0), ("shorts", 0)])
+    packer.run(plan, rows, [("tank", 0), ("shorts", 0)])
     events = json.loads(Path(session.end_profiling()).read_text())
     return [e["name"].removesuffix("_kernel_time") for e in events if e["name"].endswith("_kernel_time")]
 
@@ -230,33 +215,21 @@ class _Recorded:
         """Holds nothing."""
 
 
-@pytest.mark.parametrize("alone", [True, False])
 @pytest.mark.parametrize(
-    ("plan", "in_graph"),
-    [(ScenePlan(), False), (ScenePlan(), True), (ScenePlan("both", skin=True), False), (ScenePlan("jets"), False)],
-    ids=["vertices", "vertices in the graph", "both", "jets"],
+    "plan", [ScenePlan(), ScenePlan("both", skin=True), ScenePlan("jets")], ids=["vertices", "both", "jets"]
 )
-def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone: bool, in_graph: bool, tmp_path: Path):
-    packer = make_packer(in_graph=in_graph)
-    ran = kernels(packer, plan, alone, tmp_path)
+def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, tmp_path: Path):
+    packer = make_packer()
+    ran = nodes_run(packer, plan, tmp_path)
     graph = onnx.load(str(exported()[1] / "packed.onnx")).graph
-    ancestors, needed = set(), set(packer._fetched(plan))
+    ancestors, needed = set(), set(plan.outputs)
     for node in reversed(graph.node):
         if needed.intersection(node.output):
             ancestors.add(node.name)
             needed.update(node.input)
-    gathers = {n.name for n in graph.node if n.op_type == "Gather" and n.input[1] in direct_of(alone)}
+    gathers = {n.name for n in graph.node if n.op_type == "Gather" and n.input[1] in SHAPE_INDEX}
     assert sorted(ran) == sorted(ancestors - gathers)
     assert len(ran) < len(graph.node)
-    # Spelled out: columns of vertices only where the graph makes these, no copy of the constants of one garment's call.
-    session = make_packer()._engine.open_cut(PACKED, packer._fetched(plan), direct=direct_of(alone))
-    assert ("tile_positions" in session.inputs) == (in_graph and plan.shape != "jets")
-    assert ("patch_stored" in session.inputs) == (not alone)
-
-
-def direct_of(alone: bool) -> tuple[str, ...]:
-    """The indices that a call does without: of one garment, where all bodies have one shape."""
-    return (*(STORED_INDEX if alone else ()), *SHAPE_INDEX)
 
 
 def test_the_posed_skin_is_that_of_the_bones_and_bodies_may_differ_in_shape():
@@ -382,7 +355,9 @@ def test_prepare_opens_the_sessions_of_a_plan():
     packer = make_packer()
     packer.prepare(ScenePlan("jets"), skin_given=False, shapes=False)
     opened = {key[1:3] for key in packer._engine._opened if key[0] == PACKED}
-    assert opened == {(ScenePlan("jets").outputs, direct_of(alone)) for alone in (True, False)}
+    assert opened == {(ScenePlan("jets").outputs, SHAPE_INDEX)}
+    packer.prepare(ScenePlan("jets"), skin_given=False, shapes=True)
+    assert (PACKED, ScenePlan("jets").outputs, (), None, ()) in packer._engine._opened
 
 
 def test_no_items_give_no_results(packer: Packer, bodies):

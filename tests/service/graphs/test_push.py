@@ -1,4 +1,4 @@
-"""The service's push-out: its graphs against the formula, bodies of any shape and kind, jets, refusals."""
+"""The service's push-out: engine and graphs against the formula, bodies of any shape and kind, jets, refusals."""
 
 from __future__ import annotations
 
@@ -62,10 +62,14 @@ def posed_jets(whole: Garment, rng: np.random.Generator) -> Jets:
     return Jets(jet, turned, turned[..., 0])
 
 
+BY = pytest.mark.parametrize("bound", [False, True], ids=["engine", "graph"])
+
+
+@BY
 @pytest.mark.slow
-def test_the_graph_pushes_vertices_and_jets_as_the_formula(rng: np.random.Generator):
+def test_vertices_and_jets_are_pushed_as_the_formula_says(bound: bool, rng: np.random.Generator):
     body, whole = load_body(), garment("shorts")
-    pusher = added(Pusher(Engine(model_folder()), body), whole)
+    pusher = added(Pusher(Engine(model_folder(), bound=bound), body), whole)
     feed = pack_push(garment_feed(whole), whole.vertices[: whole.vertex_count], body_skin(body))
     vertices, skin, posed = drawn(whole, POSES, BETAS), posed_table(body, POSES, BETAS), posed_jets(whole, rng)
     alone, got = (pusher.push([whole.digest], vertices, skin, posed=jets) for jets in (None, posed))
@@ -86,10 +90,11 @@ def test_the_graph_pushes_vertices_and_jets_as_the_formula(rng: np.random.Genera
     assert_array_equal(one.vertices[0], got.vertices[1])
 
 
+@BY
 @pytest.mark.slow
-def test_the_graph_pushes_layers_as_the_formula(rng: np.random.Generator):
+def test_layers_are_pushed_as_the_formula_says(bound: bool, rng: np.random.Generator):
     body, inner, outer = load_body(), garment("tank"), garment("shorts")
-    pusher = added(Pusher(Engine(model_folder()), body), inner, outer)
+    pusher = added(Pusher(Engine(model_folder(), bound=bound), body), inner, outer)
     keys, skin = (inner.digest, outer.digest), posed_table(body, POSES, BETAS)
     under, vertices = drawn(inner, POSES, BETAS), drawn(outer, POSES, BETAS)
     posed = posed_jets(outer, rng)

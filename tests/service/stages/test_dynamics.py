@@ -220,7 +220,8 @@ def test_dropped_frames_only_make_the_step_longer(runtime: DrapeRuntime, body: B
     times_s = np.delete(TIMES_S, [4, 7, 8])
     poses, trans = smooth_motion(times_s)
     memory = remembered(runtime, times_s, poses=poses, trans=trans)
-    assert_allclose(memory.code, expected_codes(body, poses, trans, times_s)[-1], rtol=1e-4, atol=1e-6)
+    expected = expected_codes(body, poses, trans, times_s)[-1]
+    assert_allclose(memory.code, expected, rtol=0, atol=5e-5)  # sums of hundreds of numbers up to 2, step after step
     assert len(memory.moments) == 2
 
 

@@ -1,0 +1,95 @@
+"""The push-out on a processor: ``drape.contact.projection.push_in_parts`` and ``drape.graph.layer_feed``, by the engine
+(``drape/engine/source/push.hpp``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from drape.contact.projection import JET_ROUNDS, OTHER_LEAST, TERMS, PushFeed
+from drape.contact.push_tables import OTHER_STEPS
+from drape.contact.samples import CLUSTER_SIZE
+from drape.engine.calls import call, call_with_scratch
+from drape.engine.library import empty_points
+from drape.engine.records import Recorded
+from drape.graph.layer_feed import REGION_ROW, LayerFeed
+
+_LOGITS = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)  # of samples, by how much they are other parts
+
+
+@dataclass(frozen=True, eq=False)
+class PushConstants(Recorded):
+    """A ``PushFeed`` as the engine reads it, of so many ``patches``; ``logits`` (256,) of samples, by how much these
+    are other parts. And of a garment over others what the samples of these are made of, as in ``LayerFeed``."""
+
+    patches: int
+    block_vertex: np.ndarray
+    vertex_slot: np.ndarray
+    own_cluster: np.ndarray
+    own_bias: np.ndarray
+    other: np.ndarray
+    region_bias: np.ndarray
+    patch_block: np.ndarray
+    patch_fit: np.ndarray
+    tile_basis: np.ndarray
+    tile_patch: np.ndarray
+    slot_charts: np.ndarray
+    logits: np.ndarray
+    region: np.ndarray
+    cloth_member: np.ndarray
+    cloth_rows: np.ndarray
+
+    @classmethod
+    def of(cls, feed: PushFeed | LayerFeed) -> PushConstants:
+        """Those of ``feed``."""
+        push = feed.push if isinstance(feed, LayerFeed) else feed
+        kind = push.patch_fit.dtype
+        arrays = {field.name: np.ascontiguousarray(getattr(push, field.name)) for field in fields(PushFeed)}
+        over = {"region": np.empty(0, np.int32), "cloth_member": np.empty(0, np.int32), "cloth_rows": np.empty(0, kind)}
+        if isinstance(feed, LayerFeed):
+            over = {"region": feed.region.reshape(-1), "cloth_member": feed.cloth_member, "cloth_rows": feed.cloth_rows}
+        return cls(patches=len(push.patch_fit), logits=_LOGITS.astype(kind), **arrays, **over)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of all arrays."""
+        return sum(getattr(self, field.name).nbytes for field in fields(self)[1:])
+
+
+def push_frames(
+    vertices: np.ndarray,
+    skin: np.ndarray,
+    constants: PushConstants,
+    clearance_m: float,
+    *,
+    under: np.ndarray | None = None,
+    jets: bool = False,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """``vertices`` [m] (F, V, 3) out of the bodies with the samples ``skin`` (F, R, 12, 8), frame by frame, and the way
+    [m] (F, V) of each; then ``coefficients`` (F, K, 3, 10) and ``left_m`` (F,) of ``Pushed``, which hold for ``jets``.
+
+    Of a garment over others out of these too, whose pushed vertices are ``under`` [m] (F, U, 3).
+    """
+    kind, (frames, count) = constants.patch_fit.dtype, vertices.shape[:2]
+    pushed, way = np.empty((frames, count, 3), kind), np.empty((frames, count), kind)
+    coefficients, left_m = np.empty((frames, constants.patches, 3, TERMS), kind), np.empty(frames, kind)
+    given, rounds = empty_points(count, kind), JET_ROUNDS if jets else 1
+    for i in range(frames):
+        given[:] = vertices[i]
+        samples = np.ascontiguousarray(skin[i], kind).reshape(-1, REGION_ROW)
+        if under is not None:
+            samples = np.concatenate([samples, _cloth(np.ascontiguousarray(under[i], kind), constants)])
+            samples = samples.take(constants.region, axis=0)
+        found = pushed[i], way[i], coefficients[i], left_m[i : i + 1]
+        given_all = given, samples, constants, constants.logits, float(clearance_m), rounds
+        call_with_scratch("push_out", kind, *given_all, *found)
+    return pushed, way, coefficients, left_m
+
+
+def _cloth(under: np.ndarray, constants: PushConstants) -> np.ndarray:
+    """The regions (n, 96) of samples on the garments draped to ``under`` [m] (U, 3)."""
+    clusters = constants.cloth_member.size // constants.cloth_member.shape[-1]
+    samples = np.empty((clusters * CLUSTER_SIZE * 8 // REGION_ROW, REGION_ROW), under.dtype)
+    call("pose_cloth", under.dtype, under, constants.cloth_member, constants.cloth_rows, clusters, samples)
+    return samples

@@ -1,0 +1,55 @@
+"""The garment encoder on a processor: ``training.layers.GarmentEncoder`` and the garment's half of the first layer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.engine.library import LANES
+from drape.graph.inputs import SLOPE
+from drape.network.dense import Layer, Rows, layer, rows_of, run_layer
+from drape.network.weights import layers_of
+
+
+class GarmentEncoder(NamedTuple):
+    """Statistics of patch features, both parts of the encoder, and what decoding begins with. Its layers have no tiles:
+    a garment is encoded once."""
+
+    mean: np.ndarray
+    inverse_deviation: np.ndarray
+    first: tuple[Layer, ...]
+    second: tuple[Layer, ...]
+
+
+def garment_encoder(parameters: Mapping[str, np.ndarray]) -> GarmentEncoder:
+    """The encoder of ``parameters`` by their names in training."""
+    first, second = (layers_of(parameters, f"garment.{part}.") for part in ("first", "second"))
+    slopes = [*[SLOPE] * (len(second) - 1), 1.0, 1.0]
+    second.append((parameters["decoder.from_patch.weight"], parameters["decoder.from_patch.bias"]))
+    return GarmentEncoder(
+        parameters["garment.standardise.mean"],
+        parameters["garment.standardise.inverse_deviation"],
+        tuple(layer(*each, SLOPE, tiles=False) for each in first),
+        tuple(layer(*each, slope, tiles=False) for each, slope in zip(second, slopes, strict=True)),
+    )
+
+
+def encoded(encoder: GarmentEncoder, features: np.ndarray) -> np.ndarray:
+    """The garment's half of the first layer (K, n) of the patches with ``features`` (K, m), float32."""
+    own = np.clip((features - encoder.mean) * encoder.inverse_deviation, -5.0, 5.0).astype(np.float32)
+    x = rows_of(own)
+    count = encoder.second[0].weight.size // len(encoder.second[0].bias) - x.shape[1]
+    hidden = _through(encoder.first, x)[:, :count]
+    found = _through(encoder.second, np.concatenate([hidden, x], axis=1))
+    return np.ascontiguousarray(found.swapaxes(1, 2)).reshape(-1, found.shape[1])[: len(features)]
+
+
+def _through(layers: Sequence[Layer], x: np.ndarray) -> np.ndarray:
+    """Rows (blocks, n, 16) of the ``layers`` one after the other, of rows ``x``."""
+    for made in layers:
+        after = np.empty((len(x), len(made.bias), LANES), np.float32)
+        run_layer(made, Rows(x.reshape(-1), x.shape[1], 0), Rows(after.reshape(-1), after.shape[1], 0))
+        x = after
+    return x

@@ -1,0 +1,126 @@
+"""Drapes by a model's readable graph, whole: on a CPU, of models of another kind than ``drape.engine`` computes.
+
+It has the methods of ``service.graphs.packing.Packer``. All corrections run, and every output is computed.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT
+from drape.cloth.fabric import Fabric
+from drape.errors import NotFound, Unavailable
+from drape.garment.cache import Garment
+from drape.geometry.rotations import quaternion_to_rotvec
+from drape.graph.feeds import body_feed, garment_feed
+from service.graphs.graph_names import DRAPE, JETS, SKIN
+from service.graphs.packing import FABRICS_KEPT, Item, Result, ScenePlan
+
+OUTPUTS = ("vertices", *JETS)
+
+if TYPE_CHECKING:
+    from service.graphs.engine import Engine
+
+
+class WholeGraph:
+    """Runs the readable graph of an engine's model; safe to call from any thread."""
+
+    def __init__(self, engine: Engine, body: BodyModel) -> None:
+        self._engine, self._body = engine, body
+        self._lock = threading.Lock()
+        self._garments: dict[str, Garment] = {}
+        self._feeds: dict[str, dict[str, np.ndarray]] = {}
+        self._worn: OrderedDict[str, str] = OrderedDict()  # garments in other fabrics and what they are made of
+        self._session = engine.open_cut(DRAPE, OUTPUTS)
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory of the garments' constants."""
+        feeds = [feed for key, feed in self._feeds.items() if key not in self._worn]
+        return sum(array.nbytes for feed in feeds for array in feed.values())
+
+    def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray] | None = None) -> None:
+        """Encodes ``garment`` and keeps it under ``key``; ``feed`` is its ``garment_feed`` on this body."""
+        feed = garment_feed(garment, body=self._body) if feed is None else feed
+        made = dict(feed) | {"patch_embedding": self._engine.first(garment)}
+        with self._lock:
+            self._undress(key)
+            self._garments[key], self._feeds[key] = garment, made
+
+    def dressed(self, key: str, fabric: Fabric) -> str:
+        """The key of the garment ``key`` made of ``fabric``; the ``FABRICS_KEPT`` latest used are kept."""
+        name = f"{key} of {fabric.digest}"
+        garment = self._garment(key)
+        if name not in self._feeds:
+            embedding = self._engine.first(garment, fabric)
+            with self._lock:
+                self._feeds[name] = self._feeds[key] | {"patch_embedding": embedding}
+        with self._lock:
+            self._worn[name] = key
+            self._worn.move_to_end(name)
+            while len(self._worn) > FABRICS_KEPT:
+                del self._feeds[self._worn.popitem(last=False)[0]]
+        return name
+
+    def remove(self, key: str) -> None:
+        """Forgets the garment ``key``, in all fabrics."""
+        self._garment(key)
+        with self._lock:
+            self._undress(key)
+            del self._garments[key], self._feeds[key]
+
+    def prepare(self, plan: ScenePlan, *, skin_given: bool, shapes: bool) -> None:
+        """Nothing: the one session is open."""
+
+    def run(self, plan: ScenePlan, bodies: Mapping[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
+        """Results of ``items``, in their order; ``bodies`` as ``Packer.run`` takes them."""
+        poses = quaternion_to_rotvec(bodies["joint_quaternion"][:, :JOINT_COUNT].astype(np.float64))
+        count = len(poses)
+        felt = self._engine.feels_body and SKIN not in bodies
+        betas = bodies["betas"][:, : self._body.shape_count].astype(np.float64)
+        arrays = body_feed(self._body, poses, np.zeros((count, 3)), betas, skin=felt).arrays
+        given = {"dynamic_code": bodies.get("dynamic_code"), "body_skin": bodies.get(SKIN)}
+        arrays = {"dynamic_code": np.zeros((count, self._engine.code_size), np.float32)} | arrays
+        arrays |= {name: array for name, array in given.items() if array is not None}
+        results: dict[Item, Result] = {}
+        for key in dict.fromkeys(key for key, _ in items):
+            rows = [row for of, row in items if of == key]
+            feed = {name: np.ascontiguousarray(array[rows]) for name, array in arrays.items()} | self._feed(key)
+            found = self._session.run(OUTPUTS, {name: feed[name] for name in self._session.inputs})
+            for place, row in enumerate(rows):
+                one = {name: array[place] for name, array in zip(OUTPUTS, found, strict=True)}
+                finite = all(bool(np.isfinite(array).all()) for array in one.values())
+                if plan.skin:
+                    one[SKIN] = arrays["body_skin"][row]
+                results[key, row] = Result({name: one[name] for name in plan.outputs}, finite)
+        return [results[item] for item in items]
+
+    def whole_model(self, key: str, body: Mapping[str, np.ndarray], *, passes: int | None) -> bytes:
+        """Refuses: what pages run without a service is a packed graph."""
+        raise Unavailable(
+            "static folder",
+            expected="a model that the engine computes",
+            got=self._engine.manifest.name,
+            cure="Use another model, or serve this one.",
+        )
+
+    def _garment(self, key: str) -> Garment:
+        if key not in self._garments:
+            expected = ", ".join(self._garments) or "one in store"
+            raise NotFound("garment", expected=expected, got=key, cure="Add the garment first.")
+        return self._garments[key]
+
+    def _feed(self, key: str) -> dict[str, np.ndarray]:
+        if key not in self._feeds:
+            self._garment(key)
+        return self._feeds[key]
+
+    def _undress(self, key: str) -> None:
+        for name in [name for name, of in self._worn.items() if of == key]:
+            del self._worn[name], self._feeds[name]
