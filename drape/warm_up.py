@@ -13,18 +13,10 @@ import numpy as np
 
 from drape.graph import blend
 from drape.kernels.quantised import quantise
-from drape.live import fold_step, swing_step, two_level
-from drape.live.dissection import LEAF, dissected
+from drape.live import fold_step, two_level
 from drape.network import warm_up as network
 
 Parts = dict[str, Callable[[], object]]
-
-
-def _dissect() -> None:
-    """Cuts a ring: a small cloth needs no cut."""
-    ring = np.arange(4 * LEAF, dtype=np.int32)
-    start, neighbour = 2 * np.arange(len(ring) + 1, dtype=np.int32), np.stack([ring - 1, ring + 1], axis=1) % len(ring)
-    dissected(start, neighbour.reshape(-1))
 
 
 def _messages() -> None:
@@ -35,10 +27,8 @@ def _messages() -> None:
 SERVICE: Parts = {
     "folds": fold_step.warm_up,
     "network": network.warm_up,
-    "swing": swing_step.warm_up,
     "lift": two_level.warm_up_lift,
     "vertices": blend.warm_up,
-    "dissection": _dissect,
     "messages": _messages,
     "folds in two levels": two_level.warm_up,
 }

@@ -25,7 +25,7 @@ FLAGS = ["-O3", "-std=c++20", "-ffp-contract=on", "-fno-math-errno", "-fno-excep
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
 LINKED = ["-shared", "-nostdlib++", "-s"]
 UNITS = ("folds", "layers", "network", "physics", "swing")
-TESTED = (*UNITS, "laws")  # of the library that only tests load: kernels in float64, and parts of kernels
+TESTED = (*UNITS, "laws", "laws_swing")  # of the library that only tests load: kernels in float64, and parts of kernels
 
 
 class Target(NamedTuple):

@@ -18,9 +18,8 @@ from drape.engine.records import Record
 from drape.exact import descent, hessian
 from drape.kernels.quantised import quantise
 from drape.live.fold_step import FoldEffort, fold
-from drape.live.swing_step import swing
 from tests.drape.kernels.solver_setup import crumpled
-from tests.drape.live import folds_setup, swing_setup
+from tests.drape.live import folds_setup
 
 pytestmark = pytest.mark.long
 SUFFIXES = {np.float32: "f32", np.float64: "f64"}
@@ -101,43 +100,6 @@ def test_folds_are_those_of_the_kernels(engine, material, effort, dtype):
         assert np.abs(found - expected).max() < (1e-11 if dtype is np.float64 else 1e-5)
         assert (outcome.settled, outcome.reset) == (report.settled, report.reset)
         assert outcome.lifted_share == pytest.approx(report.lifted_share, abs=1e-3)
-
-
-@TYPES
-def test_a_swing_is_that_of_the_kernels(engine, dtype):
-    hung, mesh = swing_setup.hanging(dtype)
-    made = swing_setup.constants(mesh, damping_per_s=1.0)
-    cloth, scratch, nodes = Record("SwingConstants", made, dtype), Scratch(16 << 20), len(mesh.vertex)
-    none = np.zeros((0, 16))
-
-    def remembered(time_s: float, origin: np.ndarray) -> SimpleNamespace:
-        room = {name: empty_points(nodes, dtype) for name in ("network", "swung", "speed")}
-        return SimpleNamespace(
-            **room, touched=np.zeros(nodes, np.int32), colliders=none, origin=origin, time_s=time_s, still_since_s=0.0
-        )
-
-    past, before = None, remembered(-math.inf, np.zeros(3))
-    for number in range(8):
-        one, origin = swing_setup.frame(hung, 0.03 * number), np.array([0.0, 0.0, 0.01 * number])
-        expected, past = swing(made, past, one, origin)
-        vertices, out = empty_points(len(hung), dtype), empty_points(len(hung), dtype)
-        vertices[:] = hung
-        after = remembered(one.time_s, origin)
-        around = SimpleNamespace(skin=np.ascontiguousarray(one.skin, dtype), colliders=none)
-        records = (
-            Record("SwingMemory", before, dtype),
-            Record("Surroundings", around, dtype),
-            Record("SwingMemory", after, dtype),
-        )
-        share = (ctypes.c_double if dtype is np.float64 else ctypes.c_float)(1.0)
-        scratch.used = 0
-        moved = getattr(engine, f"drape_swing_{SUFFIXES[dtype]}")(
-            pointer(vertices), ctypes.c_int64(len(hung)), at(records[0]), at(records[1]), at(cloth), share,
-            at(records[2]), pointer(out), ctypes.byref(scratch),
-        )  # fmt: skip
-        assert moved >= 0
-        assert np.abs((out if moved else vertices) - expected).max() < (1e-9 if dtype is np.float64 else 1e-4)
-        before = after
 
 
 def test_steps_of_positions_are_those_of_the_kernels(engine):
