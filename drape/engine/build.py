@@ -24,7 +24,7 @@ COMPILER = "ziglang==0.15.2"
 FLAGS = ["-O3", "-std=c++20", "-ffp-contract=on", "-fno-math-errno", "-fno-exceptions", "-fno-rtti", "-fPIC"]
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
 LINKED = ["-shared", "-nostdlib++", "-s"]
-UNITS = ("folds", "layers", "network", "physics", "swing")
+UNITS = ("folds", "layers", "network", "physics", "setup", "swing")
 TESTED = (*UNITS, "laws", "laws_swing")  # of the library that only tests load: kernels in float64, and parts of kernels
 
 
