@@ -24,6 +24,8 @@ COMPILER = "ziglang==0.15.2"
 FLAGS = ["-O3", "-std=c++20", "-ffp-contract=on", "-fno-math-errno", "-fno-exceptions", "-fno-rtti", "-fPIC"]
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
 LINKED = ["-shared", "-nostdlib++", "-s"]
+# Addresses, and what C++ leaves undefined, are checked; gcc's libasan and libubsan, preloaded, tell what is wrong.
+SANITIZED = ["-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address", "-fsanitize=undefined"]
 UNITS = ("folds", "layers", "network", "physics", "setup", "swing")
 TESTED = (*UNITS, "laws", "laws_swing")  # of the library that only tests load: kernels in float64, and parts of kernels
 
@@ -82,8 +84,11 @@ def host() -> str:
     return f"{system}-{machine}"
 
 
-def build(target: Target, folder: Path, *, tests: bool = False, jobs: int = os.cpu_count() or 1) -> Path:
-    """Compiles the library of ``target`` into ``folder``, or the one with what only ``tests`` call."""
+def build(
+    target: Target, folder: Path, *, tests: bool = False, sanitize: bool = False, jobs: int = os.cpu_count() or 1
+) -> Path:
+    """Compiles the library of ``target`` into ``folder``, or the one with what only ``tests`` call; where asked to
+    ``sanitize``, with checks of its memory."""
     zig, begin = compiler(), time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     environment = os.environ | {
@@ -92,6 +97,7 @@ def build(target: Target, folder: Path, *, tests: bool = False, jobs: int = os.c
     common = [
         *FLAGS,
         *WARNINGS,
+        *(SANITIZED if sanitize else []),
         *(["-DFOR_TESTS"] if tests else []),
         "-target",
         target.triple,
@@ -137,6 +143,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m drape.engine.build", description=__doc__)
     parser.add_argument("--all", action="store_true", help="every target of a wheel, not this processor's alone")
     parser.add_argument("--tests", action="store_true", help="the library that only tests load as well")
+    parser.add_argument("--sanitize", action="store_true", help="with checks of memory, for `make sanitize`")
     chosen = parser.parse_args()
     LIBRARIES.mkdir(exist_ok=True)
     for system, targets in (TARGETS if chosen.all else {host(): [this_target(LIBRARIES)]}).items():
@@ -145,9 +152,8 @@ def main() -> None:
         if chosen.all:
             build_probe(system, folder)
         for target in targets:
-            build(target, folder)
-            if chosen.tests:
-                build(target, folder, tests=True)
+            for tests in (False, True)[: 1 + chosen.tests]:
+                build(target, folder, tests=tests, sanitize=chosen.sanitize)
 
 
 if __name__ == "__main__":
