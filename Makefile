@@ -6,6 +6,7 @@
 #   make test-quick       the tests without the slow ones
 #   make test-all         every test
 #   make test-avx2        every test once more as processors without AVX-512 round
+#   make sanitize         the engine's tests with checks of memory and of what C++ leaves undefined (needs gcc)
 #   make check            format, lint, types, import order, known vulnerabilities
 #   make audit            known vulnerabilities of what is installed; fails where the package index cannot say
 #   make format           write the format and the safe lint fixes
@@ -37,7 +38,7 @@ WEB := clients/web
 ENGINE_SOURCES := drape/engine/build.py $(wildcard drape/engine/source/*)
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help serve setup browser test test-all test-avx2 test-quick check audit format bench soak page clean
+.PHONY: help serve setup browser test test-all test-avx2 test-quick sanitize check audit format bench soak page clean
 
 help:
 	@sed -n '2,/^$$/{s/^# \{0,1\}//;p;}' Makefile
@@ -108,6 +109,13 @@ test-avx2: setup
 
 test-quick: setup
 	$(PYTEST) -m "not slow and not long" $(ARGS)
+
+# The runtime of the checks is gcc's. The plain libraries come back at the end.
+sanitize: setup
+	$(BIN)/python -m drape.engine.build --tests --sanitize
+	@failed=0; LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 OMP_NUM_THREADS=1 \
+	$(BIN)/python -m pytest -q -m "not long" tests/drape $(ARGS) || failed=$$?; \
+	$(BIN)/python -m drape.engine.build --tests; exit $$failed
 
 check: setup
 	$(BIN)/ruff format --check .

@@ -21,11 +21,11 @@ from drape.cloth.material import Material
 from drape.exact import newton, settling
 from drape.exact.newton import Band, Cloth, Descent
 from drape.geometry import meshes
-from drape.live.swing_step import AIR_KG_M3
 
 FIRST_STEPS, STEPS, TOLERANCE = 120, 12, 0.01  # of Newton's method; force left over the weight
 SETTLE = 50  # rounds before them
 ROUNDS = 3
+AIR_KG_M3 = 0.72  # half of air's density times the drag of a plate across, as swing has it
 SLIP_M = 2e-4  # in a frame: up to here friction grows with the way
 
 
@@ -122,7 +122,7 @@ def simulate(sheet: Sheet, motion: Motion, start: np.ndarray, held: Held | None)
 
 
 def slowed(speed: np.ndarray, x: np.ndarray, sheet: Sheet, fps: float) -> np.ndarray:
-    """``speed`` [m/s] (V, 3) after a frame of air and damping, as in ``drape.live.swing_step``."""
+    """``speed`` [m/s] (V, 3) after a frame of air and damping, as swing has them."""
     speed = speed / (1.0 + sheet.damping_per_s / fps)
     normal = np.asarray(meshes.vertex_normals(x, sheet.mesh.faces))
     wind = (speed * normal).sum(axis=1, keepdims=True)

@@ -24,8 +24,10 @@ COMPILER = "ziglang==0.15.2"
 FLAGS = ["-O3", "-std=c++20", "-ffp-contract=on", "-fno-math-errno", "-fno-exceptions", "-fno-rtti", "-fPIC"]
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
 LINKED = ["-shared", "-nostdlib++", "-s"]
-UNITS = ("folds", "layers", "network", "physics", "push", "swing")
-TESTED = (*UNITS, "laws_folds", "laws_physics")  # of the library that only tests load: float64, and parts of kernels
+# Addresses, and what C++ leaves undefined, are checked; gcc's libasan and libubsan, preloaded, tell what is wrong.
+SANITIZED = ["-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address", "-fsanitize=undefined"]
+UNITS = ("folds", "layers", "network", "physics", "push", "setup", "swing")
+TESTED = (*UNITS, "laws_folds", "laws_physics", "laws_swing")  # of the library that only tests load
 
 
 class Target(NamedTuple):
@@ -82,17 +84,20 @@ def host() -> str:
     return f"{system}-{machine}"
 
 
-def build(target: Target, folder: Path, *, tests: bool = False, jobs: int = os.cpu_count() or 1) -> Path:
-    """Compiles the library of ``target`` into ``folder``, or the one with what only ``tests`` call. One that is newer
-    than all sources is left."""
+def build(
+    target: Target, folder: Path, *, tests: bool = False, sanitize: bool = False, jobs: int = os.cpu_count() or 1
+) -> Path:
+    """Compiles the library of ``target`` into ``folder``, or the one with what only ``tests`` call; where asked to
+    ``sanitize``, with checks of its memory. One that is newer than all sources is left."""
     library = folder / (target.name + ("-tests" if tests else "") + target.suffix)
-    if _is_newer(library):
+    if _is_newer(library) and not sanitize:
         return library
     zig, begin, units = compiler(), time.monotonic(), TESTED if tests else UNITS
     environment = os.environ | {
         f"ZIG_{kind}_CACHE_DIR": str(cache_folder() / "compiled") for kind in ("GLOBAL", "LOCAL")
     }
-    common = [*FLAGS, *WARNINGS, *(["-DFOR_TESTS"] if tests else []), *_aimed(target)]
+    chosen = [*(SANITIZED if sanitize else []), *(["-DFOR_TESTS"] if tests else [])]
+    common = [*FLAGS, *WARNINGS, *chosen, *_aimed(target)]
     objects = [library.with_suffix(f".{unit}.o") for unit in units]
 
     def compiled(unit: str, to: Path) -> None:
@@ -120,16 +125,15 @@ def build_probe(system: str, folder: Path) -> Path:
     return probe
 
 
-def build_here(folder: Path = LIBRARIES, *, tests: bool = False) -> None:
+def build_here(folder: Path = LIBRARIES, *, tests: bool = False, sanitize: bool = False) -> None:
     """Compiles what this processor needs into ``folder``; ends the program with a sentence on one that is too old."""
     folder.mkdir(parents=True, exist_ok=True)
     level = ctypes.CDLL(str(build_probe(host(), folder))).drape_processor() % 16
     if "x86_64" in host() and level < 2:
         raise SystemExit(f"engine: expected a processor of x86-64-v2 or later, got v{level}; use one of 2009 or later")
     target = TARGETS[host()][max(level - 2, 0)]
-    build(target, folder)
-    if tests:
-        build(target, folder, tests=True)
+    for what in (False, True)[: 1 + tests]:
+        build(target, folder, tests=what, sanitize=sanitize)
 
 
 def build_system(system: str, folder: Path) -> None:
@@ -155,6 +159,7 @@ def main() -> None:
     parser.add_argument("--tests", action="store_true", help="the library that only tests load as well")
     parser.add_argument("--system", action="store_true", help="every level of processors of this system")
     parser.add_argument("--all", action="store_true", help="every system, each in a folder of its own")
+    parser.add_argument("--sanitize", action="store_true", help="with checks of memory, for `make sanitize`")
     chosen = parser.parse_args()
     if chosen.all:
         for system in TARGETS:
@@ -162,7 +167,7 @@ def main() -> None:
     elif chosen.system:
         build_system(host(), LIBRARIES)
     else:
-        build_here(tests=chosen.tests)
+        build_here(tests=chosen.tests, sanitize=chosen.sanitize)
 
 
 if __name__ == "__main__":

@@ -136,7 +136,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "damping_per_s": "number",
         "held": "numbers",
     },
-    # ``drape.live.swing_step.SwingMemory``, seen from the frame's own origin; ``time_s`` is infinite without a past.
+    # ``drape.live.swing_step.SwingMemory``, seen from the frame's own origin.
     "SwingMemory": {
         "network": "numbers",
         "swung": "numbers",
@@ -145,7 +145,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "colliders": "float64s",
         "origin": "float64s",
         "time_s": "number",
-        "still_since_s": "number",
+        "still_since_s": "float64s",
     },
     "Layer": {"weight": "numbers", "bias": "numbers", "slope": "number", "tiles": "uint32s"},
     # ``drape.network.weights.Weights``; ``first`` and ``second`` have a layer for every correction.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse
 
-from drape.kernels.compiled import kernel
+from drape.engine.calls import call_with_scratch
 
 
 def colour_order(graph: scipy.sparse.csr_matrix) -> tuple[np.ndarray, np.ndarray]:
@@ -15,21 +15,12 @@ def colour_order(graph: scipy.sparse.csr_matrix) -> tuple[np.ndarray, np.ndarray
     return np.argsort(colour, kind="stable").astype(np.int32), start.astype(np.int32)
 
 
-@kernel
-def greedy_colours(start, neighbour):
-    """For each vertex the least colour (V,) that no earlier neighbour has.
+def greedy_colours(start: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
+    """For each vertex the least colour (V,) int32 that no earlier neighbour has.
 
     The neighbours of v are ``neighbour[start[v] : start[v + 1]]``, which may have v itself.
     """
-    count = len(start) - 1
-    colour = np.full(count, -1, np.int64)
-    taken = np.full(count + 1, -1, np.int64)
-    for v in range(count):
-        for k in range(start[v], start[v + 1]):
-            if colour[neighbour[k]] >= 0:
-                taken[colour[neighbour[k]]] = v
-        least = 0
-        while taken[least] == v:
-            least += 1
-        colour[v] = least
+    graph = np.ascontiguousarray(start, np.int32), np.ascontiguousarray(neighbour, np.int32)
+    colour = np.empty(len(start) - 1, np.int32)
+    call_with_scratch("greedy_colours", np.float64, *graph, len(colour), colour)
     return colour

@@ -12,15 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.kernels.compiled import kernel
-from drape.kernels.lanes import LANES
+from drape.engine.calls import call, call_with_scratch
 
 LEAF = 16  # a part of so few vertices is not cut
 WIDEST = 32  # the most columns of a run
+Graph = tuple[np.ndarray, np.ndarray]
 
 
 class Costs(NamedTuple):
-    """About how many cycles a run of columns takes: for each ``row`` of ``LANES`` entries of a column, for each
+    """About how many cycles a run of columns takes: for each ``row`` of sixteen entries of a column, for each
     ``column``, for each row of ``members``, and for the ``run`` itself."""
 
     row: float
@@ -35,7 +35,8 @@ COSTS = Costs(4.0, 15.0, 30.0, 40.0)
 def dissected(start: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
     """The vertices (V,) of a graph in the order of nested dissection; neighbours of v from ``start[v]`` on, itself
     allowed."""
-    order = np.arange(len(start) - 1)
+    graph = _whole(start, neighbour)
+    order = np.arange(len(start) - 1, dtype=np.int32)
     part, one, two = np.zeros_like(order), np.empty_like(order), np.empty_like(order)
     waiting, number = [(0, len(order))], 0
     while waiting:
@@ -45,16 +46,16 @@ def dissected(start: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
             continue
         number += 1
         part[nodes] = number
-        met = _by_distance(start, neighbour, part, nodes, nodes[0], one)
+        met = _by_distance(graph, part, nodes, nodes[0], one)
         if len(met) < len(nodes):  # parts that are not connected need no cut
             order[low:high] = np.concatenate([met, nodes[one[nodes] < 0]])
             waiting += [(low, low + len(met)), (low + len(met), high)]
             continue
-        end = _by_distance(start, neighbour, part, nodes, met[-1], one)[-1]
-        _by_distance(start, neighbour, part, nodes, end, two)
+        end = _by_distance(graph, part, nodes, met[-1], one)[-1]
+        _by_distance(graph, part, nodes, end, two)
         nodes = nodes[np.argsort(one[nodes] - two[nodes], kind="stable")]
         part[nodes[:half]] = -number
-        near = _at_the_other(start, neighbour, part, nodes)
+        near = _at_the_other(graph, part, nodes)
         if near[:half].sum() < near[half:].sum():
             near[half:] = False
         else:
@@ -66,60 +67,32 @@ def dissected(start: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
     return order
 
 
-@kernel
-def _by_distance(start, neighbour, part, nodes, first, distance):
+def _by_distance(graph: Graph, part: np.ndarray, nodes: np.ndarray, first: int, distance: np.ndarray) -> np.ndarray:
     """Those of ``nodes``, which are one ``part``, that are connected with ``first``, the nearest first. Writes the
     ``distance`` of each node in edges, -1 where there is no way."""
     line = np.empty_like(nodes)
-    for v in nodes:
-        distance[v] = -1
-    line[0], distance[first] = first, 0
-    count, here = 1, 0
-    while here < count:
-        v = line[here]
-        here += 1
-        for z in range(start[v], start[v + 1]):
-            w = neighbour[z]
-            if part[w] == part[first] and distance[w] < 0:
-                distance[w], line[count] = distance[v] + 1, w
-                count += 1
-    return line[:count]
+    return line[: call("by_distance", np.float64, *graph, part, nodes, len(nodes), int(first), distance, line)]
 
 
-@kernel
-def _at_the_other(start, neighbour, part, nodes):
+def _at_the_other(graph: Graph, part: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Which of ``nodes`` have a neighbour in the part with the other sign."""
-    near = np.zeros(len(nodes), np.bool_)
-    for i in range(len(nodes)):
-        for z in range(start[nodes[i]], start[nodes[i] + 1]):
-            if part[neighbour[z]] == -part[nodes[i]]:
-                near[i] = True
+    near = np.empty(len(nodes), bool)
+    call("at_the_other", np.float64, *graph, part, nodes, len(nodes), near)
     return near
 
 
-@kernel
-def runs(start, row, costs):
+def runs(start: np.ndarray, row: np.ndarray, costs: Costs) -> np.ndarray:
     """The beginnings (N + 1,) of runs of columns that together take the least time by ``costs``.
 
     Column j of the lower triangle has the rows ``row[start[j] : start[j + 1]]`` below its diagonal.
     """
-    count = len(start) - 1
-    least, begin, met = np.full(count + 1, np.inf), np.zeros(count + 1, np.int64), np.full(count, -1, np.int64)
-    least[0] = 0.0
-    for first in range(count):
-        below = 0
-        for j in range(first, min(first + WIDEST, count)):
-            below -= met[j] == first  # it was below the run's columns, and is one now
-            for z in range(start[j], start[j + 1]):
-                if met[row[z]] != first:
-                    met[row[z]] = first
-                    below += 1
-            width = j + 1 - first
-            rows = (width + below + LANES - 1) // LANES
-            cost = least[first] + costs.run + width * costs.column + rows * (costs.members + width * costs.row)
-            if cost < least[j + 1]:
-                least[j + 1], begin[j + 1] = cost, first
-    found = [count]
+    begin, found = np.empty(len(start), np.int32), [len(start) - 1]
+    call_with_scratch("runs", np.float64, *_whole(start, row), len(start) - 1, WIDEST, *costs, begin)
     while found[-1] > 0:
-        found.append(begin[found[-1]])
+        found.append(int(begin[found[-1]]))
     return np.array(found[::-1])
+
+
+def _whole(start: np.ndarray, neighbour: np.ndarray) -> Graph:
+    """A graph as the engine reads it."""
+    return np.ascontiguousarray(start, np.int32), np.ascontiguousarray(neighbour, np.int32)

@@ -13,11 +13,11 @@ from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
 from drape.live.skin_walks import nearest_at_rest, skin_graph
 from drape.live.swing_mesh import swing_mesh
-from drape.live.swing_nodes import STIFFEST_N_PER_M
 from drape.live.swing_slack import held_share
 from drape.live.swing_step import SWING_HZ, SwingConstants
 
 HELD_M = 0.008  # cloth that lies lower than that over the skin at rest never swings
+STIFFEST_N_PER_M = 300.0  # a few sweeps cannot follow stiffer cloth
 
 
 def swing_constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> SwingConstants | None:

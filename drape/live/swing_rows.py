@@ -1,4 +1,4 @@
-"""The nodes of a swing mesh in blocks of ``LANES``, as kernels sweep them.
+"""The nodes of a swing mesh in blocks of ``LANES``, as the engine sweeps them.
 
 A sweep takes node after node in an order that counts: it begins where cloth is held. Nodes that are not of one triangle
 may move at once wherever the order has them. So a block takes nodes all of whose neighbours in front of them are in
@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.kernels.compiled import kernel
-from drape.kernels.lanes import LANES
+from drape.live.sheet import LANES
 
 
 class SwingRows(NamedTuple):
@@ -76,13 +75,3 @@ def _blocks(order: np.ndarray, start: np.ndarray, other: np.ndarray) -> list[np.
         left -= set(ready)
         blocks.append(order[ready])
     return blocks
-
-
-@kernel
-def placed(c, rows):
-    """What each place of ``rows`` has of the nodes' ``c`` [m] (N, 3): (P, 3)."""
-    x = np.empty((len(rows.node), 3), c.dtype)
-    for p in range(len(rows.node)):
-        for axis in range(3):
-            x[p, axis] = c[rows.node[p], axis]
-    return x

@@ -12,7 +12,7 @@ from drape.garment.cache import Garment
 from drape.geometry.colliders import seen_from
 from drape.live.clock import Frame
 from drape.live.swing_constants import swing_constants
-from drape.live.swing_step import SwingConstants, SwingMemory, swing, warm_up
+from drape.live.swing_step import SwingConstants, SwingMemory, swing
 from service.stages.batch import Batch, changed, stacked
 from service.stages.plan import SKIN, Plan
 from service.stages.stage import KeptConstants, Stage, StageSetup
@@ -30,7 +30,6 @@ class Swing(Stage):
         super().__init__(setup)
         self._garments: dict[str, Garment] = {}
         self._constants = KeptConstants[SwingConstants | None](lambda kept: len(kept) > KEPT)
-        warm_up()
 
     def check(self, plan: Plan) -> None:
         if plan.options.inertia == "mesh" and plan.options.geometry == "jets":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from benchmarks.judge.simulator import SLIP_M, Motion, Sheet, Skin, grip, simulate, slowed
+from benchmarks.judge.simulator import AIR_KG_M3, SLIP_M, Motion, Sheet, Skin, grip, simulate, slowed
 from benchmarks.scenes import FPS
 from benchmarks.swing import spin
 from drape.body.assets import load_body
@@ -13,7 +13,6 @@ from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.exact.newton import Band, Cloth, Descent
-from drape.live.swing_step import AIR_KG_M3
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.drape.live.swing_setup import strip
 

@@ -1,11 +1,12 @@
-"""The equations of ``drape.live.swing_nodes`` once more, in NumPy, to be read and compared with."""
+"""The equations of a swing mesh once more, in NumPy, to be read and compared with the engine's."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from drape.live.swing_mesh import SwingMesh
-from drape.live.swing_nodes import COMPRESSED
+
+COMPRESSED = 0.2
 
 
 def triangles(mesh: SwingMesh) -> tuple[np.ndarray, np.ndarray]:

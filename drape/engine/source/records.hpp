@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0xfbbc7d861a5c91ebu;
+constexpr uint64_t RECORDS_HASH = 0xc55b343313f5a786u;
 
 template <class T> struct Constants {
   double warp;
@@ -189,9 +189,9 @@ template <class T> struct SwingMemory {
   Array<double> colliders;
   Array<double> origin;
   double time_s;
-  double still_since_s;
+  Array<double> still_since_s;
 };
-static_assert(sizeof(SwingMemory<float>) == 112, "SwingMemory");
+static_assert(sizeof(SwingMemory<float>) == 120, "SwingMemory");
 
 template <class T> struct Layer {
   Array<T> weight;

@@ -1,8 +1,8 @@
 // How the nodes of a swing mesh carry the cloth between them: by their ways, and by how they have turned.
 //
-// The folds of still cloth are finer than the mesh. Nodes that only moved them would flatten folds where cloth turns, and
-// it would lose area. So each node j turns what is around it (Sumner, Schmid and Pauly 2007, "Embedded Deformation for
-// Shape Manipulation", ACM TOG 26(3)). With X the still nodes, c the swung ones, R their turns and w the weights,
+// The folds of still cloth are finer than the mesh. Nodes that only moved them would flatten folds where cloth turns,
+// and it would lose area. So each node j turns what is around it (Sumner, Schmid and Pauly 2007, "Embedded Deformation
+// for Shape Manipulation", ACM TOG 26(3)). With X the still nodes, c the swung ones, R their turns and w the weights,
 //
 //     v = x + sum of w (c - X + (R - 1) (x - X)).
 //
@@ -10,16 +10,16 @@
 //
 //     M = sum of b a^T + n N^T |a|^2 / 2,
 //
-// a and b the sides of the node's coarse triangles in X and in c, N and n its normals there. It is found by turning about
-// the sum of r x m over the columns of R and M (Mueller, Bender, Chentanez and Macklin 2016, "A Robust Method to Extract
-// the Rotational Part of Deformations", MIG), which has a result for every M.
+// a and b the sides of the node's coarse triangles in X and in c, N and n its normals there. It is found by turning
+// about the sum of r x m over the columns of R and M (Mueller, Bender, Chentanez and Macklin 2016, "A Robust Method to
+// Extract the Rotational Part of Deformations", MIG), which has a result for every M.
 #pragma once
 #include "elements.hpp"
 
-constexpr int SHARED = 8;              // nodes that move a vertex
-constexpr int ROTATION_ROUNDS = 8;     // of turning, fewer where the square of the last half turn was below ENOUGH [rad^2]
+constexpr int SHARED = 8;             // nodes that move a vertex
+constexpr int ROTATION_ROUNDS = 8;    // of turning, fewer where the square of the last half turn [rad^2] was ENOUGH
 constexpr double ENOUGH = 1e-9;
-constexpr double LEAST_ALONG = 1e-3;   // of the squared sides: a smaller sum of r . m says little of a rotation
+constexpr double LEAST_ALONG = 1e-3;  // of the squared sides: a smaller sum of r . m says little of a rotation
 
 template <class T> struct Matrix { Points<T> a, b, c; };  // by columns
 
@@ -53,10 +53,14 @@ void write_turns(const T* still, const T* swung, const SwingMesh<T>& mesh, T sha
   T *first = scratch.take<T>(3 * places), *second = scratch.take<T>(3 * places), *third = scratch.take<T>(3 * places);
   if (scratch.overflowed) return;
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
-  for (int64_t p = 0; p < places; ++p) put_point(x, p, point(still, rows.node[p])), put_point(c, p, point(swung, rows.node[p]));
+  for (int64_t p = 0; p < places; ++p) {
+    put_point(x, p, point(still, rows.node[p]));
+    put_point(c, p, point(swung, rows.node[p]));
+  }
   for (int64_t block = 0; block < blocks; ++block) {
     const int64_t at = 3 * LANES * block;
-    Points<T> own = points_in(x + at), moved = points_in(c + at), none = {zero, zero, zero}, before = none, after = none;
+    const Points<T> own = points_in(x + at), moved = points_in(c + at), none = {zero, zero, zero};
+    Points<T> before = none, after = none;
     Matrix<T> m = {none, none, none};
     Row<T> sides = zero;
     for (int64_t row = rows.start[block]; row < rows.start[block + 1]; ++row) {
@@ -81,7 +85,8 @@ void write_turns(const T* still, const T* swung, const SwingMesh<T>& mesh, T sha
       // An empty row has the place itself, and no area.
       Row<T> real = where<T>(row_at(rows.slope + 5 * LANES * (row / 2) + 4 * LANES) > zero, one, zero);
       const int32_t* other = rows.other + LANES * row;
-      m = {plus(m.a, real, points_at(first, other)), plus(m.b, real, points_at(second, other)), plus(m.c, real, points_at(third, other))};
+      m = {plus(m.a, real, points_at(first, other)), plus(m.b, real, points_at(second, other)),
+           plus(m.c, real, points_at(third, other))};
     }
     Points<T> own = points_in(x + at);
     Matrix<T> r = rotation_of<T>(m, T(LEAST_ALONG) * row_at(square + LANES * block));
@@ -103,8 +108,8 @@ void write_turns(const T* still, const T* swung, const SwingMesh<T>& mesh, T sha
 
 // Writes the vertices [m] (V, 3), moved by a share of the nodes' way and turn from still to swung [m] (N, 3), to out.
 template <class T>
-void move_vertices(const T* vertices, int64_t count, const T* still, const T* swung, const SwingMesh<T>& mesh, T share, T* out,
-                   Scratch& scratch) {
+void move_vertices(const T* vertices, int64_t count, const T* still, const T* swung, const SwingMesh<T>& mesh, T share,
+                   T* out, Scratch& scratch) {
   const int64_t mark = scratch.used;
   T* table = scratch.take<T>(LANES * mesh.vertex.count);
   if (scratch.overflowed) return;
@@ -120,8 +125,9 @@ void move_vertices(const T* vertices, int64_t count, const T* still, const T* sw
     }
     const Row<T> m = one + two;
     const Vector<T> p = point(vertices, v);
-    const Four<T> moved = __builtin_shufflevector(m, m, 0, 1, 2, 3) * p.x + __builtin_shufflevector(m, m, 4, 5, 6, 7) * p.y +
-                          (__builtin_shufflevector(m, m, 8, 9, 10, 11) * p.z + __builtin_shufflevector(m, m, 12, 13, 14, 15));
+    const Four<T> a = __builtin_shufflevector(m, m, 0, 1, 2, 3), b = __builtin_shufflevector(m, m, 4, 5, 6, 7);
+    const Four<T> c = __builtin_shufflevector(m, m, 8, 9, 10, 11), d = __builtin_shufflevector(m, m, 12, 13, 14, 15);
+    const Four<T> moved = a * p.x + b * p.y + (c * p.z + d);
     put_point(out, v, p + Vector<T>{moved.x, moved.y, moved.z});
   }
   scratch.used = mark;

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numba import njit
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
+from drape.engine.calls import call, call_with_scratch
+from drape.engine.records import Record
 from drape.geometry import meshes
-from drape.kernels.compiled import FAST
-from drape.kernels.lanes import LANES, put3, rows3_at
-from drape.live.swing_carry import move_vertices, rotation
+from drape.live.sheet import LANES
 from tests.drape.live.swing_setup import WIDTH_M, hanging, strip
 
 
 def carried(x: np.ndarray, still: np.ndarray, swung: np.ndarray, share: float = 1.0) -> np.ndarray:
-    out = np.empty_like(x)
-    move_vertices(x, still, swung, hanging()[1], share, out)
+    out, mesh = np.empty_like(x), Record("SwingMesh", hanging()[1])
+    call_with_scratch("law_move_vertices", np.float64, x, len(x), still, swung, mesh, share, out)
     return out
 
 
@@ -51,20 +50,10 @@ def test_a_share_of_nothing_moves_nothing(rng):
     assert_array_equal(carried(rest, still, still + 0.1 * rng.normal(size=still.shape), share=0.0), rest)
 
 
-@njit(error_model="numpy", fastmath=FAST)
-def write_rotations(m: np.ndarray, least: float, found: np.ndarray) -> None:
-    """Writes the columns of the rotations nearest to those of ``m``, nine rows each, to ``found``."""
-    a, b, c = rows3_at(m, 0), rows3_at(m, 3 * LANES), rows3_at(m, 6 * LANES)
-    e, f, g = rotation(a, b, c, 0.0 * a[0] + least, np.empty(LANES))
-    put3(found, 0, e)
-    put3(found, 3 * LANES, f)
-    put3(found, 6 * LANES, g)
-
-
 def rotations(m: np.ndarray, least: float) -> np.ndarray:
     """Those nearest to matrices ``m`` (``LANES``, 3, 3)."""
     found = np.empty((3, 3, LANES))
-    write_rotations(np.ascontiguousarray(m.transpose(2, 1, 0)).reshape(-1), least, found.reshape(-1))
+    call("law_rotations", np.float64, np.ascontiguousarray(m.transpose(2, 1, 0)), least, found)
     return found.transpose(2, 1, 0)
 
 
