@@ -50,7 +50,6 @@ $(BIN)/python:
 
 $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
 	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,clients]'
-	@scripts/timed "kernels" $(BIN)/python -m drape.warm_up
 	@touch $@
 
 # The engine needs nothing but Python, so it is compiled beside the packages.
@@ -66,7 +65,6 @@ $(VENV)/.engine-tests-stamp: $(ENGINE_SOURCES) | $(BIN)/python
 $(VENV)/.setup-stamp: pyproject.toml | $(BIN)/python
 	@scripts/timed "torch" scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
 	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
-	@scripts/timed "kernels" $(BIN)/python -m tests.fixtures.kernels
 	@touch $(VENV)/.serve-stamp $@
 
 setup:
@@ -91,7 +89,7 @@ browser:
 	@scripts/build_page $(WEB) --optional
 	@scripts/find_chromium
 
-# They are fetched while kernels are compiled. Checks run beside the tests, since most of them use one core, and are
+# They are fetched while the engine is compiled. Checks run beside the tests, since most of them use one core, and are
 # printed after them.
 test:
 	@$(MAKE) --no-print-directory -j2 setup browser
@@ -102,10 +100,10 @@ test:
 test-all: setup
 	$(PYTEST) $(ARGS)
 
-# What rounding alone decides comes out otherwise: libraries and kernels compute with AVX2. Kernels are stored apart.
+# What rounding alone decides comes out otherwise: libraries and the engine compute with AVX2.
 test-avx2: setup
-	OPENBLAS_CORETYPE=Haswell NUMBA_CPU_NAME=x86-64-v3 ATEN_CPU_CAPABILITY=avx2 MKL_ENABLE_INSTRUCTIONS=AVX2 ONEDNN_MAX_CPU_ISA=AVX2 \
-	NPY_DISABLE_CPU_FEATURES="AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL" NUMBA_CACHE_DIR=$(CURDIR)/.cache/avx2 $(PYTEST) $(ARGS)
+	OPENBLAS_CORETYPE=Haswell DRAPE_ISA=v3 ATEN_CPU_CAPABILITY=avx2 MKL_ENABLE_INSTRUCTIONS=AVX2 ONEDNN_MAX_CPU_ISA=AVX2 \
+	NPY_DISABLE_CPU_FEATURES="AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL" $(PYTEST) $(ARGS)
 
 test-quick: setup
 	$(PYTEST) -m "not slow and not long" $(ARGS)

@@ -2,7 +2,7 @@
 
 A ``Job`` is a call on the thread of a ``Lane``, or what a process of the service computes. It moves when it says so
 (``moved``: a step of a chunk, a frame). One that has said nothing yet moves while its thread, or the process that it
-waits for, takes processor time. Nothing waits for a compiler.
+waits for, takes processor time.
 """
 
 from __future__ import annotations
@@ -134,8 +134,7 @@ class Watchdog:
         self._loop.moved_s = now_s - self._life.loop_still_s
         jobs, still = (self._loop, *JOBS), dict.fromkeys(self._life.still, 0.0)
         for one in jobs:
-            if one.look(now_s) > self._stuck_s and any("/numba/core/" in at.filename for at in one.stack()):
-                one.moved_s = now_s
+            one.look(now_s)
             still[one.lane] = max(still.get(one.lane, 0.0), now_s - one.moved_s)
         for lane, waited_s in still.items():
             self._metrics.lane_still.labels(lane).set(waited_s)
