@@ -21,11 +21,10 @@ def multiply_adds(model: OneFit, garment: PackedGarment) -> float:
         m for part in (graph.trunk, graph.head, graph.corrections) for m in part.modules() if isinstance(m, nn.Linear)
     ]
     per_patch = sum(m.weight.numel() for m in linear) + 24 * 16 + 24 * 9 + 3 * 4 * COLUMNS
-    per_patch += graph.from_surroundings.numel() if graph.from_surroundings is not None else 0
+    per_patch += graph.from_surroundings.numel()
     passes = len(graph.corrections)
-    agreed = (3 * 4 * MEMBERS if graph.based else 0) + passes * 3 * COLUMNS * MEMBERS
-    agreed += (passes + graph.based) * (3 * FIT_COUNT * MEMBERS + 9 * FIT_COUNT)
-    agreed += graph.closes * (3 * COLUMNS * MEMBERS + 3 * FIT_COUNT * MEMBERS + 9 * FIT_COUNT)
+    agreed = 3 * 4 * MEMBERS + (passes + 1) * 3 * COLUMNS * MEMBERS
+    agreed += (passes + 2) * (3 * FIT_COUNT * MEMBERS + 9 * FIT_COUNT)
     per_patch += agreed + passes * 2 * jets.JET_COUNT * 6 * STRAIN_POINTS
     per_body = sum(p.numel() for p in [*graph.body.parameters(), graph.from_body.weight])
     return per_body + per_patch * garment.patch_count + 3 * garment.stored["tile_positions"].size

@@ -12,7 +12,7 @@ With e = xj - xi, a = xk - xi, b = xl - xi the normals are n1 = e x a and n2 = b
     cos theta = n1 . n2 / |n1| |n2|,   sin theta = -|e| n1 . b / |n1| |n2|
 
 Written once for numpy and torch, differentiable in everything. Hinges are the last axis: ``corners`` are four arrays
-(3, ..., H) of positions, i and j the ends of the edge. ``drape.kernels.elements`` has the compiled formula.
+(3, ..., H) of positions, i and j the ends of the edge. The engine has the same (``elements.hpp``).
 """
 
 from __future__ import annotations

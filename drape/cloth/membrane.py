@@ -8,7 +8,7 @@ two axes of the cloth; ``stiffness`` is (k_p, k_t, k_c, k_s) [N/m]: with the axe
 cross, shear). An isotropic cloth has k_p = k_t = 2 mu + lambda, k_c = lambda, k_s = 4 mu.
 
 Written once for numpy and torch, differentiable in everything. Triangles are the last axis: ``corners`` are three
-arrays (3, ..., F) of positions [m]. ``drape.kernels.elements`` has the compiled formula.
+arrays (3, ..., F) of positions [m]. The engine has the same (``elements.hpp``).
 """
 
 from __future__ import annotations

@@ -73,4 +73,4 @@ def _argument(one: Any, dtype: np.dtype) -> Any:
         return ctypes.c_void_p(one.address)
     if isinstance(one, Recorded):
         return ctypes.c_void_p(one.record.address)
-    return ctypes.c_int64(one) if isinstance(one, bool | int | np.integer) else ctypes.c_double(one)
+    return ctypes.c_int64(int(one)) if isinstance(one, bool | int | np.integer) else ctypes.c_double(one)

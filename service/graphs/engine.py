@@ -115,7 +115,7 @@ class Engine:
             check_distributions()
         self.nodes_off_provider = 0  # of parts opened so far; on a GPU each waits for a copy
         # Read now: a folder replaced later must not mix its graphs with those of this one.
-        files = {name: self.manifest.graphs[self._chosen(name)].file for name in graphs}
+        files = {name: self.manifest.graphs[name].file for name in map(self._chosen, graphs)}
         self._files = {name: (folder / file).read_bytes() for name, file in files.items()}
         self._weights = {weights.file: (folder / weights.file).read_bytes()} if weights else {}
         self._opened: dict[tuple[Any, ...], Session] = {}

@@ -40,7 +40,7 @@ def test_a_call_moves_each_of_its_arrays_once():
     skin = np.zeros((4, 8), np.float32)
     around = Record("Surroundings", Surroundings(skin, np.zeros((1, 16))))
     assert moved_bytes((POINTS, (around, 3, POINTS)), skin) == POINTS.nbytes + skin.nbytes + 16 * 8
-    tiles = Tiles(POINTS, np.zeros((2, 18, 32)), POINTS, POINTS)
+    tiles = Tiles(POINTS, np.zeros((2, 18, 32)), POINTS, POINTS, POINTS)
     assert multiply_adds("vertices", ((), tiles)) == 3 * 2 * 18 * 32
     assert multiply_adds("leave", (POINTS,)) == 0
 

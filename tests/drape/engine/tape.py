@@ -69,7 +69,7 @@ def _arrays(given: list[Any]) -> dict[int, np.ndarray]:
     found: dict[int, np.ndarray] = {}
     for one in given:
         record = one.record if isinstance(one, Recorded) else one
-        for array in (record._words, *record._arrays) if isinstance(record, Record) else (record,):
+        for array in (record._words, *record.arrays) if isinstance(record, Record) else (record,):
             if isinstance(array, np.ndarray):
                 known = found.get(array.ctypes.data)
                 found[array.ctypes.data] = array if known is None or array.nbytes > known.nbytes else known

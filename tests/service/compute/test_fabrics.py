@@ -38,6 +38,7 @@ def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
 
 def packer_of(runtime: DrapeRuntime) -> packing.Packer:
     (network,) = (stage for stage in runtime.stages if isinstance(stage, Network))
+    assert isinstance(network.packer, packing.Packer)
     return network.packer
 
 

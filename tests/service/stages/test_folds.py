@@ -236,7 +236,7 @@ def test_constants_are_kept_up_to_a_size_those_in_use_always(runtime: DrapeRunti
     stage = next(one for one in runtime.plan(entry, DrapeOptions(folds=1)).stages if one.name == "folds")
     assert isinstance(stage, Folds)
     for named, kept_bytes, wanted in (("swim", 1 << 30, 1), ("rib", 0, 2), ("rib", 0, 2), ("swim", 0, 3)):
-        monkeypatch.setattr(stage, "kept_bytes", kept_bytes)
+        monkeypatch.setattr(folds_stage, "KEPT_BYTES", kept_bytes)
         stage.prepare(runtime.plan(entry, DrapeOptions(folds=1, fabric=named)))
         assert len(made) == wanted
 
