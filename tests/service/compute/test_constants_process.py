@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -137,6 +138,7 @@ def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: 
 SAY = """
 import os
 from pathlib import Path
+from typing import Any
 from service.compute.background import step_back
 step_back()
 group = Path("/proc/self/autogroup")
