@@ -11,8 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +137,6 @@ def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: 
 SAY = """
 import os
 from pathlib import Path
-from typing import Any
 from service.compute.background import step_back
 step_back()
 group = Path("/proc/self/autogroup")
