@@ -92,6 +92,7 @@ def build(
     library = folder / (target.name + ("-tests" if tests else "") + target.suffix)
     if _is_newer(library) and not sanitize:
         return library
+    folder.mkdir(parents=True, exist_ok=True)
     zig, begin, units = compiler(), time.monotonic(), TESTED if tests else UNITS
     environment = os.environ | {
         f"ZIG_{kind}_CACHE_DIR": str(cache_folder() / "compiled") for kind in ("GLOBAL", "LOCAL")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from drape.engine.library import Scratch, load
-from drape.engine.records import Record, Recorded
+from drape.engine.records import Record, Recorded, address_of
 
 SUFFIX = {np.dtype(np.float32): "f32", np.dtype(np.float64): "f64"}
 _FIRST_BYTES = 1 << 20
@@ -66,9 +66,9 @@ def _function(name: str, dtype: np.dtype) -> Callable[..., int]:
 
 def _argument(one: Any, dtype: np.dtype) -> Any:
     if isinstance(one, np.ndarray):
-        if not one.flags.c_contiguous or (one.dtype.kind == "f" and one.dtype != dtype):
-            raise TypeError(f"expected contiguous {dtype}, got {one.dtype}, strides {one.strides}")
-        return ctypes.c_void_p(one.ctypes.data)
+        if one.dtype.kind == "f" and one.dtype != dtype:
+            raise TypeError(f"expected {dtype}, got {one.dtype}")
+        return ctypes.c_void_p(address_of(one))
     if isinstance(one, Record):
         return ctypes.c_void_p(one.address)
     if isinstance(one, Recorded):

@@ -18,9 +18,11 @@ Every size is a multiple of eight bytes on every processor, WebAssembly included
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import hashlib
 import struct
+from array import array
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -300,6 +302,7 @@ _TYPES = {
     "uint16s": np.dtype(np.uint16),
     "bytes": np.dtype(np.uint8),
 }
+_WORD, _WORDS = struct.Struct("<Q"), {"number": struct.Struct("<d"), "count": struct.Struct("<q")}
 HASH = int.from_bytes(hashlib.sha256(repr(RECORDS).encode()).digest()[:8], "little")
 
 
@@ -349,32 +352,38 @@ class Record:
         """
         self.arrays: list[np.ndarray] = []
         dtype = np.dtype(dtype or _numbers_type(name, value) or np.float32)
-        self._words = np.array(self._filled(name, value, dtype), np.uint64)
-        self.address = self._words.ctypes.data
+        self._words = array("Q", self._filled(name, value, dtype))
+        self.address = self._words.buffer_info()[0]
 
     def _filled(self, name: str, value: Any, dtype: np.dtype) -> list[int]:
         words: list[int] = []
         for field, kind in RECORDS[name].items():
             own = getattr(value, field)
-            if kind in RECORDS:
+            if kind in _ARRAYS:
+                wanted = _TYPES.get(kind, dtype)
+                if own.dtype != wanted or not own.flags.c_contiguous:
+                    raise TypeError(f"{name}.{field}: expected contiguous {wanted}, got {own.dtype}, {own.strides}")
+                self.arrays.append(own)
+                words += (address_of(own), own.size)
+            elif kind in RECORDS:
                 words += self._filled(kind, own, dtype)
-            elif kind.endswith("[]"):
-                parts = [word for one in own for word in self._filled(kind[:-2], one, dtype)]
-                words += self._array(field, np.array(parts, np.uint64), np.dtype(np.uint64))
-                words[-1] = len(own)
-            elif kind == "number":
-                words.append(struct.unpack("<Q", struct.pack("<d", own))[0])
-            elif kind == "count":
-                words.append(struct.unpack("<Q", struct.pack("<q", own))[0])
+            elif kind in _WORDS:
+                words += _WORD.unpack(_WORDS[kind].pack(own))
             else:
-                words += self._array(f"{name}.{field}", own, _TYPES.get(kind, dtype))
+                parts = np.array([word for one in own for word in self._filled(kind[:-2], one, dtype)], np.uint64)
+                self.arrays.append(parts)
+                words += (address_of(parts), len(own))
         return words
 
-    def _array(self, name: str, array: np.ndarray, dtype: np.dtype) -> list[int]:
-        if array.dtype != dtype or not array.flags.c_contiguous:
-            raise TypeError(f"{name}: expected contiguous {dtype}, got {array.dtype}, strides {array.strides}")
-        self.arrays.append(array)
-        return [array.ctypes.data, array.size]
+
+def address_of(numbers: np.ndarray) -> int:
+    """Where contiguous ``numbers`` begin, 0 if there are none; by a buffer, which takes a third of the time that
+    ``ctypes`` of the array does. Raises ``TypeError`` for an array that is not contiguous."""
+    if numbers.size == 0:
+        return 0
+    if not numbers.flags.writeable and numbers.flags.c_contiguous:
+        return numbers.ctypes.data
+    return ctypes.addressof(ctypes.c_char.from_buffer(numbers))
 
 
 class Recorded:

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from drape.engine import calls
-from drape.engine.records import Record, Recorded
+from drape.engine.records import Record, Recorded, address_of
 
 MOST = 4
 
@@ -69,10 +69,14 @@ def _arrays(given: list[Any]) -> dict[int, np.ndarray]:
     found: dict[int, np.ndarray] = {}
     for one in given:
         record = one.record if isinstance(one, Recorded) else one
-        for array in (record._words, *record.arrays) if isinstance(record, Record) else (record,):
-            if isinstance(array, np.ndarray):
-                known = found.get(array.ctypes.data)
-                found[array.ctypes.data] = array if known is None or array.nbytes > known.nbytes else known
+        if isinstance(record, Record):
+            one_record: tuple[Any, ...] = (np.frombuffer(record._words, np.uint64), *record.arrays)
+        else:
+            one_record = (record,)
+        for array in one_record:
+            if isinstance(array, np.ndarray) and array.size:  # an empty one is at 0
+                known = found.get(address_of(array))
+                found[address_of(array)] = array if known is None or array.nbytes > known.nbytes else known
     return found
 
 
@@ -93,8 +97,8 @@ def _written(
     for one in given:
         one = one.record if isinstance(one, Recorded) else one
         if isinstance(one, Record | np.ndarray):
-            address = one.address if isinstance(one, Record) else one.ctypes.data
-            parts.append(struct.pack("<2q", 2, number[address]))
+            address = one.address if isinstance(one, Record) else address_of(one)
+            parts.append(struct.pack("<2q", 2, number[address]) if address else struct.pack("<2q", 0, 0))
         elif isinstance(one, bool | int | np.integer):
             parts.append(struct.pack("<2q", 0, int(one)))
         else:
