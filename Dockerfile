@@ -2,11 +2,18 @@
 # docker run -p 127.0.0.1:8000:8000 -e DRAPE_OPEN=true drape; for others mount a file of keys and name it in DRAPE_KEYS_FILE.
 # For a GPU: docker build --build-arg EXTRA=gpu -t drape-gpu . and run it with --gpus all -e DRAPE_PROVIDER=cuda.
 
+# The engine for browsers.
+FROM python:3.12-slim AS wasm
+WORKDIR /app
+COPY drape/engine drape/engine
+RUN DRAPE_CACHE=/tmp/cache python drape/engine/build.py --wasm
+
 FROM node:22-slim AS page
-WORKDIR /page
+WORKDIR /app/clients/web
 COPY clients/web/package.json clients/web/package-lock.json ./
 RUN npm ci --no-audit --no-fund
 COPY clients/web ./
+COPY --from=wasm /app/drape/engine/libraries /app/drape/engine/libraries
 RUN npm run build
 
 # For every processor of this system, so that no container compiles.
@@ -29,7 +36,7 @@ COPY assets assets
 RUN pip install -e ".[service,otel,${EXTRA}]"
 # The promise that the service runs without torch is kept here, not only in the tests.
 RUN python -c "import importlib.util as u, sys; sys.exit('torch is in the image' if u.find_spec('torch') else 0)"
-COPY --from=page /page/dist clients/web/dist
+COPY --from=page /app/clients/web/dist clients/web/dist
 COPY --from=engine /app/drape/engine/libraries drape/engine/libraries
 RUN useradd --create-home --uid 10001 drape && mkdir -p .cache runs && chown drape .cache runs
 USER drape

@@ -72,7 +72,8 @@ setup:
 
 # --- the page ---
 
-$(WEB)/dist/.stamp: $(WEB_SOURCES)
+# The engine comes first, and with it the compiler.
+$(WEB)/dist/.stamp: $(WEB_SOURCES) $(ENGINE_SOURCES) | $(VENV)/.engine-stamp
 	@scripts/timed "page" scripts/build_page $(WEB)
 
 page: $(WEB)/dist/.stamp

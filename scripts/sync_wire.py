@@ -1,5 +1,5 @@
-"""Writes clients/web/lib/src/wire.js from drape/wire/ and the table of drape/files/formats.py, and the numbers of the
-arrays of FOLDS for the step in the browser.
+"""Writes clients/web/lib/src/wire.js from drape/wire/ and the table of drape/files/formats.py, and records.js beside it
+from drape/engine/records.py.
 
 ``--check`` only compares and fails where they differ.
 """
@@ -13,16 +13,21 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from drape.engine.records import HASH, RECORDS  # noqa: E402
 from drape.files.formats import MESH_SUFFIXES  # noqa: E402
 from drape.geometry import jets  # noqa: E402
-from drape.wire import folds as wire_folds  # noqa: E402
 from drape.wire import jets as wire_jets  # noqa: E402
 from drape.wire import layout as jet_layout  # noqa: E402
 from drape.wire import messages as wire  # noqa: E402
 from drape.wire import rig_poses  # noqa: E402
 
 TARGET = ROOT / "clients/web/lib/src/wire.js"
-FOLDS_TARGET = ROOT / "clients/web/lib/folds/names.ts"
+RECORDS_TARGET = TARGET.with_name("records.js")
+# What a page lays into memory, with the records that are part of these.
+LAID = (
+    "Levels", "FoldConstants", "FoldMemory", "FoldEffort", "Surroundings", "SwingConstants", "SwingMemory",
+    "Weights", "PatchRows", "BodyFeed", "PosedBody", "PosedJets", "Tiles",
+)  # fmt: skip
 SIZES = {"u8": 1, "u16": 2, "u32": 4, "f32": 4, "f64": 8}
 
 TEMPLATE = """\
@@ -253,14 +258,29 @@ def generate() -> str:
     )
 
 
-def fold_names() -> str:
-    """The text of names.ts."""
-    lines = ["// Generated from drape/wire/folds.py by scripts/sync_wire.py. Do not edit.", ""]
-    lines += ["// Numbers of the arrays of a FOLDS message.", f"export const ARRAYS: i32 = {len(wire_folds.ARRAYS)};"]
-    lines += [f"export const {name.upper()}: i32 = {i};" for i, name in enumerate(wire_folds.ARRAYS)]
-    lines += ["", "// Places in the array of numbers."]
-    lines += [f"export const {name.upper()}: i32 = {i};" for i, name in enumerate(wire_folds.NUMBERS)]
-    return "\n".join(lines) + "\n"
+def records_text() -> str:
+    """The text of records.js."""
+    names: dict[str, None] = {}
+
+    def take(name: str) -> None:
+        for kind in RECORDS[name].values():
+            if kind.removesuffix("[]") in RECORDS:
+                take(kind.removesuffix("[]"))
+        names[name] = None
+
+    for name in LAID:
+        take(name)
+    lines = [
+        "// Generated from drape/engine/records.py by scripts/sync_wire.py. Do not edit.",
+        "",
+        "// Of the whole table, a part of which follows: fields of records in their order, with their kinds.",
+        f'export const LAYOUT = "{HASH:016x}";',
+        "export const RECORDS = {",
+    ]
+    for name in names:
+        fields = ", ".join(f'{field}: "{kind}"' for field, kind in RECORDS[name].items())
+        lines.append(f"  {name}: {{ {fields} }},")
+    return "\n".join([*lines, "};"]) + "\n"
 
 
 def main() -> int:
@@ -268,7 +288,7 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
     check = parser.parse_args().check
     stale = False
-    for target, text in ((TARGET, generate()), (FOLDS_TARGET, fold_names())):
+    for target, text in ((TARGET, generate()), (RECORDS_TARGET, records_text())):
         if check and not (target.is_file() and target.read_text(encoding="utf-8") == text):
             print(f"{target.relative_to(ROOT)} is stale: run python scripts/sync_wire.py", file=sys.stderr)
             stale = True

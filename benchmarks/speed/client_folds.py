@@ -7,9 +7,9 @@ import shutil
 import subprocess
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -19,11 +19,14 @@ import numpy as np
 
 from benchmarks.served import Stream
 from drape.contact.skin import posed_table
+from drape.engine.flat_records import flat_records
 from drape.errors import Unavailable
 from drape.live.clock import Frame
-from drape.live.fold_arrays import body_arrays, fold_arrays
-from drape.live.fold_constants import FoldConstants, fold_constants
-from drape.live.fold_step import FoldEffort, fold
+from drape.live.fold_records import fold_records
+from drape.live.fold_step import FoldEffort
+from drape.live.swing_constants import swing_constants
+from drape.live.swing_step import swing
+from drape.live.two_level import one_level, two_level
 from drape.motion.clip import MotionClip
 from drape.wire.folds import pack_folds
 from drape.wire.jets import unpack_jets
@@ -50,7 +53,8 @@ class Streamed:
 
 @dataclass(frozen=True, eq=False)
 class Decoded:
-    """What a client made: ``vertices`` [m] (F, V, 3), what each frame took [ms], and the folds of it, and the start."""
+    """What a client made: ``vertices`` [m] (F, V, 3), what each frame took [ms], and swing and folds of it, and the
+    start."""
 
     vertices: np.ndarray
     frame_ms: np.ndarray
@@ -60,19 +64,18 @@ class Decoded:
 
 @dataclass(frozen=True, eq=False)
 class Worn:
-    """A garment in a clip, with the constants of its folds."""
+    """A garment in a clip."""
 
     runtime: DrapeRuntime
     entry: Entry
     clip: MotionClip
-    constants: FoldConstants
 
     @classmethod
     def of(cls, runtime: DrapeRuntime, garment: str, motion: str) -> Worn:
         """The shipped ``garment`` on its fine mesh, in its own fabric, on the body of mean shape."""
         entry = next(each for each in runtime.garments.entries() if each.id == garment).fine
         clip = runtime.motions.placed(motion, runtime.body, np.zeros(runtime.body.shape_count))
-        return cls(runtime, entry, clip, fold_constants(entry.garment, runtime.body))
+        return cls(runtime, entry, clip)
 
     def streamed(self, frames: int, *options: dict[str, Any]) -> list[Streamed]:
         """The first ``frames`` of the clip in streams with ``options``, a frame of each after the other; their time is
@@ -99,9 +102,11 @@ class Worn:
             for stream, found in zip(streams, zip(*batches, strict=True), strict=True)
         ]
 
-    def message(self) -> bytes:
-        """The FOLDS message."""
-        return pack_folds(fold_arrays(self.constants) | body_arrays(self.runtime.body))
+    def message(self, options: DrapeOptions) -> bytes:
+        """The FOLDS message of a stream with ``options``, all of them known."""
+        shape = np.zeros(self.runtime.body.shape_count)
+        made = fold_records(self.entry.garment, self.runtime.body, None, shape, coarse=bool(options.coarse))
+        return pack_folds(*flat_records(made))
 
     def smooth(self, messages: list[bytes]) -> np.ndarray:
         """The vertices [m] (F, V, 3) of JETS ``messages``, without folds."""
@@ -109,13 +114,18 @@ class Worn:
         return np.stack([layout.positions(unpack_jets(message)) for message in messages])
 
     def folded(self, network: np.ndarray, options: DrapeOptions) -> np.ndarray:
-        """The frames of the service's step of the vertices ``network`` [m] (F, V, 3)."""
-        effort, memory, found = self.effort(options), None, []
-        poses = self.clip.poses[: len(network)].astype(np.float32).astype(np.float64)
-        skin = posed_table(self.runtime.body, poses, np.zeros(self.runtime.body.shape_count))
+        """The frames of the service's swing and folds of the vertices ``network`` [m] (F, V, 3)."""
+        garment, body, effort, found = self.entry.garment, self.runtime.body, self.effort(options), []
+        made = (two_level if options.coarse else one_level)(garment, body)
+        swinging, memory, swung = swing_constants(garment, body, None), None, None
+        shape, poses = np.zeros(body.shape_count), self.clip.poses[: len(network)]
+        skin = posed_table(body, poses.astype(np.float32).astype(np.float64), shape)
+        roots = self.clip.trans[: len(network)] + body.rest_joints(shape)[0]
         for number, vertices in enumerate(network):
             frame = Frame(vertices, skin[number].reshape(-1, 8), number / self.clip.fps)
-            vertices, memory, _ = fold(self.constants, memory, frame, effort)
+            if swinging is not None and options.inertia == "mesh":
+                vertices, swung = swing(swinging, swung, frame, roots[number])
+            vertices, memory, _ = made.fold(memory, replace(frame, vertices=vertices), effort)
             found.append(vertices)
         return np.stack(found)
 
@@ -150,6 +160,9 @@ def client_folder(
             "settle": effort.settle,
             "cloth_contact": effort.cloth_contact,
             "clearance_m": effort.clearance_m,
+            "coarse": bool(options.coarse),
+            "inertia": options.inertia,
+            "motion": options.knob,
         },
     }
     with tempfile.TemporaryDirectory() as name:
@@ -160,7 +173,7 @@ def client_folder(
         (folder / "about.json").write_text(json.dumps(about))
         (folder / "index.html").write_text(f'<!doctype html><script type="module" src="{SCRIPT.name}"></script>')
         (folder / "layout.bin").write_bytes(worn.entry.jet_layout)
-        (folder / "constants.bin").write_bytes(worn.message())
+        (folder / "constants.bin").write_bytes(worn.message(options))
         if network is not None:
             (folder / "network.bin").write_bytes(network.astype("<f4").tobytes())
         (folder / "messages.bin").write_bytes(b"".join(messages))
@@ -168,12 +181,17 @@ def client_folder(
         yield folder
 
 
-def in_node(folder: Path) -> Decoded:
-    """What Node.js decodes; raises ``Unavailable`` where there is none."""
+def node_here() -> str:
+    """The program of Node.js; raises ``Unavailable`` where there is none."""
     node = shutil.which("node")
     if node is None:
         raise Unavailable("node", expected="Node.js 18 or newer", got="none", cure="sudo apt-get install nodejs")
-    run = subprocess.run([node, str(folder / SCRIPT.name)], capture_output=True, text=True, timeout=300)
+    return node
+
+
+def in_node(folder: Path) -> Decoded:
+    """What Node.js decodes; raises ``Unavailable`` where there is none."""
+    run = subprocess.run([node_here(), str(folder / SCRIPT.name)], capture_output=True, text=True, timeout=300)
     if run.returncode:
         raise RuntimeError(run.stderr)
     return _decoded(folder, json.loads(run.stdout))
@@ -184,9 +202,7 @@ def in_browser(folder: Path, browser: str) -> Decoded:
     return _decoded(folder, said_in_browser(folder, browser))
 
 
-def said_in_browser(
-    folder: Path, browser: str, *, flags: Sequence[str] = ("--disable-gpu",), page: str = "", wait_s: float = 300.0
-) -> dict[str, Any]:
+def said_in_browser(folder: Path, browser: str, *, page: str = "", wait_s: float = 300.0) -> dict[str, Any]:
     """What the ``page`` of ``folder`` says at its end: said.json, after other files that it sends.
 
     Raises ``RuntimeError`` where it has not said anything after ``wait_s``.
@@ -209,9 +225,9 @@ def said_in_browser(
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         address = f"http://127.0.0.1:{server.server_address[1]}/{page}"
-        usual = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--no-first-run"]
+        usual = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--no-first-run", "--disable-gpu"]
         process = subprocess.Popen(
-            [browser, *usual, *flags, f"--user-data-dir={profile}", address],
+            [browser, *usual, f"--user-data-dir={profile}", address],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )

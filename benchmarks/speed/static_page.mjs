@@ -1,14 +1,22 @@
-// Drapes poses without a service, frame by frame, beside the library's modules in a folder of python -m service.static.
+// Drapes poses without a service, frame by frame, beside the library's modules in a folder of python -m service.static: in
+// Node.js or on a page.
 import { makeTargets } from "./decode.js";
 import { filesOf } from "./files.js";
-import { compiled } from "./folds.js";
 import { LocalDecoder } from "./local_decoder.js";
 import { topologyOf } from "./topology.js";
 import { packPose } from "./wire.js";
 
+const inNode = typeof process === "object";
+const disk = inNode ? await import("node:fs") : null;
+const { gunzipSync } = inNode ? await import("node:zlib") : {};
 const base = new URL("./", import.meta.url).href;
-const file = filesOf(base);
+const read = (name) => {
+  const bytes = disk.readFileSync(new URL(name, base));
+  return new Uint8Array(name.endsWith(".gz") ? gunzipSync(bytes) : bytes).buffer;
+};
+const file = inNode ? async (name) => read(name) : filesOf(base);
 const json = async (name) => JSON.parse(new TextDecoder().decode(await file(name)));
+
 async function measured() {
   const [about, asked] = await Promise.all([json("about.json"), json("asked.json")]);
   const garment = `/garments/${about.garment}`;
@@ -17,16 +25,16 @@ async function measured() {
   ]);
   const layers = [{ ...topologyOf(mesh), layout }];
   const begun = performance.now();
-  const decoder = await LocalDecoder.make({ folder: { base, about, file }, provider: asked.provider }, layers, { module: await compiled(), constants });
+  const module = await WebAssembly.compile(await file(about.engine));
+  const decoder = await LocalDecoder.make({ about, file }, layers, { module, constants });
   const startMs = performance.now() - begun;
-  const { network } = decoder;
-  let networkMs = 0;
-  const frame = network.frame.bind(network);
-  network.frame = async (...pose) => {
+  const { folding } = decoder.decoder;
+  let drapedMs = 0;
+  const drape = folding.drape.bind(folding);
+  folding.drape = (...given) => {
     const from = performance.now();
-    const found = await frame(...pose);
-    networkMs = performance.now() - from;
-    return found;
+    drape(...given);
+    drapedMs = performance.now() - from;
   };
   const targets = makeTargets(layers);
   const count = 3 * layers[0].vertexCount;
@@ -35,12 +43,15 @@ async function measured() {
   for (const [number, pose] of asked.poses.entries()) {
     const message = packPose({ sequence: number, clientTimeS: number / asked.fps, trans: asked.trans[number], pose });
     const from = performance.now();
-    await decoder.decode(message, targets, { effort: { ...about.opened, ...asked.effort } });
-    took.push([performance.now() - from, networkMs]);
+    decoder.decode(message, targets, { effort: { ...about.opened, ...asked.effort } });
+    took.push([performance.now() - from, drapedMs]);
     found.set(targets[0].positions.subarray(0, count), number * count);
   }
-  await fetch("vertices.bin", { method: "POST", body: found });
-  return { start_ms: startMs, took, told: network.told };
+  if (inNode) disk.writeFileSync(new URL("vertices.bin", base), found);
+  else await fetch("vertices.bin", { method: "POST", body: found });
+  return { start_ms: startMs, took };
 }
+
 const said = await measured().catch((error) => ({ error: error.stack }));
-await fetch("said.json", { method: "POST", body: JSON.stringify(said) });
+if (inNode) console.log(JSON.stringify(said));
+else await fetch("said.json", { method: "POST", body: JSON.stringify(said) });

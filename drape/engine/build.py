@@ -1,4 +1,5 @@
-"""``python drape/engine/build.py`` compiles the engine for this processor; ``--all`` for every target of a wheel.
+"""``python drape/engine/build.py`` compiles the engine for this processor; ``--all`` for every target of a wheel,
+``--wasm`` for browsers.
 
 The compiler is Clang out of the wheel ``ziglang``, so that no compiler of the system is needed. It is installed once
 into a cache folder (``DRAPE_CACHE``, ``~/.cache/drape``), 380 MB there, and is no part of the environment. It remembers
@@ -11,6 +12,7 @@ import argparse
 import ctypes
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import time
@@ -40,7 +42,8 @@ class Target(NamedTuple):
     @property
     def suffix(self) -> str:
         """The end of a library's name on that system."""
-        return ".dll" if "windows" in self.triple else ".dylib" if "macos" in self.triple else ".so"
+        ends = {"windows": ".dll", "macos": ".dylib", "wasm32": ".wasm"}
+        return next((end for system, end in ends.items() if system in self.triple), ".so")
 
 
 # glibc 2.17 is that of manylinux2014: the engine takes memcpy and memset from it and nothing else.
@@ -53,6 +56,23 @@ TARGETS = {
         Target(f"engine-x86-64-v{level}", "x86_64-windows-gnu", f"x86_64_v{level}") for level in (2, 3, 4)
     ],
 }
+
+# Browsers: what a page calls (clients/web/lib/src), in memory that the page makes.
+WEB = Target("engine", "wasm32-freestanding", "generic+simd128+bulk_memory+nontrapping_fptoint+sign_ext")
+WEB_UNITS = ("folds", "layers", "network", "swing")
+WEB_CALLS = (
+    "pose_body", "jets", "vertices", "swing", "fold", "fold_two_levels", "lift_alone", "write_grip",
+    "heights", "ceiling", "press",
+)  # fmt: skip
+WEB_LINKED = [
+    "-nostdlib",
+    "-s",
+    "-Wl,--no-entry",
+    "-Wl,--import-memory",
+    "-Wl,--export=__heap_base",
+    "-Wl,--export=drape_records_hash",
+    *(f"-Wl,--export=drape_{name}_f32" for name in WEB_CALLS),
+]
 
 
 def cache_folder() -> Path:
@@ -73,7 +93,12 @@ def compiler() -> list[str]:
     if not (folder / "ziglang").is_dir():
         print(f"engine: fetching the compiler into {folder}", flush=True)
         pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", "install", "--quiet"]
-        subprocess.run([*pip, "--target", str(folder), COMPILER], check=True)
+        part = folder.with_name(f"{folder.name}.{os.getpid()}")  # another process may fetch it at the same time
+        subprocess.run([*pip, "--target", str(part), COMPILER], check=True)
+        try:
+            part.rename(folder)
+        except OSError:
+            shutil.rmtree(part)
     return [str(folder / "ziglang" / ("zig.exe" if os.name == "nt" else "zig"))]
 
 
@@ -93,7 +118,8 @@ def build(
     if _is_newer(library) and not sanitize:
         return library
     folder.mkdir(parents=True, exist_ok=True)
-    zig, begin, units = compiler(), time.monotonic(), TESTED if tests else UNITS
+    zig, begin = compiler(), time.monotonic()
+    units, linked = (WEB_UNITS, WEB_LINKED) if target == WEB else (TESTED if tests else UNITS, LINKED)
     environment = os.environ | {
         f"ZIG_{kind}_CACHE_DIR": str(cache_folder() / "compiled") for kind in ("GLOBAL", "LOCAL")
     }
@@ -108,7 +134,7 @@ def build(
     with ThreadPoolExecutor(jobs) as pool:
         list(pool.map(compiled, units, objects))
     made = library.with_suffix(".new")  # moved into place whole: another process may have the old one open
-    subprocess.run([*zig, "c++", *common, *LINKED, *map(str, objects), "-o", str(made)], check=True, env=environment)
+    subprocess.run([*zig, "c++", *common, *linked, *map(str, objects), "-o", str(made)], check=True, env=environment)
     made.replace(library)
     for each in objects:
         each.unlink()
@@ -146,7 +172,7 @@ def build_system(system: str, folder: Path) -> None:
 
 
 def _aimed(target: Target) -> list[str]:
-    return ["-target", target.triple, f"-mcpu={target.processor}"]
+    return ["-target", target.triple, f"-mcpu={target.processor}", *(["-fno-PIC"] if target == WEB else [])]
 
 
 def _is_newer(library: Path) -> bool:
@@ -159,10 +185,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tests", action="store_true", help="the library that only tests load as well")
     parser.add_argument("--system", action="store_true", help="every level of processors of this system")
+    parser.add_argument("--wasm", action="store_true", help="for browsers, and nothing else")
     parser.add_argument("--all", action="store_true", help="every system, each in a folder of its own")
     parser.add_argument("--sanitize", action="store_true", help="with checks of memory, for `make sanitize`")
     chosen = parser.parse_args()
-    if chosen.all:
+    if chosen.wasm:
+        build(WEB, LIBRARIES)
+    elif chosen.all:
         for system in TARGETS:
             build_system(system, LIBRARIES / system)
     elif chosen.system:

@@ -383,7 +383,7 @@ def address_of(numbers: np.ndarray) -> int:
         return 0
     if not numbers.flags.writeable and numbers.flags.c_contiguous:
         return numbers.ctypes.data
-    return ctypes.addressof(ctypes.c_char.from_buffer(numbers))
+    return ctypes.addressof(ctypes.c_char.from_buffer(numbers))  # pyright: ignore[reportArgumentType]
 
 
 class Recorded:

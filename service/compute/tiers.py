@@ -81,21 +81,20 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
     folds, passes = options.folds, options.passes
     far = options.pixels_per_m is not None and options.pixels_per_m < FAR_PIXELS_PER_M
     tier = tiers[0 if far and folds is None else NAMES.index(options.tier or settings.tier)]
-    lifts = folds is None and own is None and not tier.folds and options.geometry == "vertices"
+    folding = options.geometry == "vertices" or options.folds_by == "client"
+    lifts = folds is None and own is None and not tier.folds and folding
     if far:
         # A lift in place of a projection, which costs more than what is left; with neither nothing is looked at.
         lifts = lifts and (settings.push_out if options.push_out is None else options.push_out)
         folds = 0 if folds is None else folds
         passes = _of_model(tiers[0].alone if passes is None and not folds else passes, pass_count)
     if folds is None:
-        smooth = options.geometry == "jets" and options.folds_by == "server"
-        folds = 0 if smooth else tier.folds if own is None else own
+        folds = 0 if not folding else tier.folds if own is None else own
     if passes is None and not options.tier:
         passes = settings.passes
     if passes is None:
         passes = _of_model(tier.passes if folds else tier.alone, pass_count)
     coarse = (tier.coarse if options.coarse is None else options.coarse) and (bool(folds) or lifts)
-    coarse = coarse and options.folds_by == "server"
     seen = FAR_PIXELS_PER_M if far and options.geometry == "vertices" else None  # one plan for all that is far away
     told = {"tier": None, "pixels_per_m": seen, "folds": folds, "passes": passes, "coarse": coarse}
     return options.model_copy(update=told | {"safe_folds": _safe_folds(options, folds, tiers)})
@@ -107,7 +106,7 @@ def capped(options: DrapeOptions, tier: Tier) -> DrapeOptions:
     passes = options.passes if _at_most(options.passes, most) else most
     folds = options.folds or 0
     safe = options.safe_folds if folds <= tier.folds else tier.folds  # a tier that is kept keeps its safe one
-    coarse = options.coarse or (tier.coarse and bool(folds) and options.folds_by == "server")
+    coarse = options.coarse or (tier.coarse and bool(folds))
     held = {"passes": passes, "folds": min(folds, tier.folds), "safe_folds": safe, "coarse": coarse}
     return options.model_copy(update=held)
 
@@ -129,12 +128,13 @@ def _safe_folds(options: DrapeOptions, folds: int, tiers: Sequence[Tier]) -> int
 
 def tier_of(options: DrapeOptions, tiers: Sequence[Tier], pass_count: int) -> str:
     """The name of the tier that ``options``, as ``chosen`` gives them, are; "custom" where they are none."""
+    folding = options.geometry == "vertices" or options.folds_by == "client"
     for tier in tiers:
-        if not tier.folds and options.geometry == "jets":  # those of the next one
+        if not tier.folds and not folding:  # those of the next one
             continue
-        folds = tier.folds if options.geometry == "vertices" or options.folds_by == "client" else 0
-        passes, coarse = tier.passes if folds else tier.alone, tier.coarse and options.geometry == "vertices"
-        same = options.folds == folds and (options.folds_by == "client" or bool(options.coarse) == coarse)
+        folds = tier.folds if folding else 0
+        passes, coarse = tier.passes if folds else tier.alone, tier.coarse and folding
+        same = options.folds == folds and bool(options.coarse) == coarse
         if same and options.passes == _of_model(passes, pass_count):
             return tier.name
     return "custom"

@@ -7,6 +7,7 @@ compute it.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from drape.graph.blend import Tiles, blend
 from drape.graph.packed import PART_SIZE
 from drape.graph.packing import PackedGarment
 from drape.network.bodies import BodyFeed, PosedBody, posed_body
-from drape.network.dense import OUTPUTS
+from drape.network.dense import OUTPUTS, Layer
 from drape.network.drape import checked_jets
 from drape.network.garments import encoded, garment_encoder
 from drape.network.motion import advance, motion_encoder
@@ -91,3 +92,17 @@ class CompiledNetwork:
         if vertices:
             blend(jets, garment.tiles, drawn)
         return dict(zip(JETS, (jets.jet, jets.rotation, jets.centre), strict=True)) | {"vertices": drawn}, finite
+
+    def records(self, garment: GarmentRows, passes: int | None) -> dict[str, Any]:
+        """What a client computes the network of ``garment`` by, with ``passes`` corrections, None all of them: records
+        of the engine by their names, without tiles, which its processor has not."""
+        weights, count = self._weights, self._corrections if passes is None else passes
+        layers = {"body": weights.body, "trunk": weights.trunk, "heads": weights.heads}
+        corrections = {"first": weights.first[:count], "second": weights.second[:count]}
+        several = {name: tuple(map(_untiled, each)) for name, each in (layers | corrections).items()}
+        single = {"from_body": _untiled(weights.from_body), "surroundings": _untiled(weights.surroundings)}
+        return {"Weights": replace(weights, **several, **single), "PatchRows": garment.patches}
+
+
+def _untiled(layer: Layer) -> Layer:
+    return replace(layer, tiles=np.empty(0, np.uint32))

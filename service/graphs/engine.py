@@ -43,7 +43,6 @@ from service.graphs.onnx_runtime import (
     open_session,
 )
 from service.graphs.subgraph import cut, misexported
-from service.graphs.whole_model import whole_model
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -228,7 +227,10 @@ class Engine:
         self, graph: str, outputs: Sequence[str], direct: Collection[str], passes: int | None, given: Collection[str]
     ) -> Session:
         name, spec = self.manifest.name, self.manifest.graphs[graph]
-        model = self._cut(graph, outputs, direct, passes, given)
+        instead = None if passes is None else {pass_name(self.pass_count): pass_name(passes)}
+        model = self._files[graph]
+        if not self.whole:
+            model = cut(model, outputs, direct=direct, instead=instead, given=given)
         # Operations of the push-outs are too small to be shared: two threads take longer than one.
         device = replace(self._device, threads=1) if graph in PUSHES else self._device
         per_frame = graph not in (ENCODER, DYNAMIC)
@@ -242,28 +244,6 @@ class Engine:
         _compare(name, graph, "outputs", {t.name: t.dtype for t in spec.outputs if t.name in found}, found)
         bound = self.bound and per_frame
         return BoundSession(session, device, taken, spec.outputs) if bound else Session(session, device)
-
-    def _cut(
-        self, graph: str, outputs: Sequence[str], direct: Collection[str], passes: int | None, given: Collection[str]
-    ) -> bytes:
-        if self.whole:
-            return self._files[graph]
-        instead = None if passes is None else {pass_name(self.pass_count): pass_name(passes)}
-        return cut(self._files[graph], outputs, direct=direct, instead=instead, given=given)
-
-    def whole_cut(
-        self,
-        graph: str,
-        outputs: Sequence[str],
-        constants: Mapping[str, np.ndarray],
-        *,
-        direct: Collection[str] = (),
-        passes: int | None = None,
-        given: Collection[str] = (),
-    ) -> bytes:
-        """The model that ``open_cut`` opens, in one file (``graphs.whole_model``), ``constants`` in place of inputs."""
-        model = self._cut(self._chosen(graph), outputs, direct, self.check_passes(passes), given)
-        return whole_model(model, constants, self._weights)
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
         """``array`` where the graphs compute; on the CPU it shares the array's memory."""

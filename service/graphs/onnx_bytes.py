@@ -14,8 +14,7 @@ GRAPH_NODE, GRAPH_INITIALIZER, GRAPH_INPUT, GRAPH_OUTPUT, GRAPH_VALUE_INFO = 1, 
 NODE_INPUT, NODE_OUTPUT, NODE_TYPE, NODE_ATTRIBUTE = 1, 2, 4, 5
 ATTRIBUTE_NAME, ATTRIBUTE_INT, ATTRIBUTE_GRAPH, ATTRIBUTE_GRAPHS = 1, 3, 6, 11
 VALUE_NAME = 1
-TENSOR_DIMS, TENSOR_TYPE, TENSOR_NAME, TENSOR_RAW, TENSOR_EXTERNAL, TENSOR_LOCATION = 1, 2, 8, 9, 13, 14
-ENTRY_KEY, ENTRY_VALUE = 1, 2
+TENSOR_NAME = 8
 
 
 @dataclass(frozen=True)
@@ -75,11 +74,6 @@ def read_varint(data: bytes, position: int) -> tuple[int, int]:
 def written(number: int, content: bytes) -> bytes:
     """A field that holds ``content``."""
     return varint(number << 3 | BYTES) + varint(len(content)) + content
-
-
-def written_number(number: int, value: int) -> bytes:
-    """A field that holds the number ``value``, 0 or more."""
-    return varint(number << 3 | VARINT) + varint(value)
 
 
 def varint(value: int) -> bytes:

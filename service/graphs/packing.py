@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,7 +26,7 @@ from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.graph.buckets import filled, filled_rows
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import Composition, Place, compose, pack_garment
+from drape.graph.packing import Composition, compose, pack_garment
 from drape.graph.push_feed import SkinShapes
 from service.graphs.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
 from service.graphs.store import Store
@@ -199,26 +199,11 @@ class Packer:
             results += self._run_part(plan, local, tuple((key, rows[row]) for key, row in part))
         return results
 
-    def whole_model(self, key: str, body: Mapping[str, np.ndarray], *, passes: int | None) -> bytes:
-        """The packed graph of the posed jets of the garment ``key`` alone, on ``body``, in a file that needs no other.
-
-        ``body`` (``PackedBody.rows`` of one frame) gives the shape; its poses, codes and the posed skin are left as
-        inputs.
-        """
-        with self._lock:
-            garment = self._store.packed(key)
-            constants = garment.stored | compose([(garment, Place(0, 0), 0)]).arrays | dict(body)
-            if self._skins is not None:
-                constants |= self._skins.feed(constants["betas"])
-        left = {"joint_quaternion", "dynamic_code"}
-        return self._engine.whole_cut(
-            PACKED,
-            JETS,
-            {name: array for name, array in constants.items() if name not in left},
-            direct=(*STORED_INDEX, *SHAPE_INDEX),
-            passes=passes,
-            given=(SKIN,) if self._skins is not None else (),
-        )
+    def records(self, key: str, *, passes: int | None) -> dict[str, Any]:
+        """What a client computes the network of the garment ``key`` by: ``CompiledNetwork.records``."""
+        network = self._engine.compiled
+        assert network is not None
+        return network.records(self._garment_rows(network, key), passes)
 
     def _parts(self, items: Sequence[Item]) -> list[list[Item]]:
         """``items`` in parts that fit a call, each of one at least."""

@@ -13,9 +13,10 @@ from fastapi import Response
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
+from drape.engine.flat_records import flat_records
+from drape.engine.records import HASH
 from drape.garment.cache import Garment
-from drape.live.fold_arrays import body_arrays, fold_arrays
-from drape.live.fold_constants import fold_constants
+from drape.live.fold_records import fold_records
 from drape.wire.folds import pack_folds
 from drape.wire.messages import WIRE_VERSION
 from drape.wire.options import FabricChoice, FabricNumbers
@@ -23,7 +24,7 @@ from service.http.json_body import document_of, validated
 
 KEPT = 8  # messages of some 3 MB, compressed
 LEVEL = 6  # of compression: to half of the size
-Folded = tuple[Garment, BodyModel, Fabric | None, np.ndarray]
+Folded = tuple[Garment, BodyModel, Fabric | None, np.ndarray, bool]
 
 
 class FoldMessages:
@@ -48,9 +49,10 @@ def queried_fabric(text: str | None) -> FabricChoice | None:
     return validated(FabricNumbers, document_of(text.encode())) if text.startswith("{") else text
 
 
-def packed(worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray) -> bytes:
-    """The message of the garment ``worn`` on ``body`` of a ``shape``, of ``fabric`` or else its own; compressed."""
-    message = pack_folds(fold_arrays(fold_constants(worn, body, fabric)) | body_arrays(body, shape))
+def packed(worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool) -> bytes:
+    """The message of the garment ``worn`` on ``body`` of a ``shape``, of ``fabric`` or else its own, where a ``coarse``
+    cloth takes the steps or the fine one; compressed."""
+    message = pack_folds(*flat_records(fold_records(worn, body, fabric, shape, coarse=coarse)))
     return gzip.compress(message, LEVEL, mtime=0)
 
 
@@ -59,8 +61,9 @@ async def fold_message(
 ) -> Response:
     """The answer with the message of ``folded``, which ``make`` makes where it is not ``kept``; 304 where the headers
     ``asked`` say that the client has it. It is compressed for who takes that."""
-    worn, body, fabric, shape = folded
-    said = "|".join((str(WIRE_VERSION), worn.digest, body.digest, "" if fabric is None else fabric.digest))
+    worn, body, fabric, shape, coarse = folded
+    made_of = "" if fabric is None else fabric.digest
+    said = "|".join((str(WIRE_VERSION), f"{HASH:x}", worn.digest, body.digest, made_of, str(coarse)))
     tag = f'W/"{hashlib.sha256(said.encode() + shape.tobytes()).hexdigest()[:24]}"'
     headers = {"ETag": tag, "Cache-Control": "private, max-age=86400", "Vary": "Accept-Encoding"}
     known = asked.get("if-none-match")

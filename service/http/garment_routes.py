@@ -41,6 +41,7 @@ class FoldsAsked(BaseModel):
     resolution: Resolution = "delivered"
     avatar: str | None = Field(default=None, max_length=120, description="The character that it is cut for.")
     size: SizeName | None = Field(default=None, description=SIZE)
+    coarse: bool = Field(default=False, description="Whether a coarse cloth takes the steps, as `opened` says.")
 
 
 class GarmentChange(schemas.Request):
@@ -135,7 +136,7 @@ async def garment_folds(
     chosen = {"resolution": asked.resolution, "fabric": queried_fabric(asked.fabric)}
     plan = runtime.plan(scene, DrapeOptions(geometry="jets", folds_by="client", folds=1, **chosen))  # may refuse
     worn, body = plan.scene.layers[0].garment, runtime.on(scene).body
-    folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body)
+    folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body), asked.coarse
     return await fold_message(state.fold_messages, folded, asked=request.headers, kind=kind, make=runtime.made)
 
 

@@ -54,10 +54,11 @@ class Folds(Stage):
         self._wrappings = KeptConstants[Wrapping]()
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        if not options.folds and not (options.coarse and options.geometry == "vertices"):
+        folding = options.geometry == "vertices" or options.folds_by == "client"
+        if not options.folds and not (options.coarse and folding):
             return {"folds": 0, "coarse": False, "safe_folds": None, "settle": None, "cloth_contact": None}
         return {
-            "coarse": bool(options.coarse) and options.folds_by == "server",
+            "coarse": bool(options.coarse),
             "folds": options.folds or 0,
             "safe_folds": max(options.folds, options.safe_folds or 0) if options.folds else None,
             "settle": SETTLE if options.settle is None else options.settle,

@@ -65,7 +65,8 @@ class Motion(Stage):
             self.engine.advance(np.zeros((1, 24, 12)), rest, np.array([1.0 / 30.0]))
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        inertia = options.inertia or ("network" if options.geometry == "jets" else self.settings.inertia)
+        smooth = options.geometry == "jets" and options.folds_by == "server"
+        inertia = options.inertia or ("network" if smooth else self.settings.inertia)
         knob = 1.0 if options.knob is None else options.knob
         moves = inertia == "mesh" or self.engine.dynamic
         return {"knob": knob if moves else 0.0, "inertia": inertia}

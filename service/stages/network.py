@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from drape.body.skeleton import JOINT_COUNT
 from drape.contact.skin import posed_table
-from drape.errors import InputError
+from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.graph.packing import pack_body
@@ -96,14 +95,17 @@ class Network(Stage):
     def held_bytes(self) -> int:
         return self.packer.held_bytes
 
-    def whole_model(self, plan: Plan, betas: np.ndarray) -> bytes:
-        """The graph of the jets of the one garment of ``plan`` on a body of the shape ``betas``, by itself: ``Packer``.
+    def records(self, plan: Plan) -> dict[str, Any]:
+        """What a client computes the network of the one garment of ``plan`` by: records of the engine by their names.
 
-        Its inputs are ``joint_quaternion`` and, where the model has them, ``dynamic_code`` and the posed ``skin``.
+        Refuses (``ArtifactError``) a model of a kind that the engine has not.
         """
+        if self.engine.compiled is None:
+            name, cure = self.engine.manifest.name, "Stream its vertices from a service."
+            raise ArtifactError(name, expected="a network that the engine has", got="another kind", cure=cure)
+        assert isinstance(self.packer, Packer)
         (key,) = self._dressed(plan)
-        body = pack_body(self.body, betas).rows(np.zeros((1, JOINT_COUNT, 3)))
-        return self.packer.whole_model(key, body, passes=plan.options.passes)
+        return self.packer.records(key, passes=plan.options.passes)
 
     def run(self, batch: Batch) -> Batch:
         plan, needs = batch.plan, batch.plan.needs

@@ -32,7 +32,8 @@ class Swing(Stage):
         self._constants = KeptConstants[SwingConstants | None](lambda kept: len(kept) > KEPT)
 
     def check(self, plan: Plan) -> None:
-        if plan.options.inertia == "mesh" and plan.options.geometry == "jets":
+        here = plan.options.folds_by == "server"  # a client that folds swings as well
+        if plan.options.inertia == "mesh" and plan.options.geometry == "jets" and here:
             raise InputError(
                 "inertia",
                 expected="network with geometry jets, whose polynomials have no nodes",
@@ -41,7 +42,8 @@ class Swing(Stage):
             )
 
     def wanted(self, plan: Plan) -> bool:
-        return bool(plan.options.knob) and plan.options.inertia == "mesh"
+        here = plan.options.folds_by == "server"
+        return bool(plan.options.knob) and plan.options.inertia == "mesh" and here
 
     def needs(self, plan: Plan) -> frozenset[str]:
         return frozenset({"vertices", SKIN})

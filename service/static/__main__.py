@@ -22,10 +22,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("garment", help="its id, as GET /garments has it")
     parser.add_argument("out", type=Path, help="the folder, new or written by this command before")
     parser.add_argument("--motion", default="walk", help="the clips that the page plays, comma-separated (walk)")
-    parser.add_argument("--tier", choices=("fast", "balanced", "accurate"), help="how much a frame computes (balanced)")
+    parser.add_argument(
+        "--tier", choices=("instant", "fast", "balanced", "accurate"), help="how much a frame computes (balanced)"
+    )
     parser.add_argument("--fabric", help="the name of one (the garment's own)")
     parser.add_argument("--betas", type=_numbers, default=(), help="the body's shape, comma-separated (the mean one)")
-    parser.add_argument("--no-webgpu", dest="webgpu", action="store_false", help="for processors alone: half the size")
     options = parser.parse_args(arguments)
     try:
         return _write(options)
@@ -44,20 +45,17 @@ def _write(options: argparse.Namespace) -> int:
     from service.app import create_app
     from service.compute.drape_runtime import DrapeRuntime
     from service.settings import load_settings
-    from service.static.folder import RUNTIMES, Asked, loaded, sizes, write_folder
+    from service.static.folder import Asked, sizes, write_folder
 
     settings = load_settings(keys_file=None)
     runtime = DrapeRuntime(settings)
     drape = DrapeOptions(**{name: value for name in ("tier", "fabric") if (value := getattr(options, name))})
-    asked = Asked(options.garment, tuple(options.motion.split(",")), drape, options.betas, options.webgpu)
+    asked = Asked(options.garment, tuple(options.motion.split(",")), drape, options.betas)
     asyncio.run(write_folder(create_app(settings, runtime=runtime), runtime, asked, options.out))
     found = sizes(options.out)
     for name, count in sorted(found.items(), key=lambda item: -item[1]):
         print(f"{count / 1e6:8.3f} MB  {name}")
     print(f"{sum(found.values()) / 1e6:8.3f} MB  in all")
-    for kind in RUNTIMES:
-        if kind == "wasm" or options.webgpu:
-            print(f"{sum(found[name] for name in loaded(options.out, kind)) / 1e6:8.3f} MB  loaded with {kind}")
     return 0
 
 

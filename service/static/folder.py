@@ -1,7 +1,7 @@
-"""The folder of one garment that browsers drape by themselves: a page, the network, and what a service would answer.
+"""The folder of one garment that browsers drape by themselves: page, engine, network, and what a service would answer.
 
-Answers, the network and ONNX Runtime lie there compressed (.gz), so that any server of files will do. ``about.json``
-says which file is what; ``clients/web/lib/src/local.js`` reads it.
+All but the page lies there compressed (.gz), so that any server of files will do. ``about.json`` says which file is
+what; ``clients/web/lib/src/local.js`` reads it.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import gzip
 import json
 import shutil
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +17,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drape.artifacts import staged_folder
+from drape.engine.build import LIBRARIES, WEB
+from drape.engine.flat_records import flat_records
 from drape.errors import ArtifactError, InputError, Unavailable
 from drape.geometry import jets
+from drape.wire.folds import pack_folds
 from drape.wire.options import DrapeOptions
-from service.graphs.graph_names import DYNAMIC, PACKED
+from service.graphs.graph_names import PACKED
 from service.settings import ROOT
 from service.stages.batch import shape_array
 from service.stages.network import Network
@@ -33,34 +36,24 @@ if TYPE_CHECKING:
     from drape.artifacts import Manifest
     from drape.body.pose_support import PoseSupport
     from service.compute.drape_runtime import DrapeRuntime
-    from service.graphs.engine import Engine
     from service.stages.plan import Plan
 
-FORMAT = 1
+FORMAT = 2
 ABOUT = "about.json"
 PAGE = ROOT / "clients/web/static/dist"
-ORT = ROOT / "clients/web/node_modules/onnxruntime-web"
-# Its module and its binary by where the network is computed: on processors, and on graphics cards besides.
-RUNTIMES = {
-    "wasm": ("ort.wasm.bundle.min.mjs", "ort-wasm-simd-threaded.wasm"),
-    "webgpu": ("ort.webgpu.bundle.min.mjs", "ort-wasm-simd-threaded.asyncify.wasm"),
-}
+ENGINE = LIBRARIES / f"{WEB.name}{WEB.suffix}"
 JSON, BINARY, GLB = "application/json", "application/octet-stream", "model/gltf-binary"
 LEVEL = 6  # of compression
 
 
 @dataclass(frozen=True)
 class Asked:
-    """The garment, the clips that the folder holds, how it is draped, and the shape of the body.
-
-    ``webgpu``: for graphics cards too.
-    """
+    """The garment, the clips that the folder holds, how it is draped, and the shape of the body."""
 
     garment: str
     motions: tuple[str, ...]
     options: DrapeOptions = field(default_factory=DrapeOptions)
     betas: tuple[float, ...] = ()
-    webgpu: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +77,7 @@ async def write_folder(app: FastAPI, runtime: DrapeRuntime, asked: Asked, target
     """
     if target.exists() and not is_ours(target):
         raise InputError(str(target), expected="a new folder", got="one with other files", cure="Name another folder.")
-    check_built(webgpu=asked.webgpu)
+    check_built()
     entry, shape = runtime.garments.get(asked.garment), shape_array(asked.betas, runtime.body)
     for motion in asked.motions:
         runtime.motions.get(motion)
@@ -92,6 +85,7 @@ async def write_folder(app: FastAPI, runtime: DrapeRuntime, asked: Asked, target
     async with app.router.lifespan_context(app):
         plan = runtime.plan(entry, chosen, messages=True)
         check_jets(runtime.engine.manifest)
+        check_inertia(plan.options)
         runtime.add_missing(plan)
         with staged_folder(target) as path:
             folder = Folder(path)
@@ -102,10 +96,10 @@ async def write_folder(app: FastAPI, runtime: DrapeRuntime, asked: Asked, target
                 "options": asked.options.model_dump(mode="json", exclude_unset=True) | {"betas": asked.betas},
                 "joints": runtime.body.rest_joints(shape).tolist(),
                 "opened": json.loads(opened(plan, app.state.drape, None)),
-                "answers": {name: folder.add(*file) async for name, file in _answers(app, asked)},
-                "network": _add_network(folder, runtime.engine, plan, shape),
+                "answers": {name: folder.add(*file) async for name, file in _answers(app, asked, plan)},
+                "engine": folder.add(ENGINE.name, ENGINE.read_bytes()),
+                "network": _add_network(folder, plan),
                 "novelty": _add_poses(folder, runtime.engine.pose_support),
-                "runtime": _add_runtimes(path, webgpu=asked.webgpu),
             }
             (path / ABOUT).write_text(json.dumps(about, indent=1))
 
@@ -119,17 +113,19 @@ def is_ours(target: Path) -> bool:
     return isinstance(about, dict) and {"format", "garment", "answers", "network"} <= about.keys()
 
 
-def check_built(*, webgpu: bool) -> None:
-    """Refuses (``Unavailable``) where the page or ONNX Runtime for browsers is not there."""
-    needed = [PAGE / "index.html", *(ORT / "dist" / name for kind in _kinds(webgpu) for name in RUNTIMES[kind])]
-    missing = [path for path in needed if not path.is_file()]
+def check_built() -> None:
+    """Refuses (``Unavailable``) where the page or the engine for browsers is not there."""
+    missing = [path for path in (PAGE / "index.html", ENGINE) if not path.is_file()]
     if missing:
         got = f"no {missing[0].relative_to(ROOT)}"
         raise Unavailable("page without a service", expected="its build", got=got, cure="Run make page.")
 
 
-def _kinds(webgpu: bool) -> list[str]:
-    return [kind for kind in RUNTIMES if webgpu or kind != "webgpu"]
+def check_inertia(options: DrapeOptions) -> None:
+    """Refuses (``InputError``) inertia of the network: the page has cloth's own."""
+    if options.knob and options.inertia == "network":
+        cure = "Leave inertia out, or stream from a service."
+        raise InputError("inertia", expected="mesh without a service", got="network", cure=cure)
 
 
 def check_jets(manifest: Manifest) -> None:
@@ -144,14 +140,15 @@ def check_jets(manifest: Manifest) -> None:
         )
 
 
-async def _answers(app: FastAPI, asked: Asked) -> AsyncIterator[tuple[str, tuple[str, bytes]]]:
+async def _answers(app: FastAPI, asked: Asked, plan: Plan) -> AsyncIterator[tuple[str, tuple[str, bytes]]]:
     """What the client asks a service for: the path without its query, and (name of a file, content)."""
     garment, betas = f"/garments/{asked.garment}", ",".join(str(beta) for beta in asked.betas)
     fabric = asked.options.fabric if isinstance(asked.options.fabric, str) else ""
+    chosen = f"fabric={fabric}&betas={betas}&coarse={bool(plan.options.coarse)}"
     wanted = {
         f"{garment}/mesh": (f"{garment}/mesh?resolution=fine", JSON, "mesh.json"),
         f"{garment}/jets": (f"{garment}/jets?resolution=fine", BINARY, "layout.bin"),
-        f"{garment}/folds": (f"{garment}/folds?resolution=fine&fabric={fabric}&betas={betas}", BINARY, "folds.bin"),
+        f"{garment}/folds": (f"{garment}/folds?resolution=fine&{chosen}", BINARY, "folds.bin"),
         garment: (garment, JSON, "garment.json"),
         "/health": ("/health", JSON, "health.json"),
         "/fabrics": ("/fabrics", JSON, "fabrics.json"),
@@ -169,13 +166,10 @@ async def _answers(app: FastAPI, asked: Asked) -> AsyncIterator[tuple[str, tuple
         yield name, (f"{name[1:]}.json", json.dumps([every[one] for one in ids]).encode())
 
 
-def _add_network(folder: Folder, engine: Engine, plan: Plan, shape: np.ndarray) -> dict[str, Any]:
-    """Writes the graphs: the garment's, and that of motion."""
+def _add_network(folder: Folder, plan: Plan) -> dict[str, str]:
+    """Writes the network of the garment: records of the engine in a FOLDS message."""
     network = next(stage for stage in plan.stages if isinstance(stage, Network))
-    files = {"graph": folder.add("network.onnx", network.whole_model(plan, shape))}
-    if engine.dynamic:
-        files["motion"] = folder.add("motion.onnx", engine.whole_cut(DYNAMIC, ("dynamic_code", "next_state"), {}))
-    return {**files, "code": engine.code_size, "state": engine.state_size}
+    return {"file": folder.add("network.bin", pack_folds(*flat_records(network.records(plan))))}
 
 
 def _add_poses(folder: Folder, support: PoseSupport | None) -> dict[str, Any] | None:
@@ -187,23 +181,6 @@ def _add_poses(folder: Folder, support: PoseSupport | None) -> dict[str, Any] | 
     return {"file": file, "rows": [len(part) for part in parts], "limits": support.limits.tolist()}
 
 
-def _add_runtimes(path: Path, *, webgpu: bool) -> dict[str, dict[str, str]]:
-    """Writes ONNX Runtime's modules as they are, since those load themselves as workers, and its binaries."""
-    found = {}
-    for kind in _kinds(webgpu):
-        module, binary = RUNTIMES[kind]
-        shutil.copy(ORT / "dist" / module, path)
-        found[kind] = {"module": module, "binary": Folder(path).add(binary, (ORT / "dist" / binary).read_bytes())}
-    return found
-
-
 def sizes(folder: Path) -> dict[str, int]:
     """Bytes of the files in ``folder``, by name."""
     return {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()}
-
-
-def loaded(folder: Path, kind: str) -> Iterator[str]:
-    """Names of the files in ``folder`` that a browser loads which computes on ``kind``, "wasm" or "webgpu"."""
-    about = json.loads((folder / ABOUT).read_text())
-    others = {name for key in about["runtime"] if key != kind for name in about["runtime"][key].values()}
-    return (name for name in sizes(folder) if name not in others)

@@ -102,7 +102,8 @@ def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str
     if options.folds_by == "client":
         clearance_m = state.runtime.settings.clearance_m if options.push_out else 0.0
         how = {"settle": options.settle, "cloth_contact": options.cloth_contact, "clearance_m": clearance_m}
-        worn |= {"folds_by": "client", **(how if options.folds else {})}
+        worn |= {"folds_by": "client", "inertia": options.inertia, "coarse": bool(options.coarse)}
+        worn |= how if options.folds or options.coarse else {}
     return json.dumps(
         {
             "type": "opened",

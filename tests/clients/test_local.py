@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import base64
 import json
+import shutil
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -16,73 +18,45 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.speed.client_folds import Worn, rms_mm
-from benchmarks.speed.static_page import write_static
+from benchmarks.speed.static_page import draped_in, write_static
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
-from drape.body.features import motion_features
 from drape.body.model import BodyModel
 from drape.body.pose_support import read_pose_support
 from drape.errors import InputError, Unavailable
-from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
 from drape.wire.messages import Pose, pack_pose
-from service.static.folder import Asked, loaded, sizes
+from service.static.folder import Asked, sizes
 from tests.clients.browser import open_page
 from tests.clients.node import answer_of
-from tests.clients.test_folds import MOST_MM, shirt
+from tests.clients.test_folds import FIRST, FIRST_MM, MOST_MM, shirt
 from tests.fixtures.poses import random_motion
 
 __all__ = ["shirt"]  # a fixture
 FRAMES = 12
+FOLDER_BYTES, ENGINE_BYTES = 8_000_000, 150_000
 PORTS = """
-import { Motion, kinematicsOf, motionFeatures } from "./motion.js";
-import { quaternionsOf } from "./network.js";
+import { quaternionsOf } from "./folding.js";
 import { PoseSupport } from "./pose_support.js";
-const bodies = input.poses.map((pose, frame) => kinematicsOf(pose, input.trans[frame], input.rest));
-const asked = [];
-const motion = new Motion(input.rest, { code: 1, state: 1 }, async (features, [state], dtS) => {
-  asked.push(dtS);
-  return { code: Float32Array.of(state + 1), state: Float32Array.of(state + 1) };
-});
-const codes = [];
-for (const [frame, timeS] of input.moments) {
-  codes.push((await motion.next(input.poses[frame], input.trans[frame], timeS))[0]);
-}
-motion.rested(9);
-codes.push((await motion.next(input.poses[0], input.trans[0], 9.125))[0]);
 const support = new PoseSupport(Uint8Array.from(Buffer.from(input.kept, "hex")).buffer, input.support);
 console.log(JSON.stringify({
-  features: [...motionFeatures(bodies[2], bodies[1], bodies[0], ...input.steps)], codes, asked,
   quaternions: input.poses.map((pose) => [...quaternionsOf(pose)]),
   novelty: input.poses.map((pose) => support.novelty(pose)),
 }));
 """
 
 
-def test_motion_novelty_and_quaternions_are_those_of_the_service(body: BodyModel, tmp_path: Path):
-    drawn, trans = random_motion(3, seed=5)
-    poses, trans = drawn[:1] + 0.05 * drawn, 0.01 * trans  # slower than a jump
+def test_novelty_and_quaternions_are_those_of_the_service(body: BodyModel, tmp_path: Path):
+    poses, _ = random_motion(3, seed=5)
     poses[1, 3] = 0.0  # a joint that is not turned
     support = read_pose_support(MODELS_DIR / DEFAULT_MODEL / "poses.npz")
     parts = (support.legs, support.trunk, support.tilt)
-    steps = (0.04, 0.03)
-    # Three moments before motion counts; the same time; a pause; and once more.
-    moments = [[0, 1.0], [1, 1.03125], [0, 1.0625], [0, 1.0625], [1, 1.09375], [0, 2.0], [1, 2.03125], [0, 2.0625]]
     document = {
         "poses": poses.reshape(3, 72).tolist(),
-        "trans": trans.tolist(),
-        "rest": body.rest_joints(None).tolist(),
-        "steps": steps,
-        "moments": moments,
         "kept": b"".join(part.tobytes() for part in parts).hex(),
         "support": {"rows": [len(part) for part in parts], "limits": support.limits.tolist()},
     }
     said = answer_of(PORTS, document, tmp_path)
-    bodies = kinematics(body, poses, trans)
-    expected = motion_features(bodies[2], bodies[1], bodies[0], np.array(steps[0]), np.array(steps[1]))
-    assert_allclose(np.reshape(said["features"], (24, 12)), expected, rtol=1e-6, atol=1e-6)
-    assert said["codes"] == [0, 0, 1, 1, 2, 0, 0, 1, 2]
-    assert said["asked"] == [1 / 32, 1 / 32, 1 / 32, 1 / 8]
-    rows = pack_body(body).rows(poses)["joint_quaternion"]
+    rows = pack_body(body).rows(poses)["joint_quaternion"][:, :24]
     assert_allclose(np.reshape(said["quaternions"], rows.shape), rows, rtol=0, atol=1e-7)
     assert_allclose(said["novelty"], support.novelty(poses), rtol=1e-5)
 
@@ -130,20 +104,42 @@ REFUSED = """(async () => {
 })()"""
 
 
-@pytest.mark.browser
-def test_a_folder_drapes_as_the_service_does_and_its_page_shows_it(shirt: Worn, tmp_path: Path):
-    clip = shirt.clip
-    (server,) = shirt.streamed(FRAMES, {"inertia": "network", "coarse": False})
-    folder = tmp_path / "folder"
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other/file").touch()
+@pytest.fixture(scope="module")
+def folder(shirt: Worn, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of the shirt; the runtime is closed then."""
+    target = tmp_path_factory.mktemp("static") / "folder"
+    (target.parent / "other").mkdir()
+    (target.parent / "other/file").touch()
     try:
         with pytest.raises(InputError, match="a new folder"):
-            write_static(shirt.runtime, Asked("tshirt", ("walk",)), tmp_path / "other")
-        write_static(shirt.runtime, Asked("tshirt", ("walk",), webgpu=False), folder)
+            write_static(shirt.runtime, Asked("tshirt", ("walk",)), target.parent / "other")
+        write_static(shirt.runtime, Asked("tshirt", ("walk",)), target)
     except Unavailable as missing:
         pytest.skip(str(missing))
-    assert set(loaded(folder, "wasm")) == set(sizes(folder))
+    return target
+
+
+@pytest.fixture(scope="module")
+def served(shirt: Worn) -> np.ndarray:
+    """The vertices of the service, before its runtime is closed."""
+    return shirt.streamed(FRAMES, {})[0].vertices
+
+
+def test_a_folder_is_small_and_drapes_as_the_service_does(
+    served: np.ndarray, shirt: Worn, folder: Path, tmp_path: Path
+):
+    found = sizes(folder)
+    assert sum(found.values()) < FOLDER_BYTES
+    assert found["engine.wasm.gz"] < ENGINE_BYTES
+    copied = shutil.copytree(folder, tmp_path / "copied")
+    draped = draped_in(copied, replace(shirt.clip, poses=shirt.clip.poses[:FRAMES], trans=shirt.clip.trans[:FRAMES]))
+    apart_mm = rms_mm(draped.vertices, served)
+    assert (apart_mm[:FIRST] < FIRST_MM).all() and (apart_mm < MOST_MM).all()
+
+
+@pytest.mark.browser
+def test_a_folder_s_page_shows_it(served: np.ndarray, shirt: Worn, folder: Path):
+    clip = shirt.clip
     with served_files(folder) as address, open_page(address) as page:
         page.wait_for("Number(document.body?.dataset.frames) > 2")
         before = page.wait_for_picture(lambda picture: picture.std() > 10.0, "the page is blank")
@@ -154,7 +150,7 @@ def test_a_folder_drapes_as_the_service_does_and_its_page_shows_it(shirt: Worn, 
         messages = [base64.b64encode(pack_pose(pose)).decode() for pose in poses]
         draped = page.evaluate(DRAPED.replace("MESSAGES", json.dumps(messages)))
         vertices = np.array([np.frombuffer(base64.b64decode(text), "<f4") for text in draped])
-        assert (rms_mm(vertices.reshape(server.vertices.shape), server.vertices) < MOST_MM).all()
+        assert (rms_mm(vertices.reshape(served.shape), served) < MOST_MM).all()
         refused = ["fabric InputError", "tier InputError", "passes InputError"]
         assert page.evaluate(REFUSED) == [*refused, 2, "client", "open"]
         assert page.errors == []

@@ -1,4 +1,4 @@
-"""What the client makes of a folder without a service: files, refusals, where the network runs, and bodies at rest."""
+"""What the client makes of a folder without a service: files, refusals, and bodies at rest."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ console.log(JSON.stringify({
 
 
 def test_files_are_read_compressed_or_not_and_what_is_missing_is_told(tmp_path: Path):
-    for name, answers, number in (("good", {"/health": "health.json.gz", "/garments": "gone.json"}, 1), ("old", {}, 0)):
+    for name, answers, number in (("good", {"/health": "health.json.gz", "/garments": "gone.json"}, 2), ("old", {}, 1)):
         (tmp_path / name).mkdir()
         about = {"format": number, "answers": answers, "garment": "tube", "options": {}}
         (tmp_path / name / "about.json").write_text(json.dumps(about))
@@ -40,71 +40,11 @@ def test_files_are_read_compressed_or_not_and_what_is_missing_is_told(tmp_path: 
     assert said["texts"] == ["said", "told"]
     assert said["health"] == {"body": "tall"}
     assert said["refused"] == [
-        "about.json ArtifactError 0",
+        "about.json ArtifactError 1",
         "about.json NotFound 404 File not found",
         "gone.json NotFound 404 File not found",
         "folder NotFound /motions/walk",
     ]
-
-
-# ONNX Runtime in a few lines, for a machine without a graphics card: a session takes its time, and nothing moves.
-RUNTIME = """
-export const env = { wasm: { numThreads: 3 } };
-export class Tensor { constructor(kind, data, dims) { Object.assign(this, { data, dims }); } }
-const numbers = (count) => ({ data: new Float32Array(count) });
-export const InferenceSession = { create: async () => ({
-  inputNames: ["joint_quaternion"],
-  release: async () => { globalThis.released = (globalThis.released ?? 0) + 1; },
-  run: async () => {
-    await new Promise((done) => setTimeout(done, MS));
-    const centre = globalThis.lost ? { data: [NaN] } : numbers(3);
-    return { jet: numbers(45), frame_rotation: numbers(9), frame_centre: centre };
-  },
-}) };
-"""
-PROVIDERS = """
-import { Network } from "./network.js";
-const network = { wasm: "w", webgpu: "g", code: 0, state: 0 };
-const runtimes = (card) => (card ? { webgpu: { module: card, binary: "b" } } : {});
-const card = (isFallbackAdapter) => ({ requestAdapter: async () => ({ info: { isFallbackAdapter } }) });
-const opened = (gpu, named, provider) => {
-  Object.defineProperty(globalThis, "navigator", { value: { gpu }, configurable: true });
-  const runtime = { wasm: { module: "fast.js", binary: "b" }, ...runtimes(named) };
-  const about = { network, runtime, novelty: null, joints: [] };
-  return Network.open({ base: import.meta.url, about, file: async () => new ArrayBuffer(8) }, null, provider);
-};
-const told = [];
-for (const [gpu, named, provider] of [
-  [card(false), null], [undefined, "fast.js"], [{ requestAdapter: async () => null }, "fast.js"],
-  [card(true), "fast.js"], [card(false), "fast.js"], [card(false), "slow.js"], [card(false), "slow.js", "webgpu"],
-  [card(false), "fast.js", "wasm"],
-]) {
-  const { provider: taken, why, threads } = (await opened(gpu, named, provider)).told;
-  told.push([taken, why.replace(/[0-9]+/, "N"), threads]);
-}
-const lost = await opened(undefined, null);
-globalThis.lost = true;
-const error = await lost.run(new Float32Array(72), new Float32Array(0)).catch(({ message }) => message);
-console.log(JSON.stringify({ told, released: globalThis.released, error }));
-"""
-
-
-def test_the_network_runs_where_it_is_fast_and_says_why(tmp_path: Path):
-    for name, ms in (("fast.js", 0), ("slow.js", 40)):
-        (tmp_path / name).write_text(RUNTIME.replace("MS", str(ms)))
-    said = answer_of(PROVIDERS, {}, tmp_path)
-    assert said["told"] == [
-        ["wasm", "the folder was written without WebGPU", 3],
-        ["wasm", "this browser has no WebGPU here", 3],
-        ["wasm", "there is no adapter", 3],
-        ["wasm", "its adapter is software", 3],
-        ["webgpu", "found", 1],
-        ["wasm", "the graphics card takes N ms", 3],
-        ["webgpu", "asked for", 1],
-        ["wasm", "asked for", 3],
-    ]
-    assert said["released"] == 1
-    assert "NaN" in said["error"]
 
 
 STILL = """

@@ -1,5 +1,4 @@
-// A garment from the folder that this page lies in, draped by the browser alone. ?provider=wasm or webgpu takes one by force,
-// ?quality=high draws as on a graphics card.
+// A garment from the folder that this page lies in, draped by the browser alone. ?quality=high draws as on a graphics card.
 import { Box3 } from "three";
 import { jointPlaces } from "../lib/src/kinematics.js";
 import { openFolder } from "../lib/src/local.js";
@@ -17,10 +16,9 @@ const status = document.querySelector("[role=status]");
 async function begin() {
   const stage = new Stage(document.querySelector("canvas"), { keepQuality: wanted.get("quality") === "high" });
   stage.setInsets({ bottom: document.querySelector("main").offsetHeight + GAP_PX });
-  const drape = await openFolder("./", { provider: wanted.get("provider") ?? "auto" });
+  const drape = await openFolder("./");
   const [[garment], motions, { joints }] = await Promise.all([drape.garments(), drape.motions(), drape.body()]);
   const shirt = await drape.wear(garment.id, { body: true, colours: [COLOUR], plain: stage.plain });
-  const computing = await drape.computing;
   const { figure } = shirt;
   const person = { rest: joints, crownM: new Box3().setFromBufferAttribute(figure.mesh.geometry.attributes.position).max.y };
   const dress = () => (figure.mesh.material = paintPerson(skinMaterial(TONE, { plain: stage.plain }), person));
@@ -43,8 +41,7 @@ async function begin() {
     document.body.dataset.frames = shirt.stats.frames;
   });
   setInterval(() => {
-    const where = computing.provider === "webgpu" ? "WebGPU" : `WebAssembly, ${computing.threads} thread${computing.threads > 1 ? "s" : ""}`;
-    status.textContent = `${garment.name}, no server: ${where} (${computing.why}), ${(1000 / Math.max(tookMs, 1)).toFixed(0)} frames a second, ${(1000 * shirt.stats.ageS).toFixed(0)} ms from pose to frame`;
+    status.textContent = `${garment.name}, no server: ${(1000 / Math.max(tookMs, 1)).toFixed(0)} frames a second, ${(1000 * shirt.stats.ageS).toFixed(0)} ms from pose to frame`;
   }, 500);
 
   const select = document.querySelector("select");

@@ -182,7 +182,7 @@ template <class T> void put_regions(const T* skin, int64_t regions, T* region) {
 template <class T> void pose_body(const Weights<T>& weights, const BodyFeed<T>& feed, PosedBody<T>& body,
     Scratch& scratch) {
   const int64_t mark = scratch.used;
-  int64_t widest = weights.mean.count;
+  int64_t widest = STATIC_PER_JOINT * JOINTS + feed.betas.count;
   for (int64_t n = 0; n < weights.body.count; ++n)
     if (weights.body[n].bias.count > widest) widest = weights.body[n].bias.count;
   T *features = scratch.take<T>(widest), *outputs = scratch.take<T>(widest);
@@ -204,7 +204,8 @@ template <class T> void pose_body(const Weights<T>& weights, const BodyFeed<T>& 
     features = outputs, outputs = other;
   }
   for (int64_t i = 0; i < feed.motion.count; ++i) features[i] += feed.motion[i];
-  run_body_layer(weights.from_body, features, body.code.begin);
+  if (weights.from_body.bias.count)  // none where only bones and skin are wanted
+    run_body_layer(weights.from_body, features, body.code.begin);
   if (feed.skin_rows.count) pose_skin(body.rotation.begin, body.translation.begin, feed, body.skin.begin);
   put_regions(body.skin.begin, body.region.count / 4, body.region.begin);
   scratch.used = mark;

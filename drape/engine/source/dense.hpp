@@ -9,6 +9,8 @@ constexpr int OUTPUTS = 8;  // that a layer's weights have side by side
 // Blocks of patches and outputs that are summed at once: as many sums as registers hold.
 #if defined(__AVX512F__)
 constexpr int BLOCKS_AT_ONCE = 3, OUTPUTS_AT_ONCE = 8;
+#elif defined(__wasm__)
+constexpr int BLOCKS_AT_ONCE = 1, OUTPUTS_AT_ONCE = 2;
 #else
 constexpr int BLOCKS_AT_ONCE = 3, OUTPUTS_AT_ONCE = 2;
 #endif
@@ -68,11 +70,13 @@ void run_layer(const Layer<T>& layer, const Rows<T>& inputs, const Rows<T>& adde
     int64_t blocks, Scratch& scratch) {
   if (run_by_tiles(layer, inputs, added, outputs, blocks, scratch)) return;
   int64_t block = 0;
-  // The last four go two by two: three and one would read an input for fewer products.
-  for (; blocks - block >= BLOCKS_AT_ONCE && blocks - block != 4; block += BLOCKS_AT_ONCE)
-    sum_blocks<BLOCKS_AT_ONCE>(layer, inputs, added, outputs, block);
-  for (; blocks - block >= 2; block += 2) sum_blocks<2>(layer, inputs, added, outputs, block);
-  if (block < blocks) sum_blocks<1>(layer, inputs, added, outputs, block);
+  if constexpr (BLOCKS_AT_ONCE > 1) {
+    // The last four go two by two: three and one would read an input for fewer products.
+    for (; blocks - block >= BLOCKS_AT_ONCE && blocks - block != 4; block += BLOCKS_AT_ONCE)
+      sum_blocks<BLOCKS_AT_ONCE>(layer, inputs, added, outputs, block);
+    for (; blocks - block >= 2; block += 2) sum_blocks<2>(layer, inputs, added, outputs, block);
+  }
+  for (; block < blocks; ++block) sum_blocks<1>(layer, inputs, added, outputs, block);
 }
 
 // Writes the layer of the numbers inputs of one body to outputs. Its weights have sixteen outputs side by side, so that

@@ -36,7 +36,7 @@ const refused = await refusalOf(() => tube.set({ passes: 65 }));
 await framed(); // what was refused has changed nothing
 const unknown = await refusalOf(() => drape.wear("nothing"));
 const noRig = await refusalOf(async () => rigSource(new Object3D()));
-const noFolder = await refusalOf(async (): Promise<LocalDrape> => openFolder(`${url}/health`, { provider: "wasm" }));
+const noFolder = await refusalOf(async (): Promise<LocalDrape> => openFolder(`${url}/health`));
 const garments = (await drape.garments()).map(({ id }) => id);
 tube.dispose();
 
@@ -50,7 +50,7 @@ headless.close();
 
 // The same poses in turn: as the service folds them, and as this program does.
 const drapeBoth = async (options: WearOptions): Promise<[string, number[]]> => {
-  const worn = await core.wear("tube", { folds: 1, inertia: "network", ...options });
+  const worn = await core.wear("tube", { folds: 1, ...options });
   await worn.set({ fabric: "denim" });
   for (let frame = 0; frame < 3; frame++) {
     const shown = new Promise<void>((resolve) => (worn.onFrame = () => resolve()));
@@ -61,7 +61,7 @@ const drapeBoth = async (options: WearOptions): Promise<[string, number[]]> => {
   worn.close();
   return found;
 };
-const [server, client] = [await drapeBoth({ coarse: false }), await drapeBoth({ folds_by: "client" })];
+const [server, client] = [await drapeBoth({}), await drapeBoth({ folds_by: "client" })];
 const several = await core.wear("tube", { colliders: [{ kind: "plane" }], folds: 1, folds_by: "auto" });
 const fallen = several.foldsBy;
 several.close();

@@ -7,11 +7,11 @@ import io
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
-from numpy.testing import assert_allclose
 from PIL import Image
 
 from drape.body.model import BodyModel
@@ -76,9 +76,11 @@ def test_what_folds_need_is_a_message_that_comes_once(api: TestClient, body: Bod
     path = "/garments/tube/folds"
     answer = api.get(path, params={"fabric": "denim", "betas": "1,-1"})
     assert answer.status_code == 200 and answer.headers["content-encoding"] == "gzip"
-    read = unpack_folds(answer.content)
-    garment = api.get("/garments/tube").json()
-    assert len(read["place"]) == garment["vertices"] and len(read["joints"]) == 72
+    read = records_of(answer.content)
+    garment, sheet = api.get("/garments/tube").json(), read["FoldConstants"]["sheet"]
+    assert sheet["place"] == garment["vertices"] and read["BodyFeed"]["rest"] == 72
+    coarse = records_of(api.get(path, params={"coarse": True}).content)
+    assert coarse["Levels"]["fine"]["sheet"]["place"] == garment["vertices"] and "FoldConstants" not in coarse
     plain = api.get(path, params={"fabric": "denim", "betas": "1,-1"}, headers={"Accept-Encoding": "identity"})
     assert plain.content == answer.content and "content-encoding" not in plain.headers
     kept = api.get(path, params={"fabric": "denim", "betas": "1,-1"}, headers={"If-None-Match": answer.headers["etag"]})
@@ -86,11 +88,17 @@ def test_what_folds_need_is_a_message_that_comes_once(api: TestClient, body: Bod
     numbers = FABRICS["denim"]
     named = {name: getattr(numbers, name) for name in FabricNumbers.model_fields}
     other = api.get(path, params={"fabric": json.dumps(named), "betas": "1,-1"})
-    assert_allclose(unpack_folds(other.content)["numbers"][:4], read["numbers"][:4])
-    jersey = unpack_folds(api.get(path, params={"fabric": "jersey"}).content)
-    assert not np.array_equal(jersey["numbers"], read["numbers"])
-    assert not np.array_equal(jersey["skin_rows"], read["skin_rows"])
-    assert_allclose(read["joints"].reshape(24, 3), body.rest_joints(np.array([1.0, -1.0, *[0.0] * 8])), atol=1e-6)
+    stiffness = sheet["constants"]
+    assert records_of(other.content)["FoldConstants"]["sheet"]["constants"] == pytest.approx(stiffness)
+    jersey = api.get(path, params={"fabric": "jersey"}).content
+    assert records_of(jersey)["FoldConstants"]["sheet"]["constants"] != stiffness
+    joints = body.rest_joints(np.array([1.0, -1.0, *[0.0] * 8])).astype("<f4")
+    planes = joints.reshape(-1).view(np.uint8).reshape(-1, 4).T.tobytes()
+    assert planes in answer.content and planes not in jersey
+
+
+def records_of(message: bytes) -> dict[str, Any]:
+    return unpack_folds(message)[0]["records"]
 
 
 @pytest.mark.parametrize(

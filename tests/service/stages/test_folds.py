@@ -94,12 +94,27 @@ def test_folds_of_jets_are_refused(runtime: DrapeRuntime):
 
 def test_the_client_folds_one_garment_and_the_network_is_all_that_is_computed(runtime: DrapeRuntime):
     tube = runtime.garments.get("tube")
-    plan = runtime.plan(tube, DrapeOptions(folds_by="client", geometry="jets", tier="accurate", push_out=True))
+    asked = DrapeOptions(folds_by="client", geometry="jets", tier="accurate", push_out=True, inertia="mesh")
+    plan = runtime.plan(tube, asked)
     assert {stage.name for stage in plan.stages} == {
-        stage.name for stage in runtime.plan(tube, DrapeOptions(folds=0, geometry="jets", push_out=False)).stages
+        stage.name
+        for stage in runtime.plan(tube, DrapeOptions(folds=0, geometry="jets", push_out=False, motion=0.0)).stages
     }
     assert plan.options.folds == 4 and plan.options.settle == 8 and plan.options.cloth_contact
     assert plan.needs == {"jets"} and runtime.tier_of(plan) == "accurate"
+    assert plan.options.inertia == "mesh" and plan.options.knob == 1.0, "the client swings too"
+
+
+@pytest.mark.parametrize("tier", ["instant", "fast", "balanced", "accurate"])
+def test_the_client_folds_by_the_tier_that_the_service_has(runtime: DrapeRuntime, tier: str):
+    here, there = (
+        runtime.plan(runtime.garments.get("tube"), DrapeOptions.model_validate({"tier": tier} | other))
+        for other in ({}, {"folds_by": "client", "geometry": "jets"})
+    )
+    names = ("folds", "coarse", "safe_folds", "settle", "cloth_contact", "passes", "inertia", "knob")
+    assert [getattr(there.options, name) for name in names] == [getattr(here.options, name) for name in names]
+    assert runtime.tier_of(there) == tier
+    assert not {"folds", "swing", "collision"} & {stage.name for stage in there.stages}
 
 
 @pytest.mark.parametrize(

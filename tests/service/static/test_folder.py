@@ -5,15 +5,19 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from fastapi import FastAPI
 
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR, TensorSpec, load_manifest
 from drape.errors import ArtifactError, InputError, NotFound, Unavailable
+from drape.wire.options import DrapeOptions
 from service.graphs.graph_names import PACKED
 from service.http import problems
 from service.http.answers import JSON
+from service.stages.network import Network
 from service.static import folder
 from service.static.answers import answer
 
@@ -44,11 +48,30 @@ def test_jets_that_are_not_those_of_the_wire_are_refused():
         folder.check_jets(older)
 
 
+def test_a_network_that_no_page_computes_is_refused():
+    stage = Network.__new__(Network)
+    stage.engine = cast(Any, SimpleNamespace(compiled=None, manifest=SimpleNamespace(name="paper")))
+    with pytest.raises(ArtifactError, match="paper: expected a network that the engine has, got another kind"):
+        stage.records(cast(Any, None))
+
+
 def test_a_page_that_is_not_built_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(folder, "ROOT", tmp_path)
     monkeypatch.setattr(folder, "PAGE", tmp_path / "page")
     with pytest.raises(Unavailable, match=r"got no page/index.html\. Run make page\."):
-        folder.check_built(webgpu=False)
+        folder.check_built()
+    (tmp_path / "page").mkdir()
+    (tmp_path / "page/index.html").touch()
+    monkeypatch.setattr(folder, "ENGINE", tmp_path / "engine.wasm")
+    with pytest.raises(Unavailable, match=r"got no engine\.wasm\. Run make page\."):
+        folder.check_built()
+
+
+def test_inertia_of_the_network_is_refused():
+    folder.check_inertia(DrapeOptions(inertia="mesh", motion=1.0))
+    folder.check_inertia(DrapeOptions(inertia="network", motion=0.0))
+    with pytest.raises(InputError, match="inertia: expected mesh without a service, got network"):
+        folder.check_inertia(DrapeOptions(inertia="network", motion=1.0))
 
 
 def test_only_folders_of_its_own_are_replaced(tmp_path: Path):

@@ -30,6 +30,12 @@ export class Drape {
     return new Stream({ base: this.rest.base, ticket: () => this.rest.ticket(), ...heard });
   }
 
+  // The compiled engine, which makes folds here.
+  async engine() {
+    const { compiled } = await import("./folds.js");
+    return compiled();
+  }
+
   garments() {
     return this.rest.garments();
   }

@@ -8,10 +8,11 @@ export class Decoder {
   // folding: the Folding of the only layer, or null.
   constructor(layers, folding = null) {
     this.folding = folding;
-    this.layers = layers.map(({ layout, ...layer }) => ({
-      ...layer,
-      surface: layout ? new JetSurface(unpackLayout(layout)) : null,
-    }));
+    this.layers = layers.map(({ layout, ...layer }) => {
+      const unpacked = layout && unpackLayout(layout);
+      const surface = unpacked && !folding ? new JetSurface(unpacked) : null;
+      return { ...layer, surface, patchCount: unpacked ? unpacked.count : 0 };
+    });
   }
 
   // Fills positions (from the root [m]) and normals of each layer; false where the message is of other garments.
@@ -23,29 +24,43 @@ export class Decoder {
   // As decode(), of what unpackJets() or unpackFrame() gives.
   fill(frame, targets, body = null) {
     const ofJets = "jet" in frame;
-    const count = (layer) => (ofJets ? layer.surface?.patchCount : layer.vertexCount);
+    const count = (layer) => (ofJets ? layer.patchCount : layer.vertexCount);
     if (this.layers.reduce((sum, layer) => sum + count(layer), 0) !== frame.header.count) return false;
     let first = 0;
     this.layers.forEach((layer, index) => {
       const end = first + count(layer);
       const { positions, normals } = targets[index];
-      if (ofJets) {
-        layer.surface.evaluate(frame, positions, first);
-        if (this.folding && body?.effort.folds) this.#fold(frame.header, positions, body);
-      } else dequantise({ header: frame.header, steps: frame.steps.subarray(3 * first, 3 * end) }, positions);
-      vertexNormals(positions, layer, normals);
-      repeat(positions, layer);
-      repeat(normals, layer);
+      if (!ofJets) dequantise({ header: frame.header, steps: frame.steps.subarray(3 * first, 3 * end) }, positions);
+      else if (this.folding) this.#drape(frame, positions, body);
+      else layer.surface.evaluate(frame, positions, first);
+      finish(layer, positions, normals);
       first = end;
     });
     return true;
   }
 
-  #fold({ flags, client_time_s: timeS }, positions, { pose, effort }) {
-    const { folds, safe_folds, settle, cloth_contact: contact, clearance_m: clearanceM } = effort;
-    const steps = flags & FLAG_UNLIKE ? Math.max(folds, safe_folds) : folds;
-    this.folding.fold(positions, { pose, timeS, steps, settle, contact, clearanceM });
+  // Fills positions and normals of the only layer for a pose, { pose, root, timeS, unlike }, whose network is here.
+  pose(asked, [{ positions, normals }], effort) {
+    this.#folded(null, asked, positions, effort);
+    finish(this.layers[0], positions, normals);
+    return true;
   }
+
+  #drape(frame, positions, { pose, effort }) {
+    const { flags, client_time_s: timeS, root } = frame.header;
+    this.#folded(frame, { pose, root, timeS, unlike: flags & FLAG_UNLIKE }, positions, effort);
+  }
+
+  #folded(jets, { pose, root, timeS, unlike }, positions, effort) {
+    const steps = unlike ? Math.max(effort.folds, effort.safe_folds) : effort.folds;
+    this.folding.drape(jets, positions, { pose, root, timeS, steps, effort });
+  }
+}
+
+function finish(layer, positions, normals) {
+  vertexNormals(positions, layer, normals);
+  repeat(positions, layer);
+  repeat(normals, layer);
 }
 
 // Arrays for what decode() fills.

@@ -1,6 +1,5 @@
 // Messages become vertices in a worker, or on the page's own thread where none can be made.
 import { Decoder, makeTargets } from "./decode.js";
-import { Folding } from "./folding.js";
 
 // The worker's script as text, which build.mjs puts in: so it needs no address of its own, whoever bundles this.
 /* global WORKER_TEXT */
@@ -52,7 +51,7 @@ export class Decoding {
   refold(folds) {
     this.folds = folds;
     this.decoder = null;
-    this.worker?.postMessage({ folds });
+    this.worker?.postMessage({ layers: this.layers, folds });
   }
 
   // The last frame holds, and is of the time [s].
@@ -66,11 +65,18 @@ export class Decoding {
     const { message, body, resolve, reject } = this.pending;
     this.pending = null;
     try {
-      this.decoder ??= new Decoder(this.layers, this.folds && (await Folding.make(this.folds)));
+      this.decoder ??= new Decoder(this.layers, await this.#folding());
       resolve(this.decoder.decode(message, this.targets, body) ? this.targets : null);
     } catch (error) {
       reject(error);
     }
+  }
+
+  // What makes folds on the page's own thread; loaded where a client makes them, and not before.
+  async #folding() {
+    if (!this.folds) return null;
+    const { Folding } = await import("./folding.js");
+    return Folding.make(this.folds, this.layers[0].layout);
   }
 
   #answered({ targets, filled, error }) {

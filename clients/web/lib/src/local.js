@@ -3,7 +3,7 @@ import { Drape, DrapeError } from "./index.js";
 import { filesOf } from "./files.js";
 import { LocalStream } from "./local_stream.js";
 
-const FORMAT = 1;
+const FORMAT = 2;
 const GIVEN = { folds_by: "client", geometry: "jets", resolution: "fine" };
 
 // The worker's script as text, which build.mjs puts in.
@@ -14,16 +14,20 @@ function inlineWorker() {
 }
 
 class LocalDrape extends Drape {
-  constructor(folder, { provider, worker = inlineWorker }) {
+  constructor(folder, { worker = inlineWorker }) {
     super(folder.base, { worker: () => this.#begun(worker()) });
     this.folder = folder;
-    this.provider = provider;
-    this.computing = null; // promises { provider, why, threads, warmMs } of what was put on last
+    this.computing = null; // promises { warmMs } of what was put on last
     this.rest.request = (path) => this.#answer(path); // all that a service would be asked for
   }
 
   makeStream(heard) {
     return new LocalStream(this.folder.about, heard);
+  }
+
+  async engine() {
+    const { about, file } = this.folder;
+    return WebAssembly.compile(await file(about.engine));
   }
 
   // The garment as soon as its network is ready. Options are those of the folder, but for how it folds.
@@ -45,7 +49,7 @@ class LocalDrape extends Drape {
       port1.onmessage = ({ data }) => (data.error ? reject(new DrapeError({ name: "network", ...data.error, detail: data.error.message })) : resolve(data));
       worker.addEventListener("error", (event) => reject(new DrapeError({ name: "worker", detail: event.message || "The worker did not load." })));
     });
-    worker.postMessage({ base, about, provider: this.provider, port: port2 }, [port2]);
+    worker.postMessage({ base, about, port: port2 }, [port2]);
     return worker;
   }
 
@@ -58,8 +62,7 @@ class LocalDrape extends Drape {
   }
 }
 
-// A Drape, as connect() gives it, of the folder at an address. provider: "webgpu" or "wasm" by force; worker: a function that
-// gives a module worker of "@drape/client/local-worker", where a page may have none from a blob.
+// A Drape, as connect() gives it, of the folder at an address. worker: a function that gives a module worker of "@drape/client/local-worker", where a page may have none from a blob.
 export async function openFolder(address = "./", options = {}) {
   const base = new URL(address.endsWith("/") ? address : `${address}/`, globalThis.location?.href).href;
   const file = filesOf(base);

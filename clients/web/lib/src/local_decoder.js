@@ -1,32 +1,47 @@
-// Positions and normals of a garment from POSE messages: network, jets and folds, all computed here.
+// Positions and normals of a garment from POSE messages: network, swing and folds, all computed here.
 import { Decoder } from "./decode.js";
 import { Folding } from "./folding.js";
-import { Network } from "./network.js";
+import { PoseSupport } from "./pose_support.js";
 import { unpackPose } from "./wire.js";
 
+const WARM_UP = 6; // frames
+
 export class LocalDecoder {
-  // folder, provider: as Network.open() takes them; layers, folds: as Decoder and Folding.make() do.
-  static async make({ folder, provider }, layers, folds) {
-    const folding = await Folding.make(folds);
-    const network = await Network.open(folder, (pose) => folding.skin(pose), provider);
-    return new LocalDecoder(new Decoder(layers, folding), network);
+  // folder: { about, file }, its about.json and filesOf() its address; layers: as Decoder takes them, and folds as
+  // Folding.make() does.
+  static async make({ about, file }, layers, folds) {
+    const { network, novelty } = about;
+    const [bytes, poses] = await Promise.all([file(network.file), novelty && file(novelty.file)]);
+    const folding = await Folding.make({ ...folds, network: bytes }, layers[0].layout);
+    return new LocalDecoder(new Decoder(layers, folding), about, poses && new PoseSupport(poses, novelty));
   }
 
-  constructor(decoder, network) {
+  constructor(decoder, about, support) {
     this.decoder = decoder;
-    this.network = network;
+    this.joints = about.joints;
+    this.support = support;
+    const took = [];
+    const positions = new Float32Array(3 * decoder.folding.count);
+    for (let i = 0; i < WARM_UP; i++) {
+      const from = performance.now();
+      const still = { pose: new Float32Array(72), root: [0, 0, 0], timeS: -1e9, steps: 0 };
+      decoder.folding.drape(null, positions, { ...still, effort: { passes: about.opened.passes } });
+      took.push(performance.now() - from);
+    }
+    took.sort((one, other) => one - other);
+    this.told = { warmMs: took[WARM_UP >> 1] };
   }
 
-  // Promises to fill positions and normals, as Decoder.decode() does.
-  async decode(message, targets, { effort }) {
-    const asked = unpackPose(message);
-    const frame = await this.network.frame(asked, effort.motion);
-    return this.decoder.fill(frame, targets, { pose: asked.pose, effort });
+  // Fills positions and normals, as Decoder.decode() does.
+  decode(message, targets, { effort }) {
+    const { pose, trans, client_time_s: timeS } = unpackPose(message);
+    const root = this.joints[0].map((x, a) => x + trans[a]);
+    const unlike = this.support !== null && this.support.novelty(pose) > 1;
+    return this.decoder.pose({ pose, root, timeS, unlike }, targets, effort);
   }
 
   // The last frame holds, and is of the time [s].
   rest(timeS) {
-    this.network.motion?.rested(timeS);
     this.decoder.folding.rest(timeS);
   }
 }

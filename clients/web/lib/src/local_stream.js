@@ -5,7 +5,7 @@ import { packPose } from "./wire.js";
 
 const STILL_S = 2; // of one pose, until cloth has come to rest (service/stages/encode.py)
 const STILL_FRAMES = 30;
-// What may be chosen anew; all else is in the graph and the constants.
+// What may be chosen anew; all else is in the network and the constants.
 const FREE = ["folds", "safe_folds", "settle", "cloth_contact", "push_out", "motion"];
 const now = () => performance.now() / 1000;
 
@@ -35,7 +35,8 @@ export class LocalStream {
     }
     const free = Object.fromEntries(chosen.filter(([name]) => FREE.includes(name)));
     const safe_folds = Math.max(free.folds ?? 0, free.safe_folds ?? (free.folds === undefined ? opened.safe_folds : 0));
-    this.opened = { ...opened, ...free, safe_folds, ...(free.push_out === false ? { clearance_m: 0 } : {}) };
+    const coarse = opened.coarse && free.folds !== 0; // as the service has it
+    this.opened = { ...opened, ...free, safe_folds, coarse, ...(free.push_out === false ? { clearance_m: 0 } : {}) };
     this.last = null;
     this.ready = true;
     this.onState("open", null);

@@ -9,18 +9,18 @@ let ready = null; // a promise
 self.onmessage = ({ data }) => {
   if (data.base) setup = data;
   if (data.layers) {
-    const { base, about, provider, port } = setup;
-    ready = LocalDecoder.make({ folder: { base, about, file: filesOf(base) }, provider }, data.layers, data.folds);
-    ready.then(({ network }) => port.postMessage(network.told), (error) => port.postMessage({ error: { ...error, message: error.message } }));
+    const { base, about, port } = setup;
+    ready = LocalDecoder.make({ about, file: filesOf(base) }, data.layers, data.folds);
+    ready.then(({ told }) => port.postMessage(told), (error) => port.postMessage({ error: { ...error, message: error.message } }));
   }
   ready?.then((decoder) => take(decoder, data), ({ message }) => answer(data, false, message));
 };
 
-async function take(decoder, data) {
+function take(decoder, data) {
   if (data.rest !== undefined) decoder.rest(data.rest);
   if (!data.message) return;
   try {
-    answer(data, await decoder.decode(data.message, data.targets, data.body), "");
+    answer(data, decoder.decode(data.message, data.targets, data.body), "");
   } catch (error) {
     answer(data, false, error.message);
   }

@@ -137,9 +137,10 @@ export class Rest {
   }
 
   // What a client needs to make the folds of a garment in a fabric (a name or numbers) on a body or an avatar.
-  foldConstants(id, { fabric = null, betas = [], resolution = "delivered", avatar = null, size = null } = {}) {
+  // coarse: whether a coarse cloth takes their steps, as the answer to its opening says.
+  foldConstants(id, { fabric = null, betas = [], resolution = "delivered", avatar = null, size = null, coarse = false } = {}) {
     const made = fabric === null || typeof fabric === "string" ? fabric : JSON.stringify(fabric);
-    const asked = queried({ resolution, fabric: made, betas: betas.length ? betas.join(",") : null, avatar, size });
+    const asked = queried({ resolution, fabric: made, betas: betas.length ? betas.join(",") : null, avatar, size, coarse });
     return this.#bytes(`/garments/${encodeURIComponent(id)}/folds?${asked}`, "application/octet-stream");
   }
 

@@ -66,8 +66,7 @@ export class Wearing {
     }
     this.options = { ...this.options, folds_by: "client", geometry: "jets" };
     try {
-      const [{ compiled }, constants] = await Promise.all([import("./folds.js"), this.#foldConstants()]);
-      this.folds = { module: await compiled(), constants };
+      this.folds = { module: await this.drape.engine() };
     } catch (error) {
       if (!this.auto) throw error;
       this.#leaveFolds();
@@ -92,11 +91,13 @@ export class Wearing {
     }
   }
 
-  #foldConstants() {
+  // What folds need of the garment as it is worn now; coarse: whether a coarse cloth takes their steps.
+  async #withConstants() {
     const { fabric, ...others } = this.options;
+    const { coarse } = this.stream.opened;
     const [id] = this.garments;
-    const one = { fabric: Array.isArray(fabric) ? fabric[0] : fabric, size: this.sizeOf(id) };
-    return this.drape.rest.foldConstants(id, { ...others, ...one });
+    const one = { fabric: Array.isArray(fabric) ? fabric[0] : fabric, size: this.sizeOf(id), coarse };
+    return { ...this.folds, coarse, constants: await this.drape.rest.foldConstants(id, { ...others, ...one }) };
   }
 
   // The size of a garment that is worn; null: the usual one.
@@ -116,6 +117,7 @@ export class Wearing {
       return { id, layout, ...topologyOf(mesh) };
     });
     [this.layers] = await Promise.all([Promise.all(fetched), this.#reopen()]);
+    if (this.folds) this.folds = await this.#withConstants();
     const needed = this.layers.map(({ vertexCount, faces, copies, layout }) => ({ vertexCount, faces, copies, layout }));
     this.decoding = new Decoding(needed, makeWorker, this.folds);
     this.#decodeNewest();
@@ -140,9 +142,9 @@ export class Wearing {
     this.options = { ...before, ...options };
     const folded = this.foldsBy === "client";
     try {
-      const other = folded && ("fabric" in options || "betas" in options) ? await this.#foldConstants() : null;
       await this.#reopen();
-      if (other) this.decoding.refold((this.folds = { ...this.folds, constants: other }));
+      const others = "fabric" in options || "betas" in options || this.stream.opened.coarse !== this.folds?.coarse;
+      if (folded && others) this.decoding.refold((this.folds = await this.#withConstants()));
     } catch (error) {
       if (folded && this.auto && error.name === "folds_by") {
         this.#leaveFolds();
@@ -150,7 +152,7 @@ export class Wearing {
         return;
       }
       this.options = before;
-      if (this.state === "refused") this.#reopen().catch(() => {});
+      if (this.state === "refused" || folded) this.#reopen().catch(() => {});
       throw error;
     }
   }

@@ -1,17 +1,18 @@
-// The worker: takes the layers once, and what folds need, where it makes them; then messages with arrays to fill, which
-// come back filled. rest: the last frame holds, and is of that time [s].
+// The worker: takes the layers once, with what folds need where they are made here, and again where that changes; then
+// messages with arrays to fill, which come back filled. rest: the last frame holds, and is of that time [s].
 import { Decoder } from "./decode.js";
-import { Folding } from "./folding.js";
 
 let decoder = null;
 let making = null; // a promise, while folds are made ready
 let failure = "";
 
 self.onmessage = ({ data }) => {
-  if (data.layers) decoder = new Decoder(data.layers);
+  if (data.layers && !data.folds) decoder = new Decoder(data.layers);
   if (data.folds) {
-    making = Folding.make(data.folds)
-      .then((folding) => (decoder.folding = folding))
+    failure = "";
+    making = import("./folding.js")
+      .then(({ Folding }) => Folding.make(data.folds, data.layers[0].layout))
+      .then((folding) => (decoder = new Decoder(data.layers, folding)))
       .catch((error) => (failure = error.message))
       .finally(() => (making = null));
   }
@@ -20,7 +21,7 @@ self.onmessage = ({ data }) => {
 };
 
 function take({ message, body, targets, rest }) {
-  if (rest !== undefined) decoder.folding?.rest(rest);
+  if (rest !== undefined) decoder?.folding?.rest(rest);
   if (!message) return;
   const answer = { targets, filled: false, error: failure };
   try {

@@ -1,2 +1,2 @@
-/** The step of folds, compiled; rejects where a page may not compile, or without vector instructions. */
+/** The engine that makes folds, compiled; rejects where a page may not compile, or without vector instructions. */
 export function compiled(): Promise<WebAssembly.Module>;

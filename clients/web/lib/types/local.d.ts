@@ -1,18 +1,12 @@
 import type { Drape } from "./index.js";
 
-/** What computes a garment on this machine. */
+/** How long a garment takes on this machine. */
 export interface Computing {
-  provider: "webgpu" | "wasm";
-  /** Why that one. */
-  why: string;
-  threads: number;
   /** The median time of the network's first frames [ms]. */
   warmMs: number;
 }
 
 export interface LocalAccess {
-  /** "auto", if left out: the graphics card where there is one that is fast enough. */
-  provider?: "auto" | "webgpu" | "wasm";
   /** Makes a module worker that imports "@drape/client/local-worker", where a page may have none from a blob. */
   worker?: () => Worker;
 }

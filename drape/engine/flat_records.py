@@ -1,0 +1,48 @@
+"""Records as a document and flat arrays: what a client lays into the memory of an engine of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from drape.engine.records import HASH, RECORDS
+
+TYPES = {
+    "numbers": "<f4",
+    "float32s": "<f4",
+    "float64s": "<f8",
+    "int32s": "<i4",
+    "uint32s": "<u4",
+    "uint16s": "<u2",
+    "bytes": "<u1",
+}
+
+
+def flat_records(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[np.ndarray]]:
+    """The document of the records ``values`` by their names, and their arrays one after the other.
+
+    Its ``layout`` is the table's ``HASH``. In ``records`` a field is its number, the count of elements of its array,
+    the document of its record, or a list of such. Arrays come as the table has their fields; numbers in them are
+    float32.
+    """
+    arrays: list[np.ndarray] = []
+    records = {name: _document(name, value, arrays) for name, value in values.items()}
+    return {"layout": f"{HASH:016x}", "records": records}, arrays
+
+
+def _document(name: str, value: Any, arrays: list[np.ndarray]) -> dict[str, Any]:
+    told: dict[str, Any] = {}
+    for field, kind in RECORDS[name].items():
+        own = getattr(value, field)
+        if kind in RECORDS:
+            told[field] = _document(kind, own, arrays)
+        elif kind.endswith("[]"):
+            told[field] = [_document(kind[:-2], one, arrays) for one in own]
+        elif kind in TYPES:
+            arrays.append(np.ascontiguousarray(own, TYPES[kind]).reshape(-1))
+            told[field] = arrays[-1].size
+        else:
+            told[field] = int(own) if kind == "count" else float(own)
+    return told

@@ -1,0 +1,54 @@
+"""The records by which a client folds and swings a garment by itself (``drape.wire.folds``)."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.cloth.fabric import Fabric
+from drape.contact.skin import body_skin
+from drape.garment.cache import Garment
+from drape.graph.feeds import shape_numbers
+from drape.live.fold_constants import fold_constants
+from drape.live.swing_constants import swing_constants
+from drape.live.two_level import two_level
+
+
+class BodyFeed(NamedTuple):
+    """What poses a body and its skin: the record of that name. Pose and motion are the client's."""
+
+    local: np.ndarray
+    rest: np.ndarray
+    betas: np.ndarray
+    motion: np.ndarray
+    skin_rows: np.ndarray
+    skin_bones: np.ndarray
+    skin_counts: np.ndarray
+
+
+def fold_records(
+    garment: Garment, body: BodyModel, fabric: Fabric | None, betas: np.ndarray, *, coarse: bool
+) -> dict[str, Any]:
+    """The records of ``garment`` on ``body`` in the shape ``betas``, made of ``fabric`` or else its own, by their
+    names: those of folds, of which a ``coarse`` cloth takes the steps or the fine one, of swing, if anything swings,
+    and of the body.
+
+    Refuses (``BodyError``) a body with pose blend shapes.
+    """
+    feed = body_feed(body, betas)
+    if coarse:
+        records: dict[str, Any] = {"Levels": two_level(garment, body, fabric).levels}
+    else:
+        records = {"FoldConstants": fold_constants(garment, body, fabric)}
+    swing = swing_constants(garment, body, fabric)
+    return records | ({} if swing is None else {"SwingConstants": swing}) | {"BodyFeed": feed}
+
+
+def body_feed(body: BodyModel, betas: np.ndarray | None = None) -> BodyFeed:
+    """What poses ``body`` in the shape ``betas``; refuses (``BodyError``) one with pose blend shapes."""
+    skin, none = body_skin(body).on_bones(body, betas), np.zeros(0, np.float32)
+    rows = np.asarray(skin.rows)
+    counts, rest, shape = rows.any(axis=(2, 3)).sum(axis=1), body.rest_joints(betas), shape_numbers(body, betas)
+    return BodyFeed(none, rest, shape, none, rows, np.asarray(skin.bones), counts)
