@@ -103,6 +103,7 @@ test-all: setup
 
 # What rounding alone decides comes out otherwise: libraries and the engine compute with AVX2.
 test-avx2: setup
+	DRAPE_ISA=v3 $(BIN)/python drape/engine/build.py --tests
 	OPENBLAS_CORETYPE=Haswell DRAPE_ISA=v3 ATEN_CPU_CAPABILITY=avx2 MKL_ENABLE_INSTRUCTIONS=AVX2 ONEDNN_MAX_CPU_ISA=AVX2 \
 	NPY_DISABLE_CPU_FEATURES="AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL" $(PYTEST) $(ARGS)
 

@@ -153,12 +153,15 @@ def build_probe(system: str, folder: Path) -> Path:
 
 
 def build_here(folder: Path = LIBRARIES, *, tests: bool = False, sanitize: bool = False) -> None:
-    """Compiles what this processor needs into ``folder``; ends the program with a sentence on one that is too old."""
+    """Compiles what this processor needs into ``folder``, or the lower level that ``DRAPE_ISA`` names; ends the program
+    with a sentence on one that is too old."""
     folder.mkdir(parents=True, exist_ok=True)
     level = ctypes.CDLL(str(build_probe(host(), folder))).drape_processor() % 16
     if "x86_64" in host() and level < 2:
         raise SystemExit(f"engine: expected a processor of x86-64-v2 or later, got v{level}; use one of 2009 or later")
-    target = TARGETS[host()][max(level - 2, 0)]
+    forced = os.environ.get("DRAPE_ISA", "")
+    named = [target for target in TARGETS[host()] if forced and target.name.endswith(f"-{forced}")]
+    target = named[0] if named else TARGETS[host()][max(level - 2, 0)]
     for what in (False, True)[: 1 + tests]:
         build(target, folder, tests=what, sanitize=sanitize)
 
