@@ -34,7 +34,7 @@ def _serve(overrides: dict[str, object]) -> int:
     # Imported here, so that --help and a missing package do not need everything.
     try:
         from service.app import create_app
-        from service.compute.background import give_back_memory
+        from service.compute.background import give_back_memory, take_turns
         from service.compute.drape_runtime import DrapeRuntime
         from service.server import bind, make_server
         from service.settings import check_exposed, load_settings
@@ -71,6 +71,7 @@ def _serve(overrides: dict[str, object]) -> int:
         # Parsing sets off full collections, which hold the interpreter lock for 50 ms to look through what never goes.
         gc.collect()
         gc.freeze()
+        take_turns()
         server.run(sockets=[listener])
     return 0
 

@@ -18,6 +18,7 @@ from fastapi import FastAPI
 
 from drape.errors import InputError, Unavailable
 from service.app import create_app
+from service.compute.background import take_turns
 from service.compute.drape_runtime import DrapeRuntime
 from service.replicas import ray_router
 from service.replicas.scaling import AGE, STREAMS, FrameAges, Load, Policy
@@ -59,6 +60,7 @@ class Replica:
         set_up(self._settings.log_format)
         gc.collect()
         gc.freeze()  # as service.__main__ says
+        take_turns()
         loop = asyncio.get_running_loop()
         ray_router.WATCHERS.append(lambda replicas: loop.call_soon_threadsafe(self._serving, replicas))
         self._begin(self._watch())
