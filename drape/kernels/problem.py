@@ -26,7 +26,7 @@ REACH_M = 0.01
 
 
 class KernelConstants(NamedTuple):
-    """Numbers of the cloth, of the kernels' type: a literal would turn float32 into float64.
+    """Numbers of the cloth, of the kernels' type.
 
     ``warp``, ``cross`` and ``weft`` [N/m] are half of ``Material``'s, ``shear`` is a quarter: times F^T F - I they give
     the stress. Contact begins ``gap`` [m] over the skin, a spring holds from ``slack`` [m] on. ``per_edge`` [1/m] makes
@@ -44,9 +44,6 @@ class KernelConstants(NamedTuple):
     degenerate: np.floating
     least: np.floating
     reach: np.floating
-    zero: np.floating
-    half: np.floating
-    one: np.floating
 
 
 class Triangles(NamedTuple):
@@ -126,7 +123,7 @@ def problem(
     warp, weft, cross, shear = (float(value) for value in material.membrane)
     numbers = (
         *(0.5 * warp, 0.5 * cross, 0.5 * weft, 0.25 * shear, material.contact_gap_m, SLACK_M, 1.0 / cloth.mean_edge_m),
-        *(DEGENERATE, LEAST_N_PER_M, reach_m, 0.0, 0.5, 1.0),
+        *(DEGENERATE, LEAST_N_PER_M, reach_m),
     )
     return Problem(
         constants=KernelConstants(*(dtype(number) for number in numbers)),
