@@ -7,10 +7,11 @@ are sums over its bones as well, and one small product poses them all.
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeVar, cast
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -91,7 +92,8 @@ class ShapedSkin:
     def __init__(self, body: BodyModel) -> None:
         skin = body_skin(body)
         plain = skin.on_bones(body)
-        changes = [skin.on_bones(body, unit).rows - plain.rows for unit in np.eye(body.shape_count)]
+        units = np.eye(body.shape_count) if body.shapedirs.any() else ()  # a character has one shape
+        changes = [skin.on_bones(body, unit).rows - plain.rows for unit in units]
         self.bones = plain.bones
         self.rows = np.stack([plain.rows, *changes])  # (1 + shapes, P, n, 4, 144)
         self.counts = self.rows.any(axis=(0, 3, 4)).sum(axis=1).astype(np.int32)
@@ -148,7 +150,8 @@ def posed_table(body: BodyModel, poses: np.ndarray, betas: np.ndarray) -> np.nda
 
 Made = TypeVar("Made", "Skin", "ShapedSkin")
 _KEPT: OrderedDict[tuple[str, str], Skin | ShapedSkin] = OrderedDict()
-MOST_KEPT = 4
+_ONE = threading.Lock()
+MOST_KEPT = 4  # two of each body, 20 MB together
 
 
 def body_skin(body: BodyModel) -> Skin:
@@ -161,14 +164,33 @@ def shaped_skin(body: BodyModel) -> ShapedSkin:
     return _kept("shaped", body, ShapedSkin)
 
 
+def skins(body: BodyModel) -> tuple[Skin, ShapedSkin]:
+    """``body_skin`` and ``shaped_skin`` of ``body`` without its pose blend shapes."""
+    return body_skin(body), shaped_skin(replace(body, posedirs=None))
+
+
+def keep_skins(body: BodyModel, make: Callable[..., Any]) -> None:
+    """Keeps the ``skins`` of ``body`` as ``make`` gives them, which calls a function with arguments elsewhere."""
+    kinds = "skin", "shaped"
+    if any((kind, body.digest) not in _KEPT for kind in kinds):
+        for kind, skin in zip(kinds, make(skins, body), strict=True):
+            _keep(kind, body, skin)
+
+
 def _kept(kind: str, body: BodyModel, make: Callable[[BodyModel], Made]) -> Made:
     """``make(body)``, kept by the body's digest: a body that is read twice is the same."""
     found = _KEPT.get((kind, body.digest))
-    if found is None:
-        found = _KEPT[kind, body.digest] = make(body)
+    return _keep(kind, body, make(body) if found is None else cast(Made, found))
+
+
+def _keep(kind: str, body: BodyModel, skin: Made) -> Made:
+    """``skin``, kept as the latest of ``MOST_KEPT``."""
+    with _ONE:
+        _KEPT[kind, body.digest] = skin
+        _KEPT.move_to_end((kind, body.digest))
         if len(_KEPT) > MOST_KEPT:
             _KEPT.popitem(last=False)
-    return cast(Made, found)
+    return skin
 
 
 def skin_samples(body: BodyModel, *, seed: int = 0) -> Skin:

@@ -14,6 +14,7 @@ import numpy as np
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
+from drape.contact.skin import keep_skins
 from drape.errors import DrapeError, NotFound
 from drape.wire.options import DrapeOptions
 from service.compute.avatars import Avatars
@@ -84,6 +85,7 @@ class DrapeRuntime:
 
     def _stages_on(self, body: BodyModel) -> BodyStages:
         make = self.constants_process.call
+        keep_skins(body, make)
         return BodyStages(body, make_stages(StageSetup(self.engine, body, self.settings, make)), make)
 
     @property

@@ -17,7 +17,7 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.contact.cloth_samples import cloth_samples
 from drape.contact.projection import CLEARANCE_M, MOVED_M, PushFeed
 from drape.contact.samples import Samples
-from drape.contact.skin import body_skin
+from drape.contact.skin import Skin, body_skin
 from drape.errors import NotFound
 from drape.garment.cache import Garment
 from drape.graph.layer_feed import LayerFeed, Sheet, pack_layer
@@ -149,7 +149,7 @@ class Pusher:
     ) -> None:
         self._engine, self._make = engine, make
         self._skin = body_skin(body)
-        self._bones = self._skin.on_bones(replace(body, posedirs=None)).bones
+        self._bones = make(_bones, self._skin, body)
         self._clearance = np.full(1, np.float32(clearance_m))
         self._stored: dict[str, _Stored] = {}
         self._layers = KeptConstants["Constants"](lambda kept: len(kept) > KEPT_OUTFITS)
@@ -276,6 +276,11 @@ def _bytes(constants: Constants) -> int:
     if isinstance(constants, PushConstants):
         return constants.bytes
     return sum(value.tensor_size_in_bytes() for value in constants.values())
+
+
+def _bones(skin: Skin, body: BodyModel) -> np.ndarray:
+    """``SkinOnBones.bones``, the same for all shapes and pose blend shapes of ``body``."""
+    return skin.on_bones(replace(body, posedirs=None)).bones
 
 
 def _garment_arrays(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples) -> dict[str, np.ndarray]:

@@ -16,7 +16,7 @@ from drape.contact import field
 from drape.contact.blocks import blocks
 from drape.contact.projection import AGREEMENT
 from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, sample_table
-from drape.contact.skin import Skin, body_skin, shaped_skin, skin_samples, skin_table
+from drape.contact.skin import ShapedSkin, Skin, body_skin, shaped_skin, skin_samples, skin_table
 from drape.errors import BodyError, InputError
 from drape.geometry import closest, meshes
 from tests.fixtures.garments import default_body
@@ -124,6 +124,14 @@ def test_a_table_of_bodies_of_many_shapes_is_that_of_the_bones_of_each(rng):
         assert_allclose(table[n], alone[0], rtol=0, atol=2e-4)
     plain = shaped_skin(body).table(*bones[1], betas[:1])
     assert not np.allclose(table[1], plain[0], atol=1e-3), "the shape matters"
+
+
+def test_a_character_has_rows_of_its_one_shape():
+    body = default_body()
+    character = replace(body, digest="character", shapedirs=np.zeros_like(body.shapedirs))
+    one, all_shapes = ShapedSkin(character), shaped_skin(body)
+    assert_array_equal(one.rows, all_shapes.rows[:1])
+    assert_array_equal(one.of(np.zeros((2, 10))), all_shapes.of(np.zeros((2, 10))))
 
 
 def test_pose_blend_shapes_and_other_bodies_are_refused(skin: Skin):

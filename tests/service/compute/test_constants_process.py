@@ -9,9 +9,10 @@ import subprocess
 import sys
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from drape.body.model import BodyModel
+from drape.contact.skin import skins
 from drape.errors import DrapeError
 from drape.garment.cache import Garment, load_garment
 from drape.live.fold_constants import fold_constants
@@ -131,6 +133,27 @@ def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: 
     assert found[0].keys() == found[1].keys()
     for name, array in found[0].items():
         assert_array_equal(array, found[1][name])
+
+
+def test_the_skins_of_a_character_are_made_apart_and_kept_here(
+    outfit_settings: Settings, monkeypatch: pytest.MonkeyPatch
+):
+    runtime = DrapeRuntime(outfit_settings)
+    runtime.threads.streamed_s = time.monotonic() + 1000.0
+    character = replace(runtime.body, name="taller", digest="taller", v_template=1.1 * runtime.body.v_template)
+    made = skins(character)
+
+    def here(*_: object) -> None:
+        pytest.fail("made between frames")
+
+    monkeypatch.setattr("drape.contact.skin._KEPT", OrderedDict())
+    monkeypatch.setattr("drape.contact.skin.skin_samples", here)
+    monkeypatch.setattr("drape.contact.skin.ShapedSkin.__init__", here)
+    runtime._stages_on(character)
+    runtime.close()
+    kept, shaped = skins(character)
+    assert_array_equal(kept.operator.toarray(), made[0].operator.toarray())
+    assert_array_equal(shaped.rows, made[1].rows)
 
 
 # The file is empty where a process is in no group: the system's first session.
