@@ -75,6 +75,9 @@ def rest_alignment(
             left = across - (across @ chest) * chest
             if np.linalg.norm(left) > _STEEP_ARMS * np.linalg.norm(across):
                 alignment[joint] = _frame(left, chest)
+    for joint_name in ("spine1", "spine2"):  # a short trunk turns as one, twist of the chest and all
+        if "spine3" in sources and sources.get(joint_name) == sources["spine3"]:
+            alignment[JOINT_NAMES.index(joint_name)] = alignment[JOINT_NAMES.index("spine3")]
     return alignment
 
 

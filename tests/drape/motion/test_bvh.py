@@ -258,7 +258,8 @@ def test_bones_that_lie_in_frames_at_random_leave_a_still_person_as_it_stands(se
 
 
 @pytest.mark.parametrize("trunk", [1, 2])
-def test_joints_of_a_short_trunk_turn_as_one(trunk, wrote):
+@pytest.mark.parametrize("turn", [[0.0, 0.0, 1.5], [0.0, 1.5, 0.0]], ids=["bent aside", "twisted"])
+def test_joints_of_a_short_trunk_turn_as_one(trunk, turn, wrote):
     gone = [f"spine{k}" for k in range(trunk + 1, 4)]
     kept = [joint for joint in range(22) if BODY[joint] not in gone]
     above = [BODY_PARENTS[j] if BODY_PARENTS[j] in kept else BODY.index(f"spine{trunk}") for j in kept]
@@ -266,8 +267,8 @@ def test_joints_of_a_short_trunk_turn_as_one(trunk, wrote):
     for side in ("left", "right"):  # level arms, as in a T-pose
         joints[[BODY.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist")], 1] -= 0.035
     turns = np.tile(np.eye(3), (2, len(kept), 1, 1))
-    # The chest is bent aside at rest, and its joint undoes it.
-    bend = rotvec_to_matrix(np.array([0.0, 0.0, 1.5]))
+    # The chest is turned at rest, and its joint undoes it.
+    bend = rotvec_to_matrix(np.array(turn))
     chest = kept.index(BODY.index(f"spine{trunk}"))
     carried = {chest}
     offsets = []
