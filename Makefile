@@ -3,6 +3,7 @@
 #   make serve            the service and its page on http://127.0.0.1:8000 (no torch)
 #   make setup            everything: service, training, clients, checkers
 #   make test             checks and the test suite but for its long tests
+#   make quick            lint, imports and the tests that changed files reach, the nearest first, in a minute (BASE=COMMIT)
 #   make test-quick       the tests without the slow ones
 #   make test-all         every test
 #   make test-avx2        every test once more as processors without AVX-512 round
@@ -24,6 +25,7 @@ PAGE ?= 1
 PYTHON ?=
 TORCH_INDEX ?=
 ARGS ?=
+BASE ?=
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -38,7 +40,7 @@ WEB := clients/web
 ENGINE_SOURCES := drape/engine/build.py $(wildcard drape/engine/source/*)
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help serve setup browser test test-all test-avx2 test-quick sanitize check audit format bench soak page clean
+.PHONY: help serve setup browser test test-all test-avx2 quick test-quick sanitize check audit format bench soak page clean
 
 help:
 	@sed -n '2,/^$$/{s/^# \{0,1\}//;p;}' Makefile
@@ -106,6 +108,14 @@ test-avx2: setup
 	DRAPE_ISA=v3 $(BIN)/python drape/engine/build.py --tests
 	OPENBLAS_CORETYPE=Haswell DRAPE_ISA=v3 ATEN_CPU_CAPABILITY=avx2 MKL_ENABLE_INSTRUCTIONS=AVX2 ONEDNN_MAX_CPU_ISA=AVX2 \
 	NPY_DISABLE_CPU_FEATURES="AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL" $(PYTEST) $(ARGS)
+
+# The minute is that of the tests: what it leaves out is counted as skipped.
+quick: setup
+	@$(BIN)/ruff format --check -q . && $(BIN)/ruff check -q .
+	@linted=0; tests=0; $(BIN)/lint-imports > $(VENV)/quick.log 2>&1 & lint=$$!; \
+	files="$$($(BIN)/python scripts/quick.py $(BASE))"; \
+	if [ -n "$$files" ]; then $(PYTEST) -m "unit and not slow and not long" --stop-after 40 $$files $(ARGS) || tests=$$?; fi; \
+	wait $$lint || linted=$$?; [ $$linted = 0 ] || cat $(VENV)/quick.log; [ $$tests = 0 ] && [ $$linted = 0 ]
 
 test-quick: setup
 	$(PYTEST) -m "not slow and not long" $(ARGS)

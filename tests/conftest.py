@@ -12,6 +12,7 @@ import logging
 import os
 import shutil
 import tempfile
+import time
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -55,6 +56,8 @@ LONGEST_FIRST = (
     "extremes",
     "architecture",
 )
+EXPORTING = {"tiny_folder", "exported", "exported_dynamic"}  # fixtures and functions that take a minute the first time
+UNIT_CPU_S = 30.0  # thrice what marks a test as slow, since processors differ
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 # Examples are drawn from a fixed seed: a red run on one machine is red on the next.
@@ -86,7 +89,12 @@ def skip_reason(item: pytest.Item) -> str | None:
     return None
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--stop-after", type=float, metavar="S", help="begin no test when S seconds have passed")
+
+
 _made: list[str] = []
+_begun_s = time.monotonic()
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -103,15 +111,40 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Folders with the longest files first: of two processes neither is then left with a long one at the end."""
-    places = {name: place for place, name in enumerate(LONGEST_FIRST)}
-    items.sort(key=lambda item: places.get(item.path.relative_to(ROOT).parts[1], len(places)))
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Every test is of one kind: ``browser``, ``server``, which exports a model and may serve it, or ``unit``."""
+    if item.get_closest_marker("browser") is None:
+        names = {*getattr(item, "fixturenames", ()), *vars(getattr(item, "module", object))}
+        item.add_marker("server" if names & EXPORTING else "unit")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Folders with the longest files first: of two processes neither is then left with a long one at the end. Files
+    stay as they are named where time is short."""
+    if config.getoption("stop_after") is None:
+        places = {name: place for place, name in enumerate(LONGEST_FIRST)}
+        items.sort(key=lambda item: places.get(item.path.relative_to(ROOT).parts[1], len(places)))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
+    stop_after_s = item.config.getoption("stop_after")
+    if stop_after_s is not None and time.monotonic() - _begun_s > stop_after_s:
+        pytest.skip("The time is up: `make test` runs it.")
     if reason := skip_reason(item):
         pytest.skip(reason)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Fails a test of units that takes long and does not say so, by the processor's time: the clock's depends on what
+    else runs."""
+    begun_s = time.process_time()
+    result = yield
+    spent_s = time.process_time() - begun_s
+    named = any(map(item.get_closest_marker, ("server", "browser", "slow", "long")))
+    if spent_s > UNIT_CPU_S and not named:
+        pytest.fail(f"It takes {spent_s:.0f} s of a processor: make it shorter, or mark it slow.")
+    return result
 
 
 @pytest.fixture(scope="module", autouse=True)
