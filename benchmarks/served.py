@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.clock import Clock
-from service.stages.batch import Batch, Memories, PoseInput
-from service.stages.encode import answer_again, idle_before, remember
-from service.stages.plan import Plan
-from service.stages.stage import run
+from drape.stages.batch import Batch, Memories, PoseInput
+from drape.stages.encode import answer_again, idle_before, remember
+from drape.stages.plan import Plan
+from drape.stages.stage import run
 
 
 class Stream:

@@ -1,4 +1,4 @@
 """The shared core: garments as polynomial patches, bodies, motions, cloth energies and the wire.
 
-Imports neither torch nor onnxruntime; formulas take numpy or torch arrays.
+Imports no torch, and onnxruntime only where a model needs it; formulas take numpy or torch arrays.
 """

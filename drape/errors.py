@@ -73,6 +73,10 @@ class NotFound(InputError):
     """A name that nothing here answers to."""
 
 
+class TooLarge(InputError):
+    """More bytes, frames, layers or vertices than are taken."""
+
+
 class ArtifactError(DrapeError):
     """A stored model, cache or asset that does not hold together."""
 

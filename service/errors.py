@@ -8,14 +8,20 @@ from typing import Any
 
 from fastapi.responses import JSONResponse
 
-from drape.errors import ArtifactError, BodyError, DrapeError, InputError, MeshError, MotionError, NotFound, Unavailable
+from drape.errors import (
+    ArtifactError,
+    BodyError,
+    DrapeError,
+    InputError,
+    MeshError,
+    MotionError,
+    NotFound,
+    TooLarge,
+    Unavailable,
+)
 
 PROBLEM = "application/problem+json"
 REASON_BYTES = 123  # what a WebSocket close frame can carry
-
-
-class TooLarge(InputError):
-    """More bytes, frames or vertices than this service takes."""
 
 
 class Forbidden(InputError):

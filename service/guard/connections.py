@@ -16,9 +16,9 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
-from drape.errors import DrapeError
+from drape.errors import DrapeError, TooLarge
 from drape.wanted import WANTED, Unwanted
-from service.errors import PROBLEM, Busy, TooLarge, TooSlow, problem
+from service.errors import PROBLEM, Busy, TooSlow, problem
 from service.guard.limits import UPLOAD_PATHS
 
 if TYPE_CHECKING:

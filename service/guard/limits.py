@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from drape.errors import DrapeError
-from service.errors import Busy, Draining, TooLarge, TooSlow, problem_response
+from drape.errors import DrapeError, TooLarge
+from service.errors import Busy, Draining, TooSlow, problem_response
 
 if TYPE_CHECKING:
     from service.settings import Settings

@@ -13,10 +13,10 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import Field
 
 from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
-from drape.errors import BodyError, InputError, NotFound
+from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.formats import AVATAR_SUFFIXES
 from service.compute.avatars import AvatarInfo
-from service.errors import Full, TooLarge, TooSlow
+from service.errors import Full, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, JSON, json_answer
 from service.http.covered_schemas import CoveredFaces, CoveredPrimitive

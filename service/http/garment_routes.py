@@ -9,9 +9,9 @@ import numpy as np
 from fastapi import APIRouter, Header, Query, Request, Response
 from pydantic import BaseModel, Field
 
-from drape.errors import BodyError, InputError, NotFound
+from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.wire.options import DrapeOptions, Resolution, SizeName
-from service.errors import Forbidden, NotAcceptable, TooLarge, TooSlow
+from service.errors import Forbidden, NotAcceptable, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, choose, file_answer, json_answer
 from service.http.clip_files import rest_file
@@ -23,8 +23,8 @@ from service.http.query import queried_shape
 from service.state import ClientHere, State, StateHere
 
 if TYPE_CHECKING:
+    from drape.stages.scene import Entry
     from service.guard.keys import Client
-    from service.stages.scene import Entry
 
 router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side

@@ -14,9 +14,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import from_json
 
 from drape.body.skeleton import JOINT_COUNT
+from drape.errors import TooLarge
 from drape.wire.options import wire_names
 from service.compute.threads import BRIEF_TEXT, SlicedThread
-from service.errors import TooLarge
 from service.http.problems import not_json, validation_refusal
 
 MARKS = b",:[{"

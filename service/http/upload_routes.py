@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from drape.errors import BodyError, InputError, NotFound
+from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
-from service.errors import Full, TooLarge, TooSlow
+from service.errors import Full, TooSlow
 from service.http import exact_clips, schemas
 from service.http.answers import BINARY, JSON
 from service.http.json_body import content_type

@@ -20,20 +20,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drape.errors import DrapeError, InputError
+from drape.errors import DrapeError, InputError, TooLarge
 from drape.wire.state import PIECE_BYTES, join_state, split_state
-from service.errors import Busy, Draining, TooLarge, TooSlow, Unauthorized, close_reason, rule_for
+from service.errors import Busy, Draining, TooSlow, Unauthorized, close_reason, rule_for
 from service.replicas.memory_codec import decoded, encoded
 from service.settings import product_version
 
 if TYPE_CHECKING:
     from fastapi import WebSocket
 
+    from drape.stages.batch import Memories
+    from drape.stages.plan import Plan
     from service.compute.drape_runtime import DrapeRuntime
     from service.guard.keys import Client
     from service.guard.tickets import Tickets
-    from service.stages.batch import Memories
-    from service.stages.plan import Plan
     from service.stream.routes import Session
 
 LIFE_S = 60.0

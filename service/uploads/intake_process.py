@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from drape.errors import ArtifactError, DrapeError, InputError, MeshError
+from drape.errors import ArtifactError, DrapeError, InputError, MeshError, TooLarge
 from service.compute.processes import ended, running
-from service.errors import TABLE, TooLarge
+from service.errors import TABLE
 from service.settings import Settings
 from service.uploads.accepted import Kind
 from service.uploads.sandbox import THINGS

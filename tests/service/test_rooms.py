@@ -23,8 +23,6 @@ ORDER = (
     "errors",
     "settings",
     "watch",
-    "graphs",
-    "stages",
     "compute",
     "guard",
     "state",
@@ -36,11 +34,14 @@ ORDER = (
 ABOVE = ("server", "app", "ray_app", "keys", "static", "__main__")
 # Files whose code runs between a pose's coming and its frame's leaving: twelve that make the frame, three that watch.
 ROAD = {
-    *("stream/routes.py", "stream/workers.py", "compute/drape_runtime.py", "compute/threads.py"),
-    *("stages/batch.py", "stages/stage.py", "stages/network.py", "graphs/packing.py", "graphs/compiled.py"),
-    *("stages/swing.py", "stages/folds.py", "stages/encode.py"),
-    *("watch/logs.py", "watch/metrics.py", "watch/turns.py", "watch/watchdog.py"),
+    *("service/stream/routes.py", "service/stream/workers.py"),
+    *("service/compute/drape_runtime.py", "service/compute/threads.py"),
+    *("drape/stages/batch.py", "drape/stages/stage.py", "drape/stages/network.py"),
+    *("drape/inference/packing.py", "drape/inference/compiled.py"),
+    *("drape/stages/swing.py", "drape/stages/folds.py", "drape/stages/encode.py"),
+    *("service/watch/logs.py", "service/watch/metrics.py", "service/watch/turns.py", "service/watch/watchdog.py"),
 }
+ALONG = tuple(f"{ROOT.parent}/{room}/" for room in ("service", "drape/stages", "drape/inference"))
 
 
 def room(path: Path) -> str:
@@ -74,8 +75,8 @@ def test_a_pose_enters_few_files(make_settings: Callable[..., Settings]):
     entered: set[str] = set()
 
     def look(frame: FrameType, event: str, argument: object) -> None:
-        if event == "call" and frame.f_code.co_filename.startswith(f"{ROOT}/"):
-            entered.add(frame.f_code.co_filename.removeprefix(f"{ROOT}/"))
+        if event == "call" and frame.f_code.co_filename.startswith(ALONG):
+            entered.add(frame.f_code.co_filename.removeprefix(f"{ROOT.parent}/"))
 
     threading.setprofile(look)  # for threads that begin now: those of the service
     try:

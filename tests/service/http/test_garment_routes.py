@@ -16,13 +16,12 @@ from PIL import Image
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import FABRICS
-from drape.errors import ArtifactError
+from drape.errors import ArtifactError, TooLarge
 from drape.garment.cache import Garment, save_garment
 from drape.wire.folds import unpack_folds
 from drape.wire.options import FabricNumbers
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import check_garment, slug
-from service.errors import TooLarge
 from service.http.fold_messages import KEPT as FOLDS_KEPT
 from service.http.fold_messages import FoldMessages
 from service.http.pictures import CLOTH, KEPT, Previews, picture

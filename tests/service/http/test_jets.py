@@ -15,25 +15,25 @@ from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.contact.projection import CLEARANCE_M, blended, push_in_parts
 from drape.contact.skin import body_skin, posed_table
+from drape.errors import TooLarge
 from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
 from drape.graph.push_feed import pack_push
 from drape.motion.hard_poses import hard_poses
 from drape.motion.samples import SAMPLES
+from drape.stages.batch import PoseInput
+from drape.stages.stage import run
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, message_bytes, pack_jets, split_jets, unpack_jets
 from drape.wire.layout import JetLayout, unpack_layout
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.errors import TooLarge
 from service.guard.keys import ANYONE
 from service.http.answers import BINARY, GLB, JSON
 from service.http.clip_jobs import ClipJob
 from service.http.clip_routes import check_clip_size
 from service.http.schemas import ClipOptions
 from service.settings import Settings
-from service.stages.batch import PoseInput
-from service.stages.stage import run
 from tests.fixtures.garments import ship
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of

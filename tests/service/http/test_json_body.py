@@ -6,8 +6,8 @@ import asyncio
 
 import pytest
 
+from drape.errors import TooLarge
 from service.compute.threads import SlicedThread
-from service.errors import TooLarge
 from service.http import json_body
 from service.http.json_body import PIECE_BYTES, SMALL_MARKS, check_marks, document_of
 

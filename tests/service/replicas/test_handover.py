@@ -21,13 +21,13 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
 from clients.stream import DrapeStream
-from drape.errors import InputError
+from drape.errors import InputError, TooLarge
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from drape.wire.state import join_state, split_state
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.errors import Busy, TooLarge, Unauthorized
+from service.errors import Busy, Unauthorized
 from service.guard.keys import Client, digest
 from service.guard.tickets import Tickets
 from service.replicas.handover import LIFE_S, Handover

@@ -16,11 +16,10 @@ import numpy as np
 import pytest
 
 from clients.client import DrapeClient
-from drape.errors import BodyError, DrapeError, MeshError, NotFound
+from drape.errors import BodyError, DrapeError, MeshError, NotFound, TooLarge
 from drape.garment.cache import Garment, save_garment
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
-from service.errors import TooLarge
 from service.guard.access import Access
 from service.settings import Settings
 from service.uploads import jobs

@@ -16,8 +16,9 @@ from drape.errors import ArtifactError, Unavailable
 
 if TYPE_CHECKING:
     import onnxruntime
+    from onnxruntime import OrtValue
 
-    Value = np.ndarray | onnxruntime.OrtValue
+    Value = np.ndarray | OrtValue
 
 Provider = Literal["cpu", "cuda"]
 

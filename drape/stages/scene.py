@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric
-from drape.errors import InputError
+from drape.errors import InputError, TooLarge
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.wire.layout import JetLayout, pack_layout
 from drape.wire.options import DrapeOptions, FabricChoice
-from service.errors import TooLarge
 
 if TYPE_CHECKING:
-    from service.stages.body_stages import BodyStages
+    from drape.stages.body_stages import BodyStages
 
 PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
 Source = Literal["shipped", "user"]

@@ -21,11 +21,10 @@ from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport
 from drape.live.raised_skin import heights_over, raised
 from drape.live.skin_walks import TouchedSamples
 from drape.live.two_level import LiftMemory, Memory, OneLevel, TwoLevel, TwoLevelMemory
+from drape.stages.batch import Batch, Layer, Quality, changed, stacked
+from drape.stages.plan import FINE, SKIN, Plan
+from drape.stages.stage import KeptConstants, Stage, StageSetup
 from drape.wire.options import DrapeOptions
-from service.stages.batch import Batch, Layer, Quality, changed, stacked
-from service.stages.plan import FINE, SKIN, Plan
-from service.stages.stage import KeptConstants, Stage, StageSetup
-from service.watch.watchdog import moved
 
 SETTLE = 8  # times the steps of a frame for one without a past, where clients do not say
 KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use stays
@@ -169,7 +168,6 @@ class Folds(Stage):
             for number, row in enumerate(range(rows.start, rows.stop)):
                 solid = seen_from(batch.plan.colliders, batch.root[row])
                 frame = Frame(drape[row], ground[row], float(one.times_s[number]), solid)
-                moved()
                 vertices, memory, report = made.fold(memory, frame, efforts[row])
                 folded.append(vertices)
                 if felt:

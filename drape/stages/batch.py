@@ -9,10 +9,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from drape.body.model import BodyModel
-from drape.errors import BodyError, MotionError
-from service.errors import TooLarge
-from service.stages.placing import Origin, Placed
-from service.stages.plan import Plan
+from drape.errors import BodyError, MotionError, TooLarge
+from drape.stages.placing import Origin, Placed
+from drape.stages.plan import Plan
 
 Memories = Mapping[tuple[str, str], Any]  # by stage and owner; values are never changed in place
 Record = TypeVar("Record", "Batch", "Layer", "Quality")

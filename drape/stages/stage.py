@@ -7,20 +7,19 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
+from drape.stages.batch import Batch, Memories, PoseInput
+from drape.stages.plan import Plan
 from drape.wanted import go_on
 from drape.wire.options import DrapeOptions
-from service.stages.batch import Batch, Memories, PoseInput
-from service.stages.plan import Plan
 
 if TYPE_CHECKING:
-    from service.graphs.engine import Engine
-    from service.settings import Settings
+    from drape.inference.engine import Engine
 
 BODY = ""  # the owner of what is remembered of a body, where others are garments by their digest
 Make = Callable[..., Any]  # calls a function with arguments: here, or in another process while there are streams
@@ -33,18 +32,30 @@ def call_here(function: Callable[..., Any], *arguments: Any, **named: Any) -> An
     return function(*arguments, **named)
 
 
+class StageSettings(Protocol):
+    """What holds where options are left open: ``push_out`` and ``inertia``, and how far off the skin all cloth is
+    kept, ``clearance_m`` [m]."""
+
+    @property
+    def push_out(self) -> bool: ...
+    @property
+    def inertia(self) -> Literal["network", "mesh"]: ...
+    @property
+    def clearance_m(self) -> float: ...
+
+
 @dataclass(frozen=True, eq=False)
 class StageSetup:
-    """The parts of a service that all stages share; ``make`` calls a function that takes long."""
+    """What all stages share; ``make`` calls a function that takes long."""
 
     engine: Engine
     body: BodyModel
-    settings: Settings
+    settings: StageSettings
     make: Make = call_here
 
 
 class Stage:
-    """One step of a frame's way, made once per service; ``service.stages.STAGES`` names them in order.
+    """One step of a frame's way, made once per service; ``drape.stages.STAGES`` names them in order.
 
     A stage holds its constants of garments (``add``, ``prepare``). Its memories of a stream or clip lie in the batch,
     under its name and the garment's digest or ``BODY``.

@@ -23,19 +23,17 @@ from drape.garment.cache import Garment
 from drape.graph.layer_feed import LayerFeed, Sheet, pack_layer
 from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import pack_push, pushed_jets
+from drape.inference.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
+from drape.stages.batch import Batch, Jets, Layer, changed, joined
+from drape.stages.plan import Plan
+from drape.stages.stage import KeptConstants, Make, Stage, StageSetup, call_here
 from drape.wire.options import DrapeOptions
-from service.graphs.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
-from service.stages.batch import Batch, Jets, Layer, changed, joined
-from service.stages.plan import Plan
-from service.stages.stage import KeptConstants, Make, Stage, StageSetup, call_here
 
 if TYPE_CHECKING:
-    import onnxruntime
+    from drape.inference.engine import Engine
+    from drape.inference.onnx_runtime import OrtValue, Session, Value
 
-    from service.graphs.engine import Engine
-    from service.graphs.onnx_runtime import Session, Value
-
-    Constants = dict[str, onnxruntime.OrtValue] | PushConstants
+    Constants = dict[str, OrtValue] | PushConstants
 
 OUTPUT = "pushed"
 JET_OUTPUTS = (OUTPUT, "jet_push", "left")
@@ -219,7 +217,7 @@ class Pusher:
 
     def _by_graph(
         self,
-        constants: dict[str, onnxruntime.OrtValue],
+        constants: dict[str, OrtValue],
         vertices: np.ndarray,
         skin: np.ndarray,
         under: np.ndarray | None,
