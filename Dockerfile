@@ -31,8 +31,7 @@ COPY pyproject.toml hatch_build.py README.md LICENSE ./
 COPY drape drape
 COPY service service
 COPY clients clients
-COPY assets assets
-# Editable, so that the code finds assets/ and the page beside it, as in a clone.
+# Editable, so that the code finds the page beside it, as in a clone.
 RUN pip install -e ".[service,otel,${EXTRA}]"
 # The promise that the service runs without torch is kept here, not only in the tests.
 RUN python -c "import importlib.util as u, sys; sys.exit('torch is in the image' if u.find_spec('torch') else 0)"

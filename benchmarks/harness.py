@@ -106,7 +106,7 @@ def inputs(
     return (
         Option("--garments", garments, "names, files or folders", quick_garments),
         Option("--motions", motions, "names, files or folders", quick_motions),
-        Option("--model", DEFAULT_MODEL, "name under assets/models, or a folder"),
+        Option("--model", DEFAULT_MODEL, "name under drape/assets/models, or a folder"),
     )
 
 

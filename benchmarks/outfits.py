@@ -200,7 +200,7 @@ def missed(rows: Sequence[Row]) -> list[str]:
     Option("--frames", 90, "of a stream at most", 8),
     Option("--poses", 8, "hard poses", 1),
     Option("--folds", 2, "steps of folds"),
-    Option("--model", DEFAULT_MODEL, "name under assets/models, or a folder"),
+    Option("--model", DEFAULT_MODEL, "name under drape/assets/models, or a folder"),
 )
 def main(run: Run) -> None:
     """Rows of every outfit in every stream and in hard poses."""

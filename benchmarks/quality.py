@@ -6,9 +6,9 @@
     python -m benchmarks.quality --patches 2 --out fine.json
     python -m benchmarks.quality --garments tshirt --fabrics jersey poplin --passes 0 --out fabrics.json
 
-A garment is a name under assets/garments, a cache file, a mesh, or a folder of either; a motion is a name under
-assets/motions, a file, or a folder. Everything is measured at rest (motion knob 0) on the garment's subdivided mesh;
-jitter on continuous windows of the motions. The network is the graph that the service runs on a processor.
+A garment is a name under drape/assets/garments, a cache file, a mesh, or a folder of either; a motion is a name under
+drape/assets/motions, a file, or a folder. Everything is measured at rest (motion knob 0) on the garment's subdivided
+mesh; jitter on continuous windows of the motions. The network is the graph that the service runs on a processor.
 ``--fabrics`` measures every garment in each of them, with its rest state. Without it, a network that knows fabrics is
 measured in jersey, and one that does not in the cloth of before fabrics (``--material``).
 """

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from drape.errors import ArtifactError, NotFound
+from drape.folders import ASSETS
 
 FORMAT_VERSION = 1
-MODELS_DIR = Path(__file__).resolve().parents[1] / "assets" / "models"
+MODELS_DIR = ASSETS / "models"
 DEFAULT_MODEL = "onefit"
 
 

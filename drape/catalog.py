@@ -8,10 +8,11 @@ from pathlib import Path
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, NotFound, did_you_mean
 from drape.files.formats import MESH_SUFFIXES
+from drape.folders import ASSETS
 from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.motion.readers import MOTION_SUFFIXES
 
-MOTIONS_DIR = GARMENTS_DIR.parent / "motions"
+MOTIONS_DIR = ASSETS / "motions"
 GARMENT_SUFFIXES = (".npz", *MESH_SUFFIXES)
 
 

@@ -1,10 +1,10 @@
-"""python -m model_export CHECKPOINT assets/models/NAME: a checkpoint as a model folder that the service loads.
+"""python -m model_export CHECKPOINT drape/assets/models/NAME: a checkpoint as a model folder that the service loads.
 
-    python -m model_export --quality benchmarks/results/quality.json assets/models/NAME
+    python -m model_export --quality benchmarks/results/quality.json drape/assets/models/NAME
 
 without a checkpoint writes the measured quality into the manifest of a folder that stands;
 
-    python -m model_export --push-out assets/models/NAME
+    python -m model_export --push-out drape/assets/models/NAME
 
 the graph of the push-out, which is the same for every network. On GPUs the packed graph is served with the network's
 matrices in float16 (--no-half leaves it out).

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import ipaddress
+from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
@@ -15,12 +16,19 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.assets import DEFAULT_BODY
+from drape.catalog import MOTIONS_DIR
 from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
+from drape.folders import CLONE
 from drape.garment.cache import GARMENTS_DIR, OWN_GARMENTS_DIR
 from drape.wire.options import Inertia, TierName
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+def built(page: str) -> Path:
+    """The folder of a built ``page``: that of ``clients/web`` in a clone, elsewhere a copy in this package."""
+    return ROOT / "clients/web" / page if CLONE else Path(str(files("service"))) / "pages" / page
 
 
 class Settings(BaseSettings):
@@ -50,8 +58,8 @@ class Settings(BaseSettings):
 
     shipped_garments_dir: Path = GARMENTS_DIR
     garments_dir: Path = OWN_GARMENTS_DIR
-    motions_dir: Path = ROOT / "assets/motions"
-    page_dir: Path = ROOT / "clients/web/dist"
+    motions_dir: Path = MOTIONS_DIR
+    page_dir: Path = built("dist")
 
     compiled: bool = True
     half: bool | None = None

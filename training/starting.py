@@ -20,7 +20,7 @@ CHECKPOINT, MANIFEST = "checkpoint.pt", "manifest.json"
 
 def read_model(model: Path) -> tuple[Weights, ModelConfig, tuple[str, ...]]:
     """Weights, sizes and held-out clips of ``model``: a checkpoint, the folder of a run or of an exported model, or the
-    name of one under assets/models."""
+    name of one under drape/assets/models."""
     for folder in (model, MODELS_DIR / model):
         if (folder / MANIFEST).is_file():
             return load_exported(folder)
@@ -28,7 +28,7 @@ def read_model(model: Path) -> tuple[Weights, ModelConfig, tuple[str, ...]]:
     if not path.is_file():
         raise InputError(
             "model to start from",
-            expected=f"a checkpoint, a folder with {CHECKPOINT} or {MANIFEST}, or a name under assets/models",
+            expected=f"a checkpoint, a folder with {CHECKPOINT} or {MANIFEST}, or a name under drape/assets/models",
             got=model.name,
             cure="Name one that is there.",
         )

@@ -24,8 +24,9 @@ from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.errors import ArtifactError, BodyError, NotFound
 from drape.files.atomic import whole_file
 from drape.files.packed import UNREADABLE
+from drape.folders import ASSETS
 
-BODIES_DIR = Path(__file__).resolve().parents[2] / "assets" / "bodies"
+BODIES_DIR = ASSETS / "bodies"
 DEFAULT_BODY = "anny_default"
 SHAPE_LIMIT = 10
 POSE_COUNT = 9 * (JOINT_COUNT - 1)  # entries of the local rotations that pose blend shapes read

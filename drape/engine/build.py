@@ -77,7 +77,8 @@ WEB_LINKED = [
 
 def cache_folder() -> Path:
     """Where the compiler and what it has compiled are kept."""
-    return Path(os.environ.get("DRAPE_CACHE", Path.home() / ".cache" / "drape"))
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return Path(os.environ.get("DRAPE_CACHE") or caches / "drape")
 
 
 def compiler() -> list[str]:

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from drape.errors import BodyError
+from drape.folders import ASSETS
 
 TABLE_NAME = "avatars.json"
-SHIPPED_FOLDER = Path(__file__).resolve().parents[2] / "assets" / "bodies"
+SHIPPED_FOLDER = ASSETS / "bodies"
 
 
 def avatar_table(folder: Path) -> dict[str, Any]:

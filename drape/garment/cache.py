@@ -26,11 +26,12 @@ from drape.cloth.rest_state import RestState
 from drape.errors import ArtifactError, NotFound, Unavailable, refusing
 from drape.files.atomic import whole_file
 from drape.files.packed import UNREADABLE, packed, read_packed
+from drape.folders import ASSETS, RUNS
 from drape.geometry import jets, meshes
 
 FORMAT_VERSION = 1
-GARMENTS_DIR = Path(__file__).resolve().parents[2] / "assets" / "garments"
-OWN_GARMENTS_DIR = GARMENTS_DIR.parents[1] / "runs" / "garments"  # what users take in; the service reads it too
+GARMENTS_DIR = ASSETS / "garments"
+OWN_GARMENTS_DIR = RUNS / "garments"  # what users take in; the service reads it too
 CHARTS_PER_VERTEX = 4
 
 

@@ -1,6 +1,6 @@
 """The sample clips that ship with the product, generated from formulas: no recorded motion.
 
-    python -m drape.motion.samples --out assets/motions
+    python -m drape.motion.samples --out drape/assets/motions
 
 Feet follow planned footsteps, the pelvis rides over them, and inverse kinematics
 bends the legs; the upper body follows smooth curves. Every curve is periodic or

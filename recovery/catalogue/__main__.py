@@ -1,7 +1,7 @@
 """Sews the catalogue's garments and lets them come to rest on the body.
 
 python -m recovery.catalogue build [NAME ...] --out DIR [--size M] [--body BODY] [--edge-length 0.0115] [--garments DIR]
-python -m recovery.catalogue grade [NAME ...] [--garments assets/garments]
+python -m recovery.catalogue grade [NAME ...] [--garments drape/assets/garments]
 python -m recovery.catalogue list
 
 ``build`` writes NAME.obj, NAME.glb and NAME.json, in other sizes than M as NAME_SIZE. ``grade`` writes what the service

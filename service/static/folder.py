@@ -20,13 +20,14 @@ from drape.artifacts import staged_folder
 from drape.engine.build import LIBRARIES, WEB
 from drape.engine.flat_records import flat_records
 from drape.errors import ArtifactError, InputError, Unavailable
+from drape.folders import CLONE
 from drape.geometry import jets
 from drape.inference.graph_names import PACKED
 from drape.stages.batch import shape_array
 from drape.stages.network import Network
 from drape.wire.folds import pack_folds
 from drape.wire.options import DrapeOptions
-from service.settings import ROOT
+from service.settings import built
 from service.static.answers import answer
 from service.stream.opening import opened
 
@@ -40,8 +41,8 @@ if TYPE_CHECKING:
 
 FORMAT = 2
 ABOUT = "about.json"
-PAGE = ROOT / "clients/web/static/dist"
-ENGINE = LIBRARIES / f"{WEB.name}{WEB.suffix}"
+PAGE = built("static/dist")
+ENGINE = (LIBRARIES if CLONE else built("")) / f"{WEB.name}{WEB.suffix}"
 JSON, BINARY, GLB = "application/json", "application/octet-stream", "model/gltf-binary"
 LEVEL = 6  # of compression
 
@@ -117,7 +118,7 @@ def check_built() -> None:
     """Refuses (``Unavailable``) where the page or the engine for browsers is not there."""
     missing = [path for path in (PAGE / "index.html", ENGINE) if not path.is_file()]
     if missing:
-        got = f"no {missing[0].relative_to(ROOT)}"
+        got = f"no {missing[0]}"
         raise Unavailable("page without a service", expected="its build", got=got, cure="Run make page.")
 
 

@@ -33,7 +33,7 @@ def test_a_clip_becomes_a_glb(live: str, tmp_path: Path, capsys: pytest.CaptureF
 
 def test_a_file_of_motion_becomes_vertices(live: str, tmp_path: Path):
     out = tmp_path / "out.npy"
-    clip = ROOT / "assets/motions/squat.npz"
+    clip = ROOT / "drape/assets/motions/squat.npz"
     base = f"drape --url {live} --garment tube --motion {clip} --fps 5 --betas 0.5 --out {out}".split()
     assert main(base) == 0
     placed = np.load(out)

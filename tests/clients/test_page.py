@@ -54,7 +54,7 @@ def set_control(page: Page, element: str, name: str, value: object, event: str) 
 def test_it_opens_on_garments_that_are_shipped():
     source = (ROOT / "clients/web/src/main.js").read_text(encoding="utf-8")
     worn = source.partition('const WORN = "')[2].partition('"')[0].split(",")
-    assert len(worn) == 2 and all(list((ROOT / "assets/garments").glob(f"{name}-*.npz")) for name in worn)
+    assert len(worn) == 2 and all(list((ROOT / "drape/assets/garments").glob(f"{name}-*.npz")) for name in worn)
 
 
 def test_it_draws_with_webgl_and_says_so(page: Page):
@@ -176,7 +176,7 @@ def test_fit_tells_words_and_paints_the_cloth(page: Page):
 
 
 def test_a_motion_of_a_file_is_played(page: Page, tmp_path: Path):
-    page.choose_file("#motion-file", ROOT / "assets/motions/reach.npz")
+    page.choose_file("#motion-file", ROOT / "drape/assets/motions/reach.npz")
     page.wait_for("document.querySelector('[data-clip=own-1]')?.getAttribute('aria-pressed') === 'true'")
     more_frames(page)
     spoiled = tmp_path / "spoiled.npz"

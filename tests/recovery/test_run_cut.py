@@ -35,7 +35,7 @@ from recovery.scan.collars import below
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import bent_cap, default_measurements
 
-SHIPPED = Path("assets/garments")
+SHIPPED = Path("drape/assets/garments")
 CUTS = {
     "tshirt": "tshirt",
     "longsleeve": "tshirt",

@@ -182,7 +182,7 @@ def test_the_base_must_have_the_openings_of_the_target():
 
 def test_cloth_that_lies_off_the_skin_tells_how_far():
     skin = read_wearer("anny_default").skin
-    (path,) = Path("assets/garments").glob("tank-*.npz")
+    (path,) = Path("drape/assets/garments").glob("tank-*.npz")
     tank = load_garment(path)
     mesh, known = plain_mesh("tank", tank.vertices, tank.faces), np.ones(len(tank.faces))
     assert_allclose(off_skin(mesh, skin, known), 0.0035, atol=3e-4)  # the catalogue's gap of 7.5 mm, less our 4

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
 
+from drape.catalog import MOTIONS_DIR
 from training import losses, sparse
 from training.config import PRESETS
 from training.poses import PoseBank, read_clips
-from training.run import sample_motions
 from training.starting import with_garments
 from training.trainer import Trainer
 
@@ -30,7 +29,7 @@ def trainer(monkeypatch: pytest.MonkeyPatch) -> Trainer:
 
     monkeypatch.setattr(losses, "contact_planes", planes)
     config = replace(with_garments(PRESETS["shipped"](), ["tshirt"]), batch_size=3, full_share=0.5, smooth_share=0.5)
-    return Trainer(config, PoseBank(read_clips([Path(sample_motions())], held_out=()), config.data), device=META)
+    return Trainer(config, PoseBank(read_clips([MOTIONS_DIR], held_out=()), config.data), device=META)
 
 
 @pytest.mark.long

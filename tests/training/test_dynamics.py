@@ -10,6 +10,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from drape.catalog import MOTIONS_DIR
 from drape.errors import ArtifactError, InputError
 from drape.motion.clip import MotionClip
 from tests.training.training_setup import CPU, JERSEY, MOVING_RUN, TINY_RUN, check_no_step_is_taken, resumes_bit_for_bit
@@ -19,7 +20,7 @@ from training.dynamics import CALM_M_S2, DynamicTrainer
 from training.fabrics import stretch_share
 from training.model import OneFit
 from training.poses import read_clips
-from training.run import make_trainer, sample_motions
+from training.run import make_trainer
 from training.starting import started
 from training.trainer import Objective, take_weights
 from training.windows import HISTORY, WindowBank, Windows
@@ -43,7 +44,7 @@ def static() -> OneFit:
 @pytest.fixture(scope="module")
 def trainer(static: OneFit) -> DynamicTrainer:
     torch.set_num_threads(1)
-    clips = read_clips([sample_motions()], held_out=())
+    clips = read_clips([MOTIONS_DIR], held_out=())
     made = make_trainer(RUN, clips, device=CPU, weights=static.state_dict())
     assert isinstance(made, DynamicTrainer)
     made.fabrics = None  # one fabric, so that losses of two steps compare

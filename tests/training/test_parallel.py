@@ -16,14 +16,15 @@ import itertools, os, sys, torch
 from pathlib import Path
 from types import SimpleNamespace
 from training import checkpoint, parallel, run as running
+from drape.catalog import MOTIONS_DIR
 from training.poses import read_clips
-from training.run import make_trainer, sample_motions, train
+from training.run import make_trainer, train
 from tests.training.training_setup import CPU, MOVING_RUN, TINY_RUN
 from dataclasses import replace
 parallel.start(CPU)
 torch.set_num_threads(1)
 running.time = SimpleNamespace(monotonic=itertools.count().__next__)  # a second every time it is read
-clips = read_clips([sample_motions()], held_out=())
+clips = read_clips([MOTIONS_DIR], held_out=())
 for kind, run in (("static", TINY_RUN), ("dynamic", MOVING_RUN)):
     folder = Path(sys.argv[1]) / kind
     trainer = make_trainer(replace(run, minutes=0.2), clips, device=CPU)

@@ -12,6 +12,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from drape.artifacts import MODELS_DIR, load_manifest
+from drape.catalog import MOTIONS_DIR
 from drape.cloth.fabric_table import fabric
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import GARMENTS_DIR
@@ -23,7 +24,7 @@ from training.config import TrainConfig, dynamic, shipped
 from training.exported import load_exported
 from training.model import OneFit
 from training.poses import read_clips
-from training.run import make_trainer, sample_motions
+from training.run import make_trainer
 from training.starting import finetuned, read_model, started, with_garments
 from training.trainer import take_weights
 
@@ -127,7 +128,7 @@ def test_fine_tuning_starts_from_the_model_on_the_garment_alone(tiny: tuple[OneF
     config, weights = finetuned(folder, [TANK])
     assert config.data.garments == (TANK,) and config.data.held_out == ("walk",) and config.early_agreement == 1.0
     config = replace(config, data=replace(config.data, partitions=1), batch_size=2, threads=1)
-    trainer = make_trainer(config, read_clips([sample_motions()], held_out=()), device=CPU, weights=weights)
+    trainer = make_trainer(config, read_clips([MOTIONS_DIR], held_out=()), device=CPU, weights=weights)
     assert [garment.name for garment in trainer.wardrobe.garments] == [TANK]
     assert same(trainer.model.state_dict(), model), "weights and statistics are the model's"
     trainer.step()
@@ -159,7 +160,7 @@ def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, 
         return replace(config, data=replace(config.data, partitions=1)), weights
 
     monkeypatch.setattr(run, "finetuned", with_one_partition)
-    options = ["--finetune", str(folder), "--garment", TANK, "--beside", SHORTS, "--motions", str(sample_motions())]
+    options = ["--finetune", str(folder), "--garment", TANK, "--beside", SHORTS, "--motions", str(MOTIONS_DIR)]
     options += ["--out", str(tmp_path / "out"), "--minutes", "0.005", "--threads", "1", "--device", "cpu"]
     options += ["--batch", "2", "--bf16"]
     monkeypatch.setattr("sys.argv", ["run", *options])
@@ -170,7 +171,7 @@ def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, 
     assert f"stored    {tmp_path / 'out' / 'checkpoint.pt'}: step {payload['step']} after" in capsys.readouterr().out
     assert run.main() == 2  # a second run there would write over the first
     assert "--out: expected a folder without an earlier run" in capsys.readouterr().err
-    monkeypatch.setattr("sys.argv", ["run", "--resume", str(tmp_path / "out"), "--motions", str(sample_motions())])
+    monkeypatch.setattr("sys.argv", ["run", "--resume", str(tmp_path / "out"), "--motions", str(MOTIONS_DIR)])
     assert run.main() == 0
     assert "nothing left to do: the run has had its 0.005 minutes" in capsys.readouterr().out
     assert checkpoint.load(tmp_path / "out" / "checkpoint.pt")[0]["step"] == payload["step"]

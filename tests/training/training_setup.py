@@ -11,6 +11,7 @@ import torch
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
+from drape.catalog import MOTIONS_DIR
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
@@ -23,7 +24,6 @@ from training import checkpoint
 from training.config import DataConfig, MotionConfig, TrainConfig
 from training.data import BodySource, TrainingGarment, draw_partition
 from training.poses import PoseBank, read_clips
-from training.run import sample_motions
 from training.trainer import BaseTrainer
 
 CPU = torch.device("cpu")
@@ -92,4 +92,4 @@ def source() -> BodySource:
 
 @cache
 def bank() -> PoseBank:
-    return PoseBank(read_clips([sample_motions()], held_out=()), TINY_RUN.data)
+    return PoseBank(read_clips([MOTIONS_DIR], held_out=()), TINY_RUN.data)

@@ -16,4 +16,4 @@ mkdir -p runs/between
 python -m training.average runs/shipped/checkpoint.pt runs/longer/checkpoint.pt --share 0.7 --out runs/between/checkpoint.pt
 python -m training.run --preset dynamic --from runs/between/checkpoint.pt --threads 1 --minutes 112 --out runs/moving \
     --garment dress skirt dress skirt tshirt longsleeve tank trousers shorts
-python -m model_export runs/moving/checkpoint.pt assets/models/onefit
+python -m model_export runs/moving/checkpoint.pt drape/assets/models/onefit

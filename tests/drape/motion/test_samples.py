@@ -1,12 +1,11 @@
 """The generated clips stand on the ground, bend as people do, are smooth, and are those that ship."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from drape.body.skeleton import PARENTS
+from drape.catalog import MOTIONS_DIR
 from drape.geometry.rigid import forward_kinematics
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import flagged_steps, joint_steps
@@ -16,7 +15,6 @@ from drape.motion.readers import read_motion
 from drape.motion.samples import SAMPLES, main
 from drape.motion.t_pose import CANONICAL_FLOOR, CANONICAL_JOINTS, JOINT_INDEX
 
-SHIPPED = Path(__file__).resolve().parents[3] / "assets" / "motions"
 GROUND_TOLERANCE = 1e-9  # feet are placed by closed forms
 
 CLIPS = {name: make() for name, make in SAMPLES.items()}
@@ -122,14 +120,14 @@ def test_ankles_stay_in_their_range(clip):
 
 
 def test_shipped_clips_are_the_generated_ones(clip):
-    shipped = read_motion(SHIPPED / f"{clip.name}.npz")
+    shipped = read_motion(MOTIONS_DIR / f"{clip.name}.npz")
     assert shipped.name == clip.name
     assert_allclose(shipped.poses, clip.poses, rtol=0.0, atol=1e-5)
     assert_allclose(shipped.trans, clip.trans, rtol=0.0, atol=1e-5)
 
 
 def test_shipped_clips_are_small():
-    assert sum(path.stat().st_size for path in SHIPPED.glob("*.npz")) < 300_000
+    assert sum(path.stat().st_size for path in MOTIONS_DIR.glob("*.npz")) < 300_000
 
 
 def test_command_writes_every_clip(tmp_path, capsys):
