@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from drape.body.feed import BodyFeed
 from drape.body.model import BodyModel
 from drape.contact.skin import posed_table
 from drape.engine.build import LIBRARIES, WEB
@@ -20,7 +21,7 @@ from drape.engine.records import HASH, RECORDS
 from drape.errors import InputError
 from drape.graph.packing import tile_charts
 from drape.live.clock import Frame
-from drape.live.fold_records import BodyFeed, body_feed
+from drape.live.fold_records import shape_feed
 from drape.live.fold_step import FoldEffort
 from drape.live.two_level import TwoLevel
 from drape.wire.folds import pack_folds, unpack_folds
@@ -168,7 +169,7 @@ def test_the_client_poses_the_skin_as_the_service_does(body: BodyModel, rng, tmp
     poses, betas = rng.uniform(-0.8, 0.8, (3, 24, 3)), rng.normal(size=body.shape_count)
     poses[0] = 0.0
     expected = posed_table(body, poses.astype(np.float32), betas).reshape(3, -1, 8)
-    records = {"FoldConstants": constants(), "BodyFeed": body_feed(body, betas)}
+    records = {"FoldConstants": constants(), "BodyFeed": shape_feed(body, betas)}
     said = in_client(records, tmp_path, [], poses=poses)
     got = np.reshape(said["skins"], expected.shape)
     assert_allclose(got[..., :4], expected[..., :4], rtol=0, atol=2e-5)
