@@ -228,8 +228,8 @@ RECORDS: dict[str, dict[str, str]] = {
         "wide_charts": "int32s",
     },
     "PosedJets": {"jet": "numbers", "rotation": "numbers", "centre": "numbers"},
-    # ``drape.graph.push.PushConstants``
-    "PushConstants": {
+    # ``drape.contact.projection.PushFeed``
+    "PushFeed": {
         "patches": "count",
         "block_vertex": "int32s",
         "vertex_slot": "int32s",
