@@ -13,7 +13,7 @@ from benchmarks.judge import physics, physics_cache
 from drape.engine.build import SOURCE
 from drape.exact import apart
 from drape.exact.newton import Band, Cloth, Found
-from drape.kernels import triangle_pairs
+from drape.geometry import triangle_pairs
 
 STEPS = 120  # at most; they end a few hundredths of a joule above where they lead
 

@@ -243,7 +243,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "tile_patch": "int32s",
         "slot_charts": "int32s",
     },
-    # Offline physics: ``drape.kernels.problem``, ``drape.exact.surroundings``, ``hessian`` and ``linear`` there.
+    # Offline physics: ``drape.cloth.problem``, ``drape.exact.surroundings``, ``hessian`` and ``linear`` there.
     "Triangles": {
         "corner": "int32s",
         "inverse": "numbers",

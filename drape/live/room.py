@@ -12,8 +12,8 @@ import numpy as np
 import scipy.sparse
 
 from drape.cloth.energies import ClothMesh
+from drape.cloth.problem import rest_edges
 from drape.engine.calls import call_with_scratch
-from drape.kernels.problem import rest_edges
 from drape.live.clusters import clusters
 from drape.live.sheet import LANES
 

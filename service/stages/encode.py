@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drape.kernels.quantised import quantise
 from drape.wire.jets import JetFrame, pack_jets
 from drape.wire.messages import Answer, Frame, pack_frame, pack_same, resent
 from drape.wire.options import DrapeOptions
+from drape.wire.quantised import quantise
 from service.stages.batch import Batch, Memories, PoseInput, changed
 from service.stages.plan import Plan
 from service.stages.stage import BODY, Stage

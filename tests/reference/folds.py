@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.cloth.energies import ClothMesh
+from drape.cloth.problem import Problem, problem
 from drape.exact.surroundings import Around as Outside
 from drape.exact.surroundings import surroundings
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point
-from drape.kernels.problem import Problem, problem
 from drape.live.clock import FIRST_STEP_S, step_between
 from drape.live.fold_constants import HOLD, WornCloth
 from drape.live.fold_step import FoldEffort, FoldMemory, Frame

@@ -19,7 +19,7 @@ from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold
 from drape.live.sheet import LANES
 from drape.live.skin_walks import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import tube
-from tests.drape.kernels.solver_setup import MATERIALS
+from tests.drape.cloth.solver_setup import MATERIALS
 
 RADIUS_M, HEIGHT_M, EASE_M = 0.05, 0.12, 0.006
 PLANE_ROWS = 19  # of a block of places: a point and a normal of the own part, then those of another one

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
+from drape.cloth.problem import problem
 from drape.cloth.waistband import SLACK_M
 from drape.contact.skin import body_skin
 from drape.engine.calls import call
-from drape.kernels.problem import problem
 from drape.live.clock import CUT_M, PAUSE_S, Frame
 from drape.live.fold_constants import LEASH_N_M3, LEAST, FoldConstants, fold_constants, leash_n_per_m, worn_cloth
 from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold
