@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 
 
 @dataclass(frozen=True, eq=False)

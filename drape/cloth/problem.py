@@ -14,7 +14,7 @@ import scipy.sparse
 from drape.cloth.energies import DEGENERATE, ClothMesh, contact_n_per_m
 from drape.cloth.material import Material
 from drape.cloth.waistband import SLACK_M
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.geometry import meshes
 from drape.geometry.colouring import colour_order
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.cloth.problem import Problem
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.errors import InputError
 
 

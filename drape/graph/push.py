@@ -13,7 +13,7 @@ from drape.contact.push_tables import OTHER_STEPS
 from drape.contact.samples import CLUSTER_SIZE
 from drape.engine.calls import call, call_with_scratch
 from drape.engine.library import empty_points
-from drape.engine.records import Record
+from drape.engine.packer import Record
 from drape.graph.layer_feed import REGION_ROW, LayerFeed
 
 _LOGITS = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)  # of samples, by how much they are other parts

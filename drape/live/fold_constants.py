@@ -15,7 +15,7 @@ from drape.cloth.material import Material
 from drape.cloth.waistband import STIFFNESS_N_M2, waistband
 from drape.contact.samples import Samples
 from drape.contact.skin import body_skin
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 from drape.live.room import SheetNeighbours, sheet_neighbours

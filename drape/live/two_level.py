@@ -18,7 +18,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric as fabric_named
 from drape.engine.calls import call
-from drape.engine.records import Record
+from drape.engine.packer import Record
 from drape.garment.cache import Garment
 from drape.live.clock import Frame
 from drape.live.coarse_mesh import coarse_mesh

@@ -16,7 +16,7 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.contact.samples import REGION_SIZE
 from drape.engine.calls import call, call_with_scratch
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.network.weights import Weights
 
 

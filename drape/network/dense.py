@@ -9,7 +9,7 @@ import numpy as np
 
 from drape.engine.calls import call, call_with_scratch
 from drape.engine.library import LANES, has_tiles
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.network.tiled import tiles_of
 
 OUTPUTS = 8  # of a row of patches that are summed at once

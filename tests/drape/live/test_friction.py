@@ -13,7 +13,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.problem import problem
 from drape.contact.samples import Samples, sample_table
 from drape.engine.calls import call
-from drape.engine.records import Record
+from drape.engine.packer import Record
 from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.fold_step import FoldEffort, fold

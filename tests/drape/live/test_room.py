@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.energies import ClothMesh
 from drape.engine.calls import call_with_scratch
-from drape.engine.records import Record
+from drape.engine.packer import Record
 from drape.geometry.triangle_pairs import crossing_pairs
 from drape.live.clock import Frame
 from drape.live.fold_constants import LEASH_N_M3, FoldConstants
