@@ -13,11 +13,11 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.problem import problem
 from drape.contact.samples import Samples, sample_table
 from drape.engine.calls import call
+from drape.engine.library import LANES
 from drape.engine.packer import Record
 from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.fold_step import FoldEffort, fold
-from drape.live.sheet import LANES
 from drape.live.skin_walks import SkinGraph, TouchedSamples, nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.cloth.solver_setup import MATERIALS

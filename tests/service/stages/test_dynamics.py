@@ -17,6 +17,7 @@ from drape.body.model import BodyModel
 from drape.garment.cache import Garment
 from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
+from drape.live.clock import SHORTEST_STEP_S
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
@@ -26,7 +27,7 @@ from service.graphs.packing import Packer, ScenePlan
 from service.settings import Settings
 from service.stages.batch import Memories, PoseInput
 from service.stages.encode import KEY
-from service.stages.motion import JUMP_M_S, SHORTEST_STEP_S, STEP_LIMIT_S, Memory, Moment, Motion, advance
+from service.stages.motion import JUMP_M_S, STEP_LIMIT_S, Memory, Moment, Motion, advance
 from service.stages.plan import Plan
 from service.stages.stage import run
 from service.stream.opening import Opening
