@@ -37,5 +37,7 @@ class EngineHook(BuildHookInterface):
         engine.build_system(system, folder)
         build_data["pure_python"], build_data["tag"] = False, f"py3-none-{TAGS[system]}"
         build_data["force_include"] |= {
-            str(one): f"drape/engine/libraries/{one.name}" for one in folder.iterdir() if one.suffix != ".o"
+            str(one): f"drape/engine/libraries/{one.name}"
+            for one in folder.iterdir()
+            if one.suffix not in (".o", ".sources")
         }

@@ -24,6 +24,7 @@ from hypothesis import settings
 from drape.body.model import BodyModel
 from drape.files.data import HOW_TO_SET_DATA, data_folder
 from drape.garment.cache import Garment
+from tests.clients.built import why_not_the_page
 from tests.fixtures import garments
 from tests.fixtures.fuzzing import SOAK
 from tests.fixtures.patience import make_clients_patient
@@ -85,7 +86,7 @@ def skip_reason(item: pytest.Item) -> str | None:
         if find_chromium() is None:
             return "No Chromium: `sudo apt-get install chromium`, or name one in CHROMIUM."
         if not (ROOT / "clients/web/dist/index.html").is_file():
-            return "The page is not built: `make page` (needs Node.js 18 or newer)."
+            return why_not_the_page()
     return None
 
 
@@ -132,6 +133,8 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         pytest.skip("The time is up: `make test` runs it.")
     if reason := skip_reason(item):
         pytest.skip(reason)
+    if item.get_closest_marker("browser") and (reason := why_not_the_page()):
+        pytest.fail(reason, pytrace=False)
 
 
 @pytest.hookimpl(wrapper=True)

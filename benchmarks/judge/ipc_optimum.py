@@ -13,7 +13,7 @@ from benchmarks.judge import physics, physics_cache
 from drape.engine.build import SOURCE
 from drape.exact import apart
 from drape.exact.newton import Band, Cloth, Found
-from drape.kernels import triangle_pairs
+from drape.geometry import triangle_pairs
 
 STEPS = 120  # at most; they end a few hundredths of a joule above where they lead
 
@@ -22,7 +22,8 @@ def stored_minimum(task: physics.Task, folder: Path | None) -> tuple[physics.Opt
     """The optimum of ``minimise`` for ``task``, and whether it was in ``folder`` (``physics_cache.cached``)."""
     plain = physics_cache.cache_key(task, STEPS, physics.TOLERANCE)
     own = [Path(__file__), *(Path(str(module.__file__)) for module in (apart, triangle_pairs))]
-    key = physics_cache.key_of([plain], (), [*own, SOURCE / "apart.hpp", SOURCE / "pairs.hpp"])
+    headers = [SOURCE / f"{name}.hpp" for name in ("apart", "pairs", "triangle")]
+    key = physics_cache.key_of([plain], (), [*own, *headers])
     return physics_cache.cached(key, lambda: minimise(task, step_limit=STEPS), folder)
 
 

@@ -21,12 +21,11 @@ import numpy as np
 from benchmarks.harness import ROOT
 from benchmarks.judge import physics
 from benchmarks.judge.physics import Optimum, Task
-from drape.cloth import bending, contact, energies, membrane, waistband
+from drape.cloth import bending, contact, energies, membrane, problem, waistband
 from drape.engine.build import SOURCE
 from drape.exact import blended_planes, descent, hessian, linear, newton, settling, surroundings
 from drape.files.atomic import whole_file
 from drape.geometry import meshes
-from drape.kernels import problem
 from drape.live import whole
 
 CACHE_DIR = ROOT / "runs" / "physics_cache"  # ignored by git

@@ -1,4 +1,4 @@
-"""Where cloth passes through itself: pairs of its triangles that cross, as ``drape.kernels.triangle_pairs`` has it."""
+"""Where cloth passes through itself: pairs of its triangles that cross, as ``drape.geometry.triangle_pairs`` has it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from drape.arrays import check_finite, check_shape
 from drape.errors import MeshError
 from drape.geometry import meshes
-from drape.kernels.triangle_pairs import crossing_pairs
+from drape.geometry.triangle_pairs import crossing_pairs
 
 
 def intersection_count(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from drape.engine import calls
-from drape.engine.records import Record, Recorded
+from drape.engine.packer import Record, Recorded
 
 PACKAGES = ("drape", "service")
 PYTHON = "Python"

@@ -22,10 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.arrays import Array, count_of, device, namespace
-from drape.arrays.tensors import Tensors, tensor
+from drape.arrays.tensors import tensor
 from drape.contact.field import attend_columns, columns, largest, query_columns, ramp, surface, take
-from drape.contact.push_tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
-from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, region_centres, sample_table
+from drape.contact.push_tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, PushTables
+from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, Samples, region_centres, sample_table
 from drape.geometry import jets
 from drape.geometry.rotations import dot_columns
 
@@ -47,25 +47,15 @@ REGION_BIAS_M2 = 0.002  # squared distance [m^2] that one logit of a region outw
 
 
 @dataclass(frozen=True, eq=False)
-class PushFeed(Tensors):
+class PushFeed(PushTables):
     """Constants of a garment as ``push_out`` takes them: ``drape.graph.push_feed.pack_push`` makes them.
 
-    G groups of 2 blocks of 16 vertices, N = 32 G slots; K patches, Q tiles of 64 charts (``drape.graph.packing``).
-    ``block_vertex`` (G, 32) vertices; ``vertex_slot`` (V,) slots; ``own_cluster`` (G, 2, 10) clusters of the skin under
-    each block with ``own_bias`` (G, 2, 40); ``other`` (G, P, 48) uint8, how much a sample is another part, in
-    255ths, and ``region_bias`` (G, P, 4) of regions. ``patch_block`` (K, B) the blocks that lie in a patch,
+    Beside the tables of its G groups those of its charts: K patches, Q tiles of 64 charts (``drape.graph.packing``).
+    ``patch_block`` (K, B) the blocks that lie in a patch,
     ``patch_fit`` (K, B, 10) the weights by which their displacements give its polynomial; ``tile_basis`` (Q, 10, 64),
     ``tile_patch`` (Q,), ``slot_charts`` (4, G, 32) columns of the tiles.
     """
 
-    block_vertex: Array = tensor("push_block_vertex", "groups", GROUP_SIZE * BLOCK_SIZE, dtype="int32", unit="vertex")
-    vertex_slot: Array = tensor("push_vertex_slot", "vertices", dtype="int32", unit="slot")
-    own_cluster: Array = tensor(
-        "push_own_cluster", "groups", GROUP_SIZE, OWN_CLUSTERS, dtype="int32", unit="cluster of samples"
-    )
-    own_bias: Array = tensor("push_own_bias", "groups", GROUP_SIZE, OWN_CLUSTERS * CLUSTER_SIZE)
-    other: Array = tensor("push_other", "groups", "parts", POSED_REGIONS * REGION_SIZE, dtype="uint8", unit="1 / 255")
-    region_bias: Array = tensor("push_region_bias", "groups", "parts", POSED_REGIONS)
     patch_block: Array = tensor("push_patch_block", "patches", "patch_blocks", dtype="int32", unit="block")
     patch_fit: Array = tensor("push_patch_fit", "patches", "patch_blocks", TERMS)
     tile_basis: Array = tensor("push_tile_basis", "tiles", TERMS, TILE_WIDTH)
@@ -73,6 +63,11 @@ class PushFeed(Tensors):
     slot_charts: Array = tensor(
         "push_slot_charts", CHARTS_PER_VERTEX, "groups", GROUP_SIZE * BLOCK_SIZE, dtype="int32", unit="column"
     )
+
+    @property
+    def patches(self) -> int:
+        """K."""
+        return len(self.patch_fit)
 
 
 @dataclass(frozen=True, eq=False)

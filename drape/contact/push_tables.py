@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from drape.arrays import check_finite, check_shape
+from drape.arrays import Array, check_finite, check_shape
+from drape.arrays.tensors import Tensors, tensor
 from drape.contact.blocks import blocks
-from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, Samples, unit
+from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, unit
 from drape.errors import MeshError
 
 BLOCK_SIZE = 16  # vertices that share a list of skin samples
@@ -28,22 +29,24 @@ NEVER = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class PushTables:
-    """Constants of V vertices in C blocks, C a multiple of ``GROUP_SIZE``, over a skin of S samples in R regions.
+class PushTables(Tensors):
+    """Constants of V vertices in G groups of two blocks of 16, over a skin of P parts of four regions of 12 samples.
 
-    ``block_vertex`` (C, 16) the vertices of a block, repeated where it is not full; ``vertex_slot`` (V,) where a
-    vertex stands in them. ``own_cluster`` (C, 10): clusters of the skin that the block hangs on; ``own_bias``
-    (C, 40), the logits that their samples start with.
-    ``other`` (C / 2, S) uint8, how much a sample is another part than the group's own, in 255ths, and
-    ``region_bias`` (C / 2, R), zero for regions that have such samples and far below for the others.
+    ``block_vertex`` (G, 32) the vertices of a group, repeated where it is not full; ``vertex_slot`` (V,) where a
+    vertex stands in them. ``own_cluster`` (G, 2, 10): clusters of the skin that each block hangs on; ``own_bias``
+    (G, 2, 40), the logits that their samples start with. ``other`` (G, P, 48) uint8, how much a sample is another part
+    than the group's own, in 255ths, and ``region_bias`` (G, P, 4), zero for regions that have such samples and far
+    below for the others.
     """
 
-    block_vertex: np.ndarray
-    vertex_slot: np.ndarray
-    own_cluster: np.ndarray
-    own_bias: np.ndarray
-    other: np.ndarray
-    region_bias: np.ndarray
+    block_vertex: Array = tensor("push_block_vertex", "groups", GROUP_SIZE * BLOCK_SIZE, dtype="int32", unit="vertex")
+    vertex_slot: Array = tensor("push_vertex_slot", "vertices", dtype="int32", unit="slot")
+    own_cluster: Array = tensor(
+        "push_own_cluster", "groups", GROUP_SIZE, OWN_CLUSTERS, dtype="int32", unit="cluster of samples"
+    )
+    own_bias: Array = tensor("push_own_bias", "groups", GROUP_SIZE, OWN_CLUSTERS * CLUSTER_SIZE)
+    other: Array = tensor("push_other", "groups", "parts", POSED_REGIONS * REGION_SIZE, dtype="uint8", unit="1 / 255")
+    region_bias: Array = tensor("push_region_bias", "groups", "parts", POSED_REGIONS)
 
 
 def push_tables(vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | None = None) -> PushTables:
@@ -66,14 +69,16 @@ def push_tables(vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | Non
     lists = skin_lists(rest[members].mean(axis=1), unit(outward[members].mean(axis=1)), skin, hidden=hidden)
     by_group = lists.other.reshape(-1, GROUP_SIZE, skin.count).mean(axis=1)
     by_region = by_group.reshape(len(by_group), -1, REGION_SIZE).max(axis=2)
+    # Only their differences count; the largest is 0, as ``field.attend_columns`` needs it.
+    own_bias = lists.own_bias - lists.own_bias.max(axis=1, keepdims=True)
+    groups = len(by_group)
     return PushTables(
-        block_vertex=members.astype(np.int32),
+        block_vertex=members.reshape(groups, -1).astype(np.int32),
         vertex_slot=slot.astype(np.int32),
-        own_cluster=lists.own_cluster.astype(np.int32),
-        # Only their differences count; the largest is 0, as ``field.attend_columns`` needs it.
-        own_bias=(lists.own_bias - lists.own_bias.max(axis=1, keepdims=True)).astype(np.float32),
-        other=np.rint(OTHER_STEPS * by_group).astype(np.uint8),
-        region_bias=np.log(1e-6 + by_region).astype(np.float32),
+        own_cluster=lists.own_cluster.reshape(groups, GROUP_SIZE, -1).astype(np.int32),
+        own_bias=own_bias.reshape(groups, GROUP_SIZE, -1).astype(np.float32),
+        other=np.rint(OTHER_STEPS * by_group).astype(np.uint8).reshape(groups, -1, POSED_REGIONS * REGION_SIZE),
+        region_bias=np.log(1e-6 + by_region).astype(np.float32).reshape(groups, -1, POSED_REGIONS),
     )
 
 

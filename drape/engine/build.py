@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import hashlib
 import os
 import platform
 import shutil
@@ -114,9 +115,10 @@ def build(
     target: Target, folder: Path, *, tests: bool = False, sanitize: bool = False, jobs: int = os.cpu_count() or 1
 ) -> Path:
     """Compiles the library of ``target`` into ``folder``, or the one with what only ``tests`` call; where asked to
-    ``sanitize``, with checks of its memory. One that is newer than all sources is left."""
+    ``sanitize``, with checks of its memory. One that was made from these sources, in the same way, is left."""
     library = folder / (target.name + ("-tests" if tests else "") + target.suffix)
-    if _is_newer(library) and not sanitize:
+    made_from = sources_hash(target, tests, sanitize)
+    if is_made_from(library, made_from):
         return library
     folder.mkdir(parents=True, exist_ok=True)
     zig, begin = compiler(), time.monotonic()
@@ -137,6 +139,7 @@ def build(
     made = library.with_suffix(".new")  # moved into place whole: another process may have the old one open
     subprocess.run([*zig, "c++", *common, *linked, *map(str, objects), "-o", str(made)], check=True, env=environment)
     made.replace(library)
+    _told_of(library).write_text(made_from)
     for each in objects:
         each.unlink()
     print(f"engine: {library.name} in {time.monotonic() - begin:.1f} s", flush=True)
@@ -146,10 +149,11 @@ def build(
 def build_probe(system: str, folder: Path) -> Path:
     """Compiles the library that tells what a processor has; only processors of x86-64 differ."""
     target = TARGETS[system][0]._replace(name="probe", processor="baseline")
-    probe = folder / f"probe{target.suffix}"
-    if not _is_newer(probe):
+    probe, made_from = folder / f"probe{target.suffix}", sources_hash(target)
+    if not is_made_from(probe, made_from):
         command = [*compiler(), "c++", *FLAGS, *_aimed(target), *LINKED, str(SOURCE / "probe.cpp"), "-o", str(probe)]
         subprocess.run(command, check=True)
+        _told_of(probe).write_text(made_from)
     return probe
 
 
@@ -179,9 +183,23 @@ def _aimed(target: Target) -> list[str]:
     return ["-target", target.triple, f"-mcpu={target.processor}", *(["-fno-PIC"] if target == WEB else [])]
 
 
-def _is_newer(library: Path) -> bool:
-    sources = [*SOURCE.iterdir(), Path(__file__)]
-    return library.is_file() and library.stat().st_mtime > max(one.stat().st_mtime for one in sources)
+def sources_hash(target: Target, tests: bool = False, sanitize: bool = False) -> str:
+    """Hash, hexadecimal, of what a library of ``target`` is made from: the sources, this file, and how."""
+    digest = hashlib.sha256(repr((target, tests, sanitize)).encode())
+    for source in (*sorted(SOURCE.iterdir()), Path(__file__)):
+        digest.update(source.name.encode() + source.read_bytes())
+    return digest.hexdigest()
+
+
+def is_made_from(library: Path, sources: str) -> bool:
+    """Whether there is a ``library`` that was made from what has the hash ``sources``."""
+    told = _told_of(library)
+    return library.is_file() and told.is_file() and told.read_text() == sources
+
+
+def _told_of(library: Path) -> Path:
+    """The file beside ``library`` that has the hash of its sources. Times say less: a checkout changes them."""
+    return library.with_name(f"{library.name}.sources")
 
 
 def main() -> None:

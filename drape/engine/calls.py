@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from drape.engine.library import Scratch, load
-from drape.engine.records import Record, Recorded, address_of
+from drape.engine.packer import Record, Recorded, address_of
 
 SUFFIX = {np.dtype(np.float32): "f32", np.dtype(np.float64): "f64"}
 _FIRST_BYTES = 1 << 20

@@ -18,16 +18,8 @@ Every size is a multiple of eight bytes on every processor, WebAssembly included
 
 from __future__ import annotations
 
-import ctypes
-import dataclasses
 import hashlib
-import struct
-from array import array
-from functools import cached_property
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 HEADER = Path(__file__).parent / "source" / "records.hpp"
 
@@ -228,8 +220,8 @@ RECORDS: dict[str, dict[str, str]] = {
         "wide_charts": "int32s",
     },
     "PosedJets": {"jet": "numbers", "rotation": "numbers", "centre": "numbers"},
-    # ``drape.graph.push.PushConstants``
-    "PushConstants": {
+    # ``drape.contact.projection.PushFeed``
+    "PushFeed": {
         "patches": "count",
         "block_vertex": "int32s",
         "vertex_slot": "int32s",
@@ -243,7 +235,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "tile_patch": "int32s",
         "slot_charts": "int32s",
     },
-    # Offline physics: ``drape.kernels.problem``, ``drape.exact.surroundings``, ``hessian`` and ``linear`` there.
+    # Offline physics: ``drape.cloth.problem``, ``drape.exact.surroundings``, ``hessian`` and ``linear`` there.
     "Triangles": {
         "corner": "int32s",
         "inverse": "numbers",
@@ -285,7 +277,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "coarse": "numbers",
     },
 }
-_ARRAYS = {
+ARRAYS = {
     "numbers": "T",
     "float32s": "float",
     "float64s": "double",
@@ -294,15 +286,6 @@ _ARRAYS = {
     "uint16s": "uint16_t",
     "bytes": "uint8_t",
 }
-_TYPES = {
-    "float32s": np.dtype(np.float32),
-    "float64s": np.dtype(np.float64),
-    "int32s": np.dtype(np.int32),
-    "uint32s": np.dtype(np.uint32),
-    "uint16s": np.dtype(np.uint16),
-    "bytes": np.dtype(np.uint8),
-}
-_WORD, _WORDS = struct.Struct("<Q"), {"number": struct.Struct("<d"), "count": struct.Struct("<q")}
 HASH = int.from_bytes(hashlib.sha256(repr(RECORDS).encode()).digest()[:8], "little")
 
 
@@ -323,8 +306,8 @@ def header() -> str:
 
 
 def _declared(kind: str) -> str:
-    if kind in _ARRAYS:
-        return f"Array<{_ARRAYS[kind]}>"
+    if kind in ARRAYS:
+        return f"Array<{ARRAYS[kind]}>"
     if kind.endswith("[]"):
         return f"Array<{kind[:-2]}<T>>"
     return {"number": "double", "count": "int64_t"}.get(kind, f"{kind}<T>")
@@ -334,81 +317,6 @@ def size(name: str) -> int:
     """The 64-bit words of a record."""
     kinds = RECORDS[name].values()
     return sum(size(kind) if kind in RECORDS else 1 if kind in ("number", "count") else 2 for kind in kinds)
-
-
-class Record:
-    """The words of a record, and the ``arrays`` that they point to.
-
-    ``address`` [bytes] is where the words are.
-    """
-
-    __slots__ = ("_words", "address", "arrays")
-
-    def __init__(self, name: str, value: Any, dtype: Any = None) -> None:
-        """The record ``name`` of ``value``, which has its fields as attributes. Numbers in arrays are of ``dtype``, or
-        else of the first such array's.
-
-        Raises ``TypeError`` where an array has another type or is not contiguous: that is our own mistake.
-        """
-        self.arrays: list[np.ndarray] = []
-        dtype = np.dtype(dtype or _numbers_type(name, value) or np.float32)
-        self._words = array("Q", self._filled(name, value, dtype))
-        self.address = self._words.buffer_info()[0]
-
-    def _filled(self, name: str, value: Any, dtype: np.dtype) -> list[int]:
-        words: list[int] = []
-        for field, kind in RECORDS[name].items():
-            own = getattr(value, field)
-            if kind in _ARRAYS:
-                wanted = _TYPES.get(kind, dtype)
-                if own.dtype != wanted or not own.flags.c_contiguous:
-                    raise TypeError(f"{name}.{field}: expected contiguous {wanted}, got {own.dtype}, {own.strides}")
-                self.arrays.append(own)
-                words += (address_of(own), own.size)
-            elif kind in RECORDS:
-                words += self._filled(kind, own, dtype)
-            elif kind in _WORDS:
-                words += _WORD.unpack(_WORDS[kind].pack(own))
-            else:
-                parts = np.array([word for one in own for word in self._filled(kind[:-2], one, dtype)], np.uint64)
-                self.arrays.append(parts)
-                words += (address_of(parts), len(own))
-        return words
-
-
-def address_of(numbers: np.ndarray) -> int:
-    """Where contiguous ``numbers`` begin, 0 if there are none; by a buffer, which takes a third of the time that
-    ``ctypes`` of the array does. Raises ``TypeError`` for an array that is not contiguous."""
-    if numbers.size == 0:
-        return 0
-    if not numbers.flags.writeable and numbers.flags.c_contiguous:
-        return numbers.ctypes.data
-    return ctypes.addressof(ctypes.c_char.from_buffer(numbers))  # pyright: ignore[reportArgumentType]
-
-
-class Recorded:
-    """Constants that the engine reads as the record of their class's name; such a class has its fields."""
-
-    @cached_property
-    def record(self) -> Record:
-        """Themselves as the engine reads them."""
-        return Record(type(self).__name__, self)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What a pickle has of them: not what was made from them, which holds addresses."""
-        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
-
-
-def _numbers_type(name: str, value: Any) -> np.dtype | None:
-    """The type of the first numbers in ``value``, which has the fields of the record ``name``."""
-    for field, kind in RECORDS[name].items():
-        own, inner = getattr(value, field), kind.removesuffix("[]")
-        if kind == "numbers":
-            return own.dtype
-        for one in (own[:1] if kind.endswith("[]") else [own]) if inner in RECORDS else []:
-            if found := _numbers_type(inner, one):
-                return found
-    return None
 
 
 if __name__ == "__main__":

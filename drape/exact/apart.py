@@ -22,7 +22,7 @@ from drape.engine.calls import call, call_with_scratch
 from drape.exact import hessian, newton
 from drape.exact.newton import Band, Cloth, Found
 from drape.geometry import meshes
-from drape.kernels.triangle_pairs import pairs_within
+from drape.geometry.triangle_pairs import pairs_within
 
 REACH_M = 0.002  # distance at which cloth feels cloth: about two layers of it
 NEAR_M = 0.009  # distance up to which pairs are looked at

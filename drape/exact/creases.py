@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from drape.cloth.contact import BodyContact
 from drape.exact.blended_planes import BlendedPlanes
 from drape.geometry import meshes
-from drape.kernels.triangle_pairs import crossing_pairs
+from drape.geometry.triangle_pairs import crossing_pairs
 
 ROOM_M = 0.006  # of cloth on either side: skins nearer than twice this have none between them
 PUSHES = 3  # of a point along the plane that it is under

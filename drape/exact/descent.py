@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from drape.cloth.problem import Problem
 from drape.engine.calls import call
 from drape.exact.surroundings import Around
-from drape.kernels.problem import Problem
 
 
 def energy_and_gradient(x: np.ndarray, problem: Problem, around: Around, gradient: np.ndarray) -> float:

@@ -26,7 +26,7 @@ from drape.exact.newton import TOLERANCE, Band, Cloth, Found
 from drape.exact.path import Body, drawn_to, followed, led
 from drape.garment.cache import Garment
 from drape.geometry.rotations import rotvec_to_matrix
-from drape.kernels.triangle_pairs import crossing_pairs
+from drape.geometry.triangle_pairs import crossing_pairs
 
 STEPS = 400  # of Newton's method, at most
 

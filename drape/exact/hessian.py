@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.cloth.energies import ClothMesh
+from drape.cloth.problem import Problem, stencil
 from drape.engine.calls import call
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.exact.surroundings import Around
-from drape.kernels.problem import Problem, stencil
 
 
 @dataclass(frozen=True, eq=False)

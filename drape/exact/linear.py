@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.engine.calls import call, call_with_scratch
-from drape.engine.records import Record, Recorded
+from drape.engine.packer import Record, Recorded
 from drape.exact.hessian import Pattern
 
 

@@ -18,11 +18,11 @@ import scipy.linalg
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
+from drape.cloth.problem import Problem, problem
 from drape.exact import descent, hessian, linear, settling
 from drape.exact.blended_planes import BlendedPlanes
 from drape.exact.linear import Charts
 from drape.exact.surroundings import Around, surroundings
-from drape.kernels.problem import Problem, problem
 
 TOLERANCE = 0.01  # of the weight: the norm of the force left at rest
 REACH_M = 0.01  # the most that one step moves a vertex

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drape.engine.records import Recorded
+from drape.cloth.problem import Problem
+from drape.engine.packer import Recorded
 from drape.errors import InputError
-from drape.kernels.problem import Problem
 
 
 @dataclass(frozen=True, eq=False)

@@ -90,15 +90,6 @@ def evaluate(jet: Array, uv: Array, *, u_times: int = 0, v_times: int = 0) -> Ar
     return xp.stack([xp.sum(p * plane, axis=-1), xp.sum(q * plane, axis=-1), xp.sum(h * height, axis=-1)], axis=-1)
 
 
-def metric(jet: Array, uv: Array, scale: Array) -> Array:
-    """First fundamental form ``g = s^2 J^T J`` (..., 2, 2) [m^2 per unit^2] (OneFit, section 3.2)."""
-    xp = namespace(jet)
-    du, dv = evaluate(jet, uv, u_times=1), evaluate(jet, uv, v_times=1)
-    e, f, g = xp.sum(du * du, axis=-1), xp.sum(du * dv, axis=-1), xp.sum(dv * dv, axis=-1)
-    rows = xp.stack([xp.stack([e, f], axis=-1), xp.stack([f, g], axis=-1)], axis=-2)
-    return (scale * scale)[..., None, None] * rows
-
-
 def normal(jet: Array, uv: Array) -> Array:
     """Unit normals (..., 3) in the patch frame."""
     xp = namespace(jet)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.engine.calls import call_with_scratch
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.graph.packing import PackedGarment
 
 

@@ -1,7 +1,7 @@
 """The arrays that the graphs take, from posed bodies and garments: one place for training, export and service.
 
 ``drape.graph.inputs`` declares each array. The graphs work relative to the root joint, so that
-float32 stays precise wherever the body walks; ``BodyFeed.root`` (float64) is added to what comes out.
+float32 stays precise wherever the body walks; ``BodyInputs.root`` (float64) is added to what comes out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from drape.graph.inputs import BETA_COUNT, PARTS, AgreementTensors, BodyTensors,
 
 
 @dataclass(frozen=True)
-class BodyFeed:
+class BodyInputs:
     """Graph inputs of F posed bodies, float32, and the root positions [m] (F, 3) in float64."""
 
     arrays: dict[str, np.ndarray]
@@ -36,7 +36,7 @@ class BodyFeed:
 
 def body_feed(
     body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None, *, skin: bool = False
-) -> BodyFeed:
+) -> BodyInputs:
     """The ``BodyTensors`` of ``poses`` (F, 24, 3) [rad] with root translations ``trans`` (F, 3) [m].
 
     ``betas`` is the shape of all (S,) or of each (F, S); with ``skin`` also its samples, of bodies that bones pose.
@@ -61,7 +61,7 @@ def body_feed(
         joints=(rotations @ joints[..., None])[..., 0] + relative,
         skin=shaped_skin(body).table(rotations, relative, shapes) if skin else None,
     )
-    return BodyFeed(_arrays(found.flat()), trans + joints[:, 0])
+    return BodyInputs(_arrays(found.flat()), trans + joints[:, 0])
 
 
 def shape_numbers(body: BodyModel, betas: np.ndarray | None) -> np.ndarray:

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,29 +13,18 @@ from drape.contact.push_tables import OTHER_STEPS
 from drape.contact.samples import CLUSTER_SIZE
 from drape.engine.calls import call, call_with_scratch
 from drape.engine.library import empty_points
-from drape.engine.records import Recorded
+from drape.engine.packer import Record
 from drape.graph.layer_feed import REGION_ROW, LayerFeed
 
 _LOGITS = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)  # of samples, by how much they are other parts
 
 
 @dataclass(frozen=True, eq=False)
-class PushConstants(Recorded):
-    """A ``PushFeed`` as the engine reads it, of so many ``patches``; ``logits`` (256,) of samples, by how much these
-    are other parts. And of a garment over others what the samples of these are made of, as in ``LayerFeed``."""
+class PushConstants:
+    """The ``feed`` of a garment, contiguous; ``logits`` (256,) of samples, by how much these are other parts. And of a
+    garment over others what the samples of these are made of, as in ``LayerFeed``."""
 
-    patches: int
-    block_vertex: np.ndarray
-    vertex_slot: np.ndarray
-    own_cluster: np.ndarray
-    own_bias: np.ndarray
-    other: np.ndarray
-    region_bias: np.ndarray
-    patch_block: np.ndarray
-    patch_fit: np.ndarray
-    tile_basis: np.ndarray
-    tile_patch: np.ndarray
-    slot_charts: np.ndarray
+    feed: PushFeed
     logits: np.ndarray
     region: np.ndarray
     cloth_member: np.ndarray
@@ -43,18 +33,21 @@ class PushConstants(Recorded):
     @classmethod
     def of(cls, feed: PushFeed | LayerFeed) -> PushConstants:
         """Those of ``feed``."""
-        push = feed.push if isinstance(feed, LayerFeed) else feed
-        kind = push.patch_fit.dtype
-        arrays = {field.name: np.ascontiguousarray(getattr(push, field.name)) for field in fields(PushFeed)}
-        over = {"region": np.empty(0, np.int32), "cloth_member": np.empty(0, np.int32), "cloth_rows": np.empty(0, kind)}
-        if isinstance(feed, LayerFeed):
-            over = {"region": feed.region.reshape(-1), "cloth_member": feed.cloth_member, "cloth_rows": feed.cloth_rows}
-        return cls(patches=len(push.patch_fit), logits=_LOGITS.astype(kind), **arrays, **over)
+        push = (feed.push if isinstance(feed, LayerFeed) else feed).each(np.ascontiguousarray)
+        logits, none = _LOGITS.astype(push.patch_fit.dtype), np.empty(0, np.int32)
+        if not isinstance(feed, LayerFeed):
+            return cls(push, logits, none, none, none)
+        return cls(push, logits, feed.region.reshape(-1), feed.cloth_member, feed.cloth_rows)
+
+    @cached_property
+    def record(self) -> Record:
+        """The ``feed`` as the engine reads it."""
+        return Record("PushFeed", self.feed)
 
     @property
     def bytes(self) -> int:
         """Memory of all arrays."""
-        return sum(getattr(self, field.name).nbytes for field in fields(self)[1:])
+        return sum(one.nbytes for one in (*vars(self.feed).values(), self.region, self.cloth_member, self.cloth_rows))
 
 
 def push_frames(
@@ -71,9 +64,9 @@ def push_frames(
 
     Of a garment over others out of these too, whose pushed vertices are ``under`` [m] (F, U, 3).
     """
-    kind, (frames, count) = constants.patch_fit.dtype, vertices.shape[:2]
+    kind, (frames, count) = constants.feed.patch_fit.dtype, vertices.shape[:2]
     pushed, way = np.empty((frames, count, 3), kind), np.empty((frames, count), kind)
-    coefficients, left_m = np.empty((frames, constants.patches, 3, TERMS), kind), np.empty(frames, kind)
+    coefficients, left_m = np.empty((frames, constants.feed.patches, 3, TERMS), kind), np.empty(frames, kind)
     given, rounds = empty_points(count, kind), JET_ROUNDS if jets else 1
     for i in range(frames):
         given[:] = vertices[i]
@@ -82,7 +75,7 @@ def push_frames(
             samples = np.concatenate([samples, _cloth(np.ascontiguousarray(under[i], kind), constants)])
             samples = samples.take(constants.region, axis=0)
         found = pushed[i], way[i], coefficients[i], left_m[i : i + 1]
-        given_all = given, samples, constants, constants.logits, float(clearance_m), rounds
+        given_all = given, samples, constants.record, constants.logits, float(clearance_m), rounds
         call_with_scratch("push_out", kind, *given_all, *found)
     return pushed, way, coefficients, left_m
 

@@ -9,8 +9,8 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.body.model import BodyModel
 from drape.contact.projection import CHARTS_PER_VERTEX, TERMS, TILE_WIDTH, PushFeed
-from drape.contact.push_tables import GROUP_SIZE, PushTables, push_tables
-from drape.contact.samples import POSED_REGIONS, REGION_SIZE, Samples
+from drape.contact.push_tables import BLOCK_SIZE, PushTables, push_tables
+from drape.contact.samples import Samples
 from drape.contact.skin import body_skin, shaped_skin
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
@@ -38,7 +38,7 @@ def pack_push(
             cure="Pass the feed's own vertices.",
         )
     tables = push_tables(vertices, skin, hidden=hidden)
-    return PushFeed(**_of_tables(tables), **_of_charts(feed, tables))
+    return PushFeed(**vars(tables), **_of_charts(feed, tables))
 
 
 class SkinShapes:
@@ -95,25 +95,13 @@ def pushed_jets(jet: Array, rotation: Array, scale: Array, coefficients: Array) 
     return jets.full(jet) + xp.reshape(padded, (*jet.shape[:-1], jets.FULL_COUNT))
 
 
-def _of_tables(tables: PushTables) -> dict[str, np.ndarray]:
-    groups = len(tables.region_bias)
-    return {
-        "block_vertex": tables.block_vertex.reshape(groups, -1),
-        "vertex_slot": tables.vertex_slot,
-        "own_cluster": tables.own_cluster.reshape(groups, GROUP_SIZE, -1),
-        "own_bias": tables.own_bias.reshape(groups, GROUP_SIZE, -1),
-        "other": tables.other.reshape(groups, -1, POSED_REGIONS * REGION_SIZE),
-        "region_bias": tables.region_bias.reshape(groups, -1, POSED_REGIONS),
-    }
-
-
 def _of_charts(feed: dict[str, np.ndarray], tables: PushTables) -> dict[str, np.ndarray]:
     patches = len(feed["patch_scale"])
     tiling = tile_charts(feed["chart_patch"], patches, width=TILE_WIDTH)
     weight = feed["chart_weight"].astype(np.float64)[..., None]
     basis = feed["chart_basis"].astype(np.float64)[..., :TERMS]
     charts = tiling.column[tables.block_vertex.reshape(-1)].astype(np.int32)
-    members = tables.block_vertex
+    members = tables.block_vertex.reshape(-1, BLOCK_SIZE)
     block, fit = _fits(feed["chart_patch"][members], weight[members], basis[members], patches)
     return {
         "patch_block": block,

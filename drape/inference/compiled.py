@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from drape.body.feed import BodyFeed
 from drape.body.skeleton import JOINT_COUNT
 from drape.graph.blend import Tiles, blend
 from drape.graph.packed import PART_SIZE
 from drape.graph.packing import PackedGarment
 from drape.inference.graph_names import FIRST, JETS, SKIN
-from drape.network.bodies import BodyFeed, PosedBody, posed_body
+from drape.network.bodies import PosedBody, posed_body
 from drape.network.dense import OUTPUTS, Layer
 from drape.network.drape import checked_jets
 from drape.network.garments import encoded, garment_encoder

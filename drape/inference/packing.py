@@ -42,7 +42,6 @@ OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
     "jets": JETS,
     "both": ("vertices", *JETS),
 }
-STORED_INDEX = ("patch_stored", "tile_stored")  # of no use in the model of one garment
 SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
 TILES_PER_BUCKET = 65536  # of devices with memory of their own

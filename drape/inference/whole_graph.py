@@ -15,7 +15,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.cloth.fabric import Fabric
-from drape.errors import NotFound, Unavailable
+from drape.errors import NotFound
 from drape.garment.cache import Garment
 from drape.geometry.rotations import quaternion_to_rotvec
 from drape.graph.feeds import body_feed, garment_feed
@@ -100,15 +100,6 @@ class WholeGraph:
                     one[SKIN] = arrays["body_skin"][row]
                 results[key, row] = Result({name: one[name] for name in plan.outputs}, finite)
         return [results[item] for item in items]
-
-    def whole_model(self, key: str, body: Mapping[str, np.ndarray], *, passes: int | None) -> bytes:
-        """Refuses: what pages run without a service is a packed graph."""
-        raise Unavailable(
-            "static folder",
-            expected="a model that the engine computes",
-            got=self._engine.manifest.name,
-            cure="Use another model, or serve this one.",
-        )
 
     def _garment(self, key: str) -> Garment:
         if key not in self._garments:

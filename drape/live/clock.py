@@ -14,9 +14,8 @@ import numpy as np
 from drape.geometry.colliders import NONE
 
 PAUSE_S = 0.25  # a frame that comes later than that after the one before has no past
-CUT_M = 0.30  # nor has one in which the network moved a vertex farther
-SHORTEST_STEP_S = 1.0 / 240.0  # frames that come closer together count as this far apart
-FIRST_STEP_S = 1.0 / 30.0  # the step of a frame without a past
+# Frames that come closer together count as this far apart: a clock's jitter must not become an acceleration.
+SHORTEST_STEP_S = 1.0 / 240.0
 _FLOAT64 = np.dtype(np.float64)
 
 

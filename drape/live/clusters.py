@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse
 from scipy.sparse.csgraph import dijkstra
 
-from drape.live.sheet import LANES
+from drape.engine.library import LANES
 
 LANDMARKS = 6  # the ways along the cloth to so many vertices tell where on it a vertex is
 

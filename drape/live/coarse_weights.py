@@ -17,7 +17,7 @@ from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import nearest_vertices
 from drape.live.room import reached
 
-NEAREST = 8  # coarse vertices that one takes from: the engine's as well
+NEAREST = 8  # coarse vertices that one takes from
 LEAST = 3  # with fewer a vertex takes the nearest one's
 REACH = 3.5  # times the coarse cloth's mean edge
 WIDER, POLE, TINY = 1.05, 1e-4, 1e-9

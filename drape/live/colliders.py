@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drape.engine.calls import call
-from drape.engine.records import Record
+from drape.engine.packer import Record
 from drape.live.clock import Surroundings
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.live.clock import Frame, FrameMemory, step_between
 from drape.live.fold_constants import FoldConstants
 from drape.live.fold_step import FoldEffort, FoldReport, framed, no_past

@@ -15,7 +15,7 @@ from drape.cloth.material import Material
 from drape.cloth.waistband import STIFFNESS_N_M2, waistband
 from drape.contact.samples import Samples
 from drape.contact.skin import body_skin
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 from drape.live.room import SheetNeighbours, sheet_neighbours
@@ -32,7 +32,7 @@ LYING_M, HANGING_M, LEAST = 0.01, 0.025, 0.03
 # Planes of physics stand off the skin that is seen by 0.2 to 0.3 mm in the mean, those of samples do not. Contact
 # begins so much farther out than in the energy of cloth, and a little for steps that are few.
 INSIDE_M = 0.0004
-HOLD = 0.4  # the share of contact's stiffness that steps of the whole allow leash and friction: the engine's as well
+HOLD = 0.4  # the share of contact's stiffness that steps of the whole allow leash and friction
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from drape.body.feed import BodyFeed
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.contact.skin import body_skin
@@ -14,18 +15,6 @@ from drape.graph.feeds import shape_numbers
 from drape.live.fold_constants import fold_constants
 from drape.live.swing_constants import swing_constants
 from drape.live.two_level import two_level
-
-
-class BodyFeed(NamedTuple):
-    """What poses a body and its skin: the record of that name. Pose and motion are the client's."""
-
-    local: np.ndarray
-    rest: np.ndarray
-    betas: np.ndarray
-    motion: np.ndarray
-    skin_rows: np.ndarray
-    skin_bones: np.ndarray
-    skin_counts: np.ndarray
 
 
 def fold_records(
@@ -37,7 +26,7 @@ def fold_records(
 
     Refuses (``BodyError``) a body with pose blend shapes.
     """
-    feed = body_feed(body, betas)
+    feed = shape_feed(body, betas)
     if coarse:
         records: dict[str, Any] = {"Levels": two_level(garment, body, fabric).levels}
     else:
@@ -46,8 +35,11 @@ def fold_records(
     return records | ({} if swing is None else {"SwingConstants": swing}) | {"BodyFeed": feed}
 
 
-def body_feed(body: BodyModel, betas: np.ndarray | None = None) -> BodyFeed:
-    """What poses ``body`` in the shape ``betas``; refuses (``BodyError``) one with pose blend shapes."""
+def shape_feed(body: BodyModel, betas: np.ndarray | None = None) -> BodyFeed:
+    """What poses ``body`` in the shape ``betas``; pose and motion are the client's.
+
+    Refuses (``BodyError``) one with pose blend shapes.
+    """
     skin, none = body_skin(body).on_bones(body, betas), np.zeros(0, np.float32)
     rows = np.asarray(skin.rows)
     counts, rest, shape = rows.any(axis=(2, 3)).sum(axis=1), body.rest_joints(betas), shape_numbers(body, betas)

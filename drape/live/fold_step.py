@@ -15,7 +15,7 @@ import numpy as np
 
 from drape.contact.projection import CLEARANCE_M
 from drape.engine.calls import call_with_scratch
-from drape.engine.records import Record, Recorded
+from drape.engine.packer import Record, Recorded
 from drape.live.clock import Frame, FrameMemory, step_between
 from drape.live.fold_constants import FoldConstants
 from drape.live.skin_walks import TouchedSamples

@@ -12,14 +12,14 @@ import numpy as np
 import scipy.sparse
 
 from drape.cloth.energies import ClothMesh
+from drape.cloth.problem import rest_edges
 from drape.engine.calls import call_with_scratch
-from drape.kernels.problem import rest_edges
+from drape.engine.library import LANES
 from drape.live.clusters import clusters
-from drape.live.sheet import LANES
 
 NEAR_M = 0.02  # vertices nearer than that along the cloth, and those of one triangle, are one sheet
 FOLDED = 0.6  # so are those whose way through the air is at least this share of that along the cloth
-ROOM_M = 0.018  # how far lists of what is of one sheet reach through the air: the engine's as well
+ROOM_M = 0.018  # how far lists of what is of one sheet reach through the air
 FREE = 255  # a bound that no pair within ROOM_M is below; FREE - 1 stands for ROOM_M
 BOUND_M2 = ROOM_M**2 / (FREE - 1)
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
-from drape.kernels.problem import KernelConstants, Problem, Triangles, problem
+from drape.cloth.problem import KernelConstants, Problem, Triangles, problem
+from drape.engine.library import LANES
 
-LANES = 16  # vertices side by side, as the engine computes them
 ALIKE = 0.99  # edges as long as this share of the longest one count as equally long
 
 

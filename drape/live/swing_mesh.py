@@ -16,8 +16,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
+from drape.cloth.problem import rest_edges, unfolded
 from drape.geometry import meshes
-from drape.kernels.problem import rest_edges, unfolded
 from drape.live.swing_rows import SwingRows, swing_rows
 
 SPACING_M = 0.07  # between nodes; less gives the same swing for more time

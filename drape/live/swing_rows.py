@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.live.sheet import LANES
+from drape.engine.library import LANES
 
 
 class SwingRows(NamedTuple):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.engine.calls import call_with_scratch
-from drape.engine.records import Record, Recorded
+from drape.engine.packer import Record, Recorded
 from drape.live.clock import Frame, FrameMemory, writable
 from drape.live.fold_constants import array_bytes
 from drape.live.skin_walks import SkinGraph

@@ -18,7 +18,8 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric as fabric_named
 from drape.engine.calls import call
-from drape.engine.records import Record
+from drape.engine.library import LANES
+from drape.engine.packer import Record
 from drape.garment.cache import Garment
 from drape.live.clock import Frame
 from drape.live.coarse_mesh import coarse_mesh
@@ -26,7 +27,7 @@ from drape.live.coarse_weights import coarse_weights
 from drape.live.eased import FineLevel, Levels, LiftMemory, lifted_alone
 from drape.live.fold_constants import FoldConstants, LaidCloth, array_bytes, fold_constants, worn_cloth, worn_mesh
 from drape.live.fold_step import FoldArrays, FoldEffort, FoldMemory, FoldReport, fold, framed, memory_of, past_of
-from drape.live.sheet import LANES, sheet
+from drape.live.sheet import sheet
 from drape.live.skin_walks import TouchedSamples
 from drape.live.untangle import tangles_of
 

@@ -11,14 +11,11 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse
 
+from drape.engine.library import LANES
 from drape.geometry import meshes
 from drape.live.clusters import clusters
-from drape.live.sheet import LANES
 
-BORDER, OTHERS = (
-    -1,
-    -2,
-)  # in ``Tangles.across``, of the engine too: nothing is across the edge; it is another triangle's
+BORDER, OTHERS = -1, -2  # in ``Tangles.across``: nothing is across the edge; it is another triangle's
 
 
 class Tangles(NamedTuple):

@@ -32,8 +32,9 @@ import scipy.sparse.linalg
 
 from drape.cloth.energies import ClothMesh, contact_n_per_m
 from drape.cloth.material import Material
+from drape.engine.library import LANES
 from drape.live.dissection import COSTS, dissected, runs
-from drape.live.sheet import LANES, Sheet
+from drape.live.sheet import Sheet
 
 # The spring on every vertex, as a share of contact's stiffness: K does not know which contacts are closed. With 0.07
 # cloth in contact rattles; with more than this folds come more slowly.

@@ -11,27 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.body.features import STATIC_PER_JOINT, Kinematics, joint_rotations
+from drape.body.feed import BodyFeed
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.contact.samples import REGION_SIZE
 from drape.engine.calls import call, call_with_scratch
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.network.weights import Weights
-
-
-@dataclass(frozen=True, eq=False)
-class BodyFeed(Recorded):
-    """What a body is posed by: ``local`` quaternions (24, 4), joints at ``rest`` [m] (24, 3), shape ``betas``, the
-    ``motion`` that is added to the code of the pose, and the skin on its bones: ``skin_rows`` (P, n, 4, 144), none
-    where the skin is given, ``skin_bones`` (P, n), and how many of these count (P,)."""
-
-    local: np.ndarray
-    rest: np.ndarray
-    betas: np.ndarray
-    motion: np.ndarray
-    skin_rows: np.ndarray
-    skin_bones: np.ndarray
-    skin_counts: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.engine.calls import call, call_with_scratch
+from drape.engine.calls import call_with_scratch
 from drape.engine.library import LANES, has_tiles
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.network.tiled import tiles_of
 
 OUTPUTS = 8  # of a row of patches that are summed at once
@@ -65,13 +65,6 @@ def run_layer(made: Layer, inputs: Rows, outputs: Rows, added: Rows | None = Non
     blocks = len(inputs.values) // (LANES * inputs.count)
     more = (np.empty(0, made.weight.dtype), 0) if added is None else (added.values, added.count)
     call_with_scratch("layer", made.weight.dtype, made, *inputs, *more, *outputs, blocks)
-
-
-def run_body_layer(made: Layer, inputs: np.ndarray) -> np.ndarray:
-    """The layer ``made`` of the numbers ``inputs`` (N, inputs) of N bodies, (N, outputs)."""
-    outputs = np.empty((len(inputs), len(made.bias)), made.weight.dtype)
-    call("body_layer", made.weight.dtype, made, inputs, len(inputs), outputs)
-    return outputs
 
 
 def rows_of(values: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from drape.engine.calls import call_with_scratch
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.graph.inputs import SLOPE
 from drape.network.dense import Layer, body_layer
 from drape.network.weights import body_layers, layers_of

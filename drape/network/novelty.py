@@ -9,7 +9,7 @@ import numpy as np
 from drape.body.features import joint_rotations
 from drape.body.pose_support import PART_ENTRIES, PART_JOINTS, PoseSupport
 from drape.engine.calls import call_with_scratch
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.network.dense import Layer, body_layer
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from drape.contact.proximity import from_halves
 from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE
 from drape.engine.library import LANES
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.garment.consensus import MEMBERS
 from drape.graph.packing import PackedGarment
 from drape.network.dense import rows_of

@@ -9,7 +9,7 @@ import numpy as np
 
 from drape.contact.projection import OTHER_LEAST
 from drape.contact.proximity import OTHER_STEPS
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.garment.consensus import strain_points
 from drape.geometry import jets
 from drape.graph.inputs import SLOPE

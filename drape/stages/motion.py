@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drape.body.features import Kinematics, motion_features
+from drape.live.clock import step_between
 from drape.network.bodies import moments
 from drape.stages.batch import Batch, changed
 from drape.stages.plan import Plan
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 
 STEP_LIMIT_S = 0.25
 """After a longer pause the cloth hangs still again, and motion is measured anew."""
-SHORTEST_STEP_S = 1.0 / 240.0
-"""Frames that come closer together count as this far apart: a clock's jitter must not become an acceleration."""
 JUMP_M_S = 25.0
 """A joint that is faster was not moved there: a clip began again, or a tracker lost its body."""
 
@@ -125,7 +124,9 @@ def _seen(engine: Engine, memory: Memory, moment: Moment) -> Memory:
         if dt_s == 0.0:
             return memory
         if 0.0 < dt_s <= STEP_LIMIT_S:
-            fastest_m_s = np.linalg.norm(moment.at.joints - last.at.joints, axis=-1).max() / max(dt_s, SHORTEST_STEP_S)
+            fastest_m_s = np.linalg.norm(moment.at.joints - last.at.joints, axis=-1).max() / step_between(
+                last.time_s, moment.time_s
+            )
             if fastest_m_s <= JUMP_M_S:
                 return replace(memory, moments=(moment, *memory.moments))
     return replace(Memory.empty(engine), moments=(moment,))
@@ -141,4 +142,4 @@ def _stacked(bodies: Sequence[Kinematics]) -> Kinematics:
 
 def _steps(pairs: Sequence[tuple[Moment, ...]]) -> np.ndarray:
     """Time steps [s] (n,) between the two moments of each pair, newest first."""
-    return np.maximum([newer.time_s - older.time_s for newer, older in pairs], SHORTEST_STEP_S)
+    return np.array([step_between(older.time_s, newer.time_s) for newer, older in pairs])

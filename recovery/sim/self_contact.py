@@ -14,7 +14,7 @@ import scipy.sparse
 import torch
 
 from drape.geometry import mesh_graphs, meshes
-from drape.kernels.triangle_pairs import pairs_within
+from drape.geometry.triangle_pairs import pairs_within
 from recovery.sim.linearised import Springs
 
 SMALLEST_GAP = 1e-9

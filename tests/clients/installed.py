@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.architecture.repository import ROOT
+from tests.clients.built import why_not_the_page
 
 WEB = ROOT / "clients/web"
 LIBRARY = WEB / "lib"
@@ -40,6 +41,8 @@ def install(folder: Path) -> Path:
     node_with_sockets()
     if not (LIBRARY / "dist/index.js").is_file() or not (WEB / "node_modules/typescript").is_dir():
         pytest.skip("@drape/client is not built: `make page`.")
+    if reason := why_not_the_page():
+        pytest.fail(reason, pytrace=False)
     tarball = run(["npm", "pack", "--silent", "--pack-destination", str(folder), str(LIBRARY)], folder).strip()
     (folder / "package.json").write_text('{"type": "module", "private": true}')
     quiet = ["--offline", "--legacy-peer-deps", "--ignore-scripts", "--no-audit", "--no-fund", "--silent"]

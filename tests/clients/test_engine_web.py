@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,26 +13,26 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from drape.body.feed import BodyFeed
 from drape.body.model import BodyModel
 from drape.contact.skin import posed_table
-from drape.engine.build import LIBRARIES, WEB
 from drape.engine.flat_records import TYPES, flat_records
 from drape.engine.records import HASH, RECORDS
 from drape.errors import InputError
 from drape.graph.packing import tile_charts
 from drape.live.clock import Frame
-from drape.live.fold_records import BodyFeed, body_feed
+from drape.live.fold_records import shape_feed
 from drape.live.fold_step import FoldEffort
 from drape.live.two_level import TwoLevel
 from drape.wire.folds import pack_folds, unpack_folds
 from drape.wire.layout import JetLayout, pack_layout
 from drape.wire.messages import FOLDS
+from tests.clients.built import engine_for_browsers
 from tests.clients.node import answer_of
 from tests.drape.live.conftest import still, tank
 from tests.drape.live.folds_setup import constants, folded, frame, held_for, sleeve
 
 __all__ = ["still", "tank"]  # fixtures
-ENGINE = LIBRARIES / f"{WEB.name}{WEB.suffix}"
 FRAMES = 24
 SCRIPT = """
 import { readFileSync } from "node:fs";
@@ -62,13 +63,6 @@ console.log(JSON.stringify({ frames, skins, refused }));
 """
 
 
-def needed(folder: Path) -> None:
-    """Puts the engine into ``folder``; the test skips where it is not built."""
-    if not ENGINE.is_file():
-        pytest.skip("The engine for browsers is not built: `make page`.")
-    (folder / ENGINE.name).write_bytes(ENGINE.read_bytes())
-
-
 def no_body() -> BodyFeed:
     none = np.zeros(0)
     return BodyFeed(none, np.zeros((24, 3)), none, none, none, none, none)
@@ -76,7 +70,7 @@ def no_body() -> BodyFeed:
 
 def in_client(records: dict[str, Any], folder: Path, frames: list[dict], *, poses=(), samples: int = 0) -> dict:
     """What the client's engine makes of ``frames`` with the ``records``, over a skin of so many ``samples``."""
-    needed(folder)
+    shutil.copy(engine_for_browsers(), folder)
     message = pack_folds(*flat_records(records))
     (folder / "constants.bin").write_bytes(message)
     at = json.dumps(flat_records(records)[0], separators=(",", ":")).index(f"{HASH:016x}")
@@ -168,7 +162,7 @@ def test_the_client_poses_the_skin_as_the_service_does(body: BodyModel, rng, tmp
     poses, betas = rng.uniform(-0.8, 0.8, (3, 24, 3)), rng.normal(size=body.shape_count)
     poses[0] = 0.0
     expected = posed_table(body, poses.astype(np.float32), betas).reshape(3, -1, 8)
-    records = {"FoldConstants": constants(), "BodyFeed": body_feed(body, betas)}
+    records = {"FoldConstants": constants(), "BodyFeed": shape_feed(body, betas)}
     said = in_client(records, tmp_path, [], poses=poses)
     got = np.reshape(said["skins"], expected.shape)
     assert_allclose(got[..., :4], expected[..., :4], rtol=0, atol=2e-5)

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.cloth.energies import ClothMesh
+from drape.cloth.problem import Problem, problem
 from drape.exact.surroundings import Around as Outside
 from drape.exact.surroundings import surroundings
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point
-from drape.kernels.problem import Problem, problem
-from drape.live.clock import FIRST_STEP_S, step_between
+from drape.live.clock import step_between
 from drape.live.fold_constants import HOLD, WornCloth
 from drape.live.fold_step import FoldEffort, FoldMemory, Frame
 from drape.live.room import FOLDED, NEAR_M, ROOM_M
@@ -23,6 +23,7 @@ from drape.live.whole import stiffness
 from tests.reference import pace as pacing
 from tests.reference import solver as reference
 
+FIRST_STEP_S = 1.0 / 30.0  # of a frame without a past
 SLIP_M, CLAMP_M = 1e-3, 0.02
 STEPS, TURNS, NEARER, REACH_M = 3, 4, 0.8, 0.03  # of walks and of searches for other parts
 BESIDE, FREE, HOLLOW_M, APART_M = 1.5, 2.5, 0.05, 0.12

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drape.cloth.problem import Problem
 from drape.exact.surroundings import Around
-from drape.kernels.problem import Problem
 
 
 class Terms(NamedTuple):

@@ -3,7 +3,7 @@
 #include "push.hpp"
 
 #define FOR_TYPE(T, suffix)                                                                                            \
-  EXPORT int64_t drape_push_out_##suffix(const T* vertices, const T* skin, const PushConstants<T>* feed,               \
+  EXPORT int64_t drape_push_out_##suffix(const T* vertices, const T* skin, const PushFeed<T>* feed,                    \
                                          const T* logs, double clearance, int64_t rounds, T* pushed, T* way,           \
                                          T* coefficients, T* left, Scratch* scratch) {                                 \
     const Flushed flushed;                                                                                             \

@@ -42,7 +42,7 @@ void write_push_plane(Points<T> at, const T* const* samples, const T* bias, int 
 
 // Writes the planes of all blocks with points start, three rows each. region is room for four numbers of each region.
 template <class T>
-void find_push_planes(const T* start, const T* skin, const PushConstants<T>& feed, const T* logs, T clearance,
+void find_push_planes(const T* start, const T* skin, const PushFeed<T>& feed, const T* logs, T clearance,
     T* region, T* planes) {
   const int64_t groups = feed.block_vertex.count / (PUSH_GROUP * LANES), regions = feed.region_bias.count / groups;
   put_regions(skin, regions, region);
@@ -100,7 +100,7 @@ template <class T> INLINE Points<T> pushed_out(const T* planes, Points<T> moved)
 // Adds the least-squares polynomials of the patches for the displacement of blocks, times over, to the coefficients [m]
 // (K, 3, 10). means is room for a point a block.
 template <class T>
-void fit_push(const T* displacement, const PushConstants<T>& feed, T over, T* means, T* coefficients) {
+void fit_push(const T* displacement, const PushFeed<T>& feed, T over, T* means, T* coefficients) {
   const int64_t blocks = feed.block_vertex.count / LANES, members = feed.patch_block.count / feed.patches;
   for (int64_t block = 0; block < blocks; ++block)
     put_point(means, block, scaled(T(1.0 / LANES), sums<T>(rows3_at(displacement + 3 * LANES * block))));
@@ -116,7 +116,7 @@ void fit_push(const T* displacement, const PushConstants<T>& feed, T over, T* me
 }
 
 // Writes the displacement of the blocks: the blend of the patches' polynomials. said is room for a point a chart.
-template <class T> void blend_push(const T* coefficients, const PushConstants<T>& feed, T* said, T* displacement) {
+template <class T> void blend_push(const T* coefficients, const PushFeed<T>& feed, T* said, T* displacement) {
   for (int64_t tile = 0; tile < feed.tile_patch.count; ++tile) {
     const T* own = coefficients + 3 * TERMS * feed.tile_patch[tile];
     const T* basis = feed.tile_basis + TERMS * PUSH_WIDTH * tile;
@@ -141,7 +141,7 @@ template <class T> void blend_push(const T* coefficients, const PushConstants<T>
 // logits of samples by how much they are other parts. And the push for drapes by jets, after so many rounds:
 // coefficients [m] (K, 3, 10), and left [m], the longest way that a vertex moved by them lacks.
 template <class T>
-void push_out(const T* vertices, const T* skin, const PushConstants<T>& feed, const T* logs, T clearance,
+void push_out(const T* vertices, const T* skin, const PushFeed<T>& feed, const T* logs, T clearance,
     int64_t rounds, T* out, T* way, T* coefficients, T* left, Scratch& scratch) {
   const int64_t mark = scratch.used, slots = feed.block_vertex.count, blocks = slots / LANES;
   const int64_t regions = feed.region_bias.count / (blocks / PUSH_GROUP);

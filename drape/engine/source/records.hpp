@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0xc55b343313f5a786u;
+constexpr uint64_t RECORDS_HASH = 0xa348cd28e403e5dau;
 
 template <class T> struct Constants {
   double warp;
@@ -300,7 +300,7 @@ template <class T> struct PosedJets {
 };
 static_assert(sizeof(PosedJets<float>) == 48, "PosedJets");
 
-template <class T> struct PushConstants {
+template <class T> struct PushFeed {
   int64_t patches;
   Array<int32_t> block_vertex;
   Array<int32_t> vertex_slot;
@@ -314,7 +314,7 @@ template <class T> struct PushConstants {
   Array<int32_t> tile_patch;
   Array<int32_t> slot_charts;
 };
-static_assert(sizeof(PushConstants<float>) == 184, "PushConstants");
+static_assert(sizeof(PushFeed<float>) == 184, "PushFeed");
 
 template <class T> struct Triangles {
   Array<int32_t> corner;

@@ -16,6 +16,7 @@
 #pragma once
 #include "clusters.hpp"
 #include "sweeps.hpp"
+#include "triangle.hpp"
 
 constexpr double SPACING = 0.95, ROOM_M = 0.018;  // mean edges within which vertices are looked for; the lists' reach
 // Mean edges from vertices to triangles: with less cloth passes through itself, with more it is kept from where physics
@@ -122,11 +123,6 @@ void rooms(const T* points, const SheetNeighbours<T>& n, T reach, T* room, int32
 template <class T> INLINE Vector<T> shorter(Vector<T> way, Vector<T> other) {
   return dot(way, way) < dot(other, other) ? way : other;
 }
-// What is left of off after its way along a side, which ends with the side.
-template <class T> INLINE Vector<T> from_side(Vector<T> off, Vector<T> side) {
-  const T share = dot(off, side) / dot(side, side);
-  return plus(off, -less<T>(more<T>(share, T(0)), T(1)), side);
-}
 
 // The shortest way to a point [m] from the triangles of the place u.
 template <class T> INLINE Vector<T> from_triangles(const T* x, const Sheet<T>& sheet, int64_t u, Vector<T> at) {
@@ -135,16 +131,9 @@ template <class T> INLINE Vector<T> from_triangles(const T* x, const Sheet<T>& s
   Vector<T> found = off;
   for (int64_t row = sheet.fan_start[u / LANES]; row < sheet.fan_start[u / LANES + 1]; ++row) {
     const int32_t* other = sheet.fan_other + 2 * LANES * row + lane;
-    const Vector<T> a = point(x, other[0]) - corner, b = point(x, other[LANES]) - corner;
-    const T aa = dot(a, a), ab = dot(a, b), bb = dot(b, b), ap = dot(a, off), bp = dot(b, off);
-    const T s = bb * ap - ab * bp, t = aa * bp - ab * ap, square = aa * bb - ab * ab;
-    if (s >= 0 && t >= 0 && s + t <= square) {
-      found = shorter(off - mix(s / square, a, t / square, b), found);
-    } else {
-      found = shorter(from_side(off, a), found);
-      found = shorter(from_side(off, b), found);
-      found = shorter(from_side(off - a, b - a), found);
-    }
+    const Vector<T> second = point(x, other[0]), third = point(x, other[LANES]);
+    const Vector<T> weight = weights_in_triangle(at, corner, second, third);
+    found = shorter(off - mix(weight.y, second - corner, weight.z, third - corner), found);
   }
   return found;
 }

@@ -9,7 +9,7 @@ from numpy.testing import assert_array_equal
 
 from benchmarks.measure.intersections import intersecting_pairs, intersection_count
 from drape.errors import MeshError
-from drape.kernels import triangle_pairs
+from drape.geometry import triangle_pairs
 from tests.drape.cloth.cloth_shapes import grid, random_rotation, tube
 
 FLAT = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

@@ -9,7 +9,7 @@ from benchmarks import frame
 from benchmarks.speed import rates
 from benchmarks.speed.kernel_times import PYTHON, Trace, moved_bytes, multiply_adds, replaced
 from drape.engine import calls
-from drape.engine.records import Record
+from drape.engine.packer import Record
 from drape.geometry.colliders import NONE
 from drape.graph.blend import Tiles
 from drape.live import colliders

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from drape.engine import calls
-from drape.engine.records import Record, Recorded, address_of
+from drape.engine.packer import Record, Recorded, address_of
 
 MOST = 4
 

@@ -10,6 +10,7 @@ import pytest
 
 from drape.engine import records
 from drape.engine.library import has_tiles, library_name, load, processor_level
+from drape.engine.packer import Record
 from drape.errors import ArtifactError
 
 
@@ -20,7 +21,7 @@ def test_the_header_is_the_table():
 def test_a_record_has_the_words_of_its_fields():
     corner, numbers = np.arange(8, dtype=np.int32), np.ones(2, np.float32)
     creases = SimpleNamespace(corner=corner, stiffness=numbers, cosine=numbers, sine=numbers)
-    made = records.Record("Creases", creases, np.float32)
+    made = Record("Creases", creases, np.float32)
     words = np.ctypeslib.as_array((ctypes.c_uint64 * records.size("Creases")).from_address(made.address))
     assert words.tolist() == [corner.ctypes.data, 8, *(3 * [numbers.ctypes.data, 2])]
 
@@ -29,7 +30,7 @@ def test_a_record_has_the_words_of_its_fields():
 def test_an_array_of_another_kind_is_our_own_mistake(wrong):
     whole = np.zeros(4, np.float32)
     with pytest.raises(TypeError, match="corner"):
-        records.Record("Creases", SimpleNamespace(corner=wrong, stiffness=whole, cosine=whole, sine=whole), np.float32)
+        Record("Creases", SimpleNamespace(corner=wrong, stiffness=whole, cosine=whole, sine=whole), np.float32)
 
 
 @pytest.mark.parametrize(

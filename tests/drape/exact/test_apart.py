@@ -7,9 +7,9 @@ from numpy.testing import assert_allclose
 
 from drape.exact import apart
 from drape.geometry import meshes
-from drape.kernels.triangle_pairs import Pairs, crossing_pairs, pairs_within, ways
+from drape.geometry.triangle_pairs import Pairs, crossing_pairs, pairs_within, ways
 from tests.drape.cloth.cloth_shapes import grid
-from tests.drape.kernels.test_triangle_pairs import crumpled
+from tests.drape.geometry.test_triangle_pairs import crumpled
 
 KEPT, SLIGHT_M = 0.2, 1e-7  # of a distance, by a step; a lack that counts as none: drape/engine/source/apart.hpp
 

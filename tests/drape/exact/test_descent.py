@@ -12,12 +12,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.cloth import energies
 from drape.cloth.contact import plane_distance
 from drape.cloth.energies import ClothMesh
+from drape.cloth.problem import problem
 from drape.cloth.rest_state import flat
 from drape.cloth.waistband import band_energy
 from drape.exact import descent
-from drape.kernels.problem import problem
 from tests.drape.cloth.cloth_shapes import grid
-from tests.drape.kernels.solver_setup import MATERIALS, crumpled
+from tests.drape.cloth.solver_setup import MATERIALS, crumpled
 from tests.reference import solver as reference
 
 CASES = [(name, rest) for name in MATERIALS for rest in (False, True)]

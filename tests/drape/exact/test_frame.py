@@ -15,7 +15,7 @@ from drape.exact import frame
 from drape.exact.frame import Lain, Sheet, exact
 from drape.exact.path import WAY_M, Body, between, followed, poses_between
 from drape.garment.cache import Garment
-from drape.kernels.triangle_pairs import crossing_pairs
+from drape.geometry.triangle_pairs import crossing_pairs
 
 POSE = np.zeros((24, 3))
 POSE[3] = [0.0, 0.0, 0.15]  # the trunk leans

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.exact import descent, hessian, linear
-from tests.drape.kernels.solver_setup import MATERIALS, crumpled
+from tests.drape.cloth.solver_setup import MATERIALS, crumpled
 
 
 def dense(pattern, blocks):

@@ -118,17 +118,7 @@ def test_batch_axes_broadcast(shape, rng):
     scale = np.array(0.3)
     assert jets.evaluate(coefficients, where).shape == (*shape[:-1], 3)
     assert jets.normal(coefficients, where).shape == (*shape[:-1], 3)
-    assert jets.metric(coefficients, where, scale).shape == (*shape[:-1], 2, 2)
     assert jets.curvature(coefficients, where, scale)[0].shape == shape[:-1]
-
-
-def test_metric_is_the_length_of_small_steps(jet, uv, rng):
-    scale = rng.uniform(0.05, 0.2, 50)
-    direction = rng.normal(size=(50, 2))
-    ahead, behind = (jets.evaluate(jet, uv + sign * STEP * direction) for sign in (1.0, -1.0))
-    length = scale * np.linalg.norm(ahead - behind, axis=-1) / (2.0 * STEP)
-    g = jets.metric(jet, uv, scale)
-    assert_allclose(np.sqrt(np.einsum("ni,nij,nj->n", direction, g, direction)), length, rtol=1e-7, atol=0.0)
 
 
 def test_curvature_of_a_graph_is_its_closed_form(uv, rng):
@@ -147,7 +137,7 @@ def sphere_jet(radius: float, scale: float) -> np.ndarray:
     return monge(height_of(uu=quadratic, vv=quadratic, uuuu=quartic, uuvv=2.0 * quartic, vvvv=quartic))
 
 
-@pytest.mark.parametrize(("quantity", "order"), [("metric", 6), ("normal", 5), ("mean", 4), ("gaussian", 4)])
+@pytest.mark.parametrize(("quantity", "order"), [("normal", 5), ("mean", 4), ("gaussian", 4)])
 def test_sphere_is_approached_at_the_order_of_the_jet(quantity, order):
     radius, scale = 0.3, 0.1
     jet, errors = sphere_jet(radius, scale), []
@@ -156,9 +146,7 @@ def test_sphere_is_approached_at_the_order_of_the_jet(quantity, order):
         x = scale * where
         z = np.sqrt(radius**2 - x @ x)
         mean, gaussian = jets.curvature(jet, where, np.array(scale))
-        metric = scale**2 * (np.eye(2) + np.outer(x, x) / z**2)
         off = {
-            "metric": jets.metric(jet, where, np.array(scale)) - metric,
             "normal": jets.normal(jet, where) - np.array([*x, z]) / radius,
             "mean": mean + 1.0 / radius,
             "gaussian": gaussian - 1.0 / radius**2,
@@ -188,7 +176,6 @@ def test_curvature_ignores_the_parameters_and_scales_with_the_inverse_length(jet
 FUNCTIONS = {
     "evaluate": lambda jet, uv, scale: jets.evaluate(jet, uv),
     "second derivative": lambda jet, uv, scale: jets.evaluate(jet, uv, u_times=1, v_times=1),
-    "metric": jets.metric,
     "normal": lambda jet, uv, scale: jets.normal(jet, uv),
     "mean curvature": lambda jet, uv, scale: jets.curvature(jet, uv, scale)[0],
     "gaussian curvature": lambda jet, uv, scale: jets.curvature(jet, uv, scale)[1],

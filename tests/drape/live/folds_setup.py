@@ -12,18 +12,18 @@ import scipy.sparse
 from drape.cloth.energies import ClothMesh
 from drape.cloth.rest_state import RestState, modelled
 from drape.contact.samples import Samples, sample_table
-from drape.engine.library import empty_points
+from drape.engine.library import LANES, empty_points
 from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold
-from drape.live.sheet import LANES
 from drape.live.skin_walks import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import tube
-from tests.drape.kernels.solver_setup import MATERIALS
+from tests.drape.cloth.solver_setup import MATERIALS
 
 RADIUS_M, HEIGHT_M, EASE_M = 0.05, 0.12, 0.006
 PLANE_ROWS = 19  # of a block of places: a point and a normal of the own part, then those of another one
 FAR_M = 0.25  # a vertex farther from the network's drape is no fold
+CUT_M = 0.30  # a frame in which the network moved a vertex farther has no past
 AWAY_M = 0.4  # of the wall at rest; in frames it is at the sleeve
 EFFORT = FoldEffort(steps=2, settle=2)
 HELD = EFFORT._replace(cloth_contact=True)

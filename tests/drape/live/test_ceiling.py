@@ -11,7 +11,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.contact.samples import Samples, sample_table
 from drape.engine.calls import call
-from drape.engine.records import Record
+from drape.engine.packer import Record
 from drape.live.ceiling import ceiling_over, lower, pressed
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.skin_walks import nearest_at_rest, skin_graph

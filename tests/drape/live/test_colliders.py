@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.contact.projection import CLEARANCE_M
 from drape.engine.calls import call
+from drape.engine.library import LANES
 from drape.geometry.colliders import box, capsule, distances, plane
 from drape.live.clock import Frame
 from drape.live.colliders import leave
 from drape.live.fold_step import FoldEffort, FoldMemory, fold
-from drape.live.sheet import LANES
 from drape.live.swing_step import SwingMemory, swing
 from tests.drape.live.folds_setup import constants as sleeve_constants
 from tests.drape.live.folds_setup import frame as sleeve_frame

@@ -7,16 +7,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
+from drape.cloth.problem import problem
 from drape.cloth.waistband import SLACK_M
 from drape.contact.skin import body_skin
 from drape.engine.calls import call
-from drape.kernels.problem import problem
-from drape.live.clock import CUT_M, PAUSE_S, Frame
+from drape.engine.library import LANES
+from drape.live.clock import PAUSE_S, Frame
 from drape.live.fold_constants import LEASH_N_M3, LEAST, FoldConstants, fold_constants, leash_n_per_m, worn_cloth
 from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold
-from drape.live.sheet import LANES
 from drape.live.skin_walks import TouchedSamples
 from tests.drape.live.folds_setup import (
+    CUT_M,
     EFFORT,
     FAR_M,
     constants,

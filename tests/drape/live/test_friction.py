@@ -10,17 +10,17 @@ import scipy.sparse
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.energies import ClothMesh
+from drape.cloth.problem import problem
 from drape.contact.samples import Samples, sample_table
 from drape.engine.calls import call
-from drape.engine.records import Record
-from drape.kernels.problem import problem
+from drape.engine.library import LANES
+from drape.engine.packer import Record
 from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.fold_step import FoldEffort, fold
-from drape.live.sheet import LANES
 from drape.live.skin_walks import SkinGraph, TouchedSamples, nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import grid
-from tests.drape.kernels.solver_setup import MATERIALS
+from tests.drape.cloth.solver_setup import MATERIALS
 from tests.drape.live.folds_setup import folded, frame, held_for, shifted, sleeve, turn_about_y
 from tests.fixtures.laws import each
 from tests.reference import folds as reference

@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.contact.projection import CLEARANCE_M, MOVED_M
 from drape.engine.calls import call
+from drape.engine.library import LANES
 from drape.live.fold_step import FoldEffort, fold
 from drape.live.raised_skin import raised
-from drape.live.sheet import LANES
 from tests.drape.live.folds_setup import RADIUS_M, constants, frame, planes_of, sleeve
 from tests.reference.folds import DEEP_M, OTHER, TOO_DEEP_M
 

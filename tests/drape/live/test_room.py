@@ -9,13 +9,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.energies import ClothMesh
 from drape.engine.calls import call_with_scratch
-from drape.engine.records import Record
-from drape.kernels.triangle_pairs import crossing_pairs
+from drape.engine.library import LANES
+from drape.engine.packer import Record
+from drape.geometry.triangle_pairs import crossing_pairs
 from drape.live.clock import Frame
 from drape.live.fold_constants import LEASH_N_M3, FoldConstants
 from drape.live.fold_step import fold
 from drape.live.room import BOUND_M2, ROOM_M, SheetNeighbours, sheet_neighbours
-from drape.live.sheet import LANES
 from drape.live.untangle import Tangles
 from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.drape.live.folds_setup import EFFORT, HELD, constants, folded, frame, held_for, sleeve, without_body

@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.contact.samples import sample_table
 from drape.engine.calls import call, call_with_scratch
-from drape.engine.records import Record
-from drape.live.sheet import LANES
+from drape.engine.library import LANES
+from drape.engine.packer import Record
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples
 from tests.drape.live.folds_setup import PLANE_ROWS, arm, constants, rows_of, sleeve, spared
 from tests.reference import folds as reference

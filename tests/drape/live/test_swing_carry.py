@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from drape.engine.calls import call, call_with_scratch
-from drape.engine.records import Record
+from drape.engine.library import LANES
+from drape.engine.packer import Record
 from drape.geometry import meshes
-from drape.live.sheet import LANES
 from tests.drape.live.swing_setup import WIDTH_M, hanging, strip
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.distance import pdist
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
-from drape.live.sheet import LANES
+from drape.engine.library import LANES
 from drape.live.swing_mesh import SPACING_M, along_cloth, swing_mesh
 from tests.drape.live.swing_setup import EDGE_M, LENGTH_M, WIDTH_M, hanging, strip
 from tests.reference.swing import pull_matrix, triangles

@@ -7,9 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.engine.calls import call_with_scratch
-from drape.engine.library import empty_points
-from drape.engine.records import Record
-from drape.live.sheet import LANES
+from drape.engine.library import LANES, empty_points
+from drape.engine.packer import Record
 from drape.live.swing_mesh import SwingMesh
 from tests.drape.live.swing_setup import hanging
 from tests.reference.swing import length_energy, pull_matrix

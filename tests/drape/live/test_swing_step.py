@@ -9,13 +9,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import jn_zeros
 
+from drape.live.clock import PAUSE_S
 from drape.live.swing_mesh import SwingMesh
 from drape.live.swing_step import SwingConstants, SwingMemory, swing
+from tests.drape.live.folds_setup import CUT_M
 from tests.drape.live.swing_setup import LENGTH_M, constants, frame, hanging
 from tests.reference.swing import pull_matrix
 
 STILL = np.zeros(3)
-PAUSE_S, CUT_M = 0.25, 0.30  # a frame that comes later, or in which a node went farther, has no past
 STILL_S = 1.8  # after which nothing swings
 
 

@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from drape.engine.calls import call_with_scratch
-from drape.engine.records import Record
-from drape.kernels.triangle_pairs import crossing_pairs
-from drape.live.sheet import LANES
+from drape.engine.library import LANES
+from drape.engine.packer import Record
+from drape.geometry.triangle_pairs import crossing_pairs
 from drape.live.untangle import BORDER, OTHERS, Tangles, tangles_of
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.live.folds_setup import spared

@@ -9,15 +9,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.energies import ClothMesh, membrane
+from drape.cloth.problem import problem
 from drape.cloth.rest_state import flat
 from drape.engine.calls import call, call_with_scratch
-from drape.engine.library import empty_points
-from drape.kernels.problem import problem
+from drape.engine.library import LANES, empty_points
 from drape.live.fold_constants import WornCloth
-from drape.live.sheet import LANES
 from drape.live.whole import SPRING, stiffness
 from tests.drape.cloth.cloth_shapes import grid
-from tests.drape.kernels.solver_setup import MATERIALS
+from tests.drape.cloth.solver_setup import MATERIALS
 from tests.drape.live.folds_setup import PLANE_ROWS, constants, planes_of, sleeve, spared
 from tests.reference.folds import CLAMP_M
 

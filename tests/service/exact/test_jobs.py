@@ -51,7 +51,7 @@ def client(url: str) -> Iterator[httpx.Client]:
 
 def ended(client: httpx.Client, where: str) -> dict:
     """The job at ``where`` when it has ended."""
-    deadline = time.monotonic() + 150.0  # where kernels are not stored yet, they are compiled now
+    deadline = time.monotonic() + 150.0
     while (job := client.get(where).json())["state"] in ("queued", "running"):
         assert time.monotonic() < deadline
         time.sleep(0.1)

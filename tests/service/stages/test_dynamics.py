@@ -19,9 +19,10 @@ from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
 from drape.inference.engine import Engine
 from drape.inference.packing import Packer, ScenePlan
+from drape.live.clock import SHORTEST_STEP_S
 from drape.stages.batch import Memories, PoseInput
 from drape.stages.encode import KEY
-from drape.stages.motion import JUMP_M_S, SHORTEST_STEP_S, STEP_LIMIT_S, Memory, Moment, Motion, advance
+from drape.stages.motion import JUMP_M_S, STEP_LIMIT_S, Memory, Moment, Motion, advance
 from drape.stages.plan import Plan
 from drape.stages.stage import run
 from drape.wire import messages as wire

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse
 from numpy.testing import assert_array_equal
 
-from drape.kernels.colouring import colour_order, greedy_colours
+from drape.geometry.colouring import colour_order, greedy_colours
 
 
 def graph(*pairs: tuple[int, int]) -> scipy.sparse.csr_matrix:

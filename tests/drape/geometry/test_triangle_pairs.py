@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from drape.geometry import meshes
-from drape.kernels.triangle_pairs import pairs_within
+from drape.geometry.triangle_pairs import pairs_within
 from tests.drape.cloth.cloth_shapes import grid
 
 

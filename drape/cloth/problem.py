@@ -14,9 +14,9 @@ import scipy.sparse
 from drape.cloth.energies import DEGENERATE, ClothMesh, contact_n_per_m
 from drape.cloth.material import Material
 from drape.cloth.waistband import SLACK_M
-from drape.engine.records import Recorded
+from drape.engine.packer import Recorded
 from drape.geometry import meshes
-from drape.kernels.colouring import colour_order
+from drape.geometry.colouring import colour_order
 
 # Triangles lower than this share of the mean edge are made to bend less: the quadratic force grows with 1 / height.
 LOW_TRIANGLE = 0.4

@@ -10,9 +10,9 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
+from drape.cloth.problem import Problem, problem
 from drape.cloth.rest_state import flat, grain_along, modelled
 from drape.exact.surroundings import Around, surroundings
-from drape.kernels.problem import Problem, problem
 from tests.drape.cloth.cloth_shapes import grid
 
 MATERIALS = {

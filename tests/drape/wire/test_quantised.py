@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from drape.kernels.quantised import quantise
 from drape.wire import messages
+from drape.wire.quantised import quantise
 
 
 @pytest.mark.parametrize("count", [messages.BYTE_COUNT, messages.STEP_COUNT])

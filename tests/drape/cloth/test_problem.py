@@ -8,9 +8,9 @@ from numpy.testing import assert_array_equal
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
+from drape.cloth.problem import problem, stencil
 from drape.errors import InputError
 from drape.exact.surroundings import surroundings
-from drape.kernels.problem import problem, stencil
 from tests.drape.cloth.cloth_shapes import grid, tube
 
 
