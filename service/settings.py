@@ -53,7 +53,6 @@ class Settings(BaseSettings):
     motions_dir: Path = ROOT / "assets/motions"
     page_dir: Path = ROOT / "clients/web/dist"
 
-    compiled: bool = True
     half: bool | None = None
     tier: TierName = "balanced"
     passes: int | None = Field(default=None, ge=0)
