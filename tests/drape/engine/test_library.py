@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import ctypes
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from drape.engine import records
+from drape.engine.build import TARGETS, is_made_from, sources_hash
 from drape.engine.library import has_tiles, library_name, load, processor_level
+from drape.engine.packer import Record
 from drape.errors import ArtifactError
 
 
@@ -20,7 +23,7 @@ def test_the_header_is_the_table():
 def test_a_record_has_the_words_of_its_fields():
     corner, numbers = np.arange(8, dtype=np.int32), np.ones(2, np.float32)
     creases = SimpleNamespace(corner=corner, stiffness=numbers, cosine=numbers, sine=numbers)
-    made = records.Record("Creases", creases, np.float32)
+    made = Record("Creases", creases, np.float32)
     words = np.ctypeslib.as_array((ctypes.c_uint64 * records.size("Creases")).from_address(made.address))
     assert words.tolist() == [corner.ctypes.data, 8, *(3 * [numbers.ctypes.data, 2])]
 
@@ -29,7 +32,7 @@ def test_a_record_has_the_words_of_its_fields():
 def test_an_array_of_another_kind_is_our_own_mistake(wrong):
     whole = np.zeros(4, np.float32)
     with pytest.raises(TypeError, match="corner"):
-        records.Record("Creases", SimpleNamespace(corner=wrong, stiffness=whole, cosine=whole, sine=whole), np.float32)
+        Record("Creases", SimpleNamespace(corner=wrong, stiffness=whole, cosine=whole, sine=whole), np.float32)
 
 
 @pytest.mark.parametrize(
@@ -62,3 +65,13 @@ def test_a_folder_without_a_library_is_refused_with_the_cure(tmp_path):
         processor_level(tmp_path)
     with pytest.raises(ArtifactError, match=r"drape\.engine\.build"):
         load(folder=tmp_path)
+
+
+def test_a_library_is_known_by_its_sources_and_by_how_it_was_made(tmp_path: Path):
+    target, engine = TARGETS["linux-aarch64"][0], tmp_path / "engine.so"
+    plain, checked = sources_hash(target), sources_hash(target, sanitize=True)
+    assert plain != checked and plain != sources_hash(target, tests=True)
+    engine.with_name("engine.so.sources").write_text(plain)
+    assert not is_made_from(engine, plain), "there is no library"
+    engine.touch()
+    assert is_made_from(engine, plain) and not is_made_from(engine, checked)
