@@ -61,7 +61,6 @@ class Settings(BaseSettings):
     motions_dir: Path = MOTIONS_DIR
     page_dir: Path = built("dist")
 
-    compiled: bool = True
     half: bool | None = None
     tier: TierName = "balanced"
     passes: int | None = Field(default=None, ge=0)

@@ -26,6 +26,7 @@ from drape.arrays.tensors import tensor
 from drape.contact.field import attend_columns, columns, largest, query_columns, ramp, surface, take
 from drape.contact.push_tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, PushTables
 from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, Samples, region_centres, sample_table
+from drape.engine.packer import Recorded
 from drape.geometry import jets
 from drape.geometry.rotations import dot_columns
 
@@ -47,13 +48,13 @@ REGION_BIAS_M2 = 0.002  # squared distance [m^2] that one logit of a region outw
 
 
 @dataclass(frozen=True, eq=False)
-class PushFeed(PushTables):
+class PushFeed(PushTables, Recorded):
     """Constants of a garment as ``push_out`` takes them: ``drape.graph.push_feed.pack_push`` makes them.
 
-    Beside the tables of its G groups those of its charts: K patches, Q tiles of 64 charts (``drape.graph.packing``).
-    ``patch_block`` (K, B) the blocks that lie in a patch,
-    ``patch_fit`` (K, B, 10) the weights by which their displacements give its polynomial; ``tile_basis`` (Q, 10, 64),
-    ``tile_patch`` (Q,), ``slot_charts`` (4, G, 32) columns of the tiles.
+    Beside the tables of its G groups, N = 32 G slots, those of its charts: K patches, Q tiles of 64 charts
+    (``drape.graph.packing``). ``patch_block`` (K, B) the blocks that lie in a patch, ``patch_fit`` (K, B, 10) the
+    weights by which their displacements give its polynomial; ``tile_basis`` (Q, 10, 64), ``tile_patch`` (Q,),
+    ``slot_charts`` (4, G, 32) columns of the tiles.
     """
 
     patch_block: Array = tensor("push_patch_block", "patches", "patch_blocks", dtype="int32", unit="block")

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from drape.contact.push_tables import OTHER_STEPS
 from drape.contact.samples import CLUSTER_SIZE
 from drape.engine.calls import call, call_with_scratch
 from drape.engine.library import empty_points
-from drape.engine.packer import Record
 from drape.graph.layer_feed import REGION_ROW, LayerFeed
 
 _LOGITS = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)  # of samples, by how much they are other parts
@@ -39,15 +37,10 @@ class PushConstants:
             return cls(push, logits, none, none, none)
         return cls(push, logits, feed.region.reshape(-1), feed.cloth_member, feed.cloth_rows)
 
-    @cached_property
-    def record(self) -> Record:
-        """The ``feed`` as the engine reads it."""
-        return Record("PushFeed", self.feed)
-
     @property
     def bytes(self) -> int:
         """Memory of all arrays."""
-        return sum(one.nbytes for one in (*vars(self.feed).values(), self.region, self.cloth_member, self.cloth_rows))
+        return sum(one.nbytes for one in (*self.feed.flat().values(), self.region, self.cloth_member, self.cloth_rows))
 
 
 def push_frames(
@@ -75,7 +68,7 @@ def push_frames(
             samples = np.concatenate([samples, _cloth(np.ascontiguousarray(under[i], kind), constants)])
             samples = samples.take(constants.region, axis=0)
         found = pushed[i], way[i], coefficients[i], left_m[i : i + 1]
-        given_all = given, samples, constants.record, constants.logits, float(clearance_m), rounds
+        given_all = given, samples, constants.feed, constants.logits, float(clearance_m), rounds
         call_with_scratch("push_out", kind, *given_all, *found)
     return pushed, way, coefficients, left_m
 

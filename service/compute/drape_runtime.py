@@ -54,6 +54,7 @@ class DrapeRuntime:
         settings: Settings,
         *,
         body: BodyModel | None = None,
+        engine: Engine | None = None,
         metrics: Metrics | None = None,
         tracing: Tracing | None = None,
     ) -> None:
@@ -61,11 +62,7 @@ class DrapeRuntime:
         self.metrics = metrics or Metrics()
         self.tracing = tracing or make_tracing(settings.trace)
         self.body = body or load_body(settings.body)
-        folder = settings.models_dir / settings.model
-        device = Device(settings.provider, settings.threads, settings.gpu_memory_mb, settings.capture)
-        self.engine = Engine(
-            folder, device=device, compiled=settings.compiled, half=settings.half, bound=settings.buckets
-        )
+        self.engine = engine or _engine(settings)
         self.engine.check_body(self.body)
         self.tiers = read_tiers(self.engine.manifest.tiers)
         self.threads = ComputeThreads(
@@ -275,3 +272,10 @@ class DrapeRuntime:
 
         parts = [part async for part in self.threads.in_chunks(len(clip.poses), compute)]
         return await asyncio.to_thread(np.concatenate, parts)
+
+
+def _engine(settings: Settings) -> Engine:
+    """The model that ``settings`` name, opened where they say."""
+    device = Device(settings.provider, settings.threads, settings.gpu_memory_mb, settings.capture)
+    folder = settings.models_dir / settings.model
+    return Engine(folder, device=device, half=settings.half, bound=settings.buckets)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from drape.inference.engine import Engine
 from drape.inference.graph_names import PACKED
 from drape.motion.samples import stretch
 from service.app import create_app
@@ -51,8 +52,9 @@ def runtime(make_settings, tmp_path_factory) -> DrapeRuntime:
     models = Settings().models_dir
     limits = {"max_layers": 2, "stream_ack_s": 30.0, "stream_send_s": 30.0}
     folders = {"models_dir": models, "shipped_garments_dir": folder, "motions_dir": motions}
-    # Not compiled: the parts of the graph that were opened tell what runs.
-    return DrapeRuntime(make_settings(model="onefit", compiled=False, **folders, **limits))
+    # The graph, and not the engine: its parts that were opened tell what runs.
+    graph = Engine(models / "onefit", compiled=False)
+    return DrapeRuntime(make_settings(model="onefit", **folders, **limits), engine=graph)
 
 
 @pytest.fixture(scope="module")

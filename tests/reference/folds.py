@@ -22,11 +22,10 @@ from drape.live.skin_walks import SkinGraph, TouchedSamples
 from drape.live.whole import stiffness
 from tests.reference import pace as pacing
 from tests.reference import solver as reference
+from tests.reference.skin import TURNS, follow, planes, touch
 
 FIRST_STEP_S = 1.0 / 30.0  # of a frame without a past
 SLIP_M, CLAMP_M = 1e-3, 0.02
-STEPS, TURNS, NEARER, REACH_M = 3, 4, 0.8, 0.03  # of walks and of searches for other parts
-BESIDE, FREE, HOLLOW_M, APART_M = 1.5, 2.5, 0.05, 0.12
 FORGET, LACK, HEM, MEND_M = 24.0, 0.003, 24.0, 0.03
 SPACING, KEPT, KEPT_M = 0.95, 0.5, 0.0085
 OTHER, DEEP_M, TOO_DEEP_M = 0.25, 0.006, 0.02  # of the lift
@@ -154,45 +153,6 @@ def evened(off: np.ndarray, before: np.ndarray, network: np.ndarray, faces: np.n
     return out
 
 
-def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples) -> TouchedSamples:
-    """``touched`` with the samples that the ``network``'s vertices [m] (V, 3) are at now."""
-    walks = [_walked(point, skin, graph, own, len(skin)) for point, own in zip(network, touched.own, strict=True)]
-    return TouchedSamples(np.array(walks), touched.other)
-
-
-def touch(
-    x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples, turn: int
-) -> tuple[TouchedSamples, TouchedSamples]:
-    """The samples that ``x`` [m] (V, 3) is at, by walks from the network's and searches for other parts, and
-    ``touched`` moved on: where a search finds a nearer sample of the same part the next walk starts there."""
-    own, other, begins = touched.own.copy(), touched.other.copy(), touched.own.copy()
-    for v, point in enumerate(x):
-        own[v] = _walked(point, skin, graph, own[v], STEPS)
-        apart = np.linalg.norm(graph.rest - graph.rest[own[v]], axis=1)
-        hollow = (apart > HOLLOW_M) & ((skin[:, :3] - skin[own[v], :3]) @ skin[own[v], 4:7] > 0.0)
-        distance = np.linalg.norm(skin[:, :3] - point, axis=1)
-        allowed = (distance < REACH_M) & (hollow | (apart > APART_M))
-        if turn < 0 or v % TURNS == turn:
-            other[v] = np.where(allowed, distance, np.inf).argmin() if allowed.any() else -1
-            same = ~(hollow | (apart > APART_M)) & (distance < REACH_M) & (distance**2 < NEARER * distance[own[v]] ** 2)
-            begins[v] = np.where(same, distance, np.inf).argmin() if same.any() else begins[v]
-        elif other[v] >= 0:
-            end = _walked(point, skin, graph, other[v], STEPS)
-            other[v] = end if allowed[end] else -1
-    return TouchedSamples(own, other), TouchedSamples(begins, other)
-
-
-def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int, steps: int) -> int:
-    """Where a walk from ``start`` ends, each of its ``steps`` to the nearest of sample and neighbours."""
-    for _ in range(steps):
-        around = np.append(start, graph.neighbour[start])
-        best = int(around[np.linalg.norm(skin[around, :3] - point, axis=1).argmin()])
-        if best == start:
-            break
-        start = best
-    return start
-
-
 def room(x: np.ndarray, cloth: ClothMesh, reach: float = ROOM_M) -> tuple[np.ndarray, np.ndarray]:
     """Distances [m] (V,) of ``x`` [m] (V, 3) to the nearest that is not of the sheet, and that one: ``reach`` and -1
     where none is within that."""
@@ -255,25 +215,6 @@ def kept_apart(x: np.ndarray, around: Around, made: Problem, cloth: ClothMesh) -
         normal=np.where(taken[:, None], normal, around.normal),
         n_per_m=np.where(taken, made.contact_n_per_m, around.n_per_m),
     )
-
-
-def planes(x: np.ndarray, skin: np.ndarray, dressed: WornCloth, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points [m] and unit normals (V, 3) of the planes at the samples ``index`` (V,), blended with the neighbours'."""
-    points, normals = np.empty_like(x), np.empty_like(x)
-    for v, (point, own) in enumerate(zip(x, index, strict=True)):
-        around = np.append(own, np.setdiff1d(dressed.graph.neighbour[own], own))
-        square = ((skin[around, :3] - point) ** 2).sum(axis=1)
-        weight = np.clip(1.0 - (square - square[0]) / dressed.graph.reach_m2[own], 0.0, 1.0) ** 2
-        weight /= weight.sum()
-        blended = weight @ skin[around, 4:7]
-        normal = blended / np.linalg.norm(blended)
-        chord = point - skin[around, :3]
-        distance = 0.5 * weight @ ((skin[around, 4:7] + normal) * chord).sum(axis=1)
-        aside = (square[0] - (chord[0] @ skin[own, 4:7]) ** 2) / dressed.graph.reach_m2[own]
-        beside = np.clip((aside - BESIDE) / (FREE - BESIDE), 0.0, 1.0)
-        distance = (1.0 - beside) * distance + beside * REACH_M
-        points[v], normals[v] = point - distance * normal, normal
-    return points, normals
 
 
 def whole_step(dressed: WornCloth, made: Problem, around: Around, x: np.ndarray, share: float) -> np.ndarray:

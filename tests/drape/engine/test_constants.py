@@ -57,7 +57,7 @@ SAME = {
     ("folds", "tests.reference.folds"): "FIRST_STEP_S",
     ("sweeps", "tests.reference.folds"): "SLIP_M",
     ("whole", "tests.reference.folds"): "CLAMP_M",
-    ("skin", "tests.reference.folds"): "WALK_STEPS=STEPS TURNS NEARER REACH_M BESIDE FREE HOLLOW_M APART_M",
+    ("skin", "tests.reference.skin"): "WALK_STEPS=STEPS TURNS NEARER REACH_M BESIDE FREE HOLLOW_M APART_M",
     ("residual", "tests.reference.folds"): "FORGET LACK HEM MEND_M",
     ("room", "tests.reference.folds"): "SPACING KEPT KEPT_M",
     ("lift", "tests.reference.folds"): "OTHER_SHARE=OTHER DEEP_M TOO_DEEP_M",

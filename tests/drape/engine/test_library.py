@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from drape.engine import records
+from drape.engine.build import TARGETS, is_made_from, sources_hash
 from drape.engine.library import has_tiles, library_name, load, processor_level
 from drape.engine.packer import Record
 from drape.errors import ArtifactError
@@ -63,3 +65,13 @@ def test_a_folder_without_a_library_is_refused_with_the_cure(tmp_path):
         processor_level(tmp_path)
     with pytest.raises(ArtifactError, match=r"drape\.engine\.build"):
         load(folder=tmp_path)
+
+
+def test_a_library_is_known_by_its_sources_and_by_how_it_was_made(tmp_path: Path):
+    target, engine = TARGETS["linux-aarch64"][0], tmp_path / "engine.so"
+    plain, checked = sources_hash(target), sources_hash(target, sanitize=True)
+    assert plain != checked and plain != sources_hash(target, tests=True)
+    engine.with_name("engine.so.sources").write_text(plain)
+    assert not is_made_from(engine, plain), "there is no library"
+    engine.touch()
+    assert is_made_from(engine, plain) and not is_made_from(engine, checked)

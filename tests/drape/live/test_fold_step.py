@@ -33,6 +33,7 @@ from tests.fixtures.garments import shipped
 from tests.fixtures.laws import each
 from tests.reference import folds as reference
 from tests.reference import pace as pacing
+from tests.reference.skin import touch
 
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -96,7 +97,7 @@ def test_folds_lower_the_energy_and_more_of_them_lower_it_further():
     made, flat = constants(creased=False, dtype=np.float64), problem(worn.cloth, worn.material, dtype=np.float64)
     one = frame(rest, 0)
     nowhere = TouchedSamples(worn.index, np.full_like(worn.index, -1))
-    touched, _ = reference.touch(one.vertices, one.skin, worn.graph, nowhere, -1)
+    touched, _ = touch(one.vertices, one.skin, worn.graph, nowhere, -1)
 
     def energy(x: np.ndarray) -> float:
         around = reference.touching(flat, worn, x, one.skin, touched)

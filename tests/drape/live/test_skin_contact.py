@@ -12,8 +12,8 @@ from drape.engine.library import LANES
 from drape.engine.packer import Record
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples
 from tests.drape.live.folds_setup import PLANE_ROWS, arm, constants, rows_of, sleeve, spared
-from tests.reference import folds as reference
-from tests.reference.folds import APART_M, BESIDE, FREE, NEARER, REACH_M
+from tests.reference import skin as reference
+from tests.reference.skin import APART_M, BESIDE, FREE, NEARER, REACH_M
 
 SPACING_M = 0.02
 UP = np.array([0.0, 1.0, 0.0])

@@ -1,4 +1,4 @@
-"""BVH files: known rotations come back, whatever the names, channels, units and rest pose; refusals name the line."""
+"""BVH files: known rotations come back, whatever the names, channels, units and rest pose."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from drape.body.skeleton import PARENTS
 from drape.errors import MotionError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
-from drape.motion import bvh, text
 from drape.motion.alignment import least_turn
 from drape.motion.amass import Y_FROM_Z
 from drape.motion.bvh import read_bvh
@@ -16,34 +15,12 @@ from drape.motion.readers import read_motion
 from drape.motion.retarget import global_rotations
 from drape.motion.samples import walk
 from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS, CANONICAL_JOINTS
-from tests.drape.motion.motion_files import BODY, BODY_PARENTS, SCHEMES, scheme_names, t_pose_offsets, write_bvh
+from tests.drape.motion.bvh_setup import local, root, wrote
+from tests.drape.motion.motion_files import BODY, BODY_PARENTS, SCHEMES, scheme_names, t_pose_offsets
 
+__all__ = ["local", "root", "wrote"]  # fixtures
 # Files hold nine decimals of degrees and of the unit of length.
 WRITTEN = 3e-8
-
-
-@pytest.fixture
-def local(rng):
-    """Random rotations relative to the parent, away from gimbal lock."""
-    return rotvec_to_matrix(0.5 * rng.normal(size=(5, 22, 3)))
-
-
-@pytest.fixture
-def root(rng):
-    return rng.normal(size=(5, 3))
-
-
-@pytest.fixture
-def wrote(local, root, tmp_path):
-    """Writes ``local`` and ``root``, with LAFAN's names and a T-pose at rest, or what is given instead."""
-
-    def write(*, names=None, parents=BODY_PARENTS, offsets=None, turns=None, places=None, **more):
-        names = scheme_names("lafan") if names is None else names
-        offsets = t_pose_offsets() if offsets is None else offsets
-        turns, places = local if turns is None else turns, root if places is None else places
-        return write_bvh(tmp_path / "clip.bvh", names, parents, offsets, turns, places, **more)
-
-    return write
 
 
 def told_from_parents(turns):
@@ -323,105 +300,3 @@ def test_trunk_of_any_number_of_joints_carries_the_shoulders(trunk, rng, wrote):
     for smpl, name in (("spine3", f"Spine{trunk - 1}"), ("left_shoulder", "LeftArm"), ("head", "Head")):
         joint = {"spine3": 9, "left_shoulder": 16, "head": 15}[smpl]
         assert_allclose(got[:, joint], want[:, names.index(name)], rtol=0.0, atol=WRITTEN)
-
-
-@pytest.fixture
-def whole(wrote):
-    return wrote().read_text()
-
-
-def refusal_of(tmp_path, content):
-    (tmp_path / "bad.bvh").write_text(content)
-    with pytest.raises(MotionError) as refusal:
-        read_bvh(tmp_path / "bad.bvh")
-    return str(refusal.value)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "match"),
-    [
-        ("HIERARCHY\n", "", "line 1: expected HIERARCHY"),
-        ("ROOT Hips", "BONE Hips", "line 2"),
-        ("MOTION\n", "", "Frames"),
-        ("Frames: 5", "Frames: 6", "6 frames, as declared"),
-        ("Frames: 5", "Frames: 1000000000000", "frames, as declared"),
-        ("Frames: 5", "Frames: 4", "4 frames, as declared"),
-        ("Frames: 5", "Frames: 0", "1 or more"),
-        ("Frames: 5", "Frames: five", "numbers for Frames:"),
-        ("Frames: 5", "Count: 5", "'Frames:'"),
-        ("Frame Time: 0.0", "Frame Time: -0.0", "positive frame time"),
-        ("CHANNELS 6", "CHANNELS 5", "CHANNELS, their count"),
-        ("CHANNELS 6 Xposition", "CHANNELS 6 Xscale", "distinct channels"),
-        ("CHANNELS 6 Xposition", "CHANNELS 6 Yposition", "distinct channels"),
-        ("OFFSET 0.000000000", "OFFSET nan", "line 4: expected finite"),
-        ("OFFSET 0.000000000", "OFFSET", "3 numbers for OFFSET"),
-        ("\tOFFSET 0.000000000 0.000000000 0.000000000\n", "", "an OFFSET of joint 'Hips'"),
-        ("}\nMOTION", "MOTION", "closed before MOTION"),
-        ("}\nMOTION", "}\n}\nMOTION", "too many"),
-        ("}\nMOTION", "}\nROOT Other\nMOTION", "one ROOT"),
-        ("}\nMOTION", "}\nJOINT Other\nMOTION", "inside a joint's braces"),
-        ("}\nMOTION", "}\n{\nMOTION", "a joint's name before"),
-    ],
-)
-def test_ill_formed_files_are_refused_with_the_line(old, new, match, whole, tmp_path):
-    assert old in whole
-    message = refusal_of(tmp_path, whole.replace(old, new, 1))
-    assert "bad.bvh, line" in message
-    assert match in message
-
-
-def test_nan_in_a_frame_is_refused_with_its_line(whole, tmp_path):
-    lines = whole.splitlines()
-    lines[-2] = lines[-2].replace(lines[-2].split()[7], "nan", 1)
-    assert f"line {len(lines) - 1}: expected finite" in refusal_of(tmp_path, "\n".join(lines))
-
-
-def test_every_truncation_is_refused(whole, tmp_path):
-    lines = whole.splitlines(keepends=True)
-    for count in range(0, len(lines), 7):
-        refusal_of(tmp_path, "".join(lines[:count]))
-    refusal_of(tmp_path, whole[: whole.rindex(" ")])
-
-
-def test_file_without_joints_is_refused(tmp_path):
-    assert "a ROOT" in refusal_of(tmp_path, "HIERARCHY\nMOTION\nFrames: 1\nFrame Time: 0.01\n")
-    assert "after MOTION" in refusal_of(tmp_path, "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\n}\nMOTION\n")
-
-
-def test_too_few_joints_are_refused(whole, tmp_path):
-    assert "no left_knee" in refusal_of(tmp_path, whole.replace("LeftLeg", "LeftSomething"))
-
-
-def test_trunk_without_joints_is_refused(wrote):
-    joints = [joint for joint in range(22) if not BODY[joint].startswith("spine")]
-    names = [scheme_names("lafan")[joint] for joint in joints]
-    parents = tuple(joints.index(BODY_PARENTS[j]) if BODY_PARENTS[j] in joints else min(j, 1) - 1 for j in joints)
-    still = np.tile(np.eye(3), (1, len(joints), 1, 1))
-    path = wrote(names=names, parents=parents, offsets=t_pose_offsets()[joints], turns=still, places=np.zeros((1, 3)))
-    with pytest.raises(MotionError, match="between the pelvis and the arms"):
-        read_bvh(path)
-
-
-def test_rest_pose_without_extent_is_refused(wrote):
-    offsets = t_pose_offsets()
-    offsets[[1, 2]] = 0.0
-    with pytest.raises(MotionError, match="hips beside a trunk"):
-        read_bvh(wrote(offsets=offsets))
-
-
-def test_bounds_hold(whole, tmp_path, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(bvh, "MAX_JOINT_COUNT", 10)
-        assert "at most 10 joints" in refusal_of(tmp_path, whole)
-    monkeypatch.setattr(text, "MAX_FILE_BYTES", 100)
-    assert "at most 100 bytes" in refusal_of(tmp_path, whole)
-
-
-def test_absent_binary_and_unknown_files_are_refused(tmp_path):
-    with pytest.raises(MotionError, match="readable file"):
-        read_bvh(tmp_path / "absent.bvh")
-    (tmp_path / "noise.bvh").write_bytes(bytes(range(256)) * 20)
-    with pytest.raises(MotionError, match="HIERARCHY"):
-        read_bvh(tmp_path / "noise.bvh")
-    with pytest.raises(MotionError, match=r"expected a motion file: AMASS \.npz or \.bvh, got suffix '\.amc'"):
-        read_motion(tmp_path / "02_01.amc")

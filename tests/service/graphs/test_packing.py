@@ -1,11 +1,10 @@
-"""Packed batches: the same bits alone and in any mix, only what a plan asks for, bounded memory, refusals."""
+"""Packed batches: the same bits alone and in any mix, only what a plan asks for, refusals."""
 
 from __future__ import annotations
 
 import copy
 import json
 import shutil
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -20,7 +19,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.artifacts import load_manifest
 from drape.body.assets import load_body
-from drape.cloth.fabric_table import fabric
 from drape.contact.skin import body_skin, skin_table
 from drape.errors import ArtifactError, InputError, NotFound
 from drape.graph.feeds import body_feed, garment_feed
@@ -29,7 +27,6 @@ from drape.inference.engine import Engine
 from drape.inference.graph_names import PACKED
 from drape.inference.onnx_runtime import Device
 from drape.inference.packing import SHAPE_INDEX, Packer, Result, ScenePlan
-from drape.inference.store import FIRST
 from drape.inference.subgraph import cut
 from drape.stages.batch import PoseInput
 from drape.stages.stage import run
@@ -37,35 +34,16 @@ from drape.wire.options import DrapeOptions
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses
 from service.compute.drape_runtime import DrapeRuntime
-from tests.fixtures.garments import tube_garment
 from tests.fixtures.packed import KINDS, described, exported, garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.tiny_model import expected_vertices
+from tests.service.graphs.packers import BODIES, bodies, make_packer
 from training.model import OneFit
 
 pytestmark = pytest.mark.slow
-BODIES = 64
+__all__ = ["bodies"]  # a fixture
 WEIGHTS_FOLDER = "session.model_external_initializers_file_folder_path"  # of models that come as bytes
 PLANS = [ScenePlan(), ScenePlan("both", skin=True), ScenePlan("jets"), ScenePlan(passes=0)]
-
-
-@pytest.fixture(scope="module")
-def bodies() -> dict[str, np.ndarray]:
-    """Sixty-four clients, each with its own pose and shape."""
-    body = load_body()
-    poses, _ = random_motion(BODIES, seed=4)
-    poses[0] = 0.0
-    shapes = np.random.default_rng(1).normal(size=(BODIES, body.shape_count))
-    rows = [pack_body(body, shapes[i]).rows(poses[i : i + 1]) for i in range(BODIES)]
-    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
-
-
-def make_packer(threads: int = 1, *, compiled: bool = False, **options: int) -> Packer:
-    """A packer of ``KINDS``."""
-    packer = Packer(Engine(exported()[1], device=Device(threads=threads), compiled=compiled), load_body(), **options)
-    for kind in KINDS:
-        packer.add(kind, garment(kind))
-    return packer
 
 
 @pytest.fixture(scope="module")
@@ -250,96 +228,6 @@ def test_the_posed_skin_is_that_of_the_bones_and_bodies_may_differ_in_shape():
         want = skin_table(on_bones.rows, on_bones.bones, rotations.astype(np.float32), relative.astype(np.float32))
         assert_allclose(result.arrays["skin"][..., :4], want[0, ..., :4], rtol=0, atol=2e-6)
         assert_allclose(result.arrays["skin"], want[0], rtol=0, atol=5e-4)  # normals of folds are short cross products
-
-
-def test_memory_of_compositions_is_bounded_and_numbers_stay(bodies):
-    bounded, free = make_packer(kept_bytes=300_000), make_packer()
-    for batch in range(6):
-        items = [(KINDS[(batch + i) % len(KINDS)], i) for i in range(3)]
-        kept, new = bounded.run(ScenePlan(), bodies, items), free.run(ScenePlan(), bodies, items)
-        assert bounded.kept_bytes <= 300_000
-        for a, b in zip(kept, new, strict=True):
-            assert_array_equal(a.arrays["vertices"], b.arrays["vertices"])
-    assert free.kept_bytes > 300_000
-
-
-def test_constants_are_kept_once(bodies):
-    packer = make_packer()
-    before = packer.store.bytes
-    packer.run(ScenePlan(), bodies, [("tank", 0), ("shorts", 1)])
-    assert packer.store.bytes == before
-    for kind in KINDS:
-        for name, array in packer.store.packed(kind).stored.items():
-            assert np.shares_memory(array, packer.store.arrays()[name])
-
-
-def waits_not(packer: Packer, bodies, change: Callable[[Callable[[], None]], str]) -> None:
-    """Fails where a frame waits for a ``change`` of the garments that stands still; it names one that is in store."""
-    begun, go_on = threading.Event(), threading.Event()
-
-    def hold() -> None:
-        begun.set()
-        assert go_on.wait(300.0)
-
-    with ThreadPoolExecutor(2) as threads:
-        try:
-            changing = threads.submit(change, hold)
-            assert begun.wait(300.0)
-            frame = threads.submit(packer.run, ScenePlan(), bodies, [("tank", 0)])
-            assert len(frame.result(100.0)) == 1 and not changing.done()
-        finally:
-            go_on.set()
-        assert changing.result(300.0) in packer.store
-
-
-def test_no_frame_waits_while_a_garment_is_packed(bodies):
-    packer, feed = make_packer(compiled=True), garment_feed(garment("shorts"), body=load_body())
-
-    def add(hold: Callable[[], None]) -> str:
-        class Held(dict):
-            def __getitem__(self, name: str) -> np.ndarray:
-                hold()
-                return super().__getitem__(name)
-
-        packer.add("more", garment("shorts"), Held(feed))
-        return "more"
-
-    waits_not(packer, bodies, add)
-
-
-def test_no_frame_waits_while_a_fabric_is_encoded(bodies, monkeypatch: pytest.MonkeyPatch):
-    packer = make_packer(compiled=True)
-    encode = packer._engine.first
-
-    def dress(hold: Callable[[], None]) -> str:
-        monkeypatch.setattr(packer._engine, "first", lambda *asked: (hold(), encode(*asked))[1])
-        return packer.dressed("tank", fabric("denim"))
-
-    waits_not(packer, bodies, dress)
-
-
-def test_constants_are_not_laid_out_before_a_graph_asks(bodies):
-    packer = make_packer(compiled=True)
-    packer.run(ScenePlan(), bodies, [("tank", 0), ("shorts", 1)])
-    tank = packer.store.packed("tank").stored[FIRST]
-    packer.add("more", garment("shorts"))
-    packer.remove("shorts")
-    assert packer.store.packed("tank").stored[FIRST] is tank, "a frame waits for no copy of all garments"
-    kept = {*KINDS, "more"} - {"shorts"}
-    assert len(packer.store.arrays()[FIRST]) == sum(packer.store.packed(key).patch_count for key in kept)
-
-
-def test_garments_come_and_go(bodies):
-    packer = make_packer()
-    items = [("tank", 0), ("trousers", 1)]
-    before = packer.run(ScenePlan(), bodies, items)
-    packer.add("tube", replace(tube_garment(load_body()), patch_features=garment("tank").patch_features[:12]))
-    packer.remove("shorts")
-    assert "shorts" not in packer.store and "tube" in packer.store
-    after = packer.run(ScenePlan(), bodies, [*items, ("tube", 2)])
-    for a, b in zip(before, after[:2], strict=True):
-        assert_array_equal(a.arrays["vertices"], b.arrays["vertices"])
-    assert after[2].arrays["vertices"].shape == (216, 3)
 
 
 def test_what_is_not_finite_is_told_of_its_own_item(bodies):

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape import stages
 from drape.errors import InputError
+from drape.inference.engine import Engine
 from drape.inference.graph_names import JETS, PACKED, SKIN
 from drape.stages.batch import Batch, Layer, PoseInput
 from drape.stages.encode import coordinate_bits
@@ -128,12 +129,15 @@ def test_frames_open_no_session_once_their_plan_is_prepared(outfit_settings: Set
     runtime.close()
 
 
-def test_the_network_computes_no_vertex_for_jets_alone(make_runtime: Callable[..., DrapeRuntime]):
-    runtime = make_runtime(compiled=False)
+def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[..., Settings]):
+    settings = make_settings()
+    graph = Engine(settings.models_dir / settings.model, compiled=False)
+    runtime = DrapeRuntime(settings, engine=graph)
     run(runtime.plan(runtime.garments.get("tube"), DrapeOptions(geometry="jets", push_out=False)), [CLIP])
     (part,) = [s for (graph, outputs, *_), s in runtime.engine._opened.items() if (graph, outputs) == (PACKED, JETS)]
     assert "patch_first" in part.inputs
     assert not {"tile_positions", "vertex_charts", "tile_tangents"} & set(part.inputs)
+    runtime.close()
 
 
 def test_what_is_left_open_is_the_services_own(runtime: DrapeRuntime, make_runtime: Callable[..., DrapeRuntime]):
