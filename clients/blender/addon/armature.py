@@ -37,7 +37,7 @@ class Character:
         world = armature.matrix_world.to_3x3()
         scale = [axis.length for axis in world.col]
         if world.determinant() <= 0.0 or max(scale) - min(scale) > SCALE_TOLERANCE * max(scale):
-            got = ", ".join(f"{one:.3g}" for one in armature.scale)
+            got = ", ".join(f"{one:.3g}" for one in armature.matrix_world.to_scale())
             cure = "Apply the scale (Object > Apply > Scale) of the armature, its parents and its meshes."
             raise Refusal(f"scale of {armature.name}", expected="one and the same, above 0", got=got, cure=cure)
         self.armature, self.units, self.body = armature, sum(scale) / 3.0, armature.get(BODY, "")
