@@ -109,7 +109,7 @@ told["unsaved"] = refused(drape.bake)
 scene.drape.form, before = "KEYS", set(bpy.data.objects)
 scene.frame_set(3)
 steps = module.bake(bpy.context, module.service_of(bpy.context), scene.drape)
-while next(steps).words != "Draping":
+while next(steps).words != "Frame 4":
     pass
 steps.close()
 told["ended"] = [scene.frame_current, before == set(bpy.data.objects)]
