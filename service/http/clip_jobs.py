@@ -166,8 +166,11 @@ async def _pieces(job: ClipJob, state: State, token: str, kind: str) -> AsyncGen
     tail: list[bytes] = []
     first_root = None
     with state.access.using(job.client, "clips"), state.slot():
-        part = None
+        done = 0
         async for part in state.runtime.parts(job.plan, job.clip):
+            done += len(part.inputs[0].poses)
+            if done == len(job.clip.poses):  # before the last bytes: a client may leave with them, and go on
+                job.remember(part.memories[0], state, token)
             placed = None
             if job.asked.geometry == "vertices":
                 placed = part.placed(job.asked.origin)
@@ -178,7 +181,5 @@ async def _pieces(job: ClipJob, state: State, token: str, kind: str) -> AsyncGen
             pieces = iter(part.messages) if placed is None else number_bytes(placed.vertices)
             async for piece in state.sliced_thread.each(pieces):
                 yield piece
-        assert part is not None
-        job.remember(part.memories[0], state, token)
         for piece in tail:
             yield piece

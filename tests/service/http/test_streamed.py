@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -86,6 +88,19 @@ def test_pieces_are_the_whole_clip(own: httpx.Client, folds: int, streamed: bool
         assert_array_equal(np.concatenate(found), whole)
     anew = vertices(drape(own, slice(4, 7), folds=folds))
     assert np.abs(anew - whole[4:7]).max() > 1e-4, "without a past the cloth hangs otherwise"
+
+
+def test_the_past_is_there_for_who_leaves_with_the_last_byte(own: httpx.Client):
+    whole = vertices(drape(own))
+    for _ in range(10):  # the request after the last byte would be the first to come too early
+        past, found = {}, []
+        for rows in (slice(0, 8), slice(8, 9)):
+            body = json.dumps(asked(rows, keep=True, **past)).encode()
+            headers = {"Content-Type": "application/json", "Connection": "close"}
+            with urllib.request.urlopen(urllib.request.Request(f"{own.base_url}/drape", body, headers)) as answer:
+                past = {"past": answer.headers["X-Drape-Past"]}
+                found.append(np.frombuffer(answer.read(int(answer.headers["Content-Length"])), "<f4"))
+        assert_array_equal(np.concatenate(found), whole.reshape(-1))
 
 
 def test_jets_come_streamed_and_in_pieces_too(own: httpx.Client):

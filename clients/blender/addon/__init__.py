@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0 OR GPL-3.0-or-later
+# pyright: reportMissingImports=false, reportInvalidTypeForm=false, reportAttributeAccessIssue=false
+"""Drape: garments on armatures, from a service, baked to the timeline. The panel, its settings, its buttons."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import bpy
+from bpy.props import EnumProperty, PointerProperty, StringProperty
+
+from .bake import Step, Steps, bake
+from .garment_object import FORMS
+from .local_service import LocalService
+from .our_body import add_body
+from .service_calls import Refusal, Service
+
+TICK_S = 0.02
+LISTS = ("garments", "tiers", "fabrics", "motions")
+known: dict[str, list[str]] = {name: [] for name in LISTS}  # what the service has, as it was last asked
+started: list[LocalService] = []  # the service of this Blender
+
+
+def named(name: str, which: str, description: str = "") -> Any:
+    """A name that a list of the service has; others may be typed."""
+    listed = {"search": lambda self, context, text: known[which], "search_options": {"SUGGESTION"}}
+    return StringProperty(name=name, description=description, **listed)
+
+
+class Preferences(bpy.types.AddonPreferences):
+    """Where the service is, or what starts one."""
+
+    bl_idname = __package__
+    url: StringProperty(name="Address", default="http://127.0.0.1:8000")
+    key: StringProperty(name="Key", subtype="PASSWORD", description="Of a service that asks who you are")
+    environment: StringProperty(name="Environment", subtype="DIR_PATH", description="Of Python, with drape installed")
+
+    def draw(self, context: Any) -> None:
+        for name in ("url", "key", "environment"):
+            self.layout.prop(self, name)
+
+
+class Settings(bpy.types.PropertyGroup):
+    """What is draped in a scene."""
+
+    armature: PointerProperty(name="Character", type=bpy.types.Object, poll=lambda self, one: one.type == "ARMATURE")
+    garment: named("Garment", "garments")
+    tier: named("Tier", "tiers", "How much is computed; empty: the service's own")
+    fabric: named("Fabric", "fabrics", "What it is made of; empty: its own")
+    motion: named("Motion", "motions", "Of our body; empty: none")
+    form: EnumProperty(name="Bake to", items=FORMS)
+
+
+def service_of(context: Any) -> Service:
+    """The service that the preferences name."""
+    held = context.preferences.addons[__package__].preferences
+    service = Service(held.url, held.key)
+    if not (service.is_local or bpy.app.online_access):
+        cure = "Allow Online Access in the preferences (System), or use a service on this machine."
+        raise Refusal("network", expected="leave to ask other machines", got="none", cure=cure)
+    return service
+
+
+class Stepped:
+    """An operator whose work goes in steps: at once from a script, beside Blender from a button, where Esc ends it."""
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return context.mode in ("OBJECT", "POSE")  # bones do not pose while they are edited
+
+    def execute(self, context: Any) -> set[str]:
+        self.left = self.steps(context)
+        while (state := self._step()) == "RUNNING_MODAL":
+            time.sleep(self.step.waits * TICK_S)
+        return {state}
+
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        self.left, self.step = self.steps(context), Step(0.0, "")
+        self.timer = context.window_manager.event_timer_add(TICK_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: Any, event: Any) -> set[str]:
+        state = self._step() if event.type == "TIMER" else "RUNNING_MODAL"
+        if event.type == "ESC":
+            self.left.close()
+            state = "CANCELLED"
+        goes_on = state == "RUNNING_MODAL"
+        words = f"{100 * self.step.share:.0f} %  {self.step.words}   |   Esc: cancel"
+        context.workspace.status_text_set(words if goes_on else None)
+        if not goes_on:
+            context.window_manager.event_timer_remove(self.timer)
+        return {state}
+
+    def _step(self) -> str:
+        try:
+            self.step = next(self.left)
+        except StopIteration:
+            return "FINISHED"
+        except Refusal as refusal:
+            self.report({"ERROR"}, str(refusal))
+            return "CANCELLED"
+        return "RUNNING_MODAL"
+
+
+class Connect(Stepped, bpy.types.Operator):
+    """Ask the service what it has"""
+
+    bl_idname, bl_label = "drape.connect", "Connect"
+
+    def steps(self, context: Any) -> Steps:
+        service = service_of(context)
+        for number, name in enumerate(LISTS):
+            yield Step(number / len(LISTS), name)
+            known[name] = [one["id"] for one in service.json(name) if one["id"] != "exact"]  # a job of hours
+
+
+class Start(Stepped, bpy.types.Operator):
+    """Start a service from the environment that the preferences name, or end it"""
+
+    bl_idname, bl_label = "drape.start", "Start or end a service"
+
+    def steps(self, context: Any) -> Steps:
+        held = context.preferences.addons[__package__].preferences
+        if started:
+            return started.pop().end()
+        started.append(LocalService(held.environment))
+        try:
+            while not started[0].ready():
+                yield Step(0.0, "The service starts", waits=True)
+        except BaseException:
+            started.pop().end()
+            raise
+        held.url = started[0].url
+        yield from Connect.steps(self, context)
+
+
+class AddBody(Stepped, bpy.types.Operator):
+    """Add the service's own body (CC0) in the motion that is chosen"""
+
+    bl_idname, bl_label, bl_options = "drape.add_body", "Add our body", {"REGISTER", "UNDO"}
+
+    def steps(self, context: Any) -> Steps:
+        yield Step(0.0, "Adding the body")
+        context.scene.drape.armature = add_body(context, service_of(context), context.scene.drape.motion)
+
+
+class Bake(Stepped, bpy.types.Operator):
+    """Drape the garment over the frames of the scene"""
+
+    bl_idname, bl_label, bl_options = "drape.bake", "Bake", {"REGISTER", "UNDO"}
+
+    def steps(self, context: Any) -> Steps:
+        yield from bake(context, service_of(context), context.scene.drape)
+
+
+class DrapePanel(bpy.types.Panel):
+    """Settings and buttons in the sidebar of the 3D view."""
+
+    bl_idname, bl_label, bl_category = "DRAPE_PT_panel", "Drape", "Drape"
+    bl_space_type, bl_region_type = "VIEW_3D", "UI"
+
+    def draw(self, context: Any) -> None:
+        self.layout.operator("drape.start", text="End the service" if started else "Start a service")
+        for name in ("drape.connect", "motion", "drape.add_body", "armature", "garment", "tier", "fabric", "form"):
+            self.layout.operator(name) if "." in name else self.layout.prop(context.scene.drape, name)
+        self.layout.operator("drape.bake")
+
+
+CLASSES = (Preferences, Settings, Connect, Start, AddBody, Bake, DrapePanel)
+
+
+def register() -> None:
+    """Adds the panel and what it needs."""
+    for each in CLASSES:
+        bpy.utils.register_class(each)
+    bpy.types.Scene.drape = PointerProperty(type=Settings)
+
+
+def unregister() -> None:
+    """Removes them, and ends the service that was started."""
+    while started:
+        started.pop().end()
+    del bpy.types.Scene.drape
+    for each in reversed(CLASSES):
+        bpy.utils.unregister_class(each)

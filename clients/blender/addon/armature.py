@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0 OR GPL-3.0-or-later
+# pyright: reportMissingImports=false
+"""A character of the scene: its file for the service, and how its bones stand in a frame."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from mathutils import Matrix
+
+from .character_file import character_glb
+from .service_calls import Refusal
+
+BODY = "drape_body"  # the property of an armature that is the service's own body: its id there
+# SMPL's joints in the order of poses, which are its bones.
+JOINTS = (
+    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle",
+    "right_ankle", "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
+    "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
+)  # fmt: skip
+Y_UP = Matrix(((1, 0, 0), (0, 0, 1), (0, -1, 0)))  # the service's axes of Blender's: (x, y, z) is its (x, z, -y)
+SCALE_TOLERANCE = 0.01
+HEAVIEST = 4  # bones of a vertex
+
+
+class Character:
+    """The character of ``armature``, an object of the scene, with its ``bones``; ``body``: its id where it is ours.
+
+    ``units``: of the scene, per unit of the armature. Refuses what is no armature, and one that is stretched.
+    """
+
+    def __init__(self, armature: Any) -> None:
+        if armature is None or armature.type != "ARMATURE" or not armature.users_scene:
+            got = "none" if armature is None else f"{armature.name}, of type {armature.type.lower()}"
+            raise Refusal("character", expected="an armature", got=got, cure="Choose one, or add our body.")
+        world = armature.matrix_world.to_3x3()
+        scale = [axis.length for axis in world.col]
+        if world.determinant() <= 0.0 or max(scale) - min(scale) > SCALE_TOLERANCE * max(scale):
+            got = ", ".join(f"{one:.3g}" for one in armature.matrix_world.to_scale())
+            cure = "Apply the scale (Object > Apply > Scale) of the armature, its parents and its meshes."
+            raise Refusal(f"scale of {armature.name}", expected="one and the same, above 0", got=got, cure=cure)
+        self.armature, self.units, self.body = armature, sum(scale) / 3.0, armature.get(BODY, "")
+        held = armature.data.bones
+        if missing := [name for name in JOINTS if self.body and name not in held]:
+            cure = "Undo what was done to its bones, or add our body anew."
+            raise Refusal(armature.name, expected="the bones of our body", got=f"no {missing[0]}", cure=cure)
+        self._upright = Y_UP if self.body else Y_UP @ upright(world)
+        self._name(JOINTS if self.body else tuple(bone.name for bone in held))
+
+    def _name(self, bones: tuple[str, ...]) -> None:
+        """Makes ``bones`` its bones, which hold their parents; finds these, and what undoes the rest of each."""
+        held, row = self.armature.data.bones, {name: number for number, name in enumerate(bones)}
+        self.bones, self._parents = bones, [row[held[name].parent.name] if held[name].parent else -1 for name in bones]
+        self._undo = [(self._upright @ held[name].matrix_local.to_3x3()).inverted() for name in bones]
+
+    def stands(self, depsgraph: Any, pelvis: str) -> tuple[list[Any], Any]:
+        """What each bone has turned by since its rest, a quaternion seen from its parent, and where the head of the
+        bone ``pelvis`` is, in units of the scene; both y up."""
+        armature = self.armature.evaluated_get(depsgraph)
+        world, posed = armature.matrix_world, armature.pose.bones
+        moved = zip((posed[name].matrix.to_3x3() for name in self.bones), self._undo, strict=True)
+        turned = [(Y_UP @ world.to_3x3() @ matrix @ undo).to_quaternion() for matrix, undo in moved]
+        pairs = zip(turned, self._parents, strict=True)
+        local = [turned[above].conjugated() @ turn if above >= 0 else turn for turn, above in pairs]
+        return local, Y_UP @ (world @ posed[pelvis].head)
+
+    def file(self, context: Any) -> bytes:
+        """Its GLB at rest, in units of the scene, with all visible meshes that its bones move; bones that neither move
+        one nor hold such a bone are forgotten."""
+        data = self.armature.data
+        before, data.pose_position = data.pose_position, "REST"
+        try:
+            depsgraph = context.evaluated_depsgraph_get()
+            parts = [self._surface(mesh, depsgraph) for mesh in context.view_layer.objects if self._moves(mesh)]
+        finally:
+            data.pose_position = before
+        if not parts:
+            cure = "Show its mesh, with an armature modifier and vertex groups named as its bones."
+            expected = "a visible mesh that its bones move"
+            raise Refusal(self.armature.name, expected=expected, got="none", cure=cure)
+        starts = np.cumsum([0, *(len(part[0]) for part in parts[:-1])])
+        faces = np.concatenate([part[1] + start for part, start in zip(parts, starts, strict=True)])
+        vertices, joints, weights = (np.concatenate([part[column] for part in parts]) for column in (0, 2, 3))
+        kept = np.zeros(len(self.bones), bool)
+        for bone in np.unique(joints[weights > 0.0]):
+            while bone >= 0 and not kept[bone]:
+                kept[bone], bone = True, self._parents[bone]
+        self._name(tuple(name for name, keeps in zip(self.bones, kept, strict=True) if keeps))
+        stand = self.units * np.array(self._upright).T
+        places = np.array([data.bones[name].head_local for name in self.bones]) @ stand
+        joints = np.where(weights > 0.0, (np.cumsum(kept) - 1)[joints], 0)
+        return character_glb(self.bones, self._parents, places, (vertices @ stand, faces, joints, weights))
+
+    def _moves(self, mesh: Any) -> bool:
+        """Whether ``mesh`` is one, is seen, and bones move it."""
+        modified = any(one.type == "ARMATURE" and one.object == self.armature for one in mesh.modifiers)
+        parented = mesh.parent == self.armature and mesh.parent_type in ("BONE", "ARMATURE")
+        return mesh.type == "MESH" and mesh.visible_get() and (modified or parented)
+
+    def _surface(self, mesh: Any, depsgraph: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Vertices (V, 3) of ``mesh`` at rest in the armature, triangles (F, 3), the heaviest bones of each vertex and
+        their weights (V, 4)."""
+        evaluated = mesh.evaluated_get(depsgraph)
+        held = evaluated.to_mesh()
+        held.calc_loop_triangles()
+        vertices, faces = np.empty(3 * len(held.vertices), "f4"), np.empty(3 * len(held.loop_triangles), "i4")
+        held.vertices.foreach_get("co", vertices)
+        held.loop_triangles.foreach_get("vertices", faces)
+        row = {name: number for number, name in enumerate(self.bones)}
+        joints, weights = np.zeros((len(held.vertices), HEAVIEST), int), np.zeros((len(held.vertices), HEAVIEST))
+        if mesh.parent_type == "BONE":
+            joints[:, 0], weights[:, 0] = row[mesh.parent_bone], 1.0
+        bone_of = {group.index: row[group.name] for group in mesh.vertex_groups if group.name in row}
+        for number, vertex in enumerate(held.vertices):
+            found = [(one.weight, bone_of[one.group]) for one in vertex.groups if one.group in bone_of]
+            for column, (weight, bone) in enumerate(sorted(found, reverse=True)[:HEAVIEST]):
+                joints[number, column], weights[number, column] = bone, weight
+        evaluated.to_mesh_clear()
+        move = np.array(self.armature.matrix_world.inverted() @ evaluated.matrix_world)
+        return vertices.reshape(-1, 3) @ move[:3, :3].T + move[:3, 3], faces.reshape(-1, 3), joints, weights
+
+
+def upright(world: Any) -> Any:
+    """The turn by right angles that makes z of the axis of an object that is nearest to z in the ``world``."""
+    axis = max(range(3), key=lambda column: abs(world[2][column]))
+    sign = 1 if world[2][axis] > 0 else -1
+    turn = Matrix.Diagonal((0, 0, 0))
+    turn[2][axis], turn[0][(axis + 1) % 3], turn[1][(axis + 2) % 3] = sign, 1, sign
+    return turn

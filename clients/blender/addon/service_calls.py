@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests to a drape service with Python's own HTTP client; those of ``clients/`` need packages that Blender lacks."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import struct
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+from urllib.parse import quote, urlencode, urlsplit
+
+import numpy as np
+
+BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "application/json"
+OPTION_BYTES = 16384  # of a request, besides its frames
+PIECE_BYTES = 1 << 18  # of an answer that are read at once
+ANSWER_S, POLL_S = 120.0, 0.25
+MAGIC, VERSION, CLIP, PLACED = 0x45505244, 1, 6, 1  # docs/reference/wire.md
+_HEAD = struct.Struct("<IBBHIIII")
+
+Told = Callable[[float, str], None]
+"""Hears the share that is done, 0 to 1, and what goes on; what it raises ends the work."""
+
+
+class Refusal(Exception):
+    """A refusal of the add-on or of the service; ``str()`` is a sentence with its cure, as of ``drape.errors``."""
+
+    def __init__(self, name: str, *, expected: str, got: str, cure: str) -> None:
+        super().__init__(f"{name}: expected {expected}, got {got}. {cure}")
+
+
+def refusal_of(document: Mapping[str, str]) -> Refusal:
+    """The refusal in a problem document of the service."""
+    return Refusal(document["name"], **{key: document[key] for key in ("expected", "got", "cure")})
+
+
+class Service:
+    """A service at ``url``; ``key`` says who asks, where it wants to know."""
+
+    def __init__(self, url: str, key: str = "") -> None:
+        self.url, parts = url.strip().rstrip("/"), urlsplit(url.strip())
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            cure = "Correct it in the preferences of the add-on, or start a service."
+            raise Refusal("address", expected="one such as http://127.0.0.1:8000", got=repr(url), cure=cure)
+        self.is_local = parts.hostname in ("127.0.0.1", "::1", "localhost")
+        self._headers = {"Authorization": f"Bearer {key}"} if key else {}
+        # A proxy of the network knows nothing of this machine.
+        self._opener = urllib.request.build_opener(*([urllib.request.ProxyHandler({})] if self.is_local else []))
+
+    @contextmanager
+    def asked(self, method: str, path: str, content: bytes | None = None, *, accept: str = JSON) -> Iterator[Any]:
+        """The open answer to a request; raises the service's refusal, and one where no whole answer comes."""
+        headers = {**self._headers, "Accept": accept, "Content-Type": BINARY}
+        request = urllib.request.Request(self.url + path, content, headers, method=method)
+        try:
+            with self._opener.open(request, timeout=ANSWER_S) as answer:
+                yield answer
+        except urllib.error.HTTPError as error:
+            try:
+                raise refusal_of(json.loads(error.read())) from error
+            except (ValueError, KeyError, TypeError):
+                raise self._stranger(f"status {error.code}") from error
+        except (OSError, http.client.HTTPException) as error:
+            broken = isinstance(error, http.client.IncompleteRead)
+            got = "one that broke off" if broken else str(getattr(error, "reason", None) or error)
+            cure = "Start it (again) in the panel, or correct its address in the preferences of the add-on."
+            raise Refusal(f"service at {self.url}", expected="an answer", got=got, cure=cure) from error
+
+    def json(self, *names: str, method: str = "GET", content: bytes | None = None, **query: str) -> Any:
+        """The document at the path of ``names``."""
+        path = "".join(f"/{quote(name, safe='')}" for name in names) + (f"?{urlencode(query)}" if query else "")
+        with self.asked(method, path, content) as answer:
+            text = answer.read()
+        try:
+            return json.loads(text or b"null")
+        except ValueError as error:
+            raise self._stranger("another") from error
+
+    def _stranger(self, got: str) -> Refusal:
+        cure = "Check that the address is that of the drape service."
+        return Refusal(self.url, expected="an answer of the drape service", got=got, cure=cure)
+
+
+def avatar_of(service: Service, glb: bytes, name: str, told: Told) -> dict[str, Any]:
+    """What the service tells of the character ``glb``, which is sent where it has none of this ``name``."""
+    if found := [one for one in service.json("avatars") if one["name"] == name]:
+        return found[0]
+    job = service.json("avatars", method="POST", content=glb, name=f"{name}.glb")
+    try:
+        while job["state"] in ("queued", "running"):
+            told(job["share"] or 0.0, "The service takes the character in")
+            time.sleep(POLL_S)
+            job = service.json("jobs", job["id"])
+    except Exception:
+        service.json("jobs", job["id"], method="DELETE")
+        raise
+    if job["state"] == "failed":
+        raise refusal_of(job["problem"])
+    if job["state"] != "done":
+        raise Refusal(name, expected="a character that is taken in", got=f"one {job['state']}", cure="Bake again.")
+    return service.json("avatars", job["avatar"])
+
+
+def draped(service: Service, about: dict[str, Any], turns: np.ndarray, places: np.ndarray, told: Told) -> np.ndarray:
+    """The vertices [m] (F, V, 3) of a garment, y up, over a clip: ``turns`` are poses (F, 24, 3) [rad], or quaternions
+    (F, N, 4), xyzw, of the nodes of an avatar; ``places`` (F, 3) [m]. What is longer than a request goes in pieces."""
+    health = service.json("health")
+    frame_bytes = 8 * (turns[0].size + 3)
+    most = max(1, min(health["max_frames"], (health["max_body_bytes"] - OPTION_BYTES) // frame_bytes))
+    parts, past, total = [], {}, len(turns)
+    for start in range(0, total, most):
+        rows = slice(start, start + most)
+        asked = {**about, **past, "streamed": True, "keep": rows.stop < total}
+        clip = packed_clip(asked, turns[rows], places[rows])
+        with service.asked("POST", "/drape", clip, accept=BINARY) as answer:
+            frames = np.empty((len(turns[rows]), int(answer.headers["X-Drape-Vertices"]), 3), "<f4")
+            past, room, done = {"past": answer.headers["X-Drape-Past"]}, frames.data.cast("B"), 0
+            while done < len(room):
+                told((start + len(frames) * done / len(room)) / total, "Draping")
+                if not (piece := answer.read1(PIECE_BYTES)):
+                    raise http.client.IncompleteRead(b"", len(room) - done)
+                room[done : done + len(piece)] = piece
+                done += len(piece)
+        parts.append(frames)
+    return np.concatenate(parts)
+
+
+def packed_clip(about: Mapping[str, Any], turns: np.ndarray, places: np.ndarray) -> bytes:
+    """The CLIP message of a clip, as ``drape.wire.clips`` packs it."""
+    text = json.dumps(about, separators=(",", ":"), allow_nan=False).encode()
+    nodes = turns.shape[1] if turns.shape[2] == 4 else 0
+    head = _HEAD.pack(MAGIC, VERSION, CLIP, PLACED, 0, len(turns), len(text), nodes)
+    return head + np.asarray(places, "<f8").tobytes() + np.asarray(turns, "<f8").tobytes() + text
