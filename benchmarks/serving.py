@@ -46,10 +46,10 @@ from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
 from drape.stages.encode import REST_S
 from drape.stages.plan import Plan
+from drape.stages.tiers import NAMES
 from drape.wire.clips import pack_clip
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.tiers import NAMES
 from service.settings import Settings
 
 LATE_S, WARM_S = 0.1, 1.0

@@ -37,9 +37,9 @@ from benchmarks.tables import Row, text_table
 from drape.artifacts import load_manifest, model_folder
 from drape.body.assets import load_body
 from drape.errors import InputError
+from drape.stages.tiers import NAMES, Tier, read_tiers
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.tiers import NAMES, Tier, read_tiers
 from service.settings import Settings
 
 PASSES = (0, 1, None)
@@ -199,7 +199,7 @@ def _covers(row: Row, below: Row) -> bool:
 
 
 def manifest_tiers(chosen: Sequence[Row], where: dict[str, Any]) -> list[Row]:
-    """Rows of ``service.compute.tiers.Tier`` with their figures; without folds the two least tiers have the passes of
+    """Rows of ``drape.stages.tiers.Tier`` with their figures; without folds the two least tiers have the passes of
     the least, the others all."""
     alone, above = (row["passes"] for row in chosen[:2])
     kept = ("time_ratio", "cpu_ms", "gain", "gain_p05", "error_mm", "edge_pct", "detail_share", "jitter_ratio")

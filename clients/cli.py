@@ -10,12 +10,11 @@ python -m clients.cli drape --garment tshirt --on me.vrm --motion walk --out out
 from __future__ import annotations
 
 import argparse
-import io
 import itertools
 import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -27,19 +26,16 @@ from clients.calls import DEFAULT_URL, sized
 from clients.client import DrapeClient
 from clients.meshes import surface_of
 from drape.errors import DrapeError, InputError
+from drape.export.clips import CACHES, check_name, npy_head, write_pieces
 from drape.export.glb import GARMENT_COLOURS
 from drape.export.mdd import mdd_frames, mdd_head
 from drape.export.obj import obj_text
 from drape.export.pc2 import pc2_head, pc2_samples
 from drape.export.usda import MovingGarment, usda_pieces
-from drape.files.atomic import whole_file
 from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
 from drape.motion.readers import MOTION_SUFFIXES, read_motion
 from drape.wire.options import DrapeOptions
-
-OUT_SUFFIXES = (".glb", ".npy", ".pc2", ".mdd", ".usda")
-CACHES = (".pc2", ".mdd")  # points without a mesh, which comes beside
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -203,14 +199,8 @@ def _progress() -> Callable[[dict[str, Any]], None]:
 
 def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
     # Everything that can be refused here is refused before the service works.
+    check_name(options.out)
     suffix = options.out.suffix.lower()
-    if suffix not in OUT_SUFFIXES:
-        expected = f"a name ending in {', '.join(OUT_SUFFIXES)}"
-        raise InputError("--out", expected=expected, got=options.out.name, cure="Rename it.")
-    if not options.out.absolute().parent.is_dir():
-        raise InputError(
-            "--out", expected="an existing folder", got=str(options.out.parent), cure="Make the folder first."
-        )
     betas = _numbers(options.betas)
     avatar = None if options.on is None else client.avatar(options.on).id
     clip = _clip(client, options, betas, avatar).resampled(options.fps)
@@ -232,30 +222,30 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         more |= {"body": options.body, "quantised": not options.float32} if suffix == ".glb" else {}
         exact = client.exact(worn[0], clip, betas=betas, glb=suffix == ".glb", more=more, progress=_told(), **choices)
     if suffix == ".glb" and options.tier == "exact":
-        write_atomic(options.out, [exact])
+        write_pieces(options.out, [exact])
     elif suffix == ".glb":
         garments = worn[0] if len(worn) == 1 else worn
         more = {"body": options.body, "quantised": not options.float32, "rig": options.rig}
-        write_atomic(options.out, [client.drape_glb(garments, clip, betas=betas, **more, **choices)])
+        write_pieces(options.out, [client.drape_glb(garments, clip, betas=betas, **more, **choices)])
     elif suffix == ".usda":
         layers = [exact] if options.tier == "exact" else client.drape_outfit(worn, clip, betas=betas, **choices)
-        write_atomic(options.out, usda_pieces(_moving(client, worn, layers, choices), clip.fps))
+        write_pieces(options.out, usda_pieces(_moving(client, worn, layers, choices), clip.fps))
     else:
         frames = client.drape_frames(worn, clip, betas=betas, **choices)
         frames = iter([[exact]]) if options.tier == "exact" else frames
         first = next(frames)
         joined = (np.concatenate(layers, axis=1) for layers in itertools.chain([first], frames))
         head, packed = {
-            ".npy": (_npy_head, pc2_samples),
+            ".npy": (npy_head, pc2_samples),
             ".pc2": (pc2_head, pc2_samples),
             ".mdd": (partial(mdd_head, fps=clip.fps), mdd_frames),
         }[suffix]
         begun = head(sum(layer.shape[1] for layer in first), clip.frame_count)
-        write_atomic(options.out, itertools.chain([begun], (packed(part) for part in joined)))
+        write_pieces(options.out, itertools.chain([begun], (packed(part) for part in joined)))
         if suffix in CACHES:
             meshes = [layer.surface for layer in _moving(client, worn, first, choices)]
             beside = options.out.with_suffix(".obj")
-            write_atomic(beside, [obj_text(meshes, [layer[0] for layer in first]).encode()])
+            write_pieces(beside, [obj_text(meshes, [layer[0] for layer in first]).encode()])
             print(f"{beside}: the mesh that the points belong to")
     size = options.out.stat().st_size
     print(f"{options.out}: {clip.frame_count} frames at {clip.fps:g} per second, {size} bytes")
@@ -271,14 +261,6 @@ def _moving(
     meshes = [surface_of(client.mesh(name, resolution, size)) for name, size in shown]
     colours = itertools.cycle(GARMENT_COLOURS)
     return [MovingGarment(*parts, next(colours)[:3]) for parts in zip(meshes, layers, strict=True)]
-
-
-def _npy_head(points: int, frames: int) -> bytes:
-    """The head of a .npy file of float32 (frames, points, 3)."""
-    buffer = io.BytesIO()
-    shape = {"descr": "<f4", "fortran_order": False, "shape": (frames, points, 3)}
-    np.lib.format.write_array_header_1_0(buffer, shape)
-    return buffer.getvalue()
 
 
 def _clip(client: DrapeClient, options: argparse.Namespace, betas: np.ndarray | None, avatar: str | None) -> MotionClip:
@@ -299,17 +281,6 @@ def _numbers(text: str | None) -> np.ndarray | None:
         raise InputError(
             "--betas", expected="comma-separated numbers", got=text or "", cure="For example --betas 0.5,-1."
         ) from error
-
-
-def write_atomic(path: Path, pieces: Iterable[bytes]) -> None:
-    """Writes ``path`` whole or not at all; what ``pieces`` raise leaves no file."""
-    wanted = "a folder that can be written"
-    try:
-        with whole_file(path) as stream:
-            wanted = "room to write"
-            stream.writelines(pieces)
-    except OSError as error:
-        raise InputError(str(path), expected=wanted, got=str(error.strerror), cure="Choose another --out.") from error
 
 
 if __name__ == "__main__":

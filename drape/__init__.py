@@ -1,4 +1,44 @@
-"""The shared core: garments as polynomial patches, bodies, motions, cloth energies and the wire.
+"""Real garments that move with a body: garments as polynomial patches, a network that moves them, folds on top.
 
-Imports no torch, and onnxruntime only where a model needs it; formulas take numpy or torch arrays.
+``load`` opens the shipped model and body; ``drape.library`` says how to go on. What is in ``__all__`` is public; all
+else may change. Importing loads no torch, and onnxruntime only where a model needs it.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from drape.errors import DrapeError
+    from drape.garment.cache import Garment
+    from drape.garment.intake import intake
+    from drape.library import Drape, Frame, Worn, load
+    from drape.motion.clip import MotionClip
+    from drape.motion.readers import read_motion
+    from drape.wire.options import DrapeOptions
+
+__all__ = [
+    "Drape", "DrapeError", "DrapeOptions", "Frame", "Garment", "MotionClip", "Worn", "intake", "load", "read_motion",
+]  # fmt: skip
+# They are imported when they are asked for: most modules of the core need few of these.
+_HOMES = {
+    "drape.errors": ("DrapeError",),
+    "drape.garment.cache": ("Garment",),
+    "drape.garment.intake": ("intake",),
+    "drape.library": ("Drape", "Frame", "Worn", "load"),
+    "drape.motion.clip": ("MotionClip",),
+    "drape.motion.readers": ("read_motion",),
+    "drape.wire.options": ("DrapeOptions",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(home), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

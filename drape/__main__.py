@@ -1,83 +1,10 @@
-"""``python -m drape`` tells what computes here, and has it fold a swatch of cloth for a second."""
+"""``python -m drape``: the command ``drape``."""
 
 from __future__ import annotations
 
-import os
-import platform
 import sys
-import time
-from pathlib import Path
 
-import numpy as np
-
-from drape.cloth.energies import ClothMesh
-from drape.cloth.material import Material
-from drape.engine.library import load, processor_level
-from drape.errors import DrapeError
-from drape.live.clock import Frame
-from drape.live.fold_constants import FoldConstants, WornCloth
-from drape.live.fold_step import FoldEffort, FoldMemory, fold
-from drape.live.skin_walks import NEIGHBOURS, SkinGraph
-
-SIDE, SPACING_M = 21, 0.01
-TEST_S = 0.5  # and as long again for the same frames
-HELD_N_PER_M = 100.0  # along the upper edge
-FPS = 30.0
-
-
-def processor() -> str:
-    """The name of the processor, its level and whether it has tiles of matrices."""
-    level, tiles = processor_level()
-    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    name = (names or [platform.processor() or platform.machine()])[0]
-    return name + (f", x86-64-v{level}" if level else "") + (", tiles" if tiles else "")
-
-
-def swatch() -> tuple[FoldConstants, np.ndarray]:
-    """A square of cloth that is held by its upper edge far from any skin, and its vertices [m] (V, 3)."""
-    x, y = (axis.reshape(-1) for axis in np.meshgrid(*[SPACING_M * np.arange(SIDE)] * 2, indexing="ij"))
-    vertices = np.stack([x, y, 0.02 * np.sin(60.0 * x)], axis=1)
-    corner = np.flatnonzero((np.arange(SIDE * SIDE) % SIDE < SIDE - 1) & (np.arange(SIDE * SIDE) < SIDE * (SIDE - 1)))
-    faces = np.concatenate([corner[:, None] + np.array(turn) for turn in ((0, SIDE, SIDE + 1), (0, SIDE + 1, 1))])
-    held = np.where(y > y.max() - 0.5 * SPACING_M, HELD_N_PER_M, 0.0)
-    graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1), np.zeros((1, 3)))
-    nearest = np.zeros(len(vertices), np.int32)
-    worn = WornCloth(ClothMesh.from_rest(vertices, faces), Material(), held, graph, nearest, 0.0)
-    return FoldConstants.of(worn), vertices.astype(np.float32)
-
-
-def folded(constants: FoldConstants, vertices: np.ndarray, frames: int, seconds: float) -> tuple[np.ndarray, int]:
-    """The cloth after so many ``frames``, or after ``seconds`` if these are over before, and how many there were."""
-    skin = np.tile([10.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], (1, 1))
-    memory: FoldMemory | None = None
-    out, count, end_s = vertices, 0, time.monotonic() + seconds
-    while count < frames and time.monotonic() < end_s:
-        frame = Frame(vertices, skin, count / FPS)
-        out, memory, _ = fold(constants, memory, frame, FoldEffort(2, cloth_contact=True))
-        count += 1
-    return out, count
-
-
-def main() -> int:
-    """The command."""
-    try:
-        print(f"processor: {processor()}")
-        forced = os.environ.get("DRAPE_ISA")
-        print(f"engine: {Path(load()._name).name}" + (f" (DRAPE_ISA={forced})" if forced else ""))
-    except DrapeError as error:
-        print(f"drape: {error}", file=sys.stderr)
-        return 2
-    threads = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
-    print(f"threads: {threads}")
-    constants, vertices = swatch()
-    found, frames = folded(constants, vertices, sys.maxsize, TEST_S)
-    again, _ = folded(constants, vertices, frames, np.inf)
-    fine = bool(np.isfinite(found).all()) and np.array_equal(found, again) and not np.array_equal(found, vertices)
-    said = "and the same again, bit for bit" if fine else "and NOT the same again: build the engine anew"
-    print(f"self-test: {frames} frames of a swatch of {len(vertices)} vertices in {TEST_S:g} s, {said}")
-    return 0 if fine else 1
-
+from drape.command import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -94,7 +94,7 @@ class Manifest:
     network was trained on. ``parity_error_m``: largest vertex distance torch vs
     onnxruntime at export. ``quality``: rows of benchmarks.quality. ``training``: commit,
     command, frames seen, losses at the end. ``network``: its sizes, as ``training.config.ModelConfig`` names
-    them. ``weights``: None where every graph holds its own. ``tiers``: rows of ``service.compute.tiers.Tier``, the
+    them. ``weights``: None where every graph holds its own. ``tiers``: rows of ``drape.stages.tiers.Tier``, the
     least first. ``poses``: the file of ``drape.body.pose_support``, None where none was made.
     """
 

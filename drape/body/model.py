@@ -86,6 +86,10 @@ class BodyModel:
             return self.v_template
         return self.v_template + self.shapedirs @ self.check_betas(betas)
 
+    def floor_m(self, betas: np.ndarray | None = None) -> float:
+        """Height [m] of the soles at rest."""
+        return float(self.rest_vertices(betas)[:, 1].min())
+
     def rest_joints(self, betas: np.ndarray | None = None) -> np.ndarray:
         """Rest joints [m] (24, 3) of the shape ``betas`` (S,), or (F, 24, 3) of shapes (F, S)."""
         if betas is None:

@@ -6,7 +6,6 @@ import asyncio
 import logging
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
@@ -14,16 +13,14 @@ import numpy as np
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.contact.skin import keep_skins
 from drape.errors import DrapeError, NotFound
 from drape.inference.engine import Engine
 from drape.inference.onnx_runtime import Device
-from drape.stages import make_stages
+from drape.runtime import Runtime
 from drape.stages.batch import Batch, Memories, PoseInput, Quality
-from drape.stages.body_stages import BodyStages
 from drape.stages.encode import Idle, answer_again, idle_before, remember
-from drape.stages.plan import Plan, make_plan
-from drape.stages.stage import Stage, StageSetup, run, walk
+from drape.stages.plan import Plan
+from drape.stages.stage import run, walk
 from drape.wire.options import DrapeOptions
 from service.compute.avatars import Avatars
 from service.compute.constants_process import ConstantsProcess
@@ -31,7 +28,6 @@ from service.compute.garments import Registry
 from service.compute.motions import Motions
 from service.compute.sizes import Sizes
 from service.compute.threads import ComputeThreads
-from service.compute.tiers import capped, chosen, read_tiers, spared, tier_of
 from service.errors import InternalError
 from service.watch.metrics import Metrics
 from service.watch.tracing import Tracing, make_tracing
@@ -39,14 +35,13 @@ from service.watch.watchdog import moved
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
-    from drape.stages.scene import Scene
     from service.settings import Settings
 
 Result = TypeVar("Result")
 log = logging.getLogger("drape.service")
 
 
-class DrapeRuntime:
+class DrapeRuntime(Runtime):
     """Everything a start loads: body, model, garments, clips, and the threads that compute."""
 
     def __init__(
@@ -61,38 +56,21 @@ class DrapeRuntime:
         self.settings = settings
         self.metrics = metrics or Metrics()
         self.tracing = tracing or make_tracing(settings.trace)
-        self.body = body or load_body(settings.body)
-        self.engine = engine or _engine(settings)
-        self.engine.check_body(self.body)
-        self.tiers = read_tiers(self.engine.manifest.tiers)
+        engine = engine or _engine(settings)
         self.threads = ComputeThreads(
-            bound=self.engine.bound,
+            bound=engine.bound,
             stream_threads=settings.stream_threads,
             chunk_frames=settings.chunk_frames,
             clip_wait_s=settings.clip_wait_s,
         )
         self.constants_process = ConstantsProcess(lambda: self.threads.streaming)
         make = self.constants_process.call
-        self._worn = self._stages_on(self.body)
-        self.garments = Registry(settings, self._worn, make)
+        super().__init__(engine, body or load_body(settings.body), settings, make)
+        self.garments = Registry(settings, self.worn, make)
         self.sizes = Sizes(self.body, settings.shipped_garments_dir, self.garments.entries(), make)
-        self.avatars = Avatars(self.body, settings, self._stages_on, make)
+        self.avatars = Avatars(self.body, settings, self.stages_on, make)
         self.motions = Motions(settings.motions_dir)
         self.warm_up()
-
-    def _stages_on(self, body: BodyModel) -> BodyStages:
-        make = self.constants_process.call
-        keep_skins(body, make)
-        return BodyStages(body, make_stages(StageSetup(self.engine, body, self.settings, make)), make)
-
-    @property
-    def stages(self) -> tuple[Stage, ...]:
-        """The stages of the standard body."""
-        return self._worn.stages
-
-    def on(self, scene: Scene) -> BodyStages:
-        """The body that wears ``scene``, and its stages."""
-        return scene.layers[0].worn or self._worn
 
     def close(self) -> None:
         """Waits for the running chunk, and ends threads and processes."""
@@ -112,15 +90,13 @@ class DrapeRuntime:
                 )
                 for geometry in ("vertices", "jets") if bound else ("vertices",):
                     plan = self.plan(entry, DrapeOptions(push_out=True, geometry=geometry), messages=True)
-                    self.add_missing(plan)
-                    for stage in plan.stages:
-                        stage.prepare(plan)
+                    self.ready(plan)
                     run(plan, [rest])
 
     @property
     def device_bytes(self) -> int:
         """Memory of the garments' constants and of buckets where the graphs compute."""
-        bodies = (self._worn, *self.avatars.worn)
+        bodies = (self.worn, *self.avatars.worn)
         return sum(stage.held_bytes for body in bodies for stage in body.stages) + self.engine.held_bytes
 
     @property
@@ -135,48 +111,7 @@ class DrapeRuntime:
                 "body", expected=self.body.name, got=name, cure="GET /bodies lists the bodies of this service."
             )
 
-    # --- plans ---
-
-    def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
-        """``drape.stages.plan.make_plan`` with the stages of this service, and the passes and folds of its tiers."""
-        asked = chosen(options, self.tiers, self.settings, self.engine.pass_count)
-        return make_plan(self.on(scene).stages, scene, asked, messages=messages)
-
-    def tier_of(self, plan: Plan) -> str:
-        """The name of the tier that ``plan`` is, or "custom"."""
-        return tier_of(plan.options, self.tiers, self.engine.pass_count)
-
-    @property
-    def step_count(self) -> int:
-        """The number of plans that ``steps`` gives."""
-        return 2 + sum(tier.folds > 0 for tier in self.tiers)
-
-    def steps(self, plan: Plan) -> tuple[Plan, ...]:
-        """``plan`` held to no more than each tier with folds computes, the least first.
-
-        Two come before: what the least of these can spare of a single garment, since layers need each other, and the
-        same without steps of folds.
-        """
-        stages = self.on(plan.scene).stages
-        held = [capped(plan.options, tier) for tier in self.tiers if tier.folds]
-        alone = len(plan.scene.layers) == 1
-        held.insert(0, spared(held[0]) if alone else held[0])
-        steps = [
-            plan
-            if options == plan.options
-            else replace(make_plan(stages, plan.scene, options, messages=plan.messages), stepped=True)
-            for options in held
-        ]
-        carried = alone and bool(plan.options.folds)
-        return (replace(steps[0], stepped=True, carried=True) if carried else steps[0], *steps)
-
     # --- constants ---
-
-    def add_missing(self, plan: Plan) -> None:
-        """Gives the stages what ``plan`` drapes and they do not know yet: ``prepare`` does so beside frames."""
-        worn = self.on(plan.scene)
-        for garment in worn.missing((*plan.scene.layers, *plan.draped)):
-            worn.add(garment, worn.feed(garment))
 
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""

@@ -31,9 +31,4 @@ class Motions:
 
     def placed(self, name: str, body: BodyModel, betas: np.ndarray) -> MotionClip:
         """The clip ``name`` with the soles of this body on the ground; ``trans`` is what /drape takes."""
-        return placed_on_ground(self.get(name), body.rest_joints(betas), floor=floor_m(body, betas))
-
-
-def floor_m(body: BodyModel, betas: np.ndarray) -> float:
-    """Height [m] of the soles at rest."""
-    return float(body.rest_vertices(betas)[:, 1].min())
+        return placed_on_ground(self.get(name), body.rest_joints(betas), floor=body.floor_m(betas))

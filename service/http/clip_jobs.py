@@ -20,7 +20,6 @@ from drape.stages.batch import Batch, Memories, PoseInput
 from drape.stages.plan import Plan
 from drape.stages.scene import Outfit, Scene, layer_list
 from drape.wire.jets import message_bytes
-from service.compute.motions import floor_m
 from service.http.answers import PC2, messages_answer, number_bytes
 from service.http.continuations import Continuation
 
@@ -86,7 +85,7 @@ def quality_headers(draped: Batch) -> dict[str, str]:
 
 def floor_headers(clip: PoseInput, body: BodyModel) -> dict[str, str]:
     """A header with a sentence if the feet of ``clip`` are not on the floor; otherwise none."""
-    note = floor_note(clip.poses, clip.trans, body.rest_joints(clip.betas), floor=floor_m(body, clip.betas))
+    note = floor_note(clip.poses, clip.trans, body.rest_joints(clip.betas), floor=body.floor_m(clip.betas))
     return {"X-Drape-Note": note} if note else {}
 
 

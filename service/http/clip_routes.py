@@ -17,10 +17,10 @@ from drape.export.usda import POINT_BYTES
 from drape.stages.batch import Batch, PoseInput, motion_arrays, shape_array
 from drape.stages.placing import Placed
 from drape.stages.scene import Outfit, layer_list
+from drape.stages.tiers import EXACT
 from drape.wire.clips import of_rig, unpack_clip
 from drape.wire.jets import message_bytes
 from service.compute.threads import BRIEF_BYTES
-from service.compute.tiers import EXACT
 from service.errors import NotAcceptable, TooSlow
 from service.guard.limits import check_answer
 from service.http import exact_clips, schemas

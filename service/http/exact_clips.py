@@ -13,8 +13,8 @@ import numpy as np
 from drape.errors import InputError, Unavailable
 from drape.exact.newton import TOLERANCE
 from drape.stages.batch import Batch, Layer, PoseInput, shape_array
+from drape.stages.tiers import EXACT
 from drape.wire.clips import pack_clip, unpack_clip
-from service.compute.tiers import EXACT
 from service.exact.jobs import ClipJob as ExactJob
 from service.exact.jobs import Work
 from service.http import schemas

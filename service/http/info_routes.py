@@ -14,7 +14,6 @@ from drape.cloth.fabric_table import FABRICS
 from drape.errors import BodyError, InputError, NotFound, Unavailable
 from drape.export.glb_body import add_body
 from drape.export.glb_file import GlbFile
-from service.compute.motions import floor_m
 from service.errors import Forbidden, NotAcceptable, Unauthorized
 from service.guard.tickets import LIFE_S
 from service.http import schemas
@@ -103,7 +102,7 @@ async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.B
     return schemas.BodyDocument(
         **_body_info(runtime.body).model_dump(),
         joints=runtime.body.rest_joints(shape).tolist(),
-        floor_m=floor_m(runtime.body, shape),
+        floor_m=runtime.body.floor_m(shape),
     )
 
 

@@ -12,8 +12,8 @@ from drape.files.gltf_json import MOST_NODES
 from drape.graph.feeds import BETA_COUNT
 from drape.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from drape.stages.placing import Origin
+from drape.stages.tiers import Tier
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
-from service.compute.tiers import Tier
 from service.http.size_schemas import SizeInfo
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.front import COLOURS, TRAINED, points
 from benchmarks.harness import RESULTS_DIR
-from service.compute.tiers import NAMES
+from drape.stages.tiers import NAMES
 
 
 def test_points_are_means_over_the_garments_asked_for():

@@ -5,16 +5,14 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from clients.cli import main, write_atomic
+from clients.cli import main
 from clients.client import DrapeClient
-from drape.errors import InputError, Unavailable
 from drape.garment.files.obj import read_obj
 from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
@@ -124,28 +122,6 @@ def test_an_upload_that_fails_says_why(live: str, tmp_path: Path, capsys: pytest
     assert main(["upload", str(noise), "--url", live, "--avatar", "standard"]) == 2
     *progress, refusal = capsys.readouterr().err.splitlines()
     assert refusal.startswith("drape: ") and all(line.startswith("noise: ") for line in progress)
-
-
-def test_writing_is_all_or_nothing(tmp_path: Path):
-    target = tmp_path / "a.glb"
-    write_atomic(target, [b"o", b"ne"])
-    write_atomic(target, [b"two"])
-    assert target.read_bytes() == b"two"
-    folder = tmp_path / "folder.glb"
-    folder.mkdir()
-    with pytest.raises(InputError):
-        write_atomic(folder, [b"x"])
-    with pytest.raises(InputError, match="can be written"):
-        write_atomic(tmp_path / "absent/a.glb", [b"x"])
-
-    def cut_off() -> Iterator[bytes]:
-        yield b"half of it"
-        raise Unavailable("service", expected="an answer", got="none", cure="Start it.")
-
-    with pytest.raises(Unavailable):
-        write_atomic(target, cut_off())
-    assert target.read_bytes() == b"two"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.glb", "folder.glb"]
 
 
 def test_it_runs_as_a_module():

@@ -13,7 +13,7 @@ from service.compute.drape_runtime import DrapeRuntime
 
 def test_stages_that_nobody_uses_go_at_once_with_what_they_hold(make_runtime: Callable[..., DrapeRuntime]):
     runtime = make_runtime(folds=1, inertia="mesh")
-    entry, stages = runtime.garments.entries()[0], runtime._stages_on(runtime.body)
+    entry, stages = runtime.garments.entries()[0], runtime.stages_on(runtime.body)
     stages.add(entry.garment, stages.feed(entry.garment))
     for stage in stages.stages:
         stage.prepare(make_plan(stages.stages, entry, DrapeOptions(folds=1, push_out=True)))

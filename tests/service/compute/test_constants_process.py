@@ -127,12 +127,21 @@ def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: 
         assert (runtime.constants_process._process is not None) == np.isfinite(streamed_s)
         (pusher,) = (stage.pusher for stage in plan.stages if isinstance(stage, Collision))
         layer: Any = pusher._layer(plan.keys)
-        found.append(asdict(layer))
+        found.append(flat(asdict(layer)))
         runtime.close()
         assert runtime.constants_process._process is None
     assert found[0].keys() == found[1].keys()
     for name, array in found[0].items():
         assert_array_equal(array, found[1][name])
+
+
+def flat(record: dict[str, Any]) -> dict[str, Any]:
+    """The arrays of a ``record`` and of the records in it."""
+    return {
+        name: array
+        for own, value in record.items()
+        for name, array in (flat(value) if isinstance(value, dict) else {own: value}).items()
+    }
 
 
 def test_the_skins_of_a_character_are_made_apart_and_kept_here(
@@ -149,7 +158,7 @@ def test_the_skins_of_a_character_are_made_apart_and_kept_here(
     monkeypatch.setattr("drape.contact.skin._KEPT", OrderedDict())
     monkeypatch.setattr("drape.contact.skin.skin_samples", here)
     monkeypatch.setattr("drape.contact.skin.ShapedSkin.__init__", here)
-    runtime._stages_on(character)
+    runtime.stages_on(character)
     runtime.close()
     kept, shaped = skins(character)
     assert_array_equal(kept.operator.toarray(), made[0].operator.toarray())

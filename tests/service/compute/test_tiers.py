@@ -11,10 +11,10 @@ import pytest
 
 from drape.artifacts import load_manifest
 from drape.errors import ArtifactError
+from drape.stages.tiers import NAMES, TIERS, Tier, capped, chosen, read_tiers, spared, tier_of
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.tiers import NAMES, TIERS, Tier, capped, chosen, read_tiers, spared, tier_of
 from service.settings import Settings
 from tests.fixtures.serving import outfit_settings, serve
 from tests.fixtures.tiny_model import TINY, write_tiny_model

@@ -287,7 +287,7 @@ def test_avatars_are_there_after_a_new_start(avatar: str, runtime_of_api: DrapeR
     assert runtime_of_api.avatars.get(avatar).told.vrm == "0"
     folder = settings.garments_dir / in_service.FOLDER
     (folder / "bad.json").write_text("{}")
-    assert len(in_service.Avatars(runtime_of_api.body, settings, runtime_of_api._stages_on).visible(None)) == 1
+    assert len(in_service.Avatars(runtime_of_api.body, settings, runtime_of_api.stages_on).visible(None)) == 1
     (folder / "bad.json").unlink()
 
 
@@ -325,7 +325,7 @@ def test_what_is_done_with_avatars_in_one_service_the_other_takes_over(
 ):
     runtime = make_runtime()
     here = runtime.avatars
-    there = in_service.Avatars(runtime.body, runtime.settings, runtime._stages_on)
+    there = in_service.Avatars(runtime.body, runtime.settings, runtime.stages_on)
     entry = add(here, wearers[0], tmp_path, "alice")
     assert not there.visible("alice")
     there.follow()

@@ -21,12 +21,12 @@ from drape.stages.motion import Motion
 from drape.stages.network import Network
 from drape.stages.plan import Plan
 from drape.stages.stage import BODY, Stage, carried, run
+from drape.stages.tiers import FAR_PIXELS_PER_M, TIERS, capped, chosen
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.tiers import FAR_PIXELS_PER_M, TIERS, capped, chosen
 from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve, served

@@ -10,17 +10,27 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, Protocol, get_args
 
 from drape.errors import ArtifactError, InputError
 from drape.wire.options import DrapeOptions, TierName
 
-if TYPE_CHECKING:
-    from service.settings import Settings
-
 FAR_PIXELS_PER_M = 100.0  # below it a pixel is more than a centimetre
 NAMES: tuple[str, ...] = get_args(TierName)  # the least first
-EXACT = "exact"  # a job (``service.exact``)
+EXACT = "exact"  # a job of the service
+
+
+class TierSettings(Protocol):
+    """What holds where a client names neither a tier nor its numbers."""
+
+    @property
+    def tier(self) -> TierName: ...
+    @property
+    def folds(self) -> int | None: ...
+    @property
+    def passes(self) -> int | None: ...
+    @property
+    def push_out(self) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -68,7 +78,7 @@ def read_tiers(rows: Sequence[Mapping[str, Any]]) -> tuple[Tier, ...]:
     return tiers
 
 
-def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pass_count: int) -> DrapeOptions:
+def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: TierSettings, pass_count: int) -> DrapeOptions:
     """``options`` with passes and folds, and no tier: what a client named, else its tier, else the settings.
 
     ``pass_count``: the passes that the model leaves to choose; a tier asks for no more. Refuses (``InputError``) the

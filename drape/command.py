@@ -1,0 +1,230 @@
+"""``drape``: garments on bodies from the shell, with and without a service."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from drape.errors import InputError, Unavailable, refusing
+from drape.wire.options import TierName
+
+# Commands of other rooms, by the module whose ``main`` runs them and what comes before their arguments.
+ELSEWHERE: dict[str, tuple[str, tuple[str, ...], str]] = {
+    "serve": ("service.__main__", (), "the service: clips over REST, streams, and the page"),
+    "recover": ("recovery.run.__main__", (), "the sewing pattern of a scan"),
+    "draft": ("recovery.pattern.__main__", ("draft",), "a base pattern for a body"),
+    "train": ("training.run", (), "a network that moves patches"),
+}
+DISTRIBUTION = "drape"
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    whole = argparse.ArgumentParser(prog="drape", description=__doc__.partition(": ")[2] if __doc__ else None)
+    whole.add_argument("--version", action="version", version=f"drape {_version()}")
+    commands = whole.add_subparsers(metavar="command")
+
+    wear = commands.add_parser("wear", help="drape garments over a motion, without a service")
+    wear.add_argument("garment", nargs="+", help="names or files, the innermost first")
+    wear.add_argument("motion", help="a shipped clip, or a file npz or bvh")
+    wear.add_argument("--out", type=Path, required=True, help="a file .glb, .usda, .pc2, .mdd or .npy")
+    wear.add_argument("--on", type=Path, metavar="FILE", help="the character that wears them, GLB or VRM")
+    wear.add_argument("--modelled-on", metavar="JSON", help="for a mesh: the body that it was modelled on")
+    wear.add_argument("--betas", type=_numbers, help="the body's shape, comma-separated")
+    wear.add_argument("--fps", type=float, default=30.0, help="frames a second of the result (30)")
+    wear.add_argument("--as-recorded", action="store_true", help="leave the motion's translations as they are")
+    wear.add_argument("--tier", choices=get_args(TierName), help="how much is computed (balanced)")
+    wear.add_argument("--fabric", help="what they are made of; each garment's own by default")
+    wear.add_argument("--float32", action="store_true", help="the GLB in float32, twice as large")
+    wear.set_defaults(run=_wear)
+
+    garments = commands.add_parser("garments", help="the garments that are shipped")
+    garments.set_defaults(run=_garments)
+    avatars = commands.add_parser("avatars", help="what characters are, and how well the body fits them")
+    avatars.add_argument("file", nargs="+", type=Path, help="GLB or VRM")
+    avatars.set_defaults(run=_avatars)
+    tiers = commands.add_parser("tiers", help="what can be traded for what, as it was measured")
+    tiers.set_defaults(run=_tiers)
+    doctor = commands.add_parser("doctor", help="what is installed, where, and whether it works")
+    doctor.set_defaults(run=_doctor)
+    for one in (wear, garments, avatars, tiers, doctor):
+        one.add_argument("--json", action="store_true", help="the answer as JSON")
+    for name, (_, _, said) in ELSEWHERE.items():
+        commands.add_parser(name, help=said, add_help=False)
+    return whole
+
+
+@refusing
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line: 0 when it is done, 1 when something is wrong, 2 for what is refused."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words and words[0] in ELSEWHERE:
+        return _elsewhere(words[0], words[1:])
+    given = parser().parse_args(words)
+    if not hasattr(given, "run"):
+        parser().print_help()
+        return 0
+    try:
+        return given.run(given)
+    except KeyboardInterrupt:
+        return 130
+
+
+def _elsewhere(name: str, words: Sequence[str]) -> int:
+    """Runs a command of ``ELSEWHERE`` with its ``words``."""
+    module, before, said = ELSEWHERE[name]
+    try:
+        run: Callable[..., int | None] = importlib.import_module(module).main
+    except ModuleNotFoundError as error:
+        cure = "README.md says which part to install."
+        raise Unavailable(f"drape {name}", expected=said, got=f"no package {error.name}", cure=cure) from error
+    sys.argv = [f"drape {name}", *before, *words]
+    return run() or 0
+
+
+def _wear(given: argparse.Namespace) -> int:
+    from drape.export.clips import CACHES, check_name, clip_pieces, write_pieces
+    from drape.export.obj import obj_text
+    from drape.export.root_motion import RootMotion
+    from drape.library import load
+
+    check_name(given.out)
+    suffix = given.out.suffix.lower()
+    opened = load()
+    garments: list[Any] = list(given.garment)
+    if given.modelled_on is not None:
+        from drape.garment.intake import intake
+
+        garments = [
+            intake(Path(one), avatar=given.modelled_on, body=opened.body) if Path(one).is_file() else one
+            for one in garments
+        ]
+    options = {name: value for name in ("tier", "fabric") if (value := getattr(given, name)) is not None}
+    worn = opened.wear(garments, on=given.on, betas=given.betas, **options)
+    clip = worn.placed(given.motion, fps=given.fps, as_recorded=given.as_recorded)
+    begun_s, frames = time.monotonic(), []
+    for frame in worn.play(clip, fps=clip.fps, as_recorded=True):
+        frames.append(frame.vertices)
+        _progress(len(frames), clip.frame_count)
+    vertices = np.stack(frames)
+    moved = None
+    if suffix == ".glb" and not given.float32:
+        moved = RootMotion(clip.poses[:, 0], clip.trans + worn.body.rest_joints()[0])
+    write_pieces(given.out, clip_pieces(suffix, worn.garments, vertices, clip.fps, moved))
+    told = {
+        "file": str(given.out),
+        "bytes": given.out.stat().st_size,
+        "frames": len(frames),
+        "fps": clip.fps,
+        "vertices": int(vertices.shape[1]),
+        "tier": worn.tier,
+        "seconds": round(time.monotonic() - begun_s, 2),
+    }
+    if suffix in CACHES:
+        told["mesh"] = str(beside := given.out.with_suffix(".obj"))
+        ends = np.cumsum([one.vertex_count for one in worn.garments])[:-1]
+        write_pieces(beside, [obj_text(worn.garments, np.split(vertices[0], ends)).encode()])
+    line = "{file}: {frames} frames at {fps:g} a second, {vertices} vertices, {bytes} bytes".format(**told)
+    return _tell(told, given, line)
+
+
+def _garments(given: argparse.Namespace) -> int:
+    from drape.catalog import find_garments, short_name
+    from drape.garment.cache import load_garment
+
+    rows = []
+    for path in find_garments([]):
+        garment = load_garment(path)
+        name = short_name(path)
+        rows.append(
+            {
+                "name": name,
+                "vertices": garment.vertex_count,
+                "patches": garment.patch_count,
+                "fabric": garment.fabric,
+            }
+        )
+    return _table(rows, given)
+
+
+def _avatars(given: argparse.Namespace) -> int:
+    from drape.avatar.wearer import read_wearer, wearer_name
+
+    rows = []
+    for path in given.file:
+        if not path.is_file():
+            raise InputError(str(path), expected="a GLB or VRM file", got="no file", cure="Check the path.")
+        found = read_wearer(path.read_bytes(), name=wearer_name(path.stem))
+        rows.append(
+            {
+                "name": found.name,
+                "kind": f"VRM {found.vrm}" if found.vrm else "GLB",
+                "height_m": round(found.height_m, 3),
+                "fit_mm": round(found.median_mm, 1),
+                "joints_by": found.found_by,
+                "notes": "; ".join(found.notes),
+            }
+        )
+    return _table(rows, given)
+
+
+def _tiers(given: argparse.Namespace) -> int:
+    from drape.artifacts import load_manifest
+    from drape.folders import ASSETS
+    from drape.library import MODEL
+    from drape.stages.tiers import read_tiers
+
+    rows = [
+        {"tier": tier.name, "passes": tier.passes, "folds": tier.folds, "coarse": tier.coarse} | dict(tier.figures)
+        for tier in read_tiers(load_manifest(ASSETS / "models" / MODEL).tiers)
+    ]
+    return _table(rows, given)
+
+
+def _doctor(given: argparse.Namespace) -> int:
+    from drape.doctor import findings
+
+    told, wrong = findings()
+    lines = [f"{name}: {value}" for name, value in told.items()] + [f"wrong: {one}" for one in wrong]
+    _tell(told | {"wrong": wrong}, given, "\n".join(lines))
+    return 1 if wrong else 0
+
+
+def _table(rows: Sequence[dict[str, Any]], given: argparse.Namespace) -> int:
+    """Prints ``rows`` in columns, or as JSON."""
+    names = [name for name in rows[0] if not isinstance(rows[0][name], (dict, list))] if rows else []
+    texts = [names, *([str(row[name]) for name in names] for row in rows)]
+    widths = [max(len(text[i]) for text in texts) for i in range(len(names))]
+    lines = ["  ".join(word.ljust(width) for word, width in zip(text, widths, strict=True)).rstrip() for text in texts]
+    return _tell(list(rows), given, "\n".join(lines))
+
+
+def _tell(told: Any, given: argparse.Namespace, text: str) -> int:
+    print(json.dumps(told) if given.json else text)
+    return 0
+
+
+def _progress(done: int, whole: int) -> None:
+    """A line on a terminal that counts frames."""
+    if sys.stderr.isatty():
+        print(f"\r{done} of {whole} frames", end="\n" if done == whole else "", file=sys.stderr, flush=True)
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(part) for part in text.split(",")]
+
+
+def _version() -> str:
+    try:
+        return version(DISTRIBUTION)
+    except PackageNotFoundError:
+        return "of a clone"

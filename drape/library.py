@@ -1,0 +1,255 @@
+"""Garments on bodies in a program of one's own, without a service.
+
+    import drape
+
+    d = drape.load()
+    shirt = d.wear("tshirt", fabric="denim")
+    for frame in shirt.play("walk"):
+        print(frame.time_s, frame.vertices.shape)
+
+Frames are those of the service, to the bit: the same stages compute them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from drape.avatar.wearer import Wearer, read_wearer, wearer_name
+from drape.body.assets import DEFAULT_BODY, load_body
+from drape.body.model import BodyModel
+from drape.catalog import GARMENTS_DIR, MOTIONS_DIR, find_garments, find_motions, open_garment, short_name
+from drape.cloth.fabric_table import FABRICS
+from drape.contact.projection import CLEARANCE_M
+from drape.errors import InputError
+from drape.folders import ASSETS
+from drape.garment.cache import Garment
+from drape.garment.tailor import tailored
+from drape.graph.layer_feed import check_layers
+from drape.inference.engine import Engine
+from drape.motion.clip import MotionClip
+from drape.motion.grounding import placed_on_ground
+from drape.motion.readers import read_motion
+from drape.runtime import Runtime
+from drape.stages.batch import Batch, Memories, PoseInput, motion_arrays, shape_array
+from drape.stages.body_stages import BodyStages
+from drape.stages.plan import Plan
+from drape.stages.scene import Entry, Outfit, Scene
+from drape.stages.stage import run
+from drape.wire.options import DrapeOptions, Inertia, TierName
+
+MODEL = "onefit"
+CHUNK_FRAMES = 8  # computed together; numbers do not depend on it
+MOST_FRAMES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Defaults:
+    """What holds where the options of a drape are left open, as in the service."""
+
+    tier: TierName = "balanced"
+    folds: int | None = None
+    passes: int | None = None
+    push_out: bool = True
+    inertia: Inertia = "mesh"
+    clearance_m: float = CLEARANCE_M
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Draped cloth at ``time_s`` [s]: ``vertices`` [m] (V, 3) float32 in the world, one layer after the other.
+
+    ``novelty``: how unlike training the pose is; above 1 it is outside. ``pushed_share`` of the vertices were moved off
+    the skin.
+    """
+
+    time_s: float
+    vertices: np.ndarray
+    novelty: float
+    pushed_share: float
+
+
+def load(model: str | Path = MODEL, body: str | Path = DEFAULT_BODY) -> Drape:
+    """The shipped ``model`` and ``body``, or others by their folder and file. Takes a second.
+
+    Raises ``ArtifactError`` for what does not hold together.
+    """
+    folder = Path(model)
+    engine = Engine(folder if folder.is_dir() else ASSETS / "models" / str(model))
+    return Drape(Runtime(engine, load_body(str(body)), Defaults()))
+
+
+class Drape:
+    """A model and the body that garments are made for: ``load`` makes it."""
+
+    def __init__(self, runtime: Runtime) -> None:
+        self._runtime = runtime
+        self._characters: dict[Path, tuple[Wearer, BodyStages]] = {}
+
+    @property
+    def body(self) -> BodyModel:
+        """The standard body."""
+        return self._runtime.body
+
+    @property
+    def garments(self) -> list[str]:
+        """The names of the shipped garments."""
+        return sorted(short_name(path) for path in GARMENTS_DIR.glob("*.npz"))
+
+    @property
+    def motions(self) -> list[str]:
+        """The names of the shipped clips."""
+        return sorted(path.stem for path in MOTIONS_DIR.glob("*.npz"))
+
+    @property
+    def fabrics(self) -> list[str]:
+        """The names of the fabrics."""
+        return sorted(FABRICS)
+
+    def wear(
+        self,
+        garments: str | Path | Garment | Sequence[str | Path | Garment],
+        *,
+        on: str | Path | None = None,
+        betas: Sequence[float] | None = None,
+        **options: Any,
+    ) -> Worn:
+        """``garments`` on the body: shipped names, files (a mesh at rest on the body, or a stored garment), or what
+        ``drape.garment.intake`` made; several are worn over each other, the innermost first.
+
+        ``on``: the GLB or VRM of a character that wears them, in place of the body. ``betas``: the body's shape.
+        ``options`` are the fields of ``DrapeOptions``: ``tier``, ``fabric``, ``hidden``, ``colliders`` and so on.
+        Raises ``InputError`` for an option or a shape that is none, ``NotFound`` for an unknown name.
+        """
+        asked = [garments] if isinstance(garments, (str, Path, Garment)) else list(garments)
+        wearer, stages = (None, None) if on is None else self._character(Path(on))
+        entries = tuple(self._entry(one, wearer, stages) for one in asked)
+        if not entries:
+            raise InputError("garments", expected="one or more", got="none", cure="Name a garment.")
+        if len(entries) > 1:
+            check_layers([entry.garment for entry in entries])
+        scene: Scene = entries[0] if len(entries) == 1 else Outfit(entries)
+        body = self.body if wearer is None else wearer.body
+        shape = shape_array(betas, body)
+        return Worn(self._runtime, scene, _checked(options), body, shape, wearer)
+
+    def _character(self, path: Path) -> tuple[Wearer, BodyStages]:
+        if path not in self._characters:
+            try:
+                payload = path.read_bytes()
+            except OSError as error:
+                raise InputError(
+                    "on", expected="a GLB or VRM file", got=f"{path}: {error.strerror}", cure="Check the path."
+                ) from error
+            wearer = read_wearer(payload, name=wearer_name(path.stem), body=self.body)
+            self._characters[path] = wearer, self._runtime.stages_on(wearer.body)
+        return self._characters[path]
+
+    def _entry(self, asked: str | Path | Garment, wearer: Wearer | None, stages: BodyStages | None) -> Entry:
+        if isinstance(asked, Garment):
+            garment = asked
+        else:
+            (path,) = find_garments([str(asked)])[:1]
+            garment = open_garment(path, self.body)
+        if wearer is not None:
+            garment = tailored(garment, self.body, wearer.body)
+        return Entry(garment.name, garment, "user", worn=stages)
+
+
+class Worn:
+    """Garments that are worn: ``play`` drapes a clip, ``pose`` one pose after the other. ``Drape.wear`` makes it."""
+
+    def __init__(
+        self,
+        runtime: Runtime,
+        scene: Scene,
+        options: DrapeOptions,
+        body: BodyModel,
+        betas: np.ndarray,
+        wearer: Wearer | None = None,
+    ) -> None:
+        self._runtime, self._betas = runtime, betas
+        self.body, self.wearer = body, wearer
+        self._plan: Plan = runtime.plan(scene, options)
+        runtime.ready(self._plan)
+        self._memories: Memories = {}
+
+    @property
+    def garments(self) -> list[Garment]:
+        """The visible layers, the innermost first, with their ``faces`` (F, 3) and ``vertex_count``."""
+        return [entry.garment for entry in self._plan.shown.layers]
+
+    @property
+    def tier(self) -> str:
+        """The name of the tier that is computed, or "custom"."""
+        return self._runtime.tier_of(self._plan)
+
+    @cached_property
+    def digest(self) -> str:
+        """A name for what is worn: garments and options."""
+        said = f"{self._plan.keys} {self._plan.options.model_dump_json()} {self._betas.tolist()}"
+        return hashlib.sha256(said.encode()).hexdigest()
+
+    def placed(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> MotionClip:
+        """``motion``, a shipped name, a file (npz, BVH) or a clip, at ``fps``, with the soles of the body on the ground
+        unless it is left ``as_recorded``. Raises ``NotFound`` and ``MotionError``."""
+        clip = motion if isinstance(motion, MotionClip) else read_motion(find_motions([str(motion)])[0])
+        if not as_recorded:
+            clip = placed_on_ground(clip, self.body.rest_joints(self._betas), floor=self.body.floor_m(self._betas))
+        return clip if clip.fps == fps else clip.resampled(fps)
+
+    def play(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> Iterator[Frame]:
+        """The frames of ``motion`` (see ``placed``), from cloth at rest; what ``pose`` left is kept apart."""
+        clip = self.placed(motion, fps=fps, as_recorded=as_recorded)
+        poses, trans = motion_arrays(clip.poses, clip.trans, max_frames=MOST_FRAMES)
+        whole = PoseInput(poses, trans, self._betas, np.arange(len(poses)) / clip.fps)
+        memories: Memories = {}
+        for start in range(0, len(poses), CHUNK_FRAMES):
+            part = whole.part(slice(start, start + CHUNK_FRAMES), memories)
+            batch = run(self._plan, [part])
+            memories = batch.memories[0]
+            yield from _frames(batch, part)
+
+    def pose(self, pose: np.ndarray, trans: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0), *, time_s: float) -> Frame:
+        """The frame of one ``pose`` (24, 3) [rad] with the root moved by ``trans`` [m] (3,), ``time_s`` [s] on a clock
+        that runs on. It goes on from the last; ``restart`` forgets that. Raises ``MotionError`` for what is no pose."""
+        poses, places = motion_arrays(np.asarray(pose)[None], np.asarray(trans)[None], max_frames=1)
+        part = PoseInput(poses, places, self._betas, np.array([float(time_s)]), self._memories)
+        batch = run(self._plan, [part])
+        self._memories = batch.memories[0]
+        (frame,) = _frames(batch, part)
+        return frame
+
+    def restart(self) -> None:
+        """Lets the next ``pose`` begin from cloth at rest."""
+        self._memories = {}
+
+
+def _frames(batch: Batch, part: PoseInput) -> Iterator[Frame]:
+    world, quality = batch.world(), batch.quality
+    for row, time_s in enumerate(part.times_s.tolist()):
+        yield Frame(time_s, world[row], float(quality.novelty[row]), float(quality.pushed_share[row]))
+
+
+def _checked(options: dict[str, Any]) -> DrapeOptions:
+    """The ``options`` by name; refuses (``InputError``) the first that is none or has no such value."""
+    known = DrapeOptions.model_fields
+    for name in options:
+        if name not in known or name == "geometry":
+            cure = "help(drape.DrapeOptions) has them."
+            raise InputError("options", expected=f"some of: {', '.join(known)}", got=name, cure=cure)
+    try:
+        return DrapeOptions(**options)
+    except ValidationError as error:
+        first = error.errors()[0]
+        expected = first["msg"].removeprefix("Input should be ")
+        raise InputError(
+            str(first["loc"][0]), expected=expected, got=repr(first["input"])[:120], cure="help(drape.DrapeOptions)."
+        ) from error

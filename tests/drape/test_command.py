@@ -1,0 +1,65 @@
+"""``drape``: the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drape.command import ELSEWHERE, main
+
+
+@pytest.fixture
+def stop(tmp_path: Path) -> Path:
+    """A clip of three frames at rest."""
+    path = tmp_path / "stop.npz"
+    np.savez(path, poses=np.zeros((3, 24, 3)), trans=np.zeros((3, 3)), mocap_framerate=30.0, up="y")
+    return path
+
+
+def test_without_a_command_it_helps(capsys: pytest.CaptureFixture[str]):
+    assert main([]) == 0
+    told = capsys.readouterr().out
+    assert all(name in told for name in ("wear", "garments", "avatars", "tiers", "doctor", *ELSEWHERE))
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usda", ".pc2", ".mdd", ".npy"])
+def test_a_garment_is_worn_into_a_file(suffix: str, stop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / f"worn{suffix}"
+    assert main(["wear", "tank", str(stop), "--out", str(out), "--tier", "instant", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["frames"] == 3 and told["bytes"] == out.stat().st_size > 1000
+    if suffix == ".npy":
+        assert np.load(out).shape == (3, told["vertices"], 3)
+    assert ("mesh" in told) == (suffix in (".pc2", ".mdd")) and ("mesh" not in told or Path(told["mesh"]).is_file())
+
+
+@pytest.mark.parametrize(
+    ("words", "match"),
+    [
+        (["wear", "tank", "walk", "--out", "worn.doc"], "a name ending in"),
+        (["wear", "tank", "walk", "--out", "nowhere/worn.glb"], "an existing folder"),
+        (["wear", "tnk", "walk", "--out", "worn.glb"], "Did you mean tank"),
+        (["wear", "tank", "wlk", "--out", "worn.glb"], "Did you mean walk"),
+        (["avatars", "nobody.vrm"], "GLB or VRM"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_in_a_sentence(words, match: str, capsys: pytest.CaptureFixture[str]):
+    assert main(words) == 2
+    assert match in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "key"), [("garments", "vertices"), ("tiers", "gain")])
+def test_tables_come_as_text_and_as_json(name: str, key: str, capsys: pytest.CaptureFixture[str]):
+    assert main([name]) == 0
+    assert key in capsys.readouterr().out.splitlines()[0]
+    assert main([name, "--json"]) == 0
+    assert all(key in row for row in json.loads(capsys.readouterr().out))
+
+
+def test_a_command_of_a_part_that_is_not_installed_names_it(monkeypatch, capsys: pytest.CaptureFixture[str]):
+    monkeypatch.setitem(ELSEWHERE, "serve", ("nothing_of_the_kind", (), "the service"))
+    assert main(["serve"]) == 2
+    assert "no package nothing_of_the_kind" in capsys.readouterr().err
