@@ -128,7 +128,7 @@ def test_a_process_hears_all_and_is_killed_with_its_block_and_its_children(tmp_p
     while any(state(one) != "Z" for one in (child, pid)):
         assert time.monotonic() < deadline
         time.sleep(0.01)
-    assert threading.active_count() == threads
+    assert threading.active_count() <= threads
     assert sorted(path.name for path in tmp_path.iterdir() if path.suffix) == ["spoken.py"]
 
 
