@@ -22,7 +22,7 @@ from drape.wire.options import DrapeOptions, Resolution
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages.batch import PoseInput
-from service.stages.stage import run
+from service.stages.walk import run
 from tests.benchmarks.quality_setup import bending, network
 from tests.benchmarks.quality_setup import body as body_model
 from tests.drape.geometry.geometry_shapes import icosphere

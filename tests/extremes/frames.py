@@ -10,7 +10,7 @@ import numpy as np
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.stages.batch import Batch, PoseInput
-from service.stages.stage import run
+from service.stages.walk import run
 
 GARMENT_REACH_M = 1.0  # beyond the body's own box: no garment of the tests is longer
 FOLDS = 1

@@ -19,7 +19,7 @@ from service.settings import Settings
 from service.stages.batch import PoseInput
 from service.stages.network import Network
 from service.stages.scene import check_known, layer_fabrics
-from service.stages.stage import run
+from service.stages.walk import run
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings
 from tests.fixtures.tiny_model import ROUNDING_M, TINY, expected_vertices

@@ -28,7 +28,7 @@ from service.stages.batch import Batch, PoseInput, joined
 from service.stages.collision import KEPT_OUTFITS, Pusher
 from service.stages.plan import Plan
 from service.stages.scene import Outfit
-from service.stages.stage import run
+from service.stages.walk import run
 from tests.fixtures.poses import random_motion, smooth_motion
 from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of
 from tests.fixtures.streams import raw_stream

@@ -23,7 +23,8 @@ from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages.batch import PoseInput
-from service.stages.stage import carried, run
+from service.stages.stage import carried
+from service.stages.walk import run
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import serve

@@ -23,7 +23,7 @@ from service.graphs.onnx_runtime import Device, nodes_off_provider, open_session
 from service.graphs.packing import Packer, ScenePlan
 from service.stages.batch import Jets, PoseInput
 from service.stages.collision import Pusher
-from service.stages.stage import run
+from service.stages.walk import run
 from tests.fixtures.garments import ship
 from tests.fixtures.packed import KINDS, exported, garment
 from tests.fixtures.poses import random_motion

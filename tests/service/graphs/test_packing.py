@@ -36,7 +36,7 @@ from service.graphs.packing import SHAPE_INDEX, Packer, Result, ScenePlan
 from service.graphs.store import FIRST
 from service.graphs.subgraph import cut
 from service.stages.batch import PoseInput
-from service.stages.stage import run
+from service.stages.walk import run
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.packed import KINDS, described, exported, garment
 from tests.fixtures.poses import random_motion

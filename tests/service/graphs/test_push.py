@@ -27,7 +27,7 @@ from service.graphs.engine import Engine
 from service.settings import Settings
 from service.stages.batch import Jets, PoseInput
 from service.stages.collision import Pusher
-from service.stages.stage import run
+from service.stages.walk import run
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings

@@ -19,7 +19,7 @@ from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages.batch import Batch, PoseInput
-from service.stages.stage import run
+from service.stages.walk import run
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, vertices_of
 from tests.fixtures.tiny_model import ROUNDING_M, expected_vertices

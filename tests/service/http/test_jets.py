@@ -33,7 +33,7 @@ from service.http.clip_routes import check_clip_size
 from service.http.schemas import ClipOptions
 from service.settings import Settings
 from service.stages.batch import PoseInput
-from service.stages.stage import run
+from service.stages.walk import run
 from tests.fixtures.garments import ship
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of

@@ -14,7 +14,7 @@ from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.stages.batch import PoseInput
 from service.stages.plan import Plan
-from service.stages.stage import run
+from service.stages.walk import run
 
 WALL = {"kind": "plane", "normal": [1.0, 0.0, 0.0]}
 TIMES_S = np.arange(4) / 30.0

@@ -28,7 +28,7 @@ from service.stages.batch import Memories, PoseInput
 from service.stages.encode import KEY
 from service.stages.motion import JUMP_M_S, SHORTEST_STEP_S, STEP_LIMIT_S, Memory, Moment, Motion, advance
 from service.stages.plan import Plan
-from service.stages.stage import run
+from service.stages.walk import run
 from service.stream.opening import Opening
 from service.stream.routes import Session
 from service.stream.workers import Streams

@@ -26,7 +26,8 @@ from service.settings import Settings
 from service.stages import folds as folds_stage
 from service.stages.batch import PoseInput
 from service.stages.folds import SETTLE, Folds
-from service.stages.stage import carried, run, walk
+from service.stages.stage import carried
+from service.stages.walk import run, walk
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve
 

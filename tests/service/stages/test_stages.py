@@ -26,7 +26,8 @@ from service.stages.encode import coordinate_bits
 from service.stages.motion import Motion
 from service.stages.network import Network
 from service.stages.plan import Plan
-from service.stages.stage import BODY, Stage, carried, run
+from service.stages.stage import BODY, Stage, carried
+from service.stages.walk import run
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve, served
 from tests.fixtures.streams import RawStream, raw_stream

@@ -20,8 +20,8 @@ from service.replicas.memory_codec import decoded, encoded
 from service.settings import load_settings
 from service.stages.batch import PoseInput
 from service.stages.plan import Plan
-from service.stages.stage import run
 from service.stages.swing import Swing
+from service.stages.walk import run
 
 TIMES_S = np.arange(14) / 30.0
 NO_SHAPE = np.zeros(10)
