@@ -36,7 +36,7 @@ from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from drape.live.fold_constants import fold_constants
 from drape.live.fold_step import FoldEffort
 from drape.motion.rig_poses import poses_to_rig
-from service.stages.folds import SETTLE
+from drape.stages.folds import SETTLE
 
 FPS, LOOKED_AT = 30.0, 8  # of the frames of a clip skin is counted in so many
 COLUMNS = {

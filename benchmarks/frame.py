@@ -35,13 +35,13 @@ from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.catalog import find_motions
 from drape.motion.readers import read_motion
+from drape.stages.batch import PoseInput
+from drape.stages.encode import REST_FRAMES, REST_S
+from drape.stages.plan import Plan
+from drape.stages.scene import Outfit
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages.batch import PoseInput
-from service.stages.encode import REST_FRAMES, REST_S
-from service.stages.plan import Plan
-from service.stages.scene import Outfit
 
 FABRIC = "jersey"
 WARM, PART = 12, 6  # frames before the first that counts; frames of one stream before those of the one beside it

@@ -30,11 +30,11 @@ from drape.garment.fitting import patch_fields, rest_garment
 from drape.geometry import jets, meshes
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import PackedBody, pack_body
+from drape.inference.engine import Engine
+from drape.inference.onnx_runtime import PROVIDER_NAMES, Device
+from drape.inference.packing import Packer, ScenePlan
 from drape.motion.samples import SAMPLES
-from service.graphs.engine import Engine
-from service.graphs.onnx_runtime import PROVIDER_NAMES, Device
-from service.graphs.packing import Packer, ScenePlan
-from service.stages.collision import Pusher
+from drape.stages.collision import Pusher
 from training.exported import load_exported
 from training.model import OneFit
 

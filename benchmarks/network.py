@@ -18,10 +18,10 @@ from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
-from service.graphs.engine import Engine
-from service.graphs.onnx_runtime import Device
-from service.graphs.packing import Packer, ScenePlan
-from service.stages.motion import Memory, Moment, advance
+from drape.inference.engine import Engine
+from drape.inference.onnx_runtime import Device
+from drape.inference.packing import Packer, ScenePlan
+from drape.stages.motion import Memory, Moment, advance
 
 FRAMES_PER_CALL = 8  # the vertex stage holds some megabytes per frame
 

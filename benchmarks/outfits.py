@@ -39,10 +39,10 @@ from drape.garment.cache import Garment
 from drape.geometry import meshes
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
+from drape.stages.plan import Plan
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages.plan import Plan
 
 OUTFITS = ("trousers+tshirt", "trousers+longsleeve", "tank+longsleeve", "shorts+tshirt", "dress+shirt")
 MOTIONS = ("walk", "squat")

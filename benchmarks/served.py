@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.clock import Clock
-from service.stages.batch import Batch, Memories, PoseInput
-from service.stages.encode import answer_again, idle_before, remember
-from service.stages.plan import Plan
-from service.stages.walk import Took, by_stages, walk
+from drape.stages.batch import Batch, Memories, PoseInput
+from drape.stages.encode import answer_again, idle_before, remember
+from drape.stages.plan import Plan
+from drape.stages.walk import Took, by_stages, walk
 
 
 class Stream:

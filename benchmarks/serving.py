@@ -44,13 +44,13 @@ from drape.catalog import find_motions
 from drape.errors import DrapeError
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
+from drape.stages.encode import REST_S
+from drape.stages.plan import Plan
 from drape.wire.clips import pack_clip
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES
 from service.settings import Settings
-from service.stages.encode import REST_S
-from service.stages.plan import Plan
 
 LATE_S, WARM_S = 0.1, 1.0
 OVERLOADED_S = 3.0  # until streams that all come at once are held where they stay

@@ -32,7 +32,7 @@ from drape.live.fold_constants import fold_constants
 from drape.live.fold_step import FoldEffort
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
-from service.stages.folds import SETTLE
+from drape.stages.folds import SETTLE
 
 COLUMNS = {
     "garment": "s", "method": "s", "vertices": "d", "skin_pixels_pct": ".3f", "worst_pct": ".2f", "worst": "s",

@@ -21,11 +21,11 @@ from benchmarks.served import Stream
 from drape.catalog import find_garments
 from drape.errors import DrapeError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix, rotvec_to_quaternion, sixd_to_matrix
+from drape.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M, Batch, PoseInput
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M, Batch, PoseInput
 
 ROW_BLOCK = 2000
 SHAPE_EVERY = 50  # frames of one body

@@ -17,6 +17,7 @@ from service.guard.keys import Client
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
+    from drape.stages.scene import Entry, Scene
     from service.compute.avatars import AvatarEntry
     from service.compute.drape_runtime import DrapeRuntime
     from service.compute.sizes import SizeChoice
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from service.http.fold_messages import FoldMessages
     from service.http.pictures import Previews
     from service.replicas.handover import Handover
-    from service.stages.scene import Entry, Scene
     from service.stream.workers import Streams
     from service.uploads.jobs import Uploads
     from service.uploads.shared_folder import SharedFolder

@@ -28,13 +28,13 @@ from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import swing
 from drape.live.two_level import one_level, two_level
 from drape.motion.clip import MotionClip
+from drape.stages.batch import PoseInput
+from drape.stages.scene import Entry
 from drape.wire.folds import pack_folds
 from drape.wire.jets import unpack_jets
 from drape.wire.layout import unpack_layout
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.stages.batch import PoseInput
-from service.stages.scene import Entry
 
 LIBRARY = Path(__file__).resolve().parents[2] / "clients/web/lib"
 SCRIPT = Path(__file__).with_suffix(".mjs")

@@ -20,12 +20,12 @@ from drape.avatar.wearer import Wearer, load_wearer
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, NotFound, did_you_mean
 from drape.garment.tailor import tailored, tailored_digest
+from drape.stages.body_stages import BodyStages
+from drape.stages.scene import Entry, Outfit, Scene
+from drape.stages.stage import Make, call_here
 from drape.wanted import go_on
 from service.compute import garment_files
 from service.compute.records import read_record
-from service.stages.body_stages import BodyStages
-from service.stages.scene import Entry, Outfit, Scene
-from service.stages.stage import Make, call_here
 
 if TYPE_CHECKING:
     from service.settings import Settings

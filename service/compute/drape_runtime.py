@@ -1,4 +1,4 @@
-"""``DrapeRuntime``: what a start loads, and plans and poses of clients made into frames (``service.stages``)."""
+"""``DrapeRuntime``: what a start loads, and plans and poses of clients made into frames (``drape.stages``)."""
 
 from __future__ import annotations
 
@@ -15,6 +15,15 @@ import numpy as np
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import DrapeError, NotFound
+from drape.inference.engine import Engine
+from drape.inference.onnx_runtime import Device
+from drape.stages import make_stages
+from drape.stages.batch import Batch, Memories, PoseInput, Quality
+from drape.stages.body_stages import BodyStages
+from drape.stages.encode import Idle, answer_again, idle_before, remember
+from drape.stages.plan import Plan, make_plan
+from drape.stages.stage import Stage, StageSetup
+from drape.stages.walk import run, walk
 from drape.wire.options import DrapeOptions
 from service.compute.avatars import Avatars
 from service.compute.constants_process import ConstantsProcess
@@ -24,23 +33,14 @@ from service.compute.sizes import Sizes
 from service.compute.threads import ComputeThreads
 from service.compute.tiers import capped, chosen, read_tiers, spared, tier_of
 from service.errors import InternalError
-from service.graphs.engine import Engine
-from service.graphs.onnx_runtime import Device
-from service.stages import make_stages
-from service.stages.batch import Batch, Memories, PoseInput, Quality
-from service.stages.body_stages import BodyStages
-from service.stages.encode import Idle, answer_again, idle_before, remember
-from service.stages.plan import Plan, make_plan
-from service.stages.stage import Stage, StageSetup
-from service.stages.walk import run, walk
 from service.watch.metrics import Metrics
 from service.watch.tracing import Tracing, make_tracing
 from service.watch.watchdog import moved
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
+    from drape.stages.scene import Scene
     from service.settings import Settings
-    from service.stages.scene import Scene
 
 Result = TypeVar("Result")
 log = logging.getLogger("drape.service")
@@ -141,7 +141,7 @@ class DrapeRuntime:
     # --- plans ---
 
     def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
-        """``service.stages.plan.make_plan`` with the stages of this service, and the passes and folds of its tiers."""
+        """``drape.stages.plan.make_plan`` with the stages of this service, and the passes and folds of its tiers."""
         asked = chosen(options, self.tiers, self.settings, self.engine.pass_count)
         return make_plan(self.on(scene).stages, scene, asked, messages=messages)
 
@@ -199,7 +199,7 @@ class DrapeRuntime:
     async def stream_frames(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
         """The message of each of ``inputs``, which have one frame each, and what it leaves behind.
 
-        Nothing is computed for idle bodies (``service.stages.encode``).
+        Nothing is computed for idle bodies (``drape.stages.encode``).
         """
         self.threads.streamed_s = time.monotonic()
         idle = [idle_before(plan, one) for one in inputs]
@@ -253,7 +253,7 @@ class DrapeRuntime:
             yield part
 
     def _walk(self, plan: Plan, inputs: Sequence[PoseInput]) -> Iterator[Batch]:
-        """``service.stages.walk.walk``, measured."""
+        """``drape.stages.walk.walk``, measured."""
         done = Quality.untouched(0)
         for batch in walk(plan, inputs, self._took):
             done = batch.quality

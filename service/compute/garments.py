@@ -19,11 +19,11 @@ from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
 from drape.geometry.jets import JET_COUNT
 from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import check_layers
+from drape.stages.body_stages import BodyStages
+from drape.stages.scene import UNCHANGED, About, Entry, Outfit, Scene, Source
+from drape.stages.stage import Make, call_here
 from service.compute import garment_files
 from service.errors import TooLarge
-from service.stages.body_stages import BodyStages
-from service.stages.scene import UNCHANGED, About, Entry, Outfit, Scene, Source
-from service.stages.stage import Make, call_here
 
 if TYPE_CHECKING:
     from service.settings import Settings

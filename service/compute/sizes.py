@@ -15,9 +15,9 @@ from drape.errors import InputError, NotFound
 from drape.garment.cache import Garment
 from drape.garment.size_chart import Advice, advice, check_size, cut_for, deciding
 from drape.garment.sizes import SizeTable, load_table, sized, sized_digest, table_path
+from drape.stages.scene import Entry, Outfit, Scene
+from drape.stages.stage import Make, call_here
 from drape.wanted import go_on
-from service.stages.scene import Entry, Outfit, Scene
-from service.stages.stage import Make, call_here
 
 SizeChoice = str | Sequence[str | None] | None  # of all layers, or of each
 

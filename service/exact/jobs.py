@@ -20,16 +20,16 @@ import numpy as np
 from drape.cloth.fabric_table import fabric as fabric_named
 from drape.errors import DrapeError, MotionError, NotFound, Unavailable
 from drape.garment.wrapping import Wrapping
+from drape.stages.batch import PoseInput
 from service import errors
 from service.compute.processes import ended, running
 from service.exact import folder as on_disk
 from service.exact.block import Block
 from service.exact.folder import Accepted, Lock
-from service.stages.batch import PoseInput
 
 if TYPE_CHECKING:
+    from drape.stages.plan import Plan
     from service.compute.drape_runtime import DrapeRuntime
-    from service.stages.plan import Plan
 
 KEPT = 32  # clips that have ended
 MOST_ATTEMPTS = 20  # starts of the service in which one clip is gone on with

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from drape.avatar.wearer import Wearer
+    from drape.stages.batch import PoseInput
+    from drape.stages.placing import Placed
+    from drape.stages.scene import Scene
     from service.compute.threads import SlicedThread
     from service.http.schemas import ClipOptions, PosedOptions
-    from service.stages.batch import PoseInput
-    from service.stages.placing import Placed
-    from service.stages.scene import Scene
 
 
 def rest_file(garment: Garment) -> tuple[GlbFile, bytes]:

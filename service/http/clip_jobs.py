@@ -16,13 +16,13 @@ from starlette.types import Receive, Scope, Send
 
 from drape.export.pc2 import HEAD_BYTES, pc2_head
 from drape.motion.grounding import floor_note
+from drape.stages.batch import Batch, Memories, PoseInput
+from drape.stages.plan import Plan
+from drape.stages.scene import Outfit, Scene, layer_list
 from drape.wire.jets import message_bytes
 from service.compute.motions import floor_m
 from service.http.answers import PC2, messages_answer, number_bytes
 from service.http.continuations import Continuation
-from service.stages.batch import Batch, Memories, PoseInput
-from service.stages.plan import Plan
-from service.stages.scene import Outfit, Scene, layer_list
 
 if TYPE_CHECKING:
     from drape.body.model import BodyModel

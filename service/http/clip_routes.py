@@ -14,6 +14,9 @@ from fastapi import APIRouter, Request, Response
 from drape.avatar.wearer import rotations
 from drape.errors import BodyError, InputError, MotionError, NotFound
 from drape.export.usda import POINT_BYTES
+from drape.stages.batch import Batch, PoseInput, motion_arrays, shape_array
+from drape.stages.placing import Placed
+from drape.stages.scene import Outfit, layer_list
 from drape.wire.clips import of_rig, unpack_clip
 from drape.wire.jets import message_bytes
 from service.compute.threads import BRIEF_BYTES
@@ -26,9 +29,6 @@ from service.http.clip_files import body_file, dressed, export_answer, garment_f
 from service.http.clip_jobs import ClipJob, floor_headers, jets_response, plan_headers, quality_headers, streamed_answer
 from service.http.json_body import check_marks, clip_marks, content_type, document_of, json_text, parsed, validated
 from service.http.openapi import clip_schema, responses
-from service.stages.batch import Batch, PoseInput, motion_arrays, shape_array
-from service.stages.placing import Placed
-from service.stages.scene import Outfit, layer_list
 from service.state import ClientHere, State, StateHere
 
 if TYPE_CHECKING:

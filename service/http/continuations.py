@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drape.errors import InputError, NotFound
-from service.stages.batch import Memories, PoseInput
-from service.stages.plan import Plan
+from drape.stages.batch import Memories, PoseInput
+from drape.stages.plan import Plan
 
 if TYPE_CHECKING:
     from service.settings import Settings

@@ -12,13 +12,13 @@ import numpy as np
 
 from drape.errors import InputError, Unavailable
 from drape.exact.newton import TOLERANCE
+from drape.stages.batch import Batch, Layer, PoseInput, shape_array
 from drape.wire.clips import pack_clip, unpack_clip
 from service.compute.tiers import EXACT
 from service.exact.jobs import ClipJob as ExactJob
 from service.exact.jobs import Work
 from service.http import schemas
 from service.http.clip_jobs import ClipJob
-from service.stages.batch import Batch, Layer, PoseInput, shape_array
 
 if TYPE_CHECKING:
     from service.guard.keys import Client

@@ -14,6 +14,7 @@ from drape.body.shape_of_measures import measure_ranges, shape_of_measures
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import BodyError, InputError, MotionError, NotFound
 from drape.garment.fit_report import FitReport, Worn, fit_report
+from drape.stages.batch import Batch, PoseInput, motion_arrays, shape_array
 from drape.wire.options import DrapeOptions
 from service.errors import NotAcceptable, TooLarge, TooSlow
 from service.http.answers import BINARY, JSON, binary_answer, choose, json_answer
@@ -22,11 +23,10 @@ from service.http.json_body import document_of, json_text, validated
 from service.http.openapi import body_schema, responses
 from service.http.query import Betas, queried_shape
 from service.http.size_schemas import SizeAdvice
-from service.stages.batch import Batch, PoseInput, motion_arrays, shape_array
 from service.state import ClientHere, StateHere
 
 if TYPE_CHECKING:
-    from service.stages.scene import Entry
+    from drape.stages.scene import Entry
 
 router = APIRouter()
 # The network's smooth drape of every pose by itself: folds would take up the strain that is looked for, and the

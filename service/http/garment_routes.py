@@ -23,8 +23,8 @@ from service.http.query import queried_shape
 from service.state import ClientHere, State, StateHere
 
 if TYPE_CHECKING:
+    from drape.stages.scene import Entry
     from service.guard.keys import Client
-    from service.stages.scene import Entry
 
 router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side

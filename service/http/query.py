@@ -9,7 +9,7 @@ from fastapi import Query
 
 from drape.body.model import BodyModel
 from drape.errors import InputError
-from service.stages.batch import shape_array
+from drape.stages.batch import shape_array
 
 Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
 

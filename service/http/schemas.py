@@ -10,19 +10,19 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from drape.body.skeleton import JOINT_COUNT
 from drape.files.gltf_json import MOST_NODES
 from drape.graph.feeds import BETA_COUNT
+from drape.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
+from drape.stages.placing import Origin
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
 from service.compute.tiers import Tier
 from service.http.size_schemas import SizeInfo
-from service.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
-from service.stages.placing import Origin
 
 if TYPE_CHECKING:
+    from drape.stages.scene import Entry
     from service.compute.sizes import Sizes
-    from service.stages.scene import Entry
 
 
 def _number(limit: float) -> Any:
-    """A finite number; of ``limit`` the schema tells, and ``service.stages.batch`` refuses what is beyond it."""
+    """A finite number; of ``limit`` the schema tells, and ``drape.stages.batch`` refuses what is beyond it."""
     told: dict[str, Any] = {"minimum": -limit, "maximum": limit}
     return Annotated[float, Field(allow_inf_nan=False, strict=True, json_schema_extra=told)]
 

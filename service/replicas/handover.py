@@ -29,11 +29,11 @@ from service.settings import product_version
 if TYPE_CHECKING:
     from fastapi import WebSocket
 
+    from drape.stages.batch import Memories
+    from drape.stages.plan import Plan
     from service.compute.drape_runtime import DrapeRuntime
     from service.guard.keys import Client
     from service.guard.tickets import Tickets
-    from service.stages.batch import Memories
-    from service.stages.plan import Plan
     from service.stream.routes import Session
 
 LIFE_S = 60.0

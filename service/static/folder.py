@@ -21,12 +21,12 @@ from drape.engine.build import LIBRARIES, WEB
 from drape.engine.flat_records import flat_records
 from drape.errors import ArtifactError, InputError, Unavailable
 from drape.geometry import jets
+from drape.inference.graph_names import PACKED
+from drape.stages.batch import shape_array
+from drape.stages.network import Network
 from drape.wire.folds import pack_folds
 from drape.wire.options import DrapeOptions
-from service.graphs.graph_names import PACKED
 from service.settings import ROOT
-from service.stages.batch import shape_array
-from service.stages.network import Network
 from service.static.answers import answer
 from service.stream.opening import opened
 
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
     from drape.artifacts import Manifest
     from drape.body.pose_support import PoseSupport
+    from drape.stages.plan import Plan
     from service.compute.drape_runtime import DrapeRuntime
-    from service.stages.plan import Plan
 
 FORMAT = 2
 ABOUT = "about.json"

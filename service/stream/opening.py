@@ -12,14 +12,14 @@ import numpy as np
 from fastapi import WebSocket, WebSocketDisconnect
 
 from drape.errors import InputError
+from drape.stages.batch import shape_array
+from drape.stages.encode import coordinate_bits
+from drape.stages.plan import Plan
+from drape.stages.scene import Outfit, layer_list
 from drape.wire import messages as wire
 from service.errors import TooSlow
 from service.http.json_body import document_of, validated
 from service.http.schemas import OpenRequest
-from service.stages.batch import shape_array
-from service.stages.encode import coordinate_bits
-from service.stages.plan import Plan
-from service.stages.scene import Outfit, layer_list
 from service.state import State
 
 if TYPE_CHECKING:

@@ -17,14 +17,14 @@ import numpy as np
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from drape.errors import DrapeError, InputError
+from drape.stages.batch import Memories, check_places, check_poses
+from drape.stages.encode import shown_message
+from drape.stages.plan import Plan
+from drape.stages.stage import carried
 from drape.wire import messages as wire
 from drape.wire.rig_poses import RigPose, unpack_rig_pose
 from service.errors import Draining, InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.guard.access import OFFER
-from service.stages.batch import Memories, check_places, check_poses
-from service.stages.encode import shown_message
-from service.stages.plan import Plan
-from service.stages.stage import carried
 from service.state import State
 from service.stream.opening import Opening, first_text, opened, read_opening, text_of
 
@@ -54,7 +54,7 @@ class Session:
     """One client's stream. ``generation`` counts openings: what was begun for an earlier one is thrown away.
 
     ``steps``: the plan as each tier holds it, the least first; ``memories``: what the stages keep of the frames so far
-    (``service.stages``). Of ``dropped`` poses those that are ``late`` waited for a worker alone. One that ``moves``
+    (``drape.stages``). Of ``dropped`` poses those that are ``late`` waited for a worker alone. One that ``moves``
     can go on at another process; while it is ``leaving`` nothing is begun for it here. A client that takes ``same``
     need not get a frame again that it has: ``shown``, the message that was computed for it. ``link`` leads to its
     request. ``wearer``: the avatar that it shows.

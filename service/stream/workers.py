@@ -22,15 +22,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drape.errors import DrapeError, NotFound
+from drape.stages.batch import PoseInput
 from drape.wire.rig_poses import RigPose
 from service.errors import Busy
-from service.stages.batch import PoseInput
 
 if TYPE_CHECKING:
+    from drape.stages.plan import Plan
+    from drape.stages.scene import Entry
     from service.compute.drape_runtime import DrapeRuntime
     from service.compute.threads import SlicedThread
-    from service.stages.plan import Plan
-    from service.stages.scene import Entry
     from service.stream.routes import Session, Waiting
 
 WINDOW_S = 0.5  # over which poses are counted

@@ -15,8 +15,8 @@ from service.compute import garment_files
 from service.compute.garments import set_aside
 
 if TYPE_CHECKING:
+    from drape.stages.scene import Entry
     from service.compute.drape_runtime import DrapeRuntime
-    from service.stages.scene import Entry
     from service.stream.workers import Streams
     from service.uploads.jobs import Uploads
 

@@ -14,8 +14,8 @@ from benchmarks.speed.skinning_push import SkinningPush
 from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body
 from drape.graph.packing import pack_body
-from service.graphs.engine import Engine
-from service.graphs.packing import Packer, ScenePlan
+from drape.inference.engine import Engine
+from drape.inference.packing import Packer, ScenePlan
 from tests.fixtures.garments import reconstructed
 from tests.fixtures.packed import exported, lively
 

@@ -18,11 +18,11 @@ from benchmarks.skin_pixels import COLUMNS, drapes, main, measure
 from drape.garment.cache import Garment
 from drape.geometry.raster import Surface, render
 from drape.motion.hard_poses import HardPoses
+from drape.stages.batch import PoseInput
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions, Resolution
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages.batch import PoseInput
-from service.stages.walk import run
 from tests.benchmarks.quality_setup import bending, network
 from tests.benchmarks.quality_setup import body as body_model
 from tests.drape.geometry.geometry_shapes import icosphere

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from drape.inference.graph_names import PACKED
 from drape.motion.samples import stretch
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.graphs.graph_names import PACKED
 from service.settings import Settings
 from tests.clients.browser import Page, open_page
 from tests.clients.test_page import set_control, share, stage

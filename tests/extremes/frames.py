@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from drape.stages.batch import Batch, PoseInput
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.stages.batch import Batch, PoseInput
-from service.stages.walk import run
 
 GARMENT_REACH_M = 1.0  # beyond the body's own box: no garment of the tests is longer
 FOLDS = 1

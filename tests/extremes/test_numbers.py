@@ -15,12 +15,12 @@ from drape.body.assets import load_body
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.packing import pack_body
+from drape.inference.engine import Engine
+from drape.inference.packing import Packer, ScenePlan
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, pack_jets, unpack_jets
 from model_export.folder import add_half
 from service.compute.drape_runtime import DrapeRuntime
-from service.graphs.engine import Engine
-from service.graphs.packing import Packer, ScenePlan
 from tests.extremes.frames import check_bounded, draped
 from tests.fixtures.garments import shipped
 from tests.fixtures.packed import exported

@@ -8,8 +8,8 @@ from numpy.testing import assert_array_equal
 
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import BodyError, MotionError
+from drape.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M, motion_arrays, shape_array
 from service.compute.drape_runtime import DrapeRuntime
-from service.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M, motion_arrays, shape_array
 from tests.extremes.frames import check_bounded, draped
 
 

@@ -16,12 +16,12 @@ from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.graph.feeds import body_feed, garment_feed, kinematics
 from drape.graph.packing import pack_body
+from drape.inference.engine import Engine
+from drape.inference.packing import Packer, ScenePlan
+from drape.stages.motion import Memory, Moment, advance
 from model_export import export as exporting
 from model_export.export import static_training
 from model_export.parity import session
-from service.graphs.engine import Engine
-from service.graphs.packing import Packer, ScenePlan
-from service.stages.motion import Memory, Moment, advance
 from tests.fixtures.packed import MOVING, exported, exported_dynamic
 from tests.fixtures.packed import garment as fixture_garment
 from tests.fixtures.poses import smooth_motion

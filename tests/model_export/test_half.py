@@ -17,12 +17,12 @@ from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
 from drape.graph.packing import pack_body
+from drape.inference.engine import PACKED, Engine
+from drape.inference.packing import Packer, ScenePlan
 from model_export import folder as changing
 from model_export import half as half_module
 from model_export.folder import add_half
 from model_export.half import HALF, LEAST, halve_matrices
-from service.graphs.engine import PACKED, Engine
-from service.graphs.packing import Packer, ScenePlan
 from tests.fixtures.packed import exported, garment
 from tests.fixtures.poses import random_motion
 

@@ -24,14 +24,14 @@ from drape.graph.layer_feed import LayerFeed
 from drape.graph.packing import Place, compose, pack_body, pack_garment
 from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import SkinShapes
+from drape.inference.compiled import CompiledNetwork
+from drape.inference.engine import Engine
+from drape.inference.graph_names import PACKED
+from drape.inference.onnx_runtime import Session
 from model_export.graph import DrapeTensors, DynamicGraph, EncoderGraph, drape_inputs
 from model_export.parity import hard_poses, session
 from model_export.push.graph import LayerTensors, PushTensors
 from model_export.push.parity import layer_case, push_case
-from service.graphs.compiled import CompiledNetwork
-from service.graphs.engine import Engine
-from service.graphs.graph_names import PACKED
-from service.graphs.onnx_runtime import Session
 from tests.fixtures.garments import shipped
 from training.checkpoint import model_config_from
 from training.model import OneFit, vertex_positions

@@ -6,9 +6,9 @@ import gc
 import weakref
 from collections.abc import Callable
 
+from drape.stages.plan import make_plan
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.stages.plan import make_plan
 
 
 def test_stages_that_nobody_uses_go_at_once_with_what_they_hold(make_runtime: Callable[..., DrapeRuntime]):

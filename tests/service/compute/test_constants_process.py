@@ -23,12 +23,12 @@ from drape.body.model import BodyModel
 from drape.errors import DrapeError
 from drape.garment.cache import Garment, load_garment
 from drape.live.fold_constants import fold_constants
+from drape.stages.collision import Collision
 from drape.wire.options import DrapeOptions
 from service.compute.background import NICE, thread_steps_back
 from service.compute.constants_process import ConstantsProcess, receive, send
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import ROOT, Settings
-from service.stages.collision import Collision
 from tests.fixtures.serving import outfit_settings
 
 __all__ = ["outfit_settings"]  # fixtures

@@ -12,14 +12,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric
 from drape.errors import InputError, NotFound
+from drape.inference import packing
+from drape.stages.batch import PoseInput
+from drape.stages.network import Network
+from drape.stages.scene import check_known, layer_fabrics
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions, FabricNumbers
 from service.compute.drape_runtime import DrapeRuntime
-from service.graphs import packing
 from service.settings import Settings
-from service.stages.batch import PoseInput
-from service.stages.network import Network
-from service.stages.scene import check_known, layer_fabrics
-from service.stages.walk import run
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings
 from tests.fixtures.tiny_model import ROUNDING_M, TINY, expected_vertices

@@ -17,18 +17,18 @@ from drape.body.assets import load_body
 from drape.cloth import metrics
 from drape.errors import InputError, NotFound
 from drape.garment.cache import Garment
+from drape.inference.engine import Engine
+from drape.stages.batch import Batch, PoseInput, joined
+from drape.stages.collision import KEPT_OUTFITS, Pusher
+from drape.stages.plan import Plan
+from drape.stages.scene import Outfit
+from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.errors import TooLarge
-from service.graphs.engine import Engine
 from service.settings import Settings
-from service.stages.batch import Batch, PoseInput, joined
-from service.stages.collision import KEPT_OUTFITS, Pusher
-from service.stages.plan import Plan
-from service.stages.scene import Outfit
-from service.stages.walk import run
 from tests.fixtures.poses import random_motion, smooth_motion
 from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of
 from tests.fixtures.streams import raw_stream
@@ -160,7 +160,7 @@ def test_constants_of_outfits_are_kept_and_bounded(tiny_folder: Path, tube: Garm
     first = pusher._layer((tube.digest, "b"))
     pusher.prepare((tube.digest, "b"))
     assert pusher._layer((tube.digest, "b")) is first
-    monkeypatch.setattr("service.stages.collision.KEPT_OUTFITS", 1)
+    monkeypatch.setattr("drape.stages.collision.KEPT_OUTFITS", 1)
     pusher.prepare(("b", tube.digest))
     assert list(pusher._layers) == [("b", tube.digest)] and KEPT_OUTFITS > 1
     with pytest.raises(NotFound, match="hat"):

@@ -18,13 +18,13 @@ from drape.body.model import BodyModel
 from drape.garment.cache import Garment, save_garment
 from drape.garment.fine import SUFFIX, fine_garment
 from drape.garment.wrapping import Wrapping
+from drape.stages.batch import PoseInput
+from drape.stages.stage import carried
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages.batch import PoseInput
-from service.stages.stage import carried
-from service.stages.walk import run
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import serve

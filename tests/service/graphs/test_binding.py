@@ -14,16 +14,16 @@ from drape.body.assets import load_body
 from drape.contact.skin import posed_table
 from drape.errors import ArtifactError
 from drape.graph.packing import pack_body
+from drape.inference.binding import BoundSession
+from drape.inference.engine import Engine
+from drape.inference.graph_names import PACKED
+from drape.inference.onnx_runtime import Device, nodes_off_provider, open_session
+from drape.inference.packing import Packer, ScenePlan
+from drape.stages.batch import Jets, PoseInput
+from drape.stages.collision import Pusher
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.graphs.binding import BoundSession
-from service.graphs.engine import Engine
-from service.graphs.graph_names import PACKED
-from service.graphs.onnx_runtime import Device, nodes_off_provider, open_session
-from service.graphs.packing import Packer, ScenePlan
-from service.stages.batch import Jets, PoseInput
-from service.stages.collision import Pusher
-from service.stages.walk import run
 from tests.fixtures.garments import ship
 from tests.fixtures.packed import KINDS, exported, garment
 from tests.fixtures.poses import random_motion

@@ -15,10 +15,10 @@ from drape.body.assets import load_body
 from drape.cloth.fabric_table import fabric
 from drape.contact.skin import posed_table
 from drape.graph.packing import pack_body
-from service.graphs.compiled import is_covered
-from service.graphs.engine import Engine
-from service.graphs.onnx_runtime import Device
-from service.graphs.packing import Packer, ScenePlan
+from drape.inference.compiled import is_covered
+from drape.inference.engine import Engine
+from drape.inference.onnx_runtime import Device
+from drape.inference.packing import Packer, ScenePlan
 from tests.fixtures.garments import shipped
 from tests.fixtures.poses import random_motion
 
@@ -121,6 +121,6 @@ def test_where_the_graph_is_asked_for_it_runs(options: dict[str, Any]):
 def test_a_network_that_the_engine_does_not_cover_runs_as_its_readable_graph(monkeypatch: pytest.MonkeyPatch):
     manifest = load_manifest(SHIPPED)
     without = replace(manifest, network=manifest.network | {"decoder_sizes": [512, 190]})
-    monkeypatch.setattr("service.graphs.engine.load_manifest", lambda folder: without)
+    monkeypatch.setattr("drape.inference.engine.load_manifest", lambda folder: without)
     engine = Engine(SHIPPED)
     assert engine.compiled is None and engine.whole

@@ -23,12 +23,12 @@ from drape.errors import ArtifactError, InputError, Unavailable
 from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import pack_body
-from service.graphs.binding import BoundSession
-from service.graphs.engine import Engine
-from service.graphs.graph_names import DYNAMIC, ENCODER, PACKED, PUSH, PUSH_OVER
-from service.graphs.onnx_runtime import Device, Session, check_distributions, open_session
-from service.graphs.packing import Packer, ScenePlan
-from service.stages.collision import Pusher
+from drape.inference.binding import BoundSession
+from drape.inference.engine import Engine
+from drape.inference.graph_names import DYNAMIC, ENCODER, PACKED, PUSH, PUSH_OVER
+from drape.inference.onnx_runtime import Device, Session, check_distributions, open_session
+from drape.inference.packing import Packer, ScenePlan
+from drape.stages.collision import Pusher
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.packed import MOVING, garment
 from tests.fixtures.poses import random_motion
@@ -93,7 +93,7 @@ def test_the_readable_graph_is_not_opened_where_there_is_a_packed_one(
         opened.append(label)
         return open_session(label, *arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("service.graphs.engine.open_session", recorded)
+    monkeypatch.setattr("drape.inference.engine.open_session", recorded)
     manifest = load_manifest(folder)
     rewrite(folder, graphs={name: spec for name, spec in manifest.graphs.items() if name != "drape"})
     engine = Engine(folder, compiled=False)
@@ -113,7 +113,7 @@ def test_the_engine_needs_no_onnx_runtime(tiny_folder: Path, monkeypatch: pytest
         raise AssertionError("ONNX Runtime was asked for")
 
     for name in ("check_distributions", "open_session"):
-        monkeypatch.setattr(f"service.graphs.engine.{name}", refused)
+        monkeypatch.setattr(f"drape.inference.engine.{name}", refused)
     engine = Engine(tiny_folder / "models" / TINY_DYNAMIC)
     packer, pusher = Packer(engine, load_body()), Pusher(engine, load_body())
     whole = garment("tank")

@@ -25,18 +25,18 @@ from drape.contact.skin import body_skin, skin_table
 from drape.errors import ArtifactError, InputError, NotFound
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.packing import pack_body, pass_name
+from drape.inference.engine import Engine
+from drape.inference.graph_names import PACKED
+from drape.inference.onnx_runtime import Device
+from drape.inference.packing import SHAPE_INDEX, Packer, Result, ScenePlan
+from drape.inference.store import FIRST
+from drape.inference.subgraph import cut
+from drape.stages.batch import PoseInput
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses
 from service.compute.drape_runtime import DrapeRuntime
-from service.graphs.engine import Engine
-from service.graphs.graph_names import PACKED
-from service.graphs.onnx_runtime import Device
-from service.graphs.packing import SHAPE_INDEX, Packer, Result, ScenePlan
-from service.graphs.store import FIRST
-from service.graphs.subgraph import cut
-from service.stages.batch import PoseInput
-from service.stages.walk import run
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.packed import KINDS, described, exported, garment
 from tests.fixtures.poses import random_motion

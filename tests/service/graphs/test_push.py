@@ -21,13 +21,13 @@ from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import layer_feed, push_over_in_parts
 from drape.graph.push_feed import pack_push, pushed_jets
+from drape.inference.engine import Engine
+from drape.stages.batch import Jets, PoseInput
+from drape.stages.collision import Pusher
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.graphs.engine import Engine
 from service.settings import Settings
-from service.stages.batch import Jets, PoseInput
-from service.stages.collision import Pusher
-from service.stages.walk import run
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings

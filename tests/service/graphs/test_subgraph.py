@@ -14,7 +14,7 @@ from numpy.testing import assert_array_equal
 from onnx import TensorProto, helper, numpy_helper
 
 from drape.errors import ArtifactError
-from service.graphs.subgraph import cut
+from drape.inference.subgraph import cut
 
 FLOAT, INT = TensorProto.FLOAT, TensorProto.INT32
 
@@ -156,7 +156,7 @@ def test_tensors_outside_the_model_stay_where_they_are(tmp_path: Path):
 
 
 def test_onnxruntime_itself_would_run_everything(tmp_path: Path):
-    """Why graphs are cut: should this fail, a newer runtime prunes by itself and ``service.graphs.subgraph`` can go."""
+    """Why graphs are cut: should this fail, a newer runtime prunes by itself and ``drape.inference.subgraph`` can go."""
     values = {name: helper.make_tensor_value_info(name, FLOAT, [3]) for name in "xyz"}
     nodes = [helper.make_node("Neg", ["x"], ["y"]), helper.make_node("Sin", ["x"], ["z"])]
     graph = helper.make_graph(nodes, "two", [values["x"]], [values["y"], values["z"]])

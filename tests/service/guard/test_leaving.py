@@ -22,11 +22,11 @@ from drape.export.glb_file import GlbFile
 from drape.export.root_motion import RootMotion
 from drape.garment.cache import Garment
 from drape.geometry.raster import Surface, render
+from drape.stages.stage import KeptConstants
 from drape.wanted import WANTED, Unwanted
 from drape.wire.clips import pack_clip
 from service.app import create_app
 from service.settings import Settings
-from service.stages.stage import KeptConstants
 from tests.fixtures.meshes import garment_obj
 from tests.fixtures.serving import serve
 

@@ -16,10 +16,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from clients.client import DrapeClient
 from drape.body.model import BodyModel
 from drape.export.glb_file import PIECE_BYTES, GlbFile
+from drape.stages.placing import Placed
 from service.compute import threads
 from service.compute.threads import SlicedThread
 from service.http.answers import PIECE_NUMBERS, file_answer, json_pieces, messages_answer, number_pieces
-from service.stages.placing import Placed
 from tests.fixtures.exports import read_pc2, read_usda
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, outfit_url

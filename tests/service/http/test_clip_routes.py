@@ -15,11 +15,11 @@ from drape.contact.projection import MOVED_M
 from drape.garment.cache import Garment
 from drape.garment.files.glb import read_glb
 from drape.geometry.closest import signed_distance
+from drape.stages.batch import Batch, PoseInput
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages.batch import Batch, PoseInput
-from service.stages.walk import run
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, vertices_of
 from tests.fixtures.tiny_model import ROUNDING_M, expected_vertices

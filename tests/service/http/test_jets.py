@@ -20,6 +20,8 @@ from drape.graph.feeds import garment_feed
 from drape.graph.push_feed import pack_push
 from drape.motion.hard_poses import hard_poses
 from drape.motion.samples import SAMPLES
+from drape.stages.batch import PoseInput
+from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, message_bytes, pack_jets, split_jets, unpack_jets
 from drape.wire.layout import JetLayout, unpack_layout
@@ -32,8 +34,6 @@ from service.http.clip_jobs import ClipJob
 from service.http.clip_routes import check_clip_size
 from service.http.schemas import ClipOptions
 from service.settings import Settings
-from service.stages.batch import PoseInput
-from service.stages.walk import run
 from tests.fixtures.garments import ship
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of

@@ -15,9 +15,9 @@ from drape.errors import ArtifactError, InputError, NotFound
 from drape.garment.cache import Garment
 from drape.garment.size_chart import SIZES
 from drape.garment.sizes import save_table, table_path
+from drape.stages.scene import Entry, Outfit
 from drape.wire.layout import unpack_layout
 from service.compute.sizes import Sizes
-from service.stages.scene import Entry, Outfit
 from tests.fixtures.garments import tube_sizes
 
 BINARY = {"Accept": "application/octet-stream"}

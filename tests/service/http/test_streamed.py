@@ -13,12 +13,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.errors import NotFound
+from drape.stages.batch import PoseInput
 from drape.wire.jets import split_jets
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.http.continuations import Continuation, Continuations
 from service.settings import Settings
-from service.stages.batch import PoseInput
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import served
 from tests.fixtures.tiny_model import TINY_DYNAMIC

@@ -7,7 +7,7 @@ import pytest
 
 from drape.errors import MotionError
 from drape.motion.samples import SAMPLES
-from service.stages.batch import check_poses
+from drape.stages.batch import check_poses
 
 STILL = np.zeros((1, 3))
 

@@ -10,11 +10,11 @@ import pytest
 
 from drape.errors import InputError
 from drape.geometry.colliders import distances
+from drape.stages.batch import PoseInput
+from drape.stages.plan import Plan
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.stages.batch import PoseInput
-from service.stages.plan import Plan
-from service.stages.walk import run
 
 WALL = {"kind": "plane", "normal": [1.0, 0.0, 0.0]}
 TIMES_S = np.arange(4) / 30.0

@@ -17,18 +17,18 @@ from drape.body.model import BodyModel
 from drape.garment.cache import Garment
 from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
+from drape.inference.engine import Engine
+from drape.inference.packing import Packer, ScenePlan
+from drape.stages.batch import Memories, PoseInput
+from drape.stages.encode import KEY
+from drape.stages.motion import JUMP_M_S, SHORTEST_STEP_S, STEP_LIMIT_S, Memory, Moment, Motion, advance
+from drape.stages.plan import Plan
+from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
-from service.graphs.engine import Engine
-from service.graphs.packing import Packer, ScenePlan
 from service.settings import Settings
-from service.stages.batch import Memories, PoseInput
-from service.stages.encode import KEY
-from service.stages.motion import JUMP_M_S, SHORTEST_STEP_S, STEP_LIMIT_S, Memory, Moment, Motion, advance
-from service.stages.plan import Plan
-from service.stages.walk import run
 from service.stream.opening import Opening
 from service.stream.routes import Session
 from service.stream.workers import Streams
@@ -142,7 +142,7 @@ def test_a_still_scene_is_the_static_models_and_runs_no_recurrence(
 
     monkeypatch.setattr(Engine, "advance", counted)
     with monkeypatch.context() as patched:
-        patched.setattr("service.stages.motion.moments", refused)
+        patched.setattr("drape.stages.motion.moments", refused)
         got = run(plan_of(runtime, 0.0), [clip])
     assert_array_equal(got.vertices, want)
     assert ran == [] and got.memories == ({},)

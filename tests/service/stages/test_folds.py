@@ -19,15 +19,15 @@ from drape.errors import InputError
 from drape.geometry.closest import signed_distance
 from drape.live import fold_step as step
 from drape.live import two_level
+from drape.stages import folds as folds_stage
+from drape.stages.batch import PoseInput
+from drape.stages.folds import SETTLE, Folds
+from drape.stages.stage import carried
+from drape.stages.walk import run, walk
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages import folds as folds_stage
-from service.stages.batch import PoseInput
-from service.stages.folds import SETTLE, Folds
-from service.stages.stage import carried
-from service.stages.walk import run, walk
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve
 

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from drape.errors import ArtifactError
+from drape.stages import frame as frame_stage
+from drape.stages.batch import Batch, Memories, PoseInput
+from drape.stages.network import Network
+from drape.stages.plan import Plan
+from drape.stages.stage import Stage, carried
+from drape.stages.walk import by_stages, run, walk
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.replicas.memory_codec import decoded, encoded
-from service.stages import frame as frame_stage
-from service.stages.batch import Batch, Memories, PoseInput
-from service.stages.network import Network
-from service.stages.plan import Plan
-from service.stages.stage import Stage, carried
-from service.stages.walk import by_stages, run, walk
 from tests.fixtures.poses import smooth_motion
 
 CLOCK = slice(24, 32)  # of a FRAME message: when it was sent

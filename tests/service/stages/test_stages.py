@@ -12,6 +12,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.errors import InputError
+from drape.inference.graph_names import JETS, PACKED, SKIN
+from drape.stages.batch import Batch, Layer, PoseInput
+from drape.stages.encode import coordinate_bits
+from drape.stages.motion import Motion
+from drape.stages.network import Network
+from drape.stages.plan import Plan
+from drape.stages.stage import BODY, Stage, carried
+from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions
@@ -19,15 +27,7 @@ from service import stages
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import FAR_PIXELS_PER_M, TIERS, capped, chosen
-from service.graphs.graph_names import JETS, PACKED, SKIN
 from service.settings import Settings
-from service.stages.batch import Batch, Layer, PoseInput
-from service.stages.encode import coordinate_bits
-from service.stages.motion import Motion
-from service.stages.network import Network
-from service.stages.plan import Plan
-from service.stages.stage import BODY, Stage, carried
-from service.stages.walk import run
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve, served
 from tests.fixtures.streams import RawStream, raw_stream

@@ -14,14 +14,14 @@ from drape.catalog import find_garments, open_garment
 from drape.cloth.fabric_table import fabric
 from drape.errors import InputError
 from drape.live.swing_constants import swing_constants
+from drape.stages.batch import PoseInput
+from drape.stages.plan import Plan
+from drape.stages.swing import Swing
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.replicas.memory_codec import decoded, encoded
 from service.settings import load_settings
-from service.stages.batch import PoseInput
-from service.stages.plan import Plan
-from service.stages.swing import Swing
-from service.stages.walk import run
 
 TIMES_S = np.arange(14) / 30.0
 NO_SHAPE = np.zeros(10)

@@ -19,15 +19,15 @@ from numpy.testing import assert_array_equal
 from websockets.asyncio.client import connect
 
 from clients.stream import DrapeStream
+from drape.stages.batch import PoseInput
+from drape.stages.encode import KEY, REST_FRAMES, REST_S, shown_message
+from drape.stages.plan import Plan
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions
 from service.compute import drape_runtime as drapery_module
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages.batch import PoseInput
-from service.stages.encode import KEY, REST_FRAMES, REST_S, shown_message
-from service.stages.plan import Plan
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import served
 from tests.fixtures.streams import PROTOCOLS, page_command, stream_address

@@ -13,11 +13,11 @@ from fastapi import FastAPI
 
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR, TensorSpec, load_manifest
 from drape.errors import ArtifactError, InputError, NotFound, Unavailable
+from drape.inference.graph_names import PACKED
+from drape.stages.network import Network
 from drape.wire.options import DrapeOptions
-from service.graphs.graph_names import PACKED
 from service.http import problems
 from service.http.answers import JSON
-from service.stages.network import Network
 from service.static import folder
 from service.static.answers import answer
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from drape.errors import InputError
+from drape.stages.batch import Memories, PoseInput
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.compute.background import processor_count
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
-from service.stages.batch import Memories, PoseInput
 from service.stream.routes import Session
 from service.stream.workers import Streams
 

@@ -23,6 +23,7 @@ import pytest
 
 from drape.errors import MeshError
 from drape.garment.cache import Garment
+from drape.stages.batch import PoseInput
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.app import create_app
@@ -30,7 +31,6 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.http import fit_routes
 from service.server import bind
 from service.settings import ROOT, Settings
-from service.stages.batch import PoseInput
 from service.watch import watchdog
 from service.watch.metrics import Metrics
 from service.watch.probes import Lifecycle

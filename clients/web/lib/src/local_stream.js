@@ -3,7 +3,7 @@ import { DrapeError } from "./errors.js";
 import { copied, sameNumbers } from "./stream.js";
 import { packPose } from "./wire.js";
 
-const STILL_S = 2; // of one pose, until cloth has come to rest (service/stages/encode.py)
+const STILL_S = 2; // of one pose, until cloth has come to rest (drape/stages/encode.py)
 const STILL_FRAMES = 30;
 // What may be chosen anew; all else is in the network and the constants.
 const FREE = ["folds", "safe_folds", "settle", "cloth_contact", "push_out", "motion"];

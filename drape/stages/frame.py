@@ -13,17 +13,17 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.geometry.colliders import seen_from
+from drape.inference.packing import check_finite
 from drape.live.fold_step import FoldEffort
 from drape.network.frame import PARTS, Drawn, Moment, Past, Worn, draw
+from drape.stages.batch import Batch, Layer, changed
+from drape.stages.encode import Encode, coordinate_bits
+from drape.stages.folds import Folds, Told, read_layers
+from drape.stages.network import Network, Novelty
+from drape.stages.plan import SKIN, Plan
+from drape.stages.stage import Stage
+from drape.stages.swing import Swing
 from drape.wire.messages import BYTE_COUNT, STEP_COUNT
-from service.graphs.packing import check_finite
-from service.stages.batch import Batch, Layer, changed
-from service.stages.encode import Encode, coordinate_bits
-from service.stages.folds import Folds, Told, read_layers
-from service.stages.network import Network, Novelty
-from service.stages.plan import SKIN, Plan
-from service.stages.stage import Stage
-from service.stages.swing import Swing
 from service.watch.watchdog import moved
 
 NO_EFFORT = FoldEffort(0)

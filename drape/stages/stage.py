@@ -12,13 +12,13 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
+from drape.stages.batch import Batch, Memories
+from drape.stages.plan import Plan
 from drape.wanted import go_on
 from drape.wire.options import DrapeOptions
-from service.stages.batch import Batch, Memories
-from service.stages.plan import Plan
 
 if TYPE_CHECKING:
-    from service.graphs.engine import Engine
+    from drape.inference.engine import Engine
     from service.settings import Settings
 
 BODY = ""  # the owner of what is remembered of a body, where others are garments by their digest
@@ -43,7 +43,7 @@ class StageSetup:
 
 
 class Stage:
-    """One step of a frame's way, made once per service; ``service.stages.STAGES`` names them in order.
+    """One step of a frame's way, made once per service; ``drape.stages.STAGES`` names them in order.
 
     A stage holds its constants of garments (``add``, ``prepare``). Its memories of a stream or clip lie in the batch,
     under its name and the garment's digest or ``BODY``.

@@ -13,10 +13,10 @@ import numpy as np
 from drape.errors import InputError
 from drape.geometry.colliders import seen_from
 from drape.live.colliders import leave
+from drape.stages.batch import Batch
+from drape.stages.plan import Plan
+from drape.stages.stage import Stage
 from drape.wire.options import DrapeOptions
-from service.stages.batch import Batch
-from service.stages.plan import Plan
-from service.stages.stage import Stage
 
 
 class Colliders(Stage):

@@ -9,8 +9,8 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
-from service.stages.scene import Entry
-from service.stages.stage import Make, Stage, call_here
+from drape.stages.scene import Entry
+from drape.stages.stage import Make, Stage, call_here
 
 
 class BodyStages:

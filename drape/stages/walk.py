@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 
-from service.stages.batch import Batch, PoseInput
-from service.stages.frame import at_once, drawn
-from service.stages.plan import Plan
-from service.stages.stage import Stage
+from drape.stages.batch import Batch, PoseInput
+from drape.stages.frame import at_once, drawn
+from drape.stages.plan import Plan
+from drape.stages.stage import Stage
 
 Took = Callable[[str, float], None]
 

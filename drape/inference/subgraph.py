@@ -3,7 +3,7 @@
 ONNX Runtime runs every node of a graph whichever outputs are fetched (measured on 1.31: its run option
 ``only_execute_path_to_fetches`` changes nothing), and the package ``onnx`` is too much to serve with. An ONNX file is a
 protobuf message: this module walks its wire format, copies the fields that stay byte by byte, and writes the few that
-change (``service.graphs.onnx_bytes``).
+change (``drape.inference.onnx_bytes``).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from drape.errors import ArtifactError
-from service.graphs.onnx_bytes import (
+from drape.inference.onnx_bytes import (
     ATTRIBUTE_GRAPH,
     ATTRIBUTE_GRAPHS,
     ATTRIBUTE_INT,

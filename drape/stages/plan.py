@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from drape.stages.scene import Scene, layer_fabrics, narrowed
 from drape.wire.colliders import collider_rows
 from drape.wire.options import DrapeOptions
-from service.stages.scene import Scene, layer_fabrics, narrowed
 
 if TYPE_CHECKING:
     from drape.cloth.fabric import Fabric
-    from service.stages.scene import Entry
-    from service.stages.stage import Stage
+    from drape.stages.scene import Entry
+    from drape.stages.stage import Stage
 
 FINE = "fine"  # what a stage needs where it computes on the subdivided meshes
 SKIN = "skin"  # what a stage needs where it reads the posed samples of the skin
@@ -47,7 +47,7 @@ class Plan:
 
     @cached_property
     def kept(self) -> dict[str, Any]:
-        """What is made once for its frames (``service.stages.frame``)."""
+        """What is made once for its frames (``drape.stages.frame``)."""
         return {}
 
     @cached_property

@@ -1,6 +1,6 @@
 """Drapes by a model's readable graph, whole: on a CPU, of models of another kind than ``drape.engine`` computes.
 
-It has the methods of ``service.graphs.packing.Packer``. All corrections run, and every output is computed.
+It has the methods of ``drape.inference.packing.Packer``. All corrections run, and every output is computed.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from drape.errors import NotFound, Unavailable
 from drape.garment.cache import Garment
 from drape.geometry.rotations import quaternion_to_rotvec
 from drape.graph.feeds import body_feed, garment_feed
-from service.graphs.graph_names import DRAPE, JETS, SKIN
-from service.graphs.packing import FABRICS_KEPT, Item, Result, ScenePlan
+from drape.inference.graph_names import DRAPE, JETS, SKIN
+from drape.inference.packing import FABRICS_KEPT, Item, Result, ScenePlan
 
 OUTPUTS = ("vertices", *JETS)
 
 if TYPE_CHECKING:
-    from service.graphs.engine import Engine
+    from drape.inference.engine import Engine
 
 
 class WholeGraph:

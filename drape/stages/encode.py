@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.kernels.quantised import quantise
+from drape.stages.batch import Batch, Memories, PoseInput, changed
+from drape.stages.plan import Plan
+from drape.stages.stage import BODY, Stage
 from drape.wire.jets import JetFrame, pack_jets
 from drape.wire.messages import Answer, Frame, pack_frame, pack_same, resent
 from drape.wire.options import DrapeOptions
-from service.stages.batch import Batch, Memories, PoseInput, changed
-from service.stages.plan import Plan
-from service.stages.stage import BODY, Stage
 
 KEY = ("idle", BODY)
 REST_S = 2.0  # of the same pose, until cloth has come to rest, by the client's clock

@@ -15,17 +15,17 @@ from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.graph.packing import pack_body
+from drape.inference.compiled import GarmentRows
+from drape.inference.graph_names import JETS, SKIN
+from drape.inference.packing import Packer, Result, ScenePlan, Shape, check_finite
+from drape.inference.whole_graph import WholeGraph
 from drape.network.bodies import BodyFeed
 from drape.network.novelty import kept_poses, novelty
+from drape.stages.batch import Batch, Jets, Layer, changed, joined, stacked
+from drape.stages.plan import Plan
+from drape.stages.scene import check_known
+from drape.stages.stage import Stage, StageSetup
 from drape.wire.options import DrapeOptions
-from service.graphs.compiled import GarmentRows
-from service.graphs.graph_names import JETS, SKIN
-from service.graphs.packing import Packer, Result, ScenePlan, Shape, check_finite
-from service.graphs.whole_graph import WholeGraph
-from service.stages.batch import Batch, Jets, Layer, changed, joined, stacked
-from service.stages.plan import Plan
-from service.stages.scene import check_known
-from service.stages.stage import Stage, StageSetup
 
 SHAPES: dict[frozenset[str], Shape] = {
     frozenset({"vertices"}): "vertices",

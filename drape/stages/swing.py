@@ -13,9 +13,9 @@ from drape.geometry.colliders import seen_from
 from drape.live.clock import Frame
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import SwingConstants, SwingMemory, swing
-from service.stages.batch import Batch, changed, stacked
-from service.stages.plan import SKIN, Plan
-from service.stages.stage import KeptConstants, Stage, StageSetup
+from drape.stages.batch import Batch, changed, stacked
+from drape.stages.plan import SKIN, Plan
+from drape.stages.stage import KeptConstants, Stage, StageSetup
 
 KEPT = 256  # garments in fabrics, a megabyte at most each; what is in use stays
 

@@ -23,17 +23,17 @@ from drape.garment.cache import Garment
 from drape.graph.layer_feed import LayerFeed, Sheet, pack_layer
 from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import pack_push, pushed_jets
+from drape.inference.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
+from drape.stages.batch import Batch, Jets, Layer, changed, joined
+from drape.stages.plan import Plan
+from drape.stages.stage import KeptConstants, Make, Stage, StageSetup, call_here
 from drape.wire.options import DrapeOptions
-from service.graphs.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
-from service.stages.batch import Batch, Jets, Layer, changed, joined
-from service.stages.plan import Plan
-from service.stages.stage import KeptConstants, Make, Stage, StageSetup, call_here
 
 if TYPE_CHECKING:
     import onnxruntime
 
-    from service.graphs.engine import Engine
-    from service.graphs.onnx_runtime import Session, Value
+    from drape.inference.engine import Engine
+    from drape.inference.onnx_runtime import Session, Value
 
     Constants = dict[str, onnxruntime.OrtValue] | PushConstants
 

@@ -21,10 +21,10 @@ from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport
 from drape.live.raised_skin import heights_over, raised
 from drape.live.skin_walks import TouchedSamples
 from drape.live.two_level import LiftMemory, Memory, OneLevel, TwoLevel, TwoLevelMemory
+from drape.stages.batch import Batch, Layer, Quality, changed, stacked
+from drape.stages.plan import FINE, SKIN, Plan
+from drape.stages.stage import KeptConstants, Stage, StageSetup
 from drape.wire.options import DrapeOptions
-from service.stages.batch import Batch, Layer, Quality, changed, stacked
-from service.stages.plan import FINE, SKIN, Plan
-from service.stages.stage import KeptConstants, Stage, StageSetup
 from service.watch.watchdog import moved
 
 SETTLE = 8  # times the steps of a frame for one without a past, where clients do not say

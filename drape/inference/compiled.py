@@ -16,6 +16,7 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.graph.blend import Tiles, blend
 from drape.graph.packed import PART_SIZE
 from drape.graph.packing import PackedGarment
+from drape.inference.graph_names import FIRST, JETS, SKIN
 from drape.network.bodies import BodyFeed, PosedBody, posed_body
 from drape.network.dense import OUTPUTS, Layer
 from drape.network.drape import checked_jets
@@ -23,7 +24,6 @@ from drape.network.garments import encoded, garment_encoder
 from drape.network.motion import advance, motion_encoder
 from drape.network.patch_rows import PatchRows, patch_rows
 from drape.network.weights import weights_of
-from service.graphs.graph_names import FIRST, JETS, SKIN
 
 
 def is_covered(network: Mapping[str, Any]) -> bool:

@@ -19,12 +19,12 @@ import numpy as np
 from drape.artifacts import TensorSpec
 from drape.contact.samples import POSED_REGIONS
 from drape.errors import ArtifactError
-from service.graphs.onnx_runtime import Device, Session
+from drape.inference.onnx_runtime import Device, Session
 
 if TYPE_CHECKING:
     import onnxruntime
 
-    from service.graphs.onnx_runtime import Value
+    from drape.inference.onnx_runtime import Value
 
 KEPT_BUCKETS = 32
 KEPT_BYTES = 512 << 20

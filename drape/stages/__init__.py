@@ -5,14 +5,14 @@ A new stage is a file here, a line in ``STAGES``, and a field of ``drape.wire.op
 
 from __future__ import annotations
 
-from service.stages.colliders import Colliders
-from service.stages.collision import Collision
-from service.stages.encode import Encode
-from service.stages.folds import Folds
-from service.stages.motion import Motion
-from service.stages.network import Network, Novelty
-from service.stages.stage import Stage, StageSetup
-from service.stages.swing import Swing
+from drape.stages.colliders import Colliders
+from drape.stages.collision import Collision
+from drape.stages.encode import Encode
+from drape.stages.folds import Folds
+from drape.stages.motion import Motion
+from drape.stages.network import Network, Novelty
+from drape.stages.stage import Stage, StageSetup
+from drape.stages.swing import Swing
 
 STAGES: tuple[type[Stage], ...] = (Novelty, Motion, Network, Swing, Folds, Colliders, Collision, Encode)
 

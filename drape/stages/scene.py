@@ -18,7 +18,7 @@ from drape.wire.options import DrapeOptions, FabricChoice
 from service.errors import TooLarge
 
 if TYPE_CHECKING:
-    from service.stages.body_stages import BodyStages
+    from drape.stages.body_stages import BodyStages
 
 PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
 Source = Literal["shipped", "user"]

@@ -18,9 +18,9 @@ from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.garment.fabric_features import encoder_features
 from drape.graph.packing import pass_name
-from service.graphs.binding import BoundSession
-from service.graphs.compiled import CompiledNetwork, is_covered
-from service.graphs.graph_names import (
+from drape.inference.binding import BoundSession
+from drape.inference.compiled import CompiledNetwork, is_covered
+from drape.inference.graph_names import (
     DRAPE,
     DYNAMIC,
     EMBEDDING,
@@ -34,7 +34,7 @@ from service.graphs.graph_names import (
     PUSHES,
     SKIN,
 )
-from service.graphs.onnx_runtime import (
+from drape.inference.onnx_runtime import (
     PROVIDER_NAMES,
     Device,
     Session,
@@ -42,7 +42,7 @@ from service.graphs.onnx_runtime import (
     nodes_off_provider,
     open_session,
 )
-from service.graphs.subgraph import cut, misexported
+from drape.inference.subgraph import cut, misexported
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -74,7 +74,7 @@ class Engine:
 
     On a CPU ``drape.engine`` computes the network with its encoders (``compiled``), if it covers it, and every
     push-out; then ONNX Runtime is not needed. On a GPU it is the graph with weights of 16 bits (``half``), if the model
-    has that. ``bound``: parts of graphs run in buckets (``service.graphs.binding``), by default on a GPU. A model of
+    has that. ``bound``: parts of graphs run in buckets (``drape.inference.binding``), by default on a GPU. A model of
     another kind runs on a CPU as it is, by its readable graph (``whole``): all of its passes.
     Refuses (``ArtifactError``) a folder without the graphs that the service runs.
     """

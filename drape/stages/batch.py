@@ -10,9 +10,9 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.errors import BodyError, MotionError
+from drape.stages.placing import Origin, Placed
+from drape.stages.plan import Plan
 from service.errors import TooLarge
-from service.stages.placing import Origin, Placed
-from service.stages.plan import Plan
 
 Memories = Mapping[tuple[str, str], Any]  # by stage and owner; values are never changed in place
 Steps = tuple[np.ndarray, np.ndarray, np.ndarray]  # (V, 3) uint16, low corner and step size (3,)

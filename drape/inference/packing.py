@@ -1,7 +1,7 @@
 """Drapes any mix of garments, clients and frames through the packed graph: ``Packer``.
 
 A ``ScenePlan`` names what a scene needs. A batch is a list of items, each a garment and a body. On a CPU the engine
-drapes item after item (``service.graphs.compiled``); on a GPU a graph drapes all of them, in a session that holds no
+drapes item after item (``drape.inference.compiled``); on a GPU a graph drapes all of them, in a session that holds no
 nodes but the plan's. What that is fed with besides bodies is kept for each batch while memory allows, since streams
 repeat theirs. An item has the same bits in any batch on a CPU (``tests/service/graphs``), so a batch may be run in
 parts of any size.
@@ -28,14 +28,14 @@ from drape.graph.buckets import filled, filled_rows
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import Composition, PackedBody, compose, pack_garment
 from drape.graph.push_feed import SkinShapes
+from drape.inference.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
+from drape.inference.store import Store
 from drape.network.bodies import NO_POSE, BodyFeed
-from service.graphs.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
-from service.graphs.store import Store
 
 if TYPE_CHECKING:
-    from service.graphs.compiled import CompiledNetwork, GarmentRows
-    from service.graphs.engine import Engine
-    from service.graphs.onnx_runtime import Session, Value
+    from drape.inference.compiled import CompiledNetwork, GarmentRows
+    from drape.inference.engine import Engine
+    from drape.inference.onnx_runtime import Session, Value
 
 Shape = Literal["vertices", "jets", "both"]
 OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {

@@ -13,13 +13,13 @@ import numpy as np
 
 from drape.body.features import Kinematics, motion_features
 from drape.network.bodies import moments
+from drape.stages.batch import Batch, changed
+from drape.stages.plan import Plan
+from drape.stages.stage import BODY, Stage, StageSetup
 from drape.wire.options import DrapeOptions
-from service.stages.batch import Batch, changed
-from service.stages.plan import Plan
-from service.stages.stage import BODY, Stage, StageSetup
 
 if TYPE_CHECKING:
-    from service.graphs.engine import Engine
+    from drape.inference.engine import Engine
 
 STEP_LIMIT_S = 0.25
 """After a longer pause the cloth hangs still again, and motion is measured anew."""
