@@ -6,8 +6,8 @@ Rows "kernel": a walk in jersey with motion, as a stream has it, by stage and fu
 rest of the stage, NumPy with it. Times are medians over frames, ``share`` is of the frame. ``floor_ms``: bytes of all
 arrays that a function is given at this machine's rate of copying as many, or the multiply-adds of its matrices
 at its rate of a large product, whichever takes longer. Kernels below a hundredth of the frame stand together. The row
-of the stage ``frame`` is the whole, its ``share`` what the rows add up to; ``bare_ms`` is a stream beside it whose
-kernels nobody times.
+of the stage ``frame`` is the whole, its ``share`` what the rows add up to; they are of a frame stage by stage.
+``bare_ms`` is a stream beside it as it is served: in one call a frame, where the engine has all of its stages.
 
 Rows "threads": two streams' frames, and a clip, on one thread and on two. Rows "view": scenes of which less is asked;
 ``full_ms`` is the same in full, side by side, and ``saving`` the share of processor time that this saves.
@@ -93,7 +93,7 @@ class Bench:
 def kernel_rows(bench: Bench, garment: str, tier: str) -> list[Row]:
     """The rows of all stages and kernels of one stream, and of the whole frame."""
     plan, trace = bench.plan([garment], tier=tier), Trace()
-    bare, seen = bench.stream(plan), bench.stream(plan, took=trace.took)
+    bare, seen = bench.stream(plan), bench.stream(plan, took=trace.took, staged=True)
     for part in bench.parts():
         for frame in part:
             bare.pose(bench.pose(frame), frame / FPS)

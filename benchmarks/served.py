@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,19 +10,21 @@ from benchmarks.clock import Clock
 from drape.stages.batch import Batch, Memories, PoseInput
 from drape.stages.encode import answer_again, idle_before, remember
 from drape.stages.plan import Plan
-from drape.stages.stage import run
+from drape.stages.walk import Took, by_stages, walk
 
 
 class Stream:
     """Frames under one plan, one after the other; each goes on from what the stages remember of those before.
 
-    ``took`` is told the name of each stage and how long it took [s].
+    ``took`` is told the name of each stage and how long it took [s]. ``staged``: no stages run in one call, so
+    that what each of them calls is seen.
     """
 
     def __init__(
-        self, plan: Plan, shape_count: int, *, took: Callable[[str, float], None] = lambda name, s: None
+        self, plan: Plan, shape_count: int, *, took: Took = lambda name, s: None, staged: bool = False
     ) -> None:
         self.plan, self.clock, self._betas, self.took = plan, Clock(), np.zeros(shape_count), took
+        self._walk = by_stages if staged else walk
         self.memories: Memories = {}
         for stage in plan.stages:
             stage.prepare(plan)
@@ -32,7 +33,7 @@ class Stream:
         """The drape of ``one``, which is timed; the memories that it holds are replaced by the stream's."""
         one = replace(one, memories=self.memories)
         with self.clock:
-            batch = run(self.plan, [one], self.took)
+            *_, batch = self._walk(self.plan, [one], self.took)
         self.memories = batch.memories[0]
         return batch
 
@@ -47,7 +48,7 @@ class Stream:
             before = idle_before(self.plan, one)
             again = answer_again(self.plan, one, before)
             if again is None:
-                batch = run(self.plan, [one], self.took)
+                *_, batch = self._walk(self.plan, [one], self.took)
                 message = batch.messages[0]
                 again = message, remember(self.plan, one, before, batch.memories[0], message)
         message, self.memories = again

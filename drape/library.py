@@ -42,7 +42,7 @@ from drape.stages.batch import Batch, Memories, PoseInput, motion_arrays, shape_
 from drape.stages.body_stages import BodyStages
 from drape.stages.plan import Plan
 from drape.stages.scene import Entry, Outfit, Scene
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions, Inertia, TierName
 
 MODEL = "onefit"

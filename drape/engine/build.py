@@ -29,7 +29,7 @@ WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
 LINKED = ["-shared", "-nostdlib++", "-s"]
 # Addresses, and what C++ leaves undefined, are checked; gcc's libasan and libubsan, preloaded, tell what is wrong.
 SANITIZED = ["-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address", "-fsanitize=undefined"]
-UNITS = ("folds", "layers", "network", "physics", "push", "setup", "swing")
+UNITS = ("folds", "frame", "layers", "network", "physics", "push", "setup", "swing")
 TESTED = (*UNITS, "laws_folds", "laws_physics", "laws_swing")  # of the library that only tests load
 
 

@@ -6,6 +6,7 @@ import ctypes
 import dataclasses
 import struct
 from array import array
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -40,7 +41,30 @@ class Record:
         """
         self.arrays: list[np.ndarray] = []
         dtype = np.dtype(dtype or _numbers_type(name, value) or np.float32)
-        self._words = array("Q", self._filled(name, value, dtype))
+        self._set(self._filled(name, value, dtype))
+
+    @classmethod
+    def of_rows(cls, blocks: Sequence[np.ndarray], *numbers: float) -> Record:
+        """The record whose fields are the rows of ``blocks``, one after the other, and then ``numbers``: addresses of
+        arrays that were made in one piece are not asked for one by one. Types are not checked."""
+        made, words = object.__new__(cls), []
+        for block in blocks:
+            first, size = address_of(block), block[0].size
+            step = size * block.itemsize
+            words += [word for i in range(len(block)) for word in ((first + i * step) if size else 0, size)]
+        made.arrays = list(blocks)
+        made._set(words + _number_words(numbers))
+        return made
+
+    def ending(self, *numbers: float) -> Record:
+        """The same with other ``numbers`` in its last fields."""
+        made = object.__new__(Record)
+        made.arrays = self.arrays
+        made._set([*self._words[: -len(numbers)], *_number_words(numbers)])
+        return made
+
+    def _set(self, words: list[int]) -> None:
+        self._words = array("Q", words)
         self.address = self._words.buffer_info()[0]
 
     def _filled(self, name: str, value: Any, dtype: np.dtype) -> list[int]:
@@ -57,11 +81,20 @@ class Record:
                 words += self._filled(kind, own, dtype)
             elif kind in _WORDS:
                 words += _WORD.unpack(_WORDS[kind].pack(own))
+            elif own is None or isinstance(own, Record | Recorded):
+                made = own.record if isinstance(own, Recorded) else own  # whose maker keeps it
+                words += (made.address, 1) if made else (0, 0)
             else:
                 parts = np.array([word for one in own for word in self._filled(kind[:-2], one, dtype)], np.uint64)
                 self.arrays.append(parts)
                 words += (address_of(parts), len(own))
         return words
+
+
+def _number_words(numbers: Sequence[float]) -> list[int]:
+    """``numbers`` as words: whole ones as a ``count``, others as a ``number``."""
+    kinds = ("count" if isinstance(one, int) else "number" for one in numbers)
+    return [_WORD.unpack(_WORDS[kind].pack(one))[0] for kind, one in zip(kinds, numbers, strict=True)]
 
 
 def address_of(numbers: np.ndarray) -> int:

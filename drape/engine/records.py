@@ -10,7 +10,7 @@ has a kind:
 | ``count`` | ``int64_t`` | 8 bytes |
 | ``numbers``, ``int32s``, ``bytes``, ... | ``Array<T>``, ``Array<int32_t>``, ...: begin and number | 16 bytes |
 | the name of a record | that struct | its own |
-| such a name with ``[]`` | ``Array`` of such structs, one after the other | 16 bytes |
+| such a name with ``[]`` | ``Array`` of such structs, one after the other, or of one that is made already | 16 bytes |
 
 Every size is a multiple of eight bytes on every processor, WebAssembly included, so that a record is a flat array of
 64-bit words. T is float or double, that of the kernel which reads the record.
@@ -234,6 +234,34 @@ RECORDS: dict[str, dict[str, str]] = {
         "tile_basis": "numbers",
         "tile_patch": "int32s",
         "slot_charts": "int32s",
+    },
+    # One frame in one call: ``drape.network.frame``. ``Name[]`` is one of these or none.
+    "FrameParts": {
+        "weights": "Weights[]",
+        "kept": "KeptPoses[]",
+        "patches": "PatchRows[]",
+        "tiles": "Tiles[]",
+        "swing": "SwingConstants[]",
+        "cloth": "FoldConstants[]",
+        "levels": "Levels[]",
+        "effort": "FoldEffort[]",
+        "novel_effort": "FoldEffort[]",
+        "passes": "count",
+        "share": "number",
+        "step_count": "number",
+    },
+    "FrameCall": {
+        "parts": "FrameParts[]",
+        "body": "BodyFeed[]",
+        "lifts": "count",
+        "turns": "float64s",
+        "colliders": "float64s",
+        "swung_before": "SwingMemory[]",
+        "swung": "SwingMemory[]",
+        "folded_before": "FoldMemory[]",
+        "folded": "FoldMemory[]",
+        "vertices": "numbers",
+        "steps": "uint16s",
     },
     # Offline physics: ``drape.cloth.problem``, ``drape.exact.surroundings``, ``hessian`` and ``linear`` there.
     "Triangles": {

@@ -45,8 +45,8 @@ class CompiledNetwork:
     """A network of ``parameters`` by their names, which ``network`` describes."""
 
     def __init__(self, parameters: Mapping[str, np.ndarray], network: Mapping[str, Any]) -> None:
-        self._weights = weights_of(parameters, float(network["output_gain"]))
-        self._corrections = int(network["corrections"])
+        self.weights = weights_of(parameters, float(network["output_gain"]))
+        self.corrections = int(network["corrections"])
         self._garments = garment_encoder(parameters)
         self._motion = motion_encoder(parameters, network) if network.get("dynamic") else None
         self._code_size = int(network["body_code_size"])
@@ -80,16 +80,16 @@ class CompiledNetwork:
         local, rest = feed["joint_quaternion"][row][:JOINT_COUNT], feed["joint_rest"][row]
         given = (local, rest, feed["betas"][row], code)
         local, rest, betas, code = (np.ascontiguousarray(array, np.float32) for array in given)
-        return posed_body(self._weights, BodyFeed(local, rest, betas, code, parts, bones, skin_counts), skin)
+        return posed_body(self.weights, BodyFeed(local, rest, betas, code, parts, bones, skin_counts), skin)
 
     def drape(
         self, garment: GarmentRows, body: PosedBody, passes: int | None, *, vertices: bool
     ) -> tuple[dict[str, np.ndarray], bool]:
         """The posed jets of ``garment`` on ``body`` as the packed graph's outputs, with its ``vertices`` where these
         are asked for, and whether they are finite; ``passes`` corrections run, None all of them."""
-        count = self._corrections if passes is None else passes
+        count = self.corrections if passes is None else passes
         drawn = np.empty((garment.vertex_count if vertices else 0, 3), np.float32)
-        jets, finite = checked_jets(self._weights, garment.patches, body, count, len(garment.tiles.scale))
+        jets, finite = checked_jets(self.weights, garment.patches, body, count, len(garment.tiles.scale))
         if vertices:
             blend(jets, garment.tiles, drawn)
         return dict(zip(JETS, (jets.jet, jets.rotation, jets.centre), strict=True)) | {"vertices": drawn}, finite
@@ -97,7 +97,7 @@ class CompiledNetwork:
     def records(self, garment: GarmentRows, passes: int | None) -> dict[str, Any]:
         """What a client computes the network of ``garment`` by, with ``passes`` corrections, None all of them: records
         of the engine by their names, without tiles, which its processor has not."""
-        weights, count = self._weights, self._corrections if passes is None else passes
+        weights, count = self.weights, self.corrections if passes is None else passes
         layers = {"body": weights.body, "trunk": weights.trunk, "heads": weights.heads}
         corrections = {"first": weights.first[:count], "second": weights.second[:count]}
         several = {name: tuple(map(_untiled, each)) for name, each in (layers | corrections).items()}

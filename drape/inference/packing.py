@@ -26,10 +26,11 @@ from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.graph.buckets import filled, filled_rows
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import Composition, compose, pack_garment
+from drape.graph.packing import Composition, PackedBody, compose, pack_garment
 from drape.graph.push_feed import SkinShapes
 from drape.inference.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
 from drape.inference.store import Store
+from drape.network.bodies import NO_POSE, BodyFeed
 
 if TYPE_CHECKING:
     from drape.inference.compiled import CompiledNetwork, GarmentRows
@@ -202,7 +203,29 @@ class Packer:
         """What a client computes the network of the garment ``key`` by: ``CompiledNetwork.records``."""
         network = self._engine.compiled
         assert network is not None
-        return network.records(self._garment_rows(network, key), passes)
+        return network.records(self.rows(key), passes)
+
+    @property
+    def one_thread(self) -> bool:
+        """Whether items are draped one after the other."""
+        return self._threads is None
+
+    def rows(self, key: str) -> GarmentRows:
+        """The constants of the garment ``key``, of a compiled network."""
+        assert self._engine.compiled is not None
+        with self._lock:
+            if key not in self._rows:
+                self._rows[key] = self._engine.compiled.rows(self._store.packed(key))
+            return self._rows[key]
+
+    def body_feed(self, shape: PackedBody) -> BodyFeed:
+        """What poses a body of one ``shape`` at rest in a compiled network, whose pose is left open."""
+        assert self._skins is not None
+        with self._lock:
+            skins = self._skins.feed(shape.betas[None])
+        still = np.zeros(self._engine.code_size if self._engine.dynamic else 0, np.float32)
+        parts, bones = skins["skin_rows"][0], skins["skin_bones"]
+        return BodyFeed(NO_POSE, shape.joint_rest, shape.betas, still, parts, bones, self._skins.counts)
 
     def _parts(self, items: Sequence[Item]) -> list[list[Item]]:
         """``items`` in parts that fit a call, each of one at least."""
@@ -246,7 +269,7 @@ class Packer:
         assert self._skins is not None
         bodies, outputs = self._with_skins(bodies), plan.outputs
         counts, rows = self._skins.counts, list(dict.fromkeys(row for _, row in items))
-        garments = {key: self._garment_rows(network, key) for key, _ in items}
+        garments = {key: self.rows(key) for key, _ in items}
 
         def drape(item: Item) -> Result:
             body = posed[item[1]]
@@ -257,12 +280,6 @@ class Packer:
 
         posed = dict(zip(rows, self._each(lambda row: network.body(bodies, row, counts), rows), strict=True))
         return self._each(drape, items)
-
-    def _garment_rows(self, network: CompiledNetwork, key: str) -> GarmentRows:
-        with self._lock:
-            if key not in self._rows:
-                self._rows[key] = network.rows(self._store.packed(key))
-            return self._rows[key]
 
     def _each(self, function: Callable[[Any], T], values: Sequence[Any]) -> list[T]:
         """``function`` of each of ``values``, in order."""

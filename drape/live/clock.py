@@ -6,8 +6,8 @@ network moves a vertex farther than any motion does.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Self
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -55,6 +55,10 @@ class FrameMemory:
 
     time_s: float
     network: np.ndarray
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a pickle has of it: not what else was kept for the next frame, which may hold addresses."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def leads_to(self, time_s: float) -> bool:
         """Whether a frame at ``time_s`` [s] may go on from this one, if it is no cut."""

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.engine.packer import Recorded
+from drape.engine.packer import Record, Recorded
 from drape.live.clock import Frame, FrameMemory, step_between
 from drape.live.fold_constants import FoldConstants
-from drape.live.fold_step import FoldEffort, FoldReport, framed, no_past
+from drape.live.fold_step import FoldCall, FoldEffort, FoldReport, framed, no_arrays, no_past
 from drape.live.sheet import Sheet
 from drape.live.untangle import Tangles
 
@@ -56,12 +56,18 @@ def lifted_alone(
 ) -> tuple[np.ndarray, LiftMemory, FoldReport]:
     """The vertices [m] (V, 3) of ``frame``, eased, lifted up to the clearance and out of its colliders, the memory for
     the next frame, and a report."""
+    return framed(lift_call(levels, memory, frame.time_s), frame, effort)
+
+
+def lift_call(levels: Levels, memory: LiftMemory | None, time_s: float) -> FoldCall:
+    """The call of ``lifted_alone`` for a frame at ``time_s`` [s]."""
     dtype, places = levels.fine.sheet.own.dtype, len(levels.kept)
-    past = after = no_past(dtype)
-    if memory is not None and memory.leads_to(frame.time_s):
-        step_s = step_between(memory.time_s, frame.time_s)
-        past = past._replace(network=memory.network, own=memory.own, residual=memory.eased, step_s=step_s)
+    none, past = no_arrays(dtype), no_past(dtype)
+    if memory is not None and memory.leads_to(time_s):
+        step_s = step_between(memory.time_s, time_s)
+        arrays = none._replace(network=memory.network, own=memory.own, residual=memory.eased, step_s=step_s)
+        past = Record("FoldMemory", arrays, dtype)
     network, eased = np.empty((2, places, 3), dtype)
-    after = after._replace(network=network, own=np.empty(places, np.int32), residual=eased)
-    vertices, _, report = framed("lift_alone", levels, past, frame, effort, after)
-    return vertices, LiftMemory(frame.time_s, network, after.own, eased), report
+    after = none._replace(network=network, own=np.empty(places, np.int32), residual=eased)
+    made = LiftMemory(time_s, network, after.own, eased)
+    return FoldCall("lift_alone", levels, past, Record("FoldMemory", after, dtype), lambda _: made)

@@ -7,9 +7,10 @@ frames R of the network's surface X: r = R (x - X), u = R v / dt, v the way of t
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from drape.engine.packer import Record, Recorded
 from drape.live.clock import Frame, FrameMemory, step_between
 from drape.live.fold_constants import FoldConstants
 from drape.live.skin_walks import TouchedSamples
+
+OUTCOME = 7  # numbers of 64 bits that the engine tells of a frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +38,15 @@ class FoldMemory(FrameMemory):
     touched: TouchedSamples
     grip: np.ndarray
     turn: int
+
+    def arrays(self, added: np.ndarray) -> Record:
+        """Its arrays and what sweeps ``added`` as the engine reads them, without a time: where a frame left both, it
+        left that too."""
+        left: Record | None = vars(self).get("left")
+        if left is None or left.arrays[-1] is not added:
+            given = FoldArrays(self.network, self.residual, self.velocity, self.grip, *self.touched, added)
+            left = vars(self)["left"] = Record("FoldMemory", given, self.network.dtype)
+        return left
 
 
 @dataclass(frozen=True)
@@ -80,12 +92,27 @@ class FoldArrays(NamedTuple):
     turn: int = 0
     step_s: float = math.inf
 
-    @classmethod
-    def empty(cls, places: int, fine_places: int, dtype: np.dtype) -> FoldArrays:
-        """Room for a frame of so many places, of the coarse cloth and of the fine one."""
-        network, residual, velocity, grip = np.empty((4, places, 3), dtype)
-        own, other = np.empty((2, places), np.int32)
-        return cls(network, residual, velocity, grip, own, other, np.empty((fine_places, 3), dtype))
+
+def empty_arrays(places: int, fine_places: int, dtype: np.dtype) -> tuple[FoldArrays, Record]:
+    """Room for a frame of so many places, of the coarse cloth and of the fine one, and its record."""
+    points, samples = np.empty((4, places, 3), dtype), np.empty((2, places), np.int32)
+    added = np.empty((fine_places, 3), dtype) if fine_places else none_added(dtype)
+    (network, residual, velocity, grip), (own, other) = points, samples
+    arrays = FoldArrays(network, residual, velocity, grip, own, other, added)
+    record = Record.of_rows((points, samples, added[None]), 0, math.inf)
+    record.arrays[-1] = added
+    return arrays, record
+
+
+class FoldCall(NamedTuple):
+    """A frame of folds as the engine is asked for it: the ``name`` of its function, the ``constants``, what it goes on
+    from and what it leaves; ``remembered`` gives the memory of that, for the turn of the next frame."""
+
+    name: str
+    constants: Recorded
+    past: Record
+    after: Record
+    remembered: Callable[[int], Any]
 
 
 def fold(
@@ -95,54 +122,73 @@ def fold(
 
     The same input gives the same bits. ``memory`` is not written to.
     """
+    return framed(fold_call(constants, memory, frame.time_s), frame, effort)
+
+
+def fold_call(constants: FoldConstants, memory: FoldMemory | None, time_s: float) -> FoldCall:
+    """The call of ``fold`` for a frame at ``time_s`` [s]."""
     dtype = constants.sheet.own.dtype
-    after = FoldArrays.empty(len(constants.sheet.vertex), 0, dtype)
-    past = past_of(memory, frame.time_s, dtype)
-    vertices, turn, report = framed("fold", constants, past, frame, effort, after)
-    return vertices, memory_of(frame.time_s, after, turn), report
+    after, record = empty_arrays(len(constants.sheet.vertex), 0, dtype)
+    past = past_of(memory, time_s, none_added(dtype))
+    return FoldCall("fold", constants, past, record, lambda turn: memory_of(time_s, after, turn, record))
 
 
-def past_of(memory: FoldMemory | None, time_s: float, dtype: np.dtype, added: np.ndarray | None = None) -> FoldArrays:
-    """What ``memory``, and what sweeps ``added``, say to a frame at ``time_s`` [s], of ``dtype``."""
-    none = no_past(dtype)
+def past_of(memory: FoldMemory | None, time_s: float, added: np.ndarray) -> Record:
+    """What ``memory``, and what sweeps ``added``, say to a frame at ``time_s`` [s]."""
     if memory is None or not memory.leads_to(time_s):
-        return none
-    return FoldArrays(
-        memory.network, memory.residual, memory.velocity, memory.grip, *memory.touched,
-        none.added if added is None else added, memory.turn, step_between(memory.time_s, time_s),
-    )  # fmt: skip
+        return no_past(added.dtype)
+    return memory.arrays(added).ending(memory.turn, step_between(memory.time_s, time_s))
 
 
 @cache
-def no_past(dtype: np.dtype) -> FoldArrays:
+def none_added(dtype: np.dtype) -> np.ndarray:
+    """What sweeps added where there is no fine cloth."""
+    return np.empty((0, 3), dtype)
+
+
+@cache
+def no_arrays(dtype: np.dtype) -> FoldArrays:
+    """Arrays of no places."""
+    return empty_arrays(0, 0, dtype)[0]
+
+
+@cache
+def no_past(dtype: np.dtype) -> Record:
     """A past of ``dtype`` that is none."""
-    return FoldArrays.empty(0, 0, dtype)
+    return Record("FoldMemory", no_arrays(dtype), dtype)
 
 
-def memory_of(time_s: float, after: FoldArrays, turn: int) -> FoldMemory:
-    """The memory of a frame at ``time_s`` [s]."""
+def memory_of(time_s: float, after: FoldArrays, turn: int, left: Record) -> FoldMemory:
+    """The memory of a frame at ``time_s`` [s], whose arrays are the record ``left``."""
     touched = TouchedSamples(after.own, after.other)
-    return FoldMemory(time_s, after.network, after.residual, after.velocity, touched, after.grip, turn)
+    memory = FoldMemory(time_s, after.network, after.residual, after.velocity, touched, after.grip, turn)
+    vars(memory)["left"] = left
+    return memory
 
 
-def framed(
-    name: str, constants: Recorded, past: FoldArrays, frame: Frame, effort: FoldEffort, after: FoldArrays
-) -> tuple[np.ndarray, int, FoldReport]:
-    """The vertices [m] (V, 3) that the engine's function ``name`` makes of ``frame``, the turn of the next frame, and a
-    report. ``after`` is filled; where nothing led to a fold the vertices are the network's."""
-    dtype = after.network.dtype
+def framed(call: FoldCall, frame: Frame, effort: FoldEffort) -> tuple[np.ndarray, Any, FoldReport]:
+    """The vertices [m] (V, 3) that the engine makes of ``frame`` by ``call``, the memory for the next frame, and a
+    report. Where nothing led to a fold the vertices are the network's."""
+    dtype = call.after.arrays[0].dtype
     vertices, around = np.ascontiguousarray(frame.vertices, dtype), frame.around(dtype)
-    out, told = np.empty_like(vertices), np.empty(7, np.int64)
+    out, told = np.empty_like(vertices), np.empty(OUTCOME, np.int64)
     call_with_scratch(
-        name, dtype, vertices, Record("FoldMemory", past, dtype), Record("Surroundings", around, dtype), constants,
-        _recorded(effort), Record("FoldMemory", after, dtype), out, told,
+        call.name, dtype, vertices, call.past, Record("Surroundings", around, dtype),
+        call.constants, recorded(effort), call.after, out, told,
     )  # fmt: skip
+    turn, lost, report = read_outcome(told)
+    return frame.vertices if lost else out, call.remembered(turn), report
+
+
+def read_outcome(told: np.ndarray) -> tuple[int, bool, FoldReport]:
+    """The turn of the next frame, whether nothing led to a fold, and the report, of what the engine ``told``
+    (OUTCOME,) int64."""
     settled, reset, lost, turn = told[:4].tolist()
     _, share, far_m = told[4:].view(np.float64).tolist()
-    report = FoldReport(bool(settled), bool(reset), share, far_m)
-    return frame.vertices if lost else out, turn, report
+    return turn, bool(lost), FoldReport(bool(settled), bool(reset), share, far_m)
 
 
 @lru_cache
-def _recorded(effort: FoldEffort) -> Record:
+def recorded(effort: FoldEffort) -> Record:
+    """``effort`` as the engine reads it."""
     return Record("FoldEffort", effort)

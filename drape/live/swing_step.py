@@ -58,7 +58,7 @@ class SwingMemory(FrameMemory, Recorded):
 
 
 _NONE = np.zeros(0, np.float32)
-_NO_PAST = SwingMemory(-math.inf, _NONE, np.zeros(3), _NONE, _NONE, np.zeros(0, np.int32), np.zeros(1), np.zeros(0))
+NO_PAST = SwingMemory(-math.inf, _NONE, np.zeros(3), _NONE, _NONE, np.zeros(0, np.int32), np.zeros(1), np.zeros(0))
 
 
 def swing(
@@ -69,12 +69,19 @@ def swing(
     ``origin`` [m] (3,) is that of the frame's coordinates in the world. The same input gives the same bits; ``memory``
     is not written to. In a frame without a past, and in one to which no swing leads, cloth hangs still.
     """
-    dtype, count = constants.mesh.mass_kg.dtype, len(constants.mesh.vertex)
+    dtype = constants.mesh.mass_kg.dtype
     vertices, around = writable(frame.vertices, dtype), frame.around(dtype)
-    network, swung, speed = np.empty((3, count, 3), dtype)
-    touched, here = np.empty(count, np.int32), np.ascontiguousarray(origin, np.float64)
-    after = SwingMemory(frame.time_s, network, here, swung, speed, touched, np.empty(1), around.colliders)
-    given = (memory or _NO_PAST, Record("Surroundings", around, dtype), constants, float(share))
+    after = empty_memory(constants, frame.time_s, origin, around.colliders)
+    given = (memory or NO_PAST, Record("Surroundings", around, dtype), constants, float(share))
     out = np.empty_like(vertices)
     moved = call_with_scratch("swing", dtype, vertices, len(vertices), *given, after, out)
     return out if moved else frame.vertices, after
+
+
+def empty_memory(constants: SwingConstants, time_s: float, origin: np.ndarray, colliders: np.ndarray) -> SwingMemory:
+    """The memory of a frame at ``time_s`` [s], which the engine fills: ``origin`` [m] (3,) and ``colliders`` (M, 16)
+    from there are the frame's."""
+    dtype, count = constants.mesh.mass_kg.dtype, len(constants.mesh.vertex)
+    network, swung, speed = np.empty((3, count, 3), dtype)
+    here = np.ascontiguousarray(origin, np.float64)
+    return SwingMemory(time_s, network, here, swung, speed, np.empty(count, np.int32), np.empty(1), colliders)

@@ -9,7 +9,7 @@ of the fine cloth begin there (``source/levels.hpp`` of the engine).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -24,9 +24,20 @@ from drape.garment.cache import Garment
 from drape.live.clock import Frame
 from drape.live.coarse_mesh import coarse_mesh
 from drape.live.coarse_weights import coarse_weights
-from drape.live.eased import FineLevel, Levels, LiftMemory, lifted_alone
+from drape.live.eased import FineLevel, Levels, LiftMemory, lift_call
 from drape.live.fold_constants import FoldConstants, LaidCloth, array_bytes, fold_constants, worn_cloth, worn_mesh
-from drape.live.fold_step import FoldArrays, FoldEffort, FoldMemory, FoldReport, fold, framed, memory_of, past_of
+from drape.live.fold_step import (
+    FoldCall,
+    FoldEffort,
+    FoldMemory,
+    FoldReport,
+    empty_arrays,
+    fold_call,
+    framed,
+    memory_of,
+    no_past,
+    past_of,
+)
 from drape.live.sheet import sheet
 from drape.live.skin_walks import TouchedSamples
 from drape.live.untangle import tangles_of
@@ -72,7 +83,15 @@ class OneLevel:
         self, memory: Memory | None, frame: Frame, effort: FoldEffort
     ) -> tuple[np.ndarray, FoldMemory, FoldReport]:
         """``fold_step.fold``; a memory of two levels is none."""
-        return fold(self.constants, memory if isinstance(memory, FoldMemory) else None, frame, effort)
+        return framed(self.call(memory, frame.time_s, effort), frame, effort)
+
+    def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
+        """The call of ``fold`` for a frame at ``time_s`` [s]."""
+        return fold_call(self.constants, memory if isinstance(memory, FoldMemory) else None, time_s)
+
+    def begins(self, memory: Memory | None, effort: FoldEffort) -> bool:
+        """Whether ``fold`` reads the network's drape for a past: never."""
+        return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +117,19 @@ class TwoLevel:
     ) -> tuple[np.ndarray, TwoLevelMemory | LiftMemory, FoldReport]:
         """``fold_two_level``, or the lift alone where there are neither steps nor folds that fade; a memory of one
         level is none."""
+        if self.begins(memory, effort):
+            return fold_two_level(self, memory, frame, effort)
+        return framed(self.call(memory, frame.time_s, effort), frame, effort)
+
+    def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
+        """The call of ``fold`` for a frame at ``time_s`` [s] that does not ``begin``."""
         if effort.steps or isinstance(memory, TwoLevelMemory):
-            return fold_two_level(self, None if isinstance(memory, FoldMemory) else memory, frame, effort)
-        return lifted_alone(self.levels, memory if isinstance(memory, LiftMemory) else None, frame, effort)
+            return two_level_call(self.levels, memory if isinstance(memory, TwoLevelMemory) else None, time_s)
+        return lift_call(self.levels, memory if isinstance(memory, LiftMemory) else None, time_s)
+
+    def begins(self, memory: Memory | None, effort: FoldEffort) -> TypeGuard[LiftMemory]:
+        """Whether cloth that was lifted alone begins to fold, for which ``fold`` reads the network's drape."""
+        return effort.steps > 0 and isinstance(memory, LiftMemory)
 
 
 def one_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> OneLevel:
@@ -142,14 +171,21 @@ def fold_two_level(
 
     ``effort`` has as many sweeps of the fine cloth as steps of the coarse one. The same input gives the same bits.
     """
-    levels = constants.levels
-    dtype, places = levels.fine.sheet.own.dtype, len(levels.fine.sheet.vertex)
     if isinstance(memory, LiftMemory):
-        memory = _unfolded(levels, memory, frame)
-    past = past_of(None if memory is None else memory.coarse, frame.time_s, dtype, memory and memory.added)
-    after = FoldArrays.empty(len(levels.kept), places, dtype)
-    vertices, turn, report = framed("fold_two_levels", levels, past, frame, effort, after)
-    return vertices, TwoLevelMemory(memory_of(frame.time_s, after, turn), after.added), report
+        memory = _unfolded(constants.levels, memory, frame)
+    return framed(two_level_call(constants.levels, memory, frame.time_s), frame, effort)
+
+
+def two_level_call(levels: Levels, memory: TwoLevelMemory | None, time_s: float) -> FoldCall:
+    """The call of ``fold_two_level`` for a frame at ``time_s`` [s]."""
+    dtype, places = levels.fine.sheet.own.dtype, len(levels.fine.sheet.vertex)
+    past = no_past(dtype) if memory is None else past_of(memory.coarse, time_s, memory.added)
+    after, record = empty_arrays(len(levels.kept), places, dtype)
+
+    def remembered(turn: int) -> TwoLevelMemory:
+        return TwoLevelMemory(memory_of(time_s, after, turn, record), after.added)
+
+    return FoldCall("fold_two_levels", levels, past, record, remembered)
 
 
 def _unfolded(levels: Levels, memory: LiftMemory, frame: Frame) -> TwoLevelMemory:

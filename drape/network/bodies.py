@@ -19,6 +19,8 @@ from drape.engine.calls import call, call_with_scratch
 from drape.engine.packer import Recorded
 from drape.network.weights import Weights
 
+NO_POSE = np.zeros((0, 4), np.float32)  # of a feed whose pose is left open
+
 
 @dataclass(frozen=True, eq=False)
 class PosedBody(Recorded):

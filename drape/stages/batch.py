@@ -14,6 +14,7 @@ from drape.stages.placing import Origin, Placed
 from drape.stages.plan import Plan
 
 Memories = Mapping[tuple[str, str], Any]  # by stage and owner; values are never changed in place
+Steps = tuple[np.ndarray, np.ndarray, np.ndarray]  # (V, 3) uint16, low corner and step size (3,)
 Record = TypeVar("Record", "Batch", "Layer", "Quality")
 
 # Beyond these the numbers are a mistake of unit, and squares overflow.
@@ -163,7 +164,8 @@ class Quality:
 
     @staticmethod
     def untouched(frames: int) -> Quality:
-        return Quality(*(np.zeros(frames) for _ in fields(Quality)))
+        none = np.zeros(frames)  # of all: arrays are never changed in place
+        return Quality(none, none, none, none, none)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +173,8 @@ class Batch:
     """Frames of several clients under one plan, one input's after the other, and what the stages have made so far.
 
     ``memories`` of each input, after its frames; ``codes`` (F, C) of a moving body; ``skin`` (F, R, 12, 8) posed, where
-    a stage needs it; ``layers`` of the garments; ``root`` [m] (F, 3) float64; ``messages`` of the frames.
+    a stage needs it; ``layers`` of the garments; ``root`` [m] (F, 3) float64; ``messages`` of the frames; ``steps`` of
+    the vertices of each frame where these have been made (``drape.kernels.quantised``).
     """
 
     plan: Plan
@@ -183,6 +186,7 @@ class Batch:
     layers: tuple[Layer, ...] = ()
     root: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     messages: tuple[bytes, ...] = ()
+    steps: tuple[Steps, ...] = ()
 
     @staticmethod
     def of(plan: Plan, inputs: Sequence[PoseInput]) -> Batch:
@@ -208,7 +212,14 @@ class Batch:
     def answer(self) -> Batch:
         """The batch without what only stages read; of hidden layers nothing is kept."""
         of = zip(self.layers, self.plan.visible, strict=bool(self.layers))  # none before the network
-        return changed(self, codes=None, skin=None, layers=tuple(layer if seen else Layer() for layer, seen in of))
+        return changed(
+            self, codes=None, skin=None, steps=(), layers=tuple(layer if seen else Layer() for layer, seen in of)
+        )
+
+    @property
+    def count(self) -> int:
+        """How many frames there are."""
+        return len(self.quality.novelty)
 
     def rows(self) -> Iterator[tuple[PoseInput, slice]]:
         """Each input with its rows of the frames."""

@@ -103,8 +103,8 @@ class Folds(Stage):
 
     def prepare(self, plan: Plan) -> None:
         for key, fabric in zip(plan.draped_keys, plan.fabrics, strict=True):
-            self._of(key, fabric, coarse=plan.options.coarse)
-        for key, draped, read in zip(plan.keys, plan.draped_keys, _read(plan), strict=True):
+            self.constants(key, fabric, coarse=plan.options.coarse)
+        for key, draped, read in zip(plan.keys, plan.draped_keys, read_layers(plan), strict=True):
             if read and key != draped:
                 self._wrapping(key)
 
@@ -115,21 +115,16 @@ class Folds(Stage):
     def steps(self, batch: Batch) -> Iterator[Batch]:
         """Layer after layer: a frame without a past takes tens of milliseconds for each."""
         plan = batch.plan
-        assert plan.options.folds is not None and plan.options.settle is not None
-        clearance_m = self.settings.clearance_m if plan.options.push_out else 0.0
-        effort = FoldEffort(plan.options.folds, plan.options.settle, bool(plan.options.cloth_contact), clearance_m)
-        safe = effort._replace(steps=max(plan.options.folds, plan.options.safe_folds or 0))
-        if plan.carried:
-            effort = safe = effort._replace(steps=0)
+        effort, safe = self.efforts(plan)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty.tolist()]
-        layers, told, lain = list(batch.layers), _Told(len(batch.root)), []
+        layers, told, lain = list(batch.layers), Told(len(batch.root)), []
         felt = _feel_each_other(plan)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
         ceilings = self._ceilings(batch, ground) if felt else [None] * len(layers)
         for i, (key, fabric, ceiling) in enumerate(zip(plan.draped_keys, plan.fabrics, ceilings, strict=True)):
             memories = batch.remembered((self.name, key))
-            made = self._of(key, fabric, coarse=plan.options.coarse)
+            made = self.constants(key, fabric, coarse=plan.options.coarse)
             layers[i], own, memories, reports = self._folded(batch, i, made, efforts, memories, ground)
             told.add(reports, len(made.laid.sheet.vertex), seen=plan.visible[i])
             lain.append(_Lain(made.laid, own, ground))
@@ -139,15 +134,26 @@ class Folds(Stage):
                 ground = raised(ground, lain[i].heights(layers[i]))
             if i < len(layers) - 1:
                 yield changed(batch, layers=tuple(layers), quality=told.quality(batch.quality))
-        folded, read = changed(batch, layers=tuple(layers)), _read(plan)
+        folded, read = changed(batch, layers=tuple(layers)), read_layers(plan)
         if felt and any(read[:-1]):  # what nobody reads need not lie below the others
             for i, ceiling in enumerate(self._ceilings(folded, lain[0].ground)):
                 if ceiling is not None and read[i]:
                     layers[i] = lain[i].below(layers[i], ceiling)
         for i, (key, sent) in enumerate(zip(plan.draped_keys, plan.keys, strict=True)):
             if sent != key and read[i]:
-                layers[i] = self._wrapped(layers[i], sent)
+                layers[i] = self.wrapped(layers[i], sent)
         yield changed(batch, layers=tuple(layers), quality=told.quality(batch.quality))
+
+    def efforts(self, plan: Plan) -> tuple[FoldEffort, FoldEffort]:
+        """The effort of a frame, and that of one whose pose is novel."""
+        options = plan.options
+        assert options.folds is not None and options.settle is not None
+        clearance_m = self.settings.clearance_m if options.push_out else 0.0
+        effort = FoldEffort(options.folds, options.settle, bool(options.cloth_contact), clearance_m)
+        if plan.carried:
+            effort = effort._replace(steps=0)
+            return effort, effort
+        return effort, effort._replace(steps=max(options.folds, options.safe_folds or 0))
 
     def _folded(
         self,
@@ -183,12 +189,12 @@ class Folds(Stage):
         parts = zip(batch.layers, batch.plan.draped_keys, batch.plan.fabrics, strict=True)
         for layer, key, fabric in list(parts)[:0:-1]:
             assert layer.vertices is not None
-            outer = self._of(key, fabric, coarse=batch.plan.options.coarse).laid
+            outer = self.constants(key, fabric, coarse=batch.plan.options.coarse).laid
             over = np.stack([ceiling_over(one, outer, below) for one, below in zip(layer.vertices, skin, strict=True)])
             made.append(over if made[-1] is None else lower(over, made[-1]))
         return made[::-1]
 
-    def _wrapped(self, layer: Layer, key: str) -> Layer:
+    def wrapped(self, layer: Layer, key: str) -> Layer:
         """``layer`` as the delivered mesh of the garment ``key``, around the finer cloth."""
         assert layer.vertices is not None
         wrapping = self._wrapping(key)
@@ -198,7 +204,7 @@ class Folds(Stage):
         """The wrapping of the delivered mesh of the garment ``key``."""
         return self._wrappings.get((key,), lambda: Wrapping(self._garments[key]))
 
-    def _of(self, key: str, fabric: Fabric | None, *, coarse: bool | None) -> Constants:
+    def constants(self, key: str, fabric: Fabric | None, *, coarse: bool | None) -> Constants:
         """The constants of the garment ``key`` made of ``fabric``."""
         name = key, "" if fabric is None else fabric.digest, "coarse" if coarse else "fine"
         make = two_level.two_level if coarse else two_level.one_level
@@ -227,7 +233,7 @@ def _feel_each_other(plan: Plan) -> bool:
     return bool(plan.options.cloth_contact) and len(plan.draped) > 1
 
 
-def _read(plan: Plan) -> list[bool]:
+def read_layers(plan: Plan) -> list[bool]:
     """Whether the delivered mesh of each layer is read; only the push-out reads that of a hidden one."""
     return [seen or plan.projected for seen in plan.visible]
 
@@ -254,7 +260,7 @@ class _Lain:
         return np.stack([heights_over(one, self.made, *row) for one, *row in each])
 
 
-class _Told:
+class Told:
     """Figures of F frames, added up over the layers: folds begun anew, vertices lifted off the skin, the furthest way
     of one [m], and the number of vertices."""
 

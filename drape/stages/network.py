@@ -15,9 +15,11 @@ from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.graph.packing import pack_body
+from drape.inference.compiled import GarmentRows
 from drape.inference.graph_names import JETS, SKIN
 from drape.inference.packing import Packer, Result, ScenePlan, Shape, check_finite
 from drape.inference.whole_graph import WholeGraph
+from drape.network.bodies import BodyFeed
 from drape.network.novelty import kept_poses, novelty
 from drape.stages.batch import Batch, Jets, Layer, changed, joined, stacked
 from drape.stages.plan import Plan
@@ -41,14 +43,14 @@ class Novelty(Stage):
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
         support = self.engine.pose_support
-        self._kept = None if support is None else kept_poses(support)
+        self.kept_poses = None if support is None else kept_poses(support)
 
     def wanted(self, plan: Plan) -> bool:
-        return self._kept is not None
+        return self.kept_poses is not None
 
     def run(self, batch: Batch) -> Batch:
-        assert self._kept is not None
-        found = novelty(self._kept, joined([one.poses for one in batch.inputs], axis=0))
+        assert self.kept_poses is not None
+        found = novelty(self.kept_poses, joined([one.poses for one in batch.inputs], axis=0))
         return changed(batch, quality=changed(batch.quality, novelty=found))
 
 
@@ -66,6 +68,9 @@ class Network(Stage):
         body = setup.body  # not ``self``: a stage in a ring stays until the collector comes, which is seldom
         self._shape = lru_cache(SHAPES_KEPT)(lambda betas: pack_body(body, np.frombuffer(betas, np.float64)))
         self._skin_in_graph = self.engine.feels_body and self.body.posedirs is None
+        feed = self.packer.body_feed if isinstance(self.packer, Packer) else None
+        shape = self._shape
+        self._feed = lru_cache(SHAPES_KEPT)(lambda betas: feed and feed(shape(betas)))
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         return {"passes": self.engine.check_passes(options.passes)}
@@ -106,6 +111,29 @@ class Network(Stage):
         assert isinstance(self.packer, Packer)
         (key,) = self._dressed(plan)
         return self.packer.records(key, passes=plan.options.passes)
+
+    @property
+    def in_engine(self) -> bool:
+        """Whether the engine computes the network and the skin of its bodies."""
+        return self.engine.compiled is not None and self._skin_in_graph
+
+    @property
+    def on_one_thread(self) -> bool:
+        """Whether it drapes one frame after the other."""
+        return not isinstance(self.packer, Packer) or self.packer.one_thread
+
+    def posed_by(self, betas: np.ndarray) -> tuple[BodyFeed, np.ndarray]:
+        """What poses a body of the shape ``betas`` (S,) in the engine, and the rest place of its root [m] (3,)."""
+        key = np.asarray(betas, np.float64).tobytes()
+        feed = self._feed(key)
+        assert feed is not None
+        return feed, self._shape(key).root
+
+    def rows(self, plan: Plan) -> GarmentRows:
+        """The constants of the one garment of ``plan`` in the engine."""
+        assert isinstance(self.packer, Packer)
+        (key,) = self._dressed(plan)
+        return self.packer.rows(key)
 
     def run(self, batch: Batch) -> Batch:
         plan, needs = batch.plan, batch.plan.needs

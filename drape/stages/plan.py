@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,6 +44,11 @@ class Plan:
     carried: bool = False
     draped: tuple[Entry, ...] = ()
     fabrics: tuple[Fabric | None, ...] = field(default=(), compare=False)  # of options and scene
+
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """What is made once for its frames (``drape.stages.frame``)."""
+        return {}
 
     @cached_property
     def keys(self) -> tuple[str, ...]:

@@ -1,11 +1,10 @@
-"""What a stage is, the constants that it keeps, and the walk of a batch through all stages of its plan."""
+"""What a stage is, the constants that it keeps, and which memories hold under another plan."""
 
 from __future__ import annotations
 
 import threading
-import time
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
-from drape.stages.batch import Batch, Memories, PoseInput
+from drape.stages.batch import Batch, Memories
 from drape.stages.plan import Plan
 from drape.wanted import go_on
 from drape.wire.options import DrapeOptions
@@ -122,34 +121,6 @@ class Stage:
     def steps(self, batch: Batch) -> Iterator[Batch]:
         """``batch`` after each part of ``run``, between which other frames may be computed; the last is its result."""
         yield self.run(batch)
-
-
-def walk(
-    plan: Plan, inputs: Sequence[PoseInput], took: Callable[[str, float], None] = lambda name, s: None
-) -> Iterator[Batch]:
-    """All frames of ``inputs``, which may differ in shape, through the stages of ``plan``: the batch after every step.
-
-    A step is what others may have to wait for: a stage, or a part of one that is long. ``took`` is told the name of
-    each stage and how long it took [s].
-    """
-    batch = Batch.of(plan, inputs)
-    for stage in plan.stages:
-        steps, spent_s = iter(stage.steps(batch)), 0.0
-        while True:
-            begun_s = time.perf_counter()
-            after = next(steps, None)
-            spent_s += time.perf_counter() - begun_s
-            if after is None:
-                break
-            batch = after
-            yield batch
-        took(stage.name, spent_s)
-
-
-def run(plan: Plan, inputs: Sequence[PoseInput], took: Callable[[str, float], None] = lambda name, s: None) -> Batch:
-    """The batch at the end of ``walk``."""
-    *_, last = walk(plan, inputs, took)
-    return last
 
 
 def carried(memories: Memories, before: Plan, after: Plan) -> Memories:

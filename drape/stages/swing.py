@@ -63,7 +63,7 @@ class Swing(Stage):
 
     def prepare(self, plan: Plan) -> None:
         for key, fabric in zip(plan.draped_keys, plan.fabrics, strict=True):
-            self._of(key, fabric)
+            self.constants(key, fabric)
 
     def run(self, batch: Batch) -> Batch:
         *_, last = self.steps(batch)
@@ -75,7 +75,7 @@ class Swing(Stage):
         assert batch.skin is not None
         skin = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
         for i, (key, fabric) in enumerate(zip(plan.draped_keys, plan.fabrics, strict=True)):
-            made, drape = self._of(key, fabric), layers[i].vertices
+            made, drape = self.constants(key, fabric), layers[i].vertices
             if made is not None and drape is not None:
                 swung, after = [], []
                 for (one, rows), memory in zip(batch.rows(), batch.remembered((self.name, key)), strict=True):
@@ -89,7 +89,7 @@ class Swing(Stage):
                 batch = batch.remember((self.name, key), after)
             yield changed(batch, layers=tuple(layers))
 
-    def _of(self, key: str, fabric: Fabric | None) -> SwingConstants | None:
+    def constants(self, key: str, fabric: Fabric | None) -> SwingConstants | None:
         """The constants of the garment ``key`` made of ``fabric``; None where nothing of it swings."""
         name = key, "" if fabric is None else fabric.digest
         return self._constants.get(name, lambda: self.make(swing_constants, self._garments[key], self.body, fabric))

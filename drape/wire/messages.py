@@ -250,8 +250,8 @@ def pack_frame(frame: Frame, quantise: Quantise = quantise) -> bytes:
         frame.client_time_s, frame.server_time_s, *frame.root, *low, *step,
         frame.dropped, min(frame.residence_us, 0xFFFFFFFF), frame.pushed_share, frame.push_max_m,
     )  # fmt: skip
-    payload = steps.astype("u1" if bytes_each else "<u2", copy=False).tobytes()
-    return header + payload + b"\0" * (-len(payload) % 4)
+    payload = np.ascontiguousarray(steps, "u1" if bytes_each else "<u2")
+    return b"".join((header, payload.data, b"\0" * (-payload.nbytes % 4)))
 
 
 def pack_same(answer: Answer) -> bytes:

@@ -19,7 +19,7 @@ from drape.garment.cache import Garment
 from drape.geometry.raster import Surface, render
 from drape.motion.hard_poses import HardPoses
 from drape.stages.batch import PoseInput
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions, Resolution
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from drape.stages.batch import Batch, PoseInput
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 

@@ -1,6 +1,6 @@
 // Folds: steps, sweeps and the lift of one frame, and what is made of a garment for them.
-#include "exports.hpp"
 #include "levels.hpp"
+#include "parts.hpp"
 #include "reached.hpp"
 
 EXPORT uint64_t drape_records_hash() { return RECORDS_HASH; }

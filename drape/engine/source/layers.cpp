@@ -1,6 +1,6 @@
 // Garments over and below each other, and steps of positions.
-#include "exports.hpp"
 #include "layers.hpp"
+#include "parts.hpp"
 #include "quantise.hpp"
 
 #define FOR_TYPE(T, suffix)                                                                                            \

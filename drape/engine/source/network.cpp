@@ -1,7 +1,7 @@
 // The network: bodies, posed jets, vertices, and its single layers.
-#include "exports.hpp"
 #include "motion.hpp"
 #include "network.hpp"
+#include "parts.hpp"
 
 #define FOR_TYPE(T, suffix)                                                                                            \
   EXPORT int64_t drape_pose_body_##suffix(const Weights<T>* weights, const BodyFeed<T>* feed, PosedBody<T>* body,      \

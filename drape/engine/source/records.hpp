@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0xa348cd28e403e5dau;
+constexpr uint64_t RECORDS_HASH = 0xe7795efbb20da88cu;
 
 template <class T> struct Constants {
   double warp;
@@ -315,6 +315,37 @@ template <class T> struct PushFeed {
   Array<int32_t> slot_charts;
 };
 static_assert(sizeof(PushFeed<float>) == 184, "PushFeed");
+
+template <class T> struct FrameParts {
+  Array<Weights<T>> weights;
+  Array<KeptPoses<T>> kept;
+  Array<PatchRows<T>> patches;
+  Array<Tiles<T>> tiles;
+  Array<SwingConstants<T>> swing;
+  Array<FoldConstants<T>> cloth;
+  Array<Levels<T>> levels;
+  Array<FoldEffort<T>> effort;
+  Array<FoldEffort<T>> novel_effort;
+  int64_t passes;
+  double share;
+  double step_count;
+};
+static_assert(sizeof(FrameParts<float>) == 168, "FrameParts");
+
+template <class T> struct FrameCall {
+  Array<FrameParts<T>> parts;
+  Array<BodyFeed<T>> body;
+  int64_t lifts;
+  Array<double> turns;
+  Array<double> colliders;
+  Array<SwingMemory<T>> swung_before;
+  Array<SwingMemory<T>> swung;
+  Array<FoldMemory<T>> folded_before;
+  Array<FoldMemory<T>> folded;
+  Array<T> vertices;
+  Array<uint16_t> steps;
+};
+static_assert(sizeof(FrameCall<float>) == 168, "FrameCall");
 
 template <class T> struct Triangles {
   Array<int32_t> corner;

@@ -1,5 +1,5 @@
 // Swing.
-#include "exports.hpp"
+#include "parts.hpp"
 #include "swing.hpp"
 
 #define FOR_TYPE(T, suffix)                                                                                            \

@@ -28,6 +28,16 @@ def test_a_record_has_the_words_of_its_fields():
     assert words.tolist() == [corner.ctypes.data, 8, *(3 * [numbers.ctypes.data, 2])]
 
 
+def test_rows_of_blocks_are_a_record_that_may_end_otherwise():
+    points, samples, added = np.ones((4, 5, 3), np.float32), np.ones((2, 5), np.int32), np.ones((1, 7, 3), np.float32)
+    names = [*records.RECORDS["FoldMemory"]]
+    fields = dict(zip(names, (*points, *samples, *added, 3, 0.25), strict=True))
+    made = Record("FoldMemory", SimpleNamespace(**fields))
+    rows = records.Record.of_rows((points, samples, added), 0, np.inf)
+    for one in (rows.ending(3, 0.25), records.Record.of_rows((points, samples, added), 3, 0.25)):
+        assert one._words == made._words != rows._words
+
+
 @pytest.mark.parametrize("wrong", [np.zeros(4), np.zeros(8, np.int32)[::2]])
 def test_an_array_of_another_kind_is_our_own_mistake(wrong):
     whole = np.zeros(4, np.float32)

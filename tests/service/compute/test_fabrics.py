@@ -16,7 +16,7 @@ from drape.inference import packing
 from drape.stages.batch import PoseInput
 from drape.stages.network import Network
 from drape.stages.scene import check_known, layer_fabrics
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions, FabricNumbers
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings

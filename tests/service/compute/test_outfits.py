@@ -22,7 +22,7 @@ from drape.stages.batch import Batch, PoseInput, joined
 from drape.stages.collision import KEPT_OUTFITS, Pusher
 from drape.stages.plan import Plan
 from drape.stages.scene import Outfit
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions

@@ -19,7 +19,8 @@ from drape.garment.cache import Garment, save_garment
 from drape.garment.fine import SUFFIX, fine_garment
 from drape.garment.wrapping import Wrapping
 from drape.stages.batch import PoseInput
-from drape.stages.stage import carried, run
+from drape.stages.stage import carried
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime

@@ -21,7 +21,7 @@ from drape.inference.onnx_runtime import Device, nodes_off_provider, open_sessio
 from drape.inference.packing import Packer, ScenePlan
 from drape.stages.batch import Jets, PoseInput
 from drape.stages.collision import Pusher
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.garments import ship

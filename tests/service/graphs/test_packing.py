@@ -29,7 +29,7 @@ from drape.inference.onnx_runtime import Device
 from drape.inference.packing import SHAPE_INDEX, Packer, Result, ScenePlan
 from drape.inference.subgraph import cut
 from drape.stages.batch import PoseInput
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses

@@ -24,7 +24,7 @@ from drape.graph.push_feed import pack_push, pushed_jets
 from drape.inference.engine import Engine
 from drape.stages.batch import Jets, PoseInput
 from drape.stages.collision import Pusher
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings

@@ -16,7 +16,7 @@ from drape.garment.cache import Garment
 from drape.garment.files.glb import read_glb
 from drape.geometry.closest import signed_distance
 from drape.stages.batch import Batch, PoseInput
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings

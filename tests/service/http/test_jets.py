@@ -22,7 +22,7 @@ from drape.graph.push_feed import pack_push
 from drape.motion.hard_poses import hard_poses
 from drape.motion.samples import SAMPLES
 from drape.stages.batch import PoseInput
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, message_bytes, pack_jets, split_jets, unpack_jets
 from drape.wire.layout import JetLayout, unpack_layout

@@ -12,7 +12,7 @@ from drape.errors import InputError
 from drape.geometry.colliders import distances
 from drape.stages.batch import PoseInput
 from drape.stages.plan import Plan
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 

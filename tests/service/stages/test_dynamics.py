@@ -24,7 +24,7 @@ from drape.stages.batch import Memories, PoseInput
 from drape.stages.encode import KEY
 from drape.stages.motion import JUMP_M_S, STEP_LIMIT_S, Memory, Moment, Motion, advance
 from drape.stages.plan import Plan
-from drape.stages.stage import run
+from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime

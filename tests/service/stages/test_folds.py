@@ -22,7 +22,8 @@ from drape.live import two_level
 from drape.stages import folds as folds_stage
 from drape.stages.batch import PoseInput
 from drape.stages.folds import SETTLE, Folds
-from drape.stages.stage import carried, run, walk
+from drape.stages.stage import carried
+from drape.stages.walk import run, walk
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime

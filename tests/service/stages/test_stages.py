@@ -20,8 +20,9 @@ from drape.stages.encode import coordinate_bits
 from drape.stages.motion import Motion
 from drape.stages.network import Network
 from drape.stages.plan import Plan
-from drape.stages.stage import BODY, Stage, carried, run
+from drape.stages.stage import BODY, Stage, carried
 from drape.stages.tiers import FAR_PIXELS_PER_M, TIERS, capped, chosen
+from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions

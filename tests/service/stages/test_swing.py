@@ -16,8 +16,8 @@ from drape.errors import InputError
 from drape.live.swing_constants import swing_constants
 from drape.stages.batch import PoseInput
 from drape.stages.plan import Plan
-from drape.stages.stage import run
 from drape.stages.swing import Swing
+from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.replicas.memory_codec import decoded, encoded

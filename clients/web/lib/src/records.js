@@ -1,7 +1,7 @@
 // Generated from drape/engine/records.py by scripts/sync_wire.py. Do not edit.
 
 // Of the whole table, a part of which follows: fields of records in their order, with their kinds.
-export const LAYOUT = "a348cd28e403e5da";
+export const LAYOUT = "e7795efbb20da88c";
 export const RECORDS = {
   Constants: { warp: "number", cross: "number", weft: "number", shear: "number", gap: "number", slack: "number", per_edge: "number", degenerate: "number", least: "number", reach: "number" },
   Creases: { corner: "int32s", stiffness: "numbers", cosine: "numbers", sine: "numbers" },

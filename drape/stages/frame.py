@@ -1,0 +1,165 @@
+"""Frames that one call of the engine makes of poses: novelty, network, swing, folds, and coordinates of the message.
+
+These stages make the same bits one after the other. What they hand on to each other as objects of Python takes a fifth
+of a T-shirt's frame, most of which is saved here. Their memories are the same too.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.geometry.colliders import seen_from
+from drape.inference.packing import check_finite
+from drape.live.fold_step import FoldEffort
+from drape.network.frame import PARTS, Drawn, Moment, Past, Worn, draw
+from drape.stages.batch import Batch, Layer, changed
+from drape.stages.encode import Encode, coordinate_bits
+from drape.stages.folds import Folds, Told, read_layers
+from drape.stages.network import Network, Novelty
+from drape.stages.plan import SKIN, Plan
+from drape.stages.stage import Stage
+from drape.stages.swing import Swing
+from drape.wire.messages import BYTE_COUNT, STEP_COUNT
+
+NO_EFFORT = FoldEffort(0)
+
+
+class AtOnce(NamedTuple):
+    """The first stages of a plan, which the engine runs in one call a frame."""
+
+    novelty: Novelty | None
+    network: Network
+    swing: Swing | None
+    folds: Folds | None
+
+    @property
+    def stages(self) -> list[Stage]:
+        """Those that there are."""
+        return [stage for stage in self if stage is not None]
+
+
+def at_once(plan: Plan) -> AtOnce | None:
+    """The stages of ``plan`` that ``drawn`` runs in one call a frame; None where the engine has not all that is asked
+    for: it drapes a single garment, and nobody behind may read jets or the skin."""
+    if "at_once" not in plan.kept:
+        plan.kept["at_once"] = _at_once(plan)
+    return plan.kept["at_once"]
+
+
+def _at_once(plan: Plan) -> AtOnce | None:
+    found = {type(stage): stage for stage in plan.stages}
+    novelty, network, swing, folds = (found.get(kind) for kind in (Novelty, Network, Swing, Folds))
+    if not isinstance(network, Network) or not network.in_engine:
+        return None
+    made = AtOnce(novelty, network, swing, folds)  # pyright: ignore[reportArgumentType]
+    first, rest = plan.stages[: len(made.stages)], plan.stages[len(made.stages) :]
+    if len(plan.draped) > 1 or list(first) != made.stages:
+        return None
+    return None if "jets" in plan.needs or any(SKIN in stage.needs(plan) for stage in rest) else made
+
+
+def drawn(
+    batch: Batch, stages: AtOnce, took: Callable[[str, float], None] = lambda name, s: None
+) -> Iterator[Batch] | None:
+    """``batch`` after each frame, the last with what ``stages`` make; None where these must run by themselves, since a
+    stream begins to fold what was lifted, or the network has threads for its frames.
+
+    ``took`` is told the name of each stage and its share of the time [s].
+    """
+    plan = batch.plan
+    worn, (key,) = _worn(plan, stages), plan.draped_keys
+    pasts = [Past(one.memories.get(("swing", key)), one.memories.get(("folds", key))) for one in batch.inputs]
+    if batch.count > 1 and not stages.network.on_one_thread:
+        return None
+    if worn.folds is not None and any(worn.folds.begins(past.folded, worn.effort) for past in pasts):
+        return None
+    return _drawn(batch, stages, worn, pasts, took)
+
+
+def _worn(plan: Plan, stages: AtOnce) -> Worn:
+    """What drapes the garment of ``plan``: made anew where constants are others than in the frame before."""
+    (key,), (fabric,), options = plan.draped_keys, plan.fabrics, plan.options
+    rows = stages.network.rows(plan)
+    swing = None if stages.swing is None else stages.swing.constants(key, fabric)
+    folds = None if stages.folds is None else stages.folds.constants(key, fabric, coarse=options.coarse)
+    known: Worn | None = plan.kept.get("worn")
+    if known is not None and known.patches is rows.patches and known.swing is swing and known.folds is folds:
+        return known
+    compiled = stages.network.engine.compiled
+    assert compiled is not None
+    made = plan.kept["worn"] = Worn(
+        weights=compiled.weights,
+        passes=compiled.corrections if options.passes is None else options.passes,
+        patches=rows.patches,
+        tiles=rows.tiles,
+        kept=None if stages.novelty is None else stages.novelty.kept_poses,
+        swing=swing,
+        share=options.knob or 0.0,
+        folds=folds,
+        efforts=(NO_EFFORT, NO_EFFORT) if stages.folds is None else stages.folds.efforts(plan),
+        vertex_count=rows.vertex_count,
+        step_count=_step_count(plan, stages),
+    )
+    return made
+
+
+def _step_count(plan: Plan, stages: AtOnce) -> int:
+    """The last step of coordinates in the message; 0 where another stage or a wrapping changes vertices before it, or
+    there is none."""
+    behind = plan.stages[len(stages.stages) :]
+    if plan.keys != plan.draped_keys or not behind or not isinstance(behind[0], Encode):
+        return 0
+    return BYTE_COUNT if coordinate_bits(plan.options) == 8 else STEP_COUNT
+
+
+def _drawn(
+    batch: Batch, stages: AtOnce, worn: Worn, pasts: list[Past], took: Callable[[str, float], None]
+) -> Iterator[Batch]:
+    colliders, spent_s = batch.plan.colliders, [0.0] * len(PARTS)
+    root, vertices = np.empty((batch.count, 3)), np.empty((batch.count, worn.vertex_count, 3), np.float32)
+    steps = np.empty((batch.count, worn.vertex_count if worn.step_count else 0, 3), np.uint16)
+    frames: list[Drawn] = []
+    for i, (one, rows) in enumerate(batch.rows()):
+        feed, place = stages.network.posed_by(one.betas)
+        np.add(one.trans, place, out=root[rows])
+        for number, row in enumerate(range(rows.start, rows.stop)):
+            begun_s = time.perf_counter()
+            pose, here = np.ascontiguousarray(one.poses[number], np.float64), root[row]
+            at = Moment(feed, pose, float(one.times_s[number]), here, seen_from(colliders, here))
+            made = draw(worn, pasts[i], at, vertices[row], steps[row])
+            check_finite(stages.network.engine, made is not None)
+            assert made is not None
+            frames.append(made)
+            pasts[i] = made.past
+            tick_s = (time.perf_counter() - begun_s) / max(sum(made.ticks), 1)
+            spent_s = [spent + tick_s * ticks for spent, ticks in zip(spent_s, made.ticks, strict=True)]
+            yield batch
+    boxes = [(made.low, made.step) for made in frames]
+    quantised = tuple((own, *box) for own, box in zip(steps, boxes, strict=True)) if worn.step_count else ()
+    batch = changed(batch, root=root, layers=(Layer(vertices),), steps=quantised)
+    yield _told(batch, stages, worn, frames, pasts)
+    for name, spent in zip(PARTS, spent_s, strict=True):
+        if name in [stage.name for stage in stages.stages]:
+            took(name, spent)
+
+
+def _told(batch: Batch, stages: AtOnce, worn: Worn, frames: list[Drawn], pasts: list[Past]) -> Batch:
+    """``batch`` with what its ``frames`` leave and tell, wrapped around finer cloth where that was draped."""
+    (key,), (sent,), quality, layers = batch.plan.draped_keys, batch.plan.keys, batch.quality, batch.layers
+    if stages.novelty is not None:
+        quality = changed(quality, novelty=np.array([made.novelty for made in frames], np.float32))
+    if worn.swing is not None:
+        batch = batch.remember(("swing", key), [past.swung for past in pasts])
+    if stages.folds is not None and worn.folds is not None:
+        batch = batch.remember(("folds", key), [past.folded for past in pasts])
+        told = Told(len(frames))
+        reports = [made.report for made in frames if made.report is not None]
+        told.add(reports, len(worn.folds.laid.sheet.vertex), seen=batch.plan.visible[0])
+        quality = told.quality(quality)
+        if sent != key and read_layers(batch.plan)[0]:
+            layers = (stages.folds.wrapped(layers[0], sent),)
+    return changed(batch, quality=quality, layers=layers)

@@ -1,0 +1,54 @@
+"""The walk of a batch through all stages of its plan."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+from drape.stages.batch import Batch, PoseInput
+from drape.stages.frame import at_once, drawn
+from drape.stages.plan import Plan
+from drape.stages.stage import Stage
+
+Took = Callable[[str, float], None]
+
+
+def walk(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Iterator[Batch]:
+    """All frames of ``inputs``, which may differ in shape, through the stages of ``plan``: the batch after every step.
+
+    A step is what others may have to wait for: a frame in one call, a stage, or a part of one that is long. ``took`` is
+    told the name of each stage and how long it took [s].
+    """
+    batch = Batch.of(plan, inputs)
+    first, rest = at_once(plan), plan.stages
+    steps = None if first is None else drawn(batch, first, took)
+    if first is not None and steps is not None:
+        rest = rest[len(first.stages) :]
+        for batch in steps:
+            yield batch
+    yield from _through(batch, rest, took)
+
+
+def by_stages(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Iterator[Batch]:
+    """``walk`` stage by stage: the same bits."""
+    return _through(Batch.of(plan, inputs), plan.stages, took)
+
+
+def run(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Batch:
+    """The batch at the end of ``walk``."""
+    *_, last = walk(plan, inputs, took)
+    return last
+
+
+def _through(batch: Batch, stages: Sequence[Stage], took: Took) -> Iterator[Batch]:
+    for stage in stages:
+        steps, spent_s = iter(stage.steps(batch)), 0.0
+        while True:
+            begun_s = time.perf_counter()
+            after = next(steps, None)
+            spent_s += time.perf_counter() - begun_s
+            if after is None:
+                break
+            batch = after
+            yield batch
+        took(stage.name, spent_s)
