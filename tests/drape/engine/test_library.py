@@ -33,8 +33,8 @@ def test_rows_of_blocks_are_a_record_that_may_end_otherwise():
     names = [*records.RECORDS["FoldMemory"]]
     fields = dict(zip(names, (*points, *samples, *added, 3, 0.25), strict=True))
     made = Record("FoldMemory", SimpleNamespace(**fields))
-    rows = records.Record.of_rows((points, samples, added), 0, np.inf)
-    for one in (rows.ending(3, 0.25), records.Record.of_rows((points, samples, added), 3, 0.25)):
+    rows = Record.of_rows((points, samples, added), 0, np.inf)
+    for one in (rows.ending(3, 0.25), Record.of_rows((points, samples, added), 3, 0.25)):
         assert one._words == made._words != rows._words
 
 
