@@ -30,6 +30,7 @@ export class Stage {
     this.renderer.toneMapping = THREE.NeutralToneMapping;
     this.renderer.toneMappingExposure = 1.0;
     this.renderer.shadowMap.enabled = true;
+    this.renderer.debug.checkShaderErrors = false; // to ask is to wait
     this.plainness = 0;
     this.pixelShare = 1;
     this.dirty = true;
@@ -157,6 +158,11 @@ export class Stage {
       this.resize();
     }
     this.dirty = true;
+  }
+
+  // Promises that an object can be drawn without a wait for its shaders.
+  async ready(object) {
+    await Promise.all([object, this.ground.group].map((one) => this.renderer.compileAsync(one, this.camera, this.scene)));
   }
 
   // Draws where something has changed.
