@@ -214,11 +214,11 @@ CLIENT_FOLDS = {
     "step_mm": ("same network", ".4f"), "ten_mm": ("its first ten", ".4f"), "rounding_mm": ("rounding", ".3f"),
 }  # fmt: skip
 STATIC_PAGE = {
-    "garment": ("garment", "s"), "clip": ("clip", "s"), "tier": ("tier", "s"), "frames": ("frames", "d"),
-    "folder_mb": ("folder [MB]", ".2f"), "start_ms": ("start [ms]", ".0f"), "node_ms": ("Node.js [ms]", ".1f"),
-    "drape_ms": ("engine of it", ".1f"), "browser_ms": ("Chromium [ms]", ".1f"), "server_ms": ("the service's", ".1f"),
-    "least_ratio": ("ratio of the least", ".2f"), "rms_mm": ("apart [mm]", ".3f"), "first_mm": ("first second", ".3f"),
-    "ten_mm": ("first ten", ".4f"), "network_mm": ("network alone", ".4f"),
+    "device": ("device", "s"), "slowed": ("slowed", "s"), "webgl": ("WebGL", "s"), "performance": ("performance", "d"),
+    "accessibility": ("accessibility", "d"), "best_practices": ("best practices", "d"), "seo": ("SEO", "d"),
+    "first_paint_s": ("first paint [s]", ".2f"), "largest_paint_s": ("largest [s]", ".2f"),
+    "blocking_s": ("blocked [s]", ".2f"), "shift": ("shift", ".3f"), "loaded_kb": ("loaded [kB]", ".0f"),
+    "moves_s": ("cloth moves [s]", ".2f"), "moving_kb": ("until then [kB]", ".0f"),
 }  # fmt: skip
 
 
@@ -291,6 +291,16 @@ def rounds_table(record: Record) -> str:
     return markdown_table(["target, base", *heads(ROUNDS)], lines, record)
 
 
+PAGE = {
+    "device": ("device", "s"), "slowed": ("slowed", "s"), "webgl": ("WebGL", "s"),
+    "performance": ("performance", "d"), "accessibility": ("accessibility", "d"),
+    "best_practices": ("best practices", "d"), "seo": ("SEO", "d"),
+    "first_paint_s": ("first paint [s]", ".2f"), "largest_paint_s": ("largest [s]", ".2f"),
+    "blocking_s": ("blocked [s]", ".2f"), "shift": ("shift", ".3f"), "loaded_kb": ("loaded [kB]", ".0f"),
+    "moves_s": ("cloth moves [s]", ".2f"), "moving_kb": ("until then [kB]", ".0f"),
+}  # fmt: skip
+
+
 EXACT = {
     "garment": ("garment", "s"), "clip": ("clip", "s"), "frame": ("frame", "d"), "method": ("method", "s"),
     "energy_j": ("energy [J]", ".4f"), "gain": ("gain", ".4f"), "crossings": ("crossings", "d"),
@@ -337,6 +347,7 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("serving", SPEED_PAGE, "serving", serving_table),
     ("client_folds", "docs/guide/web.md", "client_folds", partial(alike, CLIENT_FOLDS)),
     ("static_page", "docs/guide/web.md", "static_page", partial(alike, STATIC_PAGE)),
+    ("page_lighthouse", "docs/guide/web.md", "page_lighthouse", partial(alike, PAGE)),
     ("lateness", SPEED_PAGE, "lateness", partial(alike, LATENESS)),
     ("churn", SPEED_PAGE, "churn", partial(alike, CHURN)),
     ("recovery_rounds", FIT_PAGE, "recovery_rounds", rounds_table),
