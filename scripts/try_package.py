@@ -124,7 +124,7 @@ def moves(address: str) -> int:
 
 def main() -> None:
     """Command line entry."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description="Tries the tarball of @drape/client in bundlers and a browser.")
     parser.add_argument("--only", nargs="+", choices=list(BUNDLERS), default=list(BUNDLERS))
     asked = parser.parse_args().only
     folders: list[Path] = [ROOT]

@@ -131,7 +131,7 @@ async def body_mesh(
     if kind == BINARY:
         make = partial(runtime.threads.apart, _body_message, runtime.body, shape)
         body_of = f"body {WIRE_VERSION} {runtime.body.digest}".encode() + shape.tobytes()
-        return await state.meshes.answer(body_of, make, asked=request.headers, kind=kind)
+        return await state.meshes.answer(body_of, make, asked=request.headers, kind=kind, cache=ASKED_AGAIN)
     if kind == GLB:
         file = GlbFile()
         add_body(file, runtime.body, shape)

@@ -56,7 +56,8 @@ export async function askEarly() {
   const rest = new Rest(location.origin, { key, fetch: ask });
   const [{ body, layers }, garments, clips] = await Promise.all([rest.health(), rest.garments(), rest.motions()]);
   const resolution = wanted.get("resolution") || undefined;
-  const meshes = wanted.has("size") ? [] : wornFirst(garments, layers).flatMap((id) => [rest.garmentMesh(id, { resolution }), rest.garment(id)]);
-  const others = [rest.bodyFile(body), rest.motion(clipFirst(clips)), rest.tiers(), rest.fabrics(), rest.avatars(), rest.measures(body)];
-  await Promise.all([...meshes, ...others]);
+  const worn = wornFirst(garments, layers);
+  const brief = [rest.tiers(), rest.fabrics(), ...worn.map((id) => rest.garment(id))]; // what the opening of a stream needs
+  const meshes = wanted.has("size") ? [] : worn.map((id) => rest.garmentMesh(id, { resolution }));
+  await Promise.all([...brief, rest.avatars(), rest.measures(body), rest.motion(clipFirst(clips)), ...meshes, rest.bodyFile(body)]);
 }

@@ -26,20 +26,12 @@ const SEND_RATE = 60; // poses per second at most
 const SHEET_PX = 760; // as in style.css
 const state = { betas: [], avatar: null };
 
-let stage;
-try {
-  stage = new Stage(element("view"), { keepQuality: wanted.get("quality") === "high" });
-} catch (error) {
-  document.body.dataset.state = "failed";
-  say(`This page needs WebGL 2, and the browser gave none (${error.message}).`, { bad: true });
-  throw error;
-}
-
 let drape = null;
+let stage = null; // until the stream is being opened: a line is slower than graphics, which keep the page busy
+let figure = null;
 let outfit = null;
 let fit = null;
 let measures = null;
-const figure = new Figure(stage);
 const triangles = new Triangles();
 const quality = new Quality({ onChange: () => wearAgain(), onFolds: () => wearAgain() });
 const shelf = new Shelf({
@@ -76,11 +68,6 @@ const readouts = new Readouts({
   },
 });
 
-stage.onPlain = () => {
-  figure.setPlain();
-  outfit?.setPlain();
-};
-
 // How what is worn is draped, by the names of the wire; "undefined" is left to the service.
 function options() {
   const { resolution, ...chosen } = readouts.options();
@@ -99,7 +86,7 @@ function meshed() {
 const wearAgain = failing(async () => {
   if (!shelf.worn.length) return;
   if (shelf.worn.length > 1 && element("push").checked) say("The outfit is being made ready …", { by: "stream" });
-  fit.wash(); // what is worn gets its own look before it changes
+  fit?.wash(); // what is worn gets its own look before it changes
   try {
     if (!(await outfit.wear(shelf.worn, options(), meshed()))) return;
   } catch (error) {
@@ -108,7 +95,7 @@ const wearAgain = failing(async () => {
   }
   tellOffline(null);
   hush("stream");
-  if (fit.on) await fit.show(outfit.next ?? outfit.current, true);
+  if (fit?.on) await fit.show(outfit.next ?? outfit.current, true);
 });
 
 const ownClips = new Map(); // by id, the files of motions that were dropped
@@ -221,7 +208,7 @@ function tellOffline(refusal) {
 const cover = failing((worn) => worn.cover(figure.object));
 
 function makeOutfit() {
-  outfit = new Outfit(drape, stage, {
+  outfit = new Outfit(drape, {
     onFrame(worn) {
       const { wearing } = worn;
       triangles.draw(worn);
@@ -320,6 +307,33 @@ function tick(now) {
   quality.tell();
 }
 
+function makeStage() {
+  try {
+    stage = new Stage(element("view"), { keepQuality: wanted.get("quality") === "high" });
+  } catch (error) {
+    document.body.dataset.state = "failed";
+    drape.close();
+    throw new Error(`This page needs WebGL 2, and the browser gave none (${error.message}).`);
+  }
+  outfit.stage = stage;
+  figure = new Figure(stage);
+  stage.onPlain = () => {
+    figure.setPlain();
+    outfit.setPlain();
+  };
+  fit = new Fit(drape.rest, stage, {
+    request(id) {
+      const { fabric, size } = shelf.worn.find((one) => one.id === id) ?? {};
+      return { betas: state.betas, fabric: fabric ?? undefined, size: size ?? undefined };
+    },
+    name: (id) => title(shelf.garment(id).name),
+  });
+  new ResizeObserver(makeRoom).observe(element("shelf"));
+  new ResizeObserver(makeRoom).observe(element("dock"));
+  addEventListener("resize", makeRoom);
+  requestAnimationFrame(tick);
+}
+
 // The person stands in what controls leave free.
 function makeRoom() {
   const shelfBox = element("shelf").getBoundingClientRect();
@@ -355,35 +369,26 @@ const start = failing(async () => {
   const { health } = drape;
   element("about").textContent = `model ${health.model}, ${health.provider.replace("ExecutionProvider", "")}, body ${health.body}, version ${health.version}`;
   makeOutfit();
-  fit = new Fit(drape.rest, stage, {
-    request(id) {
-      const { fabric, size } = shelf.worn.find((one) => one.id === id) ?? {};
-      return { betas: state.betas, fabric: fabric ?? undefined, size: size ?? undefined };
-    },
-    name: (id) => title(shelf.garment(id).name),
-  });
   measures = new Measures(drape.rest, { onShape: changeShape, onTone: (tone) => figure.setTone(tone), onCharacter: chooseCharacter });
   readouts.offer(wanted, health.passes);
-  const [tiers, list, clips, avatars] = await Promise.all([
-    drape.tiers(), drape.fabrics(), drape.motions(), drape.avatars(), listGarments(undefined, health.layers), measures.offer(health.body),
-  ]);
+  const others = Promise.all([drape.avatars(), measures.offer(health.body)]);
+  const [tiers, list, clips] = await Promise.all([drape.tiers(), drape.fabrics(), drape.motions(), listGarments(undefined, health.layers)]);
   quality.offer(tiers, wanted.get("tier"), wanted.get("folds_by"));
   const fabric = wanted.get("fabric");
   sizes.wear(wanted.get("size"));
   if (list.some(({ id }) => id === fabric)) for (const layer of shelf.worn) layer.fabric = fabric;
   fabrics.offer(list, health.fabrics);
-  measures.listCharacters(avatars, null);
-  wireControls();
   const named = clipFirst(clips);
   motions.offer(clips, named);
-  await Promise.all([bringWearer(), named && motions.choose(named), wearAgain()]);
+  const begun = [wearAgain(), named && motions.choose(named)];
+  makeStage();
+  const [avatars] = await others;
+  measures.listCharacters(avatars, null);
+  wireControls();
+  await Promise.all([...begun, bringWearer()]);
 });
 
 makeDrawers();
 makeHelp();
 makeSheet();
-new ResizeObserver(makeRoom).observe(element("shelf"));
-new ResizeObserver(makeRoom).observe(element("dock"));
-addEventListener("resize", makeRoom);
-requestAnimationFrame(tick);
 start();
