@@ -51,13 +51,14 @@ function ask(address, options) {
   return answer.then((one) => one.clone());
 }
 
-// What fails here is asked again, and told then.
-export async function askEarly() {
+// What fails here is asked again, and told then. painted: a promise, before which nothing large is asked for.
+export async function askEarly(painted) {
   const rest = new Rest(location.origin, { key, fetch: ask });
   const [{ body, layers }, garments, clips] = await Promise.all([rest.health(), rest.garments(), rest.motions()]);
   const resolution = wanted.get("resolution") || undefined;
   const worn = wornFirst(garments, layers);
-  const brief = [rest.tiers(), rest.fabrics(), ...worn.map((id) => rest.garment(id))]; // what the opening of a stream needs
+  const brief = Promise.allSettled([rest.tiers(), rest.fabrics(), ...worn.map((id) => rest.garment(id))]); // opens the stream
+  await painted;
   const meshes = wanted.has("size") ? [] : worn.map((id) => rest.garmentMesh(id, { resolution }));
-  await Promise.all([...brief, rest.avatars(), rest.measures(body), rest.motion(clipFirst(clips)), ...meshes, rest.bodyFile(body)]);
+  await Promise.all([brief, rest.avatars(), rest.measures(body), rest.motion(clipFirst(clips)), ...meshes, rest.bodyFile(body)]);
 }

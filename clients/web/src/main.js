@@ -27,7 +27,7 @@ const SHEET_PX = 760; // as in style.css
 const state = { betas: [], avatar: null };
 
 let drape = null;
-let stage = null; // until the stream is being opened: a line is slower than graphics, which keep the page busy
+let stage = null; // while the first answers are waited for
 let figure = null;
 let outfit = null;
 let fit = null;
@@ -208,7 +208,7 @@ function tellOffline(refusal) {
 const cover = failing((worn) => worn.cover(figure.object));
 
 function makeOutfit() {
-  outfit = new Outfit(drape, {
+  outfit = new Outfit(drape, stage, {
     onFrame(worn) {
       const { wearing } = worn;
       triangles.draw(worn);
@@ -312,15 +312,19 @@ function makeStage() {
     stage = new Stage(element("view"), { keepQuality: wanted.get("quality") === "high" });
   } catch (error) {
     document.body.dataset.state = "failed";
-    drape.close();
-    throw new Error(`This page needs WebGL 2, and the browser gave none (${error.message}).`);
+    throw error;
   }
-  outfit.stage = stage;
   figure = new Figure(stage);
   stage.onPlain = () => {
     figure.setPlain();
-    outfit.setPlain();
+    outfit?.setPlain();
   };
+  new ResizeObserver(makeRoom).observe(element("shelf"));
+  new ResizeObserver(makeRoom).observe(element("dock"));
+  addEventListener("resize", makeRoom);
+}
+
+function makeFit() {
   fit = new Fit(drape.rest, stage, {
     request(id) {
       const { fabric, size } = shelf.worn.find((one) => one.id === id) ?? {};
@@ -328,10 +332,6 @@ function makeStage() {
     },
     name: (id) => title(shelf.garment(id).name),
   });
-  new ResizeObserver(makeRoom).observe(element("shelf"));
-  new ResizeObserver(makeRoom).observe(element("dock"));
-  addEventListener("resize", makeRoom);
-  requestAnimationFrame(tick);
 }
 
 // The person stands in what controls leave free.
@@ -365,7 +365,9 @@ function wireControls() {
 
 const start = failing(async () => {
   const worker = () => new Worker("worker.js");
-  drape = await connect(location.origin, { key, worker, fetch: asked }).catch(askForKey);
+  const connecting = connect(location.origin, { key, worker, fetch: asked });
+  makeStage();
+  drape = await connecting.catch(askForKey);
   const { health } = drape;
   element("about").textContent = `model ${health.model}, ${health.provider.replace("ExecutionProvider", "")}, body ${health.body}, version ${health.version}`;
   makeOutfit();
@@ -381,7 +383,8 @@ const start = failing(async () => {
   const named = clipFirst(clips);
   motions.offer(clips, named);
   const begun = [wearAgain(), named && motions.choose(named)];
-  makeStage();
+  makeFit();
+  requestAnimationFrame(tick);
   const [avatars] = await others;
   measures.listCharacters(avatars, null);
   wireControls();

@@ -2,9 +2,9 @@
 export class Outfit {
   // onFrame(worn): its vertices have moved; onState(state, refusal): what the stream does; onFolds({ tookS, allowedS }):
   // this device was too slow for folds, and the service makes them.
-  constructor(drape, { onFrame, onState, onFolds }) {
+  constructor(drape, stage, { onFrame, onState, onFolds }) {
     this.drape = drape;
-    this.stage = null; // where it is shown, set before anything comes
+    this.stage = stage;
     this.onFrame = onFrame;
     this.onState = onState;
     this.onFolds = onFolds;
@@ -32,13 +32,13 @@ export class Outfit {
     let made;
     try {
       const colours = layers.map(({ colour }) => colour);
-      made = await this.drape.wear(ids, { ...options, ...meshed, colours, plain: this.stage?.plain });
+      made = await this.drape.wear(ids, { ...options, ...meshed, colours, plain: this.stage.plain });
     } catch (error) {
       if (turn !== this.turn) return false;
       this.asked = "";
       throw error;
     }
-    if (turn !== this.turn || !this.stage) {
+    if (turn !== this.turn) {
       made.dispose();
       return false;
     }

@@ -26,7 +26,10 @@ export class Stage {
   constructor(canvas, { keepQuality = false } = {}) {
     this.keepQuality = keepQuality;
     this.onPlain = () => {}; // from now on it is drawn plainly
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+    const wanted = { antialias: true, alpha: true };
+    const context = canvas.getContext("webgl2", wanted);
+    if (!context) throw new Error("This page needs WebGL 2, and the browser gave none.");
+    this.renderer = new THREE.WebGLRenderer({ canvas, context, ...wanted });
     this.renderer.toneMapping = THREE.NeutralToneMapping;
     this.renderer.toneMappingExposure = 1.0;
     this.renderer.shadowMap.enabled = true;

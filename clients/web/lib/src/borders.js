@@ -1,6 +1,6 @@
 // How far each vertex is from the borders of its panel: from hems, which end the cloth, and from seams, which go on.
 
-const FURTHEST_M = 0.06; // what is further is not told
+export const FURTHEST_M = 0.06; // what is further is not told
 const MOST = 1 << 22; // vertices
 
 // The border edges of triangles, those of one triangle alone: pairs of corners of index. of(corner): the vertex there.
