@@ -121,10 +121,13 @@ def visited(address: str, browser: str, *, device: str, slowed: str, webgl: bool
 
 
 def scored(report: dict[str, Any]) -> Row:
-    """Scores to 100, times [s] and bytes [kB] of Lighthouse's ``report``."""
+    """Scores to 100, times [s] and bytes [kB] of Lighthouse's ``report``; without those that it could not tell, as of a
+    page that is never idle."""
     audits, scores = report["audits"], report["categories"]
-    row: Row = {name: round(100 * scores[one]["score"]) for name, one in CATEGORIES.items() if one in scores}
-    row |= {name: audits[one]["numericValue"] / 1000.0 for name, one in SECONDS.items()}
+    told = {name: scores[one]["score"] for name, one in CATEGORIES.items() if one in scores}
+    row: Row = {name: round(100 * score) for name, score in told.items() if score is not None}
+    times = {name: audits[one].get("numericValue") for name, one in SECONDS.items()}
+    row |= {name: time_ms / 1000.0 for name, time_ms in times.items() if time_ms is not None}
     row["shift"] = audits["cumulative-layout-shift"]["numericValue"]
     row["loaded_kb"] = audits["total-byte-weight"]["numericValue"] / 1000.0
     return row

@@ -15,6 +15,9 @@ def test_scores_are_of_a_hundred_and_times_in_seconds():
     row = scored({"audits": audits, "categories": {"performance": {"score": 0.385}, "seo": {"score": 1}}})
     assert (row["performance"], row["seo"], row["largest_paint_s"], row["loaded_kb"]) == (38, 100, 1.5, 1.5)
     assert "accessibility" not in row
+    audits["total-blocking-time"] = {}
+    unsure = scored({"audits": audits, "categories": {"performance": {"score": None}}})
+    assert "performance" not in unsure and "blocking_s" not in unsure
 
 
 def event(name: str, ts: float, cat: str = "blink.user_timing", url: str = "http://127.0.0.1/") -> dict:
