@@ -214,11 +214,11 @@ CLIENT_FOLDS = {
     "step_mm": ("same network", ".4f"), "ten_mm": ("its first ten", ".4f"), "rounding_mm": ("rounding", ".3f"),
 }  # fmt: skip
 STATIC_PAGE = {
-    "device": ("device", "s"), "slowed": ("slowed", "s"), "webgl": ("WebGL", "s"), "performance": ("performance", "d"),
-    "accessibility": ("accessibility", "d"), "best_practices": ("best practices", "d"), "seo": ("SEO", "d"),
-    "first_paint_s": ("first paint [s]", ".2f"), "largest_paint_s": ("largest [s]", ".2f"),
-    "blocking_s": ("blocked [s]", ".2f"), "shift": ("shift", ".3f"), "loaded_kb": ("loaded [kB]", ".0f"),
-    "moves_s": ("cloth moves [s]", ".2f"), "moving_kb": ("until then [kB]", ".0f"),
+    "garment": ("garment", "s"), "clip": ("clip", "s"), "tier": ("tier", "s"), "frames": ("frames", "d"),
+    "folder_mb": ("folder [MB]", ".2f"), "start_ms": ("start [ms]", ".0f"), "node_ms": ("Node.js [ms]", ".1f"),
+    "drape_ms": ("engine of it", ".1f"), "browser_ms": ("Chromium [ms]", ".1f"), "server_ms": ("the service's", ".1f"),
+    "least_ratio": ("ratio of the least", ".2f"), "rms_mm": ("apart [mm]", ".3f"), "first_mm": ("first second", ".3f"),
+    "ten_mm": ("first ten", ".4f"), "network_mm": ("network alone", ".4f"),
 }  # fmt: skip
 
 
