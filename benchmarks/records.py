@@ -291,6 +291,16 @@ def rounds_table(record: Record) -> str:
     return markdown_table(["target, base", *heads(ROUNDS)], lines, record)
 
 
+PAGE = {
+    "device": ("device", "s"), "slowed": ("slowed", "s"), "webgl": ("WebGL", "s"),
+    "performance": ("performance", "d"), "accessibility": ("accessibility", "d"),
+    "best_practices": ("best practices", "d"), "seo": ("SEO", "d"),
+    "first_paint_s": ("first paint [s]", ".2f"), "largest_paint_s": ("largest [s]", ".2f"),
+    "blocking_s": ("blocked [s]", ".2f"), "shift": ("shift", ".3f"), "loaded_kb": ("loaded [kB]", ".0f"),
+    "moves_s": ("cloth moves [s]", ".2f"), "moving_kb": ("until then [kB]", ".0f"),
+}  # fmt: skip
+
+
 EXACT = {
     "garment": ("garment", "s"), "clip": ("clip", "s"), "frame": ("frame", "d"), "method": ("method", "s"),
     "energy_j": ("energy [J]", ".4f"), "gain": ("gain", ".4f"), "crossings": ("crossings", "d"),
@@ -337,6 +347,7 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("serving", SPEED_PAGE, "serving", serving_table),
     ("client_folds", "docs/guide/web.md", "client_folds", partial(alike, CLIENT_FOLDS)),
     ("static_page", "docs/guide/web.md", "static_page", partial(alike, STATIC_PAGE)),
+    ("page_lighthouse", "docs/guide/web.md", "page_lighthouse", partial(alike, PAGE)),
     ("lateness", SPEED_PAGE, "lateness", partial(alike, LATENESS)),
     ("churn", SPEED_PAGE, "churn", partial(alike, CHURN)),
     ("recovery_rounds", FIT_PAGE, "recovery_rounds", rounds_table),

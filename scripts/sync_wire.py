@@ -18,6 +18,7 @@ from drape.files.formats import MESH_SUFFIXES  # noqa: E402
 from drape.geometry import jets  # noqa: E402
 from drape.wire import jets as wire_jets  # noqa: E402
 from drape.wire import layout as jet_layout  # noqa: E402
+from drape.wire import meshes as wire_meshes  # noqa: E402
 from drape.wire import messages as wire  # noqa: E402
 from drape.wire import rig_poses  # noqa: E402
 
@@ -38,7 +39,7 @@ export const SUBPROTOCOL = "{subprotocol}";
 export const MAGIC = {magic};
 export const KIND = {{
   POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout}, CLIP: {clip}, STATE: {state}, SAME: {same},
-  RIG_POSE: {rig_pose}, FOLDS: {folds},
+  RIG_POSE: {rig_pose}, FOLDS: {folds}, MESH: {mesh}, BODY: {body},
 }};
 export const FLAG_PUSHED = {flag_pushed};
 export const FLAG_STEPPED = {flag_stepped};
@@ -49,6 +50,7 @@ export const MESH_SUFFIXES = "{suffixes}";
 export const BYTES = {{
   POSE: {pose_bytes}, ACK: {ack_bytes}, SAME: {same_bytes}, RIG_POSE_HEADER: {rig_pose_bytes},
   FRAME_HEADER: {frame_bytes}, JETS_HEADER: {jets_bytes}, LAYOUT_HEADER: {layout_bytes},
+  MESH_HEADER: {mesh_bytes}, BODY_HEADER: {body_bytes},
 }};
 
 // name: [offset, type, count]
@@ -113,7 +115,7 @@ export function packAck(sequence) {{
   return buffer;
 }}
 
-function readHeader(buffer, name, bytes) {{
+export function readHeader(buffer, name, bytes) {{
   if (buffer.byteLength < bytes) throw new Error(`${{name}} of ${{buffer.byteLength}} bytes is too short`);
   const header = readRecord(new DataView(buffer), LAYOUTS[name]);
   if (header.magic !== MAGIC || header.version !== WIRE_VERSION || header.kind !== KIND[name]) {{
@@ -234,6 +236,10 @@ def generate() -> str:
         same=wire.SAME,
         rig_pose=wire.RIG_POSE,
         folds=wire.FOLDS,
+        mesh=wire.MESH,
+        body=wire.BODY,
+        mesh_bytes=wire_meshes.MESH_HEADER_BYTES,
+        body_bytes=wire_meshes.BODY_HEADER_BYTES,
         jets_bytes=wire_jets.HEADER_BYTES,
         layout_bytes=jet_layout.HEADER_BYTES,
         jet_numbers=jets.FULL_COUNT,

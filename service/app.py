@@ -22,16 +22,18 @@ from service.http import (
     clip_routes,
     exact_clips,
     fit_routes,
+    fold_messages,
     garment_routes,
     info_routes,
     openapi,
     pages,
+    pictures,
     problems,
     upload_routes,
 )
 from service.http.continuations import Continuations
-from service.http.fold_messages import FoldMessages
-from service.http.pictures import Previews
+from service.http.encodings import BriefJson
+from service.http.kept import Kept
 from service.replicas.handover import Handover
 from service.settings import Settings, load_settings, product_version
 from service.state import ADMITTED, State
@@ -54,6 +56,8 @@ ROUTERS = (
     upload_routes.router,
     clip_routes.router,
 )
+
+MESHES_KEPT = 64  # of garments, bodies and motions, of some 50 kB
 
 
 def create_app(
@@ -94,6 +98,7 @@ def create_app(
         redoc_url=None,
     )
     problems.install(app)
+    app.add_middleware(BriefJson)
     app.add_middleware(BodyLimit, settings=settings, lifecycle=life)
     if settings.allowed_origins:
         _allow_origins(app, settings)
@@ -129,8 +134,9 @@ def make_state(runtime: DrapeRuntime, access: Access, life: Lifecycle) -> State:
         handover=Handover(runtime, access.tickets),
         life=life,
         continuations=Continuations(runtime.settings),
-        previews=Previews(),
-        fold_messages=FoldMessages(),
+        previews=Kept(pictures.KEPT),
+        fold_messages=Kept(fold_messages.KEPT),
+        meshes=Kept(MESHES_KEPT),
         exact=ExactClips(runtime),
     )
 

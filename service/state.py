@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from service.exact.jobs import ExactClips, Work
     from service.guard.access import Access
     from service.http.continuations import Continuations
-    from service.http.fold_messages import FoldMessages
-    from service.http.pictures import Previews
+    from service.http.kept import Kept
     from service.replicas.handover import Handover
     from service.stream.workers import Streams
     from service.uploads.jobs import Uploads
@@ -40,7 +39,8 @@ STREAMS_S = 2.0  # for streams to go
 @dataclass(eq=False)
 class State:
     """Body, model and garments; uploads, here and elsewhere; streams and what they take along; the thread for JSON;
-    ends of clips; pictures of garments and what their folds need; clips of tier exact; how many clips are computed."""
+    ends of clips; pictures of garments, what their folds need, meshes and motions; clips of tier exact; how many
+    clips are computed."""
 
     runtime: DrapeRuntime
     uploads: Uploads
@@ -51,8 +51,9 @@ class State:
     handover: Handover
     life: Lifecycle
     continuations: Continuations
-    previews: Previews
-    fold_messages: FoldMessages
+    previews: Kept
+    fold_messages: Kept
+    meshes: Kept
     exact: ExactClips
     clips: int = 0
 

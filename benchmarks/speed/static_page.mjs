@@ -3,7 +3,7 @@
 import { makeTargets } from "./decode.js";
 import { filesOf } from "./files.js";
 import { LocalDecoder } from "./local_decoder.js";
-import { topologyOf } from "./topology.js";
+import { unpackMesh } from "./meshes.js";
 import { packPose } from "./wire.js";
 
 const inNode = typeof process === "object";
@@ -21,9 +21,9 @@ async function measured() {
   const [about, asked] = await Promise.all([json("about.json"), json("asked.json")]);
   const garment = `/garments/${about.garment}`;
   const [layout, constants, mesh] = await Promise.all([
-    file(about.answers[`${garment}/jets`]), file(about.answers[`${garment}/folds`]), json(about.answers[`${garment}/mesh`]),
+    file(about.answers[`${garment}/jets`]), file(about.answers[`${garment}/folds`]), file(about.answers[`${garment}/mesh`]),
   ]);
-  const layers = [{ ...topologyOf(mesh), layout }];
+  const layers = [{ ...unpackMesh(mesh), layout }];
   const begun = performance.now();
   const module = await WebAssembly.compile(await file(about.engine));
   const decoder = await LocalDecoder.make({ about, file }, layers, { module, constants });

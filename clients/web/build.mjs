@@ -2,7 +2,8 @@
 // python -m drape.engine.build --wasm compiles, and the page that needs no service into static/dist (python -m service.static).
 import { build } from "esbuild";
 import { copyFile, mkdir, readFile, readdir, rename, rm, writeFile } from "node:fs/promises";
-import { gzipSync } from "node:zlib";
+import { basename } from "node:path";
+import { brotliCompressSync, gzipSync } from "node:zlib";
 
 const ENGINE = "../../drape/engine/libraries/engine.wasm";
 const CORE_LIMIT = 40_000; // bytes, gzipped, of what an application gets beside three.js
@@ -24,6 +25,17 @@ async function replace(target, fill) {
   await rename(staged, target);
 }
 
+// Lays what is text in a folder beside it compressed, as a service sends it.
+async function compress(folder) {
+  for (const name of await readdir(folder)) {
+    if (!/\.(js|css|html|svg)$/.test(name)) continue;
+    const bytes = await readFile(`${folder}/${name}`);
+    for (const [suffix, packed] of [["br", brotliCompressSync(bytes)], ["gz", gzipSync(bytes, { level: 9 })]]) {
+      if (packed.length < bytes.length) await writeFile(`${folder}/${name}.${suffix}`, packed);
+    }
+  }
+}
+
 const worker = await textOf("lib/src/worker.js", { format: "iife" });
 const engine = gzipSync(await readFile(ENGINE), { level: 9 });
 const localWorker = await textOf("lib/src/local_worker.js", {});
@@ -34,12 +46,22 @@ const define = {
 };
 const later = ["./folds.js", "./folding.js"]; // what comes when it is needed
 
+// Links that let scripts begin to load with the document: those that entry imports, in a build's metafile.
+function preloads({ outputs }, entry) {
+  const names = new Set(Object.keys(outputs).filter((name) => outputs[name].entryPoint === entry));
+  for (const name of names) for (const { path, kind } of outputs[name].imports) if (kind === "import-statement") names.add(path);
+  return [...names].map((name) => `<link rel="modulepreload" href="${basename(name)}" fetchpriority="low" />`).join("\n    ");
+}
+
 await replace("dist", async (folder) => {
-  await build({ ...common, minify: true, define: { ENGINE_TEXT: define.ENGINE_TEXT }, splitting: true, chunkNames: "part-[hash]", entryPoints: ["src/boot.js"], outdir: folder });
+  const { metafile } = await build({ ...common, minify: true, define: { ENGINE_TEXT: define.ENGINE_TEXT }, metafile: true, splitting: true, chunkNames: "part-[hash]", entryPoints: ["src/boot.js"], outdir: folder });
   await writeFile(`${folder}/worker.js`, worker); // by address, since the page's policy takes no other scripts
-  for (const name of ["index.html", "style.css", "icon.svg"]) await copyFile(`src/${name}`, `${folder}/${name}`);
+  for (const name of ["style.css", "icon.svg", "poster.webp"]) await copyFile(`src/${name}`, `${folder}/${name}`);
+  const page = await readFile("src/index.html", "utf8");
+  await writeFile(`${folder}/index.html`, page.replace("  </head>", () => `    ${preloads(metafile, "src/main.js")}\n  </head>`));
   const [frame, script] = await Promise.all(["tracker.html", "tracker.js"].map((name) => readFile(`src/${name}`, "utf8")));
   await writeFile(`${folder}/tracker.html`, frame.replace('<script src="tracker.js"></script>', () => `<script>\n${script}</script>`));
+  await compress(folder);
 });
 
 const names = ["index", "core", "three", "react", "worker", "folds", "local", "local_worker"];

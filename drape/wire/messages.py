@@ -8,7 +8,8 @@ root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets g
 (``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). A request of REST may send its motion as a
 CLIP (``drape.wire.clips``); a stream that can move to another process takes STATE along (``drape.wire.state``). A
 client that can take SAME gets it in place of the frame while the body stands still. With FOLDS (``drape.wire.folds``)
-a client makes folds by itself. The conversation: docs/reference/wire.md.
+a client makes folds by itself. Meshes at rest come as MESH and BODY (``drape.wire.meshes``). The conversation:
+docs/reference/wire.md.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from drape.geometry import jets
 WIRE_VERSION = 1
 SUBPROTOCOL = f"drape.v{WIRE_VERSION}"
 MAGIC = 0x45505244  # "DRPE" in file order
-POSE, ACK, FRAME, JETS, LAYOUT, CLIP, STATE, SAME, RIG_POSE, FOLDS = range(1, 11)
+POSE, ACK, FRAME, JETS, LAYOUT, CLIP, STATE, SAME, RIG_POSE, FOLDS, MESH, BODY = range(1, 13)
 FLAG_PUSHED = 1  # the vertices were pushed out of the body
 FLAG_STEPPED = 2  # less was computed than the client asked for, as the service is under load
 FLAG_UNLIKE = 4  # the pose is unlike those that the network was trained on
@@ -87,6 +88,14 @@ LAYOUTS: dict[str, Layout] = {
     "LAYOUT": (*PREFIX, ("vertices", "u32", 1), ("charts", "u32", 1)),
     "CLIP": (*PREFIX, ("text_bytes", "u32", 1), ("nodes", "u32", 1)),
     "RIG_POSE": (*PREFIX, ("client_time_s", "f64", 1), ("trans", "f64", 3)),
+    "MESH": (*PREFIX, ("copies", "u32", 1), ("triangles", "u32", 1), ("uv_step", "f32", 1), ("uv_metres", "f32", 1)),
+    "BODY": (
+        *PREFIX,
+        ("triangles", "u32", 1),
+        ("step_m", "f32", 1),
+        ("weight_step", "f32", 1),
+        ("joints", "f32", POSE_SIZE),
+    ),
 }
 _CODES = {"u8": "B", "u16": "H", "u32": "I", "f32": "f", "f64": "d"}
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
@@ -20,10 +20,10 @@ from service.errors import Full, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, JSON, json_answer
 from service.http.covered_schemas import CoveredFaces, CoveredPrimitive
-from service.http.garment_routes import KNOWN, LEAST, MOST, USUAL
+from service.http.garment_routes import LEAST, MOST, USUAL
 from service.http.json_body import document_of, json_text, validated
-from service.http.openapi import BYTES, body_schema, responses
-from service.http.pictures import PNG, picture, preview
+from service.http.openapi import BYTES, KNOWN, body_schema, responses
+from service.http.pictures import PNG, picture
 from service.http.problems import check_query
 from service.http.upload_routes import job_info
 from service.state import ClientHere, StateHere
@@ -152,10 +152,10 @@ async def avatar_covered(
 )
 async def avatar_preview(
     avatar_id: str,
+    request: Request,
     state: StateHere,
     client: ClientHere,
     size: Annotated[int, Query(ge=LEAST, le=MOST, description="Pixels along each side.")] = USUAL,
-    if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
     """A picture of the character in T-pose, from the front and a little from the side."""
     entry = await state.avatar(avatar_id, client)
@@ -165,7 +165,8 @@ async def avatar_preview(
         surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
         return await state.runtime.made(picture, surface, None, size)
 
-    return await preview(state.previews, entry.told.digest, size, if_none_match, made)
+    made_of = f"{entry.told.digest}-{size}".encode()
+    return await state.previews.answer(made_of, made, asked=request.headers, kind=PNG, packed=False)
 
 
 async def _pieces(file: Path) -> AsyncIterator[bytes]:

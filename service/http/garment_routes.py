@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, Field
 
 from drape.errors import BodyError, InputError, NotFound, TooLarge
+from drape.garment.cache import Garment
+from drape.wire.meshes import pack_mesh
+from drape.wire.messages import WIRE_VERSION
 from drape.wire.options import DrapeOptions, Resolution, SizeName
 from service.errors import Forbidden, NotAcceptable, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, choose, file_answer, json_answer
 from service.http.clip_files import rest_file
-from service.http.fold_messages import fold_message, queried_fabric
+from service.http.fold_messages import made_of, packed, queried_fabric
 from service.http.json_body import document_of, json_text, validated
-from service.http.openapi import Responses, body_schema, responses
-from service.http.pictures import PNG, picture, preview
+from service.http.kept import ASKED_AGAIN, packed_text
+from service.http.openapi import KNOWN, body_schema, responses
+from service.http.pictures import PNG, picture
 from service.http.query import queried_shape
 from service.state import ClientHere, State, StateHere
 
@@ -30,7 +35,6 @@ router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side
 SIZE = "The size; M, or its only one, if left out."
 AskedSize = Annotated[SizeName | None, Query(description=SIZE)]
-KNOWN: Responses = {304: {"description": "What the client has is this one."}}
 
 
 class FoldsAsked(BaseModel):
@@ -66,7 +70,7 @@ async def garment(garment_id: str, state: StateHere, client: ClientHere) -> sche
 @router.get(
     "/garments/{garment_id}/mesh",
     response_model=schemas.MeshDocument,
-    responses=responses(InputError, NotFound, NotAcceptable, kinds=(GLB,)),
+    responses=responses(InputError, NotFound, NotAcceptable, kinds=(GLB, BINARY)) | KNOWN,
 )
 async def garment_mesh(
     garment_id: str,
@@ -76,13 +80,18 @@ async def garment_mesh(
     resolution: Resolution = "delivered",
     size: AskedSize = None,
 ) -> Response:
-    """The delivered mesh at rest on the standard body, or the finer one that intake made: JSON, or GLB by Accept."""
+    """The delivered mesh at rest on the standard body, or the finer one that intake made: JSON; by Accept a GLB, or a
+    MESH message (docs/reference/wire.md) of its triangles alone."""
     (entry,) = (await state.scene(garment_id, None, client, size=size)).layers
     entry = entry.fine if resolution == "fine" else entry
     garment = entry.garment
-    kind = choose(request.headers.get("accept"), (JSON, GLB))
+    kind = choose(request.headers.get("accept"), (JSON, GLB, BINARY))
     if kind == GLB:
         return file_answer(*await asyncio.to_thread(rest_file, garment), state.sliced_thread, {})
+    if kind == BINARY:
+        make = partial(state.runtime.threads.apart, _mesh_message, garment)
+        mesh_of = f"mesh {WIRE_VERSION} {garment.digest}".encode()
+        return await state.meshes.answer(mesh_of, make, asked=request.headers, kind=kind, cache=ASKED_AGAIN)
     document = {
         "id": entry.id,
         "vertices": garment.vertices[: garment.vertex_count].astype(np.float32),
@@ -93,6 +102,11 @@ async def garment_mesh(
         "face_material": garment.face_material,
     }
     return json_answer(document, state.sliced_thread)
+
+
+def _mesh_message(garment: Garment) -> bytes:
+    vertices = garment.vertices[: garment.vertex_count]
+    return packed_text(pack_mesh(vertices, garment.faces, garment.uv, garment.uv_faces))
 
 
 @router.get(
@@ -137,7 +151,8 @@ async def garment_folds(
     plan = runtime.plan(scene, DrapeOptions(geometry="jets", folds_by="client", folds=1, **chosen))  # may refuse
     worn, body = plan.scene.layers[0].garment, runtime.on(scene).body
     folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body), asked.coarse
-    return await fold_message(state.fold_messages, folded, asked=request.headers, kind=kind, make=runtime.made)
+    make = partial(runtime.made, packed, *folded)
+    return await state.fold_messages.answer(made_of(*folded), make, asked=request.headers, kind=kind)
 
 
 @router.get(
@@ -147,11 +162,11 @@ async def garment_folds(
 )
 async def garment_preview(
     garment_id: str,
+    request: Request,
     state: StateHere,
     client: ClientHere,
     size: Annotated[int, Query(ge=LEAST, le=MOST, description="Pixels along each side.")] = USUAL,
     alone: Annotated[bool, Query(description="Without the body.")] = False,
-    if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
     """A picture of the delivered mesh at rest on the standard body, from the front and a little from the side."""
     garment, body = (await state.garment(garment_id, client)).garment, state.runtime.body
@@ -162,8 +177,9 @@ async def garment_preview(
         skin = None if alone else (body.rest_vertices(np.zeros(body.shape_count)), body.faces.astype(np.int64))
         return state.runtime.constants_process.call(picture, worn, skin, size)
 
-    digest = f"a{garment.digest}" if alone else garment.digest
-    return await preview(state.previews, digest, size, if_none_match, lambda: state.runtime.threads.apart(drawn))
+    make = partial(state.runtime.threads.apart, drawn)
+    drawn_of = f"{garment.digest}-{alone}-{size}".encode()
+    return await state.previews.answer(drawn_of, make, asked=request.headers, kind=PNG, packed=False)
 
 
 @router.patch(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -12,13 +13,16 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import FABRICS
 from drape.errors import BodyError, InputError, NotFound, Unavailable
-from drape.export.glb_body import add_body
+from drape.export.glb_body import add_body, heaviest_bones
 from drape.export.glb_file import GlbFile
+from drape.wire.meshes import pack_body
+from drape.wire.messages import WIRE_VERSION
 from service.errors import Forbidden, NotAcceptable, Unauthorized
 from service.guard.tickets import LIFE_S
 from service.http import schemas
-from service.http.answers import GLB, JSON, choose, file_answer, json_answer
-from service.http.openapi import EVERYWHERE, responses
+from service.http.answers import BINARY, GLB, JSON, choose, file_answer, json_answer, json_pieces
+from service.http.kept import ASKED_AGAIN, packed_text
+from service.http.openapi import EVERYWHERE, KNOWN, responses
 from service.http.query import Betas, queried_shape
 from service.state import ADMITTED, ClientHere, StateHere
 from service.watch.metrics import MEDIA_TYPE
@@ -109,7 +113,7 @@ async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.B
 @router.get(
     "/bodies/{body_id}/mesh",
     response_model=schemas.MeshDocument,
-    responses=responses(InputError, NotFound, NotAcceptable, BodyError, kinds=(GLB,)),
+    responses=responses(InputError, NotFound, NotAcceptable, BodyError, kinds=(GLB, BINARY)) | KNOWN,
 )
 async def body_mesh(
     body_id: str,
@@ -117,11 +121,16 @@ async def body_mesh(
     state: StateHere,
     betas: Betas = None,
 ) -> Response:
-    """The body at rest: JSON, or by Accept a GLB with its 24 joints as a skeleton, ready to be posed."""
+    """The body at rest: JSON; by Accept a GLB or a BODY message (docs/reference/wire.md) with its 24 joints as a
+    skeleton, ready to be posed."""
     runtime = state.runtime
     runtime.check_body_id(body_id)
     shape = queried_shape(betas, runtime.body)
-    kind = choose(request.headers.get("accept"), (JSON, GLB))
+    kind = choose(request.headers.get("accept"), (JSON, GLB, BINARY))
+    if kind == BINARY:
+        make = partial(runtime.threads.apart, _body_message, runtime.body, shape)
+        body_of = f"body {WIRE_VERSION} {runtime.body.digest}".encode() + shape.tobytes()
+        return await state.meshes.answer(body_of, make, asked=request.headers, kind=kind, cache=ASKED_AGAIN)
     if kind == GLB:
         file = GlbFile()
         add_body(file, runtime.body, shape)
@@ -132,6 +141,11 @@ async def body_mesh(
     return json_answer(
         document | {"materials": ["body"], "face_material": np.zeros(len(faces), int)}, state.sliced_thread
     )
+
+
+def _body_message(body: BodyModel, shape: np.ndarray) -> bytes:
+    rest, joints = body.rest_vertices(shape), body.rest_joints(shape)
+    return packed_text(pack_body(rest, body.faces, joints, *heaviest_bones(body)))
 
 
 @router.get("/motions")
@@ -146,10 +160,11 @@ async def motions(state: StateHere) -> list[schemas.MotionInfo]:
 @router.get(
     "/motions/{motion_id}",
     response_model=schemas.MotionDocument,
-    responses=responses(InputError, NotFound, BodyError),
+    responses=responses(InputError, NotFound, BodyError) | KNOWN,
 )
 async def motion(
     motion_id: str,
+    request: Request,
     state: StateHere,
     client: ClientHere,
     betas: Betas = None,
@@ -159,10 +174,17 @@ async def motion(
     runtime, body = state.runtime, state.runtime.body
     if avatar is not None:
         body = (await state.wearer(avatar, client)).body
-    clip = runtime.motions.placed(motion_id, body, queried_shape(betas, body))
-    document = {"id": motion_id, "name": clip.name, "frames": clip.frame_count, "fps": clip.fps}
-    document |= {"poses": np.round(clip.poses, 6), "trans": np.round(clip.trans, 6)}
-    return json_answer(document, state.sliced_thread)
+    clip, shape = runtime.motions.get(motion_id), queried_shape(betas, body)
+
+    def written() -> bytes:
+        placed = runtime.motions.placed(motion_id, body, shape)
+        document = {"id": motion_id, "name": clip.name, "frames": clip.frame_count, "fps": clip.fps}
+        document |= {"poses": np.round(placed.poses, 6), "trans": np.round(placed.trans, 6)}
+        return packed_text(b"".join(json_pieces(document)))
+
+    motion_of = f"motion {motion_id} {body.digest}".encode() + shape.tobytes() + clip.poses.tobytes()
+    make = partial(runtime.threads.apart, written)
+    return await state.meshes.answer(motion_of, make, asked=request.headers, kind=JSON, cache=ASKED_AGAIN)
 
 
 class Ticket(BaseModel):

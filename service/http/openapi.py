@@ -19,6 +19,7 @@ EVERYWHERE = (Unauthorized, Forbidden, Busy, Unavailable)  # origins and hosts, 
 _OURS_OF_FASTAPI = ("HTTPValidationError", "ValidationError")  # which service.errors says as problems
 
 Responses = dict[int | str, dict[str, Any]]
+KNOWN: Responses = {304: {"description": "What the client has is this one."}}
 
 
 def responses(*refusals: type[DrapeError], kinds: Sequence[str] = ()) -> Responses:

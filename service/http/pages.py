@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from pathlib import Path
 
 from fastapi import FastAPI
 from fastapi.openapi.docs import get_swagger_ui_html
 from fastapi.responses import HTMLResponse
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.responses import FileResponse, Response
 from starlette.routing import Match, Mount
@@ -16,6 +18,7 @@ from starlette.types import Scope
 
 from drape.errors import NotFound, Unavailable
 from service.errors import problem, rule_for
+from service.http.encodings import accepts
 
 PAGE_MISSING = Unavailable(
     "page",
@@ -60,6 +63,8 @@ TRACKER_POLICY = "; ".join(
         "sandbox allow-scripts",
     )
 )
+PACKED = {"br": ".br", "gzip": ".gz"}  # encodings and suffixes of files that the build has compressed, the best first
+NAMED_BY_CONTENT, FOR_EVER = "part-", "public, max-age=31536000, immutable"
 _METHODS = ("DELETE", "GET", "PATCH", "POST", "PUT")
 
 
@@ -86,9 +91,25 @@ class Page(StaticFiles):
             if error.status_code == 404 and (methods := _methods(scope)):
                 raise HTTPException(405, headers={"Allow": ", ".join(methods)}) from error
             raise
-        # Names do not change with content: always ask, 304 is cheap.
-        response.headers["Cache-Control"] = "no-cache"
+        # Where the name does not change with the content it is asked again, 304 is cheap.
+        response.headers["Cache-Control"] = FOR_EVER if path.startswith(NAMED_BY_CONTENT) else "no-cache"
         response.headers["Content-Security-Policy"] = TRACKER_POLICY if path == TRACKER else POLICY
+        return response
+
+    def file_response(
+        self, full_path: str | os.PathLike[str], stat_result: os.stat_result, scope: Scope, status_code: int = 200
+    ) -> Response:
+        """The file, compressed where the build has left it so and the client takes that."""
+        asked = Headers(scope=scope).get("accept-encoding", "")
+        for encoding, suffix in PACKED.items():
+            packed = f"{full_path}{suffix}"
+            if accepts(asked, encoding) and os.path.isfile(packed):
+                response = super().file_response(packed, os.stat(packed), scope, status_code)
+                response.headers["Content-Encoding"] = encoding
+                break
+        else:
+            response = super().file_response(full_path, stat_result, scope, status_code)
+        response.headers["Vary"] = "Accept-Encoding"
         return response
 
 

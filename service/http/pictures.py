@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections import OrderedDict
-from collections.abc import Awaitable, Callable
 
 import numpy as np
-from fastapi import Response
 
 from drape.geometry.raster import SKIN, Surface, render
 
@@ -18,39 +15,6 @@ AZIMUTH_DEG, MARGIN = 15.0, 1.08
 FINER, FINE = 2, 512  # samples of a pixel along each side, of pictures up to that size
 COLOURS = 128  # of the palette
 KEPT = 64  # pictures, of up to a quarter of a megabyte
-
-
-class Previews:
-    """The pictures that were asked for last, ``KEPT`` of them, by the garment's digest and size."""
-
-    def __init__(self) -> None:
-        self._made: OrderedDict[tuple[str, int], bytes] = OrderedDict()
-
-    def get(self, digest: str, size: int) -> bytes | None:
-        if (found := self._made.get((digest, size))) is not None:
-            self._made.move_to_end((digest, size))
-        return found
-
-    def keep(self, digest: str, size: int, picture: bytes) -> None:
-        self._made[digest, size] = picture
-        while len(self._made) > KEPT:
-            self._made.popitem(last=False)
-
-
-async def preview(
-    previews: Previews, digest: str, size: int, known: str | None, make: Callable[[], Awaitable[bytes]]
-) -> Response:
-    """The answer with the picture of what has ``digest``, which ``make`` draws where it is not kept; 304 where the
-    client says that it is ``known``."""
-    tag = f'"{digest[:16]}-{size}"'
-    headers = {"ETag": tag, "Cache-Control": "private, max-age=86400"}
-    if known is not None and {tag, "*"} & {one.strip().removeprefix("W/") for one in known.split(",")}:
-        return Response(status_code=304, headers=headers)
-    made = previews.get(digest, size)
-    if made is None:
-        made = await make()
-        previews.keep(digest, size, made)
-    return Response(made, media_type=PNG, headers=headers)
 
 
 def picture(cloth: tuple[np.ndarray, np.ndarray], skin: tuple[np.ndarray, np.ndarray] | None, size: int) -> bytes:

@@ -39,11 +39,11 @@ if TYPE_CHECKING:
     from drape.stages.plan import Plan
     from service.compute.drape_runtime import DrapeRuntime
 
-FORMAT = 2
+FORMAT = 3
 ABOUT = "about.json"
 PAGE = built("static/dist")
 ENGINE = (LIBRARIES if CLONE else built("")) / f"{WEB.name}{WEB.suffix}"
-JSON, BINARY, GLB = "application/json", "application/octet-stream", "model/gltf-binary"
+JSON, BINARY = "application/json", "application/octet-stream"
 LEVEL = 6  # of compression
 
 
@@ -147,7 +147,7 @@ async def _answers(app: FastAPI, asked: Asked, plan: Plan) -> AsyncIterator[tupl
     fabric = asked.options.fabric if isinstance(asked.options.fabric, str) else ""
     chosen = f"fabric={fabric}&betas={betas}&coarse={bool(plan.options.coarse)}"
     wanted = {
-        f"{garment}/mesh": (f"{garment}/mesh?resolution=fine", JSON, "mesh.json"),
+        f"{garment}/mesh": (f"{garment}/mesh?resolution=fine", BINARY, "mesh.bin"),
         f"{garment}/jets": (f"{garment}/jets?resolution=fine", BINARY, "layout.bin"),
         f"{garment}/folds": (f"{garment}/folds?resolution=fine&{chosen}", BINARY, "folds.bin"),
         garment: (garment, JSON, "garment.json"),
@@ -157,7 +157,7 @@ async def _answers(app: FastAPI, asked: Asked, plan: Plan) -> AsyncIterator[tupl
     }
     body = json.loads(await answer(app, "/health", JSON))["body"]
     wanted[f"/bodies/{body}"] = (f"/bodies/{body}?betas={betas}", JSON, "body.json")
-    wanted[f"/bodies/{body}/mesh"] = (f"/bodies/{body}/mesh?betas={betas}", GLB, "body.glb")
+    wanted[f"/bodies/{body}/mesh"] = (f"/bodies/{body}/mesh?betas={betas}", BINARY, "body.bin")
     for motion in asked.motions:
         wanted[f"/motions/{motion}"] = (f"/motions/{motion}?betas={betas}", JSON, f"motion-{motion}.json")
     for name, (path, kind, file) in wanted.items():

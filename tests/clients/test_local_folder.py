@@ -6,6 +6,7 @@ import gzip
 import json
 from pathlib import Path
 
+from service.static.folder import FORMAT
 from tests.clients.node import answer_of, page_answer
 from tests.clients.test_local import served_files
 
@@ -28,7 +29,10 @@ console.log(JSON.stringify({
 
 
 def test_files_are_read_compressed_or_not_and_what_is_missing_is_told(tmp_path: Path):
-    for name, answers, number in (("good", {"/health": "health.json.gz", "/garments": "gone.json"}, 2), ("old", {}, 1)):
+    for name, answers, number in (
+        ("good", {"/health": "health.json.gz", "/garments": "gone.json"}, FORMAT),
+        ("old", {}, 1),
+    ):
         (tmp_path / name).mkdir()
         about = {"format": number, "answers": answers, "garment": "tube", "options": {}}
         (tmp_path / name / "about.json").write_text(json.dumps(about))

@@ -52,7 +52,7 @@ def set_control(page: Page, element: str, name: str, value: object, event: str) 
 
 
 def test_it_opens_on_garments_that_are_shipped():
-    source = (ROOT / "clients/web/src/main.js").read_text(encoding="utf-8")
+    source = (ROOT / "clients/web/src/first.js").read_text(encoding="utf-8")
     worn = source.partition('const WORN = "')[2].partition('"')[0].split(",")
     assert len(worn) == 2 and all(list((ROOT / "drape/assets/garments").glob(f"{name}-*.npz")) for name in worn)
 

@@ -62,7 +62,7 @@ def test_the_tarball_has_types_first_and_nothing_but_its_build(application: Path
     with tarfile.open(next(application.glob("*.tgz"))) as tarball:
         names = tarball.getnames()
     beside = {name for name in names if not name.startswith("package/dist/")}
-    assert beside == {"package/package.json", "package/README.md"}
+    assert beside == {"package/package.json", "package/README.md", "package/LICENSE"}
     manifest = json.loads((WEB / "lib/package.json").read_text())
     for entry in manifest["exports"].values():
         assert list(entry) == ["types", "default"]

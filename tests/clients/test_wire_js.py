@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from drape.body.model import BodyModel
+from drape.export.glb_body import heaviest_bones
+from drape.geometry.rotations import rotvec_to_matrix
 from drape.wire import messages as wire
+from drape.wire.meshes import STEP_M, pack_body
 from drape.wire.options import DrapeOptions, wire_names
 from drape.wire.rig_poses import RigPose, pack_rig_pose
 from tests.architecture.repository import ROOT
@@ -113,3 +117,27 @@ def test_ids_of_the_page_name_one_element_each():
     ids = re.findall(r'\sid="([^"]+)"', (ROOT / "clients/web/src/index.html").read_text())
     assert "view" in ids
     assert len(ids) == len(set(ids))
+
+
+BODY = """
+import { unpackBody } from "./meshes.js";
+const body = unpackBody(Uint8Array.from(Buffer.from(input.message, "hex")).buffer);
+console.log(JSON.stringify(Object.fromEntries(Object.entries(body).map(([name, numbers]) => [name, [...numbers]]))));
+"""
+
+
+def test_a_posed_body_is_where_it_was_before_it_was_packed(body: BodyModel, rng, tmp_path):
+    rest, joints = (part(np.zeros(body.shape_count)) for part in (body.rest_vertices, body.rest_joints))
+    bones, weights = heaviest_bones(body)
+    turns = rotvec_to_matrix(rng.normal(size=(24, 3)))
+
+    def posed(places: np.ndarray, bones: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        turned = np.einsum("vkij,vkj->vki", turns[bones], places[:, None] - joints[bones]) + joints[bones]
+        return (weights[..., None] * turned).sum(axis=1)
+
+    read = answer_of(BODY, {"message": pack_body(rest, body.faces, joints, bones, weights).hex()}, tmp_path)
+    assert read["index"] == body.faces.ravel().tolist()
+    assert_allclose(np.reshape(read["joints"], (24, 3)), joints, rtol=0, atol=1e-6)
+    others = np.reshape(read["bones"], (-1, 4)), np.reshape(read["weights"], (-1, 4))
+    off_m = posed(np.reshape(read["positions"], (-1, 3)), *others) - posed(rest, bones, weights)
+    assert np.linalg.norm(off_m, axis=1).max() < STEP_M  # each coordinate was rounded to half of a step

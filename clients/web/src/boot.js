@@ -1,12 +1,14 @@
-// The page is painted first, then the fitting room is loaded: its script and its shaders take longer than a picture.
-const LATEST_MS = 1500; // a page in the background is not painted
+// The picture of the person is painted first, then the fitting room is loaded: its script and its shaders take longer.
+import { askEarly } from "./first.js";
 
-let begun = false;
-function begin() {
-  if (begun) return;
-  begun = true;
-  import("./main.js");
+async function painted() {
+  const poster = document.getElementById("poster");
+  if (location.search) poster.remove(); // it may be of others
+  else await poster.decode().catch(() => {});
+  if (document.visibilityState === "hidden") return; // is not painted
+  await new Promise((resolve) => requestAnimationFrame(() => setTimeout(resolve)));
 }
 
-new PerformanceObserver(begin).observe({ type: "paint", buffered: true });
-setTimeout(begin, LATEST_MS);
+const picture = painted();
+picture.then(() => import("./main.js"));
+askEarly(picture).catch(() => {});

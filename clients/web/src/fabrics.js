@@ -16,6 +16,7 @@ export class Fabrics {
     this.onFabric = onFabric;
     this.list = [];
     this.free = true;
+    new MutationObserver(() => this.draw()).observe(element("drawer-fabric"), { attributeFilter: ["hidden"] });
     element("further-in").addEventListener("click", () => shelf.move(-1));
     element("further-out").addEventListener("click", () => shelf.move(1));
     const dots = Object.entries(COLOURS).map(([name, colour]) => {
@@ -51,6 +52,7 @@ export class Fabrics {
     element("further-out").disabled = selected === worn.length - 1;
     for (const dot of element("dyes").children) dot.setAttribute("aria-pressed", dot.dataset.colour === layer.colour);
     const own = typeof garment.fabric === "string" ? garment.fabric : null;
+    if (element("drawer-fabric").hidden) return; // swatches are drawn for who looks at them
     const swatches = this.list.map((fabric) => this.#swatch(fabric, layer, own));
     element("swatches").replaceChildren(...swatches);
   }

@@ -1,5 +1,4 @@
 // Who wears it: the service's body, or a character of the user's.
-import { Matrix4, Vector3 } from "three";
 import { poseBones, readBody } from "../lib/src/body.js";
 import { jointPlaces } from "../lib/src/kinematics.js";
 import { skinMaterial } from "../lib/src/materials.js";
@@ -24,11 +23,9 @@ export class Figure {
     return paintPerson(skinMaterial(this.tone, { plain: this.plain }), person);
   }
 
-  // The service's body from its file, for show().
-  async makeBody(buffer) {
-    const { group, mesh, bones } = await readBody(buffer);
-    const places = mesh.skeleton.boneInverses.map((inverse) => new Vector3().setFromMatrixPosition(new Matrix4().copy(inverse).invert()));
-    const rest = places.map((place) => place.toArray());
+  // The service's body from its message, for show().
+  makeBody(buffer) {
+    const { group, mesh, bones, rest } = readBody(buffer);
     mesh.geometry.computeBoundingBox();
     const person = { rest, crownM: mesh.geometry.boundingBox.max.y };
     mesh.material = this.#material(person);

@@ -4,43 +4,34 @@ import { clipSource } from "../lib/src/sources.js";
 import { BYTES, MESH_SUFFIXES } from "../lib/src/wire.js";
 import { findCharacter, sendCharacter } from "./avatars.js";
 import { Camera, makeDoor } from "./camera.js";
+import { askForKey } from "./door.js";
 import { acceptDrops } from "./drop.js";
 import { Fabrics } from "./fabrics.js";
 import { Figure } from "./figure.js";
+import { asked, clipFirst, countFrame, moving, wanted, wornFirst } from "./first.js";
 import { Fit } from "./fit.js";
 import { listen, makeDrawers, makeHelp, makeSheet, turnByKeys } from "./keys.js";
 import { Measures } from "./measures.js";
-import { Motions } from "./motions.js";
+import { Motions, sampled } from "./motions.js";
 import { Outfit } from "./outfit.js";
 import { Quality } from "./quality.js";
 import { Readouts, Triangles } from "./readouts.js";
-import { clipFile, key, setKey, uploadGarment } from "./service.js";
+import { clipFile, key, uploadGarment } from "./service.js";
 import { Shelf } from "./shelf.js";
 import { Sizes } from "./sizes.js";
 import { Stage } from "./stage.js";
 import { element, failing, hush, say, title } from "./words.js";
 
-const WORN = "trousers,tshirt"; // where the address names nothing, the innermost first
 const SEND_RATE = 60; // poses per second at most
-const SAVED_FPS = 30;
 const SHEET_PX = 760; // as in style.css
-const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, tier, folds_by, passes, folds, resolution, fabric, size, jets, quality=high
 const state = { betas: [], avatar: null };
 
-let stage;
-try {
-  stage = new Stage(element("view"), { keepQuality: wanted.get("quality") === "high" });
-} catch (error) {
-  document.body.dataset.state = "failed";
-  say(`This page needs WebGL 2, and the browser gave none (${error.message}).`, { bad: true });
-  throw error;
-}
-
 let drape = null;
+let stage = null; // while the first answers are waited for
+let figure = null;
 let outfit = null;
 let fit = null;
 let measures = null;
-const figure = new Figure(stage);
 const triangles = new Triangles();
 const quality = new Quality({ onChange: () => wearAgain(), onFolds: () => wearAgain() });
 const shelf = new Shelf({
@@ -50,7 +41,10 @@ const shelf = new Shelf({
     fabrics.draw();
   },
   onSelect: () => drawGarment(),
-  picture: (garment, size) => drape.rest.picture(`/garments/${encodeURIComponent(garment.id)}/preview.png?size=${size}&alone=true`),
+  async picture(garment, size) {
+    await moving; // cloth comes first
+    return drape.rest.picture(`/garments/${encodeURIComponent(garment.id)}/preview.png?size=${size}&alone=true`);
+  },
 });
 const fabrics = new Fabrics(shelf, { onFabric: () => wearAgain() });
 const sizes = new Sizes(shelf, {
@@ -74,11 +68,6 @@ const readouts = new Readouts({
   },
 });
 
-stage.onPlain = () => {
-  figure.setPlain();
-  outfit?.setPlain();
-};
-
 // How what is worn is draped, by the names of the wire; "undefined" is left to the service.
 function options() {
   const { resolution, ...chosen } = readouts.options();
@@ -97,7 +86,7 @@ function meshed() {
 const wearAgain = failing(async () => {
   if (!shelf.worn.length) return;
   if (shelf.worn.length > 1 && element("push").checked) say("The outfit is being made ready …", { by: "stream" });
-  fit.wash(); // what is worn gets its own look before it changes
+  fit?.wash(); // what is worn gets its own look before it changes
   try {
     if (!(await outfit.wear(shelf.worn, options(), meshed()))) return;
   } catch (error) {
@@ -106,7 +95,7 @@ const wearAgain = failing(async () => {
   }
   tellOffline(null);
   hush("stream");
-  if (fit.on) await fit.show(outfit.next ?? outfit.current, true);
+  if (fit?.on) await fit.show(outfit.next ?? outfit.current, true);
 });
 
 const ownClips = new Map(); // by id, the files of motions that were dropped
@@ -160,12 +149,17 @@ async function changeShape(betas) {
 let coming = null;
 const wearerOf = ({ avatar = null, betas = [] }) => JSON.stringify([avatar, avatar === null ? betas : []]);
 
-async function changeWearer() {
+async function bringWearer() {
   const { avatar, betas } = state;
   const made = avatar === null ? await figure.makeBody(await drape.rest.bodyFile(drape.health.body, betas)) : await findCharacter(drape, avatar);
+  if (made.object) await stage.ready(made.object);
   if (wearerOf(state) !== wearerOf({ avatar, betas })) return; // changed meanwhile
   sizes.draw(); // another body may take another
   coming = { for: wearerOf(state), figure: made };
+}
+
+async function changeWearer() {
+  await bringWearer();
   await Promise.all([motions.wanted && motions.choose(motions.wanted), wearAgain()]);
 }
 
@@ -218,6 +212,8 @@ function makeOutfit() {
     onFrame(worn) {
       const { wearing } = worn;
       triangles.draw(worn);
+      worn.visible = figure.rest !== undefined || coming !== null; // nobody else has to come yet
+      if (!worn.visible) return;
       if (coming && coming.for === wearerOf(wearing.options)) {
         figure.show(coming.figure);
         coming = null;
@@ -244,7 +240,7 @@ function makeOutfit() {
 
 async function listGarments(chosen, limit) {
   const garments = await drape.garments();
-  shelf.offer(garments, chosen, limit);
+  shelf.offer(garments, wornFirst(garments, limit ?? shelf.limit, chosen), limit);
   if (garments.length === 0) say("No garments yet: upload one.");
 }
 
@@ -271,13 +267,10 @@ const save = failing(async () => {
   element("save").disabled = true;
   say("The service writes the file …");
   try {
-    const stride = Math.max(1, Math.round(clip.fps / SAVED_FPS));
-    const kept = Array.from({ length: Math.ceil(clip.frames / stride) }, (_, i) => clip.sample((stride * i + 0.5) / clip.fps));
-    const poses = kept.map(({ poses: pose }) => Array.from({ length: 24 }, (_, joint) => Array.from(pose.slice(3 * joint, 3 * joint + 3))));
     const garments = shelf.worn.map(({ id }) => id);
     const worn = garments.length === 1 ? { garment: garments[0] } : { garments };
     const { geometry, folds_by, ...meshes } = meshed();
-    const asked = { ...worn, ...options(), ...meshes, poses, trans: kept.map(({ trans }) => Array.from(trans)), fps: clip.fps / stride, body: true };
+    const asked = { ...worn, ...options(), ...meshes, ...sampled(clip), body: true };
     const link = document.createElement("a");
     link.href = URL.createObjectURL(await clipFile(drape.rest, asked));
     link.download = `${garments.join("-")}-${clip.id}.glb`;
@@ -306,12 +299,39 @@ function tick(now) {
     lastSent = now;
     outfit.pose(pose.poses, pose.trans);
   }
-  if (framed) document.body.dataset.frames = String(Number(document.body.dataset.frames) + 1); // is drawn now
+  if (framed) countFrame(); // is drawn now
   framed = false;
-  stage.render();
+  if (outfit?.current) stage.render(); // before there is a picture
   stage.watch(now);
   readouts.tell(now);
   quality.tell();
+}
+
+function makeStage() {
+  try {
+    stage = new Stage(element("view"), { keepQuality: wanted.get("quality") === "high" });
+  } catch (error) {
+    document.body.dataset.state = "failed";
+    throw error;
+  }
+  figure = new Figure(stage);
+  stage.onPlain = () => {
+    figure.setPlain();
+    outfit?.setPlain();
+  };
+  new ResizeObserver(makeRoom).observe(element("shelf"));
+  new ResizeObserver(makeRoom).observe(element("dock"));
+  addEventListener("resize", makeRoom);
+}
+
+function makeFit() {
+  fit = new Fit(drape.rest, stage, {
+    request(id) {
+      const { fabric, size } = shelf.worn.find((one) => one.id === id) ?? {};
+      return { betas: state.betas, fabric: fabric ?? undefined, size: size ?? undefined };
+    },
+    name: (id) => title(shelf.garment(id).name),
+  });
 }
 
 // The person stands in what controls leave free.
@@ -343,60 +363,35 @@ function wireControls() {
   turnByKeys(element("view"), stage);
 }
 
-// A service with keys says nothing to who has none.
-function askForKey(error) {
-  if (error.status === 401) {
-    document.body.dataset.state = "locked";
-    element("door").hidden = false;
-    element("key").focus();
-  }
-  throw error;
-}
-
-element("door").addEventListener("submit", (event) => {
-  event.preventDefault();
-  setKey(element("key").value.trim());
-  location.reload();
-});
-
 const start = failing(async () => {
   const worker = () => new Worker("worker.js");
-  drape = await connect(location.origin, { key, worker }).catch(askForKey);
+  const connecting = connect(location.origin, { key, worker, fetch: asked });
+  makeStage();
+  drape = await connecting.catch(askForKey);
   const { health } = drape;
   element("about").textContent = `model ${health.model}, ${health.provider.replace("ExecutionProvider", "")}, body ${health.body}, version ${health.version}`;
   makeOutfit();
-  fit = new Fit(drape.rest, stage, {
-    request(id) {
-      const { fabric, size } = shelf.worn.find((one) => one.id === id) ?? {};
-      return { betas: state.betas, fabric: fabric ?? undefined, size: size ?? undefined };
-    },
-    name: (id) => title(shelf.garment(id).name),
-  });
   measures = new Measures(drape.rest, { onShape: changeShape, onTone: (tone) => figure.setTone(tone), onCharacter: chooseCharacter });
   readouts.offer(wanted, health.passes);
-  const [tiers, list, clips] = await Promise.all([
-    drape.tiers(), drape.fabrics(), drape.motions(), measures.offer(health.body),
-    listGarments((wanted.get("garment") ?? WORN).split(","), health.layers),
-  ]);
+  const others = Promise.all([drape.avatars(), measures.offer(health.body)]);
+  const [tiers, list, clips] = await Promise.all([drape.tiers(), drape.fabrics(), drape.motions(), listGarments(undefined, health.layers)]);
   quality.offer(tiers, wanted.get("tier"), wanted.get("folds_by"));
-  const asked = wanted.get("fabric");
+  const fabric = wanted.get("fabric");
   sizes.wear(wanted.get("size"));
-  if (list.some(({ id }) => id === asked)) for (const layer of shelf.worn) layer.fabric = asked;
+  if (list.some(({ id }) => id === fabric)) for (const layer of shelf.worn) layer.fabric = fabric;
   fabrics.offer(list, health.fabrics);
-  sizes.draw();
-  measures.listCharacters(await drape.avatars(), null);
-  wireControls();
-  const named = [wanted.get("clip"), "walk", clips[0]?.id].find((id) => clips.some((clip) => clip.id === id));
+  const named = clipFirst(clips);
   motions.offer(clips, named);
-  motions.wanted = named;
-  await changeWearer();
+  const begun = [wearAgain(), named && motions.choose(named)];
+  makeFit();
+  requestAnimationFrame(tick);
+  const [avatars] = await others;
+  measures.listCharacters(avatars, null);
+  wireControls();
+  await Promise.all([...begun, bringWearer()]);
 });
 
 makeDrawers();
 makeHelp();
 makeSheet();
-new ResizeObserver(makeRoom).observe(element("shelf"));
-new ResizeObserver(makeRoom).observe(element("dock"));
-addEventListener("resize", makeRoom);
-requestAnimationFrame(tick);
 start();

@@ -1,6 +1,7 @@
 // What the person does: clips of the service and of the user's, played, paused, and looked through.
 import { element, make, title } from "./words.js";
 
+const SAVED_FPS = 30;
 const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 
 export class Motions {
@@ -83,4 +84,12 @@ export class Motions {
     if (document.activeElement !== scrub || this.playing) scrub.value = this.timeS / this.lengthS;
     return this.clip.sample(this.timeS);
   }
+}
+
+// What a request has of a clip: poses, trans and fps, of SAVED_FPS frames a second at most.
+export function sampled(clip) {
+  const stride = Math.max(1, Math.round(clip.fps / SAVED_FPS));
+  const kept = Array.from({ length: Math.ceil(clip.frames / stride) }, (_, i) => clip.sample((stride * i + 0.5) / clip.fps));
+  const poses = kept.map(({ poses: pose }) => Array.from({ length: 24 }, (_, joint) => Array.from(pose.slice(3 * joint, 3 * joint + 3))));
+  return { poses, trans: kept.map(({ trans }) => Array.from(trans)), fps: clip.fps / stride };
 }

@@ -10,6 +10,7 @@ export class Outfit {
     this.onFolds = onFolds;
     this.current = null;
     this.next = null;
+    this.coming = null; // the next one, while it is made ready to be drawn: no frames of it are asked for
     this.asked = "";
     this.turn = 0;
   }
@@ -54,8 +55,13 @@ export class Outfit {
     return true;
   }
 
-  #shown(worn) {
+  async #shown(worn) {
     if (worn === this.next) {
+      if (this.coming === worn) return;
+      this.coming = worn;
+      await this.stage.ready(worn);
+      if (this.coming === worn) this.coming = null;
+      if (worn !== this.next) return; // another one is wanted meanwhile
       this.current?.dispose();
       [this.current, this.next] = [worn, null];
       this.stage.scene.add(worn);
@@ -64,7 +70,7 @@ export class Outfit {
   }
 
   pose(poses, trans) {
-    const sent = [this.current, this.next].map((worn) => worn?.pose(poses, trans));
+    const sent = [this.current, this.coming ? null : this.next].map((worn) => worn?.pose(poses, trans));
     return sent.some(Boolean);
   }
 

@@ -15,14 +15,11 @@ export class Shelf {
     this.limit = 1;
   }
 
-  // garments: the service's list; ids: what to wear of it, the innermost first; limit: layers that the service takes.
+  // garments: the service's list; ids: what is worn of it, the innermost first; limit: layers that the service takes.
   offer(garments, ids, limit = this.limit) {
     this.garments = garments;
     this.limit = limit;
-    const known = new Set(garments.map(({ id }) => id));
-    const kept = [...new Set(ids)].filter((id) => known.has(id)).slice(-limit);
-    const chosen = kept.length ? kept : garments.slice(0, 1).map(({ id }) => id);
-    this.worn = chosen.map((id, layer) => this.worn.find((one) => one.id === id) ?? this.#layer(id, layer));
+    this.worn = ids.map((id, layer) => this.worn.find((one) => one.id === id) ?? this.#layer(id, layer));
     this.selected = Math.max(0, this.worn.length - 1);
     this.#drawCards();
     this.#draw();

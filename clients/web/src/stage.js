@@ -26,10 +26,14 @@ export class Stage {
   constructor(canvas, { keepQuality = false } = {}) {
     this.keepQuality = keepQuality;
     this.onPlain = () => {}; // from now on it is drawn plainly
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+    const wanted = { antialias: true, alpha: true };
+    const context = canvas.getContext("webgl2", wanted);
+    if (!context) throw new Error("This page needs WebGL 2, and the browser gave none.");
+    this.renderer = new THREE.WebGLRenderer({ canvas, context, ...wanted });
     this.renderer.toneMapping = THREE.NeutralToneMapping;
     this.renderer.toneMappingExposure = 1.0;
     this.renderer.shadowMap.enabled = true;
+    this.renderer.debug.checkShaderErrors = false; // to ask is to wait
     this.plainness = 0;
     this.pixelShare = 1;
     this.dirty = true;
@@ -157,6 +161,11 @@ export class Stage {
       this.resize();
     }
     this.dirty = true;
+  }
+
+  // Promises that an object can be drawn without a wait for its shaders.
+  async ready(object) {
+    await Promise.all([object, this.ground.group].map((one) => this.renderer.compileAsync(one, this.camera, this.scene)));
   }
 
   // Draws where something has changed.

@@ -22,9 +22,7 @@ from drape.wire.folds import unpack_folds
 from drape.wire.options import FabricNumbers
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import check_garment, slug
-from service.http.fold_messages import KEPT as FOLDS_KEPT
-from service.http.fold_messages import FoldMessages
-from service.http.pictures import CLOTH, KEPT, Previews, picture
+from service.http.pictures import CLOTH, picture
 from service.settings import Settings
 from tests.drape.cloth.cloth_shapes import grid
 from tests.fixtures.garments import tube_garment
@@ -53,7 +51,7 @@ def test_a_garment_has_a_picture_that_is_made_once(api: TestClient):
     assert image.shape == (96, 96) and (image < 250).mean() > 0.1 and (image == 255).any()
     again = api.get(path, params={"size": 96})
     assert again.content == answer.content and again.headers["etag"] == answer.headers["etag"]
-    for known in (answer.headers["etag"], f'"another", W/{answer.headers["etag"]}', "*"):
+    for known in (answer.headers["etag"], f'"another", {answer.headers["etag"].removeprefix("W/")}', "*"):
         kept = api.get(path, params={"size": 96}, headers={"If-None-Match": known})
         assert kept.status_code == 304 and not kept.content
     assert api.get(path, params={"size": 96}, headers={"If-None-Match": '"another"'}).content == answer.content
@@ -109,22 +107,6 @@ def records_of(message: bytes) -> dict[str, Any]:
 )  # fmt: skip
 def test_folds_of_nothing_are_refused(api: TestClient, name: str, query: dict, status: int):
     assert api.get(f"/garments/{name}/folds", params=query).status_code == status
-
-
-def test_so_many_messages_of_folds_are_kept():
-    kept = FoldMessages()
-    for number in range(FOLDS_KEPT + 1):
-        kept.keep(str(number), b"%d" % number)
-    assert kept.get("0") is None and kept.get("1") == b"1"
-
-
-def test_so_many_pictures_are_kept_and_the_ones_asked_for_last():
-    kept = Previews()
-    for size in range(KEPT):
-        kept.keep("a", size, b"%d" % size)
-    assert kept.get("a", 0) == b"0"
-    kept.keep("b", 0, b"new")
-    assert kept.get("a", 1) is None and kept.get("a", 0) == b"0" and kept.get("b", 0) == b"new"
 
 
 def spoiled(array: np.ndarray, value: float) -> np.ndarray:

@@ -12,8 +12,9 @@ const POLL_MS = 200;
 
 export class Drape {
   // worker: a function that gives a Worker which imports "@drape/client/worker", or null for none; left out, our own.
-  constructor(url, { key, ticket, worker } = {}) {
-    this.rest = new Rest(new URL(url, globalThis.location?.href).href, { key, ticket });
+  // key, ticket, fetch: as Rest takes them.
+  constructor(url, { key, ticket, fetch, worker } = {}) {
+    this.rest = new Rest(new URL(url, globalThis.location?.href).href, { key, ticket, fetch });
     this.makeWorker = worker;
     this.worn = new Set();
     this.motionsKept = new Map();

@@ -4,7 +4,7 @@ import { FLAG_UNLIKE, KIND, dequantise, kindOf, unpackFrame, unpackJets, unpackL
 
 export class Decoder {
   // layers: of each garment of a frame, the innermost first: vertexCount; faces, 3 vertices a triangle; copies, the
-  // vertices that come again behind all others (topology.js); layout, the bytes of its LAYOUT where jets come, or null.
+  // vertices that come again behind all others (meshes.js); layout, the bytes of its LAYOUT where jets come, or null.
   // folding: the Folding of the only layer, or null.
   constructor(layers, folding = null) {
     this.folding = folding;

@@ -12,27 +12,36 @@ export class Drape extends Core {
   // whether cloth is to be cheap to draw; cover, whether the skin of an avatar's rig that it follows is drawn deeper below it.
   async wear(garments, { body = false, colours, plain, cover: covers, ...options } = {}) {
     const opening = super.wear(garments, options);
+    const looks = this.#looksOf([garments].flat());
     try {
-      const [wearing, figure] = await Promise.all([opening, body ? this.#figure(options.betas) : null]);
-      const looks = (fabric) => this.#looks(wearing, fabric);
-      return await new Worn(wearing, { colours, figure, looks, plain, covers }).dress();
+      const [wearing, figure] = await Promise.all([opening, body ? this.#figure(options.betas) : null, looks()]);
+      return await new Worn(wearing, { colours, figure, looks: (fabric) => looks(wearing.layers, fabric), plain, covers }).dress();
     } catch (error) {
       opening.then((wearing) => wearing.close(), () => {}); // its own failure is the error already
       throw error;
     }
   }
 
-  // How each layer looks that is shown. fabric: the option; what it leaves open is the garment's own.
-  async #looks({ garments, layers }, fabric) {
-    this.fabricsKept ??= this.fabrics();
+  // Asked once.
+  fabrics() {
+    this.fabricsKept ??= super.fabrics();
     this.fabricsKept.catch(() => (this.fabricsKept = null));
-    const fabrics = await this.fabricsKept;
-    const found = layers.map(async ({ id }) => {
-      const asked = Array.isArray(fabric) ? fabric[garments.indexOf(id)] : fabric;
-      const made = asked ?? (await this.rest.garment(id)).fabric;
-      return fabricLook(typeof made === "string" ? fabrics.find((one) => one.id === made) : made);
-    });
-    return Promise.all(found);
+    return this.fabricsKept;
+  }
+
+  // A function that promises how layers of garments look, in the option fabric of a drape or, where that leaves it open, in
+  // their own. What it asks is asked once, with its first call.
+  #looksOf(garments) {
+    let own;
+    return async (layers = [], fabric = null) => {
+      own ??= Promise.all(garments.map((id) => this.rest.garment(id)));
+      const [fabrics, told] = await Promise.all([this.fabrics(), own]);
+      return layers.map(({ id }) => {
+        const at = garments.indexOf(id);
+        const made = (Array.isArray(fabric) ? fabric[at] : fabric) ?? told[at].fabric;
+        return fabricLook(typeof made === "string" ? fabrics.find((one) => one.id === made) : made);
+      });
+    };
   }
 
   async #figure(betas) {

@@ -3,7 +3,7 @@ import { Drape, DrapeError } from "./index.js";
 import { filesOf } from "./files.js";
 import { LocalStream } from "./local_stream.js";
 
-const FORMAT = 2;
+const FORMAT = 3;
 const GIVEN = { folds_by: "client", geometry: "jets", resolution: "fine" };
 
 // The worker's script as text, which build.mjs puts in.

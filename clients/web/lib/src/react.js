@@ -1,5 +1,5 @@
-// A hook that wears a garment for as long as a component is there.
-import { useEffect, useState } from "react";
+// A garment that is worn for as long as a component is there: a hook, and a component of React Three Fiber.
+import { createElement, useEffect, useState } from "react";
 import { connect } from "./index.js";
 
 const services = new Map(); // by address, each asked once
@@ -41,4 +41,17 @@ export function useGarment(url, garments, { play, access, ...options } = {}) {
     else worn.garment?.stop();
   }, [worn.garment, play]);
   return worn;
+}
+
+// Within the Canvas of @react-three/fiber: what useGarment() wears. onFrame(event): a frame is shown; an error is thrown to
+// the nearest error boundary. All else are its options.
+export function Garment({ service, garments, onFrame, ...options }) {
+  const { garment, error } = useGarment(service, garments, options);
+  useEffect(() => {
+    if (!garment || !onFrame) return undefined;
+    garment.addEventListener("frame", onFrame);
+    return () => garment.removeEventListener("frame", onFrame);
+  }, [garment, onFrame]);
+  if (error) throw error;
+  return garment && createElement("primitive", { object: garment });
 }

@@ -9,11 +9,12 @@ const shapeOf = (betas, avatar) => (avatar === null ? `betas=${betas.join(",")}`
 
 export class Rest {
   // base: the service's address. key: its text, or a function that says it. ticket: a function that promises a fresh
-  // ticket, for pages that must not have the key.
-  constructor(base, { key = "", ticket = null } = {}) {
+  // ticket, for pages that must not have the key. fetch: asks in place of the page's own.
+  constructor(base, { key = "", ticket = null, fetch = (...asked) => globalThis.fetch(...asked) } = {}) {
     this.base = base.replace(/\/$/, "");
     this.key = typeof key === "function" ? key : () => key;
     this.freshTicket = ticket;
+    this.fetch = fetch;
     this.lastTicket = { ticket: "", sinceS: -Infinity };
   }
 
@@ -29,7 +30,7 @@ export class Rest {
     const headers = bearer ? { ...options.headers, Authorization: `Bearer ${bearer}` } : options.headers;
     let response;
     try {
-      response = await fetch(this.base + path, { ...options, headers });
+      response = await this.fetch(this.base + path, { ...options, headers });
     } catch {
       throw new DrapeError(this.#unanswered());
     }
@@ -59,8 +60,8 @@ export class Rest {
     return (await this.request(path, options)).json();
   }
 
-  async #bytes(path, kind) {
-    return (await this.request(path, { headers: { Accept: kind } })).arrayBuffer();
+  async #bytes(path) {
+    return (await this.request(path, { headers: { Accept: "application/octet-stream" } })).arrayBuffer();
   }
 
   // A ticket for a stream, which can send no header and spends it; empty where no key is asked for.
@@ -121,14 +122,14 @@ export class Rest {
     return this.json(`/jobs/${encodeURIComponent(id)}`);
   }
 
+  // Meshes of a garment and of a body, as meshes.js reads them.
   garmentMesh(id, { resolution = "delivered", size = null } = {}) {
-    const path = `/garments/${encodeURIComponent(id)}/mesh?${queried({ resolution, size })}`;
-    return this.json(path, { headers: { Accept: "application/json" } });
+    return this.#bytes(`/garments/${encodeURIComponent(id)}/mesh?${queried({ resolution, size })}`);
   }
 
   jetLayout(id, { resolution = "delivered", avatar = null, size = null } = {}) {
     const path = `/garments/${encodeURIComponent(id)}/jets?${queried({ resolution, avatar, size })}`;
-    return this.#bytes(path, "application/octet-stream");
+    return this.#bytes(path);
   }
 
   // The size of a garment that the body in the shape betas takes, and why in words.
@@ -141,7 +142,7 @@ export class Rest {
   foldConstants(id, { fabric = null, betas = [], resolution = "delivered", avatar = null, size = null, coarse = false } = {}) {
     const made = fabric === null || typeof fabric === "string" ? fabric : JSON.stringify(fabric);
     const asked = queried({ resolution, fabric: made, betas: betas.length ? betas.join(",") : null, avatar, size, coarse });
-    return this.#bytes(`/garments/${encodeURIComponent(id)}/folds?${asked}`, "application/octet-stream");
+    return this.#bytes(`/garments/${encodeURIComponent(id)}/folds?${asked}`);
   }
 
   // Measures [m, kg] of a body in the shape betas, and what it can have of each.
@@ -175,6 +176,6 @@ export class Rest {
   }
 
   bodyFile(id, betas = []) {
-    return this.#bytes(`/bodies/${encodeURIComponent(id)}/mesh?betas=${betas.join(",")}`, "model/gltf-binary");
+    return this.#bytes(`/bodies/${encodeURIComponent(id)}/mesh?betas=${betas.join(",")}`);
   }
 }

@@ -1,9 +1,9 @@
 // One garment, or several over each other, on one moving body: its stream, what decodes it, and where its poses come from.
 import { DrapeError } from "./errors.js";
 import { Decoding } from "./decoding.js";
+import { unpackMesh } from "./meshes.js";
 import { Pace } from "./pace.js";
 import { clipSource, everyPicture, flatPose } from "./sources.js";
-import { topologyOf } from "./topology.js";
 
 export class Wearing {
   // drape: the service's Drape; garments: ids, the innermost first; options: those of a drape.
@@ -114,7 +114,7 @@ export class Wearing {
         this.drape.rest.garmentMesh(id, { resolution, size: this.sizeOf(id) }),
         geometry === "jets" ? this.drape.rest.jetLayout(id, { resolution, avatar, size: this.sizeOf(id) }) : null,
       ]);
-      return { id, layout, ...topologyOf(mesh) };
+      return { id, layout, ...unpackMesh(mesh) };
     });
     [this.layers] = await Promise.all([Promise.all(fetched), this.#reopen()]);
     if (this.folds) this.folds = await this.#withConstants();

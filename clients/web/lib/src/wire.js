@@ -5,7 +5,7 @@ export const SUBPROTOCOL = "drape.v1";
 export const MAGIC = 0x45505244;
 export const KIND = {
   POSE: 1, ACK: 2, FRAME: 3, JETS: 4, LAYOUT: 5, CLIP: 6, STATE: 7, SAME: 8,
-  RIG_POSE: 9, FOLDS: 10,
+  RIG_POSE: 9, FOLDS: 10, MESH: 11, BODY: 12,
 };
 export const FLAG_PUSHED = 1;
 export const FLAG_STEPPED = 2;
@@ -16,6 +16,7 @@ export const MESH_SUFFIXES = ".obj,.glb,.ply,.stl";
 export const BYTES = {
   POSE: 336, ACK: 16, SAME: 40, RIG_POSE_HEADER: 48,
   FRAME_HEADER: 96, JETS_HEADER: 460, LAYOUT_HEADER: 24,
+  MESH_HEADER: 32, BODY_HEADER: 316,
 };
 
 // name: [offset, type, count]
@@ -118,6 +119,30 @@ export const LAYOUTS = {
     client_time_s: [16, "f64", 1],
     trans: [24, "f64", 3],
   },
+  MESH: {
+    magic: [0, "u32", 1],
+    version: [4, "u8", 1],
+    kind: [5, "u8", 1],
+    flags: [6, "u16", 1],
+    sequence: [8, "u32", 1],
+    count: [12, "u32", 1],
+    copies: [16, "u32", 1],
+    triangles: [20, "u32", 1],
+    uv_step: [24, "f32", 1],
+    uv_metres: [28, "f32", 1],
+  },
+  BODY: {
+    magic: [0, "u32", 1],
+    version: [4, "u8", 1],
+    kind: [5, "u8", 1],
+    flags: [6, "u16", 1],
+    sequence: [8, "u32", 1],
+    count: [12, "u32", 1],
+    triangles: [16, "u32", 1],
+    step_m: [20, "f32", 1],
+    weight_step: [24, "f32", 1],
+    joints: [28, "f32", 72],
+  },
 };
 
 // Of JETS: numbers of a jet, which of them have 16 bits and which have 8, columns of 16 bits, steps of a unit.
@@ -177,7 +202,7 @@ export function packAck(sequence) {
   return buffer;
 }
 
-function readHeader(buffer, name, bytes) {
+export function readHeader(buffer, name, bytes) {
   if (buffer.byteLength < bytes) throw new Error(`${name} of ${buffer.byteLength} bytes is too short`);
   const header = readRecord(new DataView(buffer), LAYOUTS[name]);
   if (header.magic !== MAGIC || header.version !== WIRE_VERSION || header.kind !== KIND[name]) {

@@ -1,7 +1,7 @@
 // What is worn, as an object of three.js: its meshes move by themselves as frames come.
 import { BufferAttribute, BufferGeometry, DynamicDrawUsage, Group, Mesh, Sphere, Vector3 } from "three";
 import { poseBones } from "./body.js";
-import { borderDistances } from "./borders.js";
+import { FURTHEST_M, borderDistances } from "./borders.js";
 import { coverSkin } from "./covered.js";
 import { DrapeError } from "./errors.js";
 import { clothMaterial, dye } from "./materials.js";
@@ -12,14 +12,15 @@ const REACH_M = 2.5; // of cloth from the root, arms and hems included: a sphere
 
 function clothMesh(layer) {
   const { id, vertexCount, copies, index, uv } = layer;
+  const total = vertexCount + copies.length;
   const geometry = new BufferGeometry();
   for (const name of ["position", "normal"]) {
-    const attribute = new BufferAttribute(new Float32Array(3 * (vertexCount + copies.length)), 3);
+    const attribute = new BufferAttribute(new Float32Array(3 * total), 3);
     geometry.setAttribute(name, attribute.setUsage(DynamicDrawUsage));
   }
   if (uv) {
     geometry.setAttribute("uv", new BufferAttribute(uv, 2));
-    geometry.setAttribute("border", new BufferAttribute(borderDistances(layer), 2));
+    geometry.setAttribute("border", new BufferAttribute(new Float32Array(2 * total).fill(FURTHEST_M), 2)); // until it moves
   }
   geometry.setIndex(new BufferAttribute(index, 1));
   const mesh = new Mesh(geometry);
@@ -28,6 +29,13 @@ function clothMesh(layer) {
   mesh.castShadow = mesh.receiveShadow = true;
   geometry.boundingSphere = new Sphere(new Vector3(), REACH_M);
   return mesh;
+}
+
+// Gives the mesh of a layer its lines along seams and hems.
+function drawBorders({ geometry: { attributes } }, layer) {
+  if (!attributes.border) return;
+  attributes.border.array.set(borderDistances(layer));
+  attributes.border.needsUpdate = true;
 }
 
 // Moving the group moves all; within it the axes are the world's of the poses, y up. Events: "frame", "state", "folds", "cover".
@@ -44,6 +52,7 @@ export class Worn extends Group {
     this.colours = colours;
     this.plain = plain;
     this.looks = [];
+    this.bordered = false;
     this.dyed = []; // the materials that are ours
     this.meshes = wearing.layers.map(clothMesh);
     this.add(...this.meshes);
@@ -200,5 +209,8 @@ export class Worn extends Group {
       this.body.visible = true;
     }
     this.dispatchEvent({ type: "frame" });
+    if (this.bordered || wearing.stats.frames < 2) return;
+    this.bordered = true; // cloth that moves comes first
+    this.meshes.forEach((mesh, i) => setTimeout(() => drawBorders(mesh, wearing.layers[i])));
   }
 }

@@ -15,6 +15,8 @@ export interface Access {
   key?: string | (() => string);
   /** Gives a fresh ticket, which your own server asks the service for. */
   ticket?: () => Promise<string>;
+  /** Asks in place of the page's own `fetch`. */
+  fetch?: typeof globalThis.fetch;
   /** Makes a worker that imports "@drape/client/worker"; null: decode on the page's own thread. */
   worker?: (() => Worker | null) | null;
 }

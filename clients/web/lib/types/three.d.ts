@@ -24,7 +24,7 @@ export class RigSource implements Source {
 
 export function rigSource(rig: Object3D | Humanoid, choice?: RigChoice): RigSource;
 export function poseBones(bones: Bone[], pose: ArrayLike<number>, root: ArrayLike<number>): void;
-export function readBody(glb: ArrayBuffer, material?: Material): Promise<{ group: Group; mesh: SkinnedMesh; bones: Bone[] }>;
+export function readBody(message: ArrayBuffer, material?: Material): { group: Group; mesh: SkinnedMesh; bones: Bone[]; rest: number[][] };
 
 /** How a fabric looks; every number follows from what the service tells of it. */
 export interface FabricLook {
