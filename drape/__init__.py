@@ -2,3 +2,5 @@
 
 Imports neither torch nor onnxruntime; formulas take numpy or torch arrays.
 """
+
+__version__ = "0.1.0"

@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
+from drape import __version__
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.processes import kill_all
 from service.compute.threads import SlicedThread
@@ -33,7 +34,7 @@ from service.http.continuations import Continuations
 from service.http.fold_messages import FoldMessages
 from service.http.pictures import Previews
 from service.replicas.handover import Handover
-from service.settings import Settings, load_settings, product_version
+from service.settings import Settings, load_settings
 from service.state import ADMITTED, State
 from service.stream import routes as stream_routes
 from service.stream.workers import Streams
@@ -87,7 +88,7 @@ def create_app(
 
     app = FastAPI(
         title="drape",
-        version=product_version(),
+        version=__version__,
         lifespan=lifespan,
         description="Garments on moving bodies.",
         docs_url=None,  # those of FastAPI load their scripts from another host
