@@ -31,8 +31,8 @@ COPY pyproject.toml hatch_build.py README.md LICENSE ./
 COPY drape drape
 COPY service service
 COPY clients clients
-# Editable, so that the code finds the page beside it, as in a clone.
-RUN pip install -e ".[service,otel,${EXTRA}]"
+# Editable, so that the code finds the page and writes into runs/, as in a clone.
+RUN pip install -e ".[${EXTRA}]" -e "service[otel]"
 # The promise that the service runs without torch is kept here, not only in the tests.
 RUN python -c "import importlib.util as u, sys; sys.exit('torch is in the image' if u.find_spec('torch') else 0)"
 COPY --from=page /app/clients/web/dist clients/web/dist

@@ -13,6 +13,7 @@
 #   make format           write the format and the safe lint fixes
 #   make bench            every benchmark, its quick form
 #   make soak             fuzzed frames through the whole engine for ten minutes, ARGS="--frames 1000000 --seconds 1e9" for more; then drawn requests and streams
+#   make release          dist/: wheels for four systems, sdists, a bill of materials, checksums; this system's wheels are tried
 #   make clean            remove what was installed or built
 #
 # Options: PORT, HOST; PAGE=0 starts without the page (no Node.js needed);
@@ -37,10 +38,11 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15
 WEB := clients/web
+MEMBERS := service clients recovery training model_export
 ENGINE_SOURCES := drape/engine/build.py $(wildcard drape/engine/source/*)
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help serve setup browser test test-all test-avx2 quick test-quick sanitize check audit format bench soak page clean
+.PHONY: help serve setup browser test test-all test-avx2 quick test-quick sanitize check audit format bench soak page release clean
 
 help:
 	@sed -n '2,/^$$/{s/^# \{0,1\}//;p;}' Makefile
@@ -50,8 +52,8 @@ help:
 $(BIN)/python:
 	@PYTHON="$(PYTHON)" scripts/timed "virtual environment" scripts/make_venv $(VENV)
 
-$(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
-	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,clients]'
+$(VENV)/.serve-stamp: pyproject.toml service/pyproject.toml clients/pyproject.toml | $(BIN)/python
+	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(PIP) install --quiet -e . -e service -e clients
 	@touch $@
 
 # The engine needs nothing but Python, so it is compiled beside the packages.
@@ -64,9 +66,9 @@ $(VENV)/.engine-tests-stamp: $(ENGINE_SOURCES) | $(BIN)/python
 	@touch $(VENV)/.engine-stamp $@
 
 # torch first and alone: later requirements then find it and cannot pull another build of it.
-$(VENV)/.setup-stamp: pyproject.toml | $(BIN)/python
+$(VENV)/.setup-stamp: pyproject.toml $(MEMBERS:=/pyproject.toml) | $(BIN)/python
 	@scripts/timed "torch" scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
-	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
+	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[cpu,dev]' -e 'service[otel]' $(addprefix -e ,$(filter-out service,$(MEMBERS)))
 	@touch $(VENV)/.serve-stamp $@
 
 setup:
@@ -148,6 +150,16 @@ bench: setup
 soak: setup
 	$(BIN)/python -m benchmarks.soak --threads 1 $(ARGS)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q --hypothesis-profile=soak tests/service/http/test_openapi.py tests/service/stream/test_stream_machine.py
+
+# Every job puts its files into dist/, which the first one empties; the sums come last.
+$(VENV)/.release-stamp: pyproject.toml | $(BIN)/python
+	@DRAPE_ENGINE=apart scripts/timed "packages of a release" $(PIP) install --quiet -e '.[release]'
+	@touch $@
+
+release: $(VENV)/.release-stamp page
+	$(BIN)/python scripts/release.py
+	$(BIN)/python scripts/try_wheels.py
+	cd dist && sha256sum -- * > SHA256SUMS
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .cache .pytest_cache .ruff_cache .hypothesis

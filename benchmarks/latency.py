@@ -222,7 +222,7 @@ def with_vertices(garment: Garment, count: int) -> Garment:
     return replace(garment, vertex_count=count, faces=garment.faces[:0], fine_faces=fine_faces, **rows)
 
 
-_PER_VERTEX = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual", "skin_weights", "shapedirs")
+_PER_VERTEX = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual")
 
 
 def _subdivided(garment: Garment) -> Garment:
@@ -244,8 +244,6 @@ def _subdivided(garment: Garment) -> Garment:
         chart_uv=uv,
         chart_weight=garment.chart_weight[first],
         chart_residual=local - scale * jets.evaluate(garment.patch_jet[patch].astype(np.float64), uv),
-        skin_weights=garment.skin_weights[first],
-        shapedirs=garment.shapedirs[first],
         # Panels and texture are of the triangles before; only speed is asked here.
         **dict.fromkeys(("rest_edges", "rest_angle", "rest_stiffening")),
         uv=garment.uv[:0],

@@ -97,7 +97,7 @@ def at_rate(motion: MotionClip, fps: float) -> MotionClip:
 def skinned(garment: Garment, body: BodyModel, poses: np.ndarray) -> np.ndarray:
     """The subdivided mesh [m] (F, V, 3) by linear blend skinning with the garment's own weights."""
     rest = np.broadcast_to(garment.vertices.astype(np.float64), (len(poses), *garment.vertices.shape))
-    return skin_points(rest, garment.skin_weights.astype(np.float64), *body.bones(poses))
+    return skin_points(rest, garment.skin_weights(body).astype(np.float64), *body.bones(poses))
 
 
 def pushed(vertices: np.ndarray, body: BodyModel, poses: np.ndarray) -> np.ndarray:

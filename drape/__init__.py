@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from drape.motion.readers import read_motion
     from drape.wire.options import DrapeOptions
 
+__version__ = "0.1.0"
 __all__ = [
     "Drape", "DrapeError", "DrapeOptions", "Frame", "Garment", "MotionClip", "Worn", "intake", "load", "read_motion",
 ]  # fmt: skip

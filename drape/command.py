@@ -8,12 +8,12 @@ import json
 import sys
 import time
 from collections.abc import Callable, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
+from drape import __version__
 from drape.errors import InputError, Unavailable, refusing
 from drape.wire.options import TierName
 
@@ -24,13 +24,12 @@ ELSEWHERE: dict[str, tuple[str, tuple[str, ...], str]] = {
     "draft": ("recovery.pattern.__main__", ("draft",), "a base pattern for a body"),
     "train": ("training.run", (), "a network that moves patches"),
 }
-DISTRIBUTION = "drape"
 
 
 def parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
     whole = argparse.ArgumentParser(prog="drape", description=__doc__.partition(": ")[2] if __doc__ else None)
-    whole.add_argument("--version", action="version", version=f"drape {_version()}")
+    whole.add_argument("--version", action="version", version=f"drape {__version__}")
     commands = whole.add_subparsers(metavar="command")
 
     wear = commands.add_parser("wear", help="drape garments over a motion, without a service")
@@ -221,10 +220,3 @@ def _progress(done: int, whole: int) -> None:
 
 def _numbers(text: str) -> list[float]:
     return [float(part) for part in text.split(",")]
-
-
-def _version() -> str:
-    try:
-        return version(DISTRIBUTION)
-    except PackageNotFoundError:
-        return "of a clone"

@@ -15,7 +15,7 @@ from drape.body.features import motion_features
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.garment.fabric_features import encoder_features
-from drape.graph.feeds import body_feed, garment_feed, kinematics
+from drape.graph.feeds import body_feed, garment_feed, kinematics, skinning_feed
 from model_export.graph import DrapeGraph, DynamicGraph, EncoderGraph, drape_inputs
 from training.model import OneFit
 
@@ -64,7 +64,12 @@ def parity_error(model: OneFit, encoder: Path, drape: Path, garment: Garment) ->
         poses = hard_poses(count, seed=count)
         rng = np.random.default_rng(count)
         feed = body_feed(body, poses, np.zeros((count, 3)), scale * rng.normal(size=body.shape_count), skin=True)
-        arrays = feed.arrays | garment_feed(garment, body=body) | {"patch_embedding": embedding}
+        arrays = (
+            feed.arrays
+            | garment_feed(garment, body=body)
+            | skinning_feed(garment, body)
+            | {"patch_embedding": embedding}
+        )
         # For a dynamic model: any code of the size that motion makes.
         arrays["dynamic_code"] = rng.normal(0.0, 0.3, size=(count, model.config.body_code_size)).astype(np.float32)
         with torch.no_grad():
@@ -88,7 +93,7 @@ def sequence_error(model: OneFit, folder: Path, graphs: dict[str, GraphSpec], ga
     feed = body_feed(body, poses, trans, skin=True)
     at = kinematics(body, poses, trans)
     features = motion_features(at[2:], at[1:-1], at[:-2], dt_s[1:], dt_s[:-1]).astype(np.float32)
-    constants = garment_feed(garment, body=body)
+    constants = garment_feed(garment, body=body) | skinning_feed(garment, body)
     with torch.no_grad():
         described = encoder_features(garment, model.config.encoder_feature_count)
         embedding = EncoderGraph(model)({"patch_features": torch.from_numpy(described)}).numpy()

@@ -44,7 +44,8 @@ def _serve(overrides: dict[str, object]) -> int:
         from service.watch.probes import Lifecycle, Probes
     except ModuleNotFoundError as error:
         print(
-            f"service: expected the packages of the extra 'service', got no {error.name}. Run make serve.",
+            f"service: expected the packages of the extra 'serve', got no {error.name}. "
+            "Run make serve in a clone, or install the wheel with [serve].",
             file=sys.stderr,
         )
         return 2

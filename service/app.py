@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
+from drape import __version__
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.processes import kill_all
 from service.compute.threads import SlicedThread
@@ -35,7 +36,7 @@ from service.http.continuations import Continuations
 from service.http.encodings import BriefJson
 from service.http.kept import Kept
 from service.replicas.handover import Handover
-from service.settings import Settings, load_settings, product_version
+from service.settings import Settings, load_settings
 from service.state import ADMITTED, State
 from service.stream import routes as stream_routes
 from service.stream.workers import Streams
@@ -91,7 +92,7 @@ def create_app(
 
     app = FastAPI(
         title="drape",
-        version=product_version(),
+        version=__version__,
         lifespan=lifespan,
         description="Garments on moving bodies.",
         docs_url=None,  # those of FastAPI load their scripts from another host

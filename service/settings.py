@@ -5,7 +5,6 @@ Every field is described in docs/guide/operate.md.
 
 from __future__ import annotations
 
-import importlib.metadata
 import ipaddress
 from importlib.resources import files
 from pathlib import Path
@@ -147,11 +146,3 @@ def load_settings(**overrides: object) -> Settings:
             got=repr(first.get("input")),
             cure="Correct or unset it; see docs/guide/operate.md.",
         ) from error
-
-
-def product_version() -> str:
-    """The version in the package's metadata; "unknown" where the folder runs without being installed."""
-    try:
-        return importlib.metadata.version("drape")
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"

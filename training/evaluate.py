@@ -105,7 +105,7 @@ def posed_patches(
         posed = model(body, partition.patches, embedding, charts=partition.consensus, passes=passes)
         vertices = vertices_from(posed_coefficients(posed, partition.patches.scale), partition)
         if model.config.variant == "paper":
-            vertices = paper_vertices(vertices, torch.from_numpy(garment.skin_weights.astype(np.float32)), body)
+            vertices = paper_vertices(vertices, torch.from_numpy(garment.skin_weights(source.body)), body)
     return vertices.double().numpy() + source.body.rest_joints()[0], posed
 
 
@@ -131,7 +131,7 @@ def evaluate(
         cloth = ClothMesh.of(garment.rest_state(), faces, len(rest))
     rotations, translations = body.bones(poses.poses)
     still = np.broadcast_to(rest, (len(poses.poses), *rest.shape))
-    skinned = skin_points(still, garment.skin_weights.astype(np.float64), rotations, translations)
+    skinned = skin_points(still, garment.skin_weights(body).astype(np.float64), rotations, translations)
     source = BodySource(body, device=CPU)
     draped, posed = posed_patches(model, garment, source, poses.poses, passes=passes, fabric=made_of)
     skin = body.posed_vertices(poses.poses)

@@ -67,7 +67,7 @@ class SkinningPush:
     def __init__(self, garment: Garment, body: BodyModel) -> None:
         self.body, self.collider = body, Collider(body)
         self.rest = garment.vertices[: garment.vertex_count].astype(np.float64)
-        self.weights = scipy.sparse.csr_matrix(garment.skin_weights[: garment.vertex_count].astype(np.float64))
+        self.weights = scipy.sparse.csr_matrix(garment.skin_weights(body)[: garment.vertex_count].astype(np.float64))
         self.betas = np.zeros(body.shape_count)
 
     def skin(self, pose: np.ndarray) -> np.ndarray:

@@ -160,6 +160,9 @@ def build_probe(system: str, folder: Path) -> Path:
 def build_here(folder: Path = LIBRARIES, *, tests: bool = False, sanitize: bool = False) -> None:
     """Compiles what this processor needs into ``folder``, or the lower level that ``DRAPE_ISA`` names; ends the program
     with a sentence on one that is too old."""
+    if platform.system() == "Linux" and platform.libc_ver()[0] != "glibc":
+        cure = "use a system with it, as Debian or Ubuntu and their images"
+        raise SystemExit(f"engine: expected Linux with glibc 2.17 or later, got another C library (musl?); {cure}")
     folder.mkdir(parents=True, exist_ok=True)
     level = ctypes.CDLL(str(build_probe(host(), folder))).drape_processor() % 16
     if "x86_64" in host() and level < 2:

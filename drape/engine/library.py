@@ -13,12 +13,13 @@ import numpy as np
 from drape.engine.build import LIBRARIES
 from drape.engine.records import HASH
 from drape.errors import ArtifactError
+from drape.folders import CLONE
 
 SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")
 LEVELS = {"v2": 2, "v3": 3, "v4": 4}
 LANES = 16  # numbers of a row
 _PERMIT = (158, 0x1023, 18)  # the system's call for the state of tiles: arch_prctl, ARCH_REQ_XCOMP_PERM, XTILEDATA
-CURE = "Build it: python -m drape.engine.build."
+CURE = "Build it: python -m drape.engine.build." if CLONE else "Install the wheel again, with --force-reinstall."
 
 
 class Scratch(ctypes.Structure):

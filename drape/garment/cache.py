@@ -21,18 +21,23 @@ from typing import Any
 
 import numpy as np
 
+from drape.body.model import BodyModel
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.cloth.rest_state import RestState
 from drape.errors import ArtifactError, NotFound, Unavailable, refusing
 from drape.files.atomic import whole_file
 from drape.files.packed import UNREADABLE, packed, read_packed
 from drape.folders import ASSETS, RUNS
+from drape.garment.skin import bind_to_body
 from drape.geometry import jets, meshes
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 1  # of what a garment is; digests cover it
+FILE_VERSION = 2  # of how it is stored
+READ_VERSIONS = (1, FILE_VERSION)  # the first had what body and charts tell
 GARMENTS_DIR = ASSETS / "garments"
 OWN_GARMENTS_DIR = RUNS / "garments"  # what users take in; the service reads it too
 CHARTS_PER_VERTEX = 4
+SAME_M = 5e-7  # float32 of places within a few metres
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +95,6 @@ class Garment(Atlas):
     (G, 3) triangles of the subdivided mesh. ``uv`` (T, 2) with ``uv_faces`` (F, 3), both empty
     when the file had none; ``material_names`` and ``face_material`` (F,).
 
-    ``skin_weights`` (N, 24) and ``shapedirs`` (N, 3, S) serve plain skinning.
-
     ``rest_edges`` (G, 2, 2), ``rest_angle`` (H,) and ``rest_stiffening`` (H,): the ``RestState`` of ``fine_faces``.
     They are None in garments from before there was one; ``rest_state`` returns it for all. ``fabric``: a name, or the
     numbers of ``drape.cloth.fabric_table.fabric``.
@@ -108,13 +111,18 @@ class Garment(Atlas):
     uv_faces: np.ndarray
     material_names: tuple[str, ...]
     face_material: np.ndarray
-    skin_weights: np.ndarray
-    shapedirs: np.ndarray
     manifest: dict[str, Any] = field(default_factory=dict)
     rest_edges: np.ndarray | None = None
     rest_angle: np.ndarray | None = None
     rest_stiffening: np.ndarray | None = None
     fabric: str | Mapping[str, Any] = DEFAULT_FABRIC
+
+    def skin_weights(self, body: BodyModel) -> np.ndarray:
+        """Bone weights (N, 24) of plain skinning on ``body``, that which the garment was made for; found once."""
+        if "_skin_weights" not in self.__dict__:
+            binding = bind_to_body(self.vertices, self.fine_faces, body)
+            self.__dict__["_skin_weights"] = binding.weights.astype(np.float32)
+        return self.__dict__["_skin_weights"]
 
     def rest_state(self) -> RestState:
         """The cloth of ``fine_faces`` without stress; where none is stored, that which ``rest_detail.rest_of`` finds.
@@ -154,8 +162,9 @@ class Garment(Atlas):
         return f"{self.name}-{self.digest[:16]}.npz"
 
 
-_BY_COLUMNS = ("vertices", "uv", "skin_weights", "shapedirs", "chart_uv", "chart_weight", "chart_residual")
+_BY_COLUMNS = ("vertices", "uv", "chart_uv", "chart_weight", "chart_residual")
 """Arrays that pack a twentieth smaller where each coordinate stands by itself."""
+_ONCE_STORED = ("skin_weights", "shapedirs")
 _TEXT_KINDS = {"name": str, "digest": str, "body_digest": str, "vertex_count": int, "manifest": dict}
 _TEXT_FIELDS = ("name", "digest", "body_digest", "vertex_count", "material_names", "manifest", "fabric")
 
@@ -167,7 +176,7 @@ def save_garment(garment: Garment, folder: Path) -> Path:
     """
     arrays = {f.name: getattr(garment, f.name) for f in fields(Garment) if f.name not in _TEXT_FIELDS}
     arrays = {name: array for name, array in arrays.items() if array is not None}
-    header = {key: getattr(garment, key) for key in _TEXT_FIELDS} | {"format_version": FORMAT_VERSION}
+    header = {key: getattr(garment, key) for key in _TEXT_FIELDS} | {"format_version": FILE_VERSION}
     if np.array_equal(garment.fine_faces, garment.faces):
         del arrays["fine_faces"]
         header["fine_faces"] = "faces"
@@ -177,7 +186,9 @@ def save_garment(garment: Garment, folder: Path) -> Path:
         del arrays["faces"]
         arrays["uv_vertex"] = uv_vertex
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    arrays |= {name: np.asfortranarray(arrays[name]) for name in _BY_COLUMNS}
+    if _tells_residual(arrays):
+        del arrays["chart_residual"]
+    arrays |= {name: np.asfortranarray(arrays[name]) for name in _BY_COLUMNS if name in arrays}
     content, path = packed(arrays), folder / garment.file_name()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -198,8 +209,9 @@ def load_garment(path: Path) -> Garment:
         version = header.pop("format_version", None)
     except UNREADABLE as error:
         raise _refused(f"garment cache {path.name}", "a garment npz", error) from error
-    if version != FORMAT_VERSION:
-        raise _refused(f"garment cache {path.name} format_version", str(FORMAT_VERSION), version)
+    if version not in READ_VERSIONS:
+        expected = f"one of {', '.join(map(str, READ_VERSIONS))}"
+        raise _refused(f"garment cache {path.name} format_version", expected, version)
     try:
         if not all(isinstance(header[key], kind) for key, kind in _TEXT_KINDS.items()):
             raise TypeError("a field of another type")
@@ -209,10 +221,30 @@ def load_garment(path: Path) -> Garment:
             arrays["faces"] = arrays.pop("uv_vertex")[arrays["uv_faces"]]
         if header.pop("fine_faces", None) == "faces":
             arrays["fine_faces"] = arrays["faces"]
+        arrays = {name: array for name, array in arrays.items() if name not in _ONCE_STORED}
+        if "chart_residual" not in arrays:
+            arrays["chart_residual"] = _residual(arrays).astype(np.float32)
         arrays |= {name: np.ascontiguousarray(arrays[name]) for name in _BY_COLUMNS}
         return Garment(**header, **arrays)
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise _refused(f"garment cache {path.name}", "the fields of Garment", error) from error
+
+
+def _tells_residual(arrays: Mapping[str, np.ndarray]) -> bool:
+    """Whether the other ``arrays`` of a garment tell its ``chart_residual``."""
+    try:
+        return bool((np.abs(_residual(arrays) - arrays["chart_residual"]) < SAME_M).all())
+    except (IndexError, ValueError):  # whoever reads the file refuses such arrays with more words
+        return False
+
+
+def _residual(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """What the rest jets leave over of each vertex [m] (N, 4, 3), float64, in the frames of its patches."""
+    patch = arrays["chart_patch"]
+    rotation, jet = (arrays[name][patch].astype(np.float64) for name in ("patch_rotation", "patch_jet"))
+    from_centre = arrays["vertices"].astype(np.float64)[:, None] - arrays["patch_centre"][patch]
+    on_jet = jets.evaluate(jet, arrays["chart_uv"].astype(np.float64))
+    return np.einsum("vkba,vkb->vka", rotation, from_centre) - arrays["patch_scale"][patch][..., None] * on_jet
 
 
 def _refused(name: str, expected: str, got: object) -> ArtifactError:

@@ -108,7 +108,7 @@ def regions_of(garment: Garment, body: BodyModel) -> np.ndarray:
     names = list(REGIONS)
     for number, joints in enumerate(REGIONS.values()):
         of_joint[[JOINT_NAMES.index(joint) for joint in joints]] = number
-    found = of_joint[garment.skin_weights.argmax(axis=1)]
+    found = of_joint[garment.skin_weights(body).argmax(axis=1)]
     crotch_y = body.v_template[landmarks(body).crotch, 1]
     high = (found == names.index("thighs")) & (garment.vertices[:, 1] > crotch_y)
     return np.where(high, names.index("hips"), found)

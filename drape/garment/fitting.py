@@ -19,7 +19,6 @@ from drape.garment.unfold import fit_planes, folded_charts, folded_triangles, wi
 from drape.geometry import jets, meshes
 
 CHART_RADIUS = 1.2  # patch scale over sqrt(area per patch): |u|, |v| <= 1 over most of a chart
-SHAPE_STEP_M = 2.0**-18  # what body shape moves is kept to four micrometres: finer digits only fill the files
 DEFAULT_SEED = 0
 
 
@@ -185,7 +184,7 @@ def fit_garment(
     count: int | None = None,
     share: float = 1.0,
 ) -> Garment:
-    """The garment of ``mesh`` at rest on ``body``: patches, charts and skin weights, the fit's error in the manifest.
+    """The garment of ``mesh`` at rest on ``body``: patches and charts, the fit's error in the manifest.
 
     ``vertices`` [m] (N, 3) are those of ``mesh`` at rest and then those that subdivision added, ``fine_faces`` (G, 3)
     its triangles. ``count`` and ``share`` as in ``patch_fields``.
@@ -204,8 +203,6 @@ def fit_garment(
         uv_faces=mesh.uv_faces.astype(np.int32),
         material_names=mesh.material_names,
         face_material=mesh.face_material.astype(np.int32),
-        skin_weights=rest.binding.weights.astype(np.float32),
-        shapedirs=(SHAPE_STEP_M * np.rint(rest.binding.shapedirs / SHAPE_STEP_M)).astype(np.float32),
         manifest={},
         fabric=DEFAULT_FABRIC,
         **fields,

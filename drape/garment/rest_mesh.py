@@ -19,7 +19,7 @@ from drape.geometry.closest import nearest_vertices
 
 FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 4_000, 40_000
 FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
-_VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual", "skin_weights", "shapedirs")
+_VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual")
 
 
 @dataclass(frozen=True, eq=False)

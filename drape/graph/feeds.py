@@ -86,11 +86,15 @@ def kinematics(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.
 def garment_feed(garment: Garment, *, fine: bool = False, body: BodyModel | None = None) -> dict[str, np.ndarray]:
     """``atlas_feed`` of a garment's delivered vertices, or of all vertices of the subdivided mesh with ``fine``.
 
-    ``skin_weights`` (V, 24) are for the paper's variant. ``body``: the one the garment was made for.
+    ``body``: the one the garment was made for.
     """
     count = len(garment.vertices) if fine else garment.vertex_count
-    feed = atlas_feed(garment, count=count, skin=None if body is None else body_skin(body))
-    return feed | {"skin_weights": np.ascontiguousarray(garment.skin_weights[:count], dtype=np.float32)}
+    return atlas_feed(garment, count=count, skin=None if body is None else body_skin(body))
+
+
+def skinning_feed(garment: Garment, body: BodyModel) -> dict[str, np.ndarray]:
+    """What the paper's variant reads besides ``garment_feed``: ``skin_weights`` (V, 24) of delivered vertices."""
+    return {"skin_weights": garment.skin_weights(body)[: garment.vertex_count]}
 
 
 def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = None) -> dict[str, np.ndarray]:

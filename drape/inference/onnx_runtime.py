@@ -24,6 +24,7 @@ Provider = Literal["cpu", "cuda"]
 
 PROVIDER_NAMES: dict[Provider, str] = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
+HOW_TO_INSTALL = "pip install onnxruntime or pip install 'onnxruntime-gpu[cuda,cudnn]'"
 
 
 @dataclass(frozen=True)
@@ -118,14 +119,14 @@ def check_distributions() -> str:
             "onnxruntime",
             expected="one of onnxruntime and onnxruntime-gpu",
             got=f"both: {listed}",
-            cure="Uninstall both, then install one: pip install '.[cpu]' or pip install '.[gpu]'.",
+            cure=f"Uninstall both, then install one: {HOW_TO_INSTALL}.",
         )
     if not found:
         raise Unavailable(
             "onnxruntime",
             expected="one of onnxruntime and onnxruntime-gpu",
             got="none installed",
-            cure="Install one: pip install '.[cpu]' or pip install '.[gpu]'.",
+            cure=f"A GPU needs it, and a model that the engine does not compute. Install one: {HOW_TO_INSTALL}.",
         )
     return next(iter(found))
 

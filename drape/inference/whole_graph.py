@@ -18,7 +18,7 @@ from drape.cloth.fabric import Fabric
 from drape.errors import NotFound
 from drape.garment.cache import Garment
 from drape.geometry.rotations import quaternion_to_rotvec
-from drape.graph.feeds import body_feed, garment_feed
+from drape.graph.feeds import body_feed, garment_feed, skinning_feed
 from drape.inference.graph_names import DRAPE, JETS, SKIN
 from drape.inference.packing import FABRICS_KEPT, Item, Result, ScenePlan
 
@@ -48,6 +48,8 @@ class WholeGraph:
     def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray] | None = None) -> None:
         """Encodes ``garment`` and keeps it under ``key``; ``feed`` is its ``garment_feed`` on this body."""
         feed = garment_feed(garment, body=self._body) if feed is None else feed
+        if "skin_weights" in self._session.inputs:
+            feed = feed | skinning_feed(garment, self._body)
         made = dict(feed) | {"patch_embedding": self._engine.first(garment)}
         with self._lock:
             self._undress(key)

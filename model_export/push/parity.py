@@ -55,7 +55,7 @@ def _skinned(garment: Garment, poses: np.ndarray, clearance_m: float) -> Drapes:
     body, count = load_body(), garment.vertex_count
     rotations, translations = body.bones(poses)
     rest = np.broadcast_to(garment.vertices[:count], (len(poses), count, 3)).astype(np.float64)
-    vertices = skin_points(rest, garment.skin_weights[:count].astype(np.float64), rotations, translations)
+    vertices = skin_points(rest, garment.skin_weights(body)[:count].astype(np.float64), rotations, translations)
     made = Drapes(
         vertices=vertices,
         rotation=rotations,

@@ -22,9 +22,9 @@ from service.http.encodings import accepts
 
 PAGE_MISSING = Unavailable(
     "page",
-    expected="its built files in clients/web/dist",
+    expected="its built files",
     got="none",
-    cure="Run make page (needs Node.js), then reload.",
+    cure="Run make page in a clone (needs Node.js), then reload.",
 )
 REFERENCE_PACKAGE = "fastapi_offline"  # carries the files of Swagger UI; its code is not used
 REFERENCE_FILES = ("swagger-ui-bundle.js", "swagger-ui.css", "favicon.png")
@@ -32,7 +32,7 @@ REFERENCE_MISSING = Unavailable(
     "reference",
     expected="the package fastapi-offline, which carries Swagger UI",
     got="none",
-    cure="Install the extra 'service'; /openapi.json says the same to programs.",
+    cure="Install the wheel with [serve]; /openapi.json says the same to programs.",
 )
 # Scripts, styles and workers are files of this service. A blob is a picture or a texture that the page made itself.
 POLICY = "; ".join(

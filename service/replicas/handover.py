@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from drape import __version__
 from drape.errors import DrapeError, InputError, TooLarge
 from drape.wire.state import PIECE_BYTES, join_state, split_state
 from service.errors import Busy, Draining, TooSlow, Unauthorized, close_reason, rule_for
 from service.replicas.memory_codec import decoded, encoded
-from service.settings import product_version
 
 if TYPE_CHECKING:
     from fastapi import WebSocket
@@ -140,7 +140,7 @@ class Handover:
     def _bound(self, client: Client, plan: Plan, betas: np.ndarray) -> dict[str, Any]:
         """The facts that must be the same on both sides, as JSON has them."""
         return {
-            "release": product_version(),
+            "release": __version__,
             "key": client.name,
             "model": self._runtime.engine.manifest.digest,
             "body": self._runtime.body.digest,

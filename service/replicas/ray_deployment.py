@@ -208,6 +208,9 @@ def _serve() -> Any:
         from ray import serve  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError as error:
         raise Unavailable(
-            "Ray", expected="the extra 'ray'", got=f"no {error.name}", cure="pip install '.[service,cpu,ray]'"
+            "Ray",
+            expected="the extra 'ray'",
+            got=f"no {error.name}",
+            cure="Install the service's wheel with [ray], in a clone: pip install -e 'service[ray]'.",
         ) from error
     return serve

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from drape.errors import BodyError, DrapeError, MeshError, NotFound
+from drape.errors import BodyError, DrapeError, MeshError, NotFound, Unavailable
 from service import errors
 from service.compute.avatars import FOLDER as AVATARS
 from service.compute.garment_files import OWNED, folder_of, sizes
@@ -251,7 +251,15 @@ class Uploads:
 
     async def _stored(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
         """Writes ``pieces`` to ``file`` as they come; how many bytes."""
-        file.parent.mkdir(parents=True)
+        try:
+            file.parent.mkdir(parents=True)
+        except OSError as error:
+            raise Unavailable(
+                "folder of garments",
+                expected="one that the service can write to",
+                got=str(error.strerror),
+                cure="Set DRAPE_GARMENTS_DIR to another folder, or let the user of the service write there.",
+            ) from error
         with file.open("wb") as target:
             size = sum([await self._sliced_thread.run(target.write, piece) async for piece in pieces])
             target.flush()

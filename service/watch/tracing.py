@@ -14,8 +14,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from drape import __version__
 from drape.errors import Unavailable
-from service.settings import product_version
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider
@@ -34,7 +34,7 @@ class Tracing:
 
     def __init__(self, provider: TracerProvider | None = None) -> None:
         self._provider = provider
-        self._tracer = None if provider is None else provider.get_tracer("drape", product_version())
+        self._tracer = None if provider is None else provider.get_tracer("drape", __version__)
         self.on = self._tracer is not None
 
     @contextmanager
@@ -145,9 +145,9 @@ def make_tracing(trace: bool) -> Tracing:
             "DRAPE_TRACE",
             expected="the packages of the extra 'otel'",
             got=f"no {error.name}",
-            cure="Install them: pip install '.[otel]', or unset DRAPE_TRACE.",
+            cure="Install the service with [otel], in a clone: pip install -e 'service[otel]'; or unset DRAPE_TRACE.",
         ) from error
-    names = {SERVICE_VERSION: product_version()}
+    names = {SERVICE_VERSION: __version__}
     if "OTEL_SERVICE_NAME" not in os.environ:
         names[SERVICE_NAME] = "drape"
     provider = TracerProvider(resource=Resource.create(names), shutdown_on_exit=False)

@@ -66,7 +66,7 @@ def test_vertices_are_the_blend_of_the_posed_patches(tube):
 def test_the_papers_variant_is_skinned_after_it_is_deformed(tube):
     vertices, _ = posed_patches(network("paper", silent=True), tube, source(), bend())
     rest = np.broadcast_to(reconstructed(tube), (2, *tube.vertices.shape))
-    expected = skin_points(rest, tube.skin_weights, *body().bones(bend()))
+    expected = skin_points(rest, tube.skin_weights(body()), *body().bones(bend()))
     assert_allclose(vertices, expected, rtol=0.0, atol=2e-6)
 
 

@@ -254,7 +254,7 @@ def test_the_shipped_t_shirt_comes_to_rest_below_both_starts(made_of):
     garment = open_garment(find_garments(["tshirt"])[0], body)
     rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
     contact, skin = BodyContact(body.faces, body.vertex_count), body.posed_vertices(pose)
-    skinned = skin_points(rest[None], garment.skin_weights.astype(np.float64), *body.bones(pose))
+    skinned = skin_points(rest[None], garment.skin_weights(body).astype(np.float64), *body.bones(pose))
     pushed = nearest_vertex_push(skinned, skin, np.asarray(contact.normals(skin)))
     cloth, of = ClothMesh.from_rest(rest, faces), material()
     if made_of is not None:

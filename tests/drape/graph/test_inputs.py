@@ -43,7 +43,7 @@ def test_feeds_are_what_the_readable_graph_declares(feels: bool, fine: bool):
     made = body_feed(body, *random_motion(FRAMES, seed=1), skin=feels)
     arrays = made.arrays | garment_feed(whole, fine=fine, body=body if feels else None)
     assert all(array.flags.c_contiguous for array in arrays.values())
-    del arrays["skin_weights"], arrays["patch_slot"]  # of the paper's variant, and of packing
+    del arrays["patch_slot"]  # of packing
     lengths = check(tuple(spec for kind in kinds for spec in kind.specs(parts)), arrays)
     count = len(whole.vertices) if fine else whole.vertex_count
     assert (lengths["frames"], lengths["patches"], lengths["vertices"]) == (FRAMES, whole.patch_count, count)

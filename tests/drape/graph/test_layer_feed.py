@@ -40,7 +40,7 @@ def feed_of(inner: str, outer: str) -> LayerFeed:
 def skinned(kind: str, poses: np.ndarray) -> np.ndarray:
     whole = garment(kind)
     rest = whole.vertices[: whole.vertex_count].astype(np.float64)
-    weights = whole.skin_weights[: whole.vertex_count].astype(np.float64)
+    weights = whole.skin_weights(load_body())[: whole.vertex_count].astype(np.float64)
     return skin_points(np.broadcast_to(rest, (len(poses), *rest.shape)), weights, *load_body().bones(poses))
 
 

@@ -31,7 +31,7 @@ def drawn(kind: str) -> np.ndarray:
     whole, body = shipped(kind), load_body()
     rest = whole.vertices[: whole.vertex_count].astype(np.float64)
     rotations, translations = body.bones(POSES, None, BETAS)
-    weights = whole.skin_weights[: whole.vertex_count].astype(np.float64)
+    weights = whole.skin_weights(body)[: whole.vertex_count].astype(np.float64)
     places = np.broadcast_to(rest, (len(POSES), *rest.shape))
     return skin_points(places, weights, rotations, translations - body.rest_joints(BETAS)[0])
 

@@ -72,7 +72,7 @@ def test_two_onnxruntimes_are_refused(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_no_onnxruntime_is_refused_with_the_extras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sys, "path", [str(tmp_path)])
-    with pytest.raises(Unavailable, match=r"none installed\. Install one: pip install '\.\[cpu\]'"):
+    with pytest.raises(Unavailable, match=r"none installed.*Install one: pip install onnxruntime"):
         check_distributions()
 
 

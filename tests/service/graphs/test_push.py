@@ -43,7 +43,7 @@ def drawn(whole: Garment, poses: np.ndarray, betas: np.ndarray) -> np.ndarray:
     body, count = load_body(), whole.vertex_count
     rest = whole.vertices[:count].astype(np.float64)
     rotations, translations = body.bones(poses, None, betas)
-    weights = whole.skin_weights[:count].astype(np.float64)
+    weights = whole.skin_weights(body)[:count].astype(np.float64)
     relative = translations - body.rest_joints(betas)[0]
     return skin_points(np.broadcast_to(rest, (len(poses), *rest.shape)), weights, rotations, relative).astype(
         np.float32

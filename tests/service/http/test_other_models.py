@@ -17,7 +17,7 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric_table import fabric
 from drape.garment.cache import Garment
 from drape.garment.fabric_features import encoder_features
-from drape.graph.feeds import body_feed, garment_feed
+from drape.graph.feeds import body_feed, garment_feed, skinning_feed
 from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
 from service.settings import Settings
 from tests.fixtures.packed import exported, exported_paper
@@ -45,7 +45,7 @@ def expected(model: OneFit, body: BodyModel, garment: Garment, **chosen: str) ->
     feed = body_feed(body, POSES, TRANS, np.zeros(body.shape_count), skin=True)
     features = encoder_features(garment, model.config.encoder_feature_count, made_of)
     with torch.no_grad():
-        arrays = feed.arrays | garment_feed(garment, body=body)
+        arrays = feed.arrays | garment_feed(garment, body=body) | skinning_feed(garment, body)
         arrays["patch_embedding"] = EncoderGraph(model)({"patch_features": torch.from_numpy(features)}).numpy()
         tensors = {spec.name: torch.from_numpy(arrays[spec.name]) for spec in drape_inputs(model)}
         return DrapeGraph(model)(tensors)[0].numpy() + feed.root[:, None]

@@ -37,7 +37,7 @@ from tests.fixtures.meshes import garment_obj
 from tests.fixtures.tiny_model import TINY_DYNAMIC
 
 with_ray = pytest.mark.skipif(
-    importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install '.[ray]'."
+    importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install -e 'service[ray]'."
 )
 BACK_S = 20.0  # in which a killed stream must be back, on a busy machine
 
@@ -66,7 +66,7 @@ def test_without_ray_the_command_says_what_to_install(monkeypatch: pytest.Monkey
         monkeypatch.setenv(name, "0")  # so that what the command sets goes again
     monkeypatch.setitem(sys.modules, "ray", None)
     assert ray_app.main(["--port", "0"]) == 2
-    assert "pip install '.[service,cpu,ray]'" in capsys.readouterr().err
+    assert "pip install -e 'service[ray]'" in capsys.readouterr().err
     assert ray_app.main(["--replicas", "3", "2"]) == 2
     assert ray_app.main(["--host", "0.0.0.0"]) == 2
 

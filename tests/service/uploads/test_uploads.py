@@ -170,6 +170,14 @@ def test_a_page_of_another_origin_cannot_upload(uploads: httpx.Client):
     assert "DRAPE_ALLOWED_ORIGINS" in response.json()["cure"]
 
 
+def test_a_folder_that_may_not_be_written_is_told(make_settings: Callable[..., Settings], tmp_path: Path):
+    (tmp_path / "file").touch()  # nobody may make a folder in it, root neither
+    with served(make_settings(garments_dir=tmp_path / "file" / "garments")) as url:
+        answer = httpx.post(f"{url}/garments?name=cloth.obj", content=b"v 0 0 0", timeout=60.0)
+    assert answer.status_code == 503
+    assert "folder of garments: expected one that the service can write to" in answer.json()["detail"]
+
+
 def test_a_full_queue_is_refused(make_settings: Callable[..., Settings]):
     with served(make_settings(intake_queue=1)) as url, httpx.Client(base_url=url) as client:
         first = post(client, b"v 0 0 0\n", name="a.obj")

@@ -1,0 +1,64 @@
+"""``python scripts/release.py`` fills dist/ with what a release has of Python.
+
+That is an sdist of every member, the core's wheel for every system, and a wheel of each other member. The page must
+have been built (``make page``).
+
+The wheels of other systems come from the same compiler; ``scripts/try_wheels.py`` installs this system's and looks into
+the others.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from drape.engine.build import LIBRARIES, TARGETS, WEB  # noqa: E402
+
+DIST = ROOT / "dist"
+MEMBERS = ("service", "clients", "recovery", "training", "model_export")
+PAGES = ROOT / "service" / "pages"
+
+
+def built(folder: str, *arguments: str, system: str = "") -> None:
+    """Packs the member in ``folder`` into dist/, where asked for ``system``."""
+    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(DIST), *arguments, folder]
+    subprocess.run(command, cwd=ROOT, env=os.environ | {"DRAPE_SYSTEM": system}, check=True, stdout=subprocess.DEVNULL)
+
+
+def put_pages() -> None:
+    """Copies the built pages and the engine for browsers into the package of the service."""
+    shutil.rmtree(PAGES, ignore_errors=True)
+    for page in ("dist", "static/dist"):
+        ignored = shutil.ignore_patterns(".stamp")
+        shutil.copytree(ROOT / "clients" / "web" / page, PAGES / page, ignore=ignored)
+    shutil.copy(LIBRARIES / f"{WEB.name}{WEB.suffix}", PAGES)
+
+
+def main() -> None:
+    """The command."""
+    shutil.rmtree(DIST, ignore_errors=True)
+    licences = [ROOT / member / "LICENSE" for member in MEMBERS]
+    try:
+        put_pages()
+        for member, licence in zip(MEMBERS, licences, strict=True):
+            shutil.copy(ROOT / "LICENSE", licence)
+            built(member)  # the wheel comes from the sdist, so that this one is whole
+            print(f"release: {member}", flush=True)
+    finally:
+        shutil.rmtree(PAGES, ignore_errors=True)
+        for licence in licences:
+            licence.unlink(missing_ok=True)
+    built(".", "--sdist")
+    for system in TARGETS:
+        built(".", "--wheel", system=system)
+        print(f"release: drape for {system}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

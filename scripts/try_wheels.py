@@ -1,0 +1,145 @@
+"""``python scripts/try_wheels.py`` installs this system's wheels of dist/ and starts the service from them.
+
+The environment is empty and read-only, the service offline, its user without a home, no compiler is on the PATH, and
+each ``DRAPE_ISA`` has its turn.
+
+It says how long a start takes and how large the environment is, and writes dist/sbom.cdx.json, the packages of that
+environment. Of other systems' wheels it compares tags and the functions that their engines export. A failure ends it
+with the assertion that did not hold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import array
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.error
+import urllib.request
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from drape.engine.build import TARGETS, host  # noqa: E402
+from hatch_build import TAGS  # noqa: E402
+from tests.drape.engine.symbols import exported  # noqa: E402
+
+DIST = ROOT / "dist"
+WHEEL_LIMIT, INSTALLED_LIMIT = 25e6, 400e6  # bytes
+PORT = 8448
+# A network that leads nowhere, and $1, the environment, read-only: for root alone.
+APART = 'ip link set lo up && mount --bind "$1" "$1" && mount -o remount,bind,ro "$1" && shift && exec "$@"'
+ISAS = [target.name.rpartition("-")[2] for target in TARGETS[host()]] if "x86_64" in host() else [""]
+ASKED = {"garment": "tshirt", "poses": [[[0.0, 0.0, 0.0]] * 24]}
+
+
+def wheel(name: str, tag: str = "any") -> Path:
+    """The one wheel of a member in dist/, that for the system of a ``tag``."""
+    (found,) = DIST.glob(f"{name}-*-py3-none-{tag}.whl")
+    return found
+
+
+def look_into(system: str) -> set[str]:
+    """The functions that the engines in the wheel for ``system`` export, after a look at its tag, size and files."""
+    path = wheel("patchdrape", TAGS[system])
+    assert path.stat().st_size <= WHEEL_LIMIT, f"{path.name}: {path.stat().st_size / 1e6:.1f} MB"
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+        assert {name.split("/")[0].partition("-")[0] for name in names} == {"drape", "patchdrape"}, path.name
+        assert f"Tag: py3-none-{TAGS[system]}" in archive.read(next(n for n in names if n.endswith("/WHEEL"))).decode()
+        files = [f"drape/engine/libraries/{target.name}{target.suffix}" for target in TARGETS[system]]
+        of_target = [{one for one in exported(archive.read(file)) if "drape" in one} for file in files]
+    assert all(one == of_target[0] for one in of_target), system
+    print(f"wheels: {path.name}, {path.stat().st_size / 1e6:.1f} MB")
+    return of_target[0]
+
+
+def installed(folder: Path) -> Path:
+    """The interpreter of a new environment in ``folder`` with this system's wheels of core and service."""
+    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+    python = folder / "bin" / "python"
+    core, service = wheel("patchdrape", TAGS[host()]), wheel("patchdrape_service")
+    pip = [str(python), "-m", "pip", "--disable-pip-version-check", "--no-input", "install", "--quiet"]
+    begin = time.monotonic()
+    # The files and not their names, which others could take on an index.
+    subprocess.run([*pip, f"{core}[serve]", str(service)], check=True)
+    print(f"wheels: installed in {time.monotonic() - begin:.1f} s")
+    bill = [sys.executable, "-m", "cyclonedx_py", "environment", "--output-file", str(DIST / "sbom.cdx.json")]
+    subprocess.run([*bill, str(python)], check=True)
+    return python
+
+
+def size_of(python: Path) -> int:
+    """Bytes of what pip has installed, without pip itself."""
+    packages = next((python.parents[1] / "lib").glob("python*/site-packages"))
+    own = ("pip", "setuptools", "pkg_resources", "_distutils_hack")
+    ours = [path for path in packages.iterdir() if not path.name.startswith(own)]
+    return sum(file.stat().st_size for path in ours for file in (path, *path.rglob("*")) if file.is_file())
+
+
+def serve(python: Path, isa: str) -> None:
+    """Starts the service with the engine for ``isa``, tells when it is ready, asks for a draped pose and the page."""
+    with tempfile.TemporaryDirectory() as empty:
+        environment = {"PATH": empty, "HOME": "/proc/none", "DRAPE_ISA": isa}
+        command, begin = [str(python), "-m", "service", "--port", str(PORT)], time.monotonic()
+        with subprocess.Popen(command, env=environment, cwd=empty, stdout=subprocess.DEVNULL) as service:
+            try:
+                while not answer("/readyz"):
+                    assert service.poll() is None, f"the service ended with {service.returncode}"
+                    assert time.monotonic() - begin < 60.0, "no readiness in a minute"
+                    time.sleep(0.01)
+                ready_s = time.monotonic() - begin
+                assert b"<script" in answer("/"), "the page"
+                places = array.array("f", answer("/drape", json.dumps(ASKED).encode()))
+                assert len(places) > 3000 and all(map(math.isfinite, places)), "a draped shirt"
+            finally:
+                service.terminate()
+    print(f"wheels: DRAPE_ISA={isa}: ready after {ready_s:.1f} s (target 3), {len(places) // 3} vertices", flush=True)
+
+
+def answer(path: str, body: bytes | None = None) -> bytes:
+    """What the service answers, nothing while it does not listen or is not ready."""
+    request = urllib.request.Request(f"http://127.0.0.1:{PORT}{path}", body, {"Content-Type": "application/json"})
+    try:
+        with urllib.request.urlopen(request, timeout=30) as found:
+            return found.read()
+    except urllib.error.HTTPError as error:
+        if error.code != 503:
+            raise
+    except OSError:
+        pass
+    return b""
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--serve", type=Path, metavar="PYTHON", help="only the starts, in this environment")
+    python = parser.parse_args().serve
+    if python:
+        for isa in ISAS:
+            serve(python, isa)
+        return
+    functions = {system: look_into(system) for system in TARGETS}
+    assert len(set(map(frozenset, functions.values()))) == 1, "every system has the same functions"
+    with tempfile.TemporaryDirectory(dir="/var/tmp") as folder:
+        python = installed(Path(folder) / "venv")
+        size = size_of(python)
+        print(f"wheels: {size / 1e6:.0f} MB installed with [serve]")
+        assert size <= INSTALLED_LIMIT
+        apart = ["unshare", "--net", "--mount", "sh", "-c", APART, "sh", str(python.parents[1])]
+        if os.getuid() != 0:
+            print("wheels: only root can take the network away and make the environment read-only")
+            apart = []
+        subprocess.run([*apart, sys.executable, __file__, "--serve", str(python)], check=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,53 @@
+"""The members of the workspace: one version, and extras that name them."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from typing import Any
+
+import pytest
+
+import drape
+from drape.engine import build
+from tests.architecture.repository import PACKAGES, ROOT, text_files
+
+
+def project(folder: str = ".") -> dict[str, Any]:
+    return tomllib.loads((ROOT / folder / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+CORE = project()
+MEMBERS = CORE["tool"]["uv"]["workspace"]["members"]
+
+
+def test_every_package_but_the_judge_is_a_member():
+    assert {*MEMBERS, "drape", "benchmarks"} == set(PACKAGES)
+    assert CORE["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"] == ["drape"]
+
+
+def test_they_have_one_version_and_ask_for_it():
+    for folder in MEMBERS:
+        described = project(folder)["project"]
+        assert described["version"] == drape.__version__, folder
+        pinned = [one for one in described["dependencies"] if one.startswith("patchdrape")]
+        assert pinned and all(one.endswith(f"=={drape.__version__}") for one in pinned), folder
+
+
+def test_extras_name_every_member():
+    named = {project(folder)["project"]["name"] for folder in MEMBERS}
+    extras = CORE["project"]["optional-dependencies"].values()
+    assert {one for extra in extras for one in extra if one.startswith("patchdrape")} == named
+    assert set(CORE["tool"]["uv"]["sources"]) == {*named, CORE["project"]["name"]}
+
+
+def test_nothing_tells_to_install_by_a_name_that_another_has():
+    told = re.compile(r"pip install\s+(-\S+\s+)*'?drape\b")
+    assert [str(path) for path, text in text_files() if told.search(text)] == []
+
+
+def test_another_c_library_is_refused(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(build.platform, "system", lambda: "Linux")
+    monkeypatch.setattr(build.platform, "libc_ver", lambda: ("", ""))
+    with pytest.raises(SystemExit, match=r"expected Linux with glibc 2\.17 or later, got another C library"):
+        build.build_here()
