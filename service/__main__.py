@@ -64,7 +64,7 @@ def _serve(overrides: dict[str, object]) -> int:
             probes = Probes(bind(settings.host, settings.probe_port), lifecycle, metrics)
             port = opened.enter_context(probes).server_address[1]
             logging.getLogger("drape.service").info("probes on port %d", port)
-        runtime = DrapeRuntime(settings, metrics=metrics)
+        runtime = DrapeRuntime(settings, metrics=metrics, at_once=False)
         server = make_server(create_app(settings, runtime=runtime, lifecycle=lifecycle), settings)
         host, port = listener.getsockname()[:2]
         loaded = f"{len(runtime.garments.entries())} garments, {runtime.engine.provider}"

@@ -80,12 +80,14 @@ def create_app(
             state.start(exact_clips.opener(state))
             ticking = asyncio.create_task(life.tick(watch.late), name="ticking")
             life.ready()
+            preparing = asyncio.create_task(state.runtime.prepare_all(), name="preparing")
             watchdog = Watchdog(life, metrics, stuck_s=settings.stuck_s, kill=kill_all)
             try:
                 yield
             finally:
                 life.draining = True
                 ticking.cancel()
+                preparing.cancel()
                 life.ended()
                 await state.stop()
                 watchdog.stop()

@@ -35,6 +35,8 @@ from service.watch.watchdog import moved
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
+    from drape.stages.body_stages import BodyStages
+    from drape.stages.scene import Entry
     from service.settings import Settings
 
 Result = TypeVar("Result")
@@ -42,7 +44,10 @@ log = logging.getLogger("drape.service")
 
 
 class DrapeRuntime(Runtime):
-    """Everything a start loads: body, model, garments, clips, and the threads that compute."""
+    """Everything a start loads: body, model, garments, clips, and the threads that compute.
+
+    The constants of garments are made ``at_once``, or when somebody wants them and by ``prepare_all``.
+    """
 
     def __init__(
         self,
@@ -52,8 +57,10 @@ class DrapeRuntime(Runtime):
         engine: Engine | None = None,
         metrics: Metrics | None = None,
         tracing: Tracing | None = None,
+        at_once: bool = True,
     ) -> None:
         self.settings = settings
+        self._adding = asyncio.Lock()
         self.metrics = metrics or Metrics()
         self._stage_times = cache(self.metrics.stage.labels)
         self.tracing = tracing or make_tracing(settings.trace)
@@ -67,7 +74,7 @@ class DrapeRuntime(Runtime):
         self.constants_process = ConstantsProcess(lambda: self.threads.streaming)
         make = self.constants_process.call
         super().__init__(engine, body or load_body(settings.body), settings, make)
-        self.garments = Registry(settings, self.worn, make)
+        self.garments = Registry(settings, self.worn, make, at_once=at_once)
         self.sizes = Sizes(self.body, settings.shipped_garments_dir, self.garments.entries(), make)
         self.avatars = Avatars(self.body, settings, self.stages_on, make)
         self.motions = Motions(settings.motions_dir)
@@ -116,11 +123,24 @@ class DrapeRuntime(Runtime):
 
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""
-        worn = self.on(plan.scene)
-        for garment in worn.missing((*plan.scene.layers, *plan.draped)):
-            feed = await asyncio.to_thread(worn.feed, garment)
-            await self.threads.aside(worn.add, garment, feed)
+        await self._add(self.on(plan.scene), (*plan.scene.layers, *plan.draped))
         await asyncio.to_thread(lambda: [stage.prepare(plan) for stage in plan.stages])
+
+    async def prepare_all(self) -> None:
+        """Gives the stages the garments that nobody has asked for yet, one after the other, beside frames."""
+        for entry in self.garments.entries():
+            try:
+                await self._add(self.worn, (entry,))
+            except DrapeError as error:
+                log.warning("garment %s: %s", entry.id, error)
+
+    async def _add(self, worn: BodyStages, entries: Sequence[Entry]) -> None:
+        if not worn.missing(entries):  # whoever needs nothing waits for nobody
+            return
+        async with self._adding:
+            for garment in worn.missing(entries):
+                feed = await asyncio.to_thread(worn.feed, garment)
+                await self.threads.aside(worn.add, garment, feed)
 
     async def made(self, function: Callable[..., Result], *arguments: object, **named: object) -> Result:
         """``function(*arguments, **named)``, of a module and for one client: see ``ComputeThreads.apart`` and

@@ -32,17 +32,21 @@ log = logging.getLogger("drape.service")
 
 
 class Registry:
-    """Garments by id. Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health."""
+    """Garments by id, whose constants stages get ``at_once``, or when somebody wants them first.
 
-    def __init__(self, settings: Settings, worn: BodyStages, make: Make = call_here) -> None:
+    Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health.
+    """
+
+    def __init__(self, settings: Settings, worn: BodyStages, make: Make = call_here, *, at_once: bool = True) -> None:
+        take = self.prepare if at_once else self._read
         self._settings, self._worn, self._make = settings, worn, make
         self._entries: dict[str, Entry] = {}
         self.refused: list[str] = []
         for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
-            self.add(self.prepare(path), "shipped")
+            self.add(take(path), "shipped")
         for path in garment_files.stored(settings.garments_dir):
             try:
-                self.add(self.prepare(path), "user", path)
+                self.add(take(path), "user", path)
             except Exception as error:  # whatever lies there, the start goes on
                 self.refused.append(set_aside(path, error))
 
@@ -84,6 +88,12 @@ class Registry:
         entries = tuple(self.get(name, viewer) for name in worn)
         check_layers([entry.garment for entry in entries])
         return Outfit(entries)
+
+    def _read(self, path: Path) -> Garment:
+        """The checked garment of the cache ``path``, of which no stage knows yet."""
+        garment = load_garment(path)
+        check_garment(garment, self._worn.body, max_vertices=self._settings.max_vertices)
+        return garment
 
     def prepare(self, path: Path) -> Garment:
         """The checked garment of the cache ``path``, stored by every stage; it takes time, safely beside frames."""

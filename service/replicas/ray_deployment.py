@@ -47,7 +47,7 @@ class Replica:
     def __init__(self, settings: Settings) -> None:
         self._deadline_s = settings.frame_deadline_s
         self._life, metrics = Lifecycle(stuck_s=settings.stuck_s), Metrics()
-        runtime = DrapeRuntime(settings, metrics=metrics)
+        runtime = DrapeRuntime(settings, metrics=metrics, at_once=False)
         self._app = create_app(settings, runtime=runtime, lifecycle=self._life)
         self._ages = FrameAges(metrics.frame_age)
         self._load = Load(0.0, 0)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -299,3 +301,18 @@ def test_answers_name_the_visible_garments(outfit_url: str, tube: Garment):
 def test_what_cannot_be_hidden_is_refused(outfit_url: str, fields: dict, word: str):
     answer = hidden_ask(outfit_url, **fields)
     assert answer.status_code == 400 and word in answer.text
+
+
+def test_garments_are_prepared_when_they_are_wanted_or_all_beside_frames(outfit_settings: Settings):
+    clip = PoseInput(*random_motion(3, seed=5), np.zeros(10), np.arange(3) / 30.0)
+    with closing(DrapeRuntime(outfit_settings, at_once=False)) as late, closing(DrapeRuntime(outfit_settings)) as early:
+        entries = late.garments.entries()
+        assert len(late.worn.missing(entries)) == len(entries) - 1, "the first is warmed up"
+        assert not early.worn.missing(early.garments.entries())
+        found = [
+            asyncio.run(one.drape(one.plan(one.garments.entries()[-1], DrapeOptions()), clip)) for one in (late, early)
+        ]
+        assert_array_equal(found[0].vertices, found[1].vertices)
+        assert len(late.worn.missing(entries)) == len(entries) - 2
+        asyncio.run(late.prepare_all())
+        assert not late.worn.missing(entries)
