@@ -6,6 +6,7 @@
     |   |-- BodyError         a body file or shape is wrong
     |   |-- MotionError       a pose or a clip is wrong
     |   |-- NotFound          a name that nothing here has
+    |   |-- TooLarge          more bytes, frames, layers or vertices than are taken
     |-- ArtifactError         a stored model, cache or asset does not hold together
     |-- Unavailable           something that this installation or machine lacks
 

@@ -270,7 +270,7 @@ def test_a_size_is_chosen_and_what_the_body_takes_is_marked(page: Page):
     more_frames(page)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_character_wears_it_in_its_own_skin(page: Page, body: BodyModel, tmp_path: Path):
     file = tmp_path / "ada.glb"
     file.write_bytes(character(body, scheme="mixamo", scale=100.0, arms_rad=ARMS_DOWN_RAD, yaw_rad=1.0))

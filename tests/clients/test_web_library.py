@@ -240,7 +240,7 @@ def test_pauses_between_tries_double_up_to_a_limit(tmp_path: Path):
 HOOK = """
 import { readFileSync, writeFileSync } from "node:fs";
 const here = (name) => new URL(name, import.meta.url);
-// React's two hooks, as far as this one needs them.
+// React's two hooks and its elements, as far as this one needs them.
 writeFileSync(here("hooks.js"), `
   const slots = [];
   let at = 0;
@@ -250,6 +250,7 @@ writeFileSync(here("hooks.js"), `
     for (const slot of slots) slot.run?.();
     return value;
   }
+  export const createElement = (...parts) => parts;
   export function useState(first) {
     const slot = (slots[at++] ??= { value: first });
     return [slot.value, (next) => (slot.value = typeof next === "function" ? next(slot.value) : next)];

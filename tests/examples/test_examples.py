@@ -17,7 +17,7 @@ from tests.fixtures.serving import served
 
 EXAMPLES = sorted((ROOT / "examples").glob("0*.*"))
 ALONE = {"07_recover_pattern", "08_train"}  # without a service
-LONG = {"08_train"}
+LONG = {"07_recover_pattern", "08_train"}
 
 pytestmark = pytest.mark.slow
 

@@ -17,7 +17,7 @@ from drape.body.assets import load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import GARMENTS_DIR
 from drape.geometry import jets
-from drape.graph.feeds import body_feed, garment_feed
+from drape.graph.feeds import body_feed, garment_feed, skinning_feed
 from model_export import __main__ as command
 from model_export import export as exporting
 from model_export.graph import DrapeGraph, drape_inputs
@@ -94,7 +94,7 @@ def test_manifest_reads_back_and_holds_the_parity(exported):
 def test_any_number_of_frames_vertices_and_patches_runs(exported, garment, frames, vertices, patches):
     model, folder, _ = exported
     feed = body_feed(load_body(), hard_poses(frames), np.zeros((frames, 3)), skin=True)
-    arrays = feed.arrays | garment_feed(garment, body=load_body())
+    arrays = feed.arrays | garment_feed(garment, body=load_body()) | skinning_feed(garment, load_body())
     size = model.config.embedding_size
     arrays["patch_embedding"] = np.random.default_rng(0).normal(size=(patches, size)).astype(np.float32)
     for name, value in arrays.items():
@@ -117,9 +117,11 @@ def test_any_number_of_frames_vertices_and_patches_runs(exported, garment, frame
 def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):
     model, folder, _ = exported
     feed = body_feed(load_body(), hard_poses(5), np.zeros((5, 3)), skin=True).arrays
-    constants = garment_feed(garment, body=load_body()) | {
-        "patch_embedding": np.ones((garment.patch_count, model.config.embedding_size), dtype=np.float32)
-    }
+    constants = (
+        garment_feed(garment, body=load_body())
+        | skinning_feed(garment, load_body())
+        | {"patch_embedding": np.ones((garment.patch_count, model.config.embedding_size), dtype=np.float32)}
+    )
     names = [spec.name for spec in drape_inputs(model)]
     run = session(folder / "drape.onnx")
     together = np.asarray(run.run(["vertices"], {n: (feed | constants)[n] for n in names})[0])

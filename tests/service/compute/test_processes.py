@@ -73,7 +73,7 @@ def test_no_work_of_clients_forks_the_service(make_settings: Callable[..., Setti
             good, bad = garment_obj(tube), b"v 0 0 0\n"
             sent = [
                 client.post(f"/garments?name={i}.obj&avatar=standard", content=file)
-                for i, file in enumerate((bad, good, bad))
+                for i, file in enumerate((good, bad))
             ]
             sent.append(client.post("/drape", json={"garment": "tube", "tier": "exact", "poses": [[[0.0] * 3] * 24]}))
             assert client.get("/garments/tube/preview.png?size=64").status_code == 200
@@ -84,7 +84,7 @@ def test_no_work_of_clients_forks_the_service(make_settings: Callable[..., Setti
                     assert time.monotonic() < deadline
                     time.sleep(0.1)
             jobs = [client.get(one.headers["Location"]).json() for one in sent]
-            assert [one["state"] for one in jobs] == ["failed", "done", "failed", "done"], jobs
+            assert [one["state"] for one in jobs] == ["done", "failed", "done"], jobs
         finally:
             stop.set()
             for one in beside:

@@ -130,9 +130,9 @@ def test_a_service_in_buckets_is_warm_and_answers_alike(make_settings, tmp_path:
     poses, trans = random_motion(3, seed=8)
     clip, found = PoseInput(poses, trans, np.zeros(10), np.zeros(3)), []
     for buckets in (None, True):
-        runtime = DrapeRuntime(
-            make_settings(shipped_garments_dir=tmp_path, buckets=buckets, compiled=False, chunk_frames=3)
-        )
+        settings = make_settings(shipped_garments_dir=tmp_path, chunk_frames=3)
+        engine = Engine(settings.models_dir / settings.model, compiled=False, bound=buckets)
+        runtime = DrapeRuntime(settings, engine=engine)
         ready = runtime.engine.buckets
         plans = [runtime.plan(runtime.garments.get(kind), DrapeOptions(push_out=True)) for kind in ("tank", "shorts")]
         found.append([run(plan, [clip]) for plan in plans])

@@ -94,6 +94,7 @@ def test_after_two_seconds_the_last_frame_comes_again_under_new_numbers(runtime:
     assert after.client_time_s == stream.time_s and after.server_time_s >= before.server_time_s
 
 
+@pytest.mark.long
 def test_what_moves_on_goes_on_from_where_the_cloth_hangs(runtime: DrapeRuntime, plan: Plan):
     slow, still = Stream(runtime, plan), Stream(runtime, plan)
     for _ in range(NEEDED):
