@@ -78,7 +78,8 @@ class DrapeRuntime(Runtime):
         self.sizes = Sizes(self.body, settings.shipped_garments_dir, self.garments.entries(), make)
         self.avatars = Avatars(self.body, settings, self.stages_on, make)
         self.motions = Motions(settings.motions_dir)
-        self.warm_up()
+        if at_once or self.engine.bound:
+            self.warm_up()
 
     def close(self) -> None:
         """Waits for the running chunk, and ends threads and processes."""
@@ -127,10 +128,14 @@ class DrapeRuntime(Runtime):
         await asyncio.to_thread(lambda: [stage.prepare(plan) for stage in plan.stages])
 
     async def prepare_all(self) -> None:
-        """Gives the stages the garments that nobody has asked for yet, one after the other, beside frames."""
-        for entry in self.garments.entries():
+        """Gives the stages the garments that nobody has asked for yet, one after the other, beside frames; of the first
+        one all that its streams need."""
+        for number, entry in enumerate(self.garments.entries()):
             try:
-                await self._add(self.worn, (entry,))
+                if number:
+                    await self._add(self.worn, (entry,))
+                else:
+                    await self.prepare(self.plan(entry, DrapeOptions(), messages=True))
             except DrapeError as error:
                 log.warning("garment %s: %s", entry.id, error)
 
