@@ -17,7 +17,7 @@ from tests.fixtures.serving import served
 
 EXAMPLES = sorted((ROOT / "examples").glob("0*.*"))
 ALONE = {"07_recover_pattern", "08_train"}  # without a service
-LONG = {"07_recover_pattern", "08_train"}
+LONG = {"07_recover_pattern", "08_train", "09_tour"}
 
 pytestmark = pytest.mark.slow
 

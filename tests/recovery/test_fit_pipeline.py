@@ -166,7 +166,7 @@ def test_a_pattern_that_no_mesh_can_be_sewn_of_is_refused(body, monkeypatch: pyt
         starts.worn_drape(skirt(default_measurements()), starts.Start(body, DrapeOptions(), None, None))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_belt_is_held_where_the_waist_of_the_target_is(body):
     lower_m = 0.01
     draped = drape_pattern(skirt(default_measurements()), body, DrapeOptions(edge_length_m=0.1, grid_m=0.02))

@@ -267,7 +267,7 @@ def test_a_job_refuses_what_does_not_go_together(tmp_path):
         read_base("mine.json", wearer, ["length_m=1"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_body_is_found_inside_a_garment_in_another_unit_and_place(body):
     """The base's own panels as placed tell the size; cloth round the trunk, sleeves round lowered arms."""
     pose = np.zeros((24, 3))

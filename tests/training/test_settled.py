@@ -70,6 +70,7 @@ def test_files_keep_what_was_settled(made: tuple[Trainer, Path]):
     assert_allclose(float(distance(target + 0.01, found, owner.cloth)), 3e-4, rtol=1e-3)
 
 
+@pytest.mark.long
 def test_drapes_without_corrections_go_toward_settled_ones(made: tuple[Trainer, Path]):
     weights, folder = made[0].model.state_dict(), made[1]
     config = replace(FABRIC_RUN, full_share=0.0, bare_share=1.0, learning_rate=2e-3, data=TINY_RUN.data)
