@@ -12,10 +12,8 @@ Frames are those of the service, to the bit: the same stages compute them.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -190,12 +188,6 @@ class Worn:
     def tier(self) -> str:
         """The name of the tier that is computed, or "custom"."""
         return self._runtime.tier_of(self._plan)
-
-    @cached_property
-    def digest(self) -> str:
-        """A name for what is worn: garments and options."""
-        said = f"{self._plan.keys} {self._plan.options.model_dump_json()} {self._betas.tolist()}"
-        return hashlib.sha256(said.encode()).hexdigest()
 
     def placed(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> MotionClip:
         """``motion``, a shipped name, a file (npz, BVH) or a clip, at ``fps``, with the soles of the body on the ground

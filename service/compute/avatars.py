@@ -252,7 +252,7 @@ def _facts(wearer: Wearer) -> AvatarFacts:
         fit={"median_mm": round(wearer.median_mm, 2), "p95_mm": round(wearer.p95_mm, 2)},
         height_m=round(wearer.height_m, 4),
         rest_joints=np.round(wearer.body.joints_template, 6).tolist(),
-        floor_m=round(float(wearer.body.v_template[:, 1].min()), 6),
+        floor_m=round(wearer.body.floor_m(), 6),
         scale=wearer.scale,
         vrm=wearer.vrm or None,
         vertices=len(wearer.vertices),
