@@ -94,6 +94,7 @@ def _wear(given: argparse.Namespace) -> int:
     from drape.export.clips import CACHES, check_name, clip_pieces, write_pieces
     from drape.export.obj import obj_text
     from drape.export.root_motion import RootMotion
+    from drape.export.surface import by_layer
     from drape.library import load
 
     check_name(given.out)
@@ -130,8 +131,8 @@ def _wear(given: argparse.Namespace) -> int:
     }
     if suffix in CACHES:
         told["mesh"] = str(beside := given.out.with_suffix(".obj"))
-        ends = np.cumsum([one.vertex_count for one in worn.garments])[:-1]
-        write_pieces(beside, [obj_text(worn.garments, np.split(vertices[0], ends)).encode()])
+        first = [layer[0] for layer in by_layer(worn.garments, vertices)]
+        write_pieces(beside, [obj_text(worn.garments, first).encode()])
     line = "{file}: {frames} frames at {fps:g} a second, {vertices} vertices, {bytes} bytes".format(**told)
     return _tell(told, given, line)
 

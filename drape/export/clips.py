@@ -15,7 +15,7 @@ from drape.export.glb_file import GlbFile
 from drape.export.mdd import mdd_frames, mdd_head
 from drape.export.pc2 import pc2_head, pc2_samples
 from drape.export.root_motion import RootMotion
-from drape.export.surface import Surface
+from drape.export.surface import Surface, by_layer
 from drape.export.usda import MovingGarment, usda_pieces
 from drape.files.atomic import whole_file
 
@@ -43,7 +43,7 @@ def clip_pieces(
 
     ``root_motion`` quantises a GLB (``drape.export.glb``).
     """
-    layers = np.split(vertices, np.cumsum([one.vertex_count for one in surfaces])[:-1], axis=1)
+    layers = by_layer(surfaces, vertices)
     colours = itertools.cycle(GARMENT_COLOURS)
     if suffix == ".glb":
         file = GlbFile()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -39,3 +40,15 @@ class MeshSurface:
     uv_faces: np.ndarray
     material_names: tuple[str, ...]
     face_material: np.ndarray
+
+
+class Counted(Protocol):
+    """What has vertices: a ``Surface``, or a garment in service."""
+
+    @property
+    def vertex_count(self) -> int: ...
+
+
+def by_layer(layers: Sequence[Counted], vertices: np.ndarray) -> list[np.ndarray]:
+    """``vertices`` (F, V, 3) of all ``layers``, one after the other, as those of each."""
+    return np.split(vertices, np.cumsum([layer.vertex_count for layer in layers])[:-1], axis=1)

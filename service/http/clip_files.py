@@ -16,6 +16,7 @@ from drape.export.glb_body import add_body
 from drape.export.glb_file import GlbFile
 from drape.export.pc2 import pc2_head
 from drape.export.root_motion import RootMotion
+from drape.export.surface import by_layer
 from drape.export.usda import MovingGarment, usda_pieces
 from drape.garment.cache import Garment
 from service.http.answers import PC2, number_bytes
@@ -61,10 +62,9 @@ def garment_file(
 
 def dressed(scene: Scene, placed: Placed) -> list[Dressed]:
     """The garments of ``scene`` where they are ``placed``, each in its colour."""
-    ends = np.cumsum([worn.vertex_count for worn in scene.layers])[:-1]
     return [
         Dressed(worn.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)])
-        for i, (worn, own) in enumerate(zip(scene.layers, np.split(placed.vertices, ends, axis=1), strict=True))
+        for i, (worn, own) in enumerate(zip(scene.layers, by_layer(scene.layers, placed.vertices), strict=True))
     ]
 
 
@@ -105,10 +105,9 @@ def export_answer(
     if kind == PC2:
         pieces = itertools.chain([pc2_head(vertices.shape[1], len(vertices))], number_bytes(vertices))
     else:
-        ends = np.cumsum([entry.vertex_count for entry in scene.layers])[:-1]
         layers = [
             MovingGarment(entry.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)][:3])
-            for i, (entry, own) in enumerate(zip(scene.layers, np.split(vertices, ends, axis=1), strict=True))
+            for i, (entry, own) in enumerate(zip(scene.layers, by_layer(scene.layers, vertices), strict=True))
         ]
         pieces = usda_pieces(layers, fps, point=point)
     return StreamingResponse(sliced_thread.each(pieces), media_type=kind, headers=headers)
