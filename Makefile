@@ -35,7 +35,7 @@ SHELL := /bin/bash
 
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
+INSTALL := scripts/install $(BIN)/python
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15
 WEB := clients/web
 MEMBERS := service clients recovery training model_export
@@ -53,7 +53,7 @@ $(BIN)/python:
 	@PYTHON="$(PYTHON)" scripts/timed "virtual environment" scripts/make_venv $(VENV)
 
 $(VENV)/.serve-stamp: pyproject.toml service/pyproject.toml clients/pyproject.toml | $(BIN)/python
-	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(PIP) install --quiet -e . -e service -e clients
+	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(INSTALL) -e . -e service -e clients
 	@touch $@
 
 # The engine needs nothing but Python, so it is compiled beside the packages.
@@ -68,7 +68,7 @@ $(VENV)/.engine-tests-stamp: $(ENGINE_SOURCES) | $(BIN)/python
 # torch first and alone: later requirements then find it and cannot pull another build of it.
 $(VENV)/.setup-stamp: pyproject.toml $(MEMBERS:=/pyproject.toml) | $(BIN)/python
 	@scripts/timed "torch" scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
-	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(PIP) install --quiet -e '.[cpu,dev]' -e 'service[otel]' $(addprefix -e ,$(filter-out service,$(MEMBERS)))
+	@DRAPE_ENGINE=apart scripts/timed "packages from PyPI" $(INSTALL) -e '.[cpu,dev]' -e 'service[otel]' $(addprefix -e ,$(filter-out service,$(MEMBERS)))
 	@touch $(VENV)/.serve-stamp $@
 
 setup:
@@ -153,7 +153,7 @@ soak: setup
 
 # Every job puts its files into dist/, which the first one empties; the sums come last.
 $(VENV)/.release-stamp: pyproject.toml | $(BIN)/python
-	@DRAPE_ENGINE=apart scripts/timed "packages of a release" $(PIP) install --quiet -e '.[release]'
+	@DRAPE_ENGINE=apart scripts/timed "packages of a release" $(INSTALL) -e '.[release]'
 	@touch $@
 
 release: $(VENV)/.release-stamp page
