@@ -1,4 +1,4 @@
-"""Writes the tables of the committed records into ``docs/records``, a page for each page that speaks of them.
+"""Writes the tables of the committed records into ``docs/records``, and the figures that README and other pages state.
 
 python -m benchmarks.report
 """
@@ -8,22 +8,35 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from benchmarks.figures import NEEDED, filled
 from benchmarks.harness import RESULTS_DIR, ROOT
 from benchmarks.records import TABLES
+from benchmarks.tables import Record
 
 FOLDER = ROOT / "docs" / "records"
+STATING = ("README.md", "docs/reference/performance.md", "docs/reference/tradeoff.md", "docs/guide/web.md")
 
 
 def pages() -> dict[str, str]:
     """The text of each page of records by its name, which is that of the document that speaks of them."""
     texts: dict[str, str] = {}
     for bench, document, name, made in TABLES:
-        record = json.loads((RESULTS_DIR / f"{bench}.json").read_text(encoding="utf-8"))
+        record = _record(bench)
         page = Path(document).name
         source = f"From [`{bench}.json`](../../benchmarks/results/{bench}.json)."
         section = f"\n## {name.replace('_', ' ')}\n\n{source}\n\n{made(record)}\n"
         texts[page] = texts.get(page, _head(document)) + section
     return texts
+
+
+def stating() -> dict[str, str]:
+    """The text of each document that states figures, by its path, with the figures that the records hold."""
+    records = {name: _record(name) for name in NEEDED}
+    return {path: filled((ROOT / path).read_text(encoding="utf-8"), records) for path in STATING}
+
+
+def _record(name: str) -> Record:
+    return json.loads((RESULTS_DIR / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def _head(document: str) -> str:
@@ -42,6 +55,9 @@ def main() -> None:
     for name, text in texts.items():
         (FOLDER / name).write_text(text, encoding="utf-8")
         print(f"docs/records/{name}: {len(text)} characters")
+    for path, text in stating().items():
+        (ROOT / path).write_text(text, encoding="utf-8")
+        print(f"{path}: figures of the records")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,308 @@
+"""Figures that README and other pages state, each made from the records that hold it.
+
+A page has a block ``<!-- record: NAME -->`` ... ``<!-- end of record -->``; ``BLOCKS`` makes the text between the two.
+``python -m benchmarks.report`` writes all blocks, so that no page states a figure that its record does not hold.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from statistics import fmean
+
+from benchmarks.front import TRAINED
+from benchmarks.tables import Columns, Record, Row, markdown_table, rows_table
+
+Records = Mapping[str, Record]
+BLOCK = re.compile(r"(<!-- record: (\w+) -->\n).*?(<!-- end of record -->)", re.DOTALL)
+DEFAULT_TIER, GARMENT = "balanced", "tshirt"
+NAMES = {"tshirt": "T-shirt", "dress": "dress", "trousers": "trousers"}
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The three numbers of the default tier, with what each was measured on."""
+
+    gain: float  # from skinning (0) to physics (1), mean over garments and clips
+    frame_ms: float  # of one core: a stream's frame in a program of its own, pose in, message out
+    streams: int  # that a service carries on ``cores``
+    cores: int
+    pose_ms: float  # of the service's process, for each pose of so many streams
+    fps: float  # of each stream
+    goodput_pct: float  # of its poses, whose frames came in time
+
+
+def headline(records: Records) -> Headline:
+    """The three numbers."""
+    trade, serving = records["tradeoff"], records["serving"]
+    (gain,) = [row["gain"] for row in trade["means"] if row["tier"] == DEFAULT_TIER]
+    streams = serving["max_clients"][f"service {DEFAULT_TIER}"]
+    (load,) = [row for row in _streams(serving, DEFAULT_TIER) if row["clients"] == streams]
+    return Headline(
+        gain=gain,
+        frame_ms=_frame(records["frame"], GARMENT, DEFAULT_TIER)["bare_ms"],
+        streams=streams,
+        cores=_cores(serving),
+        pose_ms=load["cpu_ms"],
+        fps=load["fps"],
+        goodput_pct=load["goodput_pct"],
+    )
+
+
+def three_numbers(records: Records) -> str:
+    """README's table of the three numbers, and the machines that they were measured on."""
+    one, trade, serving = headline(records), records["tradeoff"], records["serving"]
+    cases = {(row["garment"], row["fabric"], row["clip"]) for row in trade["rows"]}
+    garments, fabrics, clips = ({case[axis] for case in cases} for axis in range(3))
+    vertices = next(row["vertices"] for row in records["static_page"]["rows"] if row["garment"] == GARMENT)
+    gain = (
+        f"of the way from skinning (0) to physics that does not pass through itself (1): mean of {len(garments)} "
+        f"garments in {', '.join(sorted(fabrics))} and {len(clips)} clips"
+    )
+    frame = f"of one core: a T-shirt of {vertices:,} vertices in a stream, from a pose to its message, without the wire"
+    tried = max(row["clients"] for row in _streams(serving, DEFAULT_TIER))
+    most = ", the most that were tried" if one.streams == tried else ""
+    streams = (
+        f"of {one.fps:.0f} poses a second on {one.cores} cores{most}: {one.goodput_pct:.0f} % of the frames are back "
+        f"within {serving['late_ms']:.0f} ms, and a pose takes the service {one.pose_ms:.1f} ms of a core"
+    )
+    table = markdown_table(
+        ["", "", "", "record"],
+        [
+            ["gain", f"**{one.gain:.3f}**", gain, "[trade](docs/records/tradeoff.md)"],
+            ["a frame", f"**{one.frame_ms:.1f} ms**", frame, "[frame](docs/records/performance.md#frame-kernels)"],
+            ["streams", f"**{one.streams}**", streams, "[serving](docs/records/performance.md#serving)"],
+        ],
+    )
+    gpu, best = records["latency_gpu"], max(_batches(records["latency_gpu"]), key=lambda row: row["frames_per_s"])
+    where = dict.fromkeys(machine(records[name]) for name in ("tradeoff", "frame", "serving"))
+    on_gpu = (
+        f"On {gpu['machine'].split(', ')[2]} the network alone takes {best['p50_ms']:.1f} ms for {best['batch']} "
+        "frames ([record](docs/records/performance.md#latency-gpu-batches))."
+    )
+    return f"{table}\n\nMeasured on {' and '.join(where)}. {on_gpu}"
+
+
+def tiers(records: Records) -> str:
+    """What each tier costs and how near to physics it comes."""
+    record, columns = records["tradeoff"], {"time_ratio": ".2f", "cpu_ms": ".1f"}
+    lines = []
+    for row in record["means"]:
+        if row["tier"] not in ("", "skinning_push", "physics"):
+            cases = [case for case in record["rows"] if case["knobs"] == row["knobs"]]
+            sets = [[case["gain"] for case in cases if (case["garment"] in TRAINED) == seen] for seen in (True, False)]
+            gains = " / ".join(f"{fmean(gains):.3f}" if gains else "-" for gains in sets)
+            cost = [format(row[key], form) for key, form in columns.items()]
+            rest = [f"{row['gain_p05']:.3f}", f"{row['detail_share']:.2f}", f"{row['skin_pixels_pct']:.3f}"]
+            lines.append((row["time_ratio"], [f"`{row['tier']}`", *cost, gains, *rest]))
+    lines.sort()
+    titles = ["tier", "time, rival = 1", "processor [ms]", "gain, trained on / unseen", "what 95 % of the cases reach"]
+    table = markdown_table([*titles, "detail share", "skin [% of pixels]"], (line for _, line in lines))
+    return f"{table}\n\n{_on(record, 'tradeoff.md#tradeoff')}"
+
+
+def frame(records: Records) -> str:
+    """Processor time of a frame of the stream by part, in brackets its floor."""
+    record = records["frame"]
+    wholes = [row for row in record["rows"] if row["kind"] == "kernel" and row["stage"] == "frame"]
+    cases = [(row["garment"], row["tier"]) for row in wholes]
+    parts = {
+        "network": lambda row: row["stage"] == "network" and row["kernel"].startswith("drape."),
+        "posed body and its skin": lambda row: row["kernel"].startswith("bodies."),
+        "vertices of the jets": lambda row: row["kernel"].startswith("blend."),
+        "swing": lambda row: row["stage"] == "swing" and row["kernel"] != "Python",
+        "folds": lambda row: row["stage"] == "folds" and row["kernel"] != "Python",
+    }
+    lines = []
+    for name, belongs in parts.items():
+        lines.append([name, *(_timed(_kernels(record, *case), belongs) for case in cases)])
+    lines.append(["Python, NumPy and small parts", *(_rest(_kernels(record, *case), parts.values()) for case in cases)])
+    lines.append(["all, stage by stage", *(f"{row['cpu_ms']:.2f} ({row['floor_ms']:.2f})" for row in wholes)])
+    lines.append(["the frame in one call", *(f"**{row['bare_ms']:.1f}**" for row in wholes)])
+    titles = ["", *(f"{NAMES.get(garment, garment)} `{tier}`" for garment, tier in cases)]
+    return f"{markdown_table(titles, lines)}\n\n{_on(record, 'performance.md#frame-kernels')}"
+
+
+def threads(records: Records) -> str:
+    """Frames a second of two streams and of a clip, on one thread and on two."""
+    record, lines = records["frame"], []
+    rows = [row for row in record["rows"] if row["kind"] == "threads"]
+    for garment, what in dict.fromkeys((row["garment"], row["what"]) for row in rows):
+        one, two = sorted((row for row in rows if (row["garment"], row["what"]) == (garment, what)), key=_threads)
+        rates = [row["frames_per_s"] for row in (one, two)]
+        told = [f"{rate:.0f}" for rate in rates] + [f"{rates[1] / rates[0]:.2f}"]
+        lines.append([f"{NAMES.get(garment, garment)}, {what}", *told])
+    titles = ["", "frames/s of one thread", "of two", "ratio"]
+    return f"{markdown_table(titles, lines)}\n\n{_on(record, 'performance.md#frame-threads')}"
+
+
+def one_frame(records: Records) -> str:
+    """What the different figures of one frame of the default tier are."""
+    one, serving = headline(records), records["serving"]
+    (trade,) = [row for row in records["tradeoff"]["means"] if row["tier"] == DEFAULT_TIER]
+    (single,) = [row for row in _streams(serving, DEFAULT_TIER) if row["clients"] == 1]
+    lines = [
+        ["a T-shirt's stream in a program, one frame after the other", "processor", one.frame_ms, "frame"],
+        ["the mean over garments and clips, which `GET /tiers` tells", "processor", trade["cpu_ms"], "tradeoff"],
+        [f"the same with pauses, {one.fps:.0f} frames a second", "wall", serving["model_ms"][DEFAULT_TIER], "serving"],
+        [f"a pose of {one.streams} streams, all of the service's process", "processor", one.pose_ms, "serving"],
+        ["a pose of one stream, all of the service's process", "processor", single["cpu_ms"], "serving"],
+    ]  # fmt: skip
+    told = ([what, clock, f"{ms:.1f}", f"`{source}.json`"] for what, clock, ms, source in lines)
+    return markdown_table([f"`{DEFAULT_TIER}`: what is measured", "clock", "[ms]", "record"], told)
+
+
+def streams(records: Records) -> str:
+    """Streams under load: for each tier one client, the most that are carried, and those between."""
+    record = records["serving"]
+    lines = []
+    for tier in ("instant", "fast", "balanced", "accurate"):
+        for row in _streams(record, tier):
+            if row["clients"] in (1, 8, record["max_clients"][f"service {tier}"]):
+                lines.append([f"`{tier}`, {row['clients']}", *_load(row)])
+    for row in record["rows"]:
+        if row["case"].startswith("overload"):
+            lines.append([f"`{row['tier']}`, {row['clients']}: {row['case'].removeprefix('overload, ')}", *_load(row)])
+        if row["case"] == "still":
+            lines.append([f"`{row['tier']}`, a still body", *_load(row)])
+    titles = ["tier, clients", "goodput [%]", "age p50, p99 [ms]", "processor a pose [ms]"]
+    return f"{markdown_table(titles, lines)}\n\n{_carried(record)} {_on(record, 'performance.md#serving')}"
+
+
+def lateness(records: Records) -> str:
+    """How late frames are, medians over the runs; then beside other work."""
+    record = records["lateness"]
+    columns = {"delay_p50_ms": "p50 [ms]", "delay_p99_ms": "p99", "delay_p999_ms": "p99.9", "delay_max_ms": "longest"}
+    kept = [row for row in record["rows"] if row["run"] == "median" or row["beside"]]
+    lines = [[row["beside"] or "nothing", str(row["streams"]), *(f"{row[key]:.1f}" for key in columns)] for row in kept]
+    return (
+        f"{markdown_table(['beside', 'streams', *columns.values()], lines)}\n\n{_on(record, 'performance.md#lateness')}"
+    )
+
+
+def gpu_batches(records: Records) -> str:
+    """Frames of all garments in one call on a GPU."""
+    record = records["latency_gpu"]
+    rows = _batches(record)
+    lines = [
+        ["p50 [ms]", *(f"{row['p50_ms']:.1f}" for row in rows)],
+        ["frames/s", *(f"{row['frames_per_s']:,.0f}" for row in rows)],
+    ]
+    table = markdown_table(["frames in a call", *(str(row["batch"]) for row in rows)], lines)
+    return f"{table}\n\n{_on(record, 'performance.md#latency-gpu-batches')}"
+
+
+def views(records: Records) -> str:
+    """What is saved of a frame that a scene asks less of."""
+    columns: Columns = {
+        "garment": ("garment", "s"), "case": ("case", "s"), "what": ("what", "s"), "full_ms": ("in full [ms]", ".1f"),
+        "cpu_ms": ("so [ms]", ".2f"), "saving": ("saved", ".0%"),
+    }  # fmt: skip
+    rows = [row for row in records["frame"]["rows"] if row["kind"] == "view"]
+    rows = [row | {"saving": round(row["saving"], 2) + 0.0} for row in rows]  # no negative zero
+    return f"{rows_table(columns, rows)}\n\n{_on(records['frame'], 'performance.md#frame-views')}"
+
+
+def client_folds(records: Records) -> str:
+    """What a stream of jets takes, and how far the page's folds lie from the service's."""
+    columns: Columns = {
+        "garment": ("garment", "s"), "frame_bytes": ("a frame of vertices [B]", ",d"),
+        "jets_bytes": ("of jets [B]", ",d"), "server_ratio": ("the service's time", ".2f"),
+        "browser_ms": ("the page's, in Chromium [ms]", ".1f"), "ten_mm": ("apart, same network, 10 frames [mm]", ".4f"),
+        "first_mm": ("with jets, the first second [mm]", ".1f"), "smooth_mm": ("jets without folds [mm]", ".0f"),
+    }  # fmt: skip
+    return f"{_walks(columns, records['client_folds'])}\n\n{_on(records['client_folds'], 'web.md#client-folds')}"
+
+
+def static_page(records: Records) -> str:
+    """What a folder without a server takes, and how far its drape lies from the service's."""
+    columns: Columns = {
+        "garment": ("garment", "s"), "folder_mb": ("the folder [MB]", ".1f"),
+        "browser_ms": ("a frame in Chromium [ms]", ".1f"),
+        "least_ratio": ("its engine in Node.js over the service's frame", ".1f"),
+        "ten_mm": ("apart in ten frames [mm]", ".3f"), "first_mm": ("in the first second [mm]", ".2f"),
+    }  # fmt: skip
+    return f"{_walks(columns, records['static_page'])}\n\n{_on(records['static_page'], 'web.md#static-page')}"
+
+
+BLOCKS: dict[str, Callable[[Records], str]] = {
+    each.__name__: each
+    for each in (
+        three_numbers, tiers, frame, threads, one_frame, streams, lateness, gpu_batches, views, client_folds,
+        static_page,
+    )
+}  # fmt: skip
+NEEDED = ("tradeoff", "frame", "serving", "lateness", "latency_gpu", "client_folds", "static_page")  # records
+
+
+def filled(text: str, records: Records) -> str:
+    """The page ``text`` with each of its blocks as the ``records`` have it."""
+    return BLOCK.sub(lambda found: f"{found[1]}{BLOCKS[found[2]](records)}\n{found[3]}", text)
+
+
+def machine(record: Record) -> str:
+    """The processor and the cores that ``record`` was measured on."""
+    processor, cores = record["machine"].split(", ")[:2]
+    return f"{processor.replace('(R)', '').replace(' Processor', '')} ({cores})"
+
+
+def _threads(row: Row) -> int:
+    return row["threads"]
+
+
+def _on(record: Record, table: str) -> str:
+    return f"Measured on {machine(record)}: [record](../records/{table})."
+
+
+def _cores(record: Record) -> int:
+    return int(record["machine"].split(", ")[1].split()[0])
+
+
+def _streams(record: Record, tier: str) -> list[Row]:
+    """The rows of streams of ``tier`` to the service, fewest clients first."""
+    rows = [row for row in record["rows"] if (row["case"], row["server"], row["tier"]) == ("streams", "service", tier)]
+    return sorted(rows, key=lambda row: row["clients"])
+
+
+def _load(row: Row) -> list[str]:
+    age = f"{row['frame_age_p50_ms']:.0f}, {row['frame_age_p99_ms']:.0f}"
+    return [f"{row['goodput_pct']:.0f}", age, f"{row['cpu_ms']:.1f}"]
+
+
+def _carried(record: Record) -> str:
+    own = {name.removeprefix("service "): count for name, count in record["max_clients"].items() if "twin" not in name}
+    return f"The most that were tried and carried: {', '.join(f'{count} of `{name}`' for name, count in own.items())}."
+
+
+def _frame(record: Record, garment: str, tier: str) -> Row:
+    (row,) = [row for row in _kernels(record, garment, tier) if row["stage"] == "frame"]
+    return row
+
+
+def _kernels(record: Record, garment: str, tier: str) -> list[Row]:
+    rows = (row for row in record["rows"] if row["kind"] == "kernel")
+    return [row for row in rows if (row["garment"], row["tier"]) == (garment, tier)]
+
+
+def _timed(rows: Iterable[Row], belongs: Callable[[Row], bool]) -> str:
+    """The time of those ``rows`` that belong together, and in brackets their floor."""
+    kept = [row for row in rows if belongs(row)]
+    if not kept:
+        return ""
+    return f"{sum(row['cpu_ms'] for row in kept):.2f} ({sum(row['floor_ms'] or 0.0 for row in kept):.2f})"
+
+
+def _rest(rows: Iterable[Row], parts: Iterable[Callable[[Row], bool]]) -> str:
+    known = tuple(parts)
+    left = (row["cpu_ms"] for row in rows if row["stage"] != "frame" and not any(part(row) for part in known))
+    return f"{sum(left):.2f}"
+
+
+def _batches(record: Record) -> list[Row]:
+    return [row for row in record["rows"] if row["garment"] == "mixed"]
+
+
+def _walks(columns: Columns, record: Record) -> str:
+    rows = [row for row in record["rows"] if (row["clip"], row["tier"]) == ("walk", DEFAULT_TIER)]
+    return rows_table(columns, ({**row, "garment": NAMES.get(row["garment"], row["garment"])} for row in rows))

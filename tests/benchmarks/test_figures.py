@@ -1,0 +1,65 @@
+"""Figures that README and other pages state are those of the records, and do not contradict each other."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+from benchmarks import figures, report
+from benchmarks.harness import RESULTS_DIR, ROOT
+from tests.architecture.repository import repository_files
+
+RECORDS = {name: json.loads((RESULTS_DIR / f"{name}.json").read_text(encoding="utf-8")) for name in figures.NEEDED}
+MARKED = sorted(
+    path.relative_to(ROOT).as_posix()
+    for path in repository_files()
+    if path.suffix == ".md" and figures.BLOCK.search(path.read_text(encoding="utf-8"))
+)
+
+
+@pytest.mark.parametrize("path", MARKED)
+def test_a_page_states_what_the_records_hold(path: str):
+    assert (ROOT / path).read_text(encoding="utf-8") == report.stating()[path]
+
+
+def test_report_writes_every_page_that_has_a_block_and_every_block_stands_on_a_page():
+    assert set(MARKED) == set(report.STATING)
+    named = {name for path in MARKED for _, name, _ in figures.BLOCK.findall((ROOT / path).read_text(encoding="utf-8"))}
+    assert named == set(figures.BLOCKS)
+
+
+def test_another_record_gives_another_page():
+    trade = RECORDS["tradeoff"]
+    means = [row | {"gain": 0.123} if row["tier"] == figures.DEFAULT_TIER else row for row in trade["means"]]
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    changed = figures.filled(readme, RECORDS | {"tradeoff": trade | {"means": means}})
+    assert "**0.123**" in changed and changed != readme
+    assert figures.BLOCK.sub("", changed) == figures.BLOCK.sub("", readme)  # nothing else moves
+
+
+def test_the_streams_fit_on_the_cores_and_none_is_cheaper_than_its_frame():
+    one = figures.headline(RECORDS)
+    assert one.streams * one.fps * one.pose_ms <= 1e3 * one.cores
+    assert one.frame_ms <= one.pose_ms
+
+
+def test_readme_names_the_three_numbers_once():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    outside = figures.BLOCK.sub("", text)
+    one = figures.headline(RECORDS)
+    for number in (f"{one.gain:.3f}", f"{one.frame_ms:.1f} ms", f"{one.streams} streams"):
+        assert number not in outside
+
+
+def test_what_a_record_was_measured_on_is_told_in_short():
+    assert figures.machine({"machine": "Intel(R) Xeon(R) Processor, 2 cores, Linux"}) == "Intel Xeon (2 cores)"
+    assert figures.machine({"machine": "AMD EPYC, 4 cores, Linux"}) == "AMD EPYC (4 cores)"
+
+
+def test_gains_of_a_set_that_was_not_measured_are_a_dash():
+    trade = RECORDS["tradeoff"]
+    rows = [row for row in trade["rows"] if row["garment"] == "tshirt"]
+    table = figures.tiers({"tradeoff": trade | {"rows": rows}})
+    assert all(re.search(r"\| 0\.\d+ / - \|", line) for line in table.splitlines()[2:6])
