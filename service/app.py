@@ -96,7 +96,7 @@ def create_app(
         title="drape",
         version=__version__,
         lifespan=lifespan,
-        description="Garments on moving bodies.",
+        description="Drapes garments on moving bodies.",
         docs_url=None,  # those of FastAPI load their scripts from another host
         redoc_url=None,
     )

@@ -22,10 +22,13 @@ class _Collider(BaseModel):
 
 
 class Plane(_Collider):
-    """All that lies below a plane: a floor, a wall."""
+    """A solid half-space behind a plane, such as a floor or a wall."""
 
     kind: Literal["plane"]
-    normal: Point = Field(default=(0.0, 1.0, 0.0), description="The side that is free; any length but 0.")
+    normal: Point = Field(
+        default=(0.0, 1.0, 0.0),
+        description="The direction from the plane to its free side. Its length does not matter but must not be 0.",
+    )
     offset_m: Place = Field(default=0.0, description="The plane's distance from the origin along the normal [m].")
 
     @field_validator("normal")
@@ -41,12 +44,12 @@ class Plane(_Collider):
 
 
 class Box(_Collider):
-    """A box: a seat, a table, a step."""
+    """A solid box, such as a seat, a table or a step."""
 
     kind: Literal["box"]
-    centre: Point = Field(description="Its centre [m].")
-    size: tuple[Length, Length, Length] = Field(description="Its edges [m].")
-    turn: Point = Field(default=(0.0, 0.0, 0.0), description="How it is turned: a rotation vector [rad].")
+    centre: Point = Field(description="The centre of the box [m].")
+    size: tuple[Length, Length, Length] = Field(description="The lengths of its edges [m].")
+    turn: Point = Field(default=(0.0, 0.0, 0.0), description="Its rotation, as a rotation vector [rad].")
 
     def row(self) -> np.ndarray:
         """The numbers (16,) that kernels read."""
@@ -54,11 +57,11 @@ class Box(_Collider):
 
 
 class Capsule(_Collider):
-    """All within a radius of a line: a rail, an arm rest; with both ends in one point a ball."""
+    """A solid capsule, such as a rail or an arm rest. With both ends in one point it is a ball."""
 
     kind: Literal["capsule"]
-    ends: tuple[Point, Point] = Field(description="The ends of the line [m].")
-    radius_m: Length = Field(description="The radius [m].")
+    ends: tuple[Point, Point] = Field(description="The two ends of its axis [m].")
+    radius_m: Length = Field(description="Its radius [m].")
 
     def row(self) -> np.ndarray:
         """The numbers (16,) that kernels read."""

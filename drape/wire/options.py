@@ -33,28 +33,33 @@ class Worn(BaseModel):
     garment: Identifier | None = None
     garments: Annotated[list[Identifier], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
-        description="Instead of garment: several worn over each other, the innermost first.",
+        description="The ids of several garments worn over each other, the innermost first. Takes the place of "
+        "garment.",
     )
     size: SizeName | Annotated[list[SizeName | None], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
-        description="S, M, L or XL of garments that have sizes (GET /garments), or a list of these by layer (null: M). "
-        "Left out: M.",
+        description="S, M, L or XL, for garments that have sizes (GET /garments), or a list with a size for each "
+        "garment. null, or left out: M.",
     )
 
 
 class FabricNumbers(BaseModel):
-    """A fabric by the numbers of ``drape.cloth.fabric.Fabric``, which checks them."""
+    """A fabric by its numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    warp_n_per_m: float = Field(description="Stiffness against stretch along the warp [N/m].")
-    weft_n_per_m: float = Field(description="And along the weft [N/m].")
-    cross_n_per_m: float = Field(description="How much stretch of one pulls on the other [N/m].")
-    shear_n_per_m: float = Field(description="Stiffness against shear [N/m], four times a laboratory's modulus.")
-    bending_warp_j: float = Field(description="Rigidity of bending along the warp [N m].")
-    bending_bias_j: float = Field(description="At 45 degrees to it [N m].")
-    bending_weft_j: float = Field(description="And along the weft [N m].")
-    density_kg_m2: float = Field(description="Mass per area [kg/m2].")
+    warp_n_per_m: float = Field(description="The stiffness against stretch along the warp [N/m].")
+    weft_n_per_m: float = Field(description="The stiffness against stretch along the weft [N/m].")
+    cross_n_per_m: float = Field(
+        description="The coupling of warp and weft: the tension along one when the other is stretched [N/m]."
+    )
+    shear_n_per_m: float = Field(
+        description="The stiffness against shear [N/m]: four times the shear modulus of a laboratory."
+    )
+    bending_warp_j: float = Field(description="The bending rigidity along the warp [N m].")
+    bending_bias_j: float = Field(description="The bending rigidity at 45 degrees to the warp [N m].")
+    bending_weft_j: float = Field(description="The bending rigidity along the weft [N m].")
+    density_kg_m2: float = Field(description="The mass per area [kg/m2].")
 
 
 FabricChoice = Annotated[str, Field(min_length=1, max_length=40)] | FabricNumbers
@@ -67,8 +72,8 @@ class DrapeOptions(BaseModel):
 
     push_out: bool | None = Field(
         default=None,
-        description="Bring vertices out of the body and of garments below: folds lift them, without folds they are "
-        "pushed; the service's setting if left out.",
+        description="Whether vertices are moved out of the body and of the garments below. With folds they are "
+        "lifted, without folds they are pushed. Left out: the service's setting.",
     )
     knob: float | None = Field(
         default=None,
@@ -76,93 +81,98 @@ class DrapeOptions(BaseModel):
         ge=0.0,
         le=1.0,
         allow_inf_nan=False,
-        description="How much the cloth follows motion: 0 as if at rest, 1 (default) in full.",
+        description="How much inertia moves the cloth. 0: each frame is the drape of its pose at rest. 1: in full. "
+        "Left out: 1.",
     )
     inertia: Inertia | None = Field(
         default=None,
-        description="The source of inertia: the cloth's own mass on a coarse mesh, or the network, where the model "
-        "knows motion; the service's setting if left out, network for jets.",
+        description="Where inertia comes from. mesh: the cloth's own mass. network: the network, if the model is "
+        "dynamic. Left out: the service's setting; for jets network.",
     )
     tier: TierName | Literal["exact"] | None = Field(
         default=None,
-        description="How much is computed: a name for values of passes and folds (GET /tiers). Values named beside it "
-        "win; the service's setting, balanced, if left out. exact, of clips alone: cloth at rest that does not pass "
-        "through itself, as a job.",
+        description="How much is computed: a name for values of passes, folds and coarse (GET /tiers). A value that "
+        "the request names wins over the tier's. Left out: the service's setting, balanced. exact is for "
+        "clips alone: the answer is a job that computes cloth at rest that does not pass through itself.",
     )
     passes: int | None = Field(
         default=None,
         ge=0,
         le=64,
         strict=True,
-        description="How many corrections of the network run: fewer are faster; the tier's if left out.",
+        description="How many corrections of the network run. Fewer are faster. Left out: the tier's number.",
     )
     folds: int | None = Field(
         default=None,
         ge=0,
         le=16,
         strict=True,
-        description="Steps of the cloth solver per frame: folds that grow and stay. 0 has none; the tier's if left "
-        "out, none of jets.",
+        description="How many steps the solver of folds takes in each frame. 0: no folds. Left out: the tier's "
+        "number; for jets 0.",
     )
     coarse: bool | None = Field(
         default=None,
         strict=True,
-        description="With folds: a coarse cloth takes the steps, and the fine one settles around it; without, they are "
-        "the fine cloth's. The tier's if left out.",
+        description="With folds: whether a coarse cloth takes the steps and the fine cloth settles around it. "
+        "Otherwise the fine cloth takes them. Left out: as the tier does.",
     )
     safe_folds: int | None = Field(
         default=None,
         ge=0,
         le=16,
         strict=True,
-        description="With folds: steps of a frame whose pose is unlike those that the network was trained on, where "
-        "they are more than folds. Left out: those of the tier accurate, or no more where folds are named.",
+        description="With folds: the least number of steps for a frame whose pose is unlike those of training. Left "
+        "out: the number of tier accurate; if the request names folds, no more than folds.",
     )
     settle: int | None = Field(
         default=None,
         ge=1,
         le=64,
         strict=True,
-        description="With folds: how many times as many steps a frame without a past gets; 8 if left out.",
+        description="With folds: the factor on the number of steps for a frame without a past. Left out: 8.",
     )
     cloth_contact: bool | None = Field(
         default=None,
         strict=True,
-        description="With folds: cloth feels cloth, a garment itself and the garments below it. Left out: it does.",
+        description="With folds: whether a garment keeps off itself and off the garments below it. Left out: true.",
     )
     folds_by: FoldsBy = Field(
         default="server",
-        description="Who takes the steps of folds: the server, or with jets the client, by GET /garments/{id}/folds; "
-        "the server then computes the network alone. One garment, without colliders.",
+        description="Who takes the steps of folds. server: the service. client: the client, which needs jets, one "
+        "garment without colliders, and GET /garments/{id}/folds; the service then computes the network "
+        "alone.",
     )
     fabric: FabricChoice | Annotated[tuple[FabricChoice | None, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
-        description="What the garments are made of: a name of GET /fabrics, numbers, or a list of these by layer, the "
-        "innermost first (null: the garment's own). Left out: each garment's own.",
+        description="The fabric of the garments: a name of GET /fabrics, the numbers of a fabric, or a list with a "
+        "fabric for each garment, the innermost first. null, or left out: the garment's own fabric.",
     )
     hidden: Annotated[tuple[Identifier, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
-        description="Ids of garments that nobody sees, below others: they do not come. Nothing of them is computed but "
-        "what a visible garment over them feels.",
+        description="The ids of garments of this request that the viewer does not see. The answer leaves them out. "
+        "The service computes of a hidden garment only what a visible one touches.",
     )
     colliders: Annotated[tuple[Collider, ...], Len(0, COLLIDER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
-        description="What else cloth lies on, in the world's coordinates: planes, boxes and capsules.",
+        description="Planes, boxes and capsules that the cloth collides with, in the world's coordinates.",
     )
     geometry: Geometry = Field(
         default="vertices",
-        description="Form of the answer: vertices, or the posed jets of the patches, for GET /garments/{id}/jets.",
+        description="The form of the answer. vertices: positions. jets: the posed jets of the patches, which a "
+        "client turns into vertices by GET /garments/{id}/jets.",
     )
     resolution: Resolution = Field(
         default="delivered",
-        description="The mesh: the delivered one, or the finer one that intake made where that is coarse.",
+        description="The mesh of the answer. delivered: that of the garment's file. fine: the finer mesh that intake "
+        "made if the file's is coarse.",
     )
     pixels_per_m: float | None = Field(
         default=None,
         gt=0.0,
         allow_inf_nan=False,
-        description="Pixels of the picture per metre of the garment. Below 100 it is far away: the least "
-        "tier unless passes or folds are named beside it, and coordinates of 8 bits; left out, it is near.",
+        description="How many pixels of the picture a metre of the garment takes. Below 100 the garment is far away: "
+        "it gets tier instant, unless the request names passes or folds, and a stream's coordinates have "
+        "8 bits. Left out: it is near.",
     )
 
 

@@ -41,22 +41,31 @@ class AvatarFacts(BaseModel):
 
     name: str
     digest: str
-    joints: dict[str, str] = Field(
-        description="SMPL's joints and the nodes of the character's skeleton that are these."
-    )
+    joints: dict[str, str] = Field(description="The node of the character's skeleton for each of SMPL's joints.")
     found_by: Literal["vrm", "names", "shape", "told"] = Field(
-        default="names", description="Whether VRM's bones, names, their places or PATCH told the joints."
+        default="names",
+        description="How the joints were found: by VRM's bones, by the names of nodes, by their "
+        "places, or told by PATCH.",
     )
-    confidence: float = Field(default=1.0, description="Of joints by their places: how like a person's these are.")
-    notes: list[str] = Field(default=[], description="What looks wrong with it, in words.")
-    nodes: list[str] = Field(description="All nodes of its file, parents first: the order of rig_poses.")
-    fit: dict[str, float] = Field(description="How far its trunk and limbs are from the body that stands for it [mm].")
+    confidence: float = Field(
+        default=1.0, description="Of joints found by their places: how much these are like a person's, 0 to 1."
+    )
+    notes: list[str] = Field(default=[], description="Sentences on what looks wrong with the character.")
+    nodes: list[str] = Field(
+        description="The names of all nodes of its file, parents first. The rotations of "
+        "``rig_poses`` come in this order."
+    )
+    fit: dict[str, float] = Field(
+        description="The distances [mm] of its trunk and limbs from the body that stands for it."
+    )
     height_m: float
-    rest_joints: list[list[float]] = Field(description="Of the body that stands for it [m], as BodyDocument has them.")
-    floor_m: float = Field(description="The height of its soles.")
-    scale: float = Field(description="Metres per unit of its file.")
-    vrm: str | None = Field(description="The version of VRM, where it is one.")
-    vertices: int = Field(description="Of its own surface.")
+    rest_joints: list[list[float]] = Field(
+        description="The joints at rest [m] of the body that stands for it, as in BodyDocument."
+    )
+    floor_m: float = Field(description="The height of its soles [m].")
+    scale: float = Field(description="How many metres a unit of its file is.")
+    vrm: str | None = Field(description="The version of VRM, if the file is one.")
+    vertices: int = Field(description="The number of vertices of its own surface.")
 
 
 class AvatarInfo(AvatarFacts):

@@ -34,10 +34,10 @@ KINDS = (BINARY, "model/gltf-binary", "model/vrm")
 
 
 class AvatarChange(schemas.Request):
-    """A correction of which node is which joint; those that are left out stay as they are."""
+    """A correction of which node is which joint. Joints that are left out stay as they are."""
 
     joints: dict[Annotated[str, Field(max_length=40)], Annotated[str, Field(max_length=120)]] = Field(
-        min_length=1, max_length=24, description="SMPL's names of joints and the names of their nodes."
+        min_length=1, max_length=24, description="The name of the node of each joint, by SMPL's name of the joint."
     )
 
 
@@ -52,9 +52,11 @@ async def add_avatar(
     response: Response,
     state: StateHere,
     client: ClientHere,
-    name: Annotated[str | None, Query(max_length=120, description="File name or name of the avatar.")] = None,
+    name: Annotated[str | None, Query(max_length=120, description="The name of the file or of the avatar.")] = None,
 ) -> schemas.JobInfo:
-    """Takes a character in, GLB or VRM as the raw body: a skeleton and a skin. Poll the job; its avatar is the id."""
+    """Uploads a character with a skeleton and a skin. The body of the request is the raw bytes of a GLB or VRM file.
+    The answer is a job: once it is done, its ``avatar`` is the id.
+    """
     check_query(request.query_params, ("name",))
     state.uploads.check_place(client)  # before anything is read
     stem, dot, suffix = (name or "").rpartition(".")
@@ -68,14 +70,14 @@ async def add_avatar(
 
 @router.get("/avatars", response_model=list[AvatarInfo])
 async def avatars(state: StateHere, client: ClientHere) -> Response:
-    """The avatars that can wear garments."""
+    """Lists the avatars that can wear garments."""
     documents = b",".join(entry.document for entry in state.runtime.avatars.visible(client.name))
     return Response(b"[%b]" % documents, media_type=JSON)
 
 
 @router.get("/avatars/{avatar_id}", response_model=AvatarInfo, responses=responses(NotFound))
 async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> Response:
-    """One avatar: which of its nodes is which joint, and how well our body fits it."""
+    """Returns one avatar: which of its nodes is which joint, and how well our body fits its skin."""
     return Response((await state.avatar(avatar_id, client)).document, media_type=JSON)
 
 
@@ -88,7 +90,9 @@ async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> Respon
 async def change_avatar(
     avatar_id: str, request: Request, response: Response, state: StateHere, client: ClientHere
 ) -> schemas.JobInfo:
-    """Corrects which nodes are which joints; the avatar is made anew from its file. Poll the job."""
+    """Corrects which node is which joint. The service then makes the avatar anew from its file. The answer is a job:
+    ask for its state until it has ended.
+    """
     entry = await state.avatar(avatar_id, client)
     asked = validated(AvatarChange, document_of(await json_text(request)))
     if not await asyncio.to_thread(entry.source.is_file):
@@ -102,14 +106,16 @@ async def change_avatar(
 
 @router.delete("/avatars/{avatar_id}", status_code=204, responses=responses(NotFound))
 async def delete_avatar(avatar_id: str, state: StateHere, client: ClientHere) -> None:
-    """Removes an avatar from the service and its disk; streams that show it go on until they end."""
+    """Removes an avatar from the service and its disk. Streams that use it go on until they end."""
     entry = await state.avatar(avatar_id, client)
     await asyncio.shield(asyncio.to_thread(state.runtime.avatars.remove, entry))
 
 
 @router.get("/avatars/{avatar_id}/mesh", response_model=schemas.MeshDocument, responses=responses(NotFound))
 async def avatar_mesh(avatar_id: str, state: StateHere, client: ClientHere) -> Response:
-    """The character's own surface in T-pose [m], welded, in the place of our body."""
+    """Returns the character's own surface [m] in the T-pose. Its vertices are welded, and it stands where our body
+    stands.
+    """
     wearer = await state.wearer(avatar_id, client)
     document = {"id": avatar_id, "vertices": wearer.vertices.astype(np.float32), "faces": wearer.faces, "uv": []}
     document |= {"uv_faces": [], "materials": ["avatar"], "face_material": np.zeros(len(wearer.faces), int)}
@@ -121,11 +127,17 @@ async def avatar_covered(
     avatar_id: str,
     state: StateHere,
     client: ClientHere,
-    garments: Annotated[str, Query(max_length=1000, description="Ids of what it wears, comma-separated.")],
-    size: Annotated[str | None, Query(max_length=40, description="Of all, or of each, comma-separated.")] = None,
+    garments: Annotated[
+        str, Query(max_length=1000, description="The ids of the garments that it wears, separated by commas.")
+    ],
+    size: Annotated[
+        str | None,
+        Query(max_length=40, description="One size for all garments, or a size for each, separated by commas."),
+    ] = None,
 ) -> CoveredFaces:
-    """The character's faces that lie wholly under a garment at rest, off its hems: drawn a little deeper than they are,
-    they do not stand through it."""
+    """Returns the faces of the character that lie wholly under its garments at rest, away from their hems. A client
+    that draws these faces a little deeper keeps them from showing through the cloth.
+    """
     entry = await state.avatar(avatar_id, client)
     sizes = size if size is None or "," not in size else [one or None for one in size.split(",")]
     state.check_slot()
@@ -155,9 +167,11 @@ async def avatar_preview(
     request: Request,
     state: StateHere,
     client: ClientHere,
-    size: Annotated[int, Query(ge=LEAST, le=MOST, description="Pixels along each side.")] = USUAL,
+    size: Annotated[
+        int, Query(ge=LEAST, le=MOST, description="The width and the height of the picture in pixels.")
+    ] = USUAL,
 ) -> Response:
-    """A picture of the character in T-pose, from the front and a little from the side."""
+    """Returns a picture of the character in the T-pose, seen from the front and a little from the side."""
     entry = await state.avatar(avatar_id, client)
 
     async def made() -> bytes:

@@ -50,14 +50,14 @@ Result = TypeVar("Result")
     responses=responses(*CLIP_REFUSALS, kinds=(*KINDS, PC2, USDA)),
 )
 async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> Response:
-    """The garment on the moving body, world axes [m]: binary float32 (frames, vertices, 3), GLB, JSON, PC2 or USD by
-    Accept.
+    """Drapes a garment, or an outfit, on a moving body. Positions are in metres, in the world's axes.
 
-    With origin "root" positions count from each frame's root, and the roots follow them, float64 (frames, 3). The
-    vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry "jets"
-    the answer holds a JETS message per frame (docs/reference/wire.md), binary only. With streamed, frames leave as they
-    are ready; with keep and past a clip comes in pieces that together are the whole clip. With rig_poses in place of
-    poses an avatar moves by its own rig (docs/guide/avatars.md). With tier exact the answer is 202 and a job.
+    The Accept header chooses the format: binary float32 (frames, vertices, 3), GLB, JSON, PC2 or USD. The vertices of
+    an outfit's garments follow each other, and X-Drape-Garments says how many each has. With ``origin`` root positions
+    count from each frame's root joint; the roots follow them as float64 (frames, 3). With ``geometry`` jets the answer
+    is binary and holds a JETS message for each frame (docs/reference/wire.md). With ``streamed`` frames leave as soon
+    as they are ready. ``keep`` and ``past`` send a long clip in pieces. With ``rig_poses`` in place of ``poses`` an
+    avatar moves by its own rig (docs/guide/avatars.md). With ``tier`` exact the answer is 202 and a job.
     """
     state.check_slot()  # before anything is read
     asked, clip, turns, told_where = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
@@ -90,7 +90,9 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     responses=responses(NotFound, NotAcceptable, TooLarge, kinds=(*KINDS, PC2, USDA)),
 )
 async def exact_clip(job_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
-    """The finished clip of tier exact, as POST /drape answers, with what its request said of the answer."""
+    """Returns the finished clip of tier exact in any format of POST /drape. ``body``, ``origin`` and ``quantised`` are
+    those of the request that made the job.
+    """
     found = state.exact.find(job_id, client.name)
     if found is None:
         cure = "POST /drape with tier exact."
@@ -136,7 +138,7 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
     responses=responses(*CLIP_REFUSALS, kinds=KINDS),
 )
 async def posed_body(body_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
-    """The posed body's vertices for the same input, in the same formats."""
+    """Returns the vertices of the posed body, for the poses and in the formats of POST /drape."""
     runtime = state.runtime
     runtime.check_body_id(body_id)
     state.check_slot()
@@ -162,7 +164,7 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
     responses=responses(*CLIP_REFUSALS, kinds=(BINARY, JSON)),
 )
 async def posed_avatar(avatar_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
-    """The vertices of a character's own surface in poses of ours, as garments on it are draped."""
+    """Returns the vertices of a character's own surface, in the same poses as the garments draped on it."""
     await state.avatar(avatar_id, client)
     state.check_slot()
     told = schemas.PosedRequest, schemas.PosedOptions

@@ -6,19 +6,26 @@ from pydantic import BaseModel, Field
 
 
 class CoveredPrimitive(BaseModel):
-    """Covered triangles of one primitive of a character's file."""
+    """The covered triangles of one primitive of a character's file."""
 
-    node: int = Field(description="The node of its mesh, by its number in the file.")
+    node: int = Field(description="The number in the file of the node that has the mesh.")
     name: str = Field(description="The name of that node.")
-    primitive: int = Field(description="Its place among the mesh's primitives.")
-    triangles: int = Field(description="How many it has.")
-    ranges: list[int] = Field(description="First triangle and count of each run of them, one run after the other.")
+    primitive: int = Field(description="The place of the primitive in its mesh.")
+    triangles: int = Field(description="The number of triangles of the primitive.")
+    ranges: list[int] = Field(
+        description="The covered triangles: first triangle and count of each run, one run after the other."
+    )
 
 
 class CoveredFaces(BaseModel):
-    """Faces of a character that lie wholly under what it wears."""
+    """The faces of a character that lie wholly under its garments."""
 
-    deeper_m: float = Field(description="How much further from the viewer they are best drawn [m].")
-    share: float = Field(description="Of all its faces.")
-    ranges: list[int] = Field(description="Of the faces of /avatars/{id}/mesh, as those of a primitive.")
-    primitives: list[CoveredPrimitive] = Field(description="Of its file, in the order of its nodes.")
+    deeper_m: float = Field(description="How much further from the viewer a client should draw the faces [m].")
+    share: float = Field(description="The share of the character's faces that are covered.")
+    ranges: list[int] = Field(
+        description="The covered faces of GET /avatars/{id}/mesh: first face and count of each "
+        "run, one run after the other."
+    )
+    primitives: list[CoveredPrimitive] = Field(
+        description="The covered triangles of each primitive of its file, in the order of the file's nodes."
+    )

@@ -36,7 +36,7 @@ SMOOTH: dict[str, Any] = {"motion": 0.0, "folds": 0, "push_out": False, "resolut
 
 @router.get("/bodies/{body_id}/measures", responses=responses(InputError, NotFound, BodyError))
 async def body_measures(body_id: str, state: StateHere, betas: Betas = None) -> MeasuresDocument:
-    """The measures of a body in the shape ``betas``, where they are taken, and what this body can have of each."""
+    """Returns the measures of a body in the shape ``betas``, the heights of the girths, and each measure's range."""
     runtime = state.runtime
     runtime.check_body_id(body_id)
     shape = queried_shape(betas, runtime.body)
@@ -57,7 +57,7 @@ def _measured(body: BodyModel, shape: np.ndarray) -> dict[str, Any]:
     responses=responses(InputError, NotFound, BodyError, TooSlow, TooLarge),
 )
 async def body_shape(body_id: str, request: Request, state: StateHere, client: ClientHere) -> ShapeDocument:
-    """The likeliest shape of a body that has the measures that are sent."""
+    """Finds the likeliest shape of a body with the given measures."""
     runtime = state.runtime
     runtime.check_body_id(body_id)
     state.check_slot()
@@ -77,11 +77,11 @@ async def body_shape(body_id: str, request: Request, state: StateHere, client: C
     ),
 )
 async def garment_fit(garment_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
-    """How a garment fits: words, ease at chest, waist and hip, strain and pressure by regions.
+    """Says how a garment fits: in words, as ease at chest, waist and hip, and as strain and pressure by region.
 
-    The fit is that of the network's smooth drape, without folds. Ease is that of the rest pose, strain and pressure are
-    those of ``pose``. A binary answer (by Accept) is float32 (vertices, 3): strain along warp, along weft, pressure
-    [N/m2].
+    The fit is read from the network's smooth drape, without folds. Ease is that of the rest pose. Strain and pressure
+    are those of ``pose``. With the right Accept header the answer is binary, float32 (vertices, 3): strain along the
+    warp, strain along the weft, pressure [N/m2].
     """
     runtime = state.runtime
     state.check_slot()
@@ -102,7 +102,7 @@ async def garment_fit(garment_id: str, request: Request, state: StateHere, clien
 
 @router.get("/garments/{garment_id}/size", responses=responses(InputError, NotFound, BodyError))
 async def garment_size(garment_id: str, state: StateHere, client: ClientHere, betas: Betas = None) -> SizeAdvice:
-    """The size of a garment that the body in the shape ``betas`` takes, and why."""
+    """Says which size of a garment fits the body in the shape ``betas``, and why."""
     runtime = state.runtime
     entry = await state.garment(garment_id, client)
     shape = queried_shape(betas, runtime.body)

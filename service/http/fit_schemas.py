@@ -10,18 +10,18 @@ from drape.wire.options import FabricChoice, SizeName
 from service.http.schemas import Betas, PoseRows, Request
 
 Given = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)] | None
-HEIGHT = "Of the crown above the soles [m]."
-CHEST = "Girth through the point of the chest that reaches furthest forward [m]."
-WAIST = "Girth where the trunk is narrowest between hip and chest [m]."
-HIP = "Girth through the point of the seat that reaches furthest back [m]."
-INSEAM = "Of the crotch above the soles [m]."
-SLEEVE = "From the shoulder joint over the elbow to the wrist [m]."
-SHOULDER = "Between the points of both shoulders [m]."
-WEIGHT = "The volume times 985 kg/m3 [kg]."
+HEIGHT = "The height of the crown above the soles [m]."
+CHEST = "The girth at the point of the chest that reaches furthest forward [m]."
+WAIST = "The girth where the trunk is narrowest between hip and chest [m]."
+HIP = "The girth at the point of the seat that reaches furthest back [m]."
+INSEAM = "The height of the crotch above the soles [m]."
+SLEEVE = "The length from the shoulder joint over the elbow to the wrist [m]."
+SHOULDER = "The breadth between the points of both shoulders [m]."
+WEIGHT = "The mass [kg]: the volume times 985 kg/m3."
 
 
 class MeasureNumbers(BaseModel):
-    """Measures of a body at rest, by the names of ISO 8559-1 (``drape.body.measures``)."""
+    """The measures of a body at rest, close to those of ISO 8559-1."""
 
     height_m: float = Field(description=HEIGHT)
     chest_m: float = Field(description=CHEST)
@@ -34,7 +34,7 @@ class MeasureNumbers(BaseModel):
 
 
 class ShapeRequest(Request):
-    """The measures that a body shall have, one or more; those that are left out come out as they are likely."""
+    """One or more measures that a body shall have. A measure that is left out gets its likeliest value."""
 
     height_m: Given = Field(default=None, description=HEIGHT)
     chest_m: Given = Field(default=None, description=CHEST)
@@ -47,7 +47,7 @@ class ShapeRequest(Request):
 
 
 class LevelNumbers(BaseModel):
-    """Heights [m] of the tapes, in the coordinates of the body at rest."""
+    """The heights [m] that girths are measured at, in the coordinates of the body at rest."""
 
     chest_m: float
     waist_m: float
@@ -55,14 +55,14 @@ class LevelNumbers(BaseModel):
 
 
 class Range(BaseModel):
-    """The least and the largest that a measure of this body can be."""
+    """The least and the greatest value of a measure that this body can have."""
 
     least: float
     most: float
 
 
 class MeasuresDocument(BaseModel):
-    """A shape and its measures, and what this body can have."""
+    """A shape, its measures, and the range of each measure of this body."""
 
     betas: list[float]
     measures: MeasureNumbers
@@ -71,30 +71,38 @@ class MeasuresDocument(BaseModel):
 
 
 class ShapeDocument(BaseModel):
-    """The likeliest shape that has the measures that were sent."""
+    """The likeliest shape with the given measures."""
 
     betas: list[float]
     measures: MeasureNumbers
     missed: dict[str, float] = Field(
-        description="Of the measures that were sent those that this shape has not, by more than 5 mm or 0.5 kg: how "
-        "much larger its own are."
+        description="The given measures that the shape misses by more than 5 mm or 0.5 kg, and how much larger the "
+        "shape's own are."
     )
 
 
 class FitRequest(Request):
-    """Whose fit is asked for: a shape, a pose, and what the garment is made of."""
+    """The shape, the pose, the fabric and the size that a fit is asked for."""
 
-    betas: Betas | None = Field(default=None, description="Body shape; zeros if left out.")
+    betas: Betas | None = Field(default=None, description="The shape coefficients of the body. Left out: zeros.")
     pose: PoseRows | None = Field(
-        default=None, description="Where strain and pressure are looked at; the rest pose if left out."
+        default=None, description="The pose in which strain and pressure are measured. Left out: the rest pose."
     )
-    fabric: FabricChoice | None = Field(default=None, description="As of POST /drape; the garment's own if left out.")
-    size: SizeName | None = Field(default=None, description="As of POST /drape; M, or its only one, if left out.")
-    vertices: bool = Field(default=False, strict=True, description="In JSON, also what is known of each vertex.")
+    fabric: FabricChoice | None = Field(
+        default=None, description="The fabric, as in POST /drape. Left out: the garment's own."
+    )
+    size: SizeName | None = Field(
+        default=None, description="The size, as in POST /drape. Left out: M, or the only size that the garment has."
+    )
+    vertices: bool = Field(
+        default=False, strict=True, description="Whether a JSON answer also holds strain and pressure of each vertex."
+    )
 
 
 class EaseNumbers(BaseModel):
-    """Girths [m] at the level of a measure, of the garment without stress, and how much more it has than the body."""
+    """The girths [m] of the body and of the garment without stress at the level of a measure, and how much larger the
+    garment's is.
+    """
 
     body_m: float
     garment_m: float
@@ -102,24 +110,29 @@ class EaseNumbers(BaseModel):
 
 
 class RegionNumbers(BaseModel):
-    """The cloth of a region of the body; strains are engineering strains."""
+    """The cloth on a region of the body. Strains are engineering strains."""
 
     area_m2: float
-    warp: float = Field(description="Mean strain along the warp.")
-    weft: float = Field(description="Mean strain along the weft.")
-    high: float = Field(description="Strain that a twentieth of the cloth exceeds along warp or weft.")
-    touching: float = Field(description="Share of the cloth that lies on the skin.")
-    pressure_n_per_m2: float = Field(description="Mean pressure where it does [N/m2].")
-    gap_m: float = Field(description="Mean distance from the skin [m].")
+    warp: float = Field(description="The mean strain along the warp.")
+    weft: float = Field(description="The mean strain along the weft.")
+    high: float = Field(description="The strain along warp or weft that a twentieth of the cloth exceeds.")
+    touching: float = Field(description="The share of the cloth that lies on the skin.")
+    pressure_n_per_m2: float = Field(description="The mean pressure [N/m2] of the cloth that lies on the skin.")
+    gap_m: float = Field(description="The mean distance of the cloth from the skin [m].")
 
 
 class FitDocument(BaseModel):
-    """How a garment fits a body: in words, by levels and regions that it covers, and by vertices where asked for."""
+    """How a garment fits a body: in words, by the levels and regions that it covers, and by vertex if the request says
+    so.
+    """
 
     garment: str
     words: list[str]
     ease: dict[str, EaseNumbers]
     regions: dict[str, RegionNumbers]
-    warp: list[float] | None = Field(default=None, description="Strain along the warp of each delivered vertex.")
-    weft: list[float] | None = Field(default=None, description="And along the weft.")
-    pressure: list[float] | None = Field(default=None, description="Pressure on the skin [N/m2], 0 off it.")
+    warp: list[float] | None = Field(default=None, description="The strain along the warp at each delivered vertex.")
+    weft: list[float] | None = Field(default=None, description="The strain along the weft at each delivered vertex.")
+    pressure: list[float] | None = Field(
+        default=None,
+        description="The pressure of each delivered vertex on the skin [N/m2]; 0 where the cloth does not touch it.",
+    )

@@ -33,23 +33,36 @@ if TYPE_CHECKING:
 
 router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side
-SIZE = "The size; M, or its only one, if left out."
+SIZE = "The size of the garment. Left out: M, or the only size that the garment has."
 AskedSize = Annotated[SizeName | None, Query(description=SIZE)]
 
 
 class FoldsAsked(BaseModel):
-    """The fabric, shape, mesh, character and size that a garment's constants of folds are made for."""
+    """The fabric, shape, mesh, avatar and size that the constants of a garment's folds are made for."""
 
-    fabric: str | None = Field(default=None, max_length=1000, description="A name, or the numbers of one as JSON.")
-    betas: str | None = Field(default=None, max_length=1000, description="Shape coefficients, comma-separated.")
+    fabric: str | None = Field(
+        default=None,
+        max_length=1000,
+        description="The name of a fabric, or its numbers as JSON. Left out: the garment's own fabric.",
+    )
+    betas: str | None = Field(
+        default=None, max_length=1000, description="The shape coefficients, separated by commas. Zeros if left out."
+    )
     resolution: Resolution = "delivered"
-    avatar: str | None = Field(default=None, max_length=120, description="The character that it is cut for.")
+    avatar: str | None = Field(
+        default=None,
+        max_length=120,
+        description="The id of the avatar that the garment is fitted to. Left out: the standard body.",
+    )
     size: SizeName | None = Field(default=None, description=SIZE)
-    coarse: bool = Field(default=False, description="Whether a coarse cloth takes the steps, as `opened` says.")
+    coarse: bool = Field(
+        default=False,
+        description="Whether a coarse cloth takes the steps of folds. The stream's `opened` message says which it is.",
+    )
 
 
 class GarmentChange(schemas.Request):
-    """A change of a garment's name or visibility; a field that is left out stays."""
+    """A change of a garment's name or visibility. A field that is left out keeps its value."""
 
     name: Annotated[str, Field(min_length=1, max_length=120)] | None = None
     published: bool | None = None
@@ -57,13 +70,13 @@ class GarmentChange(schemas.Request):
 
 @router.get("/garments")
 async def garments(state: StateHere, client: ClientHere) -> list[schemas.GarmentInfo]:
-    """The garments that can be draped."""
+    """Lists the garments that can be draped."""
     return [schemas.GarmentInfo.of(entry, state.runtime.sizes) for entry in state.runtime.garments.visible(client.name)]
 
 
 @router.get("/garments/{garment_id}", responses=responses(NotFound))
 async def garment(garment_id: str, state: StateHere, client: ClientHere) -> schemas.GarmentInfo:
-    """One garment."""
+    """Returns one garment."""
     return schemas.GarmentInfo.of(await state.garment(garment_id, client), state.runtime.sizes)
 
 
@@ -80,8 +93,10 @@ async def garment_mesh(
     resolution: Resolution = "delivered",
     size: AskedSize = None,
 ) -> Response:
-    """The delivered mesh at rest on the standard body, or the finer one that intake made: JSON; by Accept a GLB, or a
-    MESH message (docs/reference/wire.md) of its triangles alone."""
+    """Returns the garment's mesh at rest on the standard body as JSON: the delivered mesh, or with ``resolution`` fine
+    the finer one. With the right Accept header it returns a GLB, or a MESH message (docs/reference/wire.md) that holds
+    the triangles alone.
+    """
     (entry,) = (await state.scene(garment_id, None, client, size=size)).layers
     entry = entry.fine if resolution == "fine" else entry
     garment = entry.garment
@@ -120,10 +135,18 @@ async def garment_jets(
     state: StateHere,
     client: ClientHere,
     resolution: Resolution = "delivered",
-    avatar: Annotated[str | None, Query(max_length=120, description="The character that it is cut for.")] = None,
+    avatar: Annotated[
+        str | None,
+        Query(
+            max_length=120,
+            description="The id of the avatar that the garment is fitted to. Left out: the standard body.",
+        ),
+    ] = None,
     size: AskedSize = None,
 ) -> Response:
-    """A LAYOUT message (docs/reference/wire.md), with which a client makes vertices of the garment's jets."""
+    """Returns a LAYOUT message (docs/reference/wire.md). A client needs it to compute the garment's vertices from its
+    jets.
+    """
     (entry,) = (await state.scene(garment_id, None, client, avatar=avatar, size=size)).layers
     entry = entry.fine if resolution == "fine" else entry
     kind = choose(request.headers.get("accept"), (BINARY,))
@@ -143,7 +166,7 @@ async def garment_folds(
     client: ClientHere,
     asked: Annotated[FoldsAsked, Query()],
 ) -> Response:
-    """A FOLDS message (docs/reference/wire.md), with which a client makes the garment's folds by itself."""
+    """Returns a FOLDS message (docs/reference/wire.md). A client needs it to compute swing and folds by itself."""
     kind = choose(request.headers.get("accept"), (BINARY,))
     runtime = state.runtime
     scene = await state.scene(garment_id, None, client, avatar=asked.avatar, size=asked.size)
@@ -165,10 +188,12 @@ async def garment_preview(
     request: Request,
     state: StateHere,
     client: ClientHere,
-    size: Annotated[int, Query(ge=LEAST, le=MOST, description="Pixels along each side.")] = USUAL,
-    alone: Annotated[bool, Query(description="Without the body.")] = False,
+    size: Annotated[
+        int, Query(ge=LEAST, le=MOST, description="The width and the height of the picture in pixels.")
+    ] = USUAL,
+    alone: Annotated[bool, Query(description="Whether the picture leaves the body out.")] = False,
 ) -> Response:
-    """A picture of the delivered mesh at rest on the standard body, from the front and a little from the side."""
+    """Returns a picture of the garment at rest on the standard body, seen from the front and a little from the side."""
     garment, body = (await state.garment(garment_id, client)).garment, state.runtime.body
 
     def drawn() -> bytes:
@@ -190,7 +215,7 @@ async def garment_preview(
 async def change_garment(
     garment_id: str, request: Request, state: StateHere, client: ClientHere
 ) -> schemas.GarmentInfo:
-    """Gives an uploaded garment another name, or publishes it to all keys; its id stays."""
+    """Renames an uploaded garment, or publishes it to all keys. Its id stays the same."""
     entry = await _own(garment_id, client, state)
     asked = validated(GarmentChange, document_of(await json_text(request)))
     if asked.name is None and asked.published is None:
@@ -201,7 +226,7 @@ async def change_garment(
 
 @router.delete("/garments/{garment_id}", status_code=204, responses=responses(NotFound))
 async def delete_garment(garment_id: str, state: StateHere, client: ClientHere) -> None:
-    """Removes an uploaded garment from the service and its disk; streams that wear it are ended (4404)."""
+    """Removes an uploaded garment from the service and its disk. Streams that wear it are closed with code 4404."""
     entry = await _own(garment_id, client, state)
     state.runtime.garments.withdraw(entry)  # who is told that it is gone finds it gone
     state.streams.end_wearing(entry)

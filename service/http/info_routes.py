@@ -37,7 +37,7 @@ router = APIRouter()
 
 @router.get("/health")
 async def health(request: Request, state: StateHere) -> schemas.Health:
-    """Whether the service works, and with what."""
+    """Says that the service works, and with which model, provider and limits."""
     runtime = state.runtime
     return schemas.Health(
         status="ok",
@@ -65,7 +65,7 @@ async def health(request: Request, state: StateHere) -> schemas.Health:
 
 @router.get("/fabrics")
 async def fabrics() -> list[schemas.FabricInfo]:
-    """The fabrics that a request may name; those of ``drape.cloth.fabric_table``."""
+    """Lists the fabrics that a request may name, with their numbers and sources."""
     return [schemas.FabricInfo.model_validate({"id": name, **_public(cloth)}) for name, cloth in FABRICS.items()]
 
 
@@ -75,7 +75,9 @@ def _public(cloth: Fabric) -> dict[str, Any]:
 
 @router.get("/tiers")
 async def tiers(state: StateHere) -> list[schemas.TierInfo]:
-    """The tiers that a request may name, the least first, with what was measured of each and where."""
+    """Lists the tiers that a request may name, the cheapest first. Each has the figures that were measured of it and
+    the machine that they were measured on.
+    """
     runtime = state.runtime
     default = runtime.settings.tier
     return [schemas.TierInfo.of(tier, runtime.engine.pass_count, default=default) for tier in runtime.tiers]
@@ -83,7 +85,7 @@ async def tiers(state: StateHere) -> list[schemas.TierInfo]:
 
 @router.get("/bodies")
 async def bodies(state: StateHere) -> list[schemas.BodyInfo]:
-    """The bodies of this service: the one that its model was trained on."""
+    """Lists the bodies of this service. There is one: the body that the model was trained on."""
     return [_body_info(state.runtime.body)]
 
 
@@ -99,7 +101,7 @@ def _body_info(body: BodyModel) -> schemas.BodyInfo:
 
 @router.get("/bodies/{body_id}", responses=responses(InputError, NotFound, BodyError))
 async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.BodyDocument:
-    """One body, in the shape ``betas``."""
+    """Returns one body in the shape ``betas``: its joints at rest and the height of its soles."""
     runtime = state.runtime
     runtime.check_body_id(body_id)
     shape = queried_shape(betas, runtime.body)
@@ -121,8 +123,9 @@ async def body_mesh(
     state: StateHere,
     betas: Betas = None,
 ) -> Response:
-    """The body at rest: JSON; by Accept a GLB or a BODY message (docs/reference/wire.md) with its 24 joints as a
-    skeleton, ready to be posed."""
+    """Returns the body at rest as JSON. With the right Accept header it returns a GLB or a BODY message
+    (docs/reference/wire.md) instead; both have the 24 joints as a skeleton.
+    """
     runtime = state.runtime
     runtime.check_body_id(body_id)
     shape = queried_shape(betas, runtime.body)
@@ -150,7 +153,7 @@ def _body_message(body: BodyModel, shape: np.ndarray) -> bytes:
 
 @router.get("/motions")
 async def motions(state: StateHere) -> list[schemas.MotionInfo]:
-    """The shipped sample clips."""
+    """Lists the sample clips of the service."""
     clips = {key: state.runtime.motions.get(key) for key in state.runtime.motions.ids()}
     return [
         schemas.MotionInfo(id=key, name=clip.name, frames=clip.frame_count, fps=clip.fps) for key, clip in clips.items()
@@ -168,9 +171,16 @@ async def motion(
     state: StateHere,
     client: ClientHere,
     betas: Betas = None,
-    avatar: Annotated[str | None, Query(max_length=120, description="The character that moves.")] = None,
+    avatar: Annotated[
+        str | None,
+        Query(
+            max_length=120, description="The id of the avatar that the clip is placed for. Left out: the standard body."
+        ),
+    ] = None,
 ) -> Response:
-    """One sample clip with its poses [rad] and translations [m], for the body in the shape ``betas`` or an avatar."""
+    """Returns one sample clip with its poses [rad] and translations [m]. The translations put the soles of the body in
+    the shape ``betas``, or of the avatar, on the ground.
+    """
     runtime, body = state.runtime, state.runtime.body
     if avatar is not None:
         body = (await state.wearer(avatar, client)).body
@@ -188,7 +198,7 @@ async def motion(
 
 
 class Ticket(BaseModel):
-    """A ticket and for how long [s] it is good."""
+    """A ticket, and for how many seconds it is valid."""
 
     ticket: str
     expires_s: float
@@ -196,7 +206,7 @@ class Ticket(BaseModel):
 
 @router.post("/tickets", responses=responses(InputError))
 async def make_ticket(request: Request, state: StateHere, client: ClientHere) -> Ticket:
-    """A ticket of the asking key, for a page that must not have the key."""
+    """Makes a ticket that stands for the key of this request. A page that must not hold the key uses the ticket."""
     if client.name is None:
         raise InputError("ticket", expected="a service with keys", got="one without", cure="Ask without a ticket.")
     if "." in request.headers.get("authorization", ""):
@@ -216,9 +226,9 @@ def probe_routes(lifecycle: Lifecycle, metrics: Metrics) -> APIRouter:
         return Response(content, status, media_type=kind)
 
     described = {
-        "/livez": "200 while the process lives; 503 when it should be replaced.",
-        "/readyz": "200 while the service takes work; 503 while it loads or drains.",
-        "/metrics": "All series in the text format of Prometheus.",
+        "/livez": "Answers 200 while the process lives, and 503 when it should be replaced.",
+        "/readyz": "Answers 200 while the service takes work, and 503 while it loads or drains.",
+        "/metrics": "Returns all series in the text format of Prometheus.",
     }
     for path in PATHS:
         series = path == "/metrics"

@@ -19,7 +19,7 @@ EVERYWHERE = (Unauthorized, Forbidden, Busy, Unavailable)  # origins and hosts, 
 _OURS_OF_FASTAPI = ("HTTPValidationError", "ValidationError")  # which service.errors says as problems
 
 Responses = dict[int | str, dict[str, Any]]
-KNOWN: Responses = {304: {"description": "What the client has is this one."}}
+KNOWN: Responses = {304: {"description": "The client's copy is current."}}
 
 
 def responses(*refusals: type[DrapeError], kinds: Sequence[str] = ()) -> Responses:
@@ -46,7 +46,7 @@ def body_schema(model: type[Schema], **others: dict[str, Any]) -> dict[str, Any]
 
 def clip_schema(model: type[Schema]) -> dict[str, Any]:
     """``body_schema`` of a route that takes the motion as a CLIP message too."""
-    description = "A CLIP message (docs/reference/wire.md): the poses as float64, then JSON of all other fields."
+    description = "A CLIP message (docs/reference/wire.md): the poses as float64, then all other fields as JSON."
     return body_schema(model, **{BINARY: BYTES | {"description": description}})
 
 

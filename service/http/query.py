@@ -11,7 +11,9 @@ from drape.body.model import BodyModel
 from drape.errors import InputError
 from drape.stages.batch import shape_array
 
-Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
+Betas = Annotated[
+    str | None, Query(max_length=1000, description="The shape coefficients, separated by commas. Zeros if left out.")
+]
 
 
 def queried_shape(text: str | None, body: BodyModel) -> np.ndarray:

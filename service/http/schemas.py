@@ -44,70 +44,78 @@ class Request(BaseModel):
 class PosedOptions(Request):
     """All but the poses of a body in motion: its shape, and the origin of the answer."""
 
-    betas: Betas | None = Field(default=None, description="Body shape; zeros if left out.")
+    betas: Betas | None = Field(default=None, description="The shape coefficients of the body. Left out: zeros.")
     fps: Annotated[float, Field(ge=0.001, le=1000.0, allow_inf_nan=False)] = 30.0
     origin: Origin = Field(
         default="world",
-        description="What positions count from: the world's origin, or each frame's root joint, whose place the answer "
-        "then holds in float64. Far from the origin only the latter keeps the shape.",
+        description="What positions count from. world: the world's origin. root: each frame's root joint, whose "
+        "position the answer holds in float64. Far from the origin only root keeps the garment's shape.",
     )
 
 
 class PosedRequest(PosedOptions):
-    """A body in motion: rotation vectors [rad] relative to the parent, root translation [m], shape."""
+    """A body in motion: its poses as rotation vectors [rad] relative to the parent joint, its root translations [m],
+    and its shape.
+    """
 
     poses: Annotated[list[PoseRows], Len(1), FIRST_ONLY]
     trans: Annotated[list[Place], FIRST_ONLY] | None = Field(
-        default=None, description="Root translation [m] per frame; zeros if left out."
+        default=None, description="The translation of the root [m] in each frame. Left out: zeros."
     )
 
 
 class OnAvatar(BaseModel):
-    """Whose body garments are worn on."""
+    """The body that wears the garments."""
 
     avatar: Identifier | None = Field(
         default=None,
-        description="A character from POST /avatars that wears the garments; the standard body if left out.",
+        description="The id of an avatar (POST /avatars) that wears the garments. Left out: the standard body.",
     )
 
 
 class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
     """All but the poses of a garment, or several over each other, on a body in motion."""
 
-    body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
+    body: bool = Field(default=False, description="Whether a GLB also holds the body, as a skinned mesh.")
     rig: bool = Field(
         default=False,
-        description="In a GLB, of an avatar: the garments skinned to the nodes of its own file, with morphs, in the "
-        "unit of that file.",
+        description="Whether a GLB of an avatar has the garments skinned to the nodes of the avatar's own file, with "
+        "morph targets, in the unit of that file.",
     )
     streamed: bool = Field(
         default=False,
-        description="Of a binary answer: frames leave as they are ready, of any number of bytes; no header tells what "
-        "is known at the end alone.",
+        description="Whether the frames of a binary answer leave as soon as they are ready. Its size may then exceed "
+        "the limit of an answer, and no header tells figures that are known only at the end.",
     )
-    keep: bool = Field(default=False, description="Keep what the cloth remembers: X-Drape-Past names it.")
+    keep: bool = Field(
+        default=False,
+        description="Whether the service keeps the state of the cloth after the last frame. X-Drape-Past names it.",
+    )
     past: Annotated[str, Field(max_length=120)] | None = Field(
         default=None,
-        description="The X-Drape-Past of the frames that came before these: the clip goes on from there.",
+        description="The X-Drape-Past of the piece before this one. The clip goes on from its last frame.",
     )
     quantised: bool = Field(
         default=True,
-        description="In a GLB, positions in steps of 16 bits and normals of 8 (KHR_mesh_quantization), half as large; "
-        "false: float32.",
+        description="Whether a GLB has positions of 16 bits and normals of 8 (KHR_mesh_quantization), which halves "
+        "its size. false: float32.",
     )
 
 
 class DrapeRequest(ClipOptions, PosedRequest):
-    """A garment, or several over each other, on a body in motion."""
+    """A garment, or several worn over each other, on a body in motion."""
 
 
 class RigDrapeRequest(ClipOptions):
-    """The same on an avatar in poses of its own rig: the local rotation of each of its nodes, as x, y, z, w."""
+    """A garment, or several worn over each other, on an avatar in poses of its own rig: the local rotation of each of
+    its nodes, as x, y, z, w.
+    """
 
     avatar: Identifier = Field()  # which must be named here
     rig_poses: Annotated[list[RigRows], Len(1), FIRST_ONLY]
     trans: Annotated[list[Place], FIRST_ONLY] | None = Field(
-        default=None, description="Where the node of the pelvis is [m], per frame; at its rest place if left out."
+        default=None,
+        description="The position of the node of the pelvis [m] in each frame. Left out: its position at rest.",
     )
 
 
@@ -116,8 +124,12 @@ class OpenRequest(DrapeOptions, Worn, OnAvatar, Request):
 
     type: Literal["open"]
     betas: Betas | None = None
-    moves: bool = Field(default=False, description="Whether the client can go on at another process, with its state.")
-    same: bool = Field(default=False, description="Whether the client takes a SAME for a frame that it shows already.")
+    moves: bool = Field(
+        default=False, description="Whether the client can move to another process with the stream's state."
+    )
+    same: bool = Field(
+        default=False, description="Whether the client takes a SAME message in place of a frame that it already shows."
+    )
 
 
 class Problem(BaseModel):
@@ -126,7 +138,7 @@ class Problem(BaseModel):
     type: str
     title: str
     status: int
-    detail: str = Field(description="One sentence of name, expected, got and cure.")
+    detail: str = Field(description="One sentence made of name, expected, got and cure.")
     name: str
     expected: str
     got: str
@@ -134,7 +146,7 @@ class Problem(BaseModel):
 
 
 class Health(BaseModel):
-    """Whether the service works, and with what."""
+    """Says that the service works, and with which model, provider and limits."""
 
     model_config = ConfigDict(protected_namespaces=())
 
@@ -144,24 +156,34 @@ class Health(BaseModel):
     model_digest: str
     dynamic: bool
     provider: str
-    compiled: bool = Field(description="Whether our own engine computes the network, in place of an inference engine.")
+    compiled: bool = Field(description="Whether the product's own engine computes the network, and not ONNX Runtime.")
     half: bool = Field(description="Whether the network's matrices are multiplied in float16.")
-    elsewhere: int = Field(description="Operations that do not run on the provider; on a GPU each waits for a copy.")
-    device_bytes: int = Field(description="Memory of the garments' constants and of buckets where the graphs compute.")
-    buckets: int = Field(description="Sets of shapes with memory of their own; on a GPU each a captured graph.")
+    elsewhere: int = Field(
+        description="The number of operations that do not run on the provider. On a GPU each of them waits for a copy."
+    )
+    device_bytes: int = Field(
+        description="The bytes that the garments' constants and the buckets take on the device that computes."
+    )
+    buckets: int = Field(
+        description="The number of sets of shapes that have memory of their own. On a GPU each is a captured graph."
+    )
     body: str
     garments: int
-    passes: int = Field(description="Corrections of the network of which a request may choose how many; 0: no choice.")
-    fabrics: bool = Field(description="Whether the model drapes by what garments are made of.")
-    layers: int = Field(description="Garments that an outfit may have.")
-    max_frames: int = Field(description="Frames that a request may have; longer clips go in pieces.")
-    max_body_bytes: int = Field(description="Bytes that its body may have.")
+    passes: int = Field(
+        description="The most corrections of the network that a request may ask for. 0: there is no choice."
+    )
+    fabrics: bool = Field(description="Whether the network reads a garment's fabric.")
+    layers: int = Field(description="The most garments of an outfit.")
+    max_frames: int = Field(description="The most frames of a request. Longer clips go in pieces.")
+    max_body_bytes: int = Field(description="The most bytes of a request's body.")
     sessions: int
-    refused_garments: list[str] = Field(description="Stored garments that could not be loaded, with the reason.")
+    refused_garments: list[str] = Field(
+        description="The stored garments that could not be loaded, each with the reason."
+    )
 
 
 class FabricInfo(FabricNumbers):
-    """A fabric that a request may name, its numbers and where they come from."""
+    """A fabric that a request may name, with its numbers and their source."""
 
     id: str
     thickness_m: float
@@ -170,17 +192,20 @@ class FabricInfo(FabricNumbers):
 
 
 class TierInfo(BaseModel):
-    """A tier: passes of the network under steps of folds, and the passes that jets, which have no folds, get."""
+    """A tier: how many passes the network takes and how many steps of folds follow."""
 
     id: TierName
-    default: bool = Field(description="Whether a request that names none gets it.")
+    default: bool = Field(description="Whether a request that names no tier gets this one.")
     passes: int
     folds: int
     coarse: bool = Field(
-        description="Whether a coarse cloth takes the steps; without steps cloth is lifted off the skin."
+        description="Whether a coarse cloth takes the steps of folds. With folds 0 it takes one step, which eases the "
+        "stretch of the network's drape."
     )
-    alone: int = Field(description="Passes where there are no folds: with jets, or folds 0.")
-    figures: dict[str, Any] = Field(description="What benchmarks.tradeoff measured of it, and on which machine.")
+    alone: int = Field(description="The passes of a drape without folds: of jets, or with folds 0.")
+    figures: dict[str, Any] = Field(
+        description="The figures that benchmarks.tradeoff measured of this tier, and the machine."
+    )
 
     @classmethod
     def of(cls, tier: Tier, pass_count: int, *, default: TierName) -> TierInfo:
@@ -199,20 +224,23 @@ class TierInfo(BaseModel):
 
 
 class GarmentInfo(BaseModel):
-    """One garment that can be draped."""
+    """A garment that can be draped."""
 
     id: str
     name: str
     digest: str
     vertices: int
     faces: int
-    fine_vertices: int = Field(description="Of the mesh of resolution fine; as many where delivered is fine enough.")
+    fine_vertices: int = Field(
+        description="The number of vertices of the mesh of resolution fine. It equals "
+        "vertices where the delivered mesh is fine enough."
+    )
     patches: int
     source: Literal["shipped", "user"]
-    published: bool = Field(description="Whether keys besides its owner's see it.")
+    published: bool = Field(description="Whether other keys than its owner's may use it.")
     materials: list[str]
-    fabric: str | dict[str, Any] = Field(description="What it is made of where a request names nothing else.")
-    sizes: list[SizeInfo] = Field(description="The sizes that it comes in, the smallest first; none where it is one.")
+    fabric: str | dict[str, Any] = Field(description="The fabric of the garment, unless a request names another.")
+    sizes: list[SizeInfo] = Field(description="The sizes of the garment, the smallest first. Empty if it has one size.")
     manifest: dict[str, Any]
 
     @staticmethod
@@ -240,38 +268,45 @@ class GarmentInfo(BaseModel):
 
 
 class FrameTold(BaseModel):
-    """What is told of a frame of tier exact."""
+    """The figures of a frame of tier exact."""
 
     frame: int
-    force_share: float = Field(description="The norm of the forces left at all vertices, over the cloth's weight.")
-    depth_m: float = Field(description="How deep the cloth lies in the skin where it lies deepest [m].")
-    energy_j: float = Field(description="Of cloth and body [J]; heights count from the root.")
-    start_j: float = Field(description="That of the drape of tier accurate, which the frame is given.")
-    crossings: int = Field(description="Pairs of triangles of the cloth that cross.")
-    start_crossings: int = Field(description="Those of the drape of tier accurate.")
-    steps: int = Field(description="Steps of Newton's method.")
+    force_share: float = Field(
+        description="The norm of the forces left at all vertices, divided by the cloth's weight."
+    )
+    depth_m: float = Field(description="How deep the cloth lies in the skin at its deepest point [m].")
+    energy_j: float = Field(description="The energy of the cloth on the body [J]. Heights count from the root.")
+    start_j: float = Field(description="The energy of the frame's drape of tier accurate [J].")
+    crossings: int = Field(description="The number of pairs of cloth triangles that cross.")
+    start_crossings: int = Field(description="The number of such pairs in the frame's drape of tier accurate.")
+    steps: int = Field(description="The number of Newton's steps.")
 
 
 class JobInfo(BaseModel):
-    """The state of an upload, or of a clip of tier exact. ``problem`` is the refusal where it failed, ``garment`` or
-    ``avatar`` the id where an upload is done; while it runs, ``stage`` is what its process does now and ``share`` how
-    much lies behind it. Of a clip, ``told`` has the frames that are there."""
+    """Returns the state of an upload, or of a clip of tier exact."""
 
     id: str
     name: str
     state: Literal["queued", "running", "done", "failed", "cancelled"]
-    stage: str | None = None
-    share: float = Field(default=0.0, description="By what the stages take of usual garments; 0 to 1.")
-    garment: str | None = None
-    avatar: str | None = None
-    problem: dict[str, Any] | None = None
-    notes: list[str] = Field(default=[], description="Of one that is done: what was left out or looks wrong, in words.")
-    frames: int | None = Field(default=None, description="Of a clip: how many it has.")
-    told: list[FrameTold] = Field(default=[], description="Of a clip: its frames that are there, in order.")
+    stage: str | None = Field(default=None, description="While the job runs: what its process does.")
+    share: float = Field(
+        default=0.0,
+        description="How much of the work is done, 0 to 1. It follows the usual times of the stages and is no clock.",
+    )
+    garment: str | None = Field(default=None, description="Of an uploaded garment that is done: its id.")
+    avatar: str | None = Field(default=None, description="Of an uploaded character that is done: the avatar's id.")
+    problem: dict[str, Any] | None = Field(default=None, description="Of a job that failed: the refusal.")
+    notes: list[str] = Field(
+        default=[], description="Of a job that is done: sentences on what was left out or looks wrong."
+    )
+    frames: int | None = Field(default=None, description="Of a clip: the number of its frames.")
+    told: list[FrameTold] = Field(
+        default=[], description="Of a clip: the figures of the frames that are finished, in order."
+    )
 
 
 class BodyInfo(BaseModel):
-    """One body."""
+    """A body."""
 
     id: str
     digest: str
@@ -281,14 +316,14 @@ class BodyInfo(BaseModel):
 
 
 class BodyDocument(BodyInfo):
-    """A body of some shape: rest joints [m] and the height of its soles, to place a clip on the ground."""
+    """A body in a shape: its joints at rest [m] and the height of its soles [m], which place a clip on the ground."""
 
     joints: list[list[float]]
     floor_m: float
 
 
 class MotionInfo(BaseModel):
-    """One shipped clip."""
+    """A sample clip."""
 
     id: str
     name: str
@@ -297,14 +332,14 @@ class MotionInfo(BaseModel):
 
 
 class MotionDocument(MotionInfo):
-    """A clip with its numbers."""
+    """A sample clip with its poses and translations."""
 
     poses: list[list[list[float]]]
     trans: list[list[float]]
 
 
 class MeshDocument(BaseModel):
-    """A mesh at rest: positions [m], triangles, texture coordinates (empty where there are none)."""
+    """A mesh at rest: positions [m], triangles, and texture coordinates, which are empty if the file has none."""
 
     id: str
     vertices: list[list[float]]
@@ -323,12 +358,16 @@ class LayerInfo(BaseModel):
 
 
 class VerticesDocument(BaseModel):
-    """Positions [m], frame by frame, in the world's axes."""
+    """The positions of vertices [m], frame by frame, in the world's axes."""
 
     fps: float
     frames: int
     vertices: int
-    origin: Origin = Field(description="What positions count from: the world's origin, or each frame's root.")
-    roots: list[list[float]] | None = Field(default=None, description="With origin root: where it is [m], float64.")
-    garments: list[LayerInfo] | None = Field(default=None, description="Of an outfit: whose vertices follow whose.")
+    origin: Origin = Field(description="What positions count from: the world's origin, or each frame's root joint.")
+    roots: list[list[float]] | None = Field(
+        default=None, description="With origin root: the position of the root joint in each frame [m], float64."
+    )
+    garments: list[LayerInfo] | None = Field(
+        default=None, description="Of an outfit: its garments in the order of their vertices."
+    )
     positions: list[list[list[float]]]

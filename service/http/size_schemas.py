@@ -6,20 +6,21 @@ from pydantic import BaseModel, Field
 
 
 class SizeInfo(BaseModel):
-    """A size of a garment: its girths without stress at the levels of the body that it goes around, and its length."""
+    """A size of a garment: its length, and its girths without stress at the levels of the body that it goes around."""
 
     size: str
     chest_m: float | None = None
     waist_m: float | None = None
     hip_m: float | None = None
-    length_m: float = Field(description="From its highest to its lowest point as it hangs [m].")
+    length_m: float = Field(description="The length from the garment's highest to its lowest point as it hangs [m].")
     cut_for: dict[str, tuple[float, float]] = Field(
-        description="Least and greatest girth [m] of bodies that it is cut for, at the levels that decide."
+        description="The least and the greatest girth [m] of the bodies that the size is cut for, at the levels that "
+        "decide."
     )
 
 
 class SizeAdvice(BaseModel):
-    """The size of a garment that a body takes."""
+    """The size of a garment that fits a body."""
 
     size: str
-    words: str = Field(description="Why: the girth that decides, and what the size is cut for.")
+    words: str = Field(description="The reason: the girth that decides, and the girths that the size is cut for.")

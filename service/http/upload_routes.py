@@ -36,15 +36,21 @@ async def upload(
     response: Response,
     state: StateHere,
     client: ClientHere,
-    name: Annotated[str | None, Query(max_length=120, description="File name or name of the garment.")] = None,
+    name: Annotated[str | None, Query(max_length=120, description="The name of the file or of the garment.")] = None,
     avatar: Annotated[
-        str | None, Query(max_length=MOST_CHARACTERS, description="Phenotype or SMPL parameters as JSON, or a name.")
+        str | None,
+        Query(
+            max_length=MOST_CHARACTERS,
+            description="The body that the garment was modelled on: a phenotype or SMPL parameters as JSON, or a name.",
+        ),
     ] = None,
     format: Annotated[
-        str | None, Query(max_length=10, description=f"{listed().lower()}, where the name does not say it.")
+        str | None, Query(max_length=10, description=f"The format, if the name does not say it: {listed().lower()}.")
     ] = None,
 ) -> schemas.JobInfo:
-    """Takes a garment file in, its raw bytes as body. Poll the job."""
+    """Uploads a garment. The body of the request is the raw bytes of its file. The answer is a job: ask for its state
+    until it has ended.
+    """
     check_query(request.query_params, ("name", "avatar", "format"))
     state.uploads.check_place(client)  # before anything is read
     if (kind := content_type(request)) == JSON:
@@ -59,15 +65,16 @@ async def upload(
 
 @router.get("/jobs/{job_id}", responses=responses(NotFound))
 async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobInfo:
-    """The state of an upload, or of a clip of tier exact."""
+    """Returns the state of an upload, or of a clip of tier exact."""
     clip = state.exact.find(job_id, client.name)
     return job_info(state.uploads.get(job_id, client.name)) if clip is None else exact_clips.job_info(clip)
 
 
 @router.delete("/jobs/{job_id}", status_code=204, responses=responses(NotFound))
 async def cancel_job(job_id: str, state: StateHere, client: ClientHere) -> None:
-    """Ends an upload and removes its files; one that has ended is forgotten, and its garment stays. A clip of
-    tier exact is removed with all its frames."""
+    """Cancels an upload and removes its files. An upload that has ended is forgotten, and its garment stays. A clip of
+    tier exact is removed with all its frames.
+    """
     if (clip := state.exact.find(job_id, client.name)) is not None:
         return await asyncio.shield(state.exact.remove(clip))
     await asyncio.shield(state.uploads.cancel(state.uploads.get(job_id, client.name)))
