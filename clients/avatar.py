@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Avatar:
-    """The character ``id`` of a service, and the garments that it wears, the innermost first, with their options."""
+    """An avatar of a service, the garments that it wears, the innermost first, and their options."""
 
     client: DrapeClient
     id: str
@@ -29,33 +29,36 @@ class Avatar:
     options: dict[str, Any] = field(default_factory=dict)
 
     def wear(self, *garments: str, **options: Any) -> Avatar:
-        """The same character in ``garments``; ``options`` are those of ``drape.wire.options.DrapeOptions``, and
-        ``size``."""
+        """Returns the same avatar in ``garments``. ``options`` are the fields of ``drape.wire.options.DrapeOptions``,
+        and ``size``.
+        """
         return Avatar(self.client, self.id, garments, options)
 
     @property
     def nodes(self) -> list[str]:
-        """The names of the nodes of its file in the order of rotations of its rig."""
+        """The names of the nodes of its file, in the order of the rotations of its rig."""
         return self.client.about_avatar(self.id)["nodes"]
 
     async def stream(self) -> DrapeStream:
-        """An open stream of the garments on it, which takes poses of ours (``send``) and of its own rig
-        (``send_rig``)."""
+        """Opens a stream of the garments on the avatar. It takes poses of ours (``send``) and of the avatar's own rig
+        (``send_rig``).
+        """
         garments = self.garments[0] if len(self.garments) == 1 else self.garments
         return await DrapeStream.open(garment=garments, avatar=self.id, **self.client.reached, **self.options)
 
     def play(self, motion: str | Motion, *, trans: np.ndarray | None = None) -> list[np.ndarray]:
-        """World vertices [m] (F, V, 3) of each garment over a motion."""
+        """Drapes a motion, and returns the vertices (F, V, 3) [m] of each garment in the world."""
         clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
         return self.client.drape_outfit(self.garments, clip, trans=trans, avatar=self.id, **self.options)
 
     def glb(self, motion: str | Motion, *, trans: np.ndarray | None = None) -> bytes:
-        """A GLB of the garments over a motion on its own rig: the nodes of its file, skin weights and morphs, in the
-        unit of that file; at once, so that the service says how many frames that may be."""
+        """Returns a GLB of the garments over a motion, skinned to the nodes of the avatar's own file, with morph
+        targets, in the unit of that file. It is one request, so the clip may not be longer than the service takes.
+        """
         clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
         return self.client.drape_glb(self.garments, clip, trans=trans, rig=True, avatar=self.id, **self.options)
 
     def surface(self, motion: str | Motion, *, trans: np.ndarray | None = None) -> np.ndarray:
-        """World vertices [m] (F, V, 3) of its own surface in the same frames."""
+        """Returns the vertices (F, V, 3) [m] of the avatar's own surface over the motion."""
         clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
         return self.client.posed_avatar(self.id, clip, trans=trans)

@@ -1,9 +1,9 @@
-"""The Python clients: ``DrapeClient`` blocks, ``AsyncDrapeClient`` awaits; both have the methods of ``Methods``.
+"""The Python clients. ``DrapeClient`` waits for answers, and ``AsyncDrapeClient`` awaits them.
 
     client = DrapeClient("http://127.0.0.1:8000")
     vertices = client.drape("tshirt", clip)     # [m], (frame, vertex, 3), world frame
 
-Refusals of the service come back as ``DrapeError`` with its sentence.
+Both have the methods of ``clients.methods.Methods``. A refusal of the service is raised as a ``DrapeError``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ InParts = Callable[Concatenate[Methods, Given], Iterator[Steps[Answer]]]
 
 
 def _waiting(method: Whole[Given, Answer]) -> Callable[Concatenate[DrapeClient, Given], Answer]:
-    """``method`` of the client that blocks."""
+    """``method`` for the client that blocks."""
 
     @wraps(method)
     def waiting(client: DrapeClient, /, *args: Given.args, **more: Given.kwargs) -> Answer:
@@ -43,7 +43,7 @@ def _waiting(method: Whole[Given, Answer]) -> Callable[Concatenate[DrapeClient, 
 
 
 def _waiting_in_parts(method: InParts[Given, Answer]) -> Callable[Concatenate[DrapeClient, Given], Iterator[Answer]]:
-    """``method`` of the client that blocks, part by part."""
+    """``method``, which answers part by part, for the client that blocks."""
 
     @wraps(method)
     def waiting(client: DrapeClient, /, *args: Given.args, **more: Given.kwargs) -> Iterator[Answer]:
@@ -55,7 +55,7 @@ def _waiting_in_parts(method: InParts[Given, Answer]) -> Callable[Concatenate[Dr
 def _awaited(
     method: Whole[Given, Answer],
 ) -> Callable[Concatenate[AsyncDrapeClient, Given], Coroutine[Any, Any, Answer]]:
-    """``method`` of the client that awaits."""
+    """``method`` for the client that awaits."""
 
     @wraps(method)
     async def awaited(client: AsyncDrapeClient, /, *args: Given.args, **more: Given.kwargs) -> Answer:
@@ -67,7 +67,7 @@ def _awaited(
 def _awaited_in_parts(
     method: InParts[Given, Answer],
 ) -> Callable[Concatenate[AsyncDrapeClient, Given], AsyncIterator[Answer]]:
-    """``method`` of the client that awaits, part by part."""
+    """``method``, which answers part by part, for the client that awaits."""
 
     @wraps(method)
     def awaited(client: AsyncDrapeClient, /, *args: Given.args, **more: Given.kwargs) -> AsyncIterator[Answer]:
@@ -77,18 +77,18 @@ def _awaited_in_parts(
 
 
 class DrapeClient:
-    """Talks to a running service; may be used as a context manager."""
+    """A client of a running service. Each call waits for its answer. It may be a context manager."""
 
     def __init__(
         self, url: str = DEFAULT_URL, *, key: str | None = None, transport: httpx.BaseTransport | None = None
     ) -> None:
-        """``key``: an API key or a ticket, where the service has keys."""
+        """``url``: the address of the service. ``key``: a key or a ticket, if the service has keys."""
         self._http = httpx.Client(base_url=url, timeout=TIMEOUT, headers=key_headers(key), transport=transport)
         self._methods, self._key = Methods(), key
 
     @property
     def reached(self) -> dict[str, Any]:
-        """Address and key of the service, as ``DrapeStream.open`` takes them."""
+        """The address and the key of the service, as ``DrapeStream.open`` takes them."""
         return {"url": str(self._http.base_url), "key": self._key}
 
     def __enter__(self) -> DrapeClient:
@@ -102,7 +102,7 @@ class DrapeClient:
         self._http.close()
 
     def avatar(self, source: str | Path) -> Avatar:
-        """A character of the service by its id, or the one in a GLB or VRM file, which is uploaded."""
+        """Returns the avatar with the id ``source``. If ``source`` is a GLB or VRM file, it is uploaded first."""
         is_file = Path(source).suffix.lower() in AVATAR_SUFFIXES
         return Avatar(self, self.upload_avatar(source) if is_file else str(source))
 
@@ -161,7 +161,7 @@ class DrapeClient:
 
 
 class AsyncDrapeClient:
-    """``DrapeClient`` with awaitable methods."""
+    """A client of a running service, as ``DrapeClient``, whose calls are awaited."""
 
     def __init__(
         self, url: str = DEFAULT_URL, *, key: str | None = None, transport: httpx.AsyncBaseTransport | None = None

@@ -1,7 +1,7 @@
-"""The clients' methods, each written once as the calls that it makes; ``clients.client`` makes them, waiting or not.
+"""The methods of both clients, each written once as the calls that it makes; ``clients.client`` sends these.
 
-A method returns its only call, or a generator of steps: it is sent the answer to each ``Call`` that it yields, lets
-the time of a ``Pause`` pass, and returns its own answer.
+A method returns its only ``Call``, or a generator of steps. A client sends each ``Call`` that the generator yields and
+hands it the answer, waits for each ``Pause``, and returns what the generator returns.
 """
 
 from __future__ import annotations
@@ -26,54 +26,56 @@ from drape.wire.options import Resolution
 
 
 class Methods:
-    """All calls of a client. The service is asked once how many frames it takes at once."""
+    """The calls of a client. It asks the service once how many frames a request may have."""
 
     def __init__(self) -> None:
         self._health: dict[str, Any] | None = None
 
     def health(self) -> Call[dict[str, Any]]:
-        """Whether the service works, and with what."""
+        """Returns what the service says of itself: version, model, body, provider and limits."""
         return fetched("health")
 
     def garments(self) -> Call[list[dict[str, Any]]]:
-        """The garments that can be draped; ``id`` names one."""
+        """Lists the garments that can be draped. A drape names one by its ``id``."""
         return fetched("garments")
 
     def tiers(self) -> Call[list[dict[str, Any]]]:
-        """The tiers that a drape may name, the least first, with what was measured of each."""
+        """Lists the tiers that a drape may name, the cheapest first, each with its measured figures."""
         return fetched("tiers")
 
     def avatars(self) -> Call[list[dict[str, Any]]]:
-        """The characters that can wear garments: joints, fit, height."""
+        """Lists the avatars that can wear garments, each with its joints, fit and height."""
         return fetched("avatars")
 
     def about_avatar(self, avatar: str) -> Call[dict[str, Any]]:
-        """What the service tells of one character: joints, how they were found, nodes, fit, height."""
+        """Returns one avatar: its joints and how they were found, its nodes, fit and height."""
         return fetched("avatars", avatar)
 
     def remove_avatar(self, avatar: str) -> Call[bytes]:
-        """Removes a character from the service."""
+        """Removes an avatar from the service."""
         return Call("DELETE", path_of("avatars", avatar), calls.read_bytes)
 
     def fabrics(self) -> Call[list[dict[str, Any]]]:
-        """The fabrics that a drape may name, with their numbers."""
+        """Lists the fabrics that a drape may name, with their numbers."""
         return fetched("fabrics")
 
     def bodies(self) -> Call[list[dict[str, Any]]]:
-        """The bodies of the service."""
+        """Lists the bodies of the service."""
         return fetched("bodies")
 
     def motions(self) -> Call[list[dict[str, Any]]]:
-        """The sample clips of the service."""
+        """Lists the sample clips of the service."""
         return fetched("motions")
 
     def motion(self, name: str, betas: np.ndarray | None = None, avatar: str | None = None) -> Call[MotionClip]:
-        """One sample clip, placed on the ground for the service's body in the shape ``betas``, or for an avatar."""
+        """Returns a sample clip, placed on the ground for the body in the shape ``betas`` or for an avatar."""
         more = {} if avatar is None else {"avatar": avatar}
         return fetched("motions", name, read=calls.read_clip, betas=betas, **more)
 
     def placed(self, clip: MotionClip, betas: np.ndarray | None = None, avatar: str | None = None) -> Steps[MotionClip]:
-        """A clip from a file, placed on the ground for the service's body in the shape ``betas``, or for an avatar."""
+        """Places ``clip`` on the ground for the service's body in the shape ``betas``, or for an avatar, and returns
+        it.
+        """
         if avatar is not None:
             found = yield fetched("avatars", avatar)
             return calls.placed(clip, found | {"joints": found["rest_joints"]})
@@ -81,13 +83,14 @@ class Methods:
         return calls.placed(clip, (yield fetched("bodies", name, betas=betas)))
 
     def measures(self, betas: np.ndarray | None = None) -> Steps[dict[str, Any]]:
-        """The measures of the service's body in the shape ``betas``, and the range of each."""
+        """Returns the measures of the service's body in the shape ``betas``, and the range of each measure."""
         name = (yield self.bodies())[0]["id"]
         return (yield fetched("bodies", name, "measures", betas=betas))
 
     def shape(self, **measures: float) -> Steps[dict[str, Any]]:
-        """The likeliest ``betas`` of the service's body that have ``measures``, such as ``height_m=1.7``; what they
-        reach, and what they miss."""
+        """Returns the likeliest ``betas`` of the service's body for ``measures``, such as ``height_m=1.7``. The answer
+        also has the measures of that shape, and by how much it misses the given ones.
+        """
         name = (yield self.bodies())[0]["id"]
         return (yield sent(measures, "bodies", name, "shapes"))
 
@@ -101,9 +104,9 @@ class Methods:
         size: str | None = None,
         vertices: bool = False,
     ) -> Call[dict[str, Any]]:
-        """Where ``garment`` is tight or loose on a body, in words and numbers; ``pose`` is (24, 3) [rad].
+        """Says where ``garment`` is tight or loose on a body, in words and numbers; ``pose`` is (24, 3) [rad].
 
-        With ``vertices`` also strain along warp and weft and pressure [N/m^2] of each.
+        With ``vertices`` the answer also has the strain along warp and weft and the pressure [N/m^2] of each vertex.
         """
         body = {
             name: None if of is None else np.asarray(of).tolist() for name, of in (("betas", betas), ("pose", pose))
@@ -111,16 +114,18 @@ class Methods:
         return sent({**body, "fabric": fabric, "size": size, "vertices": vertices}, "garments", garment, "fit")
 
     def size(self, garment: str, betas: np.ndarray | None = None) -> Call[dict[str, str]]:
-        """The ``size`` of ``garment`` that the service's body in the shape ``betas`` takes, and why in ``words``."""
+        """Returns the ``size`` of ``garment`` that fits the service's body in the shape ``betas``, and the reason in
+        ``words``.
+        """
         return fetched("garments", garment, "size", betas=betas)
 
     def mesh(self, garment: str, resolution: Resolution = "delivered", size: str | None = None) -> Call[dict[str, Any]]:
-        """Rest vertices [m], faces, uv and uv_faces of a garment, of the mesh that a drape of ``resolution`` has."""
+        """Returns the garment's mesh of a ``resolution`` at rest: vertices [m], faces, uv and uv_faces."""
         more: dict[str, Any] = {} if size is None else {"size": size}
         return fetched("garments", garment, "mesh", resolution=resolution, **more)
 
     def preview(self, garment: str, size: int = 512) -> Call[bytes]:
-        """A PNG of a garment at rest on its body, ``size`` pixels along each side, 64 to 1,024."""
+        """Returns a PNG picture of a garment at rest on its body, ``size`` pixels wide and high, 64 to 1,024."""
         return fetched("garments", garment, "preview.png", read=calls.read_bytes, accept="image/png", size=str(size))
 
     def jet_layout(
@@ -130,8 +135,10 @@ class Methods:
         avatar: str | None = None,
         size: str | None = None,
     ) -> Call[JetLayout]:
-        """The layout that makes vertices of a garment's jets, on its own mesh or a finer one; constant per garment,
-        ``size``, and ``avatar`` that it is cut for."""
+        """Returns the layout that computes vertices from a garment's jets, on the garment's own mesh or a finer one.
+
+        It is the same for all frames of a garment in one ``size`` on one ``avatar``.
+        """
         more = {"avatar": avatar, "size": size}
         asked: dict[str, str] = {"resolution": resolution} | {k: v for k, v in more.items() if v is not None}
         return Call("GET", path_of("garments", garment, "jets"), calls.read_layout, asked, {"Accept": BINARY})
@@ -145,9 +152,10 @@ class Methods:
         wait_s: float = 600.0,
         progress: Progress = lambda job: None,
     ) -> Steps[str]:
-        """Uploads a garment file, waits for its job and returns the new garment's id.
+        """Uploads a garment file, waits for its job, and returns the id of the new garment.
 
-        ``progress`` is told the job as often as it is asked for; what it raises ends the upload too.
+        ``avatar``: the body that it was modelled on. ``progress`` is called with each state of the job; an exception
+        that it raises cancels the upload.
         """
         return (yield from made(calls.upload(Path(path), avatar, name), "garment", wait_s, progress))
 
@@ -159,14 +167,14 @@ class Methods:
         wait_s: float = 600.0,
         progress: Progress = lambda job: None,
     ) -> Steps[str]:
-        """Uploads a character, GLB or VRM, waits for its job and returns the new avatar's id: ``avatar`` of a drape.
+        """Uploads a character as GLB or VRM, waits for its job, and returns the id of the new avatar.
 
-        ``progress`` as in ``upload_garment``.
+        A drape takes the id as ``avatar``. ``progress`` is that of ``upload_garment``.
         """
         return (yield from made(calls.upload_avatar(Path(path), name), "avatar", wait_s, progress))
 
     def posed_avatar(self, avatar: str, motion: Motion, *, trans: np.ndarray | None = None) -> Steps[np.ndarray]:
-        """World vertices [m] (F, V, 3) float32 of a character's own surface."""
+        """Returns the vertices (F, V, 3) [m], float32, of an avatar's own surface in the world."""
         clip, about = calls.motion_of(motion, Body(trans))
         path, accept = path_of("avatars", avatar, "posed"), {"Accept": BINARY}
         return self._whole(Call("POST", path, calls.read_vertices, headers=accept, json=about, clip=clip))
@@ -180,10 +188,12 @@ class Methods:
         betas: np.ndarray | None = None,
         **options: Any,
     ) -> Steps[np.ndarray]:
-        """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad].
+        """Drapes ``garment`` and returns its vertices (F, V, 3) [m], float32, in the world.
 
-        ``options`` are those of ``drape.wire.options.DrapeOptions``, the service's own where left out, ``avatar``:
-        the id of a character that wears it, and ``size``, here and in the methods below.
+        ``motion``: a clip, or poses (F, 24, 3) [rad]. ``trans``: the root translations (F, 3) [m] of poses. ``betas``:
+        the body's shape. ``options`` are the fields of ``drape.wire.options.DrapeOptions``, and also ``size`` and
+        ``avatar``, the id of an avatar that wears the garment. An option that is left out has the service's default.
+        The other methods that drape take the same arguments.
         """
         return self._whole(draped(calls.read_vertices, garment, motion, Body(trans, betas), options))
 
@@ -196,9 +206,10 @@ class Methods:
         betas: np.ndarray | None = None,
         **options: Any,
     ) -> Steps[tuple[np.ndarray, np.ndarray]]:
-        """``drape`` as vertices [m] (F, V, 3) float32 counted from the roots [m] (F, 3) float64, which follow.
+        """Drapes as ``drape`` does, and returns vertices (F, V, 3) [m], float32, that count from the root, and the
+        roots (F, 3) [m], float64.
 
-        Far from the world's origin their sum in float64 keeps the garment's shape, where ``drape`` rounds it.
+        Far from the world's origin the sum of both in float64 keeps the garment's shape, where ``drape`` rounds it.
         """
         return self._whole(at_root(draped(calls.read_vertices, garment, motion, Body(trans, betas), options)))
 
@@ -211,7 +222,7 @@ class Methods:
         betas: np.ndarray | None = None,
         **options: Any,
     ) -> Steps[list[np.ndarray]]:
-        """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
+        """Drapes several garments worn over each other, the innermost first, and returns the vertices of each."""
         return self._whole(draped(calls.read_layers, list(garments), motion, Body(trans, betas), options))
 
     def drape_frames(
@@ -224,9 +235,10 @@ class Methods:
         at_once: int = 240,
         **options: Any,
     ) -> Iterator[Steps[list[np.ndarray]]]:
-        """``drape_outfit`` as vertices [m] (f, V, 3) of each garment, at most ``at_once`` frames at a time.
+        """Drapes as ``drape_outfit`` does, and yields the vertices (f, V, 3) [m] of each garment for ``at_once`` frames
+        at a time or fewer.
 
-        No more is held of a clip of any length.
+        Memory holds no more frames than that, however long the clip is.
         """
         return self._pieces(draped(calls.read_layers, _listed(garment), motion, Body(trans, betas), options), at_once)
 
@@ -239,9 +251,10 @@ class Methods:
         betas: np.ndarray | None = None,
         **options: Any,
     ) -> Steps[list[JetFrame]]:
-        """``drape`` as posed patches, a frame each: ``jet_layout(garment).vertices(frame)`` [m] (V, 3).
+        """Drapes as ``drape`` does, and returns the posed patches of each frame.
 
-        ``frame.layers(counts)`` parts the patches of several garments worn over each other.
+        ``jet_layout(garment).vertices(frame)`` computes the vertices (V, 3) [m]. ``frame.layers(counts)`` splits the
+        patches of several garments worn over each other.
         """
         asked = {**options, "geometry": "jets"}
         return self._whole(draped(calls.read_jets, garment, motion, Body(trans, betas), asked))
@@ -259,11 +272,12 @@ class Methods:
         rig: bool = False,
         **options: Any,
     ) -> Steps[bytes]:
-        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``, or on the
-        nodes of the ``avatar``'s own file if ``rig``.
+        """Returns an animated GLB of a garment, or of several worn over each other.
 
-        ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise. A clip that comes in pieces is
-        written here, without body or rig (``InputError``).
+        With ``body`` the GLB also holds the body. With ``rig`` the garments are skinned to the nodes of the
+        ``avatar``'s own file. With ``quantised`` (KHR_mesh_quantization) the GLB has half the size of float32. The
+        client writes the GLB of a clip that is too long for one request; such a GLB has neither body nor rig
+        (``InputError``).
         """
         shape = Body(trans, betas, fps)
         more = {"body": body, "quantised": quantised} | ({"rig": True} if rig else {})
@@ -292,23 +306,24 @@ class Methods:
         progress: Progress = lambda job: None,
         **options: Any,
     ) -> Steps[Any]:
-        """``drape`` in tier exact: a job, whose end this waits for; with ``glb`` an animated GLB, as bytes.
+        """Drapes in tier exact: starts a job, waits for its end, and returns vertices, or with ``glb`` an animated GLB
+        as bytes.
 
-        ``progress`` is told the job; what it raises ends the waiting alone. The same call with ``more`` as
-        ``{"job": id}`` goes on waiting for a job that there is.
+        ``progress`` is called with each state of the job; an exception that it raises ends the waiting and not the job.
+        The same call with ``more={"job": id}`` goes on waiting for that job.
         """
         options = {**options, "tier": "exact"}
         asked = draped(httpx.Response.json, garment, motion, Body(trans, betas), options, more=more)
         return (yield from exact_clip(asked, GLB if glb else BINARY, progress))
 
     def body_mesh(self, body: str) -> Call[dict[str, Any]]:
-        """The mesh of a body at rest: vertices [m] and faces."""
+        """Returns the mesh of a body at rest: vertices [m] and faces."""
         return fetched("bodies", body, "mesh")
 
     def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> Steps[np.ndarray]:
-        """World vertices [m] (F, Vb, 3) float32 of the posed body."""
+        """Returns the vertices (F, Vb, 3) [m], float32, of the posed body in the world."""
         clip, about = calls.motion_of(motion, Body(trans, betas))
         path, accept = path_of("bodies", body, "posed"), {"Accept": BINARY}
         return self._whole(Call("POST", path, calls.read_vertices, headers=accept, json=about, clip=clip))

@@ -1,7 +1,7 @@
-"""Real garments that move with a body: garments as polynomial patches, a network that moves them, folds on top.
+"""Drapes garments on moving bodies: patches carry a garment, a network moves them, and a solver grows folds.
 
-``load`` opens the shipped model and body; ``drape.library`` says how to go on. What is in ``__all__`` is public; all
-else may change. Importing loads no torch, and onnxruntime only where a model needs it.
+``load`` opens the shipped model and body; ``drape.library`` has an example. The names in ``__all__`` are public; all
+others may change. The import loads no torch, and it loads onnxruntime only if a model needs it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``drape``: garments on bodies from the shell, with and without a service."""
+"""``drape``: drapes garments on moving bodies from a shell, and runs the other parts of the product."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from drape.wire.options import TierName
 
 # Commands of other rooms, by the module whose ``main`` runs them and what comes before their arguments.
 ELSEWHERE: dict[str, tuple[str, tuple[str, ...], str]] = {
-    "serve": ("service.__main__", (), "the service: clips over REST, streams, and the page"),
-    "recover": ("recovery.run.__main__", (), "the sewing pattern of a scan"),
-    "draft": ("recovery.pattern.__main__", ("draft",), "a base pattern for a body"),
-    "train": ("training.run", (), "a network that moves patches"),
+    "serve": ("service.__main__", (), "run the service: REST, streams and the page"),
+    "recover": ("recovery.run.__main__", (), "recover the sewing pattern of a scan"),
+    "draft": ("recovery.pattern.__main__", ("draft",), "draft a base pattern for a body"),
+    "train": ("training.run", (), "train the draping network"),
 }
 
 
@@ -32,31 +32,35 @@ def parser() -> argparse.ArgumentParser:
     whole.add_argument("--version", action="version", version=f"drape {__version__}")
     commands = whole.add_subparsers(metavar="command")
 
-    wear = commands.add_parser("wear", help="drape garments over a motion, without a service")
-    wear.add_argument("garment", nargs="+", help="names or files, the innermost first")
-    wear.add_argument("motion", help="a shipped clip, or a file npz or bvh")
-    wear.add_argument("--out", type=Path, required=True, help="a file .glb, .usda, .pc2, .mdd or .npy")
-    wear.add_argument("--on", type=Path, metavar="FILE", help="the character that wears them, GLB or VRM")
-    wear.add_argument("--modelled-on", metavar="JSON", help="for a mesh: the body that it was modelled on")
-    wear.add_argument("--betas", type=_numbers, help="the body's shape, comma-separated")
-    wear.add_argument("--fps", type=float, default=30.0, help="frames a second of the result (30)")
+    wear = commands.add_parser("wear", help="drape garments over a motion and write a file")
+    wear.add_argument("garment", nargs="+", help="the names or files of the garments, the innermost first")
+    wear.add_argument("motion", help="the name of a shipped clip, or an npz or bvh file")
+    wear.add_argument("--out", type=Path, required=True, help="the file to write: .glb, .usda, .pc2, .mdd or .npy")
+    wear.add_argument(
+        "--on", type=Path, metavar="FILE", help="the GLB or VRM file of a character that wears the garments"
+    )
+    wear.add_argument(
+        "--modelled-on", metavar="JSON", help="of garments that are mesh files: the body that they were modelled on"
+    )
+    wear.add_argument("--betas", type=_numbers, help="the body's shape coefficients, separated by commas")
+    wear.add_argument("--fps", type=float, default=30.0, help="frames a second of the file (30)")
     wear.add_argument("--as-recorded", action="store_true", help="leave the motion's translations as they are")
-    wear.add_argument("--tier", choices=get_args(TierName), help="how much is computed (balanced)")
-    wear.add_argument("--fabric", help="what they are made of; each garment's own by default")
-    wear.add_argument("--float32", action="store_true", help="the GLB in float32, twice as large")
+    wear.add_argument("--tier", choices=get_args(TierName), help="the tier: how much is computed (balanced)")
+    wear.add_argument("--fabric", help="the fabric of the garments (each garment's own)")
+    wear.add_argument("--float32", action="store_true", help="write a GLB in float32, twice as large")
     wear.set_defaults(run=_wear)
 
-    garments = commands.add_parser("garments", help="the garments that are shipped")
+    garments = commands.add_parser("garments", help="list the shipped garments")
     garments.set_defaults(run=_garments)
-    avatars = commands.add_parser("avatars", help="what characters are, and how well the body fits them")
-    avatars.add_argument("file", nargs="+", type=Path, help="GLB or VRM")
+    avatars = commands.add_parser("avatars", help="say how well the body fits the characters in GLB or VRM files")
+    avatars.add_argument("file", nargs="+", type=Path, help="the files of characters")
     avatars.set_defaults(run=_avatars)
-    tiers = commands.add_parser("tiers", help="what can be traded for what, as it was measured")
+    tiers = commands.add_parser("tiers", help="list the tiers with their measured figures")
     tiers.set_defaults(run=_tiers)
-    doctor = commands.add_parser("doctor", help="what is installed, where, and whether it works")
+    doctor = commands.add_parser("doctor", help="say what is installed and where, and test it")
     doctor.set_defaults(run=_doctor)
     for one in (wear, garments, avatars, tiers, doctor):
-        one.add_argument("--json", action="store_true", help="the answer as JSON")
+        one.add_argument("--json", action="store_true", help="print the answer as JSON")
     for name, (_, _, said) in ELSEWHERE.items():
         commands.add_parser(name, help=said, add_help=False)
     return whole
@@ -64,7 +68,7 @@ def parser() -> argparse.ArgumentParser:
 
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line: 0 when it is done, 1 when something is wrong, 2 for what is refused."""
+    """Runs a command line. Returns 0 when it is done, 1 when ``doctor`` found something wrong, and 2 for a refusal."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words and words[0] in ELSEWHERE:
         return _elsewhere(words[0], words[1:])

@@ -29,7 +29,11 @@ P = ParamSpec("P")
 
 
 class DrapeError(Exception):
-    """Base of every refusal; ``str()`` is one sentence with name, expected, got and cure."""
+    """A refusal, and the base of all kinds of refusal.
+
+    ``name`` says what was wrong, ``expected`` what would have been right, ``got`` what came, and ``cure`` what to do.
+    ``str()`` is one sentence with all four.
+    """
 
     def __init__(self, name: str, *, expected: str, got: str, cure: str) -> None:
         self.name = legible(name)

@@ -1,4 +1,4 @@
-"""Garments on bodies in a program of one's own, without a service.
+"""Drapes garments on moving bodies in a program, without a service.
 
     import drape
 
@@ -7,7 +7,7 @@
     for frame in shirt.play("walk"):
         print(frame.time_s, frame.vertices.shape)
 
-Frames are those of the service, to the bit: the same stages compute them.
+The frames equal the service's to the bit, because the same stages compute them.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ MOST_FRAMES = 1 << 20
 
 @dataclass(frozen=True)
 class Defaults:
-    """What holds where the options of a drape are left open, as in the service."""
+    """The values of options that a caller leaves open, equal to the service's."""
 
     tier: TierName = "balanced"
     folds: int | None = None
@@ -62,10 +62,11 @@ class Defaults:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Draped cloth at ``time_s`` [s]: ``vertices`` [m] (V, 3) float32 in the world, one layer after the other.
+    """One draped frame of a motion.
 
-    ``novelty``: how unlike training the pose is; above 1 it is outside. ``pushed_share`` of the vertices were moved off
-    the skin.
+    ``time_s``: its time [s]. ``vertices`` (V, 3) [m], float32, world axes: those of one garment after the other.
+    ``novelty``: how unlike the poses of training this pose is; above 1 it is unlike them. ``pushed_share``: the share
+    of the vertices that were moved off the skin.
     """
 
     time_s: float
@@ -75,9 +76,10 @@ class Frame:
 
 
 def load(model: str | Path = MODEL, body: str | Path = DEFAULT_BODY) -> Drape:
-    """The shipped ``model`` and ``body``, or others by their folder and file. Takes a second.
+    """Opens a model and a body, in about a second. Without arguments these are the shipped ones.
 
-    Raises ``ArtifactError`` for what does not hold together.
+    ``model``: the name of a shipped model, or the folder of another. ``body``: the name of a shipped body, or the file
+    of another. Raises ``ArtifactError`` if a file is damaged, or if the model was trained on another body.
     """
     folder = Path(model)
     engine = Engine(folder if folder.is_dir() else ASSETS / "models" / str(model))
@@ -85,7 +87,7 @@ def load(model: str | Path = MODEL, body: str | Path = DEFAULT_BODY) -> Drape:
 
 
 class Drape:
-    """A model and the body that garments are made for: ``load`` makes it."""
+    """A model and the body that it drapes garments on. ``load`` returns one."""
 
     def __init__(self, runtime: Runtime) -> None:
         self._runtime = runtime
@@ -93,7 +95,7 @@ class Drape:
 
     @property
     def body(self) -> BodyModel:
-        """The standard body."""
+        """The body that garments are draped on."""
         return self._runtime.body
 
     @property
@@ -119,12 +121,13 @@ class Drape:
         betas: Sequence[float] | None = None,
         **options: Any,
     ) -> Worn:
-        """``garments`` on the body: shipped names, files (a mesh at rest on the body, or a stored garment), or what
-        ``drape.garment.intake`` made; several are worn over each other, the innermost first.
+        """Puts ``garments`` on the body.
 
-        ``on``: the GLB or VRM of a character that wears them, in place of the body. ``betas``: the body's shape.
-        ``options`` are the fields of ``DrapeOptions``: ``tier``, ``fabric``, ``hidden``, ``colliders`` and so on.
-        Raises ``InputError`` for an option or a shape that is none, ``NotFound`` for an unknown name.
+        ``garments``: one garment, or several worn over each other, the innermost first. Each is a shipped name, a file
+        (a mesh at rest on the body, or a stored garment), or a ``Garment`` that ``drape.intake`` made. ``on``: the GLB
+        or VRM file of a character that wears them in place of the body. ``betas``: the body's shape coefficients.
+        ``options`` are the fields of ``DrapeOptions``, such as ``tier``, ``fabric``, ``hidden`` and ``colliders``.
+        Raises ``InputError`` for an unknown option or a value out of range, and ``NotFound`` for an unknown name.
         """
         asked = [garments] if isinstance(garments, (str, Path, Garment)) else list(garments)
         wearer, stages = (None, None) if on is None else self._character(Path(on))
@@ -162,7 +165,7 @@ class Drape:
 
 
 class Worn:
-    """Garments that are worn: ``play`` drapes a clip, ``pose`` one pose after the other. ``Drape.wear`` makes it."""
+    """Garments on a body, as ``Drape.wear`` returns them. ``play`` drapes a clip, ``pose`` one pose after the other."""
 
     def __init__(
         self,
@@ -181,24 +184,30 @@ class Worn:
 
     @property
     def garments(self) -> list[Garment]:
-        """The visible layers, the innermost first, with their ``faces`` (F, 3) and ``vertex_count``."""
+        """The visible garments, the innermost first. Each has its ``faces`` (F, 3) and its ``vertex_count``."""
         return [entry.garment for entry in self._plan.shown.layers]
 
     @property
     def tier(self) -> str:
-        """The name of the tier that is computed, or "custom"."""
+        """The name of the tier that is computed, or "custom" if the options are those of no tier."""
         return self._runtime.tier_of(self._plan)
 
     def placed(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> MotionClip:
-        """``motion``, a shipped name, a file (npz, BVH) or a clip, at ``fps``, with the soles of the body on the ground
-        unless it is left ``as_recorded``. Raises ``NotFound`` and ``MotionError``."""
+        """Returns ``motion`` as a clip of ``fps`` frames a second.
+
+        ``motion``: a shipped name, a file (npz or BVH), or a clip. The soles of the body are put on the ground, unless
+        ``as_recorded`` leaves the translations as they are. Raises ``NotFound`` for an unknown name and ``MotionError``
+        for a file that cannot be read.
+        """
         clip = motion if isinstance(motion, MotionClip) else read_motion(find_motions([str(motion)])[0])
         if not as_recorded:
             clip = placed_on_ground(clip, self.body.rest_joints(self._betas), floor=self.body.floor_m(self._betas))
         return clip if clip.fps == fps else clip.resampled(fps)
 
     def play(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> Iterator[Frame]:
-        """The frames of ``motion`` (see ``placed``), from cloth at rest; what ``pose`` left is kept apart."""
+        """Yields the frames of ``motion``, which ``placed`` describes. The first frame is cloth at rest, whatever
+        ``pose`` has draped before.
+        """
         clip = self.placed(motion, fps=fps, as_recorded=as_recorded)
         poses, trans = motion_arrays(clip.poses, clip.trans, max_frames=MOST_FRAMES)
         whole = PoseInput(poses, trans, self._betas, np.arange(len(poses)) / clip.fps)
@@ -210,8 +219,11 @@ class Worn:
             yield from _frames(batch, part)
 
     def pose(self, pose: np.ndarray, trans: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0), *, time_s: float) -> Frame:
-        """The frame of one ``pose`` (24, 3) [rad] with the root moved by ``trans`` [m] (3,), ``time_s`` [s] on a clock
-        that runs on. It goes on from the last; ``restart`` forgets that. Raises ``MotionError`` for what is no pose."""
+        """Returns the frame of one ``pose`` (24, 3) [rad], with the root moved by ``trans`` (3,) [m].
+
+        ``time_s`` [s] is the pose's time on a clock that only goes forward. The frame goes on from the one before it;
+        after ``restart`` it begins from cloth at rest. Raises ``MotionError`` for an array that is no pose.
+        """
         poses, places = motion_arrays(np.asarray(pose)[None], np.asarray(trans)[None], max_frames=1)
         part = PoseInput(poses, places, self._betas, np.array([float(time_s)]), self._memories)
         batch = run(self._plan, [part])
@@ -220,7 +232,7 @@ class Worn:
         return frame
 
     def restart(self) -> None:
-        """Lets the next ``pose`` begin from cloth at rest."""
+        """Forgets the frames so far: the next ``pose`` begins from cloth at rest."""
         self._memories = {}
 
 

@@ -85,19 +85,18 @@ class Atlas:
 
 @dataclass(frozen=True, eq=False)
 class Garment(Atlas):
-    """A garment at rest on the standard body in T-pose; lengths in metres, body frame.
+    """A garment at rest on the standard body in the T-pose. Lengths are in metres, in the body's frame.
 
-    Vertices come in two sets that share their beginning: the first ``vertex_count`` rows
-    of every per-vertex array are the delivered vertices in their order; the rows after
-    them were added by subdivision and serve fit, training and measurement.
+    Every array of vertices begins with the ``vertex_count`` delivered vertices, in the order of the file. The rows
+    after them were added by subdivision; the network's fit and folds use them too.
 
-    ``vertices`` (N, 3) rest positions; ``faces`` (F, 3) delivered triangles; ``fine_faces``
-    (G, 3) triangles of the subdivided mesh. ``uv`` (T, 2) with ``uv_faces`` (F, 3), both empty
-    when the file had none; ``material_names`` and ``face_material`` (F,).
+    ``vertices`` (N, 3): positions at rest. ``faces`` (F, 3): the delivered triangles. ``fine_faces`` (G, 3): the
+    triangles of the subdivided mesh. ``uv`` (T, 2) and ``uv_faces`` (F, 3): texture coordinates, empty if the file has
+    none. ``material_names`` and ``face_material`` (F,): the materials, and which of them a triangle has.
 
     ``rest_edges`` (G, 2, 2), ``rest_angle`` (H,) and ``rest_stiffening`` (H,): the ``RestState`` of ``fine_faces``.
-    They are None in garments from before there was one; ``rest_state`` returns it for all. ``fabric``: a name, or the
-    numbers of ``drape.cloth.fabric_table.fabric``.
+    They are None in files of older versions; ``rest_state`` returns one for every garment. ``fabric``: the name of a
+    fabric, or its numbers as ``drape.cloth.fabric_table.fabric`` takes them.
     """
 
     name: str

@@ -92,13 +92,14 @@ def intake(
     report: Report | None = None,
     begun: Report | None = None,
 ) -> Garment:
-    """The garment in a mesh file (or in its bytes, of the format ``kind``), at rest on ``body``.
+    """Makes a garment of a mesh file, at rest on ``body``.
 
-    ``avatar`` names what it was modelled on (``drape.garment.avatars``). With None the table of avatars beside the
-    file is asked; if that has no entry, the avatar is the standard body, provided that the garment lies on it. A JSON
-    of ``drape.garment.sewing`` beside the file describes how the garment is sewn. The result is stored in ``folder``
-    and found there by the next intake. ``report`` gets each line of the log, ``begun`` each of ``STAGES`` as it
-    begins. Raises ``InputError``, and then writes nothing.
+    ``source``: the file, or its bytes of the format ``kind``. ``avatar``: the body that the garment was modelled on
+    (``drape.garment.avatars``). Left out, the file avatars.json beside the mesh names it; without an entry there it is
+    the standard body, and the garment must lie on that. A JSON file of ``drape.garment.sewing`` beside the mesh says
+    how the garment is sewn. With ``folder`` the result is stored there, and the next intake of the same file finds it.
+    ``report`` gets each line of the log, and ``begun`` each of ``STAGES`` as it begins. Raises ``InputError``, and then
+    writes nothing.
     """
     say, begins = report or (lambda line: None), begun or (lambda stage: None)
     begins("read")

@@ -22,11 +22,11 @@ _KNOT_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MotionClip:
-    """Poses (F, 24, 3), axis-angle [rad] relative to the parent, and translations (F, 3) [m], y up.
+    """A motion: poses and root translations at a fixed rate.
 
-    ``trans`` is SMPL's: it displaces the posed body, whose pelvis rests at the
-    body's own first joint. ``betas`` are the shape of the recorded person, if known.
-    The arrays are kept as read-only float64.
+    ``poses`` (F, 24, 3): rotation vectors [rad] relative to the parent joint. ``trans`` (F, 3) [m], y up: SMPL's root
+    translation, which moves the posed body away from its rest position. ``fps``: frames a second. ``betas``: the shape
+    of the recorded person, if it is known. The arrays are kept as read-only float64.
     """
 
     poses: np.ndarray

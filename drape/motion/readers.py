@@ -15,7 +15,10 @@ MOTION_SUFFIXES = tuple(_READERS)
 
 
 def read_motion(path: Path) -> MotionClip:
-    """The clip of an npz, of AMASS or our own, or of a BVH: 24 joints, y up, metres."""
+    """Reads a clip from an npz file (AMASS's form or our own) or a BVH file.
+
+    The clip has 24 joints, y up, in metres. Raises ``MotionError`` for a file that is neither or cannot be read.
+    """
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:

@@ -66,7 +66,7 @@ FabricChoice = Annotated[str, Field(min_length=1, max_length=40)] | FabricNumber
 
 
 class DrapeOptions(BaseModel):
-    """Choices of a client. Names are those of Python; an alias is the name on the wire."""
+    """The options of a drape. A field has its name in Python; an alias is its name on the wire."""
 
     model_config = ConfigDict(frozen=True)
 
