@@ -1,7 +1,8 @@
 #!/bin/sh
-# Rebuilds the shipped model and exports it, on two CPU cores: the static drape from nothing (100 minutes) and on from there
-# with jumps paid for (100), seven tenths of the way between the two, and what motion adds (112). The weights shipped saw the
-# same in parts (the manifest's "training"), with half of the patch counts' range until the last two of them.
+# Trains a model of the shipped kind from nothing and exports it, on two CPU cores: the static drape (95 minutes), then on
+# from there with jumps paid for (100), seven tenths of the way between the two, and what motion adds (112). The shipped
+# weights went on from such a model with the sewn catalogue and drapes that folds go on from (docs/guide/training.md); the
+# manifest's "training" tells the last round.
 #
 # Poses: DRAPE_DATA/motions holds clips of the CMU Graphics Lab Motion Capture Database as ASF/AMC or AMASS
 # files (docs/guide/data.md says which and where from). "The data used in this project was obtained from
