@@ -76,7 +76,7 @@ class Frame:
 
 
 def load(model: str | Path = MODEL, body: str | Path = DEFAULT_BODY) -> Drape:
-    """Opens a model and a body, in about a second. Without arguments these are the shipped ones.
+    """Opens a model and a body. Without arguments these are the shipped ones.
 
     ``model``: the name of a shipped model, or the folder of another. ``body``: the name of a shipped body, or the file
     of another. Raises ``ArtifactError`` if a file is damaged, or if the model was trained on another body.
