@@ -1,12 +1,11 @@
 """Figures that README and other pages state, each made from the records that hold it.
 
-A page has a block ``<!-- record: NAME -->`` ... ``<!-- end of record -->``; ``BLOCKS`` makes the text between the two.
-``python -m benchmarks.report`` writes all blocks, so that no page states a figure that its record does not hold.
+``BLOCKS`` makes the text of each; ``benchmarks.report`` says where it stands on a page and writes it there, so that no
+page states a figure that its record does not hold.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from statistics import fmean
@@ -15,7 +14,6 @@ from benchmarks.front import TRAINED
 from benchmarks.tables import Columns, Record, Row, markdown_table, rows_table
 
 Records = Mapping[str, Record]
-BLOCK = re.compile(r"(<!-- record: (\w+) -->\n).*?(<!-- end of record -->)", re.DOTALL)
 DEFAULT_TIER, GARMENT = "balanced", "tshirt"
 NAMES = {"tshirt": "T-shirt", "dress": "dress", "trousers": "trousers"}
 
@@ -99,7 +97,7 @@ def tiers(records: Records) -> str:
     lines.sort()
     titles = ["tier", "time, rival = 1", "processor [ms]", "gain, trained on / unseen", "what 95 % of the cases reach"]
     table = markdown_table([*titles, "detail share", "skin [% of pixels]"], (line for _, line in lines))
-    return f"{table}\n\n{_on(record, 'tradeoff.md#tradeoff')}"
+    return f"{table}\n\n{measured_on(record, 'tradeoff.md#tradeoff')}"
 
 
 def frame(records: Records) -> str:
@@ -121,7 +119,7 @@ def frame(records: Records) -> str:
     lines.append(["all, stage by stage", *(f"{row['cpu_ms']:.2f} ({row['floor_ms']:.2f})" for row in wholes)])
     lines.append(["the frame in one call", *(f"**{row['bare_ms']:.1f}**" for row in wholes)])
     titles = ["", *(f"{NAMES.get(garment, garment)} `{tier}`" for garment, tier in cases)]
-    return f"{markdown_table(titles, lines)}\n\n{_on(record, 'performance.md#frame-kernels')}"
+    return f"{markdown_table(titles, lines)}\n\n{measured_on(record, 'performance.md#frame-kernels')}"
 
 
 def threads(records: Records) -> str:
@@ -134,7 +132,7 @@ def threads(records: Records) -> str:
         told = [f"{rate:.0f}" for rate in rates] + [f"{rates[1] / rates[0]:.2f}"]
         lines.append([f"{NAMES.get(garment, garment)}, {what}", *told])
     titles = ["", "frames/s of one thread", "of two", "ratio"]
-    return f"{markdown_table(titles, lines)}\n\n{_on(record, 'performance.md#frame-threads')}"
+    return f"{markdown_table(titles, lines)}\n\n{measured_on(record, 'performance.md#frame-threads')}"
 
 
 def one_frame(records: Records) -> str:
@@ -167,7 +165,7 @@ def streams(records: Records) -> str:
         if row["case"] == "still":
             lines.append([f"`{row['tier']}`, a still body", *_load(row)])
     titles = ["tier, clients", "goodput [%]", "age p50, p99 [ms]", "processor a pose [ms]"]
-    return f"{markdown_table(titles, lines)}\n\n{_carried(record)} {_on(record, 'performance.md#serving')}"
+    return f"{markdown_table(titles, lines)}\n\n{_carried(record)} {measured_on(record, 'performance.md#serving')}"
 
 
 def lateness(records: Records) -> str:
@@ -176,9 +174,8 @@ def lateness(records: Records) -> str:
     columns = {"delay_p50_ms": "p50 [ms]", "delay_p99_ms": "p99", "delay_p999_ms": "p99.9", "delay_max_ms": "longest"}
     kept = [row for row in record["rows"] if row["run"] == "median" or row["beside"]]
     lines = [[row["beside"] or "nothing", str(row["streams"]), *(f"{row[key]:.1f}" for key in columns)] for row in kept]
-    return (
-        f"{markdown_table(['beside', 'streams', *columns.values()], lines)}\n\n{_on(record, 'performance.md#lateness')}"
-    )
+    table = markdown_table(["beside", "streams", *columns.values()], lines)
+    return f"{table}\n\n{measured_on(record, 'performance.md#lateness')}"
 
 
 def gpu_batches(records: Records) -> str:
@@ -190,7 +187,7 @@ def gpu_batches(records: Records) -> str:
         ["frames/s", *(f"{row['frames_per_s']:,.0f}" for row in rows)],
     ]
     table = markdown_table(["frames in a call", *(str(row["batch"]) for row in rows)], lines)
-    return f"{table}\n\n{_on(record, 'performance.md#latency-gpu-batches')}"
+    return f"{table}\n\n{measured_on(record, 'performance.md#latency-gpu-batches')}"
 
 
 def views(records: Records) -> str:
@@ -201,7 +198,7 @@ def views(records: Records) -> str:
     }  # fmt: skip
     rows = [row for row in records["frame"]["rows"] if row["kind"] == "view"]
     rows = [row | {"saving": round(row["saving"], 2) + 0.0} for row in rows]  # no negative zero
-    return f"{rows_table(columns, rows)}\n\n{_on(records['frame'], 'performance.md#frame-views')}"
+    return f"{rows_table(columns, rows)}\n\n{measured_on(records['frame'], 'performance.md#frame-views')}"
 
 
 def client_folds(records: Records) -> str:
@@ -212,7 +209,9 @@ def client_folds(records: Records) -> str:
         "browser_ms": ("the page's, in Chromium [ms]", ".1f"), "ten_mm": ("apart, same network, 10 frames [mm]", ".4f"),
         "first_mm": ("with jets, the first second [mm]", ".1f"), "smooth_mm": ("jets without folds [mm]", ".0f"),
     }  # fmt: skip
-    return f"{_walks(columns, records['client_folds'])}\n\n{_on(records['client_folds'], 'web.md#client-folds')}"
+    return (
+        f"{_walks(columns, records['client_folds'])}\n\n{measured_on(records['client_folds'], 'web.md#client-folds')}"
+    )
 
 
 def static_page(records: Records) -> str:
@@ -223,7 +222,7 @@ def static_page(records: Records) -> str:
         "least_ratio": ("its engine in Node.js over the service's frame", ".1f"),
         "ten_mm": ("apart in ten frames [mm]", ".3f"), "first_mm": ("in the first second [mm]", ".2f"),
     }  # fmt: skip
-    return f"{_walks(columns, records['static_page'])}\n\n{_on(records['static_page'], 'web.md#static-page')}"
+    return f"{_walks(columns, records['static_page'])}\n\n{measured_on(records['static_page'], 'web.md#static-page')}"
 
 
 BLOCKS: dict[str, Callable[[Records], str]] = {
@@ -236,11 +235,6 @@ BLOCKS: dict[str, Callable[[Records], str]] = {
 NEEDED = ("tradeoff", "frame", "serving", "lateness", "latency_gpu", "client_folds", "static_page")  # records
 
 
-def filled(text: str, records: Records) -> str:
-    """The page ``text`` with each of its blocks as the ``records`` have it."""
-    return BLOCK.sub(lambda found: f"{found[1]}{BLOCKS[found[2]](records)}\n{found[3]}", text)
-
-
 def machine(record: Record) -> str:
     """The processor and the cores that ``record`` was measured on."""
     processor, cores = record["machine"].split(", ")[:2]
@@ -251,7 +245,8 @@ def _threads(row: Row) -> int:
     return row["threads"]
 
 
-def _on(record: Record, table: str) -> str:
+def measured_on(record: Record, table: str) -> str:
+    """The sentence on where ``record`` was measured, with a link to its ``table`` of docs/records."""
     return f"Measured on {machine(record)}: [record](../records/{table})."
 
 

@@ -1,20 +1,30 @@
 """Writes the tables of the committed records into ``docs/records``, and the figures that README and other pages state.
 
+A page has a block ``<!-- record: NAME -->`` ... ``<!-- end of record -->`` ; ``BLOCKS`` makes the text between the two.
+
 python -m benchmarks.report
 """
 
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Mapping
 from pathlib import Path
 
-from benchmarks.figures import NEEDED, filled
+from benchmarks import figures, judged_figures
 from benchmarks.harness import RESULTS_DIR, ROOT
 from benchmarks.records import TABLES
 from benchmarks.tables import Record
 
 FOLDER = ROOT / "docs" / "records"
-STATING = ("README.md", "docs/reference/performance.md", "docs/reference/tradeoff.md", "docs/guide/web.md")
+STATING = (
+    "README.md", "docs/reference/performance.md", "docs/reference/tradeoff.md", "docs/reference/quality.md",
+    "docs/guide/web.md", "docs/explanation/folds.md", "docs/explanation/swing.md",
+)  # fmt: skip
+BLOCK = re.compile(r"(<!-- record: (\w+) -->\n).*?(<!-- end of record -->)", re.DOTALL)
+BLOCKS = figures.BLOCKS | judged_figures.BLOCKS
+NEEDED = figures.NEEDED + judged_figures.NEEDED
 
 
 def pages() -> dict[str, str]:
@@ -33,6 +43,11 @@ def stating() -> dict[str, str]:
     """The text of each document that states figures, by its path, with the figures that the records hold."""
     records = {name: _record(name) for name in NEEDED}
     return {path: filled((ROOT / path).read_text(encoding="utf-8"), records) for path in STATING}
+
+
+def filled(text: str, records: Mapping[str, Record]) -> str:
+    """The page ``text`` with each of its blocks as the ``records`` have it."""
+    return BLOCK.sub(lambda found: f"{found[1]}{BLOCKS[found[2]](records)}\n{found[3]}", text)
 
 
 def _record(name: str) -> Record:

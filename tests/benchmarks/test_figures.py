@@ -11,11 +11,11 @@ from benchmarks import figures, report
 from benchmarks.harness import RESULTS_DIR, ROOT
 from tests.architecture.repository import repository_files
 
-RECORDS = {name: json.loads((RESULTS_DIR / f"{name}.json").read_text(encoding="utf-8")) for name in figures.NEEDED}
+RECORDS = {name: json.loads((RESULTS_DIR / f"{name}.json").read_text(encoding="utf-8")) for name in report.NEEDED}
 MARKED = sorted(
     path.relative_to(ROOT).as_posix()
     for path in repository_files()
-    if path.suffix == ".md" and figures.BLOCK.search(path.read_text(encoding="utf-8"))
+    if path.suffix == ".md" and report.BLOCK.search(path.read_text(encoding="utf-8"))
 )
 
 
@@ -26,17 +26,17 @@ def test_a_page_states_what_the_records_hold(path: str):
 
 def test_report_writes_every_page_that_has_a_block_and_every_block_stands_on_a_page():
     assert set(MARKED) == set(report.STATING)
-    named = {name for path in MARKED for _, name, _ in figures.BLOCK.findall((ROOT / path).read_text(encoding="utf-8"))}
-    assert named == set(figures.BLOCKS)
+    named = {name for path in MARKED for _, name, _ in report.BLOCK.findall((ROOT / path).read_text(encoding="utf-8"))}
+    assert named == set(report.BLOCKS)
 
 
 def test_another_record_gives_another_page():
     trade = RECORDS["tradeoff"]
     means = [row | {"gain": 0.123} if row["tier"] == figures.DEFAULT_TIER else row for row in trade["means"]]
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    changed = figures.filled(readme, RECORDS | {"tradeoff": trade | {"means": means}})
+    changed = report.filled(readme, RECORDS | {"tradeoff": trade | {"means": means}})
     assert "**0.123**" in changed and changed != readme
-    assert figures.BLOCK.sub("", changed) == figures.BLOCK.sub("", readme)  # nothing else moves
+    assert report.BLOCK.sub("", changed) == report.BLOCK.sub("", readme)  # nothing else moves
 
 
 def test_the_streams_fit_on_the_cores_and_none_is_cheaper_than_its_frame():
@@ -47,7 +47,7 @@ def test_the_streams_fit_on_the_cores_and_none_is_cheaper_than_its_frame():
 
 def test_readme_names_the_three_numbers_once():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    outside = figures.BLOCK.sub("", text)
+    outside = report.BLOCK.sub("", text)
     one = figures.headline(RECORDS)
     for number in (f"{one.gain:.3f}", f"{one.frame_ms:.1f} ms", f"{one.streams} streams"):
         assert number not in outside

@@ -1,0 +1,87 @@
+"""Figures that pages state of how near a drape is to physics and how it looks, each made from its record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from statistics import fmean
+
+from benchmarks.figures import NAMES, Records, measured_on
+from benchmarks.tables import Columns, markdown_table, rows_table
+
+SETS = {"trained": "garments that were trained on", "unseen": "others"}
+
+
+def quality(records: Records) -> str:
+    """Gain and strain over physics of the network alone and with folds, for garments trained on and others."""
+    record = records["quality"]
+    counts = {kind: len({row["garment"] for row in record["rows"] if row["set"] == kind}) for kind in SETS}
+    lines = []
+    for kind, name in SETS.items():
+        rows = {row["method"]: row for row in record["summary"] if row["set"] == kind}
+        told = [f"{rows[method]['gain']:.2f}" for method in ("network", "network_push", "folds")]
+        strain = [f"{rows[method]['edge_over_physics_pp']:.1f}" for method in ("network", "folds")]
+        lines.append([f"{counts[kind]} {name}", *told, *strain])
+    titles = ["", "gain of the network alone", "pushed out", "with two steps of folds"]
+    more = ["strain over physics, network [points]", "with folds"]
+    return f"{markdown_table([*titles, *more], lines)}\n\n{measured_on(record, 'quality.md#quality')}"
+
+
+def two_steps(records: Records) -> str:
+    """Gain and time of two steps of folds on all vertices, over the cases of each garment."""
+    record, lines = records["folds"], []
+    rows = [row for row in record["rows"] if row["sweeps"] == 2 and row["method"] != "skinning"]
+    for garment, feels in dict.fromkeys((row["garment"], row["cloth_contact"]) for row in rows):
+        cases = [row for row in rows if (row["garment"], row["cloth_contact"]) == (garment, feels)]
+        spans = [(min(row[key] for row in cases), max(row[key] for row in cases)) for key in ("gain", "ms")]
+        gain, took = spans
+        name = f"{NAMES.get(garment, garment)}, {'cloth feels cloth' if feels else 'cloth passes through itself'}"
+        lines.append([name, f"{gain[0]:.2f} to {gain[1]:.2f}", f"{took[0]:.1f} to {took[1]:.1f}"])
+    return f"{markdown_table(['two steps', 'gain', 'frame [ms]'], lines)}\n\n{measured_on(record, 'folds.md#folds')}"
+
+
+def moving(records: Records) -> str:
+    """How rough streams are beside the stills of their poses."""
+    record = records["moving"]
+    rough = sorted(row["dihedral"] for row in record["rows"])
+    middle = f"{rough[len(rough) // 10]:.2f} to {rough[-1 - len(rough) // 10]:.2f}"
+    return (
+        f"The RMS dihedral angle of {len(rough)} streams in their last second, over that of the stills of their poses, "
+        f"is {rough[0]:.2f} to {rough[-1]:.2f}; without a tenth at either end {middle}. "
+        f"{measured_on(record, 'folds.md#moving')}"
+    )
+
+
+def coarse_skin(records: Records) -> str:
+    """The skin that shows on coarse meshes of other makers, by how they were folded."""
+    record, lines = records["skin_pixels"], []
+    coarse = {row["garment"] for row in record["rows"] if row["method"] == "wrapped"}
+    ways = {
+        "network": "without folds",
+        "folds": "folds on the delivered triangles",
+        "wrapped": "folds on finer ones, the delivered mesh wrapped around them",
+        "fine": "folds on finer ones, which are sent",
+    }
+    for method, name in ways.items():
+        rows = [row for row in record["rows"] if row["method"] == method and row["garment"] in coarse]
+        lines.append(
+            [name, f"{fmean(row['skin_pixels_pct'] for row in rows):.4f}", f"{max(r['worst_pct'] for r in rows):.2f}"]
+        )
+    titles = [f"{len(coarse)} coarse meshes", "skin that shows, mean [% of pixels]", "in the worst view"]
+    return f"{markdown_table(titles, lines)}\n\n{measured_on(record, 'folds.md#skin')}"
+
+
+def hem_rise(records: Records) -> str:
+    """How far hems rise in a turn, with swing and in a simulator."""
+    record = records["swing"]
+    columns: Columns = {
+        "garment": ("garment", "s"), "clip": ("clip", "s"), "method": ("method", "s"),
+        "rise_mm": ("hem rises [mm]", ".0f"), "share": ("of the simulator's", ".2f"), "ms": ("frame [ms]", ".1f"),
+    }  # fmt: skip
+    rows = [row for row in record["rows"] if row["method"] in ("static", "swing", "simulator")]
+    return f"{rows_table(columns, rows)}\n\n{measured_on(record, 'swing.md#swing')}"
+
+
+BLOCKS: dict[str, Callable[[Records], str]] = {
+    each.__name__: each for each in (quality, two_steps, moving, coarse_skin, hem_rise)
+}
+NEEDED = ("quality", "folds", "moving", "skin_pixels", "swing")  # records
