@@ -194,7 +194,7 @@ def as_published(model: ModelConfig) -> ModelConfig:
 
 
 def shipped() -> TrainConfig:
-    """The static drape that the shipped model began with: seven designs and neighbours of each, 95 minutes on two cores."""
+    """The static drape that the shipped model began with: seven designs and neighbours, 95 minutes on two cores."""
     return TrainConfig(minutes=95.0)
 
 
