@@ -26,17 +26,17 @@ class ChartConsensus(Protocol):
 
     @property
     def rest(self) -> Tensor:
-        """(K, 21, 3)."""
+        """The polynomials of the patches at rest (K, 21, 3) [patch scales]."""
         ...
 
     @property
     def tangent(self) -> Tensor:
-        """(K, 7, 3, 2)."""
+        """The derivatives of the rest jets by u and v at the strain points (K, 7, 3, 2)."""
         ...
 
     @property
     def orthonormal(self) -> Tensor:
-        """(K, 7, 2, 2)."""
+        """The upper triangles that make unit vectors of ``tangent`` (K, 7, 2, 2)."""
         ...
 
     def anchors(self, coefficients: Tensor) -> Tensor:

@@ -18,9 +18,9 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from drape.garment.charts import ridge_fit
 from drape.geometry import jets, mesh_graphs, meshes
 
-# Weights of the projection against the symmetric Dirichlet energy, and after how many steps of SLIM the jets are looked
-# at: the places that they fit best are kept. More pull fits tighter creases and drapes worse, since places crowd along
-# the fold (docs/decisions/0005-polyfit.md). Where every rim crosses itself, places nearer to Tutte's serve.
+# Weights of the projection against the symmetric Dirichlet energy, and the steps of SLIM after which jets are fitted:
+# the places with the best fit stay. More pull fits tighter creases and drapes worse, since places crowd along the fold
+# (docs/decisions/0005-polyfit.md). If every rim crosses itself, places nearer to Tutte's take over.
 PULLS, STEPS = (30.0, 10.0), (4, 8)
 LOOSE_PULLS, LOOSE_STEPS = (1.0, 0.0), (1, 1, 1, 1, 1, 1)
 # Then places go back to the projection wherever it does not fold. Triangles keep this share of their area; the share of

@@ -39,7 +39,8 @@ def body_feed(
 ) -> BodyInputs:
     """The ``BodyTensors`` of ``poses`` (F, 24, 3) [rad] with root translations ``trans`` (F, 3) [m].
 
-    ``betas`` is the shape of all (S,) or of each (F, S); with ``skin`` also its samples, of bodies that bones pose.
+    ``betas``: one shape (S,) for all frames, or one for each (F, S). With ``skin`` the tensors also hold the
+    skin samples, if bones alone pose the body.
     """
     poses = np.asarray(poses, dtype=np.float64)
     count = len(poses)

@@ -46,7 +46,7 @@ class PoseInput:
     shown: bytes | None = None
 
     def part(self, rows: slice, memories: Memories) -> PoseInput:
-        """The frames ``rows``, after what ``memories`` hold."""
+        """The frames ``rows`` of this input, which go on from ``memories``."""
         return replace(
             self,
             poses=self.poses[rows],
@@ -196,7 +196,7 @@ class Batch:
 
     @staticmethod
     def of_parts(clip: PoseInput, parts: Sequence[Batch]) -> Batch:
-        """The batch of ``clip`` from those of its parts, one after the other."""
+        """The batch of ``clip``, joined from the batches of its parts."""
         if len(parts) == 1:
             return parts[0]
         layers = [_whole(together) for together in zip(*(part.layers for part in parts), strict=True)]
@@ -210,7 +210,7 @@ class Batch:
         )
 
     def answer(self) -> Batch:
-        """The batch without what only stages read; of hidden layers nothing is kept."""
+        """The batch without the arrays that only stages read, and without hidden layers."""
         of = zip(self.layers, self.plan.visible, strict=bool(self.layers))  # none before the network
         return changed(
             self, codes=None, skin=None, steps=(), layers=tuple(layer if seen else Layer() for layer, seen in of)
@@ -218,47 +218,47 @@ class Batch:
 
     @property
     def count(self) -> int:
-        """How many frames there are."""
+        """The number of frames."""
         return len(self.quality.novelty)
 
     def rows(self) -> Iterator[tuple[PoseInput, slice]]:
-        """Each input with its rows of the frames."""
+        """Each input, with the rows that its frames have in the batch."""
         start = 0
         for one in self.inputs:
             yield one, slice(start, start + len(one.poses))
             start += len(one.poses)
 
     def remembered(self, key: tuple[str, str]) -> list[Any]:
-        """The memory of each input under ``key``, None where there is none."""
+        """The memory of each input under ``key``; None for an input that has none."""
         return [memories.get(key) for memories in self.memories]
 
     def remember(self, key: tuple[str, str], values: Sequence[Any]) -> Batch:
-        """The batch with ``values``, one of each input, in the memories under ``key``."""
+        """The batch with ``values``, one for each input, stored in the memories under ``key``."""
         after = ({**memories, key: value} for memories, value in zip(self.memories, values, strict=True))
         return changed(self, memories=tuple(after))
 
     @property
     def shown(self) -> list[Layer]:
-        """The layers that come."""
+        """The layers that the answer holds."""
         return [layer for layer, seen in zip(self.layers, self.plan.visible, strict=True) if seen]
 
     @property
     def vertices(self) -> np.ndarray:
-        """Vertices [m] (F, V, 3) relative to the root, one visible layer's after the other."""
+        """The vertices [m] (F, V, 3) of the visible layers, one layer after the other, relative to the root."""
         return joined([layer.vertices for layer in self.shown])
 
     @property
     def jets(self) -> Jets:
-        """Posed patches, one visible layer's after the other."""
+        """The posed patches of the visible layers, one layer after the other."""
         jets = [layer.jets for layer in self.shown if layer.jets is not None]
         return Jets(*(joined([getattr(one, name) for one in jets]) for name in ("jet", "rotation", "centre")))
 
     def placed(self, origin: Origin) -> Placed:
-        """The vertices as an answer says them, counted from ``origin``."""
+        """The vertices of an answer, which count from ``origin``."""
         return Placed(self.world()) if origin == "world" else Placed(self.vertices, self.root)
 
     def world(self) -> np.ndarray:
-        """World positions [m] (F, V, 3) float32."""
+        """The vertices [m] (F, V, 3) in the world, float32."""
         return (self.vertices + self.root[:, None, :]).astype(np.float32)
 
 

@@ -31,11 +31,13 @@ class BodyStages:
         self._known.add(garment.digest)
 
     def missing(self, entries: Iterable[Entry]) -> list[Garment]:
-        """The garments of ``entries`` that no stage knows: subdivided meshes that nobody asked for before."""
+        """The garments of ``entries`` that no stage knows yet, such as a subdivided mesh that is requested for the
+        first time.
+        """
         return [entry.garment for entry in entries if entry.garment.digest not in self._known]
 
     def remove(self, garment: Garment) -> None:
-        """Forgets the constants of ``garment``, where there are any."""
+        """Forgets the constants of ``garment``, if there are any."""
         if garment.digest in self._known:
             self._known.discard(garment.digest)
             for stage in self.stages:

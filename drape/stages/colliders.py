@@ -20,7 +20,7 @@ from drape.wire.options import DrapeOptions
 
 
 class Colliders(Stage):
-    """Moves each layer's vertices to the nearest place outside of the colliders, up to the clearance."""
+    """Moves the vertices of each layer out of the colliders, to the nearest place at the clearance."""
 
     name = "colliders"
 

@@ -41,7 +41,7 @@ KEPT_OUTFITS = 32  # some five megabytes per layer over others
 
 
 class Collision(Stage):
-    """Pushes the layers, the innermost first, and in their jets where these are what is asked for."""
+    """Pushes the layers out of the body and of each other, the innermost first; in plans of jets it pushes the jets."""
 
     name = "collision"
 
@@ -156,7 +156,7 @@ class Pusher:
 
     @property
     def held_bytes(self) -> int:
-        """Memory of the garments' constants where the graphs compute."""
+        """The bytes of the garments' constants on the device that computes."""
         return sum(_bytes(one.constants) for one in self._stored.values())
 
     def add(self, key: str, feed: dict[str, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> None:
@@ -246,7 +246,7 @@ class Pusher:
         return self._stored[key]
 
     def _layer(self, keys: tuple[str, ...]) -> Constants:
-        """Constants of the last of ``keys`` over the others."""
+        """The constants of the last garment of ``keys`` over the others."""
         *inner, outer = (self._get(key) for key in keys)
 
         def make() -> Constants:
@@ -257,7 +257,7 @@ class Pusher:
         return self._layers.get(keys, make)
 
     def _sheet(self, stored: _Stored) -> Sheet:
-        """The garment as others lie over it, made once."""
+        """The constants of a garment that others lie over, made once."""
         if stored.sheet is None:
             samples = self._make(cloth_samples, stored.vertices, stored.faces)
             stored.sheet = Sheet(stored.vertices, stored.faces, samples)

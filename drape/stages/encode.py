@@ -72,7 +72,7 @@ def coordinate_bits(options: DrapeOptions) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Idle:
-    """Since when [s] a body has had one pose, in how many frames, and the last message of it."""
+    """The time [s] since when a body has kept one pose, the number of frames since then, and the last message."""
 
     pose: np.ndarray
     trans: np.ndarray
@@ -84,7 +84,7 @@ class Idle:
     message: bytes
 
     def holds_for(self, plan: Plan, one: PoseInput) -> bool:
-        """Whether ``one`` has the same pose and shape, under an equal ``plan``, and comes no earlier."""
+        """Whether ``one`` has the same pose and shape under an equal ``plan``, and is not earlier."""
         return (
             np.array_equal(one.poses[0], self.pose)  # what nearly always differs comes first
             and np.array_equal(one.trans[0], self.trans)
@@ -95,7 +95,7 @@ class Idle:
 
 
 def idle_before(plan: Plan, one: PoseInput) -> Idle | None:
-    """What holds of the frame before for the single frame of ``one``: None where its body moved."""
+    """The ``Idle`` of the frame before the single frame of ``one``; None if the body has moved."""
     idle: Idle | None = one.memories.get(KEY)
     return idle if idle is not None and idle.holds_for(plan, one) else None
 

@@ -113,7 +113,7 @@ class Folds(Stage):
         return last
 
     def steps(self, batch: Batch) -> Iterator[Batch]:
-        """Layer after layer: a frame without a past takes tens of milliseconds for each."""
+        """Folds one layer after the other, since a frame without a past takes tens of milliseconds for each."""
         plan = batch.plan
         effort, safe = self.efforts(plan)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty.tolist()]
@@ -229,7 +229,7 @@ def check_client_folds(plan: Plan) -> None:
 
 
 def _feel_each_other(plan: Plan) -> bool:
-    """Whether layers press each other."""
+    """Whether the layers of ``plan`` press on each other."""
     return bool(plan.options.cloth_contact) and len(plan.draped) > 1
 
 
@@ -248,7 +248,7 @@ class _Lain:
     ground: np.ndarray
 
     def below(self, layer: Layer, ceiling: np.ndarray) -> Layer:
-        """``layer`` pressed below the ``ceiling`` (F, S, 5)."""
+        """``layer``, pressed below the ``ceiling`` (F, S, 5)."""
         assert layer.vertices is not None
         each = zip(layer.vertices, self.own, self.ground, ceiling, strict=True)
         return changed(layer, vertices=np.stack([pressed(one, self.made, *row) for one, *row in each]))

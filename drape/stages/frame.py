@@ -38,7 +38,7 @@ class AtOnce(NamedTuple):
 
     @property
     def stages(self) -> list[Stage]:
-        """Those that there are."""
+        """The stages that the plan has."""
         return [stage for stage in self if stage is not None]
 
 

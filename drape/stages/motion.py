@@ -51,7 +51,7 @@ class Memory:
 
 
 class Motion(Stage):
-    """Gives every frame the code of its body's motion, times the knob."""
+    """Gives every frame the code of its body's motion, multiplied by the knob."""
 
     name = "motion"
     key = (name, BODY)
@@ -117,7 +117,7 @@ def advance(engine: Engine, memories: Sequence[Memory], moments: Sequence[Moment
 
 
 def _seen(engine: Engine, memory: Memory, moment: Moment) -> Memory:
-    """``memory`` with ``moment`` in front, or a new one where the two do not follow each other."""
+    """``memory`` with ``moment`` in front, or a new memory if the two do not follow each other."""
     if memory.moments:
         last = memory.moments[0]
         dt_s = moment.time_s - last.time_s

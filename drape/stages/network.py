@@ -36,7 +36,7 @@ SHAPES_KEPT = 64  # bodies' rest joints, a kilobyte each
 
 
 class Novelty(Stage):
-    """Scores the poses of all inputs in one go, where the model says which it was trained on."""
+    """Scores how novel the poses of all inputs are, if the model has the poses that it was trained on."""
 
     name = "novelty"
 
@@ -119,7 +119,7 @@ class Network(Stage):
 
     @property
     def on_one_thread(self) -> bool:
-        """Whether it drapes one frame after the other."""
+        """Whether the engine drapes one frame after the other."""
         return not isinstance(self.packer, Packer) or self.packer.one_thread
 
     def posed_by(self, betas: np.ndarray) -> tuple[BodyFeed, np.ndarray]:
@@ -164,7 +164,7 @@ class Network(Stage):
         return [key if fabric is None else self.packer.dressed(key, fabric) for key, fabric in keys]
 
     def _scene(self, plan: Plan) -> ScenePlan:
-        """The outputs that ``plan`` asks of the packed graph."""
+        """The outputs of the packed graph that ``plan`` needs."""
         return _scene_plan(plan.needs, SKIN in plan.needs and self._skin_in_graph, plan.options.passes)
 
 

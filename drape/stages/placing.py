@@ -28,7 +28,7 @@ class Placed:
 
     @property
     def rounding_m(self) -> float:
-        """The furthest that rounding to float32 moved a coordinate [m]: half a step of the largest."""
+        """The most [m] by which rounding to float32 moves a coordinate: half a step of the largest one."""
         return 0.5 * float(np.spacing(np.abs(self.vertices).max(initial=0.0)))
 
     @property

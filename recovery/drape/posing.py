@@ -19,10 +19,10 @@ from recovery.drape.sewing import in_numpy, sewn_relaxation
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.sdf import GridDistance
 
-LARGEST_TURN_RAD = 0.35  # of a joint in one step
+LARGEST_TURN_RAD = 0.35  # the most that a joint turns in one step
 STEP_GRID_M = 0.02  # the body's distance between the first and the last pose need not be fine
 CARRY_GAP_M = 0.008
-ROUNDS = 40  # of the relaxation after every step
+ROUNDS = 40  # rounds of relaxation after every step
 
 
 def read_pose(text: str) -> np.ndarray:

@@ -134,7 +134,7 @@ def agreeing(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
 
 
 def _joined(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Half-edges (3 F, 3), and the two index arrays of those that stay together: at most two at an edge."""
+    """Returns the half-edges (3 F, 3), and the index arrays of the two half-edges of each edge that stay together."""
     halves, first, second = meshes.edge_pairs(faces)
     inverse, counts = _edge_numbers(halves)
     plain = counts[inverse[first]] == 2
