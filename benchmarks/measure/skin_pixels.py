@@ -3,7 +3,6 @@
 A body and a garment are drawn from four sides. A pixel shows skin where the body is nearest, on a face that the rest
 pose covers, and cloth lies less than 3 cm behind it. Pictures of the rest pose from eight sides tell which faces it
 covers: those that always have cloth before them, and lie 3 cm from bare ones, because a hem may move so far.
-An inner garment that shows through an outer one is counted in the same way, in the body's place.
 """
 
 from __future__ import annotations
@@ -85,16 +84,6 @@ class PosedBody:
             nearer = depth > plain.depth
             views.append(ZBuffer(np.where(nearer, depth, plain.depth), np.where(nearer, moved.face, plain.face)))
         return cls(vertices, faces, camera, tuple(views))
-
-    def wearing(self, vertices: np.ndarray, faces: np.ndarray) -> PosedBody:
-        """The garment ``vertices`` [m] (V, 3), ``faces`` (F, 3) as what others are looked at on, in this body's
-        pictures: where the body is before it nothing of it is seen."""
-        views = []
-        for skin, azimuth_deg in zip(self.views, VIEWS_DEG, strict=True):
-            cloth = self.camera.see(vertices, faces, azimuth_deg)
-            shown = np.where(cloth.depth > skin.depth, cloth.face, -1)
-            views.append(ZBuffer(np.maximum(cloth.depth, skin.depth), shown))
-        return PosedBody(vertices, faces, self.camera, tuple(views))
 
 
 def _numbered(view: ZBuffer, rows: np.ndarray) -> ZBuffer:

@@ -80,30 +80,6 @@ def test_faces_are_covered_off_the_hems(ball: PosedBody):
     assert covered_faces(BALL, FACES, 1.04 * BALL, FACES).mean() > 0.95, "no hem, nothing bare"
 
 
-def test_an_inner_garment_is_looked_at_in_the_bodys_place(ball: PosedBody):
-    over = 1.05 * BALL
-    worn = ball.wearing(over, FACES)
-    near = skin_pixels_pct(worn, ALL, 1.02 * BALL, FACES)
-    assert ((near > 70.0) & (near < 100.0)).all(), "the outer garment lies inside the inner one"
-    assert_array_equal(skin_pixels_pct(worn, ALL, 1.08 * BALL, FACES), np.zeros(4))
-
-
-def test_of_an_inner_garment_inside_the_body_nothing_shows(ball: PosedBody):
-    sunk = ball.wearing(0.98 * BALL, FACES)
-    for seen, skin in zip(sunk.views, ball.views, strict=True):
-        assert (seen.face == -1).all()
-        assert_array_equal(seen.depth, skin.depth)
-    assert np.isnan(skin_pixels_pct(sunk, ALL, 0.95 * BALL, FACES)).all(), "nor of the outer one, farther in"
-    assert_array_equal(skin_pixels_pct(sunk, ALL, 1.05 * BALL, FACES), np.zeros(4))
-
-
-def test_half_of_the_inner_garment_is_behind_the_body(ball: PosedBody):
-    front = BALL[:, 2] > 0.0
-    worn = ball.wearing(np.where(front[:, None], 1.05, 0.9) * BALL, FACES)
-    share = skin_pixels_pct(worn, ALL, 1.02 * BALL, FACES)
-    assert share[0] > 70.0 and share[2] < 1.0
-
-
 def test_the_pictures_agree_with_the_shaded_ones():
     camera = Camera.around(BALL)
     seen = camera.see(BALL, FACES, 90.0)
