@@ -1,1 +1,0 @@
-"""Proof of the fabrics by the tests of textile laboratories."""
