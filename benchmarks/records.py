@@ -301,15 +301,6 @@ PAGE = {
 }  # fmt: skip
 
 
-EXACT = {
-    "garment": ("garment", "s"), "clip": ("clip", "s"), "frame": ("frame", "d"), "method": ("method", "s"),
-    "energy_j": ("energy [J]", ".4f"), "gain": ("gain", ".4f"), "crossings": ("crossings", "d"),
-    "force_share": ("force left, of the weight", ".4f"), "steps": ("steps", "d"),
-    "jitter_ratio": ("jitter, of accurate's", ".1f"), "skin_pixels_pct": ("skin, pixels %", ".3f"),
-    "first_s": ("first frame, processor [s]", ".0f"), "processor_s": ("processor [s]", ".0f"),
-}  # fmt: skip
-
-
 def alike(columns: Columns, record: Record, *, sourced: bool = True) -> str:
     """A line for each row of ``record``, and where it was measured."""
     return rows_table(columns, record["rows"], record if sourced else None)
@@ -351,7 +342,6 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("lateness", SPEED_PAGE, "lateness", partial(alike, LATENESS)),
     ("churn", SPEED_PAGE, "churn", partial(alike, CHURN)),
     ("recovery_rounds", FIT_PAGE, "recovery_rounds", rounds_table),
-    ("exact", "docs/guide/options.md", "exact", partial(alike, EXACT)),
     ("recovery_cuts", RUN_PAGE, "recovery_cuts", partial(alike, CUTS)),
     ("recovery_scans", RUN_PAGE, "recovery_scans", partial(alike, SCANS)),
 )
