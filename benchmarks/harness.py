@@ -12,14 +12,12 @@ a function of a ``Run``, made into a command:
 
 The command reads its options, calls the function, prints all rows as one table, and ends with one line of JSON, the
 record. ``--save`` keeps the record under benchmarks/results, ``--out`` in another file. ``--quick`` asks for a small
-form that ends within about a minute. A benchmark of named targets (``order``) may measure some of them, also in several
-processes side by side: ``--save`` then keeps the rows of the others.
+form that ends within about a minute.
 """
 
 from __future__ import annotations
 
 import argparse
-import fcntl
 import json
 import math
 import os
@@ -27,8 +25,7 @@ import platform
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -122,14 +119,12 @@ class Run:
     """A benchmark that runs: its ``options``, its ``rows`` so far, and what the record holds beside them (``extra``).
 
     ``summary`` are rows that the table has below the others, and that the record has only under ``extra``. ``notes``
-    are printed below the table. A run that ``failed`` ends with status 1. ``order`` are the targets of the whole
-    benchmark, if it has any.
+    are printed below the table. A run that ``failed`` ends with status 1.
     """
 
     name: str
     columns: Columns
     options: argparse.Namespace
-    order: Sequence[str] = ()
     rows: list[Row] = field(default_factory=list)
     summary: list[Row] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -147,14 +142,6 @@ class Run:
         made = {"machine": machine(), "threads": self.options.threads, "commit": commit()}
         told = {"command": command(self.name, self.options.words)}
         return finite({"bench": self.name, "rows": self.rows, **self.extra, **made, **told})
-
-    def save(self) -> None:
-        """Keeps the record so far under benchmarks/results, with the rows there of targets that it leaves out."""
-        path, record = RESULTS_DIR / f"{self.name}.json", self.record()
-        with _alone(RESULTS_DIR):
-            if self.order and path.exists():
-                record = with_others(record, json.loads(path.read_text(encoding="utf-8")), self.order)
-            write(path, record)
 
 
 class Command:
@@ -185,12 +172,12 @@ class Command:
         options = self.parse(arguments)
         if "torch" in sys.modules:
             sys.modules["torch"].set_num_threads(options.threads)
-        run = Run(self._bench.name, self._bench.columns, options, self._bench.order)
+        run = Run(self._bench.name, self._bench.columns, options)
         self._measure(run)
         print("\n" + "\n".join([text_table([*run.rows, *run.summary], run.columns), *run.notes]))
         record = run.record()
         if options.save:
-            run.save()
+            write(RESULTS_DIR / f"{run.name}.json", record)
         if options.out is not None:
             write(options.out, record)
         print(json.dumps(record, allow_nan=False), flush=True)
@@ -212,15 +199,10 @@ class Command:
 
 
 class Benchmark:
-    """The command line of a benchmark: the ``name`` of its record, the ``columns`` of its table, and its options.
+    """The command line of a benchmark: the ``name`` of its record, the ``columns`` of its table, and its options."""
 
-    With an ``order`` its rows are of one "target" each, of these.
-    """
-
-    def __init__(
-        self, name: str, description: str, columns: Columns, *options: Option, order: Sequence[str] = ()
-    ) -> None:
-        self.name, self.description, self.columns, self.order = name, description, columns, order
+    def __init__(self, name: str, description: str, columns: Columns, *options: Option) -> None:
+        self.name, self.description, self.columns = name, description, columns
         self.options = (*options, *COMMON)
 
     def __call__(self, measure: Callable[[Run], None]) -> Command:
@@ -238,32 +220,6 @@ def write(target: Path, record: Record) -> None:
             text = "[\n" + ",\n".join(rows) + "\n]"
         parts.append(f"{json.dumps(key)}: {text}")
     write_whole(target, "{\n" + ",\n".join(parts) + "\n}\n")
-
-
-def with_others(record: Record, before: Record, order: Sequence[str]) -> Record:
-    """``record`` with the rows of the record ``before`` whose targets it leaves out, all in this ``order``.
-
-    A row of another commit says of which. Of the same commit, the command is all commands that made the rows.
-    """
-    own = {row["target"]: row for row in record["rows"]}
-    same = before["commit"] == record["commit"]
-    kept = {row["target"]: row if same else {"commit": before["commit"], **row} for row in before["rows"]}
-    every, command = kept | own, record["command"]
-    if any("commit" not in row for name, row in kept.items() if name not in own):
-        command = before["command"] if command in before["command"].split("; ") else f"{before['command']}; {command}"
-    return record | {"rows": [every[name] for name in order if name in every], "command": command}
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Holds ``folder`` against other processes that want it so."""
-    folder.mkdir(parents=True, exist_ok=True)
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
 
 
 def finite(value: Any) -> Any:

@@ -258,13 +258,6 @@ def serving_table(record: Record) -> str:
 
 
 # --- recovery --------------------------------------------------------------------------------------------------------
-ROUNDS = {
-    "nodes": ("nodes", "d"), "mean_mm": ("control points: mean [mm]", ".2f"), "max_mm": ("largest [mm]", ".2f"),
-    "area_err": ("areas [%]", ".2f"), "surface_mm": ("surfaces apart [mm]", ".2f"), "steps": ("steps", "d"),
-    "drapes": ("drapes", "d"), "minutes": ("minutes", ".2f"), "processor_minutes": ("of the processor", ".2f"),
-}  # fmt: skip
-
-
 CUTS = {
     "target": ("target", "s"), "from": ("from", "s"), "base": ("base", "s"), "told": ("cut told", "s"),
     "panels": ("panels", "d"), "mean_mm": ("mean distance [mm]", ".1f"), "chamfer_cm2": ("Chamfer [cm²]", ".2f"),
@@ -272,25 +265,6 @@ CUTS = {
     "sewn_mm": ("sewn, from the target [mm]", ".1f"), "minutes": ("minutes", ".1f"),
     "processor_min": ("of the processor [min]", ".1f"),
 }  # fmt: skip
-SCANS = {key: column for key, column in CUTS.items() if key != "panels"} | {
-    "by_itself_mm": ("sewn, by itself [mm]", ".1f"), "longest_silence_s": ("longest silence [s]", ".1f"),
-    "refused": ("refused", "s"),
-}  # fmt: skip
-
-
-def rounds_table(record: Record) -> str:
-    """A line for every round of every recovery, and one for its whole time."""
-    lines = []
-    for row in record["rows"]:
-        name, whole = f"{row['garment']}, {row['seed']}", {key: row[key] for key in ("minutes", "processor_minutes")}
-        lines.append([f"{name}: graded twice", *cells({"mean_mm": row["graded_mm"]}, ROUNDS)])
-        for one in record["by_round"]:
-            if (one["garment"], one["seed"]) == (row["garment"], row["seed"]):
-                lines.append([f"{name}: round {one['round']}", *cells(one, ROUNDS)])
-        lines.append([f"{name}: **whole**", *cells(whole, ROUNDS)])
-    return markdown_table(["target, base", *heads(ROUNDS)], lines, record)
-
-
 PAGE = {
     "device": ("device", "s"), "slowed": ("slowed", "s"), "webgl": ("WebGL", "s"),
     "performance": ("performance", "d"), "accessibility": ("accessibility", "d"),
@@ -314,7 +288,6 @@ def _only(columns: Columns, key: str, value: str, record: Record) -> str:
 QUALITY_PAGE, FOLDS_PAGE, SPEED_PAGE = (
     "docs/reference/quality.md", "docs/explanation/folds.md", "docs/reference/performance.md",
 )  # fmt: skip
-FIT_PAGE, RUN_PAGE = "docs/explanation/recovery_fit.md", "docs/guide/recovery_run.md"
 TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("quality", QUALITY_PAGE, "quality", quality_table),
     ("quality", QUALITY_PAGE, "quality_network", network_table),
@@ -341,7 +314,5 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("page_lighthouse", "docs/guide/web.md", "page_lighthouse", partial(alike, PAGE)),
     ("lateness", SPEED_PAGE, "lateness", partial(alike, LATENESS)),
     ("churn", SPEED_PAGE, "churn", partial(alike, CHURN)),
-    ("recovery_rounds", FIT_PAGE, "recovery_rounds", rounds_table),
-    ("recovery_cuts", RUN_PAGE, "recovery_cuts", partial(alike, CUTS)),
-    ("recovery_scans", RUN_PAGE, "recovery_scans", partial(alike, SCANS)),
+    ("recovery_cuts", "docs/guide/recovery_run.md", "recovery_cuts", partial(alike, CUTS)),
 )

@@ -2,7 +2,7 @@
 
 Four are patterns of Garment-Pattern-Generator draped on the shipped body, with the texture that ``recovery.drape``
 writes. One is a scan without a body, five are garments of the catalogue, cut with bands, darts and one-piece sleeves,
-sewn and let fall with friction; these six have no texture. With some ``--targets``, ``--save`` keeps the other rows.
+sewn and let fall with friction; these six have no texture.
 
     python -m benchmarks.recovery_cuts [--targets tee tank] [--pictures FOLDER] [--save]
 
@@ -12,23 +12,34 @@ that are there, also of runs before (docs/images/recovery_cuts.webp).
 
 from __future__ import annotations
 
+import io
+import os
+import tempfile
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
-from benchmarks.harness import Benchmark, Run
-from benchmarks.recovery.recovered import FIGURES, as_user, options, recover_all, recovered, told_words
+from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.catalog import find_files
 from drape.cloth.material import DEFAULT_MATERIAL
+from drape.errors import InputError
 from drape.files.atomic import write_whole
 from drape.files.data import HOW_TO_SET_DATA, data_folder
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.pattern.garmentcode import read_pattern
+from recovery.progress import to_stderr
+from recovery.run.__main__ import job_of, parse
 from recovery.run.cut import Cut
+from recovery.run.job import Job, Outcome, run_job
+from recovery.run.pictures import Mesh, target_above_result
+from recovery.run.report_text import page_of, top_of
 
 TARGET_EDGE_M = 0.025
 DRAPED = {  # pattern of the data folder: its base and panels
@@ -47,7 +58,13 @@ SHIPPED = {  # garment of the catalogue: its base, and the fabric that it is sew
 }
 BASES = {name: base for name, (base, _) in {**DRAPED, **SHIPPED}.items()} | SCANS
 NAMES = (*DRAPED, *SCANS, *SHIPPED)
-COLUMNS = {"target": "s", "from": "s", "base": "s", "told": "s", "panels": "d", **FIGURES}
+COLUMNS = {
+    "target": "s", "from": "s", "base": "s", "told": "s", "panels": "d", "mean_mm": ".1f", "chamfer_cm2": ".2f",
+    "seam_max_pct": ".2f", "anew_mm": ".1f", "sewn_mm": ".1f", "minutes": ".1f", "processor_min": ".1f",
+}  # fmt: skip
+UNSEEN = "does not show its seams"
+REFUSED = "refused"  # in place of a base
+TILE, GAP, ACROSS = (150, 170), 10, 5  # pixels of half a picture and between two; how many stand side by side
 
 
 def obj_of(vertices: np.ndarray, faces: np.ndarray) -> str:
@@ -83,16 +100,98 @@ def row_of(name: str, folder: Path, pictures: Path | None) -> Row:
     return {"target": name, "from": source, "fabric": fabric, **recovered(job, told, pictures)}
 
 
+def as_user(target: Path, out: Path, *words: str) -> Job:
+    """The job of ``python -m recovery.run TARGET`` with more ``words``, without other bodies and a garment cache."""
+    return job_of(parse([str(target), "--out", str(out), "--no-retarget", "--no-garment", *words]))
+
+
+def recovered(job: Job, told: Callable[[Cut | None, int], str], pictures: Path | None) -> Row:
+    """The figures of ``job``; a target that is refused has the sentence in place of them.
+
+    ``told`` says of the cut, None for a refusal, and the number of panels whether they are right. The folder
+    ``pictures`` gets the report and a picture under the target's name.
+    """
+    began, refusal, outcome = time.process_time(), "", None
+    try:
+        outcome = run_job(job, progress=to_stderr, say=print)
+    except InputError as error:
+        refusal = str(error)
+    spent = {"processor_min": (time.process_time() - began) / 60.0}
+    if outcome is None:
+        return {"base": REFUSED, "told": told(None, 0), **spent, "refused": refusal}
+    if pictures is not None:
+        write_whole(pictures / f"{job.target.stem}.html", page_of(outcome))
+        write_whole(pictures / f"{job.target.stem}.png", tile_of(outcome))
+    top, panels = top_of(outcome), len(outcome.pattern.panels)
+    return {
+        "base": outcome.cut.base,
+        "told": told(outcome.cut, panels),
+        "panels": panels,
+        "mean_mm": top["distance_mean_mm"],
+        "chamfer_cm2": top["chamfer_cm2"],
+        "seam_max_pct": top["seam_max_pct"],
+        "anew_mm": top["sewn_anew_mm"],
+        "sewn_mm": top["sewn_from_target_mm"],
+        "cut": top["cut"],
+        "rounds": len(outcome.found.rounds),
+        "minutes": top["minutes"],
+        **spent,
+        "refused": "",
+    }
+
+
+def told_words(truth: str, cut: Cut | None, *, panels: bool = False) -> str:
+    """Whether the base is ``truth``, and the ``panels`` are right too or a sentence says that they may not be.
+
+    A ``cut`` of None is a refusal, which ``REFUSED`` as the truth asks for.
+    """
+    if (REFUSED if cut is None else cut.base) != truth:
+        return f"no, {truth}"
+    if cut is None or panels:
+        return "yes"
+    return "base; seams unseen" if any(UNSEEN in sentence for sentence in cut.differs) else "base"
+
+
+def tile_of(outcome: Outcome) -> bytes:
+    """A PNG of the target, and below it of what was recovered, from the front."""
+    skin = outcome.wearer.skin
+    there = Mesh(outcome.target.vertices, outcome.target.faces)
+    found = Mesh(outcome.nodes, outcome.found.search.mesh.faces)
+    return target_above_result(there, found, Mesh(skin.vertices - outcome.wearer.trans, skin.faces), TILE)
+
+
+def sheet_of(folder: Path, names: Sequence[str]) -> bytes:
+    """A WebP of the pictures of targets that ``folder`` has, ``ACROSS`` side by side; empty if it has none."""
+    tiles = [Image.open(path) for name in names if (path := folder / f"{name}.png").exists()]
+    if not tiles:
+        return b""
+    width, height = (side + GAP for side in tiles[0].size)
+    sheet = Image.new("RGB", (min(ACROSS, len(tiles)) * width, -(-len(tiles) // ACROSS) * height), "white")
+    for number, tile in enumerate(tiles):
+        sheet.paste(tile, (number % ACROSS * width, number // ACROSS * height))
+    packed = io.BytesIO()
+    sheet.save(packed, "webp", quality=80, method=6)
+    return packed.getvalue()
+
+
 @Benchmark(
     "recovery_cuts",
     "Recovery of ten targets of other cuts, the base not named.",
     COLUMNS,
-    *options(NAMES, "skirt_4_panels"),
-    order=NAMES,
+    Option("--targets", NAMES, "which", ("skirt_4_panels",), choices=NAMES),
+    Option("--pictures", None, "writes the reports and their pictures into this folder", kind=Path),
 )
 def main(run: Run) -> None:
     """Rows of every target."""
-    recover_all(run, lambda name, folder: row_of(name, folder, run.options.pictures))
+    os.environ["OMP_NUM_THREADS"] = str(run.options.threads)
+    pictures = run.options.pictures
+    with tempfile.TemporaryDirectory() as scratch:
+        for name in run.options.targets:
+            folder = Path(scratch) / name
+            folder.mkdir()
+            run.add([row_of(name, folder, pictures)])
+    if pictures is not None and (sheet := sheet_of(pictures, NAMES)):
+        print(write_whole(pictures / "recovery_cuts.webp", sheet))
 
 
 if __name__ == "__main__":

@@ -54,33 +54,6 @@ def test_save_writes_under_results_and_a_run_that_failed_is_kept(monkeypatch, tm
     assert json.loads((tmp_path / "quality.json").read_text())["bench"] == "quality"
 
 
-def test_a_run_of_some_targets_keeps_the_rows_of_others_with_their_commit():
-    rows = [{"target": name, "mean_mm": 1.0} for name in ("skirt", "tee", "tank")]
-    rows[1]["commit"] = "older"
-    before = {"rows": rows, "commit": "old", "command": "all"}
-    new = {"rows": [{"target": "tank", "mean_mm": 2.0}], "commit": "new", "command": "tank"}
-    found = harness.with_others(new, before, ("tee", "tank", "jeans", "skirt"))
-    assert found == {"rows": [rows[1], *new["rows"], {"commit": "old", **rows[0]}], "commit": "new", "command": "tank"}
-
-
-def test_commands_that_measure_side_by_side_end_in_one_record(monkeypatch, tmp_path):
-    @Benchmark("sides", "Targets.", {"target": "s"}, Option("--targets", ("b",)), order=("a", "b", "c"))
-    def sides(run: Run) -> None:
-        """Saves each row, and in between another process does."""
-        for name in run.options.targets:
-            run.rows.append({"target": name})
-            run.save()
-            if name == "b":
-                sides(["--targets", "c", "--save"])
-
-    monkeypatch.setattr(harness, "RESULTS_DIR", tmp_path / "new")
-    sides(["--targets", "b", "a", "--save"])
-    record = json.loads((tmp_path / "new" / "sides.json").read_text())
-    assert record["rows"] == [{"target": "a"}, {"target": "b"}, {"target": "c"}]
-    words = [f"python -m benchmarks.sides --targets {names} --save" for names in ("b a", "c")]
-    assert record["command"] == "; ".join(words)
-
-
 def test_options_of_the_quick_form_yield_to_explicit_ones():
     found = bench.parse([])
     assert (found.frames, found.fabrics, found.share, found.slow) == (12, ("jersey", "denim"), None, False)

@@ -1,4 +1,4 @@
-"""The benchmark of cuts: what it writes as targets."""
+"""The benchmark of cuts: what it writes as targets, how the cut that was told is judged, and its pictures."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from benchmarks import recovery_cuts
 from drape.garment.files.mesh import read_mesh
+from recovery.run.cut import Cut
+
+UNSEEN = ("The target does not show its seams: panels and seams are the base's",)
 
 
 def test_a_garment_of_the_catalogue_is_a_plain_surface(tmp_path: Path):
@@ -22,3 +26,40 @@ def test_without_data_the_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: 
     monkeypatch.delenv("DRAPE_DATA", raising=False)
     with pytest.raises(SystemExit, match="DRAPE_DATA"):
         recovery_cuts.written("tee", tmp_path)
+
+
+def test_a_cut_is_right_where_base_and_panels_are_or_a_sentence_says_what_is_not_seen():
+    assert recovery_cuts.told_words("tshirt", Cut("tshirt", True, {}, ()), panels=True) == "yes"
+    assert recovery_cuts.told_words("tshirt", Cut("tank", True, {}, ()), panels=True) == "no, tshirt"
+    assert recovery_cuts.told_words("tank", Cut("tank", True, {}, UNSEEN)) == "base; seams unseen"
+    assert recovery_cuts.told_words("skirt", Cut("skirt", True, {}, ())) == "base"
+
+
+def test_a_refusal_is_right_where_it_is_asked_for():
+    assert recovery_cuts.told_words("tshirt", None) == "no, tshirt"
+    assert recovery_cuts.told_words(recovery_cuts.REFUSED, None) == "yes"
+    assert recovery_cuts.told_words(recovery_cuts.REFUSED, Cut("tshirt", True, {}, ())) == "no, refused"
+
+
+def test_a_target_that_is_refused_has_the_sentence_in_its_row(tmp_path: Path):
+    (tmp_path / "t.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    job = recovery_cuts.as_user(tmp_path / "t.obj", tmp_path / "out", "--body", "fit", "--minutes", "6")
+    assert (job.body, job.base, job.minutes, job.retarget) == ("fit", None, 6.0, False)
+    row = recovery_cuts.recovered(
+        job, lambda cut, panels: recovery_cuts.told_words("tshirt", cut), tmp_path / "pictures"
+    )
+    assert row["base"] == "refused" and row["told"] == "no, tshirt" and "mean_mm" not in row
+    assert row["refused"] and not (tmp_path / "pictures").exists()
+
+
+def test_a_sheet_shows_the_pictures_that_are_there_in_the_order_of_the_targets(tmp_path: Path):
+    names = [f"t{number}" for number in range(7)]
+    assert recovery_cuts.sheet_of(tmp_path, names) == b""
+    for number, name in enumerate(names[:6]):
+        Image.new("RGB", (22, 38), (40 * number, 0, 0)).save(tmp_path / f"{name}.png")
+    (tmp_path / "sheet.webp").write_bytes(recovery_cuts.sheet_of(tmp_path, names))
+    with Image.open(tmp_path / "sheet.webp") as sheet:
+        pixels = np.asarray(sheet.convert("RGB")).astype(int)
+    assert pixels.shape == (96, 160, 3)
+    assert np.allclose(pixels[20, 10::32, 0], 40 * np.arange(5), atol=12) and abs(pixels[68, 10, 0] - 200) <= 12
+    assert pixels[68, 58].min() > 240

@@ -12,7 +12,6 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from benchmarks.recovery.compare import pattern_error
 from drape.errors import ArtifactError, InputError, MeshError
 from recovery.fit.belt import belt_on
 from recovery.fit.contours import Contour, Match, Place, open_contours
@@ -35,6 +34,7 @@ from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.sim.sdf import Sphere
 from tests.drape.geometry.geometry_shapes import icosphere
+from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements, rectangle, tube
 from tests.recovery.sim_setup import WOVEN as CLOTH
 

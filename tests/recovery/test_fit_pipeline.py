@@ -11,7 +11,6 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from benchmarks.recovery.compare import pattern_error
 from drape.errors import InputError
 from recovery.drape.pipeline import DrapeOptions, drape_pattern, hanging
 from recovery.drape.placement import scaled
@@ -25,6 +24,7 @@ from recovery.fit.recovered import Recovered
 from recovery.pattern.bases import skirt, tshirt
 from recovery.run.anew import sewn_anew
 from recovery.sim.sdf import GridDistance
+from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements
 
 COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)

@@ -16,7 +16,6 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
-from benchmarks.recovery.compare import pattern_error
 from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.files.atomic import write_whole
@@ -46,6 +45,7 @@ from recovery.run.report_pieces import add_pieces, scaled_drawing
 from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, summary, verdicts
 from recovery.run.retarget import retargeted
 from tests.drape.cloth.cloth_shapes import round_tube
+from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements, tube
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])

@@ -1,4 +1,4 @@
-"""Patterns beside the true one: the bases that recoveries start from, and the error of what they find."""
+"""The error of a recovered pattern beside the true one."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ import numpy as np
 
 from drape.errors import InputError
 from recovery.pattern import geometry
-from recovery.pattern.coordinates import control_points, with_controls
+from recovery.pattern.coordinates import control_points
 from recovery.pattern.model import Pattern
-from recovery.pattern.symmetry import find_symmetries, free_controls, procrustes
-
-LEAST_OFF, MOST_OFF = 0.05, 0.10  # of all widths, and of all heights: other factors for a sleeve would unmatch its seam
+from recovery.pattern.symmetry import procrustes
 
 
 class PatternError(NamedTuple):
@@ -20,14 +18,6 @@ class PatternError(NamedTuple):
 
     controls_m: np.ndarray
     areas: np.ndarray
-
-    def describe(self) -> str:
-        """One phrase with means and largest values."""
-        far, area = 1e3 * self.controls_m, 100.0 * np.abs(self.areas)
-        return (
-            f"control points {far.mean():.2f} mm (largest {far.max():.2f}), "
-            f"areas {area.mean():.2f} % (largest {area.max():.2f})"
-        )
 
 
 def pattern_error(found: Pattern, truth: Pattern) -> PatternError:
@@ -51,11 +41,3 @@ def pattern_error(found: Pattern, truth: Pattern) -> PatternError:
         far[mine] = np.linalg.norm((a - a.mean(axis=0)) @ matrix - (b - b.mean(axis=0)), axis=1)
     pairs = zip(found.panels, truth.panels, strict=True)
     return PatternError(far, np.array([geometry.area(a) / geometry.area(b) - 1.0 for a, b in pairs]))
-
-
-def off(truth: Pattern, seed: int) -> Pattern:
-    """``truth`` with all widths, and all heights, 5 to 10 % too small or too large."""
-    rng = np.random.default_rng(seed)
-    size = 1.0 + rng.choice([-1.0, 1.0], size=2) * rng.uniform(LEAST_OFF, MOST_OFF, size=2)
-    free = free_controls(truth, find_symmetries(truth))
-    return with_controls(truth, free.controls, free.origin * size)

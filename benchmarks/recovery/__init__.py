@@ -1,1 +1,0 @@
-"""How near a recovered pattern is to the one that was draped."""
