@@ -192,13 +192,6 @@ SERVING = {
     "overhead_p50_ms": ("beside the model p50 [ms]", ".1f"), "overhead_p99_ms": ("p99 [ms]", ".1f"),
     "gap_max_ms": ("longest gap [ms]", ".0f"), "cpu_ms": ("processor a pose [ms]", ".1f"),
 }  # fmt: skip
-CHURN = {
-    "clients": ("clients", "d"), "minutes": ("minutes", ".0f"), "streams": ("streams", "d"), "frames": ("frames", "d"),
-    "requests": ("requests", "d"), "uploads": ("uploads", "d"), "refused": ("refused", "d"), "failed": ("failed", "d"),
-    "memory_mb": ("memory [MB]", ".0f"), "last_mb": ("at the end", ".0f"), "slope_mb_h": ("slope [MB/h]", ".1f"),
-    "slope_error_mb_h": ("its error", ".1f"), "descriptors": ("descriptors", "d"),
-    "last_descriptors": ("at the end ", "d"), "threads": ("threads", "d"), "last_threads": ("at the end  ", "d"),
-}  # fmt: skip
 LATENESS = {
     "beside": ("beside", "s"), "streams": ("streams", "d"), "run": ("run", "s"), "frames": ("frames", "d"),
     "done": ("done", "d"), "delay_p50_ms": ("delay p50 [ms]", ".1f"), "delay_p99_ms": ("p99", ".1f"),
@@ -313,6 +306,5 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("static_page", "docs/guide/web.md", "static_page", partial(alike, STATIC_PAGE)),
     ("page_lighthouse", "docs/guide/web.md", "page_lighthouse", partial(alike, PAGE)),
     ("lateness", SPEED_PAGE, "lateness", partial(alike, LATENESS)),
-    ("churn", SPEED_PAGE, "churn", partial(alike, CHURN)),
     ("recovery_cuts", "docs/guide/recovery_run.md", "recovery_cuts", partial(alike, CUTS)),
 )
