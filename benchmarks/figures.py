@@ -246,8 +246,10 @@ def _threads(row: Row) -> int:
 
 
 def measured_on(record: Record, table: str) -> str:
-    """The sentence on where ``record`` was measured, with a link to its ``table`` of docs/records."""
-    return f"Measured on {machine(record)}: [record](../records/{table})."
+    """The sentence on where ``record`` was measured, with a link to its ``table`` of docs/records, or to the record
+    itself where its program is gone."""
+    where = "../../benchmarks/results" if table.endswith(".json") else "../records"
+    return f"Measured on {machine(record)}: [record]({where}/{table})."
 
 
 def _cores(record: Record) -> int:

@@ -67,7 +67,7 @@ def coarse_skin(records: Records) -> str:
             [name, f"{fmean(row['skin_pixels_pct'] for row in rows):.4f}", f"{max(r['worst_pct'] for r in rows):.2f}"]
         )
     titles = [f"{len(coarse)} coarse meshes", "skin that shows, mean [% of pixels]", "in the worst view"]
-    return f"{markdown_table(titles, lines)}\n\n{measured_on(record, 'folds.md#skin')}"
+    return f"{markdown_table(titles, lines)}\n\n{measured_on(record, 'skin_pixels.json')}"
 
 
 def hem_rise(records: Records) -> str:

@@ -89,14 +89,10 @@ def four_table(record: Record) -> str:
     return markdown_table([*titles, "detail share", "poses at rest %"], lines, record)
 
 
-# --- folds, skin, the trade, motion ----------------------------------------------------------------------------------
+# --- folds, the trade, motion ----------------------------------------------------------------------------------------
 FOLDS = {
     "energy_j": ("energy [J]", ".3f"), "edge_pct": ("edge %", ".2f"), "detail_mm": ("detail [mm]", ".2f"),
     "colliding_pct": ("colliding %", ".2f"), "jitter_ratio": ("jitter", ".1f"), "ms": ("ms", ".1f"),
-}  # fmt: skip
-SKIN = {
-    "skinning": "skinning", "network": "network, pushed out", "folds": "folds on delivered triangles",
-    "wrapped": "folds on finer ones, delivered wrapped", "fine": "folds on the finest mesh",
 }  # fmt: skip
 TRADE = {
     "tier": ("tier", "s"), "knobs": ("what runs", "s"), "time_ratio": ("time, rival = 1", ".2f"),
@@ -136,16 +132,6 @@ def folds_table(record: Record) -> str:
     ]  # fmt: skip
     titles = ["garment", "fabric", "clip", "start", " / ".join(heads(start)), f"2 steps: {' / '.join(heads(folds))}"]
     return markdown_table([*titles, "8 steps"], lines, record)
-
-
-def skin_table(record: Record) -> str:
-    """One line per garment: the skin that shows on average and in the worst view, by how it was draped."""
-    shares, lines = {"skin_pixels_pct": ".3f", "worst_pct": ".2f"}, []
-    for (garment, _, _), rows in _by_method(record["rows"]).items():
-        meshes = dict.fromkeys(str(rows[name]["vertices"]) for name in ("network", "fine"))
-        shown = (cells(rows[name], shares) if name in rows else [] for name in SKIN)
-        lines.append([garment, " to ".join(meshes), *map(" / ".join, shown)])
-    return markdown_table(["garment", "vertices", *SKIN.values()], lines, record)
 
 
 def trade_table(record: Record) -> str:
@@ -292,7 +278,6 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("moving", FOLDS_PAGE, "moving", partial(alike, MOVING)),
     ("tradeoff", "docs/reference/tradeoff.md", "tradeoff", trade_table),
     ("yardsticks", "docs/reference/tradeoff.md", "yardsticks", trade_table),
-    ("skin_pixels", FOLDS_PAGE, "skin", skin_table),
     ("frame", SPEED_PAGE, "frame_kernels", partial(_only, KERNELS, "kind", "kernel")),
     ("frame", SPEED_PAGE, "frame_threads", partial(_only, THREADS, "kind", "threads")),
     ("frame", SPEED_PAGE, "frame_views", views_table),
