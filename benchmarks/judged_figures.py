@@ -36,7 +36,7 @@ def two_steps(records: Records) -> str:
         gain, took = spans
         name = f"{NAMES.get(garment, garment)}, {'cloth feels cloth' if feels else 'cloth passes through itself'}"
         lines.append([name, f"{gain[0]:.2f} to {gain[1]:.2f}", f"{took[0]:.1f} to {took[1]:.1f}"])
-    return f"{markdown_table(['two steps', 'gain', 'frame [ms]'], lines)}\n\n{measured_on(record, 'folds.md#folds')}"
+    return f"{markdown_table(['two steps', 'gain', 'frame [ms]'], lines)}\n\n{measured_on(record, 'folds.json')}"
 
 
 def moving(records: Records) -> str:

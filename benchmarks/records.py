@@ -89,11 +89,7 @@ def four_table(record: Record) -> str:
     return markdown_table([*titles, "detail share", "poses at rest %"], lines, record)
 
 
-# --- folds, the trade, motion ----------------------------------------------------------------------------------------
-FOLDS = {
-    "energy_j": ("energy [J]", ".3f"), "edge_pct": ("edge %", ".2f"), "detail_mm": ("detail [mm]", ".2f"),
-    "colliding_pct": ("colliding %", ".2f"), "jitter_ratio": ("jitter", ".1f"), "ms": ("ms", ".1f"),
-}  # fmt: skip
+# --- the trade, motion -----------------------------------------------------------------------------------------------
 TRADE = {
     "tier": ("tier", "s"), "knobs": ("what runs", "s"), "time_ratio": ("time, rival = 1", ".2f"),
     "cpu_ms": ("processor [ms]", ".1f"), "p95_ms": ("p95 [ms]", ".1f"), "gain": ("gain", ".3f"),
@@ -114,24 +110,6 @@ SWING = {
     "share": ("of the simulator's", ".2f"), "error_mm": ("hem off the simulator's [mm]", ".0f"),
     "hem_mm": ("hem off the still drape's [mm]", ".0f"), "ms": ("ms", ".1f"),
 }  # fmt: skip
-
-
-def folds_table(record: Record) -> str:
-    """One line per garment, fabric, clip and start: it alone, and with two and eight steps; then physics, if known."""
-    folds = _measured(record["rows"], GAIN) | FOLDS | _measured(record["rows"], SHARE)
-    start = {key: column for key, column in folds.items() if key not in ("jitter_ratio", "ms")}  # those of folds alone
-    named: dict[tuple[str, ...], dict[int, Row]] = {}
-    for row in record["rows"]:
-        apart = ", cloth feels cloth" if row.get("cloth_contact") else ""
-        key = row["garment"], row["fabric"], row["clip"], row["method"].replace("_", " ") + apart
-        named.setdefault(key, {})[row["sweeps"]] = row
-    lines = [
-        [*key, *(" / ".join(cells(rows[n], columns)) if n in rows else "" for n, columns in
-                 ((0, start), (2, folds), (8, folds)))]
-        for key, rows in named.items()
-    ]  # fmt: skip
-    titles = ["garment", "fabric", "clip", "start", " / ".join(heads(start)), f"2 steps: {' / '.join(heads(folds))}"]
-    return markdown_table([*titles, "8 steps"], lines, record)
 
 
 def trade_table(record: Record) -> str:
@@ -274,7 +252,6 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("quality_fabrics", QUALITY_PAGE, "quality_fabrics", fabrics_table),
     ("quality_four", QUALITY_PAGE, "quality_four", four_table),
     ("swing", "docs/explanation/swing.md", "swing", partial(alike, SWING, sourced=False)),
-    ("folds", FOLDS_PAGE, "folds", folds_table),
     ("moving", FOLDS_PAGE, "moving", partial(alike, MOVING)),
     ("tradeoff", "docs/reference/tradeoff.md", "tradeoff", trade_table),
     ("yardsticks", "docs/reference/tradeoff.md", "yardsticks", trade_table),

@@ -7,8 +7,8 @@
 Every combination of passes and folds, of the fine cloth or a coarse one, drapes the same clips through the stages of
 the service, clip after clip, and so does the rival: skinning and a SciPy push-out. ``time_ratio`` is processor time
 over the rival's. The rival (``skinning_push``) and the optimum (``physics``) have rows too, as ends of the axis.
-Figures are those of ``benchmarks.folds``, over frames at rest (motion 0) whose physics was minimised: cloth that does
-not pass through itself, as served cloth does not.
+Figures are over frames at rest (motion 0) whose physics was minimised: cloth that does not pass through itself, as
+served cloth does not.
 
 ``tiers`` of the record are chosen by one rule (``tiers_of``); ``--write`` puts them into the model's manifest.
 """
@@ -24,10 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import folds
 from benchmarks.clock import Clock
-from benchmarks.folds import Bound
 from benchmarks.harness import Benchmark, Option, Run, finite, inputs, machine
+from benchmarks.measure import bound
+from benchmarks.measure.bound import Bound
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.network import Network
 from benchmarks.scenes import Scene, fabrics_option, read_clips, scenes
@@ -43,6 +43,7 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
 PASSES = (0, 1, None)
+STARTS = {"network_0": 0, "network_all": None}  # which the optimum is looked for from, besides skinning
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
 TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
 DETAIL_MOST = 1.2  # of physics' detail: more is a texture that physics does not have, and gain does not see it
@@ -91,12 +92,12 @@ class Case:
     def of(cls, scene: Scene, networks: dict[str, Network], *, keeps_apart: bool = True) -> Case:
         """``scene`` with its physics, which starts from the last of ``networks``, of cloth that ``keeps_apart``."""
         starts = scene.starts(networks)
-        return cls(scene, starts["skinning"], folds.bound(scene, starts, keeps_apart=keeps_apart))
+        return cls(scene, starts["skinning"], bound.bound(scene, starts, keeps_apart=keeps_apart))
 
     def row(self, vertices: np.ndarray, start: np.ndarray) -> Row:
         """The measures of the clip's ``vertices`` [m] (F, V, 3); jitter is against ``start``."""
         judge, measured = self.least.judge, self.scene.clip.measured[self.least.few]
-        found, seen = folds.figures(judge, vertices, start, measured), vertices[measured].astype(np.float64)
+        found, seen = bound.figures(judge, vertices, start, measured), vertices[measured].astype(np.float64)
         return {
             **self.scene.name,
             **self.least.compare(found, self.plain),
@@ -108,7 +109,7 @@ class Case:
     @cached_property
     def plain(self) -> Row:
         """The measures of skinning, where a gain is 0."""
-        return folds.figures(self.least.judge, self.skinned, self.skinned, self.scene.clip.measured[self.least.few])
+        return bound.figures(self.least.judge, self.skinned, self.skinned, self.scene.clip.measured[self.least.few])
 
 
 def measure(case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs]) -> list[Row]:
@@ -248,7 +249,8 @@ def main(run: Run) -> None:
     options, body = run.options, load_body()
     folder = model_folder(options.model)
     drapery = DrapeRuntime(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
-    networks, knobs = folds.open_networks(options, body), combinations(options.folds)
+    networks = {name: Network.asked(options, body, passes=passes) for name, passes in STARTS.items()}
+    knobs = combinations(options.folds)
     for scene in scenes(options, read_clips(options, body), body):
         run.rows += measure(Case.of(scene, networks), drapery, knobs)
         print(f"{', '.join(scene.name.values())}: done", flush=True)

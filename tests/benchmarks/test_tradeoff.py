@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from benchmarks import folds, tradeoff
+from benchmarks import tradeoff
 from benchmarks.clock import Clock
 from benchmarks.network import Network
 from benchmarks.scenes import Clip, Scene
@@ -38,9 +38,9 @@ def drapery(make_settings):
 @pytest.fixture(scope="module")
 def case(body, tube, tiny_folder):
     folder = tiny_folder / "models" / TINY
-    networks = {name: Network(folder, body, threads=1, passes=passes) for name, passes in folds.PASSES.items()}
+    networks = {name: Network(folder, body, threads=1, passes=passes) for name, passes in tradeoff.STARTS.items()}
     scene = Scene(tube, fabric("jersey"), Clip.read(find_motions(["walk"])[0], 30.0, FRAMES, body))
-    return Case.of(scene, networks, keeps_apart=False)  # which takes minutes: tests/benchmarks/test_folds.py has it
+    return Case.of(scene, networks, keeps_apart=False)  # which takes minutes: tests/benchmarks/judge has it
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from benchmarks.measure import judged
 from benchmarks.measure.jitter import FPS, Window, _compared, jitter, typical_windows
 from drape.motion.clip import MotionClip
 from tests.benchmarks.quality_setup import bending, body, network, tube
@@ -76,3 +77,9 @@ def test_a_shaken_body_shakes_every_drape_alike(measured):
 
 def test_without_windows_there_is_no_jitter(measured):
     assert measured([]) == {}
+
+
+def test_jitter_is_a_ratio_of_third_differences_and_none_where_the_start_is_still():
+    start = np.random.default_rng(0).normal(size=(6, 5, 3))
+    assert judged.jitter_ratio(3.0 * start, start) == pytest.approx(3.0)
+    assert np.isnan(judged.jitter_ratio(start, np.ones((6, 5, 3))))
