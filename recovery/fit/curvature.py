@@ -12,12 +12,10 @@ from drape.geometry import closest, meshes
 from recovery.fit.objective import CORNERS, Objective, on_line
 
 
-def gauss_newton_matrix(
-    objective: Objective, x: np.ndarray, rest: np.ndarray, moves: np.ndarray, rest_moves: np.ndarray
-) -> np.ndarray:
-    """Matrix (Z, Z) [m^2 per m^2]: second derivative of the loss at nodes ``x`` [m] (N, 3) and ``rest`` [m] (P, 2).
+def gauss_newton_matrix(objective: Objective, x: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """Matrix (Z, Z) [m^2 per m^2]: second derivative of the loss at nodes ``x`` [m] (N, 3).
 
-    ``moves`` (N, 3, Z) and ``rest_moves`` (P, 2, Z) are the derivatives of both by the Z unknowns.
+    ``moves`` (N, 3, Z) are their derivatives by the Z unknowns.
     """
     faces, target = objective.mesh.faces, objective.target
     points = (CORNERS @ x[faces]).reshape(-1, 3)
@@ -31,10 +29,8 @@ def gauss_newton_matrix(
     along = np.einsum("nc,ncdz->ndz", here.barycentric, moves[faces[here.face]])
     total = total + _normal_part(along, _across(normal, target.points - here.point, here, faces), target.shares)
     for loop, line in objective.pairs:
-        total = total + objective.weights.contours / len(objective.pairs) * _contour_part(x[loop], line, moves[loop])
-    first, second, ratio = (part.numpy() for part in objective.seam_edges)
-    rows = _lengthening(rest, rest_moves, first) - ratio[:, None] * _lengthening(rest, rest_moves, second)
-    return total + 2.0 * objective.weights.seam_term * rows.T @ rows
+        total = total + _contour_part(x[loop], line, moves[loop]) / len(objective.pairs)
+    return total
 
 
 def _across(normal: np.ndarray, offset: np.ndarray, found: closest.ClosestPoints, faces: np.ndarray) -> np.ndarray:
@@ -72,9 +68,3 @@ def _cross_part(along: np.ndarray, way: np.ndarray, shares: np.ndarray) -> np.nd
     unit = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-30)
     rows = along - unit[:, :, None] * np.einsum("nd,ndz->nz", unit, along)[:, None]
     return 2.0 * np.einsum("n,ndz,ndy->zy", shares, rows, rows)
-
-
-def _lengthening(rest: np.ndarray, moves: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    edge = rest[ends[:, 1]] - rest[ends[:, 0]]
-    unit = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-30)
-    return np.einsum("nd,ndz->nz", unit, moves[ends[:, 1]] - moves[ends[:, 0]])

@@ -1,4 +1,4 @@
-"""The loss of a drape against its target: curvature-weighted Chamfer distance, contours, seams (equations 5 to 8).
+"""The loss of a drape against its target: curvature-weighted Chamfer distance and contours (equations 5 to 7).
 
 The paper measures from vertex to vertex, which leaves millimetres between two meshes of one surface. Here a point is
 compared with the nearest point of the other surface, so a surface is at distance zero from itself in any
@@ -8,7 +8,6 @@ point moves at right angles to the distance; only the weight at the nearest poin
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,9 +19,7 @@ from drape.arrays import check_finite, check_shape
 from drape.errors import MeshError
 from drape.geometry import closest, meshes
 from recovery.fit.contours import Contour, Match
-from recovery.pattern import geometry
 from recovery.pattern.mesh import PatternMesh
-from recovery.pattern.model import Pattern
 from recovery.pattern.triangulate import signed_areas
 
 FOLD_PER_M = 100.0  # H0 of the weight min(1 + |H| / H0, 5): a fold of 1 cm
@@ -32,42 +29,12 @@ CORNERS = (
 )  # points in a triangle, exact for quadratics
 
 
-class Weights(NamedTuple):
-    """Weights of the terms beside the Chamfer distance of the surfaces.
-
-    An infinite weight of ``seams`` makes them a constraint of the search (``seams.py``) and no term of the loss. A
-    finite one is the paper's, whose 0.1 and 0.01 have no units, and lets seams give way to what the target tells.
-    ``folds`` is the share of the weight by curvature that counts, 0 for none. A search's loss doubles where its
-    unknowns are ``reach_m`` [m] (by their norm) from the likely ones. This multiplicative regularisation (van den Berg,
-    van Broekhoven and Abubakar 1999) keeps what a drape hardly shows, and leaves an exact fit exact.
-    """
-
-    contours: float = 1.0
-    seams: float = math.inf
-    folds: float = 1.0
-    reach_m: float = 0.045
-
-    @property
-    def seams_hold(self) -> bool:
-        """Whether seams are a constraint."""
-        return math.isinf(self.seams)
-
-    @property
-    def seam_term(self) -> float:
-        """The weight of the seams in the loss: 0 where they are a constraint."""
-        return 0.0 if self.seams_hold else self.seams
-
-
-DEFAULT_WEIGHTS = Weights()
-
-
 class Terms(NamedTuple):
-    """The loss [m^2] and its parts, before their weights: ``surface``, ``contours``, ``seams``."""
+    """The loss [m^2] and its parts ``surface`` and ``contours``."""
 
     total: Tensor
     surface: Tensor
     contours: Tensor
-    seams: Tensor
 
 
 def mean_curvature(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -121,14 +88,10 @@ class Target:
         faces: np.ndarray,
         contours: list[Contour],
         *,
-        folds: float = 1.0,
         known: np.ndarray | None = None,
     ) -> Target:
-        """The target of a mesh, of which the faces ``known`` (F,) count, all by default.
-
-        A weight is 1, and ``folds`` times the excess that its curvature gives.
-        """
-        weights = 1.0 + folds * (fold_weights(mean_curvature(vertices, faces)) - 1.0)
+        """The target of a mesh, of which the faces ``known`` (F,) count, all by default."""
+        weights = fold_weights(mean_curvature(vertices, faces))
         seen = np.ones(len(faces)) if known is None else np.asarray(known, dtype=np.float64)
         area = seen * meshes.face_areas(vertices, faces)
         points = (CORNERS @ vertices[faces]).reshape(-1, 3)
@@ -144,32 +107,20 @@ class Target:
 class Objective:
     """The loss of a drape of ``mesh`` against ``target``; ``contours`` of the drape have their ``matches`` there.
 
-    Seams should keep the ratio of lengths that they have in ``base``, by default the pattern of ``mesh``: a cap that
-    is eased into its armhole stays so.
+    Seams are a constraint of the search (``seams.py``) and no term of the loss, as equation 8 of the paper is.
     """
 
-    def __init__(
-        self,
-        mesh: PatternMesh,
-        target: Target,
-        contours: list[Contour],
-        matches: list[Match],
-        weights: Weights = DEFAULT_WEIGHTS,
-        *,
-        base: Pattern | None = None,
-    ) -> None:
-        self.mesh, self.target, self.weights = mesh, target, weights
+    def __init__(self, mesh: PatternMesh, target: Target, contours: list[Contour], matches: list[Match]) -> None:
+        self.mesh, self.target = mesh, target
         self._faces = torch.from_numpy(np.ascontiguousarray(mesh.faces))
         area = np.abs(signed_areas(mesh.rest, mesh.panel_faces))
         self.shares = np.repeat(area / area.sum() / 3.0, 3)
         self.pairs = [(contours[m.source].loop, target.contours[m.target].points) for m in matches]
-        self.seam_edges = self._seam_edges(mesh.pattern if base is None else base)
 
-    def __call__(self, x: Tensor, rest: Tensor) -> Terms:
-        """The loss of nodes ``x`` [m] (N, 3) and panel vertices ``rest`` [m] (P, 2)."""
-        surface, contours, seams = self.surface(x), self.open_contours(x), self.seams(rest)
-        total = surface + self.weights.contours * contours + self.weights.seam_term * seams
-        return Terms(total, surface, contours, seams)
+    def __call__(self, x: Tensor) -> Terms:
+        """The loss of nodes ``x`` [m] (N, 3)."""
+        surface, contours = self.surface(x), self.open_contours(x)
+        return Terms(surface + contours, surface, contours)
 
     def surface(self, x: Tensor) -> Tensor:
         """Equation 7 [m^2] between both surfaces, by area instead of by vertex."""
@@ -191,21 +142,6 @@ class Objective:
             return x.sum() * 0.0
         found = [polyline_chamfer(x[torch.from_numpy(loop)], torch.from_numpy(points)) for loop, points in self.pairs]
         return torch.stack(found).mean()
-
-    def seams(self, rest: Tensor) -> Tensor:
-        """Equation 8 [m^2]: squared differences in length of sewn segments, one side times the ease of the base."""
-        first, second, ratio = self.seam_edges
-        lengths = [torch.linalg.vector_norm(rest[ends[:, 1]] - rest[ends[:, 0]], dim=1) for ends in (first, second)]
-        return ((lengths[0] - ratio * lengths[1]) ** 2).sum()
-
-    def _seam_edges(self, base: Pattern) -> tuple[Tensor, Tensor, Tensor]:
-        """Panel vertices at the ends of sewn segments (E, 2) of both sides, and the ratio (E,) they should have."""
-        of_seam = self.mesh.seam_of_pair
-        inside = of_seam[1:] == of_seam[:-1]
-        ends = [np.stack([side[:-1][inside], side[1:][inside]], axis=1) for side in self.mesh.seam_pairs.T]
-        ratio = np.array([seam.first_m / seam.second_m for seam in geometry.seams(base)])[of_seam[:-1][inside]]
-        first, second = (torch.from_numpy(side.astype(np.int64)) for side in ends)
-        return first, second, torch.from_numpy(ratio)
 
 
 def polyline_chamfer(first: Tensor, second: Tensor) -> Tensor:

@@ -28,8 +28,8 @@ from recovery.fit.contours import Match, Place, bone_chains, match_contours, ope
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
 from recovery.fit.laying import EDGE_M, LaidDrape, hung_as, is_laid, laid, laying_options, let_go
-from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
-from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSearch
+from recovery.fit.objective import Objective, Target
+from recovery.fit.optimise import DEFAULT_OPTIONS, REACH_M, FitOptions, Fitted, PatternSearch
 from recovery.fit.recovered import NOT_AT_REST, SAME, Recovered, Round, Sewn, apart_mm, clocks, why_left
 from recovery.fit.seams import SeamConstraint, sewable
 from recovery.fit.starts import Start, drape_at_rest, needed_length, worn_drape
@@ -57,10 +57,9 @@ def recover_pattern(
     *,
     drape: DrapeOptions = DEFAULT_DRAPE,
     fit: FitOptions = DEFAULT_OPTIONS,
-    weights: Weights = DEFAULT_WEIGHTS,
+    reach_m: float = REACH_M,
     pose: np.ndarray | None = None,
     meshes_m: Sequence[float] | None = None,
-    grading: bool = True,
     state_file: Path | None = None,
     progress: bool = False,
     report: Say | None = None,
@@ -71,16 +70,16 @@ def recover_pattern(
     The target, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), is one garment's surface, open where the garment is;
     ``base`` is a pattern of its kind with the same panels. ``meshes_m`` are the edge lengths [m] of the rounds, by
     default three times that of ``drape``, or once 3 cm where a seam gathers; Adam's steps are taken in the first
-    alone. Without ``grading`` the search begins at the base. Faces that are not ``known`` (F,) close holes and have no
-    weight. Raises ``InputError`` where contours have no counterpart or a drape does not come to rest. When the time is
-    up (``recovery.progress``) the best so far is given.
+    alone. A search's loss doubles where its unknowns are ``reach_m`` [m] from the graded base. Faces that are not
+    ``known`` (F,) close holes and have no weight. Raises ``InputError`` where contours have no counterpart or a drape
+    does not come to rest. When the time is up (``recovery.progress``) the best so far is given.
     """
     say = report or (lambda line: None)
     began = clocks()
     lengths = [drape.edge_length_m] * ROUNDS if meshes_m is None else list(meshes_m)
     if not lengths:
         raise InputError("meshes_m", expected="an edge length or more", got="none", cure="Leave it at its default.")
-    target = Target.from_mesh(vertices, faces, open_contours(vertices, faces), folds=weights.folds, known=known)
+    target = Target.from_mesh(vertices, faces, open_contours(vertices, faces), known=known)
     symmetries = find_symmetries(base)
     base = symmetrised(base, symmetries)
     base = sewable(base, base, symmetries)
@@ -96,7 +95,7 @@ def recover_pattern(
         skin=skin,
         base=base,
         symmetries=symmetries,
-        weights=weights,
+        reach_m=reach_m,
         drape=replace(drape, edge_length_m=lengths[0]),
         say=say,
     )
@@ -110,11 +109,9 @@ def recover_pattern(
     graded, start = ungraded(base), first
     with watch.stage("drape of the graded base"):
         if task.lays:
-            graded, start = task.nearer(graded, start, grading)
-        elif grading:
-            graded, start = task.best_graded(graded, start, GRADINGS)
+            graded, start = task.nearer(graded, start)
         else:
-            start = drape_at_rest(base, task.start(task.drape))
+            graded, start = task.best_graded(graded, start, GRADINGS)
     if not math.isnan(graded.misfit):
         say(
             f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
@@ -129,7 +126,7 @@ def recover_pattern(
         with watch.stage(f"round {number + 1}"):
             return found.run(nodes, steps, state_file=file, progress=progress)
 
-    rounds, left = task.rounds(start, graded.pattern, base, lengths, search, began)
+    rounds, left = task.rounds(start, graded.pattern, lengths, search, began)
     if rounds[-1].sewn is None and not watch.over():
         with watch.stage("the last round's pattern, sewn"), suppress(InputError):
             rounds[-1] = task.sewn(rounds[-1], lengths[-1])[0]
@@ -177,7 +174,7 @@ class _Task:
     skin: SignedDistance
     base: Pattern
     symmetries: Symmetries
-    weights: Weights
+    reach_m: float
     drape: DrapeOptions
     say: Say
 
@@ -207,8 +204,7 @@ class _Task:
         contours = open_contours(draped.nodes, draped.mesh.faces)
         found = grade(draped.mesh, draped.nodes, contours, self.matches(draped)[0], self.symmetries)
         after = graded_again(before, found)
-        if self.weights.seams_hold:
-            after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
+        after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
         return after, worn_drape(after.pattern, self.start(self.drape), rest=False)
 
     def best_graded(self, base: Graded, draped: Draped, times: int) -> tuple[Graded, Draped]:
@@ -220,7 +216,7 @@ class _Task:
         best, worn = min(reversed(tried), key=lambda one: (len(start.lost(one[1])), not one[1].at_rest))
         return best, worn if worn.at_rest else drape_at_rest(best.pattern, start)
 
-    def nearer(self, base: Graded, draped: Draped, grading: bool) -> tuple[Graded, Draped]:
+    def nearer(self, base: Graded, draped: Draped) -> tuple[Graded, Draped]:
         """``base``, whose drape is ``draped``, or, where springs do not lay that near, graded if it is then nearer."""
         cloth = hanging(self.drape.fabric, self.drape.hangs_longer)
 
@@ -228,12 +224,12 @@ class _Task:
             return apart_mm(self.surface(laid(one, self.target, self.skin, cloth)))
 
         self.say(f"laid      the base within {(before := far(draped)):.2f} mm (root mean square)")
-        after = self.graded(base, draped) if grading and before > LAID_FAR_MM else (base, draped)
+        after = self.graded(base, draped) if before > LAID_FAR_MM else (base, draped)
         return after if after[1] is not draped and far(after[1]) < before else (base, draped)
 
     def surface(self, draped: Draped) -> float:
         """The squared distance [m^2] of a drape and the target, both directions summed, as the loss has it."""
-        objective = Objective(draped.mesh, self.target, [], [], self.weights)
+        objective = Objective(draped.mesh, self.target, [], [])
         return float(objective.surface(torch.from_numpy(draped.nodes)))
 
     def held(self, draped: Draped, cloth: OrthotropicMaterial) -> Draped:
@@ -245,17 +241,14 @@ class _Task:
     def search(
         self,
         start: Draped,
-        ratios: Pattern,
         centre: Pattern,
         cloth: OrthotropicMaterial,
         reach_m: float,
     ) -> tuple[PatternSearch, list[Match]]:
         """The search from ``start`` in ``cloth`` with this reach [m], and how its contours are paired.
 
-        Seams keep the ratios of lengths of ``ratios``. The corners of ``centre`` are what the reach of the loss is
-        counted from.
+        The corners of ``centre`` are what the reach of the loss is counted from.
         """
-        weights = self.weights._replace(reach_m=reach_m)
         contours = open_contours(start.nodes, start.mesh.faces)
         matches, _ = self.matches(start)
         controls = free_controls(start.mesh.pattern, self.symmetries)
@@ -267,8 +260,9 @@ class _Task:
             start.mesh,
             controls,
             forward,
-            Objective(start.mesh, self.target, contours, matches, weights, base=ratios),
-            seams=SeamConstraint(start.mesh.pattern, controls, self.base) if self.weights.seams_hold else None,
+            Objective(start.mesh, self.target, contours, matches),
+            seams=SeamConstraint(start.mesh.pattern, controls, self.base),
+            reach_m=reach_m,
             likely=controls.values(control_points(centre).positions),
         )
         return found, matches
@@ -306,7 +300,6 @@ class _Task:
         self,
         start: Draped,
         graded: Pattern,
-        base: Pattern,
         lengths_m: list[float],
         run: Callable[[PatternSearch, np.ndarray, int], Fitted],
         began: np.ndarray,
@@ -317,7 +310,7 @@ class _Task:
         pattern ``graded``; its clocks ``began`` earlier.
         """
         cloth = hanging(self.drape.fabric, self.drape.hangs_longer)
-        ratios, reach_m = base, self.weights.reach_m
+        reach_m = self.reach_m
         rounds: list[Round] = []
         for number, length in enumerate(lengths_m):
             if number and watch.over():
@@ -338,7 +331,7 @@ class _Task:
             if why and not (why == SAME and held_back):
                 return rounds, self._left(number, len(lengths_m), why)
             reach_m *= REACH_GROWS if held_back else 1.0
-            search, matches = self.search(start, ratios, graded, cloth, reach_m)
+            search, matches = self.search(start, graded, cloth, reach_m)
             if number and not self.lays and not search.rests(start.nodes):
                 return rounds, self._left(number, len(lengths_m), NOT_AT_REST)
             if not number:
@@ -349,8 +342,6 @@ class _Task:
             began = now
             first, last = (apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].surface_m2))
             self.say(f"round {number + 1}   {start.mesh.node_count} nodes: surfaces {first:.2f} to {last:.2f} mm apart")
-            # Grading has scaled the base's seams; from here on they keep what the target tells of them.
-            ratios = fitted.pattern
         return rounds, ""
 
     def _left(self, number: int, count: int, why: str) -> str:

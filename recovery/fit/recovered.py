@@ -65,8 +65,7 @@ class Round:
     @property
     def apart_m2(self) -> float:
         """The loss of its pattern but for the reach, which may differ from round to round."""
-        weights = self.search.objective.weights
-        return self.surface_m2 + float(self.least[2:4] @ (weights.contours, weights.seam_term))
+        return self.surface_m2 + float(self.least[2])
 
     @property
     def rank(self) -> tuple[float, float]:

@@ -26,8 +26,7 @@ from recovery import progress
 from recovery.commands import add_style_options, ended, parser_of, style_of
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import read_pose
-from recovery.fit.objective import DEFAULT_WEIGHTS
-from recovery.fit.optimise import FitOptions
+from recovery.fit.optimise import REACH_M, FitOptions
 from recovery.pattern.bases import BASES
 from recovery.pattern.sizes import PATTERN_STEPS
 from recovery.run.job import MINUTES, Job, run_job
@@ -101,7 +100,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         "--reach",
         type=float,
         metavar="M",
-        default=DEFAULT_WEIGHTS.reach_m,
+        default=REACH_M,
         help="the loss doubles where corners are this far [m] from the graded base, all of them together (%(default)g)",
     )
     parser.add_argument(
@@ -129,12 +128,12 @@ def job_of(given: argparse.Namespace) -> Job:
             grid_m=given.grid,
         ),
         fit=FitOptions(iterations=given.adam, closing=given.closing),
-        weights=DEFAULT_WEIGHTS._replace(reach_m=reach_of(given)),
+        reach_m=reach_of(given),
     )
 
 
 def reach_of(given: argparse.Namespace) -> float:
-    """``Weights.reach_m`` [m]; refuses (``InputError``) one that is not positive."""
+    """The reach [m] of the search; refuses (``InputError``) one that is not positive."""
     if not given.reach > 0.0:
         raise InputError("--reach", expected="more than 0", got=f"{given.reach:g}", cure="Leave it at its default.")
     return given.reach

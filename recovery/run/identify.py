@@ -14,9 +14,7 @@ import numpy as np
 import torch
 
 from drape.geometry import meshes
-from recovery.fit.contours import open_contours
 from recovery.fit.curvature import gauss_newton_matrix
-from recovery.fit.objective import Objective
 from recovery.fit.recovered import Recovered
 from recovery.pattern.model import EdgeRef, Pattern
 
@@ -49,10 +47,7 @@ def identifiability(found: Recovered, tolerance_m: float) -> Identifiability:
     rest = mesh.rest_at(found.fitted.positions)
     rest_moves = (mesh.weights @ search.free.basis).reshape(len(rest), 2, -1)
     moves = search.forward.sensitivity(torch.from_numpy(rest), found.fitted.nodes, rest_moves)
-    # Without seams: the question is what the target says, not what sewing asks for.
-    contours = open_contours(found.start.nodes, mesh.faces)
-    shown = Objective(mesh, objective.target, contours, found.matches, objective.weights._replace(seams=0.0))
-    curvature = gauss_newton_matrix(shown, found.fitted.nodes, rest, moves, rest_moves)
+    curvature = gauss_newton_matrix(objective, found.fitted.nodes, moves)
     across, back = shape_basis(search.free.basis, search.free.controls.panel, found.fitted.positions)
     share = meshes.vertex_areas(found.fitted.nodes, mesh.faces)
     weighted = (np.sqrt(share / share.sum())[:, None, None] * moves).reshape(-1, moves.shape[2]) @ back

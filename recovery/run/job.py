@@ -20,8 +20,7 @@ from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import posed_joints
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
 from recovery.fit.contours import lost_parts, lost_words
-from recovery.fit.objective import DEFAULT_WEIGHTS, Weights
-from recovery.fit.optimise import FitOptions
+from recovery.fit.optimise import REACH_M, FitOptions
 from recovery.fit.pipeline import recover_pattern
 from recovery.fit.recovered import Recovered
 from recovery.pattern.bases import BASES, base_pattern, read_values
@@ -75,7 +74,7 @@ class Job:
     front: Front = "auto"
     drape: DrapeOptions = field(default_factory=DrapeOptions)
     fit: FitOptions = field(default_factory=FitOptions)
-    weights: Weights = DEFAULT_WEIGHTS
+    reach_m: float = REACH_M
     meshes_m: Sequence[float] | None = None
     retarget: bool = True
     garment: bool = True
@@ -279,7 +278,7 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
             wearer.shaped,
             drape=job.drape,
             fit=job.fit,
-            weights=job.weights,
+            reach_m=job.reach_m,
             pose=wearer.pose,
             meshes_m=job.meshes_m,
             state_file=job.out / f"{name}.search.npz",

@@ -20,7 +20,6 @@ from recovery.fit.forward import RestDrape
 from recovery.fit.objective import (
     Objective,
     Target,
-    Weights,
     fold_weights,
     mean_curvature,
     nearest_on_line,
@@ -104,14 +103,14 @@ def belted() -> RestDrape:
     return RestDrape(mesh, NOWHERE, CLOTH, belt=belt, tolerance_n=1e-10, iteration_limit=300)
 
 
-def search(weights: Weights | None = None, *, belt: bool = False) -> tuple[PatternSearch, np.ndarray]:
+def search(*, belt: bool = False) -> tuple[PatternSearch, np.ndarray]:
     """A search in the scene, and the nodes to start from."""
     mesh, forward, nodes, target, contours, matches = scene()
     forward = belted() if belt else forward
     # Equal weights, so that the loss is smooth: that of the nearest point is held while differentiating.
     even = replace(target, weights=np.ones(len(target.weights)))
     free = free_controls(mesh.pattern, find_symmetries(mesh.pattern))
-    return PatternSearch(mesh, free, forward, Objective(mesh, even, contours, matches, weights or Weights())), nodes
+    return PatternSearch(mesh, free, forward, Objective(mesh, even, contours, matches)), nodes
 
 
 def test_mean_curvature_of_sphere_cylinder_and_plane():
@@ -141,8 +140,8 @@ def test_the_distance_to_itself_is_zero_however_it_is_triangulated():
     nodes = coarse.nodes_from(coarse.placed())
     flat = np.column_stack([fine.rest, np.zeros(len(fine.rest))])
     same = Target.from_mesh(nodes, coarse.faces, open_contours(nodes, coarse.faces))
-    rest, x = torch.from_numpy(coarse.rest), torch.from_numpy(nodes)
-    terms = Objective(coarse, same, same.contours, paired((0, 1)))(x, rest)
+    x = torch.from_numpy(nodes)
+    terms = Objective(coarse, same, same.contours, paired((0, 1)))(x)
     assert float(terms.total) < 1e-20
     # One panel alone in another triangulation, and lifted by d: d^2 in both directions.
     front = coarse.panel_faces[coarse.face_panel == 0]
@@ -173,37 +172,10 @@ def test_the_nearest_point_of_a_closed_line_is_on_its_last_segment_too():
     assert_allclose(found, [[0.0, 0.25, 0.0], [0.6, 0.0, 0.0], [1.0, 1.0, 0.0]], atol=1e-15)
 
 
-def test_seams_keep_the_ease_of_the_base():
-    mesh = cone_mesh()
-    _, _, _, target, contours, matches = scene()
-    objective = Objective(mesh, target, contours, matches)
-    assert float(objective.seams(torch.from_numpy(mesh.rest))) < 1e-20
-    assert float(objective.seams(torch.from_numpy(1.1 * mesh.rest))) < 1e-20
-    # One panel a tenth higher: each segment of its two sides is a tenth longer than its counterpart.
-    taller = np.where((mesh.panel == 1)[:, None], mesh.rest * [1.0, 1.1], mesh.rest)
-    sides = [
-        np.linalg.norm(np.diff(points[mesh.edge_vertices[ref]], axis=0), axis=1)
-        for points in (mesh.rest, taller)
-        for ref in mesh.edge_vertices
-        if ref.panel == "back" and ref.edge in (1, 3)
-    ]
-    expected = sum(float(((b - a) ** 2).sum()) for a, b in zip(sides[:2], sides[2:], strict=True))
-    assert_allclose(float(objective.seams(torch.from_numpy(taller))), expected, rtol=1e-9)
-    # A base with that ease asks for it.
-    controls = control_points(mesh.pattern)
-    eased = with_controls(
-        mesh.pattern,
-        controls,
-        np.where((controls.panel == 1)[:, None], controls.positions * [1.0, 1.1], controls.positions),
-    )
-    assert float(Objective(mesh, target, contours, matches, base=eased).seams(torch.from_numpy(taller))) < 1e-20
-
-
 @pytest.mark.parametrize("belt", [False, True])
-@pytest.mark.parametrize("weights", [Weights(0.0, 0.0), Weights(5.0, 0.0), Weights(0.0, 50.0), Weights()])
-def test_the_gradient_agrees_with_differences_through_the_drape(weights, belt):
-    """Free control points to nodes at rest to the loss; every term alone and all of them."""
-    finder, nodes = search(weights, belt=belt)
+def test_the_gradient_agrees_with_differences_through_the_drape(belt):
+    """Free control points to nodes at rest to the loss."""
+    finder, nodes = search(belt=belt)
     rng = np.random.default_rng(0)
     values = 0.002 * rng.normal(size=finder.free.count)
     finder.likely = 0.002 * rng.normal(size=finder.free.count)
@@ -228,21 +200,20 @@ def test_the_drape_moves_as_its_sensitivity_says(belt):
         assert_allclose(found[:, :, k], numeric, atol=2e-4 * np.abs(numeric).max())
 
 
-@pytest.mark.parametrize("weights", [Weights(0.0, 0.0), Weights(5.0, 0.0), Weights(0.0, 50.0)])
-def test_where_the_fit_is_exact_the_matrix_is_the_second_derivative(weights):
-    """The loss a small way from its zero is half the square of that way in the matrix; every term alone."""
+@pytest.mark.parametrize("pairs", [(), (0, 1)])
+def test_where_the_fit_is_exact_the_matrix_is_the_second_derivative(pairs):
+    """The loss a small way from its zero is half the square of that way in the matrix, with contours and without."""
     mesh, forward, nodes, _, contours, _ = scene()
     own = Target.from_mesh(nodes, mesh.faces, contours)
-    objective = Objective(mesh, own, contours, paired((0, 1)), weights)
+    objective = Objective(mesh, own, contours, paired(pairs))
     rng = np.random.default_rng(5)
     directions = np.stack([mesh.rest_at(c) for c in rng.normal(size=(3, *mesh.controls.positions.shape))], axis=2)
     moves = forward.sensitivity(torch.from_numpy(mesh.rest), nodes, directions)
-    matrix = gauss_newton_matrix(objective, nodes, mesh.rest, moves, directions)
+    matrix = gauss_newton_matrix(objective, nodes, moves)
     assert_allclose(matrix, matrix.T, atol=1e-12 * np.abs(matrix).max())
     for way in rng.normal(size=(4, 3)):
         step = 1e-5 * way
-        rest = torch.from_numpy(mesh.rest + directions @ step)
-        loss = objective(torch.from_numpy(nodes + moves @ step), rest).total
+        loss = objective(torch.from_numpy(nodes + moves @ step)).total
         assert_allclose(float(loss), 0.5 * step @ matrix @ step, rtol=0.05)
 
 
@@ -290,7 +261,6 @@ def test_errors_of_a_pattern_leave_out_where_its_panels_lie():
     assert_allclose(larger.areas, 1.01**2 - 1.0, rtol=1e-9)
     offsets = controls.positions - np.array([p.vertices.mean(axis=0) for p in truth.panels])[controls.panel]
     assert_allclose(larger.controls_m, 0.01 * np.linalg.norm(offsets, axis=1), rtol=1e-9)
-    assert "areas 2.01 % (largest 2.01)" in larger.describe()
     with pytest.raises(InputError, match="patterns"):
         pattern_error(truth, Pattern("one", truth.panels[:1]))
 
@@ -328,7 +298,7 @@ def test_what_folds_or_does_not_rest_is_never_accepted(monkeypatch):
 
     monkeypatch.setattr(finder, "evaluate", fails_far_out)
     found = finder.run(nodes, FitOptions(iterations=1, closing=0, rate_m=2e-3))
-    assert found.history[1, 4] == 2.0 and found.finished  # 2 mm and 1 mm refused, half a millimetre taken
+    assert found.history[1, 3] == 2.0 and found.finished  # 2 mm and 1 mm refused, half a millimetre taken
     monkeypatch.setattr(finder, "evaluate", lambda values, near: evaluate(values, near) if not values.any() else None)
     stuck = finder.run(nodes, FitOptions(iterations=3, rate_m=2e-3))
     assert not stuck.finished and len(stuck.history) == 1
