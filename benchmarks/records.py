@@ -122,12 +122,8 @@ def trade_table(record: Record) -> str:
 # --- speed -----------------------------------------------------------------------------------------------------------
 NAMES = {
     "onnx": "packed graph: vertices", "onnx_pushed": "packed graph and push-out",
-    "onnx_subnormals": "packed graph and push-out, subnormal numbers kept",
-    "onnx_normals": "packed graph: vertices and normals", "onnx_steps": "packed graph: 16-bit steps",
-    "onnx_jets": "packed graph: posed jets", "onnx_fp16": "packed graph, matrices in float16",
-    "onnx_readable": "graph that is not packed", "torch_eager": "torch, eager, same precomputation",
-    "torch_compile": "torch.compile, same precomputation", "skinning_push": "skinning and nearest-vertex push (SciPy)",
-    "newton_vbd": "Newton VBD", "floor": "floor",
+    "onnx_jets": "packed graph: posed jets", "torch_eager": "torch, eager, same precomputation",
+    "skinning_push": "skinning and nearest-vertex push (SciPy)", "floor": "floor",
 }  # fmt: skip
 TIMES = {"p50_ms": "p50 [ms]", "p95_ms": "p95", "p99_ms": "p99", "min_ms": "least"}
 KERNELS = {
@@ -186,12 +182,7 @@ def single_table(record: Record) -> str:
         if row["batch"] != 1 or row["garment"] == "mixed" or "," in row["garment"] or "store" in row["garment"]:
             continue
         name = NAMES[row["name"]] + (f", {row['passes']} passes" if "passes" in row else "")
-        if "ratio" in row:
-            name += f" ({row['ratio']['both']:.2f} times as long)"
-        if "iterations" in row:
-            name += f", {row['iterations']} iterations{'' if row['reached'] else ', strain not reached'}"
-        times = cells(row, dict.fromkeys(TIMES, ".2f"), missing="")
-        lines.append([row["garment"], name, *(times if "p50_ms" in row else [row["skipped"], "", "", ""])])
+        lines.append([row["garment"], name, *cells(row, dict.fromkeys(TIMES, ".2f"), missing="")])
     return markdown_table(["garment", "what", *TIMES.values()], lines, record)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
@@ -32,14 +32,13 @@ class Device:
     """The processor or GPU on which graphs compute.
 
     A CPU has ``threads``. On a GPU a session's workspace may take ``memory_mb`` [MB], and ``capture`` makes a CUDA
-    graph of the calls of one set of shapes. ``keep_subnormals`` is slower on many processors; it measures how much.
+    graph of the calls of one set of shapes.
     """
 
     provider: Provider = "cpu"
     threads: int = 1
     memory_mb: int = 4096
     capture: bool = True
-    keep_subnormals: bool = False
 
     @property
     def captures(self) -> bool:
@@ -47,7 +46,7 @@ class Device:
 
     def computing(self) -> AbstractContextManager[None]:
         """The context in which a thread runs sessions; a session's own option holds for its own threads only."""
-        return nullcontext() if self.keep_subnormals else flushed()
+        return flushed()
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
         """``array`` where the graphs compute; on the CPU it shares the array's memory."""
@@ -194,7 +193,7 @@ def _session_options(weights: dict[str, bytes], device: Device) -> onnxruntime.S
     # and those that spin between frames burn a core: so they spin while a graph runs.
     options.add_session_config_entry("session.intra_op.allow_spinning", "1")
     options.add_session_config_entry("session.force_spinning_stop", "1")
-    options.add_session_config_entry("session.set_denormal_as_zero", "0" if device.keep_subnormals else "1")
+    options.add_session_config_entry("session.set_denormal_as_zero", "1")
     options.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
     options.log_severity_level = 3
     if weights:

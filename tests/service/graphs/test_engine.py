@@ -378,6 +378,3 @@ def test_subnormal_numbers_are_zero_in_every_thread_of_a_session(make: Callable[
             assert_array_equal(run(lambda: opened.run(["z"], feed)[0]), 0.0)
         assert_array_equal(run(lambda: opened.run(["z"], feed | {"x": -1e10 * SMALL})[0]), -1e10 * SMALL * FACTOR)
     assert (SMALL[:4] * FACTOR > 0.0).all()  # numpy, here
-    kept = make(Device(threads=threads, keep_subnormals=True)).run(["z"], feed)[0]
-    assert_array_equal(kept, SMALL * FACTOR)
-    assert (kept > 0.0).all()
