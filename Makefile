@@ -28,6 +28,9 @@ TORCH_INDEX ?=
 ARGS ?=
 BASE ?=
 
+# uv writes no byte code: the first import has to, or every process compiles the packages anew.
+export PYTHONDONTWRITEBYTECODE :=
+
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help

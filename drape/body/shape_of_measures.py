@@ -16,7 +16,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from drape.body.measure_slopes import measure_slopes
 from drape.body.measures import Measures, measures
@@ -45,6 +44,8 @@ def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: flo
     all, unknown names, and a measure that no shape within ``limit`` standard deviations has. Measures that exclude each
     other are not refused: what was missed is told.
     """
+    from scipy.optimize import lsq_linear  # a tenth of a second, which a start need not wait for
+
     names = _checked(body, asked, limit)
     rows = [Measures._fields.index(name) for name in names]
     target, scale = np.array([asked[name] for name in names]), np.array(ACCURACY)[rows]

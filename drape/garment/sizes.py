@@ -12,12 +12,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import RBFInterpolator
 
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError
@@ -170,7 +169,7 @@ def moved_patches(garment: Garment, vertices: np.ndarray, body: BodyModel) -> di
 
 def field_in_space(points: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """The field (N, C) over ``points`` [m] (N, 3) that has ``values`` (A, C) at ``rows``, a spline of |x|."""
-    return RBFInterpolator(points[rows], values, kernel="linear", degree=1)(points)
+    return _spline(points[rows], values, "linear")(points)
 
 
 def field_in_panels(uv: np.ndarray, uv_faces: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -180,9 +179,15 @@ def field_in_panels(uv: np.ndarray, uv_faces: np.ndarray, rows: np.ndarray, valu
     for number in range(panel.max() + 1):
         mine, given = panel == number, panel[rows] == number
         if given.any():
-            spline = RBFInterpolator(uv[rows[given]], values[given], kernel="thin_plate_spline", degree=1)
-            field[mine] = spline(uv[mine])
+            field[mine] = _spline(uv[rows[given]], values[given], "thin_plate_spline")(uv[mine])
     return field
+
+
+def _spline(at: np.ndarray, values: np.ndarray, kernel: str) -> Callable[[np.ndarray], np.ndarray]:
+    """The spline of radial basis functions with ``values`` (n, C) at the points ``at`` (n, d)."""
+    from scipy.interpolate import RBFInterpolator  # 0.15 s, which a start need not wait for
+
+    return RBFInterpolator(at, values, kernel=kernel, degree=1)
 
 
 def panels_of(uv: np.ndarray, uv_faces: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from drape.stages.walk import run, walk
 from drape.wire.options import DrapeOptions
 from service.compute.avatars import Avatars
 from service.compute.constants_process import ConstantsProcess
-from service.compute.garments import Registry
+from service.compute.garments import Registry, begin_reading
 from service.compute.motions import Motions
 from service.compute.sizes import Sizes
 from service.compute.threads import ComputeThreads
@@ -72,9 +72,11 @@ class DrapeRuntime(Runtime):
             clip_wait_s=settings.clip_wait_s,
         )
         self.constants_process = ConstantsProcess(lambda: self.threads.streaming)
-        make = self.constants_process.call
-        super().__init__(engine, body or load_body(settings.body), settings, make)
-        self.garments = Registry(settings, self.worn, make, at_once=at_once)
+        make, body = self.constants_process.call, body or load_body(settings.body)
+        # Beside what follows, which waits for that process to start.
+        read = None if at_once else begin_reading(settings, body)
+        super().__init__(engine, body, settings, make)
+        self.garments = Registry(settings, self.worn, make, read)
         self.sizes = Sizes(self.body, settings.shipped_garments_dir, self.garments.entries(), make)
         self.avatars = Avatars(self.body, settings, self.stages_on, make)
         self.motions = Motions(settings.motions_dir)

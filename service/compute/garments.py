@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,17 +34,24 @@ log = logging.getLogger("drape.service")
 
 
 class Registry:
-    """Garments by id, whose constants stages get ``at_once``, or when somebody wants them first.
+    """Garments by id. With ``read``, which gives the garment of a file, stages get their constants when somebody wants
+    them first, and at once without.
 
     Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health.
     """
 
-    def __init__(self, settings: Settings, worn: BodyStages, make: Make = call_here, *, at_once: bool = True) -> None:
-        take = self.prepare if at_once else self._read
+    def __init__(
+        self,
+        settings: Settings,
+        worn: BodyStages,
+        make: Make = call_here,
+        read: Callable[[Path], Garment] | None = None,
+    ) -> None:
+        take = read or self.prepare
         self._settings, self._worn, self._make = settings, worn, make
         self._entries: dict[str, Entry] = {}
         self.refused: list[str] = []
-        for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
+        for path in _shipped(settings):
             self.add(take(path), "shipped")
         for path in garment_files.stored(settings.garments_dir):
             try:
@@ -88,12 +97,6 @@ class Registry:
         entries = tuple(self.get(name, viewer) for name in worn)
         check_layers([entry.garment for entry in entries])
         return Outfit(entries)
-
-    def _read(self, path: Path) -> Garment:
-        """The checked garment of the cache ``path``, of which no stage knows yet."""
-        garment = load_garment(path)
-        check_garment(garment, self._worn.body, max_vertices=self._settings.max_vertices)
-        return garment
 
     def prepare(self, path: Path) -> Garment:
         """The checked garment of the cache ``path``, stored by every stage; it takes time, safely beside frames."""
@@ -150,6 +153,20 @@ class Registry:
                 self._worn.remove(garment)
 
 
+def begin_reading(settings: Settings, body: BodyModel) -> Callable[[Path], Garment]:
+    """Begins to read all garments in a thread, and returns a function that waits for the checked garment of a file."""
+    with_limit = partial(_read, body=body, max_vertices=settings.max_vertices)
+    pool = ThreadPoolExecutor(1, "drape-reading")
+    stored = [*_shipped(settings), *garment_files.stored(settings.garments_dir)]
+    begun = {path: pool.submit(with_limit, path) for path in stored}
+    pool.shutdown(wait=False)
+    return lambda path: begun[path].result() if path in begun else with_limit(path)
+
+
+def _shipped(settings: Settings) -> list[Path]:
+    return sorted(settings.shipped_garments_dir.glob("*.npz"))
+
+
 def set_aside(path: Path, error: Exception) -> str:
     """A line, which the log has too, about the cache ``path``, which cannot be read."""
     said = legible(f"{path.name}: {error if isinstance(error, DrapeError) else repr(error)[:200]}")
@@ -159,9 +176,15 @@ def set_aside(path: Path, error: Exception) -> str:
 
 def _loaded(path: Path, body: BodyModel, max_vertices: int) -> tuple[Garment, dict[str, np.ndarray]]:
     """The checked garment of a file, and its ``garment_feed``."""
+    garment = _read(path, body, max_vertices)
+    return garment, garment_feed(garment, body=body)
+
+
+def _read(path: Path, body: BodyModel, max_vertices: int) -> Garment:
+    """The checked garment of the cache ``path``, of which no stage knows yet."""
     garment = load_garment(path)
     check_garment(garment, body, max_vertices=max_vertices)
-    return garment, garment_feed(garment, body=body)
+    return garment
 
 
 def slug(name: str) -> str:
