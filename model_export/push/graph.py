@@ -9,7 +9,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 from torch import Tensor, nn
@@ -94,15 +93,19 @@ PUSHES: dict[str, Callable[[], PushGraph | LayerGraph]] = {"push_out": PushGraph
 
 
 def write_push(name: str, folder: Path) -> GraphSpec:
-    """Writes the graph ``name`` of ``PUSHES``, which is the same for every model."""
+    """Writes the graph ``name`` of ``PUSHES``, which is the same for every model, as it was traced once."""
     path = folder / f"{name}.onnx"
-    path.write_bytes(traced(name))
+    path.write_bytes(stored(name).read_bytes())
     return GraphSpec(path.name, file_digest(path), OPSET, PUSHES[name].inputs, OUTPUTS)
 
 
-@cache
+def stored(name: str) -> Path:
+    """The file of the graph ``name`` that lies beside this one. An export holds it against the reference in NumPy."""
+    return Path(__file__).with_name(f"{name}.onnx")
+
+
 def traced(name: str) -> bytes:
-    """The file of the graph ``name``; half a minute the first time."""
+    """The file of the graph ``name``, traced anew; half a minute."""
     graph = PUSHES[name]()
     with tempfile.TemporaryDirectory(prefix="push-out-") as folder:
         path = Path(folder) / "push.onnx"

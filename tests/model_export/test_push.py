@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from model_export.parity import hard_poses, session
-from model_export.push.graph import PUSHES, write_push
+from model_export.push.graph import PUSHES, stored, traced, write_push
 from model_export.push.parity import layer_case, push_case, push_parity_error
 from tests.fixtures.packed import garment
 
@@ -62,3 +62,9 @@ def test_lengths_are_read_off_small_inputs_that_a_cut_graph_keeps(written, name:
 
 def test_parity_is_measured(written):
     assert 0.0 < push_parity_error(written[0], garment("tank")) < 2e-5
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", PUSHES)
+def test_the_stored_graph_is_traced_from_this_code(name: str):
+    assert traced(name) == stored(name).read_bytes(), "python -m model_export.push stores it anew"

@@ -1,0 +1,12 @@
+"""Traces the graphs of the push-out anew and stores them: after a change of what they compute.
+
+python -m model_export.push
+"""
+
+from __future__ import annotations
+
+from model_export.push.graph import PUSHES, stored, traced
+
+if __name__ == "__main__":
+    for name in PUSHES:
+        stored(name).write_bytes(traced(name))
