@@ -81,7 +81,7 @@ def test_what_is_hung_in_folds_is_said_to_fall_into_others_by_itself():
 def test_a_scan_without_a_body_may_go_farther_from_its_base():
     words = ["t.obj", "--base", "tshirt", "--out", "out"]
     for more, reach in (([], 0.045), (["--body", "fit"], 0.045), (["--reach", "0.1"], 0.1)):
-        assert command.job_of(command.parse([*words, *more])).weights.reach_m == reach
+        assert command.job_of(command.parse([*words, *more])).reach_m == reach
     with pytest.raises(InputError, match="--reach: expected more than 0"):
         command.job_of(command.parse([*words, "--reach", "0"]))
 
