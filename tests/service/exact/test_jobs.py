@@ -6,6 +6,7 @@ import asyncio
 import json
 import time
 from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
 
 import httpx
@@ -241,9 +242,11 @@ def test_what_a_process_says_at_its_end_is_raised(make_settings: Callable[..., S
     clips = ExactClips(Nothing(make_settings()))  # pyright: ignore[reportArgumentType]
     job = jobs.ClipJob(on_disk.Accepted("a", "tube", None, 2), tmp_path)
 
+    names = (f"spoken_{number}" for number in count())  # byte code of one module would be taken for another's
+
     def computed(program: str) -> None:
-        (tmp_path / "spoken.py").write_text(program)
-        monkeypatch.setattr(jobs, "BLOCK", "spoken")
+        (tmp_path / f"{(name := next(names))}.py").write_text(program)
+        monkeypatch.setattr(jobs, "BLOCK", name)
         monkeypatch.setenv("PYTHONPATH", str(tmp_path))
         some = np.zeros(1)
         block = Block(None, None, None, some, some, tmp_path, some, some)  # pyright: ignore[reportArgumentType]

@@ -268,7 +268,7 @@ def test_too_large_a_message_is_cut_off(live: str):
     assert run(live, talk) == 1009
 
 
-def test_silence_is_ended(live: str, live_settings: Settings):
+def test_silence_is_ended(make_settings: Callable[..., Settings]):
     async def never_opens(socket: ClientConnection) -> tuple[int, str, dict]:
         return await shown_out(socket)
 
@@ -281,14 +281,15 @@ def test_silence_is_ended(live: str, live_settings: Settings):
         await send(socket, 1)
         return await shown_out(socket)
 
-    for talk, words in (
-        (never_opens, "open message"),
-        (opens_only, "a pose within 2 s"),
-        (never_acknowledges, "an acknowledgement within 0.6 s"),
-    ):
-        code, _, said = run(live, talk)
-        assert code == 4408
-        assert words in said["detail"]
+    with served(make_settings(stream_open_s=2.0, stream_ack_s=2.0, stream_idle_s=3.0)) as url:
+        for talk, words in (
+            (never_opens, "open message"),
+            (opens_only, "a pose within 3 s"),
+            (never_acknowledges, "an acknowledgement within 2 s"),
+        ):
+            code, _, said = run(url, talk)
+            assert code == 4408
+            assert words in said["detail"]
 
 
 def test_more_streams_than_places_are_turned_away(live: str, live_settings: Settings):
