@@ -13,7 +13,9 @@
 #   make format           write the format and the safe lint fixes
 #   make bench            every benchmark, its quick form
 #   make soak             fuzzed frames through the whole engine for ten minutes, ARGS="--frames 1000000 --seconds 1e9" for more; then drawn requests and streams
-#   make release          dist/: wheels for four systems, sdists, a bill of materials, checksums; this system's wheels are tried
+#   make image            the image drape:VERSION by podman or docker, tried (BASE, PLATFORMS: scripts/build_image)
+#   make release          dist/: wheels for four systems, sdists, the packages for browsers and Blender, the image, a bill of
+#                         materials, checksums; what runs on this system is tried
 #   make clean            remove what was installed or built
 #
 # Options: PORT, HOST; PAGE=0 starts without the page (no Node.js needed);
@@ -46,7 +48,7 @@ PRODUCT := drape $(MEMBERS) benchmarks examples
 ENGINE_SOURCES := drape/engine/build.py $(wildcard drape/engine/source/*)
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help serve setup browser test test-all test-avx2 quick test-quick sanitize check audit format bench soak page release clean
+.PHONY: help serve setup browser test test-all test-avx2 quick test-quick sanitize check audit format bench soak page image release clean
 
 help:
 	@sed -n '2,/^$$/{s/^# \{0,1\}//;p;}' Makefile
@@ -155,14 +157,22 @@ soak: setup
 	$(BIN)/python -m benchmarks.soak --threads 1 $(ARGS)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q --hypothesis-profile=soak tests/service/http/test_openapi.py tests/service/stream/test_stream_machine.py
 
+image:
+	scripts/build_image $(ARGS)
+
 # Every job puts its files into dist/, which the first one empties; the sums come last.
 $(VENV)/.release-stamp: pyproject.toml | $(BIN)/python
 	@DRAPE_ENGINE=apart scripts/timed "packages of a release" $(INSTALL) -e '.[release]'
 	@touch $@
 
-release: $(VENV)/.release-stamp page
+release: $(VENV)/.release-stamp
+	scripts/build_page $(WEB)
+	$(BIN)/kubernetes-validate --strict --quiet deploy/kubernetes.yaml
 	$(BIN)/python scripts/release.py
+	$(BIN)/python scripts/build_addon dist
+	npm pack --silent --pack-destination dist ./$(WEB)/lib
 	$(BIN)/python scripts/try_wheels.py
+	WHEELS=dist OUT=dist scripts/build_image --optional
 	cd dist && sha256sum -- * > SHA256SUMS
 
 clean:

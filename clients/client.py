@@ -18,15 +18,13 @@ from typing import Any, Concatenate, ParamSpec
 import httpx
 
 from clients.avatar import Avatar
-from clients.calls import DEFAULT_URL, Answer, Call, key_headers
+from clients.calls import DEFAULT_URL, Answer, Call
+from clients.connections import opened, unreachable
 from clients.jobs import Pause, Steps
 from clients.methods import Methods
-from clients.refusals import unreachable
 from drape.errors import DrapeError
 from drape.files.formats import AVATAR_SUFFIXES
 
-# A clip of a thousand frames takes a while on a small machine; connecting does not.
-TIMEOUT = httpx.Timeout(300.0, connect=5.0)
 Given = ParamSpec("Given")
 Whole = Callable[Concatenate[Methods, Given], Call[Answer] | Steps[Answer]]
 InParts = Callable[Concatenate[Methods, Given], Iterator[Steps[Answer]]]
@@ -83,7 +81,7 @@ class DrapeClient:
         self, url: str = DEFAULT_URL, *, key: str | None = None, transport: httpx.BaseTransport | None = None
     ) -> None:
         """``url``: the address of the service. ``key``: a key or a ticket, if the service has keys."""
-        self._http = httpx.Client(base_url=url, timeout=TIMEOUT, headers=key_headers(key), transport=transport)
+        self._http = opened(httpx.Client, url, key, transport)
         self._methods, self._key = Methods(), key
 
     @property
@@ -166,7 +164,7 @@ class AsyncDrapeClient:
     def __init__(
         self, url: str = DEFAULT_URL, *, key: str | None = None, transport: httpx.AsyncBaseTransport | None = None
     ) -> None:
-        self._http = httpx.AsyncClient(base_url=url, timeout=TIMEOUT, headers=key_headers(key), transport=transport)
+        self._http = opened(httpx.AsyncClient, url, key, transport)
         self._methods = Methods()
 
     async def __aenter__(self) -> AsyncDrapeClient:

@@ -1,4 +1,4 @@
-"""Refusals of the service, and that it could not be reached, as the errors of ``drape.errors``."""
+"""Refusals of the service as the errors of ``drape.errors``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 
 from drape import errors
-from drape.errors import DrapeError, Unavailable
+from drape.errors import DrapeError
 
 
 class ServiceError(DrapeError):
@@ -33,11 +33,3 @@ def problem_error(document: Mapping[str, Any]) -> DrapeError:
     known = getattr(errors, name, None)
     kind = known if isinstance(known, type) and issubclass(known, DrapeError) else ServiceError
     return kind(document["name"], expected=document["expected"], got=document["got"], cure=document["cure"])
-
-
-def unreachable(url: object, error: Exception) -> Unavailable:
-    """The refusal where no answer came."""
-    reason = str(error) or type(error).__name__
-    return Unavailable(
-        f"service at {url}", expected="an answer", got=reason, cure="Start it (make serve) or give its --url."
-    )

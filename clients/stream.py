@@ -30,11 +30,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidProxy, InvalidURI
 from websockets.typing import Subprotocol
 
 from clients.calls import DEFAULT_URL, Size, key_headers, worn
-from clients.refusals import ServiceError, problem_error, unreachable
+from clients.connections import is_local, unreachable
+from clients.refusals import ServiceError, problem_error
 from drape.errors import DrapeError, Unavailable
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, unpack_jets
@@ -343,8 +344,9 @@ async def _connected(url: str, key: str | None) -> ClientConnection:
             compression=None,
             max_size=MESSAGE_LIMIT_BYTES,
             open_timeout=OPEN_S,
+            proxy=None if is_local(url) else True,
         )
-    except (OSError, TimeoutError, InvalidHandshake, InvalidURI) as error:
+    except (OSError, TimeoutError, InvalidHandshake, InvalidURI, InvalidProxy, ImportError) as error:
         raise unreachable(address, error) from error
 
 

@@ -4,7 +4,21 @@ from __future__ import annotations
 
 import sys
 
-from drape.command import main
+from drape import installed
+from drape.errors import Unavailable, refusing
+
+
+@refusing
+def main() -> int:
+    """The command line: 2 also where the installation is not whole, which is told before anything of it is needed."""
+    installed.check()
+    try:
+        from drape.command import main as run
+    except ModuleNotFoundError as error:
+        expected = "the packages that the wheel of patchdrape asks for"
+        raise Unavailable("drape", expected=expected, got=f"no {error.name}", cure=installed.AGAIN) from error
+    return run()
+
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -19,7 +19,16 @@ def data_home() -> Path:
     """The folder of what users make where there is no clone: ``drape`` in XDG_DATA_HOME, by default in
     ``~/.local/share``, on Windows in LOCALAPPDATA."""
     named = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_DATA_HOME", "")
-    return (Path(named) if Path(named).is_absolute() else Path.home() / ".local" / "share") / "drape"
+    return (Path(named) if Path(named).is_absolute() else _home() / ".local" / "share") / "drape"
+
+
+def _home() -> Path:
+    """The user's home. A user whom the machine does not know has none: nothing can be written there, and what tries
+    says so."""
+    try:
+        return Path.home()
+    except RuntimeError:
+        return Path("/nonexistent")
 
 
 CLONE = clone_around(ASSETS.parent)

@@ -1,7 +1,8 @@
 """``python scripts/release.py`` fills dist/ with what a release has of Python.
 
-That is an sdist of every member, the core's wheel for every system, and a wheel of each other member. The page must
-have been built (``make page``).
+That is an sdist of every member, the core's wheel for every system, and a wheel of each other member. ``--image`` makes
+no more than an image of this system takes: the core's wheel for it, and the service's. The page must have been built
+(``make page``).
 
 The wheels of other systems come from the same compiler; ``scripts/try_wheels.py`` installs this system's and looks into
 the others.
@@ -9,6 +10,7 @@ the others.
 
 from __future__ import annotations
 
+import argparse
 import os
 import shutil
 import subprocess
@@ -18,7 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from drape.engine.build import LIBRARIES, TARGETS, WEB  # noqa: E402
+from drape.engine.build import LIBRARIES, TARGETS, WEB, host  # noqa: E402
 
 DIST = ROOT / "dist"
 MEMBERS = ("service", "clients", "recovery", "training", "model_export")
@@ -40,13 +42,12 @@ def put_pages() -> None:
     shutil.copy(LIBRARIES / f"{WEB.name}{WEB.suffix}", PAGES)
 
 
-def main() -> None:
-    """The command."""
-    shutil.rmtree(DIST, ignore_errors=True)
-    licences = [ROOT / member / "LICENSE" for member in MEMBERS]
+def pack_members(members: tuple[str, ...]) -> None:
+    """Packs ``members`` other than the core, each with the licence, the service with its pages."""
+    licences = [ROOT / member / "LICENSE" for member in members]
     try:
         put_pages()
-        for member, licence in zip(MEMBERS, licences, strict=True):
+        for member, licence in zip(members, licences, strict=True):
             shutil.copy(ROOT / "LICENSE", licence)
             built(member)  # the wheel comes from the sdist, so that this one is whole
             print(f"release: {member}", flush=True)
@@ -54,8 +55,18 @@ def main() -> None:
         shutil.rmtree(PAGES, ignore_errors=True)
         for licence in licences:
             licence.unlink(missing_ok=True)
-    built(".", "--sdist")
-    for system in TARGETS:
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--image", action="store_true", help="only the wheels that an image of this system takes")
+    for_image = parser.parse_args().image
+    shutil.rmtree(DIST, ignore_errors=True)
+    pack_members(("service",) if for_image else MEMBERS)
+    if not for_image:
+        built(".", "--sdist")
+    for system in [host()] if for_image else TARGETS:
         built(".", "--wheel", system=system)
         print(f"release: drape for {system}", flush=True)
 

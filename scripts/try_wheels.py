@@ -1,7 +1,7 @@
 """``python scripts/try_wheels.py`` installs this system's wheels of dist/ and starts the service from them.
 
 The environment is empty and read-only, the service offline, its user without a home, no compiler is on the PATH, and
-each ``DRAPE_ISA`` has its turn.
+each ``DRAPE_ISA`` that this processor takes has its turn.
 
 It says how long a start takes and how large the environment is, and writes dist/sbom.cdx.json, the packages of that
 environment. Of other systems' wheels it compares tags and the functions that their engines export. A failure ends it
@@ -36,7 +36,6 @@ WHEEL_LIMIT, INSTALLED_LIMIT = 25e6, 400e6  # bytes
 PORT = 8448
 # A network that leads nowhere, and $1, the environment, read-only: for root alone.
 APART = 'ip link set lo up && mount --bind "$1" "$1" && mount -o remount,bind,ro "$1" && shift && exec "$@"'
-ISAS = [target.name.rpartition("-")[2] for target in TARGETS[host()]] if "x86_64" in host() else [""]
 ASKED = {"garment": "tshirt", "poses": [[[0.0, 0.0, 0.0]] * 24]}
 
 
@@ -84,6 +83,13 @@ def size_of(python: Path) -> int:
     return sum(file.stat().st_size for path in ours for file in (path, *path.rglob("*")) if file.is_file())
 
 
+def isas(python: Path) -> list[str]:
+    """What ``DRAPE_ISA`` may say on this processor, the oldest first; of one that has no levels nothing."""
+    code = "from drape.engine.probe import processor_level; print(processor_level()[0])"
+    told = subprocess.run([str(python), "-c", code], cwd="/", capture_output=True, text=True, check=True)
+    return [f"v{level}" for level in range(2, int(told.stdout) + 1)] or [""]
+
+
 def serve(python: Path, isa: str) -> None:
     """Starts the service with the engine for ``isa``, tells when it is ready, asks for a draped pose and the page."""
     with tempfile.TemporaryDirectory() as empty:
@@ -124,7 +130,7 @@ def main() -> None:
     parser.add_argument("--serve", type=Path, metavar="PYTHON", help="only the starts, in this environment")
     python = parser.parse_args().serve
     if python:
-        for isa in ISAS:
+        for isa in isas(python):
             serve(python, isa)
         return
     functions = {system: look_into(system) for system in TARGETS}

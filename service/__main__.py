@@ -10,6 +10,7 @@ import signal
 import sys
 from contextlib import ExitStack
 
+from drape import installed
 from drape.errors import DrapeError
 
 
@@ -31,6 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _serve(overrides: dict[str, object]) -> int:
+    installed.check()
     # Imported here, so that --help and a missing package do not need everything.
     try:
         from service.app import create_app

@@ -11,15 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from drape.engine.build import LIBRARIES
+from drape.engine.probe import CURE, SUFFIX, processor_level
 from drape.engine.records import HASH
 from drape.errors import ArtifactError
-from drape.folders import CLONE
 
-SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")
 LEVELS = {"v2": 2, "v3": 3, "v4": 4}
 LANES = 16  # numbers of a row
 _PERMIT = (158, 0x1023, 18)  # the system's call for the state of tiles: arch_prctl, ARCH_REQ_XCOMP_PERM, XTILEDATA
-CURE = "Build it: python -m drape.engine.build." if CLONE else "Install the wheel again, with --force-reinstall."
 
 
 class Scratch(ctypes.Structure):
@@ -35,15 +33,6 @@ class Scratch(ctypes.Structure):
     def __init__(self, size: int) -> None:
         self._memory = np.empty(size, np.uint8)
         super().__init__(self._memory.ctypes.data, size, 0, False)
-
-
-def processor_level(folder: Path = LIBRARIES) -> tuple[int, bool]:
-    """The level of x86-64 of this processor, 0 on others, and whether it has tiles for numbers of 16 bits."""
-    probe = folder / f"probe{SUFFIX}"
-    if not probe.is_file():
-        raise ArtifactError("engine", expected=f"the file {probe.name}", got="none", cure=CURE)
-    found = ctypes.CDLL(str(probe)).drape_processor()
-    return found % 16, found >= 16
 
 
 def library_name(level: int, forced: str | None = None) -> str:

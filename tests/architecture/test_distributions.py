@@ -7,6 +7,7 @@ import tomllib
 from typing import Any
 
 import pytest
+import yaml
 
 import drape
 from drape.engine import build
@@ -44,6 +45,17 @@ def test_extras_name_every_member():
 def test_nothing_tells_to_install_by_a_name_that_another_has():
     told = re.compile(r"pip install\s+(-\S+\s+)*'?drape\b")
     assert [str(path) for path, text in text_files() if told.search(text)] == []
+
+
+def test_each_wheel_is_tried_on_its_system_by_every_python_that_it_is_for():
+    jobs = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8"))["jobs"]
+    tried = jobs["wheels"]["strategy"]["matrix"]
+    tags = re.findall(r'^    "[\w-]+": "(\w+)",$', (ROOT / "hatch_build.py").read_text(encoding="utf-8"), re.MULTILINE)
+    assert {system["tag"] for system in tried["system"]} == set(tags) and len(tags) == len(build.TARGETS)
+    least = CORE["project"]["requires-python"].removeprefix(">=")
+    assert tried["python"][0] == jobs["test"]["strategy"]["matrix"]["python"][0] == least
+    minors = [int(version.partition(".")[2]) for version in tried["python"]]
+    assert minors == list(range(minors[0], minors[-1] + 1))
 
 
 def test_another_c_library_is_refused(monkeypatch: pytest.MonkeyPatch):

@@ -27,3 +27,14 @@ def test_without_a_clone_the_system_says_where(tmp_path: Path, monkeypatch: pyte
     for ignored in ("", "not/absolute"):  # as the specification of these variables wants it
         monkeypatch.setenv("XDG_DATA_HOME", ignored)
         assert folders.data_home() == Path.home() / ".local/share/drape"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the names are those of other systems")
+def test_a_user_whom_the_machine_does_not_know_has_a_place_where_nothing_can_be_written(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """As in a container that runs as any number."""
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.delenv("XDG_DATA_HOME", raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 4_000_000)
+    assert folders.data_home() == Path("/nonexistent/.local/share/drape") and not Path("/nonexistent").exists()
