@@ -25,6 +25,7 @@ def test_the_engine_skins_by_four_bones_as_skinning_does(rng):
     assert_allclose(moved, skin_points(points, weights, matrices[..., :3], matrices[..., 3]), rtol=0, atol=1e-5)
 
 
+@pytest.mark.long
 def test_each_tier_has_its_ratios_over_the_rival_and_the_floor():
     rows = rivals.main(["--garments", "tshirt", "--frames", "2"])["rows"]
     took = {row["what"]: row for row in rows}

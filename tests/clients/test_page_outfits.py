@@ -152,6 +152,7 @@ def drawn(page: Page, *, jets: bool) -> tuple[np.ndarray, float, int]:
     return stage(page.picture()), size, page.evaluate("document.getElementById('view').width")
 
 
+@pytest.mark.long
 def test_jets_are_drawn_like_vertices_and_are_fewer_bytes(page: Page):
     """Without the push-out, of which jets carry a part, and without the body, which would show through at places.
 
@@ -185,6 +186,7 @@ def test_a_quality_is_chosen_by_name_and_told(page: Page, runtime: DrapeRuntime)
         page.wait_for(f"document.getElementById('quality').textContent.includes('{name}')")
 
 
+@pytest.mark.long
 def test_a_fabric_is_chosen_for_a_layer(page: Page):
     click(page, "#worn li:nth-child(2) .pick")
     assert page.evaluate("document.getElementById('fabric-of').textContent") == "Tank"

@@ -138,6 +138,7 @@ def test_intake_has_the_hinges_that_were_simulated(tmp_path):
     assert_allclose(found.stiffening, hinge_bending(made, mesh, model, cloth) / plain, rtol=1e-9, atol=0.0)
 
 
+@pytest.mark.long
 def test_the_command_writes_a_size_and_says_what_is_not_at_rest(tmp_path, capsys):
     taken = tmp_path / "garments"
     code = main(["build", "tank", "--size", "L", "--out", str(tmp_path), "--quick", "--garments", str(taken)])

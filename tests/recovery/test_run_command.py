@@ -228,6 +228,7 @@ def test_the_report_says_what_was_found(run):
     assert "2.0 cm below where it would close by itself" in words and "other folds" in words
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_lines_that_are_sewn_again_move_no_cloth(run):
     """The pattern with bands and a yoke, sewn from its pieces, lies where the garment of the report does."""

@@ -49,10 +49,10 @@ def low_back() -> GarmentMesh:
 @pytest.mark.parametrize(
     ("mesh", "delivered", "front", "turns"),
     [
-        ("tank", 180.0, "auto", True),
+        pytest.param("tank", 180.0, "auto", True, marks=pytest.mark.long),
         ("trousers", 180.0, "auto", True),
         ("low back", 0.0, "auto", False),
-        ("low back", 180.0, "auto", True),
+        pytest.param("low back", 180.0, "auto", True, marks=pytest.mark.long),
         ("low back", 0.0, "turned", True),
         ("tank", 180.0, "kept", False),
     ],

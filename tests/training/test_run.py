@@ -89,6 +89,7 @@ def test_a_step_takes_subnormal_numbers_as_zero(trainer: Trainer, monkeypatch):
     assert found == [0.0] and float(torch.tensor(1e-30) * 1e-10) > 0.0
 
 
+@pytest.mark.long
 def test_so_do_all_threads_of_torch_in_a_run():
     script = """
 import sys, torch

@@ -29,6 +29,7 @@ BODY = load_body()
 FEMALE = {"gender": 1.0, "age": 0.667, "muscle": 0.5, "weight": 0.5, "height": 0.5, "proportions": 0.5}
 
 
+@pytest.mark.long
 def test_phenotypes_equal_the_package_anny(rng: np.random.Generator):
     pytest.importorskip("anny", reason="The package anny is not installed: `make setup`.")
     from training.bake_avatars import rest_vertices

@@ -281,7 +281,9 @@ def test_a_pause_is_no_rest_and_neither_are_few_frames(runtime: DrapeRuntime, pl
     assert quick.runs == 2 * REST_FRAMES
 
 
-@pytest.mark.parametrize("change", ["pose", "trans", "shape", "plan", "clock"])
+@pytest.mark.parametrize(
+    "change", ["pose", "plan", *(pytest.param(one, marks=pytest.mark.long) for one in ("trans", "shape", "clock"))]
+)
 def test_any_change_is_computed(runtime: DrapeRuntime, plan: Plan, change: str):
     stream = Stream(runtime, plan)
     for _ in range(NEEDED + 1):
