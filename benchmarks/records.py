@@ -158,6 +158,11 @@ LATENESS = {
     "delay_p999_ms": ("p99.9", ".1f"), "delay_max_ms": ("most", ".1f"), "own_p999_ms": ("own p99.9 [ms]", ".1f"),
     "own_max_ms": ("most ", ".1f"), "late_max_ms": ("client late, most [ms]", ".1f"),
 }  # fmt: skip
+RIVALS = {
+    "garment": ("garment", "s"), "what": ("tier, or what others do", "s"), "vertices": ("vertices", "d"),
+    "cpu_ms": ("processor [ms]", ".2f"), "over_rival": ("over skinning and push", ".3f"),
+    "over_floor": ("over skinning", ".1f"),
+}  # fmt: skip
 CLIENT_FOLDS = {
     "garment": ("garment", "s"), "clip": ("clip", "s"), "tier": ("tier", "s"), "frames": ("frames", "d"),
     "frame_bytes": ("vertices [B]", "d"), "jets_bytes": ("jets [B]", "d"), "constants_mb": ("constants [MB]", ".1f"),
@@ -252,6 +257,7 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("latency", SPEED_PAGE, "latency_single", single_table),
     ("latency", SPEED_PAGE, "latency_batches", partial(_only, BATCHES, "garment", "mixed")),
     ("latency", SPEED_PAGE, "latency_growth", growth_table),
+    ("rivals", SPEED_PAGE, "rivals", partial(alike, RIVALS)),
     ("latency_gpu", SPEED_PAGE, "latency_gpu_single", single_table),
     ("latency_gpu", SPEED_PAGE, "latency_gpu_batches", partial(_only, BATCHES, "garment", "mixed")),
     ("serving", SPEED_PAGE, "serving", serving_table),
