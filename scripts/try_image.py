@@ -8,17 +8,15 @@ check, and end in good order and in time. A failure ends this with the assertion
 from __future__ import annotations
 
 import argparse
-import array
 import json
-import math
 import platform
 import subprocess
 import time
-import urllib.error
-import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+
+from asking import answer, drape
 
 SIZE_LIMIT, END_LIMIT_S = 700e6, 15.0  # it drains for ten seconds; docs/guide/operate.md
 READY_TARGET_S = 3.0  # told, not held: others may keep this machine busy
@@ -27,7 +25,6 @@ OLDER = "v2" if platform.machine() in ("x86_64", "AMD64") else ""  # DRAPE_ISA
 STRANGER = "4711:4711"
 CAREFUL = ("--read-only", "--cap-drop=ALL", "--security-opt=no-new-privileges", f"--user={STRANGER}")
 BINARY = "application/octet-stream"
-ASKED = {"garment": "tshirt", "poses": [[[0.0, 0.0, 0.0]] * 24]}
 
 
 def told(containers: str, *words: str) -> str:
@@ -37,20 +34,6 @@ def told(containers: str, *words: str) -> str:
     return done.stdout.strip()
 
 
-def answer(path: str, body: bytes | None = None, kind: str = "application/json") -> bytes:
-    """What the service answers; nothing while it does not listen or is not ready."""
-    request = urllib.request.Request(f"http://127.0.0.1:{PORT}{path}", body, {"Content-Type": kind})
-    try:
-        with urllib.request.build_opener(urllib.request.ProxyHandler({})).open(request, timeout=30) as found:
-            return found.read()
-    except urllib.error.HTTPError as error:
-        if error.code != 503:
-            raise
-    except OSError:
-        pass
-    return b""
-
-
 @contextmanager
 def running(ask: partial[str], image: str, isa: str = "") -> Iterator[float]:
     """A container with the engine for ``isa``; yields after how many seconds it was ready."""
@@ -58,7 +41,7 @@ def running(ask: partial[str], image: str, isa: str = "") -> Iterator[float]:
     options = ("--detach", f"--name={NAME}", f"--publish=127.0.0.1:{PORT}:8000", f"--volume={VOLUME}:/data", *CAREFUL)
     ask("run", *options, "--env=DRAPE_OPEN=true", *([f"--env=DRAPE_ISA={isa}"] if isa else []), image)
     try:
-        while not answer("/readyz"):
+        while not answer(PORT, "/readyz"):
             assert time.monotonic() - begin < 60.0, ask("logs", NAME)
             time.sleep(0.01)
         yield time.monotonic() - begin
@@ -74,25 +57,17 @@ def look_at(ask: partial[str], image: str) -> None:
     assert about["Config"]["User"] not in ("", "root", "0") and list(about["Config"]["Volumes"]) == ["/data"]
 
 
-def drape() -> int:
-    """Asserts that a shirt is draped and that the page is there; the number of vertices."""
-    assert b"<script" in answer("/"), "the page"
-    places = array.array("f", answer("/drape", json.dumps(ASKED).encode()))
-    assert len(places) > 3000 and all(map(math.isfinite, places)), "a draped shirt"
-    return len(places) // 3
-
-
 def send_a_garment() -> str:
     """The id that the service gives to a garment that is sent to it: the shipped shirt, as a file of OBJ."""
-    mesh = json.loads(answer("/garments/tshirt/mesh"))
+    mesh = json.loads(answer(PORT, "/garments/tshirt/mesh"))
     lines = [f"v {x} {y} {z}" for x, y, z in mesh["vertices"]]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in mesh["faces"]]
     job = json.loads(
-        answer("/garments?name=mine.obj&avatar=standard", "\n".join(lines).encode(), "application/octet-stream")
+        answer(PORT, "/garments?name=mine.obj&avatar=standard", "\n".join(lines).encode(), "application/octet-stream")
     )
     while job["state"] in ("queued", "running"):
         time.sleep(0.2)
-        job = json.loads(answer(f"/jobs/{job['id']}"))
+        job = json.loads(answer(PORT, f"/jobs/{job['id']}"))
     assert job["state"] == "done", job
     return job["garment"]
 
@@ -127,14 +102,14 @@ def main() -> None:
     ask("volume", "create", VOLUME)
     try:
         with running(ask, image) as ready_s:
-            print(f"image: ready after {ready_s:.1f} s (target {READY_TARGET_S:g}), {drape()} vertices", flush=True)
+            print(f"image: ready after {ready_s:.1f} s (target {READY_TARGET_S:g}), {drape(PORT)} vertices", flush=True)
             check_health(ask, image)
             garment = send_a_garment()
             print(f"image: ended {end(ask):.1f} s after SIGTERM (target {END_LIMIT_S:g})", flush=True)
         with running(ask, image, OLDER) as ready_s:
-            kept = [one["id"] for one in json.loads(answer("/garments"))]
+            kept = [one["id"] for one in json.loads(answer(PORT, "/garments"))]
             assert garment in kept, f"{garment} is not among {kept}"
-            print(f"image: an older processor: ready after {ready_s:.1f} s, {drape()} vertices, {garment} kept")
+            print(f"image: an older processor: ready after {ready_s:.1f} s, {drape(PORT)} vertices, {garment} kept")
     finally:
         ask("volume", "rm", VOLUME)
 

@@ -11,21 +11,18 @@ with the assertion that did not hold.
 from __future__ import annotations
 
 import argparse
-import array
-import json
-import math
 import os
 import subprocess
 import sys
 import tempfile
 import time
-import urllib.error
-import urllib.request
 import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
+
+from asking import answer, drape  # noqa: E402
 
 from drape.engine.build import TARGETS, host  # noqa: E402
 from hatch_build import TAGS  # noqa: E402
@@ -36,7 +33,6 @@ WHEEL_LIMIT, INSTALLED_LIMIT = 25e6, 400e6  # bytes
 PORT = 8448
 # A network that leads nowhere, and $1, the environment, read-only: for root alone.
 APART = 'ip link set lo up && mount --bind "$1" "$1" && mount -o remount,bind,ro "$1" && shift && exec "$@"'
-ASKED = {"garment": "tshirt", "poses": [[[0.0, 0.0, 0.0]] * 24]}
 
 
 def wheel(name: str, tag: str = "any") -> Path:
@@ -97,31 +93,15 @@ def serve(python: Path, isa: str) -> None:
         command, begin = [str(python), "-m", "service", "--port", str(PORT)], time.monotonic()
         with subprocess.Popen(command, env=environment, cwd=empty, stdout=subprocess.DEVNULL) as service:
             try:
-                while not answer("/readyz"):
+                while not answer(PORT, "/readyz"):
                     assert service.poll() is None, f"the service ended with {service.returncode}"
                     assert time.monotonic() - begin < 60.0, "no readiness in a minute"
                     time.sleep(0.01)
                 ready_s = time.monotonic() - begin
-                assert b"<script" in answer("/"), "the page"
-                places = array.array("f", answer("/drape", json.dumps(ASKED).encode()))
-                assert len(places) > 3000 and all(map(math.isfinite, places)), "a draped shirt"
+                vertices = drape(PORT)
             finally:
                 service.terminate()
-    print(f"wheels: DRAPE_ISA={isa}: ready after {ready_s:.1f} s, {len(places) // 3} vertices", flush=True)
-
-
-def answer(path: str, body: bytes | None = None) -> bytes:
-    """What the service answers, nothing while it does not listen or is not ready."""
-    request = urllib.request.Request(f"http://127.0.0.1:{PORT}{path}", body, {"Content-Type": "application/json"})
-    try:
-        with urllib.request.urlopen(request, timeout=30) as found:
-            return found.read()
-    except urllib.error.HTTPError as error:
-        if error.code != 503:
-            raise
-    except OSError:
-        pass
-    return b""
+    print(f"wheels: DRAPE_ISA={isa}: ready after {ready_s:.1f} s, {vertices} vertices", flush=True)
 
 
 def main() -> None:
