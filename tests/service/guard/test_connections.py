@@ -26,21 +26,31 @@ HEAD = "Host: 127.0.0.1\r\nContent-Type: {kind}\r\nContent-Length: {size}\r\n\r\
 
 @pytest.fixture(scope="module")
 def tight(make_settings: Callable[..., Settings]) -> Settings:
-    return make_settings(
-        head_s=0.5,
-        body_idle_s=0.5,
-        body_bytes_s=2**20,
-        read_s=0.5,
-        max_connections_per_address=24,
-        max_held_bytes=2**20,
-    )
+    """Little time, for those who shall be refused for being slow. Who shall be answered may be slow in tests."""
+    return make_settings(head_s=0.5, body_idle_s=0.5, body_bytes_s=2**20)
+
+
+@pytest.fixture(scope="module")
+def narrow(make_settings: Callable[..., Settings]) -> Settings:
+    """Few places and bytes, and times for whoever is answered; only a reader has little."""
+    return make_settings(head_s=3.0, read_s=0.5, max_connections_per_address=24, max_held_bytes=2**20)
+
+
+def place_of(url: str) -> tuple[str, int]:
+    host, port = url.removeprefix("http://").split(":")
+    return host, int(port)
 
 
 @pytest.fixture(scope="module")
 def address(tight: Settings) -> Iterator[tuple[str, int]]:
     with served(tight) as url:
-        host, port = url.removeprefix("http://").split(":")
-        yield host, int(port)
+        yield place_of(url)
+
+
+@pytest.fixture(scope="module")
+def narrow_address(narrow: Settings) -> Iterator[tuple[str, int]]:
+    with served(narrow) as url:
+        yield place_of(url)
 
 
 def said_until_closed(one: socket.socket, within_s: float = PATIENT_S) -> str:
@@ -94,8 +104,8 @@ def test_blank_lines_between_requests_hold_no_connection(address: tuple[str, int
     assert text.startswith("HTTP/1.1 200") and "HTTP/1.1 408" in text
 
 
-def test_a_head_that_is_too_long_is_refused(address: tuple[str, int]):
-    one = opened(address, b"GET / HTTP/1.1\r\nX-A: " + b"a" * (HEAD_BYTES + 65536))
+def test_a_head_that_is_too_long_is_refused(narrow_address: tuple[str, int]):
+    one = opened(narrow_address, b"GET / HTTP/1.1\r\nX-A: " + b"a" * (HEAD_BYTES + 65536))
     assert f"request head: expected at most {HEAD_BYTES} bytes" in refused(said_until_closed(one), 413)
 
 
@@ -119,47 +129,46 @@ def test_a_body_that_drips_is_refused(address: tuple[str, int]):
     one.close()
 
 
-def test_an_answer_before_the_body_reaches_a_client_that_still_sends(address: tuple[str, int]):
-    one = opened(address, post("/nothing", size=400_000))
+def test_an_answer_before_the_body_reaches_a_client_that_still_sends(narrow_address: tuple[str, int]):
+    one = opened(narrow_address, post("/nothing", size=400_000))
     for _ in range(4):
         one.sendall(b" " * 65536)
         time.sleep(0.05)
     assert said_until_closed(one).startswith("HTTP/1.1 40")
 
 
-def test_a_connection_whose_body_ended_after_its_answer_goes_on(address: tuple[str, int]):
-    one = opened(address, post("/nothing", size=10) + b"12345")
+def test_a_connection_whose_body_ended_after_its_answer_goes_on(narrow_address: tuple[str, int]):
+    one = opened(narrow_address, post("/nothing", size=10) + b"12345")
     time.sleep(0.2)
     one.sendall(b"67890" + b"GET /livez HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
     text = said_until_closed(one)
     assert text.startswith("HTTP/1.1 40") and "HTTP/1.1 200" in text
 
 
-def test_connections_are_counted(address: tuple[str, int], tight: Settings):
-    held = [socket.create_connection(address) for _ in range(tight.max_connections_per_address)]
+def test_connections_are_counted(narrow_address: tuple[str, int], narrow: Settings):
+    held = [socket.create_connection(narrow_address) for _ in range(narrow.max_connections_per_address)]
     time.sleep(0.1)
-    sentence = refused(said_until_closed(socket.create_connection(address)), 429)
+    sentence = refused(said_until_closed(socket.create_connection(narrow_address)), 429)
     assert "connections: expected at most 24 from one address, got one more" in sentence
     for one in held:
         one.close()
     time.sleep(0.1)
-    assert httpx.get(f"http://{address[0]}:{address[1]}/livez").status_code == 200
+    assert httpx.get(f"http://{narrow_address[0]}:{narrow_address[1]}/livez").status_code == 200
 
 
 def test_connections_are_counted_in_all(make_settings: Callable[..., Settings]):
     with served(make_settings(max_connections=2)) as url:
-        host, port = url.removeprefix("http://").split(":")
-        held = [socket.create_connection((host, int(port))) for _ in range(2)]
+        held = [socket.create_connection(place_of(url)) for _ in range(2)]
         time.sleep(0.1)
-        assert "at most 2 in all" in refused(said_until_closed(socket.create_connection((host, int(port)))), 429)
+        assert "at most 2 in all" in refused(said_until_closed(socket.create_connection(place_of(url))), 429)
         for one in held:
             one.close()
         time.sleep(0.1)
 
 
-def test_bytes_of_all_bodies_together_are_limited_and_come_free(address: tuple[str, int], tight: Settings):
-    url = f"http://{address[0]}:{address[1]}"
-    size = tight.max_held_bytes
+def test_bytes_of_all_bodies_together_are_limited_and_come_free(narrow_address: tuple[str, int], narrow: Settings):
+    url = f"http://{narrow_address[0]}:{narrow_address[1]}"
+    size = narrow.max_held_bytes
     declared = httpx.post(url + "/drape", content=b" " * (size + 1), headers={"Content-Type": "application/json"})
     assert declared.status_code == 429 and "request bodies: expected at most" in declared.json()["detail"]
 
@@ -179,30 +188,29 @@ def test_places_are_looked_for_before_a_body_is_read(make_settings: Callable[...
     settings = make_settings(intake_queue=1, max_clips=1)
     app = create_app(settings)
     with serve(app, settings) as url:
-        host, port = url.removeprefix("http://").split(":")
-        waiting = opened((host, int(port)), post("/garments?name=a.obj", "text/plain") + b"#")
+        waiting = opened(place_of(url), post("/garments?name=a.obj", "text/plain") + b"#")
         time.sleep(0.3)
         for kind in ("text/plain", "application/json"):
-            one = opened((host, int(port)), post("/garments?name=b.obj", kind))
+            one = opened(place_of(url), post("/garments?name=b.obj", kind))
             one.settimeout(PATIENT_S)
             assert one.recv(64).startswith(b"HTTP/1.1 429")
             one.close()
         waiting.close()
         with app.state.drape.slot():
             for path in ("/drape", "/bodies/anny_default/posed"):
-                one = opened((host, int(port)), post(path))
+                one = opened(place_of(url), post(path))
                 one.settimeout(PATIENT_S)
                 assert one.recv(64).startswith(b"HTTP/1.1 429")
                 one.close()
 
 
-def test_an_answer_that_nobody_reads_ends(address: tuple[str, int]):
+def test_an_answer_that_nobody_reads_ends(narrow_address: tuple[str, int]):
     poses = json.dumps({"garment": "tube", "poses": [[[0.0] * 3] * 24] * 1000}).encode()
     one = socket.socket()
     one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    one.connect(address)
+    one.connect(narrow_address)
     one.sendall(post("/drape", size=len(poses)) + poses)
-    url = f"http://{address[0]}:{address[1]}/metrics"
+    url = f"http://{narrow_address[0]}:{narrow_address[1]}/metrics"
     deadline = time.monotonic() + PATIENT_S
     while 'path="/drape",status="200"' not in httpx.get(url).text:
         assert time.monotonic() < deadline, "an answer that nobody reads was kept"
@@ -210,17 +218,14 @@ def test_an_answer_that_nobody_reads_ends(address: tuple[str, int]):
     one.close()
 
 
-def test_a_stream_has_no_time_for_another_head(address: tuple[str, int], tight: Settings):
+def test_a_stream_has_no_time_for_another_head(narrow_address: tuple[str, int], narrow: Settings):
     """Its connection began as one of HTTP, whose times end with that."""
-    host, port = address
+    host, port = narrow_address
 
-    async def talk() -> list[int]:
+    async def talk() -> int:
         async with await DrapeStream.open(f"http://{host}:{port}", "tube") as stream:
-            counts = []
-            for _ in range(2):
-                await asyncio.sleep(1.5 * tight.head_s)
-                await stream.send(np.zeros((24, 3)))
-                counts.append(len((await stream.receive()).frame.positions))
-            return counts
+            await asyncio.sleep(1.5 * narrow.head_s)
+            await stream.send(np.zeros((24, 3)))
+            return len((await stream.receive()).frame.positions)
 
-    assert asyncio.run(talk()) == [216, 216]
+    assert asyncio.run(talk()) == 216
