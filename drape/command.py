@@ -15,6 +15,7 @@ import numpy as np
 
 from drape import __version__
 from drape.errors import InputError, Unavailable, refusing
+from drape.garment.size_chart import SIZES
 from drape.wire.options import TierName
 
 # Commands of other rooms, by the module whose ``main`` runs them and what comes before their arguments.
@@ -25,20 +26,25 @@ ELSEWHERE: dict[str, tuple[str, tuple[str, ...], str]] = {
     "train": ("training.run", (), "train the draping network"),
 }
 
+SHELLS = ("bash", "zsh", "tcsh")
+BAR_WIDTH = 30
 
-def parser() -> argparse.ArgumentParser:
-    """The parser of all commands."""
+
+def parser(complete: object = None) -> argparse.ArgumentParser:
+    """The parser of all commands. ``complete`` is how a shell completes arguments that are files, in words of shtab."""
     whole = argparse.ArgumentParser(prog="drape", description=__doc__.partition(": ")[2] if __doc__ else None)
     whole.add_argument("--version", action="version", version=f"drape {__version__}")
     commands = whole.add_subparsers(metavar="command")
 
     wear = commands.add_parser("wear", help="drape garments over a motion and write a file")
-    wear.add_argument("garment", nargs="+", help="the names or files of the garments, the innermost first")
-    wear.add_argument("motion", help="the name of a shipped clip, or an npz or bvh file")
-    wear.add_argument("--out", type=Path, required=True, help="the file to write: .glb, .usda, .pc2, .mdd or .npy")
-    wear.add_argument(
-        "--on", type=Path, metavar="FILE", help="the GLB or VRM file of a character that wears the garments"
-    )
+    paths = [
+        wear.add_argument("garment", nargs="+", help="the names or files of the garments, the innermost first"),
+        wear.add_argument("motion", help="the name of a shipped clip, or an npz or bvh file"),
+        wear.add_argument("--out", type=Path, required=True, help="the file to write: .glb, .usda, .pc2, .mdd or .npy"),
+        wear.add_argument(
+            "--on", type=Path, metavar="FILE", help="the GLB or VRM file of a character that wears the garments"
+        ),
+    ]
     wear.add_argument(
         "--modelled-on", metavar="JSON", help="of garments that are mesh files: the body that they were modelled on"
     )
@@ -46,6 +52,7 @@ def parser() -> argparse.ArgumentParser:
     wear.add_argument("--fps", type=float, default=30.0, help="frames a second of the file (30)")
     wear.add_argument("--as-recorded", action="store_true", help="leave the motion's translations as they are")
     wear.add_argument("--tier", choices=get_args(TierName), help="the tier: how much is computed (balanced)")
+    wear.add_argument("--size", choices=SIZES, help="the size of the garments (M)")
     wear.add_argument("--fabric", help="the fabric of the garments (each garment's own)")
     wear.add_argument("--float32", action="store_true", help="write a GLB in float32, twice as large")
     wear.set_defaults(run=_wear)
@@ -53,12 +60,17 @@ def parser() -> argparse.ArgumentParser:
     garments = commands.add_parser("garments", help="list the shipped garments")
     garments.set_defaults(run=_garments)
     avatars = commands.add_parser("avatars", help="say how well the body fits the characters in GLB or VRM files")
-    avatars.add_argument("file", nargs="+", type=Path, help="the files of characters")
+    paths.append(avatars.add_argument("file", nargs="+", type=Path, help="the files of characters"))
     avatars.set_defaults(run=_avatars)
     tiers = commands.add_parser("tiers", help="list the tiers with their measured figures")
     tiers.set_defaults(run=_tiers)
     doctor = commands.add_parser("doctor", help="say what is installed and where, and test it")
     doctor.set_defaults(run=_doctor)
+    for path in paths:
+        path.complete = complete  # pyright: ignore[reportAttributeAccessIssue]
+    completion = commands.add_parser("completion", help="print the completion of this command for a shell")
+    completion.add_argument("shell", choices=SHELLS)
+    completion.set_defaults(run=_completion)
     for one in (wear, garments, avatars, tiers, doctor):
         one.add_argument("--json", action="store_true", help="print the answer as JSON")
     for name, (_, _, said) in ELSEWHERE.items():
@@ -112,13 +124,13 @@ def _wear(given: argparse.Namespace) -> int:
             intake(Path(one), avatar=given.modelled_on, body=opened.body) if Path(one).is_file() else one
             for one in garments
         ]
-    options = {name: value for name in ("tier", "fabric") if (value := getattr(given, name)) is not None}
+    options = {name: value for name in ("tier", "fabric", "size") if (value := getattr(given, name)) is not None}
     worn = opened.wear(garments, on=given.on, betas=given.betas, **options)
     clip = worn.placed(given.motion, fps=given.fps, as_recorded=given.as_recorded)
     begun_s, frames = time.monotonic(), []
     for frame in worn.play(clip, fps=clip.fps, as_recorded=True):
         frames.append(frame.vertices)
-        _progress(len(frames), clip.frame_count)
+        _progress(len(frames), clip.frame_count, begun_s)
     vertices = np.stack(frames)
     moved = None
     if suffix == ".glb" and not given.float32:
@@ -203,6 +215,13 @@ def _doctor(given: argparse.Namespace) -> int:
     return 1 if wrong else 0
 
 
+def _completion(given: argparse.Namespace) -> int:
+    import shtab
+
+    print(shtab.complete(parser(shtab.FILE), given.shell))
+    return 0
+
+
 def _table(rows: Sequence[dict[str, Any]], given: argparse.Namespace) -> int:
     """Prints ``rows`` in columns, or as JSON."""
     names = [name for name in rows[0] if not isinstance(rows[0][name], (dict, list))] if rows else []
@@ -217,10 +236,14 @@ def _tell(told: Any, given: argparse.Namespace, text: str) -> int:
     return 0
 
 
-def _progress(done: int, whole: int) -> None:
-    """A line on a terminal that counts frames."""
+def _progress(done: int, whole: int, begun_s: float) -> None:
+    """A bar on a terminal, with the seconds that are left."""
     if sys.stderr.isatty():
-        print(f"\r{done} of {whole} frames", end="\n" if done == whole else "", file=sys.stderr, flush=True)
+        filled = BAR_WIDTH * done // whole
+        left_s = (time.monotonic() - begun_s) * (whole - done) / done
+        bar = "#" * filled + "-" * (BAR_WIDTH - filled)
+        end = "\n" if done == whole else ""
+        print(f"\r[{bar}] {done} of {whole} frames, {left_s:.0f} s left ", end=end, file=sys.stderr, flush=True)
 
 
 def _numbers(text: str) -> list[float]:

@@ -13,7 +13,7 @@ The frames equal the service's to the bit, because the same stages compute them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ from drape.stages.batch import Batch, Memories, PoseInput, motion_arrays, shape_
 from drape.stages.body_stages import BodyStages
 from drape.stages.plan import Plan
 from drape.stages.scene import Entry, Outfit, Scene
+from drape.stages.sizes import SizeChoice, Sizes
 from drape.stages.walk import run
 from drape.wire.options import DrapeOptions, Inertia, TierName
 
@@ -119,6 +120,7 @@ class Drape:
         *,
         on: str | Path | None = None,
         betas: Sequence[float] | None = None,
+        size: SizeChoice = None,
         **options: Any,
     ) -> Worn:
         """Puts ``garments`` on the body.
@@ -126,14 +128,23 @@ class Drape:
         ``garments``: one garment, or several worn over each other, the innermost first. Each is a shipped name, a file
         (a mesh at rest on the body, or a stored garment), or a ``Garment`` that ``drape.intake`` made. ``on``: the GLB
         or VRM file of a character that wears them in place of the body. ``betas``: the body's shape coefficients.
-        ``options`` are the fields of ``DrapeOptions``, such as ``tier``, ``fabric``, ``hidden`` and ``colliders``.
-        Raises ``InputError`` for an unknown option or a value out of range, and ``NotFound`` for an unknown name.
+        ``size``: "S", "M", "L" or "XL" of all garments, or a list with one of each and None where a garment comes in
+        one; a size takes seconds. ``options`` are the fields of ``DrapeOptions``, such as ``tier``, ``fabric``,
+        ``hidden`` and ``colliders``.
+        Raises ``InputError`` for an unknown option or a value out of range, and ``NotFound`` for an unknown name
+        or size.
         """
         asked = [garments] if isinstance(garments, (str, Path, Garment)) else list(garments)
         wearer, stages = (None, None) if on is None else self._character(Path(on))
-        entries = tuple(self._entry(one, wearer, stages) for one in asked)
+        entries = tuple(self._entry(one) for one in asked)
         if not entries:
             raise InputError("garments", expected="one or more", got="none", cure="Name a garment.")
+        if size is not None:
+            entries = Sizes(self.body, GARMENTS_DIR, entries).wear(Outfit(entries), size).layers
+        if wearer is not None:
+            entries = tuple(
+                replace(one, garment=tailored(one.garment, self.body, wearer.body), worn=stages) for one in entries
+            )
         if len(entries) > 1:
             check_layers([entry.garment for entry in entries])
         scene: Scene = entries[0] if len(entries) == 1 else Outfit(entries)
@@ -153,15 +164,13 @@ class Drape:
             self._characters[path] = wearer, self._runtime.stages_on(wearer.body)
         return self._characters[path]
 
-    def _entry(self, asked: str | Path | Garment, wearer: Wearer | None, stages: BodyStages | None) -> Entry:
+    def _entry(self, asked: str | Path | Garment) -> Entry:
         if isinstance(asked, Garment):
             garment = asked
         else:
             (path,) = find_garments([str(asked)])[:1]
             garment = open_garment(path, self.body)
-        if wearer is not None:
-            garment = tailored(garment, self.body, wearer.body)
-        return Entry(garment.name, garment, "user", worn=stages)
+        return Entry(garment.name, garment, "user")
 
 
 class Worn:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from drape.stages.scene import Entry, Scene
     from service.compute.avatars import AvatarEntry
     from service.compute.drape_runtime import DrapeRuntime
-    from service.compute.sizes import SizeChoice
+    from drape.stages.sizes import SizeChoice
     from service.compute.threads import SlicedThread
     from service.exact.jobs import ExactClips, Work
     from service.guard.access import Access

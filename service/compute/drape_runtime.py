@@ -26,7 +26,7 @@ from service.compute.avatars import Avatars
 from service.compute.constants_process import ConstantsProcess
 from service.compute.garments import Registry, begin_reading
 from service.compute.motions import Motions
-from service.compute.sizes import Sizes
+from drape.stages.sizes import Sizes
 from service.compute.threads import ComputeThreads
 from service.errors import InternalError
 from service.watch.metrics import Metrics

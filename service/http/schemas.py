@@ -18,7 +18,7 @@ from service.http.size_schemas import SizeInfo
 
 if TYPE_CHECKING:
     from drape.stages.scene import Entry
-    from service.compute.sizes import Sizes
+    from drape.stages.sizes import Sizes
 
 
 def _number(limit: float) -> Any:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,33 @@ def test_without_a_command_it_helps(capsys: pytest.CaptureFixture[str]):
     assert main([]) == 0
     told = capsys.readouterr().out
     assert all(name in told for name in ("wear", "garments", "avatars", "tiers", "doctor", *ELSEWHERE))
+
+
+def test_a_size_is_worn_and_one_that_there_is_not_is_refused(stop: Path, tmp_path: Path, capsys):
+    out = [tmp_path / f"{size}.npy" for size in ("M", "XL")]
+    for size, path in zip(("M", "XL"), out, strict=True):
+        assert main(["wear", "tank", str(stop), "--out", str(path), "--tier", "instant", "--size", size]) == 0
+    medium, large = (np.load(path)[0] for path in out)
+    assert np.ptp(large[:, 0]) > 1.02 * np.ptp(medium[:, 0])
+    with pytest.raises(SystemExit):
+        main(["wear", "tank", str(stop), "--out", str(out[0]), "--size", "XXL"])
+    assert "invalid choice: 'XXL'" in capsys.readouterr().err
+
+
+def test_a_bar_on_a_terminal_says_how_long_it_takes(stop: Path, tmp_path: Path, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    assert main(["wear", "tank", str(stop), "--out", str(tmp_path / "a.npy"), "--tier", "instant"]) == 0
+    told = capsys.readouterr().err
+    assert "1 of 3 frames" in told and told.endswith(f"[{'#' * 30}] 3 of 3 frames, 0 s left \n")
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="No bash: it reads the completion.")
+def test_a_shell_completes_commands_and_options(capsys: pytest.CaptureFixture[str]):
+    assert main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    asked = 'COMP_WORDS=(drape wear --si) COMP_CWORD=2; _shtab_drape; echo "${COMPREPLY[@]}"'
+    done = subprocess.run(["bash", "-c", f"{script}\n{asked}"], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["--size"]
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".usda", ".pc2", ".mdd", ".npy"])

@@ -48,6 +48,15 @@ def test_layers_come_one_after_the_other_and_hidden_ones_do_not(opened: drape.Dr
     assert [one.name for one in opened.wear(["shorts", "tank"], hidden=("shorts",)).garments] == ["tank"]
 
 
+def test_sizes_are_of_all_or_of_each_garment(opened: drape.Drape):
+    medium, large = (opened.wear(["shorts", "tank"], size=[None, size]).garments for size in ("M", "XL"))
+    assert medium[0].digest == large[0].digest
+    assert np.ptp(large[1].vertices[:, 0]) > 1.02 * np.ptp(medium[1].vertices[:, 0])
+    assert opened.wear(["shorts", "tank"], size="M").garments[1].digest == medium[1].digest
+    with pytest.raises(drape.DrapeError, match="size: expected one for all, or 2"):
+        opened.wear(["shorts", "tank"], size=["M"])
+
+
 def test_a_file_is_worn_as_a_name_is(opened: drape.Drape):
     (path,) = (ASSETS / "garments").glob("tank-*.npz")
     (theirs,) = islice(opened.wear("tank").play("turn"), 1)

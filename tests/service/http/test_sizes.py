@@ -17,7 +17,7 @@ from drape.garment.size_chart import SIZES
 from drape.garment.sizes import save_table, table_path
 from drape.stages.scene import Entry, Outfit
 from drape.wire.layout import unpack_layout
-from service.compute.sizes import Sizes
+from drape.stages.sizes import Sizes
 from tests.fixtures.garments import tube_sizes
 
 BINARY = {"Accept": "application/octet-stream"}

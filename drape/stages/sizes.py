@@ -1,4 +1,4 @@
-"""The sizes of garments in service: made of their tables when they are first worn, and kept."""
+"""The sizes of garments that are worn: made of their tables when they are first worn, and kept."""
 
 from __future__ import annotations
 
@@ -82,5 +82,5 @@ class Sizes:
 
 
 def _one_size(entry: Entry, got: str) -> NotFound:
-    cure = "Leave size out. GET /garments tells which garments have sizes."
+    cure = "Leave size out, or choose a garment that comes in sizes."
     return NotFound("size", expected=f"none: {entry.id} comes in one", got=got, cure=cure)
