@@ -18,9 +18,9 @@ from service.guard.keys import Client
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
     from drape.stages.scene import Entry, Scene
+    from drape.stages.sizes import SizeChoice
     from service.compute.avatars import AvatarEntry
     from service.compute.drape_runtime import DrapeRuntime
-    from drape.stages.sizes import SizeChoice
     from service.compute.threads import SlicedThread
     from service.exact.jobs import ExactClips, Work
     from service.guard.access import Access

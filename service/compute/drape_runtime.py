@@ -20,13 +20,13 @@ from drape.runtime import Runtime
 from drape.stages.batch import Batch, Memories, PoseInput, Quality
 from drape.stages.encode import Idle, answer_again, idle_before, remember
 from drape.stages.plan import Plan
+from drape.stages.sizes import Sizes
 from drape.stages.walk import run, walk
 from drape.wire.options import DrapeOptions
 from service.compute.avatars import Avatars
 from service.compute.constants_process import ConstantsProcess
 from service.compute.garments import Registry, begin_reading
 from service.compute.motions import Motions
-from drape.stages.sizes import Sizes
 from service.compute.threads import ComputeThreads
 from service.errors import InternalError
 from service.watch.metrics import Metrics

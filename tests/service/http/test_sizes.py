@@ -16,8 +16,8 @@ from drape.garment.cache import Garment
 from drape.garment.size_chart import SIZES
 from drape.garment.sizes import save_table, table_path
 from drape.stages.scene import Entry, Outfit
-from drape.wire.layout import unpack_layout
 from drape.stages.sizes import Sizes
+from drape.wire.layout import unpack_layout
 from tests.fixtures.garments import tube_sizes
 
 BINARY = {"Accept": "application/octet-stream"}
