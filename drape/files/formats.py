@@ -42,6 +42,10 @@ MESH_FORMATS: tuple[MeshFormat, ...] = (
         lambda payload: payload[:512].lstrip()[:4] in (b"ply\n", b"ply\r"),
     ),
     MeshFormat("stl", ("model/stl", "application/sla"), "ply_stl.read_stl", _is_stl),
+    MeshFormat("usd", ("model/vnd.usd",), "usd.read_usd", lambda payload: False),
+    MeshFormat("usda", ("model/vnd.usda",), "usd.read_usd", lambda payload: payload[:5] == b"#usda"),
+    MeshFormat("usdc", ("model/vnd.usdc",), "usd.read_usd", lambda payload: payload[:8] == b"PXR-USDC"),
+    MeshFormat("usdz", ("model/vnd.usdz+zip",), "usd.read_usd", lambda payload: payload[:4] == b"PK\x03\x04"),
 )
 MESH_NAMES: tuple[str, ...] = tuple(one.name for one in MESH_FORMATS)
 AVATAR_SUFFIXES = (".glb", ".vrm")
@@ -50,7 +54,7 @@ MESH_CONTENT_TYPES: dict[str, str] = {kind: one.name for one in MESH_FORMATS for
 
 
 def listed() -> str:
-    """The names for a sentence: ``OBJ, GLB, PLY or STL``."""
+    """The names for a sentence: ``OBJ, GLB, PLY, STL, USD, USDA, USDC or USDZ``."""
     *first, final = (name.upper() for name in MESH_NAMES)
     return f"{', '.join(first)} or {final}"
 

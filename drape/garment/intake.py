@@ -206,7 +206,7 @@ def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, se
 def main(arguments: list[str] | None = None) -> int:
     """The command line; 0 when the garment is made, 2 when it is refused."""
     parser = argparse.ArgumentParser(prog="python -m drape.garment.intake", description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("file", type=Path, help="OBJ, GLB, PLY or STL")
+    parser.add_argument("file", type=Path, help="OBJ, GLB, PLY, STL or USD")
     parser.add_argument("--name", help="default: the file's name")
     parser.add_argument(
         "--avatar", help="JSON, a mesh file, a name in avatars.json, or 'standard'; default: avatars.json beside FILE"

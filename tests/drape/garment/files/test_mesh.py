@@ -152,7 +152,7 @@ def test_unknown_suffix_absent_and_large_files_are_refused(tmp_path: Path, monke
     with pytest.raises(NotFound):
         read_mesh(tmp_path / "absent.obj")
     (tmp_path / "a.zip").write_bytes(b"PK\x03\x04")
-    with pytest.raises(MeshError, match="OBJ, GLB, PLY or STL"):
+    with pytest.raises(MeshError, match="OBJ, GLB, PLY, STL, USD, USDA, USDC or USDZ"):
         read_mesh(tmp_path / "a.zip")
     monkeypatch.setattr(mesh, "BYTES_LIMIT", 10)
     (tmp_path / "a.obj").write_bytes(b"v 0 0 0\n" * 9)

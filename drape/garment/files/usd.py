@@ -1,0 +1,138 @@
+"""Reads the meshes of a USD file (``.usd``, ``.usda``, ``.usdc``, ``.usdz``) by the package usd-core.
+
+A file that names others is refused: they would be this machine's. Only what is drawn counts, not hidden prims, guides
+and proxies. Lengths are in the unit that the file states, if it states one, and its up axis always holds.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault, plain_mesh
+
+MOST_PRIMS = 100_000
+SHOWN = ("default", "render")  # purposes
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """World ``points`` (V, 3), triangles ``faces`` (F, 3), texture coordinates of their corners (3 F, 2) or None."""
+
+    points: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray | None
+    material: str
+    polygons: int
+
+
+def read_usd(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
+    """The drawn meshes of a USD file in world axes, y up; vertices keep the file's order."""
+    try:
+        sdf, tf, usd, geometry = (import_module(f"pxr.{one}") for one in ("Sdf", "Tf", "Usd", "UsdGeom"))
+    except ModuleNotFoundError as error:
+        cure = "Install it (pip install usd-core), or export the mesh as OBJ or GLB."
+        raise mesh_fault(name, "the package usd-core, which reads USD", "none", cure) from error
+    suffix = ".usdz" if payload[:2] == b"PK" else ".usd"
+    with tempfile.TemporaryDirectory(prefix="usd-") as folder:
+        path = Path(folder) / f"garment{suffix}"
+        path.write_bytes(payload)
+        try:
+            layer = sdf.Layer.FindOrOpen(str(path))
+            others = layer.GetCompositionAssetDependencies() if layer else []
+            if others:
+                raise mesh_fault(name, "one file that holds everything", f"a reference to {others[0]}", "Flatten it.")
+            stage = usd.Stage.Open(layer, usd.Stage.LoadNone) if layer else None
+            if stage is None:
+                raise mesh_fault(name, "a readable USD file", "a damaged one")
+            parts = list(_parts(stage, name, vertex_limit))
+            stated_m = geometry.GetStageMetersPerUnit(stage) if geometry.StageHasAuthoredMetersPerUnit(stage) else 1.0
+            upright = geometry.GetStageUpAxis(stage) == geometry.Tokens.y
+        except tf.ErrorException as error:  # its text names files of this machine
+            raise mesh_fault(name, "a readable USD file", "a damaged one") from error
+    if not parts:
+        raise mesh_fault(name, "a mesh that is drawn", "none", "Export the garment's surface.")
+    return _joined(parts, name, stated_m, upright)
+
+
+def _parts(stage: Any, name: str, vertex_limit: int) -> Iterator[_Part]:
+    """The drawn meshes of ``stage``, whose declared counts are checked before anything is made of them."""
+    usd, geometry, shade = (import_module(f"pxr.{one}") for one in ("Usd", "UsdGeom", "UsdShade"))
+    time = usd.TimeCode.EarliestTime()
+    placed, total = geometry.XformCache(time), 0
+    for count, prim in enumerate(stage.Traverse(usd.TraverseInstanceProxies())):
+        if count >= MOST_PRIMS:
+            raise mesh_fault(name, f"at most {MOST_PRIMS:,} prims", "more", "Export the garment alone.")
+        if not prim.IsA(geometry.Mesh):
+            continue
+        mesh = geometry.Mesh(prim)
+        if mesh.ComputeVisibility(time) == geometry.Tokens.invisible or mesh.ComputePurpose() not in SHOWN:
+            continue
+        points = np.asarray(mesh.GetPointsAttr().Get(time) or [], dtype=np.float64).reshape(-1, 3)
+        sides = np.asarray(mesh.GetFaceVertexCountsAttr().Get(time) or [], dtype=np.int64)
+        corners = np.asarray(mesh.GetFaceVertexIndicesAttr().Get(time) or [], dtype=np.int64)
+        total += len(points)
+        check_count(name, max(total, len(corners) // 8), vertex_limit)
+        if (sides < 3).any() or sides.sum() != len(corners):
+            got = f"{len(sides)} faces for {len(corners)} corners in {prim.GetPath()}"
+            raise mesh_fault(name, "faces of three and more corners, as many as are listed", got)
+        if len(corners) and not 0 <= corners.min() <= corners.max() < len(points):
+            raise mesh_fault(name, f"corners below {len(points)}", f"{corners.min()} to {corners.max()}")
+        matrix = np.array(placed.GetLocalToWorldTransform(prim))
+        fan = _fan(sides)
+        left = mesh.GetOrientationAttr().Get(time) == geometry.Tokens.leftHanded
+        if left != (np.linalg.det(matrix[:3, :3]) < 0.0):
+            fan = fan[:, ::-1]
+        bound = shade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+        material = bound.GetPath().name if bound else "default"
+        uv = _uv(geometry.PrimvarsAPI(prim), time, corners, len(points), fan)
+        yield _Part(points @ matrix[:3, :3] + matrix[3, :3], corners[fan], uv, material, int((sides > 3).sum()))
+
+
+def _fan(sides: np.ndarray) -> np.ndarray:
+    """Rows (F, 3) of the corners of triangles in which polygons with ``sides`` corners are cut from their first."""
+    start = np.cumsum(sides) - sides
+    first = np.repeat(start, sides - 2)
+    step = np.arange(len(first)) - np.repeat(np.cumsum(sides - 2) - (sides - 2), sides - 2)
+    return np.stack([first, first + step + 1, first + step + 2], axis=1)
+
+
+def _uv(primvars: Any, time: Any, corners: np.ndarray, point_count: int, fan: np.ndarray) -> np.ndarray | None:
+    """Texture coordinates (3 F, 2) of the triangles' corners: the first primvar of their kind that is as long as it
+    must be."""
+    for one in primvars.GetPrimvars():
+        if "texCoord2" not in str(one.GetTypeName()) and one.GetPrimvarName() not in ("st", "UVMap", "map1"):
+            continue
+        values = np.asarray(one.ComputeFlattened(time) or [], dtype=np.float64)
+        by_corner = values if len(values) == len(corners) else values[corners] if len(values) == point_count else None
+        if by_corner is not None and by_corner.ndim == 2 and by_corner.shape[1] == 2:
+            return by_corner[fan.reshape(-1)]
+    return None
+
+
+def _joined(parts: list[_Part], name: str, stated_m: float, upright: bool) -> GarmentMesh:
+    starts = np.cumsum([0] + [len(part.points) for part in parts])
+    points = stated_m * np.concatenate([part.points for part in parts])
+    if not upright:
+        points = np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
+    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)])
+    names = tuple(dict.fromkeys(part.material for part in parts))
+    material = np.concatenate([np.full(len(part.faces), names.index(part.material)) for part in parts])
+    mesh = plain_mesh(name, points, faces)
+    mesh = replace(mesh, material_names=names, face_material=material.astype(np.int64))
+    if polygons := sum(part.polygons for part in parts):
+        mesh = mesh.noted(f"{polygons} polygons triangulated")
+    if stated_m != 1.0:
+        mesh = mesh.noted(f"the file states its unit: {stated_m:g} m")
+    if not upright:
+        mesh = mesh.noted("turned from z up to y up")
+    if all(part.uv is None for part in parts):
+        return mesh
+    uv = np.concatenate([np.zeros((3 * len(part.faces), 2)) if part.uv is None else part.uv for part in parts])
+    return replace(mesh, uv=uv, uv_faces=np.arange(len(uv)).reshape(-1, 3))
