@@ -16,6 +16,7 @@ pytestmark = pytest.mark.browser
 
 POSTER = ROOT / "clients/web/src/poster.webp"
 POSTER_MOST_BYTES = 30_000
+LATEST_MS = 10_000  # pictures wait no longer for cloth, as in clients/web/src/first.js: here it may be slow to move
 LOADED = """JSON.stringify(performance.getEntriesByType("resource").map(
   ({ name, startTime, encodedBodySize, decodedBodySize }) => [name, startTime, encodedBodySize, decodedBodySize]))"""
 # What moves while the page loads, in shares of the window, from before its first script on.
@@ -37,6 +38,7 @@ def page(live: str) -> Iterator[Page]:
         page.call("Page.addScriptToEvaluateOnNewDocument", source=SHIFTS)
         page.go(live + "/")
         page.wait_for("document.querySelector('#cards img[src]')?.complete")
+        page.wait_for("performance.getEntriesByName('moving').length > 0")
         yield page
 
 
@@ -60,7 +62,7 @@ def test_a_picture_of_the_person_stands_there_until_cloth_moves(page: Page):
 def test_pictures_of_garments_come_after_cloth_that_moves(page: Page, loaded: list):
     moving = page.evaluate("performance.getEntriesByName('moving')[0].startTime")
     pictures = [start for name, start, *_ in loaded if "preview.png" in name]
-    assert pictures and min(pictures) >= moving
+    assert pictures and min(pictures) >= min(moving, LATEST_MS)
 
 
 def test_nothing_is_asked_twice(loaded: list):
