@@ -122,7 +122,7 @@ quick: setup
 	@$(BIN)/ruff format --check -q . && $(BIN)/ruff check -q .
 	@linted=0; tests=0; $(BIN)/lint-imports > $(VENV)/quick.log 2>&1 & lint=$$!; \
 	files="$$($(BIN)/python scripts/quick.py $(BASE))"; \
-	if [ -n "$$files" ]; then $(PYTEST) -m "unit and not slow and not long" --stop-after 40 $$files $(ARGS) || tests=$$?; fi; \
+	if [ -n "$$files" ]; then $(PYTEST) -m "unit and not slow and not long" --stop-after 30 $$files $(ARGS) || tests=$$?; fi; \
 	wait $$lint || linted=$$?; [ $$linted = 0 ] || cat $(VENV)/quick.log; [ $$tests = 0 ] && [ $$linted = 0 ]
 
 test-quick: setup

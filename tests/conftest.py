@@ -11,6 +11,7 @@ import gc
 import logging
 import os
 import shutil
+import signal
 import tempfile
 import time
 from collections import defaultdict
@@ -91,10 +92,12 @@ def skip_reason(item: pytest.Item) -> str | None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--stop-after", type=float, metavar="S", help="begin no test when S seconds have passed")
+    parser.addoption("--stop-after", type=float, metavar="S", help="skip what has not ended after S seconds")
 
 
 _made: list[str] = []
+_running = False
+TIME_IS_UP = "The time is up: `make test` runs it."
 _begun_s = time.monotonic()
 
 
@@ -106,8 +109,21 @@ def pytest_configure(config: pytest.Config) -> None:
     if RUN_FOLDER not in os.environ:
         _made.append(os.environ.setdefault(RUN_FOLDER, tempfile.mkdtemp(prefix="drape-tests-")))
 
+    if (stop_after_s := config.getoption("stop_after")) is not None:
+        signal.signal(signal.SIGALRM, _skip_what_runs)
+        # An alarm that meets no test is followed by others, which may.
+        signal.setitimer(signal.ITIMER_REAL, max(stop_after_s - (time.monotonic() - _begun_s), 0.01), 1.0)
+
+
+def _skip_what_runs(number: int, frame: object) -> None:
+    """Ends the test that runs: the one that begins last may take as long as all before it."""
+    if _running:
+        pytest.skip(TIME_IS_UP)
+
 
 def pytest_unconfigure(config: pytest.Config) -> None:
+    if config.getoption("stop_after") is not None:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
     for folder in _made:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -130,7 +146,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_runtest_setup(item: pytest.Item) -> None:
     stop_after_s = item.config.getoption("stop_after")
     if stop_after_s is not None and time.monotonic() - _begun_s > stop_after_s:
-        pytest.skip("The time is up: `make test` runs it.")
+        pytest.skip(TIME_IS_UP)
     if reason := skip_reason(item):
         pytest.skip(reason)
     if item.get_closest_marker("browser") and (reason := why_not_the_page()):
@@ -140,9 +156,13 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
     """Fails a test of units that takes long and does not say so, by the processor's time: the clock's depends on what
-    else runs."""
-    begun_s = time.process_time()
-    result = yield
+    else runs. ``_running`` is for ``_skip_what_runs``."""
+    global _running
+    begun_s, _running = time.process_time(), True
+    try:
+        result = yield
+    finally:
+        _running = False
     spent_s = time.process_time() - begun_s
     named = any(map(item.get_closest_marker, ("server", "browser", "slow", "long")))
     if spent_s > UNIT_CPU_S and not named:
