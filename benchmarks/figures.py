@@ -106,9 +106,9 @@ def frame(records: Records) -> str:
     wholes = [row for row in record["rows"] if row["kind"] == "kernel" and row["stage"] == "frame"]
     cases = [(row["garment"], row["tier"]) for row in wholes]
     parts = {
-        "network": lambda row: row["stage"] == "network" and row["kernel"].startswith("drape."),
-        "posed body and its skin": lambda row: row["kernel"].startswith("bodies."),
-        "vertices of the jets": lambda row: row["kernel"].startswith("blend."),
+        "network": lambda row: row["kernel"] == "jets",
+        "posed body and its skin": lambda row: row["kernel"] == "pose_body",
+        "vertices of the jets": lambda row: row["kernel"] == "vertices",
         "swing": lambda row: row["stage"] == "swing" and row["kernel"] != "Python",
         "folds": lambda row: row["stage"] == "folds" and row["kernel"] != "Python",
     }
@@ -285,8 +285,7 @@ def _kernels(record: Record, garment: str, tier: str) -> list[Row]:
 def _timed(rows: Iterable[Row], belongs: Callable[[Row], bool]) -> str:
     """The time of those ``rows`` that belong together, and in brackets their floor."""
     kept = [row for row in rows if belongs(row)]
-    if not kept:
-        return ""
+    assert kept, "a part of the frame that the record does not name"
     return f"{sum(row['cpu_ms'] for row in kept):.2f} ({sum(row['floor_ms'] or 0.0 for row in kept):.2f})"
 
 
