@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -143,7 +144,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items.sort(key=lambda item: places.get(item.path.relative_to(ROOT).parts[1], len(places)))
 
 
-def pytest_runtest_setup(item: pytest.Item) -> None:
+@contextmanager
+def _running_now() -> Iterator[None]:
+    """For ``_skip_what_runs``."""
+    global _running
+    _running = True
+    try:
+        yield
+    finally:
+        _running = False
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
     stop_after_s = item.config.getoption("stop_after")
     if stop_after_s is not None and time.monotonic() - _begun_s > stop_after_s:
         pytest.skip(TIME_IS_UP)
@@ -151,18 +164,17 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         pytest.skip(reason)
     if item.get_closest_marker("browser") and (reason := why_not_the_page()):
         pytest.fail(reason, pytrace=False)
+    with _running_now():
+        return (yield)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
     """Fails a test of units that takes long and does not say so, by the processor's time: the clock's depends on what
-    else runs. ``_running`` is for ``_skip_what_runs``."""
-    global _running
-    begun_s, _running = time.process_time(), True
-    try:
+    else runs."""
+    begun_s = time.process_time()
+    with _running_now():
         result = yield
-    finally:
-        _running = False
     spent_s = time.process_time() - begun_s
     named = any(map(item.get_closest_marker, ("server", "browser", "slow", "long")))
     if spent_s > UNIT_CPU_S and not named:
