@@ -9,6 +9,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.errors import MeshError
 from drape.garment.avatars import Avatar, standard_avatar
+from drape.garment.contours import pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.mesh_checks import check_options, check_surface, place
@@ -18,9 +19,9 @@ from drape.garment.wearer_search import Wearer, the_wearer
 from drape.geometry.closest import signed_distance
 
 SAMPLE_COUNT = 800
-# Garments on the standard body have no cloth deeper than 1 cm in it, and 0 to 9 % of the way round its bones is bare;
-# an outfit for arms that hang has 45 % of its cloth in the skin there.
-DEEP_M, DEEP_SHARE, BARE_SHARE = 0.01, 0.03, 0.15
+# Garments on the standard body have no cloth deeper than 1 cm in it, 0 to 9 % of the way round its bones is bare, and
+# no bone goes through them; of an outfit for arms that hang 2 to 45 % is in the skin, and arms pierce its sleeves.
+DEEP_M, DEEP_SHARE, BARE_SHARE = 0.01, 0.01, 0.15
 
 
 def lies_on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> bool:
@@ -31,6 +32,8 @@ def lies_on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions)
     try:
         placed = place(checked, avatar, unit=options.unit, up=options.up, named=False)
     except MeshError:
+        return False
+    if pierced_parts(placed.vertices, placed.faces, body.joints_template):
         return False
     points, _ = cloth_points(placed.vertices, placed.faces, SAMPLE_COUNT)
     if (signed_distance(points, avatar.vertices, avatar.faces) < -DEEP_M).mean() > DEEP_SHARE:
