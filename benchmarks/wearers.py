@@ -28,7 +28,8 @@ from drape.garment.mesh_checks import UNITS_M
 from drape.garment.registration import posed_by, unpack
 from drape.garment.skin import bind_to_body
 from drape.garment.wearer_fields import known_parameters
-from drape.garment.wearer_search import Reading, Wearer, the_wearer
+from drape.garment.wearer_reading import Reading, Wearer
+from drape.garment.wearer_search import the_wearer
 from drape.geometry.closest import closest_point, nearest_vertices
 from drape.geometry.skinning import skin_points
 

@@ -15,7 +15,8 @@ from drape.garment.intake_options import IntakeOptions
 from drape.garment.mesh_checks import check_options, check_surface, place
 from drape.garment.registration import FREE_JOINTS
 from drape.garment.wearer_fields import bones_of, cloth_points, enclosed
-from drape.garment.wearer_search import Wearer, the_wearer
+from drape.garment.wearer_reading import Wearer
+from drape.garment.wearer_search import the_wearer
 from drape.geometry.closest import signed_distance
 
 SAMPLE_COUNT = 800

@@ -220,10 +220,10 @@ def field_of(body: BodyModel, parameters: np.ndarray) -> Field:
     shape = np.ceil((dense.max(axis=0) + MARGIN_M - low) / CELL_M).astype(int) + 1
     solid = np.zeros(shape, dtype=bool)
     solid[tuple(np.rint((dense - low) / CELL_M).astype(int).T)] = True
-    solid = scipy.ndimage.binary_fill_holes(solid)
+    solid = np.asarray(scipy.ndimage.binary_fill_holes(solid))
     # Cells that the skin passes through count as inside, so the surface lies half a cell within.
-    outside = scipy.ndimage.distance_transform_edt(~solid)
-    inside = scipy.ndimage.distance_transform_edt(solid)
+    outside = np.asarray(scipy.ndimage.distance_transform_edt(~solid))
+    inside = np.asarray(scipy.ndimage.distance_transform_edt(solid))
     distance = CELL_M * np.where(solid, 0.5 - (inside - 0.5), outside)
     bones = bones_of(body, parameters, skin[::6])
     cost = np.pad(point_cost(distance).astype(np.float32), ROOM, constant_values=1.0)

@@ -7,16 +7,13 @@ and place of the standard body by ``inside.fit_from``. Where no unit fits, sizes
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import product
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
-from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
 from drape.garment.contours import Contour, open_contours, pierced_parts
 from drape.garment.files.mesh import GarmentMesh
@@ -37,6 +34,7 @@ from drape.garment.wearer_fields import (
     thin_body,
     unthreaded,
 )
+from drape.garment.wearer_reading import USUAL_FRONTS, Reading, Wearer, readings_of
 from drape.geometry import meshes
 
 EXTENT_M = (0.12, 2.4)  # of a garment
@@ -50,18 +48,9 @@ FIRST_STEPS, LAST_STEPS = 5, 15
 SMALL_M2, SMALL = 0.4, 0.05  # a whole outfit read as a collar costs this for every e-fold less of cloth
 SHAPE_COST = 0.01  # of a squared beta beside the nearest known shape's
 HEIGHT_M, HEIGHT_SPREAD_M, HEIGHT_COST = 1.73, 0.13, 0.01  # of people; the cost of one spread
-ODD = {
-    "inch": 0.02,
-    "free": 0.12,
-    "x up": 0.02,
-    "downward": 0.05,
-    "facing": 0.05,
-    "origin": 0.03,
-    "pierced": 0.1,
-    "one side": 0.3,
-    "empty": 0.05,
-}
-USUAL_FRONTS = {"+y": ("+z",), "+z": ("-y", "+x"), "+x": ("+y", "+z", "-z")}
+# Costs of a body whose root and soles are away from the origin, of a bone through the cloth, of cloth on one side
+# alone, and of an opening without a bone.
+ODD_ORIGIN, ODD_PIERCED, ODD_SIDE, ODD_EMPTY = 0.03, 0.1, 0.3, 0.05
 ORIGIN_M = 0.05  # a body whose root or soles are this near to the file's origin stands where bodies do
 CUFF_M = 0.12  # shorter openings are holes
 LOOP_SHARE, LOOP_COUNT, LOOP_POINTS = 0.2, 6, 24  # openings over the extent, the most that count, points on each
@@ -76,124 +65,20 @@ SHAPE_PRIOR_M = np.array([5.0e-3, *[2.5e-3] * 9])  # of the betas in a fit: the 
 RIVAL = 0.15  # a reading that is worse by this leaves no doubt
 
 
-@dataclass(frozen=True)
-class Reading:
-    """How a file may be meant: ``unit`` ("free" where it is none) of ``scale`` [m], ``up`` and ``front`` as "+y"."""
-
-    unit: str
-    scale: float
-    up: str
-    front: str
-
-    @cached_property
-    def turn(self) -> np.ndarray:
-        """The rotation (3, 3) from the file's axes to y up, facing +z."""
-        up, front = _axis(self.up), _axis(self.front)
-        return np.stack([np.cross(up, front), up, front])
-
-    @cached_property
-    def oddness(self) -> float:
-        """The cost of a reading that few programs write."""
-        odd = ODD.get(self.unit, 0.0) + (ODD["x up"] if self.up == "+x" else 0.0)
-        odd += ODD["downward"] if self.up not in USUAL_FRONTS else 0.0
-        return odd + (ODD["facing"] if self.front not in USUAL_FRONTS.get(self.up, ()) else 0.0)
-
-    def apply(self, points: np.ndarray) -> np.ndarray:
-        """``points`` (N, 3) of the file in metres, y up, facing +z."""
-        return self.scale * (points @ self.turn.T)
-
-
-def _axis(name: str) -> np.ndarray:
-    return (1.0 if name[0] == "+" else -1.0) * np.eye(3)["xyz".index(name[1])]
-
-
-@dataclass(frozen=True, eq=False)
-class Wearer:
-    """A body that may have worn a garment, in the frame of ``reading``.
-
-    ``parameters`` as ``registration.unpack`` takes them; ``energy`` ranks it (0: cloth on the skin all round).
-    ``inside`` is the share of the cloth deeper than 1 cm in the skin, ``open_share`` how much of the way round its
-    bones is bare, ``band_m`` the median distance at the top; ``sleeved`` says whether the cloth shows the arms, and
-    ``fault`` what does not fit. ``sure`` in [0, 1] falls where another reading fits nearly as well.
-    """
-
-    reading: Reading
-    body: BodyModel
-    parameters: np.ndarray
-    energy: float
-    inside: float
-    open_share: float
-    band_m: float
-    sleeved: bool
-    fault: str = ""
-    odd_arms: float = 0.0
-    sure: float = 1.0
-
-    @property
-    def betas(self) -> np.ndarray:
-        return unpack(self.body, self.parameters)[0]
-
-    @property
-    def pose(self) -> np.ndarray:
-        return unpack(self.body, self.parameters)[1]
-
-    @property
-    def trans(self) -> np.ndarray:
-        return unpack(self.body, self.parameters)[2]
-
-    @cached_property
-    def height_m(self) -> float:
-        """The height of the shape, standing."""
-        return float(np.ptp(self.body.rest_vertices(self.betas)[:, 1]))
-
-    @cached_property
-    def arms_deg(self) -> float:
-        """How far the upper arms hang below the horizontal, the mean of both."""
-        joints = self.body.posed_joints(self.pose[None], self.betas)[0]
-        return float(np.mean([_drop_deg(joints, side) for side in ("left", "right")]))
-
-    @property
-    def words(self) -> str:
-        """Such as "a woman of 1.68 m, arms 40 degrees down, decimetres"."""
-        far = {name: float(np.linalg.norm(self.betas[:10] - SHAPES[name])) for name in ("man", "woman")}
-        who = "a person" if abs(far["man"] - far["woman"]) < 0.8 else f"a {min(far, key=lambda name: far[name])}"
-        names = {"m": "metres", "cm": "centimetres", "dm": "decimetres", "mm": "millimetres", "inch": "inches"}
-        unit = names.get(self.reading.unit, f"units of {100.0 * self.reading.scale:.3g} cm")
-        arms = f"arms {self.arms_deg:.0f} degrees down" if self.sleeved else "arms not shown"
-        axes = "" if self.reading.up == "+y" else f", {self.reading.up.lstrip('+')} up"
-        return f"{who} of {self.height_m:.2f} m, {arms}, {unit}{axes}"
-
-    def to_json(self) -> dict[str, float | str]:
-        """The manifest's entry."""
-        return {
-            "height_m": round(self.height_m, 3),
-            "unit": self.reading.unit if self.reading.unit in UNITS_M else f"{self.reading.scale:.4g} m",
-            "up": self.reading.up.lstrip("+"),
-            "facing": self.reading.front.lstrip("+"),
-            "arms_deg": round(self.arms_deg, 1),
-            "sure": round(self.sure, 2),
-        }
-
-
-def _drop_deg(joints: np.ndarray, side: str) -> float:
-    way = joints[JOINT_NAMES.index(f"{side}_elbow")] - joints[JOINT_NAMES.index(f"{side}_shoulder")]
-    return float(np.degrees(np.arctan2(-way[1], np.hypot(way[0], way[2]))))
-
-
 def find_wearers(mesh: GarmentMesh, body: BodyModel, *, unit: str = "auto", up: str = "auto") -> list[Wearer]:
     """The bodies that may have worn ``mesh``, best first, one for each reading; what ``unit`` and ``up`` say holds."""
     cloth = _Cloth(mesh)
     units = UNITS_M if unit == "auto" else {unit: UNITS_M[unit]}
     ups = tuple(f"{sign}{axis}" for axis in ("yzx" if up == "auto" else up) for sign in "+-")
     ups = ups if up == "auto" else ups[:1]
-    named = [one for one in _readings(units.items(), ups) if _in_reach(cloth.extent * one.scale)]
+    named = [one for one in readings_of(units.items(), ups) if _in_reach(cloth.extent * one.scale)]
     if (plain := _on_standard(cloth, body, named)) is not None:
         return [plain]
     found = _fitted(cloth, body, named)
     if unit == "auto" and not any(one.energy < UNIT_ENOUGH and one.inside < UNIT_INSIDE for one in found):
         sizes = [("free", extent / cloth.extent) for extent in FREE_EXTENTS_M]
         upright = tuple(one for one in ups if one in ("+y", "+z"))
-        found += _fitted(cloth, body, list(_readings(sizes, upright)))
+        found += _fitted(cloth, body, list(readings_of(sizes, upright)))
     found.sort(key=lambda one: (bool(one.fault), one.energy))
     return [replace(one, sure=_sureness(one, found)) for one in found]
 
@@ -254,13 +139,6 @@ class _Guess:
     energy: float
 
 
-def _readings(units: Iterable[tuple[str, float]], ups: Sequence[str]) -> Iterable[Reading]:
-    fronts = [f"{sign}{axis}" for axis in "xyz" for sign in "+-"]
-    for (unit, scale), up, front in product(units, ups, fronts):
-        if up[1] != front[1]:
-            yield Reading(unit, scale, up, front)
-
-
 def _in_reach(extent_m: float) -> bool:
     return EXTENT_M[0] <= extent_m <= EXTENT_M[1]
 
@@ -275,7 +153,7 @@ def _guesses(cloth: _Cloth, fields: Sequence[Field], readings: Sequence[Reading]
         for one in guesses:
             bones = fields[one.number].bones
             share, nearest = enclosed(one.reading.apply(cloth.points) + one.move, bones)
-            odd = ODD["one side"] * _one_sided(bones, nearest)
+            odd = ODD_SIDE * _one_sided(bones, nearest)
             found.append(replace(one, energy=one.energy + 1.0 - float(share.mean()) + odd))
         return sorted(found, key=lambda one: one.energy)
 
@@ -284,8 +162,8 @@ def _guesses(cloth: _Cloth, fields: Sequence[Field], readings: Sequence[Reading]
     every = judged([one for reading in best for one in places[reading]])[:PIERCED_COUNT]
     for number, one in enumerate(every):
         joints = fields[one.number].bones.joints - one.move
-        odd = 0.5 * ODD["pierced"] * len(cloth.pierced(one.reading, joints))
-        odd += ODD["empty"] * cloth.empty(one.reading, joints)
+        odd = 0.5 * ODD_PIERCED * len(cloth.pierced(one.reading, joints))
+        odd += ODD_EMPTY * cloth.empty(one.reading, joints)
         every[number] = replace(one, energy=one.energy + odd)
     return sorted(every, key=lambda one: one.energy)
 
@@ -416,11 +294,11 @@ def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarr
     sleeved = float(np.isin(parts, ("left arm", "right arm")).mean()) > SLEEVE_SHARE
     betas, _, trans = unpack(body, parameters)
     pierced = cloth.pierced(reading, bones.joints)
-    odd = reading.oddness + cloth.smallness(reading) + odd_arms + ODD["pierced"] * len(pierced)
+    odd = reading.oddness + cloth.smallness(reading) + odd_arms + ODD_PIERCED * len(pierced)
     odd += SHAPE_COST * min(float(((betas[:10] - shape) ** 2).sum()) for shape in map(np.array, SHAPES.values()))
-    odd += ODD["one side"] * _one_sided(bones, nearest) + ODD["empty"] * cloth.empty(reading, bones.joints)
+    odd += ODD_SIDE * _one_sided(bones, nearest) + ODD_EMPTY * cloth.empty(reading, bones.joints)
     odd += HEIGHT_COST * ((np.ptp(body.rest_vertices(betas)[:, 1]) - HEIGHT_M) / HEIGHT_SPREAD_M) ** 2
-    odd += 0.0 if min(abs(trans[1]), abs(skin[:, 1].min())) < ORIGIN_M and abs(trans[0]) < ORIGIN_M else ODD["origin"]
+    odd += 0.0 if min(abs(trans[1]), abs(skin[:, 1].min())) < ORIGIN_M and abs(trans[0]) < ORIGIN_M else ODD_ORIGIN
     inside, open_share = distance < -DEEP_M, 1.0 - float(share.mean())
     energy = float((point_cost(distance) * weight).sum() / weight.sum()) + open_share + odd
     top = float(np.median(np.abs(distance[band])))

@@ -15,7 +15,8 @@ from drape.garment.intake_options import IntakeOptions
 from drape.garment.modelled_on import lies_on_standard, worn_by
 from drape.garment.registration import posed_by, unpack
 from drape.garment.wearer_fields import KNOWN, bones_of, enclosed, known_parameters, thin_body, unthreaded
-from drape.garment.wearer_search import Reading, find_wearers, the_wearer
+from drape.garment.wearer_reading import Reading
+from drape.garment.wearer_search import find_wearers, the_wearer
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import shirt
 
