@@ -119,6 +119,11 @@ class BodyModel:
             translations = translations + trans[:, None, :]
         return rotations, translations
 
+    def posed_joints(self, poses: np.ndarray, betas: np.ndarray | None = None) -> np.ndarray:
+        """Joints [m] (F, 24, 3) of the shape ``betas`` (S,), or of shapes (F, S), in ``poses`` (F, 24, 3)."""
+        rotations, translations = self.bones(poses, None, betas)
+        return (rotations @ self.rest_joints(betas)[..., None])[..., 0] + translations
+
     def posed_vertices(
         self, poses: np.ndarray, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> np.ndarray:

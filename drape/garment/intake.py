@@ -35,10 +35,12 @@ from drape.garment.fitting import fit_garment
 from drape.garment.grain import corner_uv
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions, read_fabric
 from drape.garment.mesh_checks import Unit, Up
+from drape.garment.modelled_on import lies_on_standard, worn_by
 from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
 from drape.garment.rest_mesh import RestMesh, describe_rest, rest_mesh, with_unused
 from drape.garment.sewing import Sewing, sewing_beside, sewn_hinges
 
+WEARER_VERSION = 1  # raised when another wearer is found in the same cloth
 INTAKE_VERSION = 2  # raised when a change here changes the garments that come out
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests as they were
 
@@ -49,9 +51,16 @@ the cache file."""
 
 
 def garment_digest(
-    payload: bytes, avatar: Any, body: BodyModel, options: IntakeOptions, name: str, sewn: Sewing | None = None
+    payload: bytes,
+    avatar: Any,
+    body: BodyModel,
+    options: IntakeOptions,
+    name: str,
+    sewn: Sewing | None = None,
+    *,
+    searched: bool = False,
 ) -> str:
-    """The hex digest of everything that a garment is made of."""
+    """The hex digest of everything that a garment is made of; ``searched`` where its wearer is looked for."""
     if isinstance(avatar, Path):
         avatar = hashlib.sha256(avatar.read_bytes()).hexdigest()
     chosen, usual = (asdict(one.completed_by(sewn)) for one in (options, DEFAULT_OPTIONS))
@@ -65,6 +74,8 @@ def garment_digest(
         "options": chosen | {"clearance_m": CLEARANCE_M},
         "versions": [FORMAT_VERSION, INTAKE_VERSION],
     }
+    if searched:
+        header["wearer"] = WEARER_VERSION
     if sewn is not None:
         header["sewing"] = replace(sewn, figures={}).to_json()  # how long it took makes no other garment
     return hashlib.sha256(json.dumps(header, sort_keys=True).encode() + b"\0" + payload).hexdigest()
@@ -96,10 +107,10 @@ def intake(
 
     ``source``: the file, or its bytes of the format ``kind``. ``avatar``: the body that the garment was modelled on
     (``drape.garment.avatars``). Left out, the file avatars.json beside the mesh names it; without an entry there it is
-    the standard body, and the garment must lie on that. A JSON file of ``drape.garment.sewing`` beside the mesh says
-    how the garment is sewn. With ``folder`` the result is stored there, and the next intake of the same file finds it.
-    ``report`` gets each line of the log, and ``begun`` each of ``STAGES`` as it begins. Raises ``InputError``, and then
-    writes nothing.
+    the standard body where the garment lies close on that, and else it is looked for (``wearer_search``). A JSON file
+    of ``drape.garment.sewing`` beside the mesh says how the garment is sewn. With ``folder`` the result is stored
+    there, and the next intake of the same file finds it. ``report`` gets each line of the log, and ``begun`` each of
+    ``STAGES`` as it begins. Raises ``InputError``, and then writes nothing.
     """
     say, begins = report or (lambda line: None), begun or (lambda stage: None)
     begins("read")
@@ -112,7 +123,8 @@ def intake(
     sewn = sewing_beside(path) if path else None
     if sewn is not None:
         sewn.check(mesh)
-    digest = garment_digest(payload, meaning, body, options, name, sewn)
+    searched = meaning is None and not lies_on_standard(mesh, body, options)
+    digest = garment_digest(payload, meaning, body, options, name, sewn, searched=searched)
     options = options.completed_by(sewn)
     if folder is not None and (stored := folder / f"{name}-{digest[:16]}.npz").is_file():
         say(f"cached    {stored.name}")
@@ -120,7 +132,11 @@ def intake(
 
     with_uv = "with uv" if len(mesh.uv) else "no uv"
     say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {with_uv}")
-    model = avatars.read_avatar(meaning, body)
+    wearer = None
+    if searched:
+        mesh, model, wearer = worn_by(mesh, body, options)
+    else:
+        model = avatars.read_avatar(meaning, body)
     say(
         f"avatar    {model.source}; residual {model.residual_mm:.1f} mm"
         + ("" if meaning is not None else " (none was named)")
@@ -129,10 +145,10 @@ def intake(
         say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")
     started = time.perf_counter()
     begins("rest")
-    rest = rest_mesh(mesh, model, body, options, named=meaning is not None)
+    rest = rest_mesh(mesh, model, body, options, named=meaning is not None, placed=searched)
     for line in describe_rest(rest):
         say(line)
-    manifest = _manifest(mesh, payload, model, options, rest)
+    manifest = _manifest(mesh, payload, model, options, rest) | ({} if wearer is None else {"wearer": wearer.to_json()})
     begins("fit")
     compact = replace(rest.mesh, name=name)
     fitted = fit_garment(

@@ -57,20 +57,33 @@ class Placement:
 
 
 def check_mesh(
-    mesh: GarmentMesh, avatar: Avatar, *, unit: Unit = "auto", up: Up = "auto", repair: bool = False, named: bool = True
+    mesh: GarmentMesh,
+    avatar: Avatar,
+    *,
+    unit: Unit = "auto",
+    up: Up = "auto",
+    repair: bool = False,
+    named: bool = True,
+    placed: bool = False,
 ) -> GarmentMesh:
     """``mesh`` in metres, y up, consistently wound with normals outward, on ``avatar``; raises ``MeshError``.
 
     Vertices keep their order and number. With ``repair`` degenerate and duplicated faces are
-    dropped instead of refused.
+    dropped instead of refused. A mesh that is ``placed`` is on its avatar in metres already.
     """
-    check_arrays(mesh)
-    mesh = check_faces(mesh, repair=repair)
-    check_edges(mesh)
-    mesh = place(mesh, avatar, unit=unit, up=up, named=named)
+    mesh = check_surface(mesh, repair=repair)
+    mesh = mesh if placed else place(mesh, avatar, unit=unit, up=up, named=named)
     mesh = orient_outward(mesh, avatar)
     check_area(mesh, "garment area")
     return mesh.noted(*describe(mesh))
+
+
+def check_surface(mesh: GarmentMesh, *, repair: bool) -> GarmentMesh:
+    """``mesh`` with finite numbers and faces that a cloth can have; raises ``MeshError``."""
+    check_arrays(mesh)
+    mesh = check_faces(mesh, repair=repair)
+    check_edges(mesh)
+    return mesh
 
 
 def check_area(mesh: GarmentMesh, name: str) -> None:
@@ -158,8 +171,7 @@ def place(
     The plain reading (metres, y up, the avatar's origin) wins unless another fits clearly
     better. Where nobody ``named`` the avatar the garment must fit closely.
     """
-    _check_option("unit", unit, ("auto", *UNITS_M))
-    _check_option("up", up, ("auto", *UP_AXES))
+    check_options(unit, up)
     used = np.unique(mesh.faces)
     sample = mesh.vertices[used[:: max(1, len(used) // SAMPLE_COUNT)]]
     floors = (False, True) if abs(avatar.vertices[:, 1].min()) > 0.02 else (False,)
@@ -196,6 +208,12 @@ def place(
     notes += ["turned from z up to y up"] if chosen.up == "z" else []
     notes += ["moved from its floor to the avatar's origin"] if chosen.floor else []
     return replace(mesh, vertices=chosen.apply(mesh.vertices, avatar)).noted(*notes)
+
+
+def check_options(unit: str, up: str) -> None:
+    """Refuses an unknown ``unit`` or ``up`` axis."""
+    _check_option("unit", unit, ("auto", *UNITS_M))
+    _check_option("up", up, ("auto", *UP_AXES))
 
 
 def _check_option(name: str, value: str, allowed: tuple[str, ...]) -> None:

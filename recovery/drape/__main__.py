@@ -20,6 +20,7 @@ from drape.body.assets import DEFAULT_BODY, load_body
 from drape.cloth.material import DEFAULT_MATERIAL
 from drape.errors import InputError, refusing
 from drape.files.atomic import write_whole
+from drape.garment.contours import lost_parts, lost_words, pierced_parts
 from drape.garment.intake import garment_name
 from recovery.commands import ended, parser_of
 from recovery.drape.output import panel_texture, write_rest, write_shape
@@ -27,7 +28,6 @@ from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
 from recovery.drape.placement import Axes
 from recovery.drape.posing import read_pose
 from recovery.drape.settle import TOLERANCE_N
-from recovery.fit.contours import lost_parts, lost_words, pierced_parts
 from recovery.fit.starts import Start, worn_drape
 from recovery.pattern.garmentcode import read_pattern
 from recovery.progress import watched

@@ -69,15 +69,9 @@ def _json_pose(path: Path) -> np.ndarray:
     return pose
 
 
-def joints_in(body: BodyModel, poses: np.ndarray, betas: np.ndarray | None = None) -> np.ndarray:
-    """Joints [m] (F, 24, 3) of ``body`` in the shape ``betas`` and in ``poses`` (F, 24, 3)."""
-    rotations, translations = body.bones(poses, None, betas)
-    return np.einsum("fjab,jb->fja", rotations, body.rest_joints(betas)) + translations
-
-
 def posed_joints(body: BodyModel, pose: np.ndarray | None) -> np.ndarray:
     """Joints [m] (24, 3) of ``body`` in ``pose`` (24, 3), or in the T-pose."""
-    return body.joints_template if pose is None else joints_in(body, pose[None])[0]
+    return body.joints_template if pose is None else body.posed_joints(pose[None])[0]
 
 
 def pose_steps(pose: np.ndarray) -> np.ndarray:

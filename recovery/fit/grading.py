@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.errors import InputError
-from recovery.fit.contours import Contour, Match
+from drape.garment.contours import Contour, Match
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.mesh import PatternMesh

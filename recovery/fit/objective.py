@@ -17,8 +17,8 @@ from torch import Tensor
 
 from drape.arrays import check_finite, check_shape
 from drape.errors import MeshError
+from drape.garment.contours import Contour, Match
 from drape.geometry import closest, meshes
-from recovery.fit.contours import Contour, Match
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.triangulate import signed_areas
 

@@ -19,12 +19,12 @@ import torch
 from drape.body.model import BodyModel
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
+from drape.garment.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
 from recovery import progress as watch
 from recovery.drape.pipeline import Draped, DrapeOptions, hanging
 from recovery.drape.posing import posed_joints
 from recovery.fit import laying
 from recovery.fit.belt import belt_of, held_as_target
-from recovery.fit.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
 from recovery.fit.laying import EDGE_M, LaidDrape, hung_as, is_laid, laid, laying_options, let_go

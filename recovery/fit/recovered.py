@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from drape.garment.contours import Match
 from recovery.drape.pipeline import Draped
-from recovery.fit.contours import Match
 from recovery.fit.grading import Graded
 from recovery.fit.optimise import Fitted, PatternSearch
 from recovery.pattern.coordinates import control_points

@@ -13,9 +13,10 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.errors import InputError
+from drape.garment.borders import borders, plainly_opening
+from drape.garment.contours import TRUNK
 from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import meshes
-from recovery.fit.contours import TRUNK
 from recovery.pattern.bases import COUNT, MOST_PANELS
 from recovery.pattern.measurements import BodyMeasurements, measure
 from recovery.pattern.model import Pattern
@@ -23,7 +24,6 @@ from recovery.run.seen import Seen
 from recovery.run.target import OF_TOPS, OPENINGS, describe_openings, opened
 from recovery.run.upright import long_contours
 from recovery.scan.collars import without_collar
-from recovery.scan.holes import borders, plainly_opening
 
 SLEEVE_M = 0.06  # from the shoulder's joint to a cuff; an armhole lies within 3 cm of it
 DRESS_M = 0.12  # below the crotch: no shirt's hem

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from drape.errors import InputError
-from recovery.fit.contours import TRUNK
+from drape.garment.contours import TRUNK
 from recovery.pattern.bases import BASES, COUNT, OF_SLEEVE
 from recovery.pattern.legs import thigh_girth
 from recovery.pattern.measurements import BodyMeasurements

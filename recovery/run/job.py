@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.errors import InputError
+from drape.garment.contours import lost_parts, lost_words
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake import garment_name
 from drape.garment.mesh_checks import Unit, Up, place
@@ -19,7 +20,6 @@ from recovery.drape.output import panel_texture, write_rest, write_shape
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import posed_joints
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
-from recovery.fit.contours import lost_parts, lost_words
 from recovery.fit.optimise import REACH_M, FitOptions
 from recovery.fit.pipeline import recover_pattern
 from recovery.fit.recovered import Recovered

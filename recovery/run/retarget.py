@@ -11,9 +11,9 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
+from drape.garment.contours import lost_parts
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_in_pose, drape_pattern
 from recovery.drape.posing import posed_joints, read_pose
-from recovery.fit.contours import lost_parts
 from recovery.pattern.model import Pattern
 from recovery.run.wearer import shaped_body
 

@@ -13,9 +13,9 @@ import scipy.sparse
 from scipy.sparse import csgraph
 
 from drape.body.skeleton import JOINT_NAMES
+from drape.garment.contours import TRUNK, Contour, bone_chains, open_contours, place_of
 from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import mesh_graphs, meshes
-from recovery.fit.contours import TRUNK, Contour, bone_chains, open_contours, place_of
 
 ROUND = 0.5  # turns of a loop about a point that it encloses
 EVEN_STRETCH = 1.25  # of the middle one: within that most triangles of a panel laid out flat differ from each other

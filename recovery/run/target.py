@@ -14,6 +14,8 @@ import numpy as np
 
 from drape.errors import InputError, MeshError
 from drape.garment.avatars import Avatar
+from drape.garment.borders import Loop, borders, plainly_hole, plainly_opening
+from drape.garment.contours import TRUNK, bone_chains, open_contours, part_round, place_of
 from drape.garment.files.mesh import GarmentMesh, read_mesh, weld
 from drape.garment.mesh_checks import (
     Unit,
@@ -26,10 +28,9 @@ from drape.garment.mesh_checks import (
 )
 from drape.geometry import closest, meshes
 from recovery import progress
-from recovery.fit.contours import TRUNK, bone_chains, open_contours, part_round, place_of
 from recovery.scan.caps import check_unworn
 from recovery.scan.hems import without_turned_hems
-from recovery.scan.holes import Loop, borders, closed, plainly_hole, plainly_opening
+from recovery.scan.holes import closed
 from recovery.scan.places import ScanFault, in_box
 from recovery.scan.sheets import agreeing, cut_branches, main_sheet, without_copies
 from recovery.scan.thin import calmed, thinned

@@ -12,8 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
+from drape.garment.contours import Contour, open_contours
 from drape.garment.files.mesh import GarmentMesh
-from recovery.fit.contours import Contour, open_contours
 
 CUFF_SHARE = 0.12  # of the longest opening: cuffs have a fifth of a hem, and holes that were not closed less
 TURNED_RAD = 0.6  # that a garment may look aside; the body's fit finds that by itself

@@ -17,12 +17,12 @@ from drape.errors import BodyError, MeshError
 from drape.files.formats import MESH_SUFFIXES
 from drape.garment.avatars import Avatar
 from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, GarmentMesh, read_mesh, weld
+from drape.garment.inside import InsideFit, check_inside, fit_inside
 from drape.garment.mesh_checks import UNITS_M
 from drape.garment.registration import body_units, fit_body
 from drape.geometry import meshes
 from recovery import progress
 from recovery.pattern.model import Pattern
-from recovery.run.inside import InsideFit, check_inside, fit_inside
 from recovery.run.upright import facing, turned_about, up_axis
 
 SIZE_SLACK = 2.0  # by which a target's height may differ from its base's
@@ -155,7 +155,7 @@ def inside_wearer(
     body, about = load_body(), turned_about(mesh, np.pi)
 
     def fitted(one: GarmentMesh) -> InsideFit:
-        fits = [fit_inside(one, body, top_m=float(base.max()), wanted=wanted) for base in placed]
+        fits = [fit_inside(one, body, top_m=float(base.max()), wanted=wanted, tick=progress.tick) for base in placed]
         return min(fits, key=lambda fit: fit.cost_m2)
 
     with progress.stage("a body is fitted inside"):

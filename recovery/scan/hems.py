@@ -9,9 +9,9 @@ import numpy as np
 import scipy.sparse
 from scipy.sparse import csgraph
 
+from drape.garment.borders import Loop, borders, plainly_opening
 from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import meshes
-from recovery.scan.holes import Loop, borders, plainly_opening
 from recovery.scan.sheets import with_used_vertices
 
 ACROSS = 0.5  # cosine between an opening's axis and the normals of a hem that is turned in; a cuff's cloth has 0.2

@@ -16,17 +16,13 @@ import numpy as np
 import scipy.sparse
 from scipy.sparse.linalg import spsolve
 
+from drape.garment.borders import Loop, borders, plainly_opening
 from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import mesh_graphs, meshes
 from recovery import progress
 from recovery.scan.thin import GROW, NOISE, SHRINK
 
 CLOSED = "closed hole"  # the material of faces that close a hole
-SHORT_SHARE = 0.14  # of the root of the area: no cuff is as short as this; 14 cm for a square metre
-LONG_SHARE = 0.35  # of the same: a longer border may be a neckline, which lies in flat cloth on broad shoulders
-LIES_IN_CLOTH = 0.85  # cosine between the cloth's normals at a rim and the hole's own: a neckline has 0.7, a cuff 0.2
-LOOKS_SIDEWAYS = 0.6  # below it is a tube's end; a border between the two needs a body to be told
-SMOOTHINGS = 4
 LARGEST_BEND = 0.25  # of a rim's radius that a fair surface may rise above the flattest one
 MOUTH_SHARE, POCKET_SHARE = 0.3, 0.45  # of a border's length: mouth and depth line of a bite, at most
 # A pocket of a border is a bite if its line is longer than its mouth by this, and half again as much as that of an arc
@@ -36,18 +32,6 @@ NARROWER = 0.2  # of a mouth's length counts against a bite, so that it ends whe
 LIP_VERTICES, LIP_TURN_RAD = 2, 0.4  # a border that turns by this, over as many vertices on both sides, is a lip
 CALMINGS = 16  # most of Taubin's smoothings of a border that is searched for bites
 LARGEST_LOOP = 4000  # vertices of a border that are searched for bites
-
-
-class Loop(NamedTuple):
-    """A border: vertices ``loop`` (n,) in order, its ``length``, and how much it lies in the cloth, from 0 to 1.
-
-    ``axis`` (3,) is the normal of the plane that it spans.
-    """
-
-    loop: np.ndarray
-    length: float
-    flatness: float
-    axis: np.ndarray
 
 
 class Closing(NamedTuple):
@@ -76,37 +60,6 @@ def known_faces(mesh: GarmentMesh) -> np.ndarray:
     if CLOSED not in mesh.material_names:
         return np.ones(len(mesh.faces), dtype=bool)
     return mesh.face_material != mesh.material_names.index(CLOSED)
-
-
-def borders(mesh: GarmentMesh) -> list[Loop]:
-    """The borders of ``mesh``, whose faces agree in orientation, longest first."""
-    normals = meshes.vertex_normals(mesh.vertices, mesh.faces)
-    averaging = mesh_graphs.umbrella_laplacian(mesh.faces, len(mesh.vertices))
-    for _ in range(SMOOTHINGS):  # noise tilts single normals
-        normals = normals + averaging @ normals
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    found = []
-    for loop in meshes.boundary_loops(mesh.faces):
-        points = mesh.vertices[loop]
-        way = np.roll(points, -1, axis=0) - points
-        length = np.linalg.norm(way, axis=1)
-        axis = 0.5 * np.cross(points - points.mean(axis=0), way).sum(axis=0)
-        axis = axis / max(float(np.linalg.norm(axis)), 1e-300)
-        flatness = float((length * np.abs(normals[loop] @ axis)).sum() / max(float(length.sum()), 1e-300))
-        found.append(Loop(loop, float(length.sum()), flatness, axis))
-    return sorted(found, key=lambda one: -one.length)
-
-
-def plainly_hole(one: Loop, mesh: GarmentMesh) -> bool:
-    """Whether a border is a hole without asking where the body is: very short, or a hole in the middle of the cloth."""
-    root = float(np.sqrt(meshes.face_areas(mesh.vertices, mesh.faces).sum()))
-    lies = one.flatness > LIES_IN_CLOTH and one.length < LONG_SHARE * root
-    return one.length < SHORT_SHARE * root or lies
-
-
-def plainly_opening(one: Loop) -> bool:
-    """Whether a border is an opening without asking where the body is: the cloth at it looks sideways."""
-    return one.flatness < LOOKS_SIDEWAYS
 
 
 def closed(

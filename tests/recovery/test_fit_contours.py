@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import InputError, MeshError
-from recovery.fit.contours import (
+from drape.garment.contours import (
     Contour,
     Match,
     bone_chains,

@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from numpy.testing import assert_allclose
 
+from drape.garment.contours import open_contours
 from recovery.drape.pipeline import HANGS_LONGER, Draped, DrapeOptions
 from recovery.drape.settle import Drape
 from recovery.fit import laying
-from recovery.fit.contours import open_contours
 from recovery.fit.laying import (
     LaidDrape,
     fallen,

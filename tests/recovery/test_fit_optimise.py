@@ -13,8 +13,8 @@ import torch
 from numpy.testing import assert_allclose
 
 from drape.errors import ArtifactError, InputError, MeshError
+from drape.garment.contours import Contour, Match, Place, open_contours
 from recovery.fit.belt import belt_on
-from recovery.fit.contours import Contour, Match, Place, open_contours
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
 from recovery.fit.objective import (

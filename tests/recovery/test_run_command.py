@@ -20,13 +20,13 @@ from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.files.atomic import write_whole
 from drape.garment.cache import load_garment
+from drape.garment.contours import lost_parts, lost_words
 from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
 from recovery import progress
 from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern, hanging
 from recovery.fit.chamfer import SurfaceDistance, chamfer, surface_chamfer, surface_distance
-from recovery.fit.contours import lost_parts, lost_words
 from recovery.fit.recovered import Recovered
 from recovery.pattern.bases import BASES, tshirt
 from recovery.pattern.coordinates import control_points

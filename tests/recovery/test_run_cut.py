@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.garment.cache import load_garment
+from drape.garment.contours import TRUNK
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.geometry import meshes
 from recovery.catalogue.garments import CATALOGUE
-from recovery.fit.contours import TRUNK
 from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES

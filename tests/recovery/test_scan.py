@@ -10,20 +10,21 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from drape.garment.borders import borders, plainly_hole
+from drape.garment.contours import match_contours, open_contours
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
+from drape.garment.inside import tube_ends
 from drape.geometry import meshes
 from recovery import progress
-from recovery.fit.contours import match_contours, open_contours
 from recovery.fit.grading import grade
 from recovery.fit.objective import Target
 from recovery.fit.optimise import FitOptions
 from recovery.pattern.symmetry import find_symmetries
 from recovery.run.__main__ import main
 from recovery.run.cut import kind_of
-from recovery.run.inside import tube_ends
 from recovery.run.target import OPENINGS, mended, opened, read_target
 from recovery.run.upright import long_contours
-from recovery.scan.holes import bites_of, borders, known_faces, plainly_hole
+from recovery.scan.holes import bites_of, known_faces
 from recovery.scan.places import ScanFault, in_box, on_body
 from recovery.scan.sheets import agreeing, branch_edges, cut_branches, main_sheet
 from recovery.scan.thin import calmed, roughness, thinned_to

@@ -216,11 +216,20 @@ def test_bytes_of_a_client_name_no_files(folder: Path):
         intake(obj_text(VERTICES, FACES), kind="obj", avatar=str(folder / "avatars.json"), body=BODY)
 
 
-def test_unnamed_avatar_that_does_not_fit_is_refused(tmp_path: Path):
-    (tmp_path / "unknown.obj").write_bytes(obj_text(VERTICES, FACES))
+def test_garment_that_nobody_fits_in_is_refused_and_nothing_is_written(tmp_path: Path):
+    (tmp_path / "unknown.obj").write_bytes(obj_text(VERTICES[:, [1, 0, 2]] * [1.0, 0.1, 3.0], FACES))
     with pytest.raises(MeshError, match="Say which avatar"):
-        intake(tmp_path / "unknown.obj", body=BODY, folder=tmp_path / "out")
+        intake(tmp_path / "unknown.obj", body=BODY, folder=tmp_path / "out", options=IntakeOptions(unit="m", up="y"))
     assert not (tmp_path / "out").exists()
+
+
+def test_unnamed_wearer_is_found_and_stands_in_the_manifest(tmp_path: Path):
+    (tmp_path / "unknown.obj").write_bytes(obj_text(VERTICES, FACES))
+    garment = intake(tmp_path / "unknown.obj", body=BODY, options=IntakeOptions(unit="m", up="y"))
+    wearer = garment.manifest["wearer"]
+    assert (wearer["unit"], wearer["up"], wearer["facing"]) == ("m", "y", "z")
+    assert abs(wearer["height_m"] - np.ptp(AVATAR.vertices[:, 1])) < 0.15
+    assert any("nobody named the avatar" in note for note in garment.manifest["notes"])
 
 
 def test_command_line_prints_steps_and_refuses_with_two(

@@ -8,6 +8,7 @@ bone goes through the middle of a cuff.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise, product
 from typing import NamedTuple
 
@@ -17,6 +18,8 @@ from scipy.spatial import KDTree
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import BodyError
+from drape.garment.borders import borders, plainly_opening
+from drape.garment.contours import LIMBS, TRUNK, Contour, bone_chains, open_contours
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.registration import (
     ARM_LIFTS_RAD,
@@ -27,10 +30,6 @@ from drape.garment.registration import (
     unpack,
 )
 from drape.geometry import closest, meshes
-from recovery import progress
-from recovery.drape.posing import joints_in
-from recovery.fit.contours import LIMBS, TRUNK, Contour, bone_chains, open_contours
-from recovery.scan.holes import borders, plainly_opening
 
 BAND_M = 0.15  # from the top of a garment: there it hangs on the body; all of ours lie 7 to 10 mm from the skin
 BAND_PULL = 4.0  # of cloth outside in that band, against other cloth outside
@@ -67,11 +66,18 @@ class InsideFit(NamedTuple):
     cost_m2: float
 
 
-def fit_inside(mesh: GarmentMesh, body: BodyModel, *, top_m: float, wanted: dict[str, int] | None = None) -> InsideFit:
+def fit_inside(
+    mesh: GarmentMesh,
+    body: BodyModel,
+    *,
+    top_m: float,
+    wanted: dict[str, int] | None = None,
+    tick: Callable[[str], None] = lambda words: None,
+) -> InsideFit:
     """The standard body inside the garment ``mesh`` [m], y up, worn facing +z.
 
     ``top_m`` is the height on the body in its own frame at which such a garment begins; ``wanted`` are the openings
-    round each part of the body that its kind has.
+    round each part of the body that its kind has. ``tick`` hears how far it is.
     """
     points, normals = _sample(mesh.vertices, mesh.faces)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -80,11 +86,11 @@ def fit_inside(mesh: GarmentMesh, body: BodyModel, *, top_m: float, wanted: dict
     contours = tube_ends(mesh)
     found = []
     for number, (lift, rise) in enumerate(product(ARM_LIFTS_RAD, RISES_M)):
-        progress.tick(f"start {number + 1} of {len(ARM_LIFTS_RAD) * len(RISES_M)}")
+        tick(f"start {number + 1} of {len(ARM_LIFTS_RAD) * len(RISES_M)}")
         first = start_parameters(body, lift, start + np.array([0.0, rise, 0.0]))
-        found.append(_fit(body, points, normals, contours, first, FIRST_STEPS, wanted=wanted))
+        found.append(fit_from(body, points, normals, contours, first, FIRST_STEPS, wanted=wanted))
     best = sorted(found, key=lambda one: one[1])[:FINALISTS]
-    found = [_fit(body, points, normals, contours, one, STEPS, wanted=wanted, neutral=start) for one, _ in best]
+    found = [fit_from(body, points, normals, contours, one, STEPS, wanted=wanted, neutral=start) for one, _ in best]
     parameters, cost = min(found, key=lambda one: one[1])
     distance = closest.signed_distance(points, posed_by(body, parameters), body.faces)
     inside = distance < 0.0
@@ -134,7 +140,7 @@ def _sample(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
     return middle[drawn], normals[drawn] * (1.0 if volume >= 0.0 else -1.0)
 
 
-def _fit(
+def fit_from(
     body: BodyModel,
     points: np.ndarray,
     normals: np.ndarray,
@@ -144,16 +150,22 @@ def _fit(
     *,
     wanted: dict[str, int] | None,
     neutral: np.ndarray | None = None,
+    likely: np.ndarray | None = None,
+    shape_prior_m: float | np.ndarray = SHAPE_PRIOR_M,
 ) -> tuple[np.ndarray, float]:
-    """Parameters from one start, and the mean cost [m^2] with the priors; ``neutral`` [m] (3,) is the likely place."""
+    """Parameters from one start, and the mean cost [m^2] with the priors.
+
+    ``neutral`` [m] (3,) is the likely place of the mean shape in T-pose; ``likely`` (P,) are other likely parameters.
+    """
     shape, pose = body.shape_count, 3 * len(FREE_JOINTS)
-    prior = np.concatenate([np.full(shape, SHAPE_PRIOR_M), np.full(pose, POSE_PRIOR_M), np.full(3, 1e-4)]) ** 2
+    prior = np.concatenate([np.full(shape, shape_prior_m), np.full(pose, POSE_PRIOR_M), np.full(3, 1e-4)]) ** 2
     for number, joint in enumerate(FREE_JOINTS):
         if JOINT_NAMES[joint].partition("_")[2] in LIMB_JOINTS:
             prior[shape + 3 * number : shape + 3 * number + 3] = LIMB_PRIOR_M**2
     prior[shape : shape + 3] = ROOT_PRIOR_M**2
     cuffs = _cuffs(body, contours, parameters, wanted)
-    likely = np.concatenate([np.zeros(shape + pose), parameters[-3:] if neutral is None else neutral])
+    if likely is None:
+        likely = np.concatenate([np.zeros(shape + pose), parameters[-3:] if neutral is None else neutral])
     pull = PULL * np.where(points[:, 1] > points[:, 1].max() - BAND_M, BAND_PULL, 1.0)
     cost = np.inf
     for _ in range(steps):
@@ -190,7 +202,7 @@ def _cuffs(
     Each limb has one at most, the first of ``contours``, and none if the garment's kind has none there.
     """
     betas, pose, trans = unpack(body, parameters)
-    joints = joints_in(body, pose[None], betas)[0] + trans
+    joints = body.posed_joints(pose[None], betas)[0] + trans
     number = {name: joint for joint, name in enumerate(JOINT_NAMES)}
     trunk = bone_chains(joints)[TRUNK][0]
     found, taken = [], set()
@@ -228,8 +240,9 @@ def _cuff_rows(
     turned = np.repeat(pose[None], pose_count + 1, axis=0)
     for column in range(pose_count):
         turned[column + 1, FREE_JOINTS[column // 3], column % 3] += step
-    by_pose = joints_in(body, turned, betas) + trans
-    by_shape = [joints_in(body, pose[None], betas + step * row)[0] + trans for row in np.eye(body.shape_count)]
+    by_pose = body.posed_joints(turned, betas) + trans
+    shapes = betas + step * np.eye(body.shape_count)
+    by_shape = body.posed_joints(np.repeat(pose[None], len(shapes), axis=0), shapes) + trans
     by_place = [by_pose[0] + step * row for row in np.eye(3)]
 
     def ways(joints: np.ndarray) -> np.ndarray:

@@ -113,7 +113,12 @@ def encircles(contour: Contour, chain: np.ndarray) -> bool:
 
 def pierces(chain: np.ndarray, nodes: np.ndarray, faces: np.ndarray) -> bool:
     """Whether the line ``chain`` [m] (n, 3) goes through the cloth of ``nodes`` [m] (N, 3) and ``faces`` (F, 3)."""
-    return bool(_crossings(chain, *nodes[faces].transpose(1, 0, 2)))
+    # Most triangles lie away from the line.
+    above, below = (nodes >= chain.min(axis=0)).T, (nodes <= chain.max(axis=0)).T
+    near = np.ones(len(faces), dtype=bool)
+    for side in (*above, *below):
+        near &= side[faces[:, 0]] | side[faces[:, 1]] | side[faces[:, 2]]
+    return bool(_crossings(chain, *nodes[faces[near]].transpose(1, 0, 2)))
 
 
 def _crossings(chain: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> list[int]:

@@ -1,0 +1,62 @@
+"""The avatar of a garment that came with none named: the standard body where it lies close on that, else its wearer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.errors import MeshError
+from drape.garment.avatars import Avatar, standard_avatar
+from drape.garment.contours import pierced_parts
+from drape.garment.files.mesh import GarmentMesh
+from drape.garment.intake_options import IntakeOptions
+from drape.garment.mesh_checks import check_options, check_surface, place
+from drape.garment.registration import FREE_JOINTS
+from drape.garment.wearer_fields import bones_of, cloth_points, enclosed
+from drape.garment.wearer_reading import Wearer
+from drape.garment.wearer_search import the_wearer
+from drape.geometry.closest import signed_distance
+
+SAMPLE_COUNT = 800
+# Garments on the standard body have no cloth deeper than 1 cm in it, 0 to 9 % of the way round its bones is bare, and
+# no bone goes through them; of an outfit for arms that hang 2 to 45 % is in the skin, and arms pierce its sleeves.
+DEEP_M, DEEP_SHARE, BARE_SHARE = 0.01, 0.01, 0.15
+
+
+def lies_on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> bool:
+    """Whether ``mesh`` lies close on the standard body in T-pose in some unit, every limb in its cloth."""
+    check_options(options.unit, options.up)
+    checked = check_surface(mesh, repair=options.repair)
+    avatar = standard_avatar(body)
+    try:
+        placed = place(checked, avatar, unit=options.unit, up=options.up, named=False)
+    except MeshError:
+        return False
+    if pierced_parts(placed.vertices, placed.faces, body.joints_template):
+        return False
+    points, _ = cloth_points(placed.vertices, placed.faces, SAMPLE_COUNT)
+    if (signed_distance(points, avatar.vertices, avatar.faces) < -DEEP_M).mean() > DEEP_SHARE:
+        return False
+    rest = np.zeros(body.shape_count + 3 * len(FREE_JOINTS) + 3)
+    share, _ = enclosed(points, bones_of(body, rest, avatar.vertices))
+    return float(share.mean()) > 1.0 - BARE_SHARE
+
+
+def worn_by(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> tuple[GarmentMesh, Avatar, Wearer]:
+    """``mesh`` in metres, y up, facing +z, the avatar that was found in it, and what was found.
+
+    Raises ``MeshError`` where no human body fits.
+    """
+    check_options(options.unit, options.up)
+    checked = check_surface(mesh, repair=options.repair)
+    wearer = the_wearer(checked, body, unit=options.unit, up=options.up)
+    vertices = body.posed_vertices(wearer.pose[None], wearer.trans[None], wearer.betas)[0]
+    source = f"found in the cloth: {wearer.words}; sure {wearer.sure:.2f}"
+    turned = replace(checked, vertices=wearer.reading.apply(checked.vertices))
+    return (
+        turned.noted(f"nobody named the avatar; it seems to be {wearer.words}"),
+        Avatar(vertices, body.faces, 0.0, source),
+        wearer,
+    )

@@ -1,0 +1,248 @@
+"""Bodies that a garment of unknown origin may have been modelled on, each with its distances on a grid.
+
+A reading of a file is judged by three things: cloth inside the skin, cloth far from it, and limbs that the cloth does
+not go round. Distances come from a grid of 25 mm, so ten thousand readings take a second; whether a bone is enclosed is
+asked of the directions in which cloth lies round it, which neither thickness nor buttons nor reversed faces disturb.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import scipy.ndimage
+import scipy.sparse
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
+from drape.garment.contours import bone_chains
+from drape.garment.registration import FREE_JOINTS, posed_by, start_parameters, unpack
+from drape.geometry import meshes
+
+CELL_M = 0.025
+MARGIN_M = 0.2  # of the grid round the body, and as many cells more in which cloth is nowhere:
+ROOM = 28
+FREE_M = 0.01  # cloth as delivered is this deep in the skin here and there
+DEEP_M, DEEP_MOST = 0.02, 4.0  # depth that costs one, and the most that a point of cloth costs
+FAR_M = 0.08  # distance outside at which half of the cost of being nowhere is reached
+THIN_M = 0.02  # spacing of the skin's points in a fit
+# Shapes of the standard body: anny's and MakeHuman's young adults, by registration.fit_body of their phenotypes.
+SHAPES = {
+    "standard": (0.0,) * 10,
+    "person": (0.097, -1.066, -0.517, 0.677, 0.470, -0.050, 0.035, -0.093, -0.746, -0.270),
+    "man": (0.561, -2.137, 0.653, 0.815, -0.282, 0.006, 0.200, -0.176, -0.623, -0.719),
+    "woman": (-0.357, 0.091, -1.416, 0.739, 1.396, -0.038, -0.208, 0.049, -0.890, 0.203),
+    "small woman": (-1.190, 0.100, -1.400, 0.850, 1.500, -0.500, -0.300, 0.100, -0.800, 0.220),
+}
+BENT_RAD = 0.7  # MakeHuman's elbows
+# Shape, how far the arms hang below the horizontal [rad], how far the elbows are bent forward [rad], and the cost of
+# such arms where cloth does not show them.
+KNOWN = (
+    ("standard", 0.0, 0.0, 0.0),
+    ("small woman", 0.0, 0.0, 0.01),
+    ("woman", 0.84, BENT_RAD, 0.01),
+    ("small woman", 0.84, BENT_RAD, 0.01),
+    ("man", 0.84, BENT_RAD, 0.01),
+    ("person", 0.42, 0.0, 0.03),
+    ("person", 0.8, 0.0, 0.02),
+    ("person", 1.2, 0.0, 0.03),
+    ("small woman", 1.35, 0.2, 0.03),
+    ("standard", -0.8, 0.0, 0.04),
+)
+# Bones with the number of points on each, how far cloth on them may lie away [m], and the joints at their ends.
+BONES = (
+    ("trunk", 7, 0.6, "pelvis", "neck"),
+    ("head", 4, 0.4, "neck", "crown"),
+    *((f"{side} arm", 3, 0.3, f"{side}_shoulder", f"{side}_elbow") for side in ("left", "right")),
+    *((f"{side} arm", 4, 0.3, f"{side}_elbow", f"{side}_hand") for side in ("left", "right")),
+    *((f"{side} leg", 5, 0.8, f"{side}_hip", f"{side}_knee") for side in ("left", "right")),
+    *((f"{side} leg", 5, 0.8, f"{side}_knee", f"{side}_ankle") for side in ("left", "right")),
+    *((f"{side} leg", 2, 0.3, f"{side}_ankle", f"{side}_foot") for side in ("left", "right")),
+)
+CROWN = 1.3  # the head above its joint, over the way from the neck to that
+SLAB_M = 0.06  # cloth this far along a bone from one of its points lies round it
+BIN_COUNT = 12  # directions round a bone; a point of cloth covers its own and both neighbours
+
+
+@lru_cache(maxsize=2)
+def thin_body(body: BodyModel) -> BodyModel:
+    """``body`` with one vertex for every ``THIN_M`` of skin, in the same shapes and poses, for fits in little time."""
+    cell = np.floor(body.v_template / THIN_M).astype(np.int64)
+    _, first, label = np.unique(cell, axis=0, return_index=True, return_inverse=True)
+    faces = label.reshape(-1)[body.faces]
+    kept = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    shapes, joints = body.shapedirs[first], body.joint_shapedirs
+    # Any rows that give the joints of every shape do: here the smallest.
+    known = np.concatenate([body.v_template[first], shapes.reshape(len(first), -1), np.ones((len(first), 1))], axis=1)
+    wanted = np.concatenate([body.joints_template, joints.reshape(JOINT_COUNT, -1), np.ones((JOINT_COUNT, 1))], axis=1)
+    regressor = np.linalg.lstsq(known.T, wanted.T, rcond=None)[0].T
+    return replace(
+        body,
+        v_template=body.v_template[first],
+        shapedirs=shapes,
+        weights=body.weights[first],
+        faces=np.unique(faces[kept], axis=0),
+        regressor=scipy.sparse.csr_matrix(regressor),
+        posedirs=None,
+    )
+
+
+def known_parameters(body: BodyModel, shape: str, lift_rad: float, bent_rad: float) -> np.ndarray:
+    """Parameters (``registration.unpack``) of a known body, its pelvis at the standard body's."""
+    parameters = start_parameters(body, lift_rad, np.zeros(3))
+    count = min(body.shape_count, len(SHAPES[shape]))
+    parameters[:count] = SHAPES[shape][:count]
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        elbow = FREE_JOINTS.index(JOINT_NAMES.index(f"{side}_elbow"))
+        parameters[body.shape_count + 3 * elbow + 1] = sign * bent_rad
+    return parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Bones:
+    """Points on the bones of a posed body: ``at`` [m] (B, 3), ``frames`` (B, 3, 3) with the bone's direction last,
+    ``reach`` and ``radius`` of the limb there [m] (B,), and the ``part`` of each; ``joints`` [m] (24, 3)."""
+
+    at: np.ndarray
+    frames: np.ndarray
+    reach: np.ndarray
+    radius: np.ndarray
+    part: tuple[str, ...]
+    joints: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A posed body's costs on a grid: ``cost`` of cloth in each cell, ``low`` [m] (3,) its first cell's middle."""
+
+    parameters: np.ndarray
+    cost: np.ndarray
+    low: np.ndarray
+    bones: Bones
+    floor_m: float
+    top_m: float
+
+    def costs(self, points: np.ndarray, rises: np.ndarray, depths: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """The weighted cost (R, D) of cloth at ``points`` [m] (N, 3), moved by whole cells: ``rises`` (R,) up and
+        ``depths`` (D,) forward."""
+        shape = np.array(self.cost.shape)
+        room = np.stack([[0, -rises.min(initial=0), -depths.min()], [0, rises.max(initial=0), depths.max()]])
+        cell = np.rint((points - self.low) / CELL_M).astype(np.int32)
+        cell = np.clip(cell, np.maximum(room[0], 0), shape - 1 - np.maximum(room[1], 0)).astype(np.int32)
+        flat = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
+        moves = (rises[:, None] * shape[2] + depths[None]).reshape(-1)
+        return (self.cost.reshape(-1)[flat[None] + moves[:, None]] @ weight).reshape(len(rises), len(depths))
+
+
+def point_cost(distance: np.ndarray) -> np.ndarray:
+    """The cost of cloth at signed ``distance`` [m] from the skin: 0 on it, 1 far outside, up to 4 inside."""
+    depth = np.clip((-distance - FREE_M) / DEEP_M, 0.0, DEEP_MOST)
+    outside = np.maximum(distance - FREE_M, 0.0) ** 2
+    return depth + outside / (outside + FAR_M**2)
+
+
+def bones_of(body: BodyModel, parameters: np.ndarray, skin: np.ndarray) -> Bones:
+    """The bones of the body with ``parameters``, which has the points ``skin`` [m] (V, 3)."""
+    betas, pose, trans = unpack(body, parameters)
+    posed = body.posed_joints(pose[None], betas)[0] + trans
+    joints = dict(zip(JOINT_NAMES, posed, strict=True))
+    joints["crown"] = joints["head"] + CROWN * (joints["head"] - joints["neck"])
+    at, axis, reach, part = [], [], [], []
+    for name, count, far, start, end in BONES:
+        way = joints[end] - joints[start]
+        share = (np.arange(count) + 0.5) / count
+        at.append(joints[start] + share[:, None] * way)
+        axis.append(np.repeat(way[None] / np.linalg.norm(way), count, axis=0))
+        reach += [far] * count
+        part += [name] * count
+    points, last = np.concatenate(at), np.concatenate(axis)
+    helper = np.eye(3)[np.abs(last).argmin(axis=1)]
+    first = np.cross(helper, last)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    frames = np.stack([first, np.cross(last, first), last], axis=1)
+    local = np.einsum("bac,bvc->bva", frames, skin[None] - points[:, None])
+    across = np.linalg.norm(local[..., :2], axis=2)
+    near = (np.abs(local[..., 2]) < SLAB_M / 2) & (across < np.array(reach)[:, None] / 2)
+    radius = np.array(
+        [np.quantile(row[mask], 0.5) if mask.any() else 0.05 for row, mask in zip(across, near, strict=True)]
+    )
+    return Bones(points, frames, np.array(reach), np.minimum(radius, 0.16), tuple(part), posed)
+
+
+def enclosed(points: np.ndarray, bones: Bones) -> tuple[np.ndarray, np.ndarray]:
+    """How much of the way round its bone lies cloth, in [0, 1], for each of ``points`` [m] (N, 3), and the number (N,)
+    of the point on the bones that it is nearest to."""
+    frames = bones.frames.astype(np.float32)
+    local = (
+        points.astype(np.float32) @ frames.transpose(0, 2, 1)
+        - np.einsum("bac,bc->ba", frames, bones.at.astype(np.float32))[:, None]
+    )
+    across = np.hypot(local[..., 0], local[..., 1])
+    near = (np.abs(local[..., 2]) < SLAB_M) & (across < bones.reach[:, None])
+    turn = np.floor((np.arctan2(local[..., 1], local[..., 0]) / (2.0 * np.pi) + 0.5) * BIN_COUNT).astype(np.int64)
+    bits = np.where(near, np.left_shift(1, np.mod(turn, BIN_COUNT)), 0)
+    there = np.bitwise_or.reduce(bits, axis=1)
+    bins = (there[:, None] >> np.arange(BIN_COUNT)) & 1
+    share = (bins | np.roll(bins, 1, axis=1) | np.roll(bins, -1, axis=1)).mean(axis=1)
+    nearest = (np.hypot(across, local[..., 2]) - bones.radius[:, None]).argmin(axis=0)
+    return share[nearest], nearest
+
+
+def unthreaded(loops: np.ndarray, joints: np.ndarray) -> int:
+    """The number of closed lines ``loops`` [m] (L, n, 3) without a bone through them; ``joints`` [m] (24, 3)."""
+    a, b = loops, np.roll(loops, -1, axis=1)
+    c = np.broadcast_to(loops.mean(axis=1, keepdims=True), a.shape)
+    normal = np.cross(b - a, c - a)
+    threaded = np.zeros(len(loops), dtype=bool)
+    for chain, _ in bone_chains(joints).values():
+        net = np.zeros(len(loops))
+        for start, end in pairwise(chain):
+            rise = normal @ (end - start)
+            t = ((a - start) * normal).sum(axis=2) / np.where(rise == 0.0, 1.0, rise)
+            point = start + t[..., None] * (end - start)
+            hit = (t >= 0.0) & (t < 1.0) & (rise != 0.0)
+            for p, q in ((a, b), (b, c), (c, a)):
+                hit &= (np.cross(q - p, point - p) * normal).sum(axis=2) >= 0.0
+            net += (np.sign(rise) * hit).sum(axis=1)
+        threaded |= net != 0.0
+    return int((~threaded).sum())
+
+
+def field_of(body: BodyModel, parameters: np.ndarray) -> Field:
+    """The field of ``body`` with ``parameters``."""
+    skin = posed_by(body, parameters)
+    corners = skin[body.faces]
+    spread = np.array([(a, b, 3 - a - b) for a in range(4) for b in range(4 - a)]) / 3.0  # no cell of a face is missed
+    dense = np.concatenate([share @ corners for share in spread])
+    low = dense.min(axis=0) - MARGIN_M
+    shape = np.ceil((dense.max(axis=0) + MARGIN_M - low) / CELL_M).astype(int) + 1
+    solid = np.zeros(shape, dtype=bool)
+    solid[tuple(np.rint((dense - low) / CELL_M).astype(int).T)] = True
+    solid = np.asarray(scipy.ndimage.binary_fill_holes(solid))
+    # Cells that the skin passes through count as inside, so the surface lies half a cell within.
+    outside = np.asarray(scipy.ndimage.distance_transform_edt(~solid))
+    inside = np.asarray(scipy.ndimage.distance_transform_edt(solid))
+    distance = CELL_M * np.where(solid, 0.5 - (inside - 0.5), outside)
+    bones = bones_of(body, parameters, skin[::6])
+    cost = np.pad(point_cost(distance).astype(np.float32), ROOM, constant_values=1.0)
+    low = low - ROOM * CELL_M
+    return Field(parameters, cost, low, bones, float(skin[:, 1].min()), float(skin[:, 1].max()))
+
+
+@lru_cache(maxsize=2)
+def known_fields(body: BodyModel) -> tuple[Field, ...]:
+    """The fields of the ``KNOWN`` bodies."""
+    return tuple(field_of(body, known_parameters(body, *one[:3])) for one in KNOWN)
+
+
+def cloth_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points (``count``, 3) spread evenly over the cloth by area, and the faces (``count``,) that they lie on."""
+    areas = np.cumsum(meshes.face_areas(vertices, faces))
+    draw = np.random.default_rng(0)
+    face = np.searchsorted(areas, areas[-1] * (np.arange(count) + draw.random(count)) / count)
+    face = np.minimum(face, len(faces) - 1)
+    weight = np.sort(draw.random((count, 2)), axis=1)
+    weight = np.stack([weight[:, 0], weight[:, 1] - weight[:, 0], 1.0 - weight[:, 1]], axis=1)
+    return np.einsum("nk,nkc->nc", weight, vertices[faces[face]]), face

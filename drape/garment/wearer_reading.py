@@ -1,0 +1,131 @@
+"""How a garment's file may be meant, and the body that is found in it, with its words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.garment.mesh_checks import UNITS_M
+from drape.garment.registration import unpack
+from drape.garment.wearer_fields import SHAPES
+
+ODD = {"inch": 0.02, "free": 0.12, "x up": 0.02, "downward": 0.05, "facing": 0.05}  # costs of readings that few write
+USUAL_FRONTS = {"+y": ("+z",), "+z": ("-y", "+x"), "+x": ("+y", "+z", "-z")}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a file may be meant: ``unit`` ("free" where it is none) of ``scale`` [m], ``up`` and ``front`` as "+y"."""
+
+    unit: str
+    scale: float
+    up: str
+    front: str
+
+    @cached_property
+    def turn(self) -> np.ndarray:
+        """The rotation (3, 3) from the file's axes to y up, facing +z."""
+        up, front = _axis(self.up), _axis(self.front)
+        return np.stack([np.cross(up, front), up, front])
+
+    @cached_property
+    def oddness(self) -> float:
+        """The cost of a reading that few programs write."""
+        odd = ODD.get(self.unit, 0.0) + (ODD["x up"] if self.up == "+x" else 0.0)
+        odd += ODD["downward"] if self.up not in USUAL_FRONTS else 0.0
+        return odd + (ODD["facing"] if self.front not in USUAL_FRONTS.get(self.up, ()) else 0.0)
+
+    def apply(self, points: np.ndarray) -> np.ndarray:
+        """``points`` (N, 3) of the file in metres, y up, facing +z."""
+        return self.scale * (points @ self.turn.T)
+
+
+def _axis(name: str) -> np.ndarray:
+    return (1.0 if name[0] == "+" else -1.0) * np.eye(3)["xyz".index(name[1])]
+
+
+@dataclass(frozen=True, eq=False)
+class Wearer:
+    """A body that may have worn a garment, in the frame of ``reading``.
+
+    ``parameters`` as ``registration.unpack`` takes them; ``energy`` ranks it (0: cloth on the skin all round).
+    ``inside`` is the share of the cloth deeper than 1 cm in the skin, ``open_share`` how much of the way round its
+    bones is bare, ``band_m`` the median distance at the top; ``sleeved`` says whether the cloth shows the arms, and
+    ``fault`` what does not fit. ``sure`` in [0, 1] falls where another reading fits nearly as well.
+    """
+
+    reading: Reading
+    body: BodyModel
+    parameters: np.ndarray
+    energy: float
+    inside: float
+    open_share: float
+    band_m: float
+    sleeved: bool
+    fault: str = ""
+    odd_arms: float = 0.0
+    sure: float = 1.0
+
+    @property
+    def betas(self) -> np.ndarray:
+        return unpack(self.body, self.parameters)[0]
+
+    @property
+    def pose(self) -> np.ndarray:
+        return unpack(self.body, self.parameters)[1]
+
+    @property
+    def trans(self) -> np.ndarray:
+        return unpack(self.body, self.parameters)[2]
+
+    @cached_property
+    def height_m(self) -> float:
+        """The height of the shape, standing."""
+        return float(np.ptp(self.body.rest_vertices(self.betas)[:, 1]))
+
+    @cached_property
+    def arms_deg(self) -> float:
+        """How far the upper arms hang below the horizontal, the mean of both."""
+        joints = self.body.posed_joints(self.pose[None], self.betas)[0]
+        return float(np.mean([_drop_deg(joints, side) for side in ("left", "right")]))
+
+    @property
+    def words(self) -> str:
+        """Such as "a woman of 1.68 m, arms 40 degrees down, decimetres"."""
+        far = {name: float(np.linalg.norm(self.betas[:10] - SHAPES[name])) for name in ("man", "woman")}
+        who = "a person" if abs(far["man"] - far["woman"]) < 0.8 else f"a {min(far, key=lambda name: far[name])}"
+        names = {"m": "metres", "cm": "centimetres", "dm": "decimetres", "mm": "millimetres", "inch": "inches"}
+        unit = names.get(self.reading.unit, f"units of {100.0 * self.reading.scale:.3g} cm")
+        arms = f"arms {self.arms_deg:.0f} degrees down" if self.sleeved else "arms not shown"
+        axes = "" if self.reading.up == "+y" else f", {self.reading.up.lstrip('+')} up"
+        return f"{who} of {self.height_m:.2f} m, {arms}, {unit}{axes}"
+
+    def to_json(self) -> dict[str, float | str]:
+        """The manifest's entry."""
+        return {
+            "height_m": round(self.height_m, 3),
+            "unit": self.reading.unit if self.reading.unit in UNITS_M else f"{self.reading.scale:.4g} m",
+            "up": self.reading.up.lstrip("+"),
+            "facing": self.reading.front.lstrip("+"),
+            "arms_deg": round(self.arms_deg, 1),
+            "sure": round(self.sure, 2),
+        }
+
+
+def _drop_deg(joints: np.ndarray, side: str) -> float:
+    way = joints[JOINT_NAMES.index(f"{side}_elbow")] - joints[JOINT_NAMES.index(f"{side}_shoulder")]
+    return float(np.degrees(np.arctan2(-way[1], np.hypot(way[0], way[2]))))
+
+
+def readings_of(units: Iterable[tuple[str, float]], ups: Sequence[str]) -> Iterable[Reading]:
+    """Every reading in ``units`` (names and metres) and ``ups``, in all four facings."""
+    fronts = [f"{sign}{axis}" for axis in "xyz" for sign in "+-"]
+    for (unit, scale), up, front in product(units, ups, fronts):
+        if up[1] != front[1]:
+            yield Reading(unit, scale, up, front)

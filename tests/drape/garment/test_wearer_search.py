@@ -1,0 +1,107 @@
+"""Who wore a garment: unit, axes, place and arms of bodies that are known, and a refusal in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drape.body.assets import load_body
+from drape.errors import MeshError
+from drape.garment.avatars import standard_avatar
+from drape.garment.files.mesh import GarmentMesh, plain_mesh
+from drape.garment.intake_options import IntakeOptions
+from drape.garment.modelled_on import lies_on_standard, worn_by
+from drape.garment.registration import posed_by, unpack
+from drape.garment.wearer_fields import KNOWN, bones_of, enclosed, known_parameters, thin_body, unthreaded
+from drape.garment.wearer_reading import Reading
+from drape.garment.wearer_search import find_wearers, the_wearer
+from tests.drape.cloth.cloth_shapes import tube
+from tests.drape.garment.garment_files import shirt
+
+BODY = load_body()
+FACES = shirt(BODY, BODY.v_template)[1]
+
+
+def tube_dress(radius_m: float = 0.24) -> GarmentMesh:
+    """A strapless dress round the standard body in T-pose."""
+    unit, faces = tube(40, 20, radius_m=1.0, height_m=1.0)
+    down = 1.0 - unit[:, 1:2]
+    points = (radius_m + 0.06 * down) * unit * [1.0, 0.0, 0.75] + [0.0, 0.36, 0.02] - 0.8 * down * [0.0, 1.0, 0.0]
+    return plain_mesh("tube", points, faces)
+
+
+def shirt_on(parameters: np.ndarray, reading: Reading, shift: np.ndarray) -> GarmentMesh:
+    """The file of a shirt on the body with ``parameters``, moved by ``shift`` [m]."""
+    vertices, faces = shirt(BODY, posed_by(BODY, parameters))
+    return plain_mesh("shirt", (vertices + shift) @ reading.turn / reading.scale, faces)
+
+
+def test_thin_body_has_the_joints_of_the_whole_one_in_every_shape():
+    betas = np.linspace(-1.0, 1.0, BODY.shape_count)
+    thin = thin_body(BODY)
+    assert len(thin.v_template) < len(BODY.v_template)
+    np.testing.assert_allclose(thin.rest_joints(betas), BODY.rest_joints(betas), rtol=0, atol=1e-9)
+
+
+def test_a_tube_encloses_its_bones_whatever_its_faces_look_like_and_half_of_it_does_not():
+    mesh = tube_dress()
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    bones = bones_of(BODY, known_parameters(BODY, *KNOWN[0][:3]), BODY.v_template[::6])
+    assert enclosed(middles, bones)[0].mean() > 0.99
+    assert enclosed(middles[middles[:, 2] > 0.05], bones)[0].mean() < 0.75
+
+
+def test_openings_count_that_no_bone_goes_through():
+    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    ring = np.stack([0.2 * np.cos(angle), np.full(24, 0.2), 0.2 * np.sin(angle)], axis=1)
+    assert unthreaded(np.stack([ring, ring + np.array([0.6, 0.0, 0.0])]), BODY.joints_template) == 1
+    assert unthreaded(np.zeros((0, 24, 3)), BODY.joints_template) == 0
+
+
+def test_dress_on_the_standard_body_is_found_in_millimetres_with_z_up():
+    dress = tube_dress()
+    turned = replace(dress, vertices=1000.0 * dress.vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0])
+    mesh, avatar, wearer = worn_by(turned, BODY, IntakeOptions())
+    assert (wearer.reading.unit, wearer.reading.up) == ("mm", "+z")
+    np.testing.assert_allclose(mesh.vertices, dress.vertices, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(avatar.vertices, standard_avatar(BODY).vertices, rtol=0, atol=1e-9)
+    assert "millimetres, z up" in mesh.notes[-1]
+
+
+def test_arms_unit_axis_and_place_of_a_shirt_are_found():
+    parameters = known_parameters(BODY, "woman", 0.7, 0.0)
+    reading, shift = Reading("dm", 0.1, "+z", "-y"), np.array([0.4, 0.2, -0.1])
+    found = the_wearer(shirt_on(parameters, reading, shift), BODY)
+    assert (found.reading.unit, found.reading.up, found.reading.front) == ("dm", "+z", "-y")
+    pose = unpack(BODY, parameters)[1]
+    joints = BODY.posed_joints(pose[None], unpack(BODY, parameters)[0])[0]
+    way = joints[18] - joints[16]
+    assert abs(found.arms_deg - np.degrees(np.arctan2(-way[1], np.hypot(way[0], way[2])))) < 6.0
+    theirs = posed_by(BODY, found.parameters)
+    covered = BODY.weights[:, [3, 6, 9]].sum(axis=1) > 0.6
+    off = (theirs - shift - posed_by(BODY, parameters))[covered].mean(axis=0)
+    assert np.linalg.norm(off) < 0.02
+    assert found.sleeved and found.to_json()["unit"] == "dm"
+
+
+def test_named_unit_and_axis_win():
+    found = find_wearers(tube_dress(), BODY, unit="m", up="y")
+    assert {one.reading.unit for one in found} == {"m"} and {one.reading.up for one in found} == {"+y"}
+
+
+def test_solid_ball_is_refused_in_words():
+    unit, faces = tube(24, 12, radius_m=1.0, height_m=1.0)
+    height = 2.0 * unit[:, 1:2] - 1.0
+    ball = np.concatenate([np.sqrt(np.maximum(1.0 - height**2, 1e-4)) * unit[:, [0, 2]], height], axis=1)[:, [0, 2, 1]]
+    with pytest.raises(MeshError, match="at best"):
+        the_wearer(plain_mesh("ball", 0.5 * ball, faces), BODY, unit="m", up="y")
+
+
+def test_an_outfit_for_hanging_arms_does_not_lie_on_the_standard_body():
+    worn = shirt(BODY, BODY.v_template)[0]
+    assert lies_on_standard(plain_mesh("shirt", worn, FACES), BODY, IntakeOptions())
+    for lift_rad in (0.3, 0.8):
+        hanging = shirt(BODY, posed_by(BODY, known_parameters(BODY, "standard", lift_rad, 0.0)))[0]
+        assert not lies_on_standard(plain_mesh("shirt", hanging, FACES), BODY, IntakeOptions())
