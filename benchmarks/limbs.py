@@ -1,0 +1,192 @@
+"""Whether sleeves and legs go round their limbs: at rest on the body, and in the frames of clips.
+
+    python -m benchmarks.limbs                                     # the shipped garments
+    python -m benchmarks.limbs --garments suit.obj --save          # a file with nothing said of it
+
+A limb is looked at in planes across its bones, from the upper arm to the wrist and from below the crotch to the ankle.
+A plane counts where cloth of the limb lies at rest on both sides of it, and between both legs: a skirt has none there.
+The loop in which it cuts the cloth round the bone at rest is a line on the cloth, which moves with it. In a frame the
+limb is inside where its bones go through that loop. ``rest_pct``: the share of planes with such a loop; ``inside_pct``:
+of planes whose loop the bones go through, of all frames; ``worst_pct``: of the worst frame. A garment without sleeves
+and legs has none of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import Benchmark, Option, Run, inputs
+from benchmarks.tables import Row
+from drape.body.skeleton import JOINT_NAMES
+from drape.catalog import find_garments, find_motions
+from drape.errors import DrapeError
+from drape.files.formats import MESH_SUFFIXES
+from drape.garment.cache import Garment
+from drape.garment.contours import Contour, bone_chains, encircles
+from drape.garment.intake import intake
+from drape.library import Drape, load
+
+LIMBS = {
+    f"{side} {limb}": tuple(JOINT_NAMES.index(f"{side}_{joint}") for joint in joints)
+    for side in ("left", "right")
+    for limb, joints in (("arm", ("shoulder", "elbow", "wrist")), ("leg", ("hip", "knee", "ankle")))
+}
+STARTS = {"arm": 0.25, "leg": 0.2}  # shares of a limb: above it cloth of the trunk lies near
+PLANES = 24  # across a limb
+NEAR_M = 0.16
+LEAST = 3  # vertices between two planes that make cloth of the limb, and planes that make a sleeve
+COLUMNS = {
+    "garment": "s", "clip": "s", "limbs": "s", "planes": "d", "frames": "d",
+    "rest_pct": ".1f", "inside_pct": ".2f", "worst_pct": ".1f", "refused": "s",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A closed line on a mesh: point k lies on the edge ``ends`` (K, 2) at ``share`` (K, 1) from its first vertex."""
+
+    ends: np.ndarray
+    share: np.ndarray
+
+    def contour(self, vertices: np.ndarray) -> Contour:
+        """The line on ``vertices`` [m] (V, 3)."""
+        first, second = vertices[self.ends[:, 0]], vertices[self.ends[:, 1]]
+        points = first + self.share * (second - first)
+        length_m = float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
+        return Contour(self.ends[:, 0], points, length_m, points.mean(axis=0))
+
+
+def stations(joints: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] (P, 3) on the bones of a limb of ``joints`` [m] (24, 3), and the bones' directions there (P, 3)."""
+    chain = joints[list(LIMBS[name])]
+    lengths = np.linalg.norm(np.diff(chain, axis=0), axis=1)
+    along = np.linspace(STARTS[name.split()[1]], 0.98, PLANES) * lengths.sum()
+    knots = np.concatenate([[0.0], np.cumsum(lengths)])
+    points = np.stack([np.interp(along, knots, chain[:, axis]) for axis in range(3)], axis=1)
+    bone = np.minimum(np.searchsorted(knots, along, side="right") - 1, len(lengths) - 1)
+    return points, (np.diff(chain, axis=0) / lengths[:, None])[bone]
+
+
+def loops(vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, direction: np.ndarray) -> list[Loop]:
+    """The closed lines in which the plane through ``point`` (3,) across ``direction`` (3,) cuts a mesh."""
+    height = (vertices - point) @ direction
+    above = height[faces] > 0.0
+    crossed = faces[above.any(axis=1) & ~above.all(axis=1)]
+    beside: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for face in crossed.tolist():
+        pairs = zip(face, face[1:] + face[:1], strict=True)
+        first, second = ((min(pair), max(pair)) for pair in pairs if (height[pair[0]] > 0.0) != (height[pair[1]] > 0.0))
+        beside.setdefault(first, []).append(second)
+        beside.setdefault(second, []).append(first)
+    found, seen = [], set()
+    for start in beside:
+        if start in seen:
+            continue
+        line, at = [start], start
+        seen.add(start)
+        while following := [edge for edge in beside[at] if edge not in seen]:
+            at = following[0]
+            seen.add(at)
+            line.append(at)
+        if len(line) > 2 and start in beside[at]:
+            ends = np.array(line)
+            low, high = height[ends[:, 0]], height[ends[:, 1]]
+            found.append(Loop(ends, (low / (low - high))[:, None]))
+    return found
+
+
+def loop_round(
+    vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, direction: np.ndarray, chain: np.ndarray
+) -> Loop | None:
+    """The shortest of the ``loops`` that the line ``chain`` [m] (n, 3) goes through, if there is one."""
+    there = loops(vertices, faces, point, direction)
+    round_it = [one for one in there if encircles(one.contour(vertices), chain)]
+    return min(round_it, key=lambda one: one.contour(vertices).length_m, default=None)
+
+
+def chain_of(joints: np.ndarray, name: str) -> np.ndarray:
+    """The line [m] (n, 3) of a limb's bones, which goes on beyond the hand or the foot."""
+    return bone_chains(joints)[name.replace(" ", "_")][0]
+
+
+def limb_loops(garment: Garment, joints: np.ndarray) -> dict[str, list[Loop | None]]:
+    """By limb the loop of every plane where cloth of that limb lies, at rest on ``joints`` [m] (24, 3)."""
+    points, faces = garment.vertices[: garment.vertex_count].astype(np.float64), garment.faces.astype(np.int64)
+    places = {name: stations(joints, name) for name in LIMBS}
+    away = {name: np.linalg.norm(points[:, None] - at[None], axis=2) for name, (at, _) in places.items()}
+    nearest = np.stack([one.min(axis=1) for one in away.values()])
+    found = {}
+    for row, (name, distances) in enumerate(away.items()):
+        own = (nearest[row] < NEAR_M) & (nearest.argmin(axis=0) == row)
+        held = np.bincount(distances[own].argmin(axis=1), minlength=PLANES) >= LEAST
+        numbers = np.flatnonzero(held[1:-1] & held[:-2] & held[2:]) + 1
+        (at, ways), chain = places[name], chain_of(joints, name)
+        round_it = [loop_round(points, faces, at[i], ways[i], chain) for i in numbers]
+        if "leg" in name:  # a loop round both legs is a skirt's
+            other = chain_of(joints, name.replace("left", "LEFT").replace("right", "left").replace("LEFT", "right"))
+            round_it = [one for one in round_it if one is None or not encircles(one.contour(points), other)]
+        found[name] = round_it
+    return {name: found[name] for name in found if len(found[name]) >= LEAST}
+
+
+def share_inside(vertices: np.ndarray, joints: np.ndarray, held: dict[str, list[Loop | None]]) -> float:
+    """The share of the loops ``held`` on ``vertices`` [m] (V, 3) that their limb's bones of ``joints`` go through."""
+    inside = [
+        one is not None and encircles(one.contour(vertices), chain)
+        for name, found in held.items()
+        for chain in [chain_of(joints, name)]
+        for one in found
+    ]
+    return float(np.mean(inside))
+
+
+@Benchmark(
+    "limbs",
+    "Whether sleeves and legs go round their limbs.",
+    COLUMNS,
+    *inputs(quick_garments=("tshirt", "trousers"), quick_motions=("walk",)),
+    Option("--frames", 40, "of a clip at most", 6),
+    Option("--tier", "balanced", "that drapes"),
+)
+def main(run: Run) -> None:
+    """A row for every garment and clip."""
+    drape = load()
+    for path in find_garments(run.options.garments):
+        try:
+            garment = intake(path, body=drape.body) if path.suffix.lower() in MESH_SUFFIXES else path
+            run.add(garment_rows(drape, garment, run.options))
+        except DrapeError as error:
+            run.add([{"garment": path.stem, "refused": str(error)[:90]}])
+
+
+def garment_rows(drape: Drape, garment: Garment | Path, options: argparse.Namespace) -> list[Row]:
+    """The rows of one garment."""
+    worn = drape.wear(garment, tier=options.tier)
+    (one,) = worn.garments
+    rest = drape.body.joints_template
+    held = limb_loops(one, rest)
+    row: Row = {"garment": one.name, "limbs": ", ".join(held), "planes": sum(map(len, held.values()))}
+    if not held:
+        return [row]
+    row["rest_pct"] = 100.0 * share_inside(one.vertices.astype(np.float64), rest, held)
+    rows = []
+    for motion in find_motions(options.motions):
+        clip = worn.placed(motion)
+        step = max(1, clip.frame_count // options.frames)
+        joints = drape.body.posed_joints(clip.poses) + clip.trans[:, None]
+        shares = [
+            share_inside(frame.vertices.astype(np.float64), joints[number], held)
+            for number, frame in enumerate(worn.play(clip, as_recorded=True))
+            if number % step == 0
+        ]
+        told = {"inside_pct": 100.0 * float(np.mean(shares)), "worst_pct": 100.0 * min(shares), "frames": len(shares)}
+        rows.append(row | {"clip": clip.name} | told)
+    return rows
+
+
+if __name__ == "__main__":
+    main.command()
