@@ -124,10 +124,20 @@ def test_a_good_file_becomes_a_garment_that_can_be_draped(
 @pytest.mark.parametrize(
     ("query", "content", "status", "word"),
     [
-        ({}, b"x", 400, "format: expected one of obj, glb, ply, stl, got nothing"),
-        ({"name": "shirt.fbx"}, b"x", 400, "format: expected one of obj, glb, ply, stl, got the name shirt.fbx."),
+        ({}, b"x", 400, "format: expected one of obj, glb, ply, stl, usd, usda, usdc, usdz, got nothing"),
+        (
+            {"name": "shirt.fbx"},
+            b"x",
+            400,
+            "format: expected one of obj, glb, ply, stl, usd, usda, usdc, usdz, got the name shirt.fbx.",
+        ),
         ({"name": "shirt.obj", "avtar": "standard"}, b"x", 400, "avtar: expected no such parameter"),
-        ({"name": "shirt", "format": "zip"}, b"x", 400, "format: expected one of obj, glb, ply, stl, got zip"),
+        (
+            {"name": "shirt", "format": "zip"},
+            b"x",
+            400,
+            "format: expected one of obj, glb, ply, stl, usd, usda, usdc, usdz, got zip",
+        ),
         ({"format": "obj"}, b"x", 400, "name: expected the garment's name"),
         ({"name": "shirt.obj"}, b"", 422, "bytes of a mesh file"),
         ({"name": "shirt.obj", "avatar": "/etc/passwd"}, b"x", 404, "avatar: expected a JSON object"),
