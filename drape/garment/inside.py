@@ -36,7 +36,7 @@ BAND_PULL = 4.0  # of cloth outside in that band, against other cloth outside
 BAND_LIMIT_MM = 25.0  # median distance in that band: beyond, the body is beside the garment
 RISES_M = (-0.08, 0.0, 0.08)  # of the body, that are tried
 FIRST_STEPS, FINALISTS = 6, 2  # of every start, and how many of them go on
-GAP_M = 0.004  # between skin and cloth that lies on it
+LYING_GAP_M = 0.004  # between skin and cloth that lies on it
 PULL, PULL_REACH_M = 0.1, 0.03  # of cloth outside, against cloth inside; halved at that distance
 CUFF = 0.2  # of a square metre between a cuff's middle and the limb's bone
 SHAPE_PRIOR_M, POSE_PRIOR_M, LIMB_PRIOR_M = 1e-3, 1.5e-2, 3e-3  # root mean square that a beta, or a radian, is worth
@@ -176,7 +176,7 @@ def fit_from(
         first = np.where(agree.any(axis=1), np.argmax(agree, axis=1), 0)
         index = near[np.arange(len(near)), first]
         normal = skin_normals[index]
-        gap = np.einsum("nc,nc->n", normal, points - posed[index]) - GAP_M
+        gap = np.einsum("nc,nc->n", normal, points - posed[index]) - LYING_GAP_M
         weight = np.where(gap < 0.0, 1.0, pull / (1.0 + (gap / PULL_REACH_M) ** 2))
         off, turn = _cuff_rows(body, cuffs, parameters)
         before, cost = (

@@ -9,7 +9,9 @@ last line is ``{"file": NAME}`` or ``{"problem": {kind, name, expected, got, cur
 from __future__ import annotations
 
 import argparse
+import errno
 import json
+import os
 import resource
 import shutil
 import sys
@@ -21,6 +23,7 @@ from service.compute.background import end_with_parent, step_back
 FILE_LIMIT_BYTES = 2**30
 THINGS = {"garment": "a mesh", "avatar": "a character"}  # in words
 CURE = "Export it again."
+NO_STACK = os.strerror(errno.EAGAIN)  # what a library in C++ says where a thread of its own gets no memory
 
 
 def set_limits(*, memory_mb: int, cpu_s: int) -> None:
@@ -75,12 +78,13 @@ def main() -> int:
             made = intake_file(options.file, options.out, avatar=said, body=options.body)
     except DrapeError as error:
         return _refuse(options.out, error)
-    except MemoryError:
-        expected, cure = f"{THINGS[options.kind]} that fits into {options.memory_mb} MB", "Simplify its mesh."
-        return _refuse(options.out, MeshError(options.file.name, expected=expected, got="one that does not", cure=cure))
-    except Exception as error:  # a fault of ours that a strange file found: whoever sent it is told of the file
-        expected, got = f"{THINGS[options.kind]} that can be read", f"one at which it fails: {error!r}"
-        return _refuse(options.out, MeshError(options.file.name, expected=expected, got=got[:120], cure=CURE))
+    except Exception as error:
+        what, got = THINGS[options.kind], "one that does not"
+        if isinstance(error, MemoryError) or str(error) == NO_STACK:
+            expected, cure = f"{what} that fits into {options.memory_mb} MB", "Simplify its mesh."
+        else:  # a fault of ours that a strange file found: whoever sent it is told of the file
+            expected, got, cure = f"{what} that can be read", f"one at which it fails: {error!r}"[:120], CURE
+        return _refuse(options.out, MeshError(options.file.name, expected=expected, got=got, cure=cure))
     print(json.dumps({"file": made.name}))
     return 0
 
