@@ -35,6 +35,7 @@ LIMBS = {
     for side in ("left", "right")
     for limb, joints in (("arm", ("shoulder", "elbow", "wrist")), ("leg", ("hip", "knee", "ankle")))
 }
+OTHER_LEG = {"left leg": "right leg", "right leg": "left leg"}
 STARTS = {"arm": 0.25, "leg": 0.2}  # shares of a limb: above it cloth of the trunk lies near
 PLANES = 24  # across a limb
 NEAR_M = 0.16
@@ -126,8 +127,8 @@ def limb_loops(garment: Garment, joints: np.ndarray) -> dict[str, list[Loop | No
         numbers = np.flatnonzero(held[1:-1] & held[:-2] & held[2:]) + 1
         (at, ways), chain = places[name], chain_of(joints, name)
         round_it = [loop_round(points, faces, at[i], ways[i], chain) for i in numbers]
-        if "leg" in name:  # a loop round both legs is a skirt's
-            other = chain_of(joints, name.replace("left", "LEFT").replace("right", "left").replace("LEFT", "right"))
+        if name in OTHER_LEG:  # a loop round both legs is a skirt's
+            other = chain_of(joints, OTHER_LEG[name])
             round_it = [one for one in round_it if one is None or not encircles(one.contour(points), other)]
         found[name] = round_it
     return {name: found[name] for name in found if len(found[name]) >= LEAST}
