@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -156,6 +157,8 @@ def test_what_the_engine_has_not_goes_stage_by_stage(runtime: DrapeRuntime, make
 def test_each_stage_is_told_its_share_of_the_time(runtime: DrapeRuntime):
     spent: dict[str, float] = {}
     plan = plan_of(runtime, tier="fast")
+    begun_s = time.perf_counter()
     run(plan, frames(0, ({}, {})), spent.__setitem__)
+    whole_s = time.perf_counter() - begun_s
     assert list(spent) == [stage.name for stage in plan.stages] and all(took_s > 0.0 for took_s in spent.values())
-    assert spent["folds"] > spent["network"] > 0.0, "it settles"
+    assert sum(spent.values()) <= whole_s
