@@ -14,6 +14,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.cloth.coarse_mesh import coarse_mesh
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric as fabric_named
@@ -22,7 +23,6 @@ from drape.engine.library import LANES
 from drape.engine.packer import Record
 from drape.garment.cache import Garment
 from drape.live.clock import Frame
-from drape.live.coarse_mesh import coarse_mesh
 from drape.live.coarse_weights import coarse_weights
 from drape.live.eased import FineLevel, Levels, LiftMemory, lift_call
 from drape.live.fold_constants import FoldConstants, LaidCloth, array_bytes, fold_constants, worn_cloth, worn_mesh

@@ -22,17 +22,17 @@ from drape.garment.mesh_checks import (
     Up,
     check_area,
     check_arrays,
-    check_faces,
     orient_outward,
     place,
+    without_flat_faces,
 )
+from drape.garment.sheets import agreeing, cut_branches, main_sheet, without_copies
 from drape.geometry import closest, meshes
 from recovery import progress
 from recovery.scan.caps import check_unworn
 from recovery.scan.hems import without_turned_hems
 from recovery.scan.holes import closed
 from recovery.scan.places import ScanFault, in_box
-from recovery.scan.sheets import agreeing, cut_branches, main_sheet, without_copies
 from recovery.scan.thin import calmed, thinned
 from recovery.sim.contact import SkinContact
 
@@ -79,13 +79,13 @@ def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
 def mended(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` as one sheet: every edge has one face or two, neighbours agree, plain holes and bites are closed."""
     progress.tick("copies and flat faces")
-    mesh = check_faces(without_copies(weld(mesh)), repair=True)
+    mesh = without_flat_faces(without_copies(weld(mesh)))
     progress.tick("branches")
     mesh = one_sheet(cut_branches(mesh))
     progress.tick("thinning out")
     thin = thinned(mesh)
     if thin is not mesh:
-        mesh = one_sheet(cut_branches(check_faces(thin, repair=True)))
+        mesh = one_sheet(cut_branches(without_flat_faces(thin)))
     mesh = without_turned_hems(calmed(two_sided(mesh)))
     check_open(mesh, "a closed surface")
     found = closed(mesh, lambda one: plainly_hole(one, mesh))

@@ -12,8 +12,8 @@ import numpy as np
 
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.files.mesh import GarmentMesh
+from drape.garment.sheets import main_sheet, with_used_vertices
 from drape.geometry import meshes
-from recovery.scan.sheets import main_sheet, with_used_vertices
 
 NECK_RADIUS_M = 0.13  # from the neck's axis; no collar's fold lies farther
 AHEAD, BEHIND = 0.6, 0.2  # that a neckline falls from the sides of the neck, over the way forward and backward

@@ -11,8 +11,8 @@ from scipy.sparse import csgraph
 
 from drape.garment.borders import Loop, borders, plainly_opening
 from drape.garment.files.mesh import GarmentMesh
+from drape.garment.sheets import with_used_vertices
 from drape.geometry import meshes
-from recovery.scan.sheets import with_used_vertices
 
 ACROSS = 0.5  # cosine between an opening's axis and the normals of a hem that is turned in; a cuff's cloth has 0.2
 SMOOTH = 0.7  # cosine between neighbours of one strip: a fold is sharper

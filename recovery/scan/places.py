@@ -8,7 +8,7 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
 from drape.garment.contours import TRUNK, bone_chains, open_contours, place_of
 from drape.garment.files.mesh import GarmentMesh
-from recovery.scan.sheets import point_words
+from drape.garment.sheets import point_words
 
 WORDS = {"collar": "side of the neck", "spine3": "chest", "spine2": "ribs", "spine1": "waist", "pelvis": "hips"}
 

@@ -14,6 +14,7 @@ from drape.garment.borders import borders, plainly_hole
 from drape.garment.contours import match_contours, open_contours
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.inside import tube_ends
+from drape.garment.sheets import agreeing, branch_edges, cut_branches, main_sheet
 from drape.geometry import meshes
 from recovery import progress
 from recovery.fit.grading import grade
@@ -26,7 +27,6 @@ from recovery.run.target import OPENINGS, mended, opened, read_target
 from recovery.run.upright import long_contours
 from recovery.scan.holes import bites_of, known_faces
 from recovery.scan.places import ScanFault, in_box, on_body
-from recovery.scan.sheets import agreeing, branch_edges, cut_branches, main_sheet
 from recovery.scan.thin import calmed, roughness, thinned_to
 from tests.drape.cloth.cloth_shapes import grid, round_tube
 from tests.fixtures.patience import PATIENT_S

@@ -44,7 +44,7 @@ SAME = {
     ("push", "drape.contact.samples"): "CLUSTER_SIZE",
     ("push", "drape.contact.cloth_samples"): "CLOTH_MEMBERS=MEMBERS",
     ("colliders", "drape.geometry.colliders"): "CENTRE AXES HALF RADIUS COLLIDER=ROW",
-    ("collapse", "drape.live.coarse_mesh"): "LINES",
+    ("collapse", "drape.cloth.coarse_mesh"): "LINES",
     ("levels", "drape.live.coarse_weights"): "NEAREST",
     ("room", "drape.live.room"): "ROOM_M BOUND_M2",
     ("skin", "drape.live.skin_walks"): "NEIGHBOURS",

@@ -7,10 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
+from drape.cloth.coarse_mesh import CREASE_RAD, coarse_mesh
 from drape.cloth.energies import ClothMesh
 from drape.cloth.rest_state import RestState, flat
 from drape.geometry import meshes
-from drape.live.coarse_mesh import CREASE_RAD, coarse_mesh
 from drape.live.coarse_weights import NEAREST, coarse_weights
 from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.fixtures.garments import shipped
