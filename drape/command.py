@@ -164,7 +164,7 @@ def _garments(given: argparse.Namespace) -> int:
         rows.append(
             {
                 "name": name,
-                "vertices": garment.vertex_count,
+                "vertices": garment.surface.vertex_count,
                 "patches": garment.patch_count,
                 "fabric": garment.fabric,
             }

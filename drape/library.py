@@ -28,6 +28,7 @@ from drape.cloth.fabric_table import FABRICS
 from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.folders import ASSETS
+from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment
 from drape.garment.tailor import tailored
 from drape.graph.layer_feed import check_layers
@@ -192,9 +193,9 @@ class Worn:
         self._memories: Memories = {}
 
     @property
-    def garments(self) -> list[Garment]:
+    def garments(self) -> list[Garment | BoundMesh]:
         """The visible garments, the innermost first. Each has its ``faces`` (F, 3) and its ``vertex_count``."""
-        return [entry.garment for entry in self._plan.shown.layers]
+        return [entry.garment.surface for entry in self._plan.shown.layers]
 
     @property
     def tier(self) -> str:

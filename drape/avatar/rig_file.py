@@ -74,11 +74,11 @@ def rig_file(
     skin = _add_skin(file, skeleton, nodes)
     for layer in layers:
         weights = garment_weights(layer.garment, wearer, rig)
-        at = np.concatenate([layer.garment.vertices[None, : layer.garment.vertex_count], layer.vertices])
-        corners = split_seams(layer.garment)
-        shape = _shape(file, corners, layer.garment.faces, at / wearer.scale, weights, blends, quantised=quantised)
+        at, surface = np.concatenate([layer.garment.drawn_at_rest()[None], layer.vertices]), layer.garment.surface
+        corners = split_seams(surface)
+        shape = _shape(file, corners, surface.faces, at / wearer.scale, weights, blends, quantised=quantised)
         whole = Shape(shape, {"skin": skin})
-        add_shape(file, layer.garment, corners, whole, len(layer.vertices), clip.fps, layer.colour)
+        add_shape(file, surface, corners, whole, len(layer.vertices), clip.fps, layer.colour)
     channels = [(nodes[node], "rotation", quaternion_keys(turns[1:, node])) for node in animated if node in nodes]
     top = carrier(wearer.rig)
     if top in nodes:  # what no skin hangs on is not written
@@ -136,7 +136,7 @@ def _add_skin(file: GlbFile, skeleton: FileSkeleton, nodes: dict[int, int]) -> i
 
 
 def garment_weights(garment: Garment, wearer: Wearer, rig: FileRig) -> scipy.sparse.csr_matrix:
-    """Weights (V, J) of the joints for each vertex: those of the character's skin next to it, smooth over the cloth.
+    """Weights (D, J) of the joints for each vertex that is drawn: those of the skin next to the cloth there, smooth.
 
     Hair, fingers and what else is no trunk or limb moves no cloth.
     """
@@ -153,6 +153,8 @@ def garment_weights(garment: Garment, wearer: Wearer, rig: FileRig) -> scipy.spa
     smooth = smoothing_matrix(garment.faces.astype(np.int64), len(vertices))
     for _ in range(SMOOTHING_PASSES):
         weights = smooth @ weights
+    if garment.drawn is not None:
+        weights = garment.drawn.shares(len(vertices)) @ weights
     return scipy.sparse.csr_matrix(weights)
 
 

@@ -63,7 +63,7 @@ WEB = Target("engine", "wasm32-freestanding", "generic+simd128+bulk_memory+nontr
 WEB_UNITS = ("folds", "layers", "network", "swing")
 WEB_CALLS = (
     "pose_body", "jets", "vertices", "swing", "fold", "fold_two_levels", "lift_alone", "write_grip",
-    "heights", "ceiling", "press",
+    "heights", "ceiling", "press", "draw_bound",
 )  # fmt: skip
 WEB_LINKED = [
     "-nostdlib",

@@ -28,6 +28,8 @@ from drape.errors import ArtifactError, NotFound, Unavailable, refusing
 from drape.files.atomic import whole_file
 from drape.files.packed import UNREADABLE, packed, read_packed
 from drape.folders import ASSETS, RUNS
+from drape.garment.bound import ARRAYS as BOUND_ARRAYS
+from drape.garment.bound import BoundMesh, Drawer
 from drape.garment.skin import bind_to_body
 from drape.geometry import jets, meshes
 
@@ -96,7 +98,8 @@ class Garment(Atlas):
 
     ``rest_edges`` (G, 2, 2), ``rest_angle`` (H,) and ``rest_stiffening`` (H,): the ``RestState`` of ``fine_faces``.
     They are None in files of older versions; ``rest_state`` returns one for every garment. ``fabric``: the name of a
-    fabric, or its numbers as ``drape.cloth.fabric_table.fabric`` takes them.
+    fabric, or its numbers as ``drape.cloth.fabric_table.fabric`` takes them. ``drawn``: the mesh of the file, where the
+    cloth is another: it hangs on the delivered vertices, which then are some of its own.
     """
 
     name: str
@@ -115,6 +118,29 @@ class Garment(Atlas):
     rest_angle: np.ndarray | None = None
     rest_stiffening: np.ndarray | None = None
     fabric: str | Mapping[str, Any] = DEFAULT_FABRIC
+    drawn: BoundMesh | None = None
+
+    @property
+    def surface(self) -> Garment | BoundMesh:
+        """What is drawn of it: its delivered triangles, or the mesh that hangs on them."""
+        return self if self.drawn is None else self.drawn
+
+    def drawn_vertices(self, vertices: np.ndarray) -> np.ndarray:
+        """Where ``surface`` is [m] (..., D, 3) while the delivered vertices are at ``vertices`` [m] (..., V, 3)."""
+        if self.drawn is None:
+            return vertices
+        drawer = self._drawer
+        flat = vertices.reshape(-1, *vertices.shape[-2:])
+        return np.stack([drawer.draw(one) for one in flat]).reshape(*vertices.shape[:-2], -1, 3)
+
+    def drawn_at_rest(self) -> np.ndarray:
+        """The vertices [m] (D, 3) of ``surface`` at rest, float32."""
+        return self.drawn_vertices(self.vertices[: self.vertex_count].astype(np.float32, copy=False))
+
+    @cached_property
+    def _drawer(self) -> Drawer:
+        assert self.drawn is not None
+        return Drawer(self.drawn, self.faces)
 
     def skin_weights(self, body: BodyModel) -> np.ndarray:
         """Bone weights (N, 24) of plain skinning on ``body``, that which the garment was made for; found once."""
@@ -174,6 +200,7 @@ def save_garment(garment: Garment, folder: Path) -> Path:
     Raises ``Unavailable`` where the folder cannot be made or written.
     """
     arrays = {f.name: getattr(garment, f.name) for f in fields(Garment) if f.name not in _TEXT_FIELDS}
+    drawn = arrays.pop("drawn")
     arrays = {name: array for name, array in arrays.items() if array is not None}
     header = {key: getattr(garment, key) for key in _TEXT_FIELDS} | {"format_version": FILE_VERSION}
     if np.array_equal(garment.fine_faces, garment.faces):
@@ -184,10 +211,13 @@ def save_garment(garment: Garment, folder: Path) -> Path:
     if np.array_equal(uv_vertex[garment.uv_faces], garment.faces):
         del arrays["faces"]
         arrays["uv_vertex"] = uv_vertex
-    arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
     if _tells_residual(arrays):
         del arrays["chart_residual"]
     arrays |= {name: np.asfortranarray(arrays[name]) for name in _BY_COLUMNS if name in arrays}
+    if drawn is not None:
+        arrays |= {f"drawn_{name}": getattr(drawn, name) for name in BOUND_ARRAYS}
+        header["drawn_materials"] = drawn.material_names
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
     content, path = packed(arrays), folder / garment.file_name()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -224,6 +254,9 @@ def load_garment(path: Path) -> Garment:
         if "chart_residual" not in arrays:
             arrays["chart_residual"] = _residual(arrays).astype(np.float32)
         arrays |= {name: np.ascontiguousarray(arrays[name]) for name in _BY_COLUMNS}
+        if (materials := header.pop("drawn_materials", None)) is not None:
+            own = [np.ascontiguousarray(arrays.pop(f"drawn_{name}")) for name in BOUND_ARRAYS]
+            arrays["drawn"] = BoundMesh(header["name"], tuple(map(str, materials)), *own)
         return Garment(**header, **arrays)
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise _refused(f"garment cache {path.name}", "the fields of Garment", error) from error

@@ -24,11 +24,12 @@ def fine_garment(garment: Garment) -> Garment:
     """``garment`` with all its vertices and ``fine_faces`` as the delivered ones, under a digest of its own.
 
     Its first vertices are the delivered ones, in their order. Texture coordinates are linear in every delivered
-    triangle, whose parts have its material. A garment that was not subdivided is returned as it is. Raises
+    triangle, whose parts have its material. A garment that was not subdivided is returned as it is, without what hangs
+    on it. Raises
     ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``.
     """
     if not has_finer(garment):
-        return garment
+        return garment if garment.drawn is None else replace(garment, drawn=None)
     uv, uv_faces, per_face = np.asarray(garment.uv), garment.uv_faces, 1
     for _ in _rounds(garment):
         per_face *= 4
@@ -42,6 +43,7 @@ def fine_garment(garment: Garment) -> Garment:
         uv=uv.astype(garment.uv.dtype),
         uv_faces=uv_faces.astype(garment.uv_faces.dtype),
         face_material=np.repeat(garment.face_material, per_face),
+        drawn=None,
     )
 
 

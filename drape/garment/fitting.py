@@ -205,6 +205,7 @@ def fit_garment(
         face_material=mesh.face_material.astype(np.int32),
         manifest={},
         fabric=DEFAULT_FABRIC,
+        drawn=None,
         **fields,
     )
     figures = fit_error(rest, fields) | {"patch_count": garment.patch_count, "area_m2": float(rest.areas.sum())}

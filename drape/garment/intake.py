@@ -1,6 +1,6 @@
 """The intake: a mesh file modelled on any avatar becomes a garment at rest on the standard body.
 
-    python -m drape.garment.intake FILE [--avatar AVATAR] [--out DIR] [--repair] [--unit m] [--up y] [--patches 2]
+    python -m drape.garment.intake FILE [--avatar AVATAR] [--out DIR] [--unit m] [--up y] [--patches 2]
         [--rest auto] [--fabric jersey]
 
 Steps: read, check, move to the standard body in T-pose, subdivide, push clear of the body, fit
@@ -30,12 +30,14 @@ from drape.errors import InputError, refusing
 from drape.garment import avatars
 from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
 from drape.garment.clearance import CLEARANCE_M
+from drape.garment.cloth_layer import joined
 from drape.garment.files.mesh import GarmentMesh, read_mesh
 from drape.garment.fitting import fit_garment
 from drape.garment.grain import corner_uv
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions, read_fabric
-from drape.garment.mesh_checks import Unit, Up
+from drape.garment.mesh_checks import Unit, Up, check_arrays, check_surface, place
 from drape.garment.modelled_on import lies_on_standard, worn_by
+from drape.garment.outfit import garments_in, part_names, parted
 from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
 from drape.garment.rest_mesh import RestMesh, describe_rest, rest_mesh, with_unused
 from drape.garment.sewing import Sewing, sewing_beside, sewn_hinges
@@ -71,7 +73,7 @@ def garment_digest(
         "name": name,
         "avatar": avatar,
         "body": body.digest,
-        "options": chosen | {"clearance_m": CLEARANCE_M},
+        "options": chosen | {"repair": False, "clearance_m": CLEARANCE_M},  # the first: as in older digests
         "versions": [FORMAT_VERSION, INTAKE_VERSION],
     }
     if searched:
@@ -91,7 +93,16 @@ def garment_name(text: str) -> str:
     return name
 
 
-def intake(
+def intake(source: Path | bytes, **asked: Any) -> Garment:
+    """Makes one garment of a mesh file, at rest on the standard body, whatever garments are in it.
+
+    Arguments, what is stored and what is raised are those of ``intake_outfit``.
+    """
+    (garment,) = intake_outfit(source, whole=True, **asked)
+    return garment
+
+
+def intake_outfit(
     source: Path | bytes,
     *,
     name: str | None = None,
@@ -102,8 +113,9 @@ def intake(
     folder: Path | None = None,
     report: Report | None = None,
     begun: Report | None = None,
-) -> Garment:
-    """Makes a garment of a mesh file, at rest on ``body``.
+    whole: bool = False,
+) -> list[Garment]:
+    """Makes the garments in a mesh file, the innermost first, at rest on ``body``; one of all where they are ``whole``.
 
     ``source``: the file, or its bytes of the format ``kind``. ``avatar``: the body that the garment was modelled on
     (``drape.garment.avatars``). Left out, the file avatars.json beside the mesh names it; without an entry there it is
@@ -118,25 +130,29 @@ def intake(
     path = None if isinstance(source, (bytes, bytearray)) else Path(source)
     mesh = read_mesh(source, name=name or (path.stem if path else None), kind=kind)
     payload = bytes(source) if path is None else path.read_bytes()
-    name = garment_name(mesh.name)
+    mesh = replace(mesh, name=garment_name(mesh.name))
     meaning = avatars.parse_avatar(avatar, beside=path, allow_paths=path is not None)
     sewn = sewing_beside(path) if path else None
     if sewn is not None:
         sewn.check(mesh)
-    searched = meaning is None and not lies_on_standard(mesh, body, options)
-    digest = garment_digest(payload, meaning, body, options, name, sewn, searched=searched)
+    check_arrays(mesh)
+    sheets = mesh if sewn is not None else joined(mesh)
+    searched = meaning is None and not lies_on_standard(sheets, body, options)
+    digest = garment_digest(payload, meaning, body, options, mesh.name, sewn, searched=searched)
     options = options.completed_by(sewn)
-    if folder is not None and (stored := folder / f"{name}-{digest[:16]}.npz").is_file():
-        say(f"cached    {stored.name}")
-        return load_garment(stored)
+    if folder is not None and (stored := stored_outfit(folder, digest, whole=whole)):
+        say(f"cached    {', '.join(one.file_name() for one in stored)}")
+        return stored
 
     with_uv = "with uv" if len(mesh.uv) else "no uv"
     say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {with_uv}")
-    wearer = None
+    told: dict[str, Any] = {}
     if searched:
-        mesh, model, wearer = worn_by(mesh, body, options)
+        sheets, model, wearer = worn_by(sheets, body, options)
+        told = {"wearer": wearer.to_json()}
     else:
         model = avatars.read_avatar(meaning, body)
+        sheets = place(check_surface(sheets), model, unit=options.unit, up=options.up, named=meaning is not None)
     say(
         f"avatar    {model.source}; residual {model.residual_mm:.1f} mm"
         + ("" if meaning is not None else " (none was named)")
@@ -145,24 +161,58 @@ def intake(
         say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")
     started = time.perf_counter()
     begins("rest")
-    rest = rest_mesh(mesh, model, body, options, named=meaning is not None, placed=searched)
-    for line in describe_rest(rest):
-        say(line)
-    manifest = _manifest(mesh, payload, model, options, rest) | ({} if wearer is None else {"wearer": wearer.to_json()})
+    label = np.zeros(len(sheets.faces), dtype=int) if sewn is not None else garments_in(sheets, model.vertices)
+    layers = int(label.max(initial=0)) + 1
+    if layers > 1:
+        told |= {"layers": layers}
+    parts = [(mesh, sheets)] if whole else parted(mesh, sheets, label)
+    names = part_names(mesh, [one for one, _ in parts])
+    rests = [rest_mesh(one, model, body, options, sheets=cut, placed=True, sewn=sewn is not None) for one, cut in parts]
     begins("fit")
-    compact = replace(rest.mesh, name=name)
-    fitted = fit_garment(
-        compact, rest.vertices, rest.fine_faces, body, digest=digest, manifest=manifest, share=options.patches
-    )
+    made = []
+    for number, rest in enumerate(rests):
+        own = digest if len(rests) == 1 else part_digest(digest, number)
+        for line in describe_rest(rest):
+            say(line)
+        manifest = _manifest(parts[number][0], payload, model, options, rest) | told
+        compact = replace(rest.mesh, name=garment_name(names[number]))
+        fitted = fit_garment(
+            compact, rest.vertices, rest.fine_faces, body, digest=own, manifest=manifest, share=options.patches
+        )
+        garment = with_rest_state(with_unused(fitted, rest.faces, rest.kept), rest, options, sewn)
+        garment = replace(garment, drawn=rest.drawn)
+        made.append(garment)
+        for line in _describe_fit(garment, options):
+            say(line)
     begins("cloth")
-    garment = with_rest_state(with_unused(fitted, rest.faces, rest.kept), rest, options, sewn)
-    for line in _describe_fit(garment, options):
-        say(line)
     say(f"took      {time.perf_counter() - started:.1f} s")
     begins("store")
     if folder is not None:
-        say(f"stored    {save_garment(garment, folder)}")
-    return garment
+        for garment in made:
+            say(f"stored    {save_garment(garment, folder)}")
+    return made
+
+
+def part_digest(digest: str, number: int) -> str:
+    """The digest of the garment ``number`` in a file of several with ``digest``."""
+    return hashlib.sha256(f"layer {number} {digest}".encode()).hexdigest()
+
+
+def stored_outfit(folder: Path, digest: str, *, whole: bool) -> list[Garment]:
+    """What ``intake_outfit`` stored in ``folder`` under ``digest``; nothing where some of it is missing."""
+
+    def found(own: str) -> Garment | None:
+        path = next(folder.glob(f"*-{own[:16]}.npz"), None)
+        return None if path is None else load_garment(path)
+
+    one = found(digest)
+    if one is not None and (whole or "layers" not in one.manifest):
+        return [one]
+    first = None if whole else found(part_digest(digest, 0))
+    if first is None:
+        return []
+    rest = [found(part_digest(digest, number)) for number in range(1, first.manifest["layers"])]
+    return [first, *(one for one in rest if one is not None)] if all(one is not None for one in rest) else []
 
 
 def _manifest(
@@ -235,7 +285,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--up", default="auto", choices=get_args(Up), help="axis of the file; auto: by its place on the avatar"
     )
-    parser.add_argument("--repair", action="store_true", help="drop degenerate and duplicated faces")
     parser.add_argument(
         "--patches", type=float, default=1.0, help="over the usual number: 2 drapes closer to physics, and slower"
     )
@@ -248,7 +297,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--fabric", help=f"a name, or numbers as JSON (that of its sewing, or {DEFAULT_FABRIC})")
     parser.add_argument("--uv-unit", type=float, help="metres of cloth per unit of uv, where uv are its panels")
     given = parser.parse_args(arguments)
-    intake(
+    intake_outfit(
         given.file,
         name=given.name,
         avatar=given.avatar,
@@ -256,7 +305,6 @@ def main(arguments: list[str] | None = None) -> int:
         options=IntakeOptions(
             unit=given.unit,
             up=given.up,
-            repair=given.repair,
             patches=given.patches,
             rest=given.rest,
             fabric=read_fabric(given.fabric) if given.fabric else None,

@@ -20,7 +20,7 @@ PATCH_SHARE_RANGE = (0.75, 2.2)  # what the network is trained on
 
 @dataclass(frozen=True)
 class IntakeOptions:
-    """``unit`` and ``up`` of the file ("auto": by its place on the avatar); ``repair`` drops bad faces.
+    """``unit`` and ``up`` of the file ("auto": by its place on the avatar).
 
     ``patches``: their number over that of ``patch_count_for``. More patches drape closer to physics, and slower
     (docs/reference/quality.md measures the trade). ``rest``: what the cloth remembers of its shape
@@ -33,7 +33,6 @@ class IntakeOptions:
 
     unit: Unit = "auto"
     up: Up = "auto"
-    repair: bool = False
     patches: float = 1.0
     rest: Rest = "auto"
     fabric: str | Mapping[str, Any] | None = None

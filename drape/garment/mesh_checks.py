@@ -62,26 +62,24 @@ def check_mesh(
     *,
     unit: Unit = "auto",
     up: Up = "auto",
-    repair: bool = False,
     named: bool = True,
     placed: bool = False,
 ) -> GarmentMesh:
     """``mesh`` in metres, y up, consistently wound with normals outward, on ``avatar``; raises ``MeshError``.
 
-    Vertices keep their order and number. With ``repair`` degenerate and duplicated faces are
-    dropped instead of refused. A mesh that is ``placed`` is on its avatar in metres already.
+    Vertices keep their order and number. A mesh that is ``placed`` is on its avatar in metres already.
     """
-    mesh = check_surface(mesh, repair=repair)
+    mesh = check_surface(mesh)
     mesh = mesh if placed else place(mesh, avatar, unit=unit, up=up, named=named)
     mesh = orient_outward(mesh, avatar)
     check_area(mesh, "garment area")
     return mesh.noted(*describe(mesh))
 
 
-def check_surface(mesh: GarmentMesh, *, repair: bool) -> GarmentMesh:
+def check_surface(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` with finite numbers and faces that a cloth can have; raises ``MeshError``."""
-    check_arrays(mesh)
-    mesh = check_faces(mesh, repair=repair)
+    check_arrays(mesh, vertex_limit=2 * VERTEX_LIMIT)
+    mesh = without_flat_faces(mesh)
     check_edges(mesh)
     return mesh
 
@@ -121,8 +119,8 @@ def check_arrays(mesh: GarmentMesh, *, vertex_limit: int = VERTEX_LIMIT) -> None
     meshes.check_faces(mesh.uv_faces, len(mesh.uv), name="garment uv faces")
 
 
-def check_faces(mesh: GarmentMesh, *, repair: bool) -> GarmentMesh:
-    """Refuses degenerate and duplicated faces, or drops them."""
+def without_flat_faces(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` without faces that have no area or were there before; refuses one that has no others."""
     corners = mesh.vertices[mesh.faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     altitude = 2.0 * meshes.face_areas(mesh.vertices, mesh.faces) / np.maximum(longest, 1e-300)
@@ -130,15 +128,6 @@ def check_faces(mesh: GarmentMesh, *, repair: bool) -> GarmentMesh:
     _, first = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_index=True)
     twice = np.ones(len(mesh.faces), dtype=bool)
     twice[first] = False
-    for what, bad in (("degenerate", flat), ("duplicated", twice & ~flat)):
-        if bad.any() and not repair:
-            face = int(np.flatnonzero(bad)[0])
-            raise MeshError(
-                "garment faces",
-                expected=f"no {what} faces",
-                got=f"{int(bad.sum())}, the first is face {face} with vertices {mesh.faces[face].tolist()}",
-                cure="Clean the mesh, or let intake drop them: --repair.",
-            )
     if not (flat | twice).any():
         return mesh
     kept = mesh.take_faces(~(flat | twice))

@@ -28,7 +28,7 @@ DEEP_M, DEEP_SHARE, BARE_SHARE = 0.01, 0.01, 0.15
 def lies_on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> bool:
     """Whether ``mesh`` lies close on the standard body in T-pose in some unit, every limb in its cloth."""
     check_options(options.unit, options.up)
-    checked = check_surface(mesh, repair=options.repair)
+    checked = check_surface(mesh)
     avatar = standard_avatar(body)
     try:
         placed = place(checked, avatar, unit=options.unit, up=options.up, named=False)
@@ -50,7 +50,7 @@ def worn_by(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> tuple
     Raises ``MeshError`` where no human body fits.
     """
     check_options(options.unit, options.up)
-    checked = check_surface(mesh, repair=options.repair)
+    checked = check_surface(mesh)
     wearer = the_wearer(checked, body, unit=options.unit, up=options.up)
     vertices = body.posed_vertices(wearer.pose[None], wearer.trans[None], wearer.betas)[0]
     source = f"found in the cloth: {wearer.words}; sure {wearer.sure:.2f}"

@@ -8,12 +8,15 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.garment.avatars import Avatar
+from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment
 from drape.garment.clearance import clear_body
+from drape.garment.cloth_layer import cloth_layer, hung, joined
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions
-from drape.garment.mesh_checks import check_mesh
+from drape.garment.mesh_checks import check_mesh, check_surface, place
 from drape.garment.rest_pose import refine, to_standard
+from drape.garment.sheets import with_used_vertices
 from drape.geometry import meshes
 from drape.geometry.closest import nearest_vertices
 
@@ -29,7 +32,8 @@ class RestMesh:
     ``mesh``: the checked mesh without unused vertices. ``kept`` (V,): the row in it of every delivered vertex.
     ``faces``: the delivered faces. ``vertices`` [m] (N, 3): those of ``mesh`` at rest, then those that subdivision
     added; ``fine_faces`` its triangles. ``loose`` (N,) in [0, 1]: how much each vertex hangs as a skirt does.
-    ``resized``: the garment was moved from another body. ``figures``: what the intake prints.
+    ``resized``: the garment was moved from another body. ``figures``: what the intake prints. ``drawn``: the delivered
+    mesh, hung on ``mesh``, where that is another.
     """
 
     mesh: GarmentMesh
@@ -40,6 +44,7 @@ class RestMesh:
     loose: np.ndarray
     resized: bool
     figures: dict[str, float]
+    drawn: BoundMesh | None = None
 
 
 def rest_mesh(
@@ -48,18 +53,25 @@ def rest_mesh(
     body: BodyModel,
     options: IntakeOptions = DEFAULT_OPTIONS,
     *,
+    sheets: GarmentMesh | None = None,
     named: bool = True,
     placed: bool = False,
+    sewn: bool = False,
 ) -> RestMesh:
-    """The delivered ``mesh``, checked, moved from ``avatar`` to ``body`` in T-pose and pushed clear of it.
+    """The cloth in the delivered ``mesh``, moved from ``avatar`` to ``body`` in T-pose and pushed clear of it.
 
-    ``named`` is False where the avatar is only assumed: the garment must then fit it closely (``mesh_checks.place``).
-    ``placed`` meshes are on it in metres already.
-    Raises ``MeshError`` where the mesh cannot be draped.
+    ``sheets``: ``cloth_layer.joined`` of it, made here if left out. ``named`` is False where the avatar is only
+    assumed: the garment must then fit it closely (``mesh_checks.place``). ``placed`` sheets are on it in metres. Of a
+    mesh that is ``sewn`` every face is cloth. Raises ``MeshError`` where the mesh cannot be draped.
     """
-    checked = check_mesh(
-        mesh, avatar, unit=options.unit, up=options.up, repair=options.repair, named=named, placed=placed
-    )
+    if sheets is None:
+        sheets = joined(mesh)
+    if not placed:
+        sheets = place(check_surface(sheets), avatar, unit=options.unit, up=options.up, named=named)
+    cloth = sheets if sewn else cloth_layer(sheets, avatar.vertices)
+    whole = cloth is sheets and len(sheets.vertices) == len(mesh.vertices)
+    checked = check_mesh(cloth if whole else with_used_vertices(cloth), avatar, placed=True)
+    drawn = None if whole else hung(mesh, sheets.vertices[: len(mesh.vertices)], checked)
     compact, kept = without_unused(checked)
     moved = to_standard(compact.vertices, compact.faces, avatar, body)
     fine, fine_faces, origin = refine(
@@ -78,7 +90,7 @@ def rest_mesh(
         "fine_vertex_count": len(fine),
     }
     return RestMesh(
-        compact, kept, checked.faces, cleared.vertices, fine_faces, moved.loose[origin], avatar.moved, figures
+        compact, kept, checked.faces, cleared.vertices, fine_faces, moved.loose[origin], avatar.moved, figures, drawn
     )
 
 

@@ -59,6 +59,7 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
         rest_edges=edges.astype(np.float32),
         rest_angle=rest.hinge_angle.astype(np.float32),
         rest_stiffening=rest.stiffening.astype(np.float32),
+        drawn=garment.drawn,
     )
 
 

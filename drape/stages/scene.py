@@ -72,13 +72,14 @@ class Entry:
 
     @cached_property
     def fine(self) -> Entry:
-        """With the subdivided mesh delivered; itself where intake did not subdivide."""
+        """With all of the cloth delivered; itself where that is what is drawn."""
         garment = fine_garment(self.garment)
         return self if garment is self.garment else replace(self, garment=garment)
 
     @property
     def vertex_count(self) -> int:
-        return self.garment.vertex_count
+        """The number that is drawn."""
+        return self.garment.surface.vertex_count
 
     @property
     def patch_count(self) -> int:

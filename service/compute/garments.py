@@ -10,13 +10,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import ArtifactError, DrapeError, InputError, NotFound, TooLarge, did_you_mean, legible
+from drape.garment.bound import BoundMesh
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
 from drape.geometry.jets import JET_COUNT
 from drape.graph.feeds import garment_feed
@@ -231,16 +232,33 @@ def check_garment(garment: Garment, body: BodyModel, *, max_vertices: int) -> No
             got=f"{delivered}, {patches} patches",
             cure=cure,
         )
+    if garment.drawn is not None:
+        _check_drawn(label, garment, garment.drawn, max_vertices)
     _check_indices(label, garment)
+
+
+def _check_drawn(label: str, garment: Garment, drawn: BoundMesh, most: int) -> None:
+    """Refuses what hangs on a garment if it is too large or its arrays do not fit together."""
+    count = len(drawn.corner)
+    if count > most:
+        raise TooLarge(f"{label} drawn vertices", expected=f"at most {most}", got=str(count), cure="Simplify the mesh.")
+    shapes = {"corner": (count, 3), "weight": (count, 3), "offset": (count, 3), "kind": (count,)}
+    for name, shape in (shapes | {"face_material": (len(drawn.faces),)}).items():
+        array = getattr(drawn, name)
+        if array.shape != shape or (array.dtype.kind == "f" and not np.isfinite(array).all()):
+            got = f"shape {array.shape}, or numbers that are not finite"
+            raise ArtifactError(f"{label} drawn {name}", expected=f"shape {shape}, finite", got=got, cure=INTAKE)
 
 
 def _check_indices(label: str, garment: Garment) -> None:
     """Refuses faces, charts and texture faces that name what is not there."""
-    bounds = {"faces": garment.vertex_count, "chart_patch": garment.patch_count}
-    if garment.uv_faces.size:
-        bounds["uv_faces"] = len(garment.uv)
-    for name, limit in bounds.items():
-        array = getattr(garment, name)
+    bounds: list[tuple[Any, str, int]] = [(garment, "faces", garment.vertex_count)]
+    bounds += [(garment, "chart_patch", garment.patch_count), (garment, "uv_faces", len(garment.uv))]
+    if (drawn := garment.drawn) is not None:
+        bounds += [(drawn, "corner", garment.vertex_count), (drawn, "faces", drawn.vertex_count)]
+        bounds += [(drawn, "uv_faces", len(drawn.uv)), (drawn, "kind", 3)]
+    for owner, name, limit in bounds:
+        array = getattr(owner, name)
         if array.size and (array.min() < 0 or array.max() >= limit):
             raise ArtifactError(
                 f"{label} {name}",

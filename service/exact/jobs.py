@@ -19,6 +19,7 @@ import numpy as np
 
 from drape.cloth.fabric_table import fabric as fabric_named
 from drape.errors import DrapeError, MotionError, NotFound, Unavailable
+from drape.garment.fine import has_finer
 from drape.garment.wrapping import Wrapping
 from drape.stages.batch import PoseInput
 from service import errors
@@ -203,10 +204,11 @@ class ExactClips:
             got = f"{len(found)} of {len(frames)} frames"
             raise NotFound("clip", expected="all of its frames", got=got, cure=f"Ask GET /jobs/{job.accepted.id}.")
         (entry,) = plan.scene.layers
-        if entry.fine is entry:
-            return np.stack(found)
-        wrapping = Wrapping(entry.garment)
-        return np.stack([wrapping.wrap(x) for x in found])
+        garment = entry.garment
+        if has_finer(garment):
+            wrapping = Wrapping(garment)
+            found = [wrapping.wrap(x) for x in found]
+        return garment.drawn_vertices(np.stack(found))
 
     # --- work ---
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 def rest_file(garment: Garment) -> tuple[GlbFile, bytes]:
     """The file, and what it begins with."""
     file = GlbFile()
-    glb.add_garment(file, garment, garment.vertices[None, : garment.vertex_count], fps=1.0)
+    glb.add_garment(file, garment.surface, garment.drawn_at_rest()[None], fps=1.0)
     return file, file.head()
 
 
@@ -51,7 +51,7 @@ def garment_file(
     for layer, worn in enumerate(scene.layers):
         colour = glb.GARMENT_COLOURS[layer % len(glb.GARMENT_COLOURS)]
         own = vertices[:, start : start + worn.vertex_count]
-        glb.add_garment(file, worn.garment, own, asked.fps, colour, root_motion=root_motion)
+        glb.add_garment(file, worn.garment.surface, own, asked.fps, colour, root_motion=root_motion)
         start += worn.vertex_count
     if asked.body:
         add_body(file, model, clip.betas, clip.poses, clip.trans - point, asked.fps)

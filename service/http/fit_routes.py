@@ -127,8 +127,11 @@ def _worn(clip: PoseInput, draped: Batch) -> Worn:
 
 
 def _of_delivered(found: FitReport, entry: Entry) -> list[np.ndarray]:
-    """Strain along warp and weft and pressure of the delivered vertices, which come first, float32."""
-    return [values[: entry.vertex_count].astype(np.float32) for values in found.tension]
+    """Strain along warp and weft and pressure of the vertices that are drawn, float32."""
+    count, drawn = entry.garment.vertex_count, entry.garment.drawn
+    if drawn is None:
+        return [values[:count].astype(np.float32) for values in found.tension]
+    return [(drawn.shares(count) @ values[:count]).astype(np.float32) for values in found.tension]
 
 
 def _document(found: FitReport, entry: Entry, *, vertices: bool) -> dict[str, Any]:

@@ -100,28 +100,29 @@ async def garment_mesh(
     (entry,) = (await state.scene(garment_id, None, client, size=size)).layers
     entry = entry.fine if resolution == "fine" else entry
     garment = entry.garment
+    surface = garment.surface
     kind = choose(request.headers.get("accept"), (JSON, GLB, BINARY))
     if kind == GLB:
         return file_answer(*await asyncio.to_thread(rest_file, garment), state.sliced_thread, {})
     if kind == BINARY:
         make = partial(state.runtime.threads.apart, _mesh_message, garment)
-        mesh_of = f"mesh {WIRE_VERSION} {garment.digest}".encode()
+        mesh_of = f"mesh {WIRE_VERSION} {garment.digest} {surface is garment}".encode()
         return await state.meshes.answer(mesh_of, make, asked=request.headers, kind=kind, cache=ASKED_AGAIN)
     document = {
         "id": entry.id,
-        "vertices": garment.vertices[: garment.vertex_count].astype(np.float32),
-        "faces": garment.faces,
-        "uv": garment.uv.astype(np.float32),
-        "uv_faces": garment.uv_faces,
-        "materials": garment.material_names,
-        "face_material": garment.face_material,
+        "vertices": garment.drawn_at_rest(),
+        "faces": surface.faces,
+        "uv": surface.uv.astype(np.float32),
+        "uv_faces": surface.uv_faces,
+        "materials": surface.material_names,
+        "face_material": surface.face_material,
     }
     return json_answer(document, state.sliced_thread)
 
 
 def _mesh_message(garment: Garment) -> bytes:
-    vertices = garment.vertices[: garment.vertex_count]
-    return packed_text(pack_mesh(vertices, garment.faces, garment.uv, garment.uv_faces))
+    surface = garment.surface
+    return packed_text(pack_mesh(garment.drawn_at_rest(), surface.faces, surface.uv, surface.uv_faces))
 
 
 @router.get(
@@ -150,7 +151,7 @@ async def garment_jets(
     (entry,) = (await state.scene(garment_id, None, client, avatar=avatar, size=size)).layers
     entry = entry.fine if resolution == "fine" else entry
     kind = choose(request.headers.get("accept"), (BINARY,))
-    headers = {"X-Drape-Vertices": str(entry.vertex_count), "X-Drape-Patches": str(entry.patch_count)}
+    headers = {"X-Drape-Vertices": str(entry.garment.vertex_count), "X-Drape-Patches": str(entry.patch_count)}
     return Response(entry.jet_layout, media_type=kind, headers=headers)
 
 
@@ -197,8 +198,7 @@ async def garment_preview(
     garment, body = (await state.garment(garment_id, client)).garment, state.runtime.body
 
     def drawn() -> bytes:
-        cloth = garment.vertices[: garment.vertex_count].astype(np.float64)
-        worn = (cloth, garment.faces.astype(np.int64))
+        worn = (garment.drawn_at_rest().astype(np.float64), garment.surface.faces.astype(np.int64))
         skin = None if alone else (body.rest_vertices(np.zeros(body.shape_count)), body.faces.astype(np.int64))
         return state.runtime.constants_process.call(picture, worn, skin, size)
 

@@ -251,13 +251,13 @@ class GarmentInfo(BaseModel):
             id=entry.id,
             name=entry.name,
             digest=garment.digest,
-            vertices=garment.vertex_count,
-            faces=len(garment.faces),
+            vertices=entry.vertex_count,
+            faces=len(garment.surface.faces),
             fine_vertices=len(garment.vertices),
             patches=garment.patch_count,
             source=entry.source,
             published=entry.owner is None or entry.published,
-            materials=list(garment.material_names),
+            materials=list(garment.surface.material_names),
             fabric=garment.fabric if isinstance(garment.fabric, str) else dict(garment.fabric),
             sizes=[
                 SizeInfo(size=size, cut_for=sizes.cut_for(entry, size), **told)

@@ -1,4 +1,5 @@
-// Garments over and below each other, and steps of positions.
+// Garments over and below each other, what hangs on them, and steps of positions.
+#include "bound.hpp"
 #include "layers.hpp"
 #include "parts.hpp"
 #include "quantise.hpp"
@@ -23,6 +24,13 @@
     const Skin<T> skin = skin_of(ground, samples, cloth->graph);                                                       \
     const bool found = layers::press(vertices, *cloth, own, skin, ceiling, pressed, *scratch);                         \
     return scratch->overflowed ? -1 : found;                                                                           \
+  }                                                                                                                    \
+  EXPORT int64_t drape_draw_bound_##suffix(const T* cloth, int64_t vertices, const int32_t* faces, int64_t face_count, \
+                                           const int32_t* corner, const T* weight, const T* offset,                    \
+                                           const uint8_t* kind, int64_t count, T* drawn, Scratch* scratch) {           \
+    const Flushed flushed;                                                                                             \
+    bound::draw(cloth, vertices, faces, face_count, corner, weight, offset, kind, count, drawn, *scratch);             \
+    return -scratch->overflowed;                                                                                       \
   }
 
 INSTANCES

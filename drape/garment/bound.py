@@ -1,0 +1,142 @@
+"""The mesh that was delivered, hung on the cloth that is draped in its place.
+
+A drawn vertex belongs to a triangle c_0, c_1, c_2 of the cloth with shares w that sum to one, n its unit normal:
+
+    x = sum_k w_k c_k                               on the cloth
+    x = sum_k w_k (c_k + h n_k)                     off it, n_k the cloth's normals at the corners
+    x = sum_k w_k c_k + a t + b (n x t) + h n       stiff, t = (c_1 - c_0) / |c_1 - c_0|
+
+Linings, hems turned in and belts are off the cloth and bend with it. Buttons and buckles are stiff: their vertices
+share a triangle, so that they turn with it and keep their shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+
+from drape.engine.calls import call_with_scratch
+from drape.garment.files.mesh import GarmentMesh
+from drape.geometry import meshes
+from drape.geometry.closest import barycentric, closest_point
+
+ON, OFF, STIFF = range(3)
+SLACK_M = 5e-4  # a place that its triangle's normal misses by more has a frame
+ARRAYS = ("faces", "uv", "uv_faces", "face_material", "corner", "weight", "offset", "kind")
+
+
+@dataclass(frozen=True, eq=False)
+class BoundMesh:
+    """A mesh of D vertices as it was delivered: ``faces`` (F, 3), ``uv`` (T, 2), ``uv_faces`` (F, 3) or both empty,
+    ``material_names`` and ``face_material`` (F,); and where its vertices hang on the cloth: ``corner`` (D, 3) its
+    vertices, ``weight`` (D, 3), ``offset`` (D, 3) [m] along t, n x t and n, and ``kind`` (D,)."""
+
+    name: str
+    material_names: tuple[str, ...]
+    faces: np.ndarray
+    uv: np.ndarray
+    uv_faces: np.ndarray
+    face_material: np.ndarray
+    corner: np.ndarray
+    weight: np.ndarray
+    offset: np.ndarray
+    kind: np.ndarray
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self.corner)
+
+    def shares(self, count: int) -> scipy.sparse.csr_matrix:
+        """The matrix (D, ``count``) that takes numbers of the cloth's vertices to the drawn ones."""
+        rows = np.repeat(np.arange(len(self.corner)), 3)
+        value = self.weight.reshape(-1), (rows, self.corner.reshape(-1))
+        return scipy.sparse.csr_matrix(value, (len(self.corner), count))
+
+    def normal_faces(self, faces: np.ndarray) -> np.ndarray:
+        """Those of the cloth's ``faces`` (F, 3) that touch a corner whose normal is asked for, int32."""
+        asked = np.isin(faces, np.unique(self.corner[self.kind == OFF])).any(axis=1)
+        return np.ascontiguousarray(faces[asked], dtype=np.int32)
+
+
+class Drawer:
+    """Draws a bound mesh on cloth of ``faces`` (F, 3)."""
+
+    def __init__(self, bound: BoundMesh, faces: np.ndarray) -> None:
+        self._bound, self._faces = bound, bound.normal_faces(faces)
+
+    def draw(self, cloth: np.ndarray) -> np.ndarray:
+        """The drawn vertices [m] (D, 3) where the cloth's are at ``cloth`` [m] (V, 3), of the same type."""
+        bound, dtype = self._bound, cloth.dtype
+        drawn = np.empty((bound.vertex_count, 3), dtype)
+        weight, offset = bound.weight.astype(dtype, copy=False), bound.offset.astype(dtype, copy=False)
+        cloth = np.ascontiguousarray(cloth)
+        hung = (bound.corner, weight, offset, bound.kind, len(drawn), drawn)
+        call_with_scratch("draw_bound", dtype, cloth, len(cloth), self._faces, len(self._faces), *hung)
+        return drawn
+
+
+def bind(
+    mesh: GarmentMesh, places: np.ndarray, cloth: np.ndarray, faces: np.ndarray, row: np.ndarray, part: np.ndarray
+) -> BoundMesh:
+    """``mesh`` with its vertices at ``places`` [m] (D, 3), hung on ``cloth`` [m] (V, 3) of ``faces`` (F, 3).
+
+    ``row`` (D,): the cloth's vertex that a drawn one is, else -1. ``part`` (D,): the number of the stiff part that it
+    belongs to, else -1.
+    """
+    count = len(places)
+    weight, kind = np.tile([1.0, 0.0, 0.0], (count, 1)), np.full(count, ON, dtype=np.uint8)
+    corner, offset = np.repeat(np.maximum(row, 0)[:, None], 3, axis=1), np.zeros((count, 3))
+    loose = np.flatnonzero(row < 0)
+    if len(loose):
+        face, shares = _triangles(places[loose], cloth, faces, part[loose])
+        corner[loose], weight[loose] = faces[face], shares
+        normals = meshes.vertex_normals(cloth, faces)
+        base = np.einsum("nk,nkc->nc", shares, cloth[faces[face]])
+        gap = places[loose] - base
+        # n_k are unit vectors, so their mean is shorter than one where the cloth bends.
+        out = np.einsum("nk,nkc->nc", shares, normals[faces[face]])
+        square = np.einsum("nc,nc->n", out, out)
+        height = np.einsum("nc,nc->n", gap, out) / np.maximum(square, 1e-12)
+        missed = np.linalg.norm(gap - height[:, None] * out, axis=1)
+        framed = (part[loose] >= 0) | (missed > SLACK_M) | (square < 0.25)
+        local = np.einsum("nac,nc->na", frames(cloth[faces[face]]), gap)
+        flat = np.zeros_like(height)
+        offset[loose] = np.where(framed[:, None], local, np.stack([flat, flat, height], axis=1))
+        kind[loose] = np.where(framed, STIFF, OFF)
+    return BoundMesh(
+        mesh.name,
+        mesh.material_names,
+        mesh.faces.astype(np.int32),
+        mesh.uv.astype(np.float32),
+        mesh.uv_faces.astype(np.int32),
+        mesh.face_material.astype(np.int32),
+        np.ascontiguousarray(corner, dtype=np.int32),
+        weight.astype(np.float32),
+        offset.astype(np.float32),
+        kind,
+    )
+
+
+def frames(corners: np.ndarray) -> np.ndarray:
+    """The axes t, n x t and n (N, 3, 3), as rows, of triangles with ``corners`` (N, 3, 3)."""
+    along = corners[:, 1] - corners[:, 0]
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    up = np.cross(along, corners[:, 2] - corners[:, 0])
+    up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-12)
+    return np.stack([along, np.cross(up, along), up], axis=1)
+
+
+def _triangles(
+    points: np.ndarray, cloth: np.ndarray, faces: np.ndarray, part: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The triangle (N,) that each of ``points`` (N, 3) hangs on and its shares (N, 3): the nearest, and for a stiff
+    part that of its middle."""
+    found = closest_point(points, cloth, faces)
+    face, shares = found.face.copy(), found.barycentric.copy()
+    for number in np.unique(part[part >= 0]):
+        own = part == number
+        middle = closest_point(points[own].mean(axis=0)[None], cloth, faces)
+        face[own], shares[own] = middle.face[0], barycentric(middle.point, cloth[faces[middle.face]])[0]
+    return face, shares

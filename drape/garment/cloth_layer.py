@@ -1,0 +1,213 @@
+"""One layer of cloth out of a mesh as people draw them: what is simulated in place of a mesh that is no cloth.
+
+Vertices at the same place become one; faces without area, drawn twice, or beyond the second at an edge are left out;
+of a wall with a thickness stays the side away from the body; what lies on other cloth (linings, belts, pockets) and
+what is small (buttons, cards of fur) is left out too, and dense cloth is thinned. All that is left out hangs on the
+cloth that stays (``drape.garment.bound``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse import csgraph
+from scipy.spatial import KDTree
+
+from drape.cloth.coarse_mesh import coarse_mesh
+from drape.garment.bound import BoundMesh, bind
+from drape.garment.files.mesh import GarmentMesh, plain_mesh, weld
+from drape.garment.mesh_checks import without_flat_faces
+from drape.garment.rest_detail import cloth_of, rest_of
+from drape.garment.sheets import cut_branches, without_copies
+from drape.geometry import mesh_graphs, meshes
+from drape.geometry.closest import closest_point, on_border
+
+SAME_M = 1e-5  # a drawn vertex so near to one of the cloth is that
+PROBES_M = (0.003, 0.008, 0.015)  # below a face: a wall at up to twice the depth is nearer than the face itself
+OPPOSITE = 0.5  # cosine between the sides of a wall, whichever way they are wound
+SHARP = 0.5  # cosine at the edges of a rim
+WALLED_SHARE = 0.5  # of a piece's area that must have a second side
+EVEN = 1.6  # a wall is as thick everywhere: its upper quartile over the lower one
+RIM_M = 0.035  # the rim between two walls
+ON_M, ON_SHARE = 0.015, 0.8  # cloth that lies on other cloth with this share of its points is left out
+SMALL_M2, SMALL_SHARE, NEAR_M = 0.02, 0.05, 0.03  # a small thing near cloth: its area, that over the largest piece's
+STIFF_M = 0.06  # parts up to this size turn as a whole
+VERTEX_LIMIT = 12_000
+THINNED_M = 0.012  # edges of thinned cloth
+SAMPLES = 400
+
+Pairs = tuple[np.ndarray, np.ndarray, np.ndarray]  # of half-edges: ``meshes.edge_pairs``
+
+
+def joined(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` as sheets: copies of a vertex are one, faces without area or drawn twice are left out, and edges have
+    two faces at most. Where that changes it, the vertices of the sheets follow those of ``mesh``."""
+    sheets = cut_branches(without_flat_faces(without_copies(weld(mesh))))
+    if sheets is mesh:
+        return mesh
+    vertices = np.concatenate([mesh.vertices, sheets.vertices])
+    return replace(sheets, vertices=vertices, faces=sheets.faces + len(mesh.vertices))
+
+
+def cloth_layer(sheets: GarmentMesh, skin: np.ndarray) -> GarmentMesh:
+    """The cloth of ``sheets`` [m] (``joined``), which lie round a body with the points ``skin`` [m] (S, 3).
+
+    ``sheets`` themselves are returned where all of them is cloth.
+    """
+    points, faces, notes = sheets.vertices, sheets.faces, []
+    keep = _single_walls(points, faces, KDTree(skin), notes)
+    keep[keep] = _bearing(points, faces[keep], notes)
+    cloth = sheets if keep.all() else sheets.take_faces(keep)
+    cloth = _thinned(cloth, notes)
+    return cloth if cloth is sheets else cloth.noted(*notes)
+
+
+def hung(mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh) -> BoundMesh:
+    """``mesh`` with its vertices at ``places`` [m] (D, 3), hung on its ``cloth``."""
+    distance, row = KDTree(cloth.vertices).query(places)
+    row = np.where(distance <= SAME_M, row, -1)
+    return bind(mesh, places, cloth.vertices, cloth.faces, row, _stiff_parts(mesh, places, row))
+
+
+def _single_walls(points: np.ndarray, faces: np.ndarray, skin: KDTree, notes: list[str]) -> np.ndarray:
+    """Which ``faces`` (F,) stay where walls have two sides: not the side at the body, nor the rim between them."""
+    keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
+    middles, normals = points[faces].mean(axis=1), meshes.face_normals(points, faces)
+    areas, height = meshes.face_areas(points, faces), skin.query(points[faces].mean(axis=1))[0]
+    other = _other_sides(points, faces, middles, normals)
+    walled = other >= 0
+    rise = np.where(walled, height - height[np.maximum(other, 0)], 0.0)
+    gap = np.abs(np.einsum("fc,fc->f", normals, middles - middles[np.maximum(other, 0)]))
+    share = np.bincount(piece, walled * areas) / np.maximum(np.bincount(piece, areas), 1e-12)
+    for number in np.flatnonzero(share > WALLED_SHARE):
+        own = np.flatnonzero(piece == number)
+        low, high = np.quantile(gap[own][walled[own]], [0.25, 0.75])
+        if high > EVEN * low:  # folds
+            continue
+        pairs = meshes.edge_pairs(faces[own])
+        label = _smooth_parts(pairs, normals[own], walled[own])
+        area, lift = np.bincount(label, areas[own]), np.bincount(label, areas[own] * rise[own])
+        side = (np.bincount(label, walled[own]) > 0) & (area > 0.05 * area.sum())
+        inner, outer = side & (lift < 0.0), side & (lift >= 0.0)
+        if inner.any() and outer.any():
+            near, _ = KDTree(points[np.unique(faces[own[outer[label]]])]).query(points[faces[own]])
+            rims = ~side & (_most(label, near.max(axis=1)) < RIM_M)
+            keep[own[_beside(pairs, label, inner, outer, rims)[label]]] = False
+    if not keep.all():
+        notes.append(f"{int((~keep).sum())} faces are the inner side of walls with a thickness")
+    return keep
+
+
+def _smooth_parts(pairs: Pairs, normals: np.ndarray, walled: np.ndarray) -> np.ndarray:
+    """A number (F,) for each part of a piece without an edge as sharp as at a rim; all of it is ``walled``, or not."""
+    halves, first, second = pairs
+    a, b = first // 3, second // 3
+    wound = np.where((halves[first, :2] == halves[second, :2]).all(axis=1), -1.0, 1.0)
+    smooth = (wound * np.einsum("ec,ec->e", normals[a], normals[b]) > SHARP) & (walled[a] == walled[b])
+    graph = scipy.sparse.coo_matrix((np.ones(smooth.sum()), (a[smooth], b[smooth])), shape=(len(normals),) * 2)
+    return csgraph.connected_components(graph, directed=False)[1]
+
+
+def _most(label: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The largest of ``values`` (F,) for every number of ``label`` (F,)."""
+    found = np.zeros(int(label.max()) + 1)
+    np.maximum.at(found, label, values)
+    return found
+
+
+def _beside(pairs: Pairs, label: np.ndarray, inner: np.ndarray, outer: np.ndarray, rims: np.ndarray) -> np.ndarray:
+    """Which parts (n,) go: the ``inner`` ones, and ``rims`` that have at least as many edges with these as with the
+    ``outer`` ones."""
+    count = len(inner)
+    ends = label[pairs[1] // 3], label[pairs[2] // 3]
+    edges = scipy.sparse.coo_matrix((np.ones(len(ends[0])), ends), shape=(count, count)).tocsr()
+    edges, gone, stays = edges + edges.T, inner, outer
+    while True:
+        to_gone, to_stays = edges @ gone, edges @ stays
+        joins = rims & ~gone & (to_gone > 0) & (to_gone >= to_stays)
+        if not joins.any():
+            return gone
+        gone = gone | joins
+
+
+def _other_sides(points: np.ndarray, faces: np.ndarray, middles: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The face (F,) opposite to each within a wall, -1 where there is none."""
+    other = np.full(len(faces), -1)
+    for depth in PROBES_M:
+        for sign in (-1.0, 1.0):
+            found = closest_point(middles + sign * depth * normals, points, faces)
+            way = found.point - middles
+            length = np.linalg.norm(way, axis=1)
+            straight = np.abs(np.einsum("fc,fc->f", way, normals)) > 0.8 * length
+            facing = np.abs(np.einsum("fc,fc->f", normals, normals[found.face])) > OPPOSITE
+            apart = (length > SAME_M) & (found.face != np.arange(len(faces))) & straight & facing
+            other = np.where((other < 0) & apart, found.face, other)
+    return other
+
+
+def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Which ``faces`` (F,) are of pieces that bear themselves."""
+    piece, _, bears = bearing_pieces(points, faces)
+    if not bears.all():
+        notes.append(f"{int((~bears).sum())} of {len(bears)} pieces lie on the others and hang on them")
+    return bears[piece]
+
+
+def bearing_pieces(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The piece (F,) of every face, the areas (P,) of the pieces [m^2], and which (P,) are cloth by themselves: they do
+    not lie on other cloth, and are no small things near it."""
+    label = mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
+    label = np.unique(label, return_inverse=True)[1]
+    area = np.bincount(label, meshes.face_areas(points, faces))
+    bears = np.zeros(len(area), dtype=bool)
+    order = np.argsort(-area, kind="stable")
+    bears[order[0]] = True
+    small = area < min(SMALL_M2, SMALL_SHARE * area[order[0]])
+    for number in order[1:][~small[order[1:]]]:
+        found, border = _nearest(points, faces[label == number], faces[bears[label]])
+        on = (found < ON_M) & ~border
+        bears[number] = on.mean() < ON_SHARE
+    for number in np.flatnonzero(small & (area > 0.1 * SMALL_M2)):
+        found, _ = _nearest(points, faces[label == number], faces[bears[label]])
+        bears[number] = (found < NEAR_M).mean() < 0.5
+    return label, area, bears
+
+
+def _nearest(points: np.ndarray, own: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The distances [m] (N,) of points on the faces ``own`` to the faces ``others``, and which are at their border."""
+    middles = points[own[:: max(1, len(own) // SAMPLES)]].mean(axis=1)
+    found = closest_point(middles, points, others)
+    return found.distance, on_border(found, others)
+
+
+def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:
+    """``mesh`` with at most ``VERTEX_LIMIT`` vertices, some of its own; then without texture coordinates."""
+    used, faces = meshes.in_use(mesh.faces)
+    if len(used) <= VERTEX_LIMIT:
+        return mesh
+    points = mesh.vertices[used]
+    area = float(meshes.face_areas(points, faces).sum())
+    edge_m = max(THINNED_M, float(np.sqrt(area / (0.5 * np.sqrt(3.0) * 0.95 * VERTEX_LIMIT))))
+    plain = plain_mesh(mesh.name, points, faces)
+    cloth = cloth_of(points, faces, (plain.uv, plain.uv_faces), (plain.material_names, plain.face_material))
+    thin = coarse_mesh(rest_of(cloth, "modelled")[0], points, faces, edge_m)
+    notes.append(f"{len(used):,} vertices of cloth are simulated as {len(thin.vertex):,}")
+    return replace(plain, vertices=points[thin.vertex], faces=thin.faces.astype(np.int64), name=mesh.name)
+
+
+def _stiff_parts(mesh: GarmentMesh, places: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """The number (D,) of the stiff part that a vertex belongs to, -1 for what bends."""
+    label = mesh_graphs.connected_components(mesh.faces, len(places))
+    _, first, at = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    pairs = np.stack([label, label[first[at.reshape(-1)]]], axis=1)  # what a seam of the texture parts is one
+    graph = scipy.sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(places),) * 2)
+    label = csgraph.connected_components(graph, directed=False)[1][label]
+    count = int(label.max()) + 1
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, label, places)
+    np.maximum.at(high, label, places)
+    stiff = np.linalg.norm(high - low, axis=1) < STIFF_M
+    stiff[label[row >= 0]] = False
+    return np.where(stiff[label], label, -1)

@@ -1,0 +1,137 @@
+"""One layer of cloth under meshes as people draw them; what is left out hangs on it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.body.assets import load_body
+from drape.garment.bound import OFF, ON, STIFF, Drawer
+from drape.garment.cloth_layer import SAME_M, VERTEX_LIMIT, cloth_layer, hung, joined
+from drape.garment.files.mesh import GarmentMesh, plain_mesh
+from drape.garment.sheets import with_used_vertices
+from drape.geometry import meshes
+from tests.drape.cloth.cloth_shapes import tube
+from tests.drape.garment.garment_files import shirt
+from tests.drape.geometry.geometry_shapes import box
+
+BODY = load_body()
+SKIN = BODY.v_template
+CLOTH = plain_mesh("shirt", *shirt(BODY, SKIN))
+NORMALS = meshes.vertex_normals(CLOTH.vertices, CLOTH.faces)
+
+
+def with_parts(*parts: tuple[np.ndarray, np.ndarray]) -> GarmentMesh:
+    """The shirt and further pieces in one mesh."""
+    vertices, faces = [CLOTH.vertices], [CLOTH.faces]
+    for points, own in parts:
+        faces.append(own + sum(map(len, vertices)))
+        vertices.append(points)
+    return plain_mesh("shirt", np.concatenate(vertices), np.concatenate(faces))
+
+
+def taken(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray, np.ndarray]:
+    """The cloth in ``mesh``, the kinds (D,) of its vertices, and how far [m] they are drawn from where they were."""
+    cloth = with_used_vertices(cloth_layer(joined(mesh), SKIN))
+    drawn = hung(mesh, mesh.vertices, cloth)
+    assert_array_equal(drawn.faces, mesh.faces)
+    away = np.linalg.norm(Drawer(drawn, cloth.faces).draw(cloth.vertices) - mesh.vertices, axis=1)
+    return cloth, drawn.kind, away
+
+
+def thick(by_m: float) -> GarmentMesh:
+    """The shirt as a solid: outside, inside, and rims between them."""
+    count, rims = len(CLOTH.vertices), meshes.boundary_edges(CLOTH.faces)
+    inside = CLOTH.faces[:, ::-1] + count
+    first, second = rims.T
+    rim = np.concatenate(
+        [np.stack([first, second, second + count], 1), np.stack([first, second + count, first + count], 1)]
+    )
+    vertices = np.concatenate([CLOTH.vertices + by_m * NORMALS, CLOTH.vertices])
+    return plain_mesh("shirt", vertices, np.concatenate([CLOTH.faces, inside, rim]))
+
+
+def test_single_layer_is_left_as_it_is():
+    assert joined(CLOTH) is CLOTH
+    assert cloth_layer(CLOTH, SKIN) is CLOTH
+
+
+def test_faces_that_share_no_vertices_are_sewn():
+    apart = plain_mesh("shirt", CLOTH.vertices[CLOTH.faces.reshape(-1)], np.arange(CLOTH.faces.size).reshape(-1, 3))
+    cloth, kind, away = taken(apart)
+    assert len(cloth.vertices) == len(CLOTH.vertices)
+    assert len(meshes.boundary_loops(cloth.faces)) == len(meshes.boundary_loops(CLOTH.faces))
+    assert (kind == ON).all()
+    assert away.max() < SAME_M
+
+
+def test_bad_faces_and_fins_hang_on_the_cloth():
+    edge = CLOTH.faces[200, :2]
+    tip = CLOTH.vertices[edge].mean(axis=0) + 0.02 * NORMALS[edge[0]]
+    count = len(CLOTH.vertices)
+    extra = [[*edge, count], CLOTH.faces[10], CLOTH.faces[11][::-1], [3, 3, 5]]
+    mesh = plain_mesh("shirt", np.concatenate([CLOTH.vertices, tip[None]]), np.concatenate([CLOTH.faces, extra]))
+    cloth, kind, away = taken(mesh)
+    assert (len(cloth.vertices), len(cloth.faces)) == (count, len(CLOTH.faces))
+    assert (kind[:count] == ON).all()
+    assert kind[count] != ON
+    assert away.max() < 6e-4
+
+
+def test_of_thick_cloth_the_outside_is_simulated():
+    for by_m in (0.002, 0.006, 0.02):
+        cloth, _, away = taken(thick(by_m))
+        assert abs(len(cloth.faces) - len(CLOTH.faces)) < 0.02 * len(CLOTH.faces)
+        height = np.linalg.norm(cloth.vertices[:, None] - CLOTH.vertices[None, ::7], axis=2).min(axis=1)
+        assert np.median(height) > 0.5 * by_m, "the inside was kept"
+        assert away.max() < 6e-4
+
+
+def test_buttons_turn_as_a_whole_and_a_belt_bends():
+    at = len(CLOTH.vertices) // 2
+    points, faces = box((0.008, 0.008, 0.003))
+    button = points + CLOTH.vertices[at] + 0.004 * NORMALS[at]
+    lifted = CLOTH.vertices + 0.005 * NORMALS
+    waist = np.abs(CLOTH.vertices[:, 1] - CLOTH.vertices[:, 1].min() - 0.12) < 0.04
+    used, own = meshes.in_use(CLOTH.faces[waist[CLOTH.faces].all(axis=1)])
+    mesh = with_parts((button, faces), (lifted[used], own))
+    cloth, kind, away = taken(mesh)
+    count = len(CLOTH.vertices)
+    assert len(cloth.vertices) == count
+    assert (kind[count : count + 8] == STIFF).all()
+    assert (kind[count + 8 :] == OFF).mean() > 0.3
+    assert away.max() < 6e-4
+
+
+def test_deep_folds_are_not_the_sides_of_a_wall():
+    around, faces = tube(240, 30, radius_m=1.0, height_m=0.5)
+    angle = np.arctan2(around[:, 2], around[:, 0])
+    radius = 0.26 + 0.02 * np.sin(40 * angle)
+    folded = np.column_stack([radius * np.cos(angle), around[:, 1] - 0.6, radius * np.sin(angle)])
+    mesh = plain_mesh("skirt", folded, faces)
+    assert cloth_layer(joined(mesh), SKIN) is mesh
+
+
+def test_dense_cloth_is_thinned():
+    vertices, faces = CLOTH.vertices, CLOTH.faces
+    while len(vertices) < 2 * VERTEX_LIMIT:
+        vertices, faces, _ = meshes.subdivide(vertices, faces)
+    cloth, kind, away = taken(plain_mesh("shirt", vertices, faces))
+    assert len(cloth.vertices) <= VERTEX_LIMIT
+    assert len(meshes.boundary_loops(cloth.faces)) == len(meshes.boundary_loops(CLOTH.faces))
+    assert np.isin([ON, OFF], kind).all()
+    assert away.max() < 6e-4
+
+
+def test_materials_and_texture_stay_with_the_faces():
+    uv = CLOTH.vertices[:, :2]
+    named = replace(
+        CLOTH, uv=uv, uv_faces=CLOTH.faces, material_names=("a", "b"), face_material=np.arange(len(CLOTH.faces)) % 2
+    )
+    faces = np.concatenate([named.faces, named.faces[:1]])
+    twice = replace(named, faces=faces, uv_faces=faces, face_material=np.append(named.face_material, 1))
+    cloth = cloth_layer(joined(twice), SKIN)
+    assert_array_equal(cloth.face_material, named.face_material)
+    assert_allclose(cloth.uv[cloth.uv_faces], uv[named.faces], rtol=0, atol=0)
