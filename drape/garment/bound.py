@@ -48,6 +48,11 @@ class BoundMesh:
     def vertex_count(self) -> int:
         return len(self.corner)
 
+    @property
+    def heaviest(self) -> np.ndarray:
+        """The corner (D,) with the largest share in each vertex, on whose patches it lies."""
+        return np.take_along_axis(self.corner, self.weight.argmax(axis=1)[:, None], axis=1)[:, 0]
+
     def shares(self, count: int) -> scipy.sparse.csr_matrix:
         """The matrix (D, ``count``) that takes numbers of the cloth's vertices to the drawn ones."""
         rows = np.repeat(np.arange(len(self.corner)), 3)

@@ -115,6 +115,7 @@ class Wearer:
             "facing": self.reading.front.lstrip("+"),
             "arms_deg": round(self.arms_deg, 1),
             "sure": round(self.sure, 2),
+            "words": self.words,
         }
 
 

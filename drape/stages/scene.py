@@ -8,6 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric
 from drape.errors import InputError, TooLarge
@@ -88,7 +90,8 @@ class Entry:
     @cached_property
     def jet_layout(self) -> bytes:
         """The LAYOUT message (``drape.wire.layout``): what a client needs to make vertices of its jets."""
-        garment, rows = self.garment, slice(0, self.garment.vertex_count)
+        garment = self.garment
+        rows = np.arange(garment.vertex_count) if garment.drawn is None else garment.drawn.heaviest
         if garment.patch_count > PATCH_LIMIT:
             raise TooLarge(
                 f"garment {garment.name} patches",
@@ -101,7 +104,7 @@ class Entry:
                 garment.patch_rotation,
                 garment.patch_centre,
                 garment.patch_scale,
-                garment.vertices[rows],
+                garment.drawn_at_rest(),
                 garment.chart_patch[rows],
                 garment.chart_weight[rows],
                 garment.chart_uv[rows],

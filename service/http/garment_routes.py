@@ -151,7 +151,7 @@ async def garment_jets(
     (entry,) = (await state.scene(garment_id, None, client, avatar=avatar, size=size)).layers
     entry = entry.fine if resolution == "fine" else entry
     kind = choose(request.headers.get("accept"), (BINARY,))
-    headers = {"X-Drape-Vertices": str(entry.garment.vertex_count), "X-Drape-Patches": str(entry.patch_count)}
+    headers = {"X-Drape-Vertices": str(entry.vertex_count), "X-Drape-Patches": str(entry.patch_count)}
     return Response(entry.jet_layout, media_type=kind, headers=headers)
 
 

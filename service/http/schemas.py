@@ -282,6 +282,18 @@ class FrameTold(BaseModel):
     steps: int = Field(description="The number of Newton's steps.")
 
 
+class WearerFound(BaseModel):
+    """Who wore a garment, by its cloth."""
+
+    height_m: float = Field(description="Standing, without shoes.")
+    unit: str = Field(description="Of the file: a unit's name, or a size between the units in metres.")
+    up: str = Field(description="The axis of the file that is up.")
+    facing: str = Field(description="The axis of the file that the body faces along.")
+    arms_deg: float = Field(description="How far the upper arms hang below the horizontal.")
+    sure: float = Field(description="0 to 1: low where another body fits nearly as well, or the cloth lies far off.")
+    words: str = Field(default="", description="The same in words.")
+
+
 class JobInfo(BaseModel):
     """Returns the state of an upload, or of a clip of tier exact."""
 
@@ -293,7 +305,15 @@ class JobInfo(BaseModel):
         default=0.0,
         description="How much of the work is done, 0 to 1. It follows the usual times of the stages and is no clock.",
     )
-    garment: str | None = Field(default=None, description="Of an uploaded garment that is done: its id.")
+    garment: str | None = Field(
+        default=None, description="Of an uploaded garment that is done: its id; of several in a file the outermost."
+    )
+    garments: list[str] = Field(
+        default=[], description="Of an uploaded garment that is done: the garments in the file, the innermost first."
+    )
+    wearer: WearerFound | None = Field(
+        default=None, description="Of an uploaded garment whose avatar nobody named: the body that was found in it."
+    )
     avatar: str | None = Field(default=None, description="Of an uploaded character that is done: the avatar's id.")
     problem: dict[str, Any] | None = Field(default=None, description="Of a job that failed: the refusal.")
     notes: list[str] = Field(

@@ -63,7 +63,7 @@ async def run_sandbox(
         ) from None
     if report is not None and "problem" in report:
         raise _refusal(report["problem"])
-    if report is not None and "file" in report:
+    if report is not None and "files" in report:
         return report
     if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         raise TooLarge(

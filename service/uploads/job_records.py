@@ -18,7 +18,8 @@ Outcome = Literal["done", "failed", "cancelled"]
 
 @dataclass(frozen=True)
 class JobRecord:
-    """An upload that has ended: its garment's or avatar's id, or the problem that ended it."""
+    """An upload that has ended: its outermost garment's or its avatar's id, or the problem that ended it; all its
+    ``garments``, the innermost first, and the ``wearer`` that was found in them."""
 
     id: str
     name: str
@@ -28,6 +29,8 @@ class JobRecord:
     problem: dict[str, Any] | None = None
     avatar: str | None = None
     notes: Sequence[str] = ()
+    garments: Sequence[str] = ()
+    wearer: dict[str, Any] | None = None
 
     def write(self, root: Path) -> None:
         """Stores it under ``root``; of more than ``KEPT`` the oldest are removed."""

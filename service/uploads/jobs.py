@@ -46,11 +46,12 @@ class Job:
     state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
     kind: Kind = "garment"
     notes: tuple[str, ...] = ()  # what whoever sent it should know, where it is done
-    made: str | None = None  # the id of the garment or the avatar, where it is done
+    made: tuple[str, ...] = ()  # where it is done the ids of the garments, the innermost first, or of the avatar
+    wearer: dict[str, Any] | None = None  # that was found in the cloth
     problem: dict[str, Any] | None = None
     stage: str | None = None  # of SHARES, while it runs
     link: Link | None = None  # to the request that it came with
-    work: asyncio.Task[str] | None = None
+    work: asyncio.Task[tuple[str, ...]] | None = None
     folder: Path | None = None  # where it lies in another service
 
     @property
@@ -166,8 +167,10 @@ class Uploads:
         if kept is None:
             return None
         kind: Kind = "garment" if kept.avatar is None else "avatar"
-        made = kept.garment or kept.avatar
-        return Job(kept.id, kept.name, kept.owner, kept.state, kind, tuple(kept.notes), made, kept.problem)
+        one = kept.garment or kept.avatar
+        made = tuple(kept.garments) or (() if one is None else (one,))
+        told = tuple(kept.notes), made, kept.wearer, kept.problem
+        return Job(kept.id, kept.name, kept.owner, kept.state, kind, *told)
 
     async def cancel(self, job: Job) -> None:
         """Ends ``job`` and removes its files; one that has ended is forgotten, and its garment stays.
@@ -192,9 +195,10 @@ class Uploads:
     async def _keep(self, job: Job) -> None:
         """Stores what became of ``job``, where every service that has the folder finds it."""
         assert job.state not in ("queued", "running")
-        made = {job.kind: job.made}
+        made = {job.kind: job.made[-1] if job.made else None}
         told = made.get("garment"), job.problem, made.get("avatar"), job.notes
-        record = JobRecord(job.id, job.name, job.owner, job.state, *told)
+        layers = job.made if job.kind == "garment" else ()
+        record = JobRecord(job.id, job.name, job.owner, job.state, *told, layers, job.wearer)
         try:
             await asyncio.to_thread(record.write, self._root)
         except OSError as error:  # a full disk: it is known here as long as this service runs
@@ -277,7 +281,7 @@ class Uploads:
                 with self._runtime.tracing.work("upload", [job.link], job=job.id):
                     job.work = asyncio.create_task(self._run_intake(job, folder, accepted))
                     job.made = await job.work
-                    job.notes = self._notes(job)
+                    job.notes, job.wearer = self._told(job)
                 job.state = "done"
             except asyncio.CancelledError:
                 task = asyncio.current_task()
@@ -295,16 +299,16 @@ class Uploads:
             await self._keep(job)
             shutil.rmtree(folder, ignore_errors=True)
 
-    def _notes(self, job: Job) -> tuple[str, ...]:
-        """What is otherwise than in the file that ``job`` brought, or looks wrong with it."""
-        assert job.made is not None
+    def _told(self, job: Job) -> tuple[tuple[str, ...], dict[str, Any] | None]:
+        """What is otherwise than in the file that ``job`` brought, or looks wrong with it, and who wore it."""
         if job.kind == "avatar":
-            return tuple(self._runtime.avatars.get(job.made, job.owner).told.notes)
-        noted = self._runtime.garments.get(job.made, job.owner).garment.manifest.get("notes", ())
-        return warnings_of(noted)
+            return tuple(self._runtime.avatars.get(job.made[-1], job.owner).told.notes), None
+        told = [self._runtime.garments.get(one, job.owner).garment.manifest for one in job.made]
+        notes = dict.fromkeys(note for one in told for note in warnings_of(one.get("notes", ())))
+        return tuple(notes), told[-1].get("wearer")
 
-    async def _run_intake(self, job: Job, folder: Path, accepted: Accepted) -> str:
-        """The id of the garment or avatar made from what was ``accepted`` and lies in ``folder``."""
+    async def _run_intake(self, job: Job, folder: Path, accepted: Accepted) -> tuple[str, ...]:
+        """The ids of the garments or the avatar made from what was ``accepted`` and lies in ``folder``."""
         if accepted.attempts >= MOST_ATTEMPTS:
             raise MeshError(
                 f"upload {accepted.file}",
@@ -323,8 +327,11 @@ class Uploads:
         report = await run_sandbox(file, accepted.avatar, out, self._settings, begun, kind=accepted.kind)
         begun("prepare")
         if accepted.kind == "avatar":
-            return await self._publish_avatar(out / str(report["file"]), file, accepted, client)
-        return await self._publish(out / str(report["file"]), client)
+            (name,) = report["files"]
+            return (await self._publish_avatar(out / str(name), file, accepted, client),)
+        files = [out / str(name) for name in report["files"]]
+        self._check_room(client, sum(one.stat().st_size for one in files), len(files))
+        return tuple([await self._publish(one, client) for one in files])
 
     async def _publish_avatar(self, made: Path, file: Path, accepted: Accepted, client: Client) -> str:
         """The id of the avatar whose wearer is stored at ``made``, with the user's ``file``, now in service."""
@@ -341,7 +348,6 @@ class Uploads:
         The cache is read again here: arrays that a stranger's file led to are never taken unchecked.
         """
         registry = self._runtime.garments
-        self._check_room(client, made.stat().st_size)
         prepared = await self._runtime.threads.aside(registry.prepare, made)
         stored = folder_of(self._root, client.name) / made.name
         stored.parent.mkdir(exist_ok=True)
@@ -356,15 +362,15 @@ class Uploads:
             raise
         return registry.add(prepared, "user", stored).id
 
-    def _check_room(self, client: Client, more: int = 0) -> None:
-        """Refuses (``Full``) a garment, of ``more`` bytes, that the disk or its key has no room for."""
+    def _check_room(self, client: Client, more: int = 0, count: int = 1) -> None:
+        """Refuses (``Full``) ``count`` garments, of ``more`` bytes, that the disk or its key has no room for."""
         characters = self._root / AVATARS
         stored = sizes([self._root, *self._root.glob(f"{OWNED}*/"), characters, *characters.glob(f"{OWNED}*/")])
         rules = [("bytes of all garments", self._settings.max_stored_bytes, sum(stored), more)]
         if client.limits is not None:
             own = sizes([folder_of(self._root, client.name)])
             rules.append(("bytes of a key's garments", client.limits.bytes, sum(own), more))
-            rules.append(("garments of a key", client.limits.garments, len(own), 1))
+            rules.append(("garments of a key", client.limits.garments, len(own), count))
         for name, most, there, asked in rules:
             if there + asked > most or there >= most:
                 cure = "Delete garments that are no longer worn: DELETE /garments/ID."

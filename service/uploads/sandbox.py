@@ -3,7 +3,8 @@
 Standard input holds the avatar of a garment, or nothing where the standard body is meant; with ``--kind avatar`` the
 joints that were told, as JSON, or nothing. ``{"stage": NAME}`` is a line before, for each stage as it begins. A mesh
 file of a few hundred bytes can ask for gigabytes, so strangers' files are never parsed in the serving process. The
-last line is ``{"file": NAME}`` or ``{"problem": {kind, name, expected, got, cure}}``.
+last line is ``{"problem": {kind, name, expected, got, cure}}``, or ``{"files": [NAME, ...]}``: the garments of the
+file, the innermost first, or the avatar.
 """
 
 from __future__ import annotations
@@ -35,12 +36,13 @@ def set_limits(*, memory_mb: int, cpu_s: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def intake_file(file: Path, out: Path, *, avatar: str | None, body: str) -> Path:
-    """The cache file that the intake makes of ``file``."""
+def intake_files(file: Path, out: Path, *, avatar: str | None, body: str) -> list[str]:
+    """The names of the cache files that the intake makes of ``file``, one for each garment in it."""
     from drape.body.assets import load_body
-    from drape.garment.intake import intake
+    from drape.garment.intake import intake_outfit
 
-    return out / intake(file, avatar=avatar, body=load_body(body), folder=out, begun=_say).file_name()
+    made = intake_outfit(file, avatar=avatar, body=load_body(body), folder=out, begun=_say)
+    return [garment.file_name() for garment in made]
 
 
 def avatar_file(file: Path, out: Path, *, told: str | None, body: str) -> Path:
@@ -73,9 +75,9 @@ def main() -> int:
     try:
         said = sys.stdin.buffer.read().decode() or None
         if options.kind == "avatar":
-            made = avatar_file(options.file, options.out, told=said, body=options.body)
+            made = [avatar_file(options.file, options.out, told=said, body=options.body).name]
         else:
-            made = intake_file(options.file, options.out, avatar=said, body=options.body)
+            made = intake_files(options.file, options.out, avatar=said, body=options.body)
     except DrapeError as error:
         return _refuse(options.out, error)
     except Exception as error:
@@ -85,7 +87,7 @@ def main() -> int:
         else:  # a fault of ours that a strange file found: whoever sent it is told of the file
             expected, got, cure = f"{what} that can be read", f"one at which it fails: {error!r}"[:120], CURE
         return _refuse(options.out, MeshError(options.file.name, expected=expected, got=got, cure=cure))
-    print(json.dumps({"file": made.name}))
+    print(json.dumps({"files": made}))
     return 0
 
 

@@ -251,11 +251,12 @@ const upload = failing(async (file) => {
   try {
     const words = { start: "begins", read: "is read", rest: "is laid on the body", fit: "gets its patches", cloth: "comes to rest", store: "is stored", prepare: "is made ready" };
     const told = (job) => say(`${file.name} ${words[job.stage] ?? "waits"} … ${Math.round(100 * job.share)} %`);
-    const garment = await uploadGarment(drape.rest, file, element("modelled-on").value, told, ending.signal);
+    const { garments, wearer } = await uploadGarment(drape.rest, file, element("modelled-on").value, told, ending.signal);
     const ids = shelf.worn.map(({ id }) => id);
-    await listGarments([...(ids.length < shelf.limit ? ids : ids.slice(0, -1)), garment]);
+    await listGarments([...ids.slice(0, Math.max(shelf.limit - garments.length, 0)), ...garments]);
     await wearAgain();
-    say(`${file.name} is ready.`);
+    const count = garments.length > 1 ? `, ${garments.length} garments over each other` : "";
+    say(`${file.name} is ready${count}${wearer ? `. It seems made for ${wearer.words}` : ""}.`);
   } finally {
     element("cancel").hidden = true;
   }

@@ -11,7 +11,7 @@ export async function clipFile(rest, document) {
   return (await rest.request("/drape", { method: "POST", headers, body: JSON.stringify(document) })).blob();
 }
 
-// Uploads a garment file and waits for its job; returns the new id. onJob(job) is told where it is; signal: an AbortSignal
+// Uploads a garment file and waits for its job; returns that when it is done. onJob(job) is told where it is; signal: an AbortSignal
 // that ends it there too.
 export async function uploadGarment(rest, file, modelledOn, onJob, signal) {
   const query = new URLSearchParams({ name: file.name });
@@ -26,5 +26,5 @@ export async function uploadGarment(rest, file, modelledOn, onJob, signal) {
   }
   if (job.state === "cancelled") throw new Error(`${file.name} was cancelled.`);
   if (job.state === "failed") throw new DrapeError(job.problem);
-  return job.garment;
+  return job;
 }

@@ -27,6 +27,8 @@ from service.uploads.accepted import Accepted
 from service.uploads.avatars import upload_avatar
 from service.uploads.job_records import JobRecord, read_record
 from service.uploads.jobs import SHARES, Job, Uploads, run_sandbox, warnings_of
+from tests.drape.garment.garment_files import obj_text
+from tests.drape.geometry.geometry_shapes import box
 from tests.fixtures.meshes import garment_obj, huge_count_glb
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.serving import files_in, served
@@ -119,6 +121,39 @@ def test_a_good_file_becomes_a_garment_that_can_be_draped(
     (stored,) = files_in(upload_settings.garments_dir)
     assert stored.name.startswith(job["garment"])
     stored.unlink()
+
+
+def test_the_garments_in_a_file_come_as_drawn_and_over_each_other(
+    uploads: httpx.Client, upload_settings: Settings, tube: Garment
+):
+    inner = tube.vertices[: tube.vertex_count].astype(np.float64)
+    outer = inner * [1.3, 1.0, 1.3]
+    points, corners = box((0.006, 0.006, 0.002))
+    button = points + outer[np.abs(outer[:, 1] - outer[:, 1].mean()).argmin()] * [1.01, 1.0, 1.01]
+    pieces = [(inner, tube.faces), (outer, tube.faces), (button, corners)]
+    starts = np.cumsum([0] + [len(own) for own, _ in pieces])
+    faces = np.concatenate([own + start for (_, own), start in zip(pieces, starts, strict=False)])
+    suit = obj_text(np.concatenate([own for own, _ in pieces]), faces)
+    job = finished(uploads, post(uploads, suit, name="suit.obj", avatar="standard"))
+    assert job["state"] == "done" and job["wearer"] is None, job
+    first, second = job["garments"]
+    assert job["garment"] == second
+    counts = [len(inner), len(outer) + len(button)]
+    assert [uploads.get(f"/garments/{one}").json()["vertices"] for one in job["garments"]] == counts
+    mesh = uploads.get(f"/garments/{second}/mesh").json()
+    np.testing.assert_array_equal(mesh["faces"], faces[len(tube.faces) :] - len(inner))
+    assert uploads.get(f"/garments/{second}/jets").headers["X-Drape-Vertices"] == str(counts[1])
+    assert len(uploads.get(f"/garments/{second}/mesh?resolution=fine").json()["vertices"]) > len(outer)
+    asked = {"garments": [first, second], "poses": np.zeros((1, 24, 3)).tolist(), "geometry": "vertices"}
+    draped = uploads.post("/drape", json=asked)
+    assert draped.headers["X-Drape-Vertices"] == str(sum(counts)), draped.text
+    buttoned = np.frombuffer(draped.content, "<f4").reshape(-1, 3)[-len(button) :]
+    sizes = [np.ptp(own, axis=0) for own in (buttoned, button)]
+    assert np.linalg.norm(sizes[0]) == pytest.approx(np.linalg.norm(sizes[1]), rel=0.2)  # stiff, and turned a little
+    glb = uploads.post("/drape", json=asked, headers={"Accept": "model/gltf-binary"})
+    assert glb.content[:4] == b"glTF", glb.text
+    for stored in files_in(upload_settings.garments_dir):
+        stored.unlink()
 
 
 @pytest.mark.parametrize(
@@ -330,8 +365,8 @@ def test_a_garment_that_is_cancelled_as_it_is_stored_is_not_kept(
     (folder / "out").mkdir(parents=True)
     made = save_garment(tube, folder / "out")
 
-    async def as_taken_in(*_: object, **__: object) -> dict[str, str]:
-        return {"file": made.name}
+    async def as_taken_in(*_: object, **__: object) -> dict[str, list[str]]:
+        return {"files": [made.name]}
 
     async def cancelled() -> None:
         job = Job("one", "tube")
