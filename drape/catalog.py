@@ -75,6 +75,16 @@ def open_garment(path: Path, body: BodyModel) -> Garment:
     return garment
 
 
+def open_outfit(path: Path, body: BodyModel) -> list[Garment]:
+    """The garments in the mesh at ``path``, the innermost first; or the one that is cached there, as ``open_garment``
+    gives it."""
+    if path.suffix == ".npz":
+        return [open_garment(path, body)]
+    from drape.garment.intake import intake_outfit
+
+    return intake_outfit(path, body=body)
+
+
 def check_body(what: str, digest: str, body: BodyModel) -> None:
     """Raises ``ArtifactError`` if ``what`` was made for another body."""
     if digest != body.digest:

@@ -118,11 +118,14 @@ def _wear(given: argparse.Namespace) -> int:
     opened = load()
     garments: list[Any] = list(given.garment)
     if given.modelled_on is not None:
-        from drape.garment.intake import intake
+        from drape.garment.intake import intake_outfit
 
         garments = [
-            intake(Path(one), avatar=given.modelled_on, body=opened.body) if Path(one).is_file() else one
+            made
             for one in garments
+            for made in (
+                intake_outfit(Path(one), avatar=given.modelled_on, body=opened.body) if Path(one).is_file() else [one]
+            )
         ]
     options = {name: value for name in ("tier", "fabric", "size") if (value := getattr(given, name)) is not None}
     worn = opened.wear(garments, on=given.on, betas=given.betas, **options)

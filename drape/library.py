@@ -23,7 +23,7 @@ from pydantic import ValidationError
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.body.model import BodyModel
-from drape.catalog import GARMENTS_DIR, MOTIONS_DIR, find_garments, find_motions, open_garment, short_name
+from drape.catalog import GARMENTS_DIR, MOTIONS_DIR, find_garments, find_motions, open_outfit, short_name
 from drape.cloth.fabric_table import FABRICS
 from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
@@ -127,8 +127,8 @@ class Drape:
         """Puts ``garments`` on the body.
 
         ``garments``: one garment, or several worn over each other, the innermost first. Each is a shipped name, a file
-        (a mesh at rest on the body, or a stored garment), or a ``Garment`` that ``drape.intake`` made. ``on``: the GLB
-        or VRM file of a character that wears them in place of the body. ``betas``: the body's shape coefficients.
+        (a mesh of one garment or several, or a stored garment), or a ``Garment`` that ``drape.intake`` made. ``on``:
+        the GLB or VRM file of a character that wears them in place of the body. ``betas``: its shape coefficients.
         ``size``: "S", "M", "L" or "XL" of all garments, or a list with one of each and None where a garment comes in
         one; a size takes seconds. ``options`` are the fields of ``DrapeOptions``, such as ``tier``, ``fabric``,
         ``hidden`` and ``colliders``.
@@ -137,7 +137,7 @@ class Drape:
         """
         asked = [garments] if isinstance(garments, (str, Path, Garment)) else list(garments)
         wearer, stages = (None, None) if on is None else self._character(Path(on))
-        entries = tuple(self._entry(one) for one in asked)
+        entries = tuple(entry for one in asked for entry in self._entries(one))
         if not entries:
             raise InputError("garments", expected="one or more", got="none", cure="Name a garment.")
         if size is not None:
@@ -165,13 +165,13 @@ class Drape:
             self._characters[path] = wearer, self._runtime.stages_on(wearer.body)
         return self._characters[path]
 
-    def _entry(self, asked: str | Path | Garment) -> Entry:
+    def _entries(self, asked: str | Path | Garment) -> list[Entry]:
         if isinstance(asked, Garment):
-            garment = asked
+            found = [asked]
         else:
             (path,) = find_garments([str(asked)])[:1]
-            garment = open_garment(path, self.body)
-        return Entry(garment.name, garment, "user")
+            found = open_outfit(path, self.body)
+        return [Entry(garment.name, garment, "user") for garment in found]
 
 
 class Worn:

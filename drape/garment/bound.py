@@ -59,17 +59,14 @@ class BoundMesh:
         value = self.weight.reshape(-1), (rows, self.corner.reshape(-1))
         return scipy.sparse.csr_matrix(value, (len(self.corner), count))
 
-    def normal_faces(self, faces: np.ndarray) -> np.ndarray:
-        """Those of the cloth's ``faces`` (F, 3) that touch a corner whose normal is asked for, int32."""
-        asked = np.isin(faces, np.unique(self.corner[self.kind == OFF])).any(axis=1)
-        return np.ascontiguousarray(faces[asked], dtype=np.int32)
-
 
 class Drawer:
     """Draws a bound mesh on cloth of ``faces`` (F, 3)."""
 
     def __init__(self, bound: BoundMesh, faces: np.ndarray) -> None:
-        self._bound, self._faces = bound, bound.normal_faces(faces)
+        self._bound = bound
+        self._asked = np.unique(bound.corner[bound.kind == OFF])  # whose normals are
+        self._faces = np.ascontiguousarray(faces[np.isin(faces, self._asked).any(axis=1)], dtype=np.int32)
 
     def draw(self, cloth: np.ndarray) -> np.ndarray:
         """The drawn vertices [m] (D, 3) where the cloth's are at ``cloth`` [m] (V, 3), of the same type."""
@@ -78,7 +75,8 @@ class Drawer:
         weight, offset = bound.weight.astype(dtype, copy=False), bound.offset.astype(dtype, copy=False)
         cloth = np.ascontiguousarray(cloth)
         hung = (bound.corner, weight, offset, bound.kind, len(drawn), drawn)
-        call_with_scratch("draw_bound", dtype, cloth, len(cloth), self._faces, len(self._faces), *hung)
+        normals = (self._faces, len(self._faces), self._asked, len(self._asked))
+        call_with_scratch("draw_bound", dtype, cloth, len(cloth), *normals, *hung)
         return drawn
 
 

@@ -26,10 +26,12 @@
     return scratch->overflowed ? -1 : found;                                                                           \
   }                                                                                                                    \
   EXPORT int64_t drape_draw_bound_##suffix(const T* cloth, int64_t vertices, const int32_t* faces, int64_t face_count, \
-                                           const int32_t* corner, const T* weight, const T* offset,                    \
-                                           const uint8_t* kind, int64_t count, T* drawn, Scratch* scratch) {           \
+                                           const int32_t* asked, int64_t asked_count, const int32_t* corner,           \
+                                           const T* weight, const T* offset, const uint8_t* kind, int64_t count,       \
+                                           T* drawn, Scratch* scratch) {                                               \
     const Flushed flushed;                                                                                             \
-    bound::draw(cloth, vertices, faces, face_count, corner, weight, offset, kind, count, drawn, *scratch);             \
+    bound::draw(cloth, vertices, faces, face_count, asked, asked_count, corner, weight, offset, kind, count, drawn,    \
+                *scratch);                                                                                             \
     return -scratch->overflowed;                                                                                       \
   }
 
