@@ -51,7 +51,7 @@ def test_medians_are_of_the_runs():
     assert medians(rows) == {"streams": 2, "run": "median", "frames": None, "lost": None, "delay_max_ms": 2.0}
 
 
-@pytest.mark.parametrize("name", ["previews", "metrics", "clips"])
+@pytest.mark.parametrize("name", [pytest.param("previews", marks=pytest.mark.long), "metrics", "clips"])
 def test_neighbours_ask_until_they_are_told_to_end(live: str, name: str):
     done = SimpleNamespace(value=0)
     neighbour(name, live, "tube", SimpleNamespace(is_set=lambda: done.value > 1), done)

@@ -103,6 +103,7 @@ def test_other_files_and_unknown_ones_are_refused(client: DrapeClient, tmp_path:
         client.avatar("nobody").wear("tube").play("walk")
 
 
+@pytest.mark.long
 def test_the_command_line_adds_wears_lists_and_removes(
     live: str, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -207,6 +207,7 @@ def test_layers_change_places(page: Page):
     more_frames(page)
 
 
+@pytest.mark.long
 def test_garments_are_taken_off_and_put_on(page: Page):
     click_that_opens(page, "#remove")
     assert worn(page) == ["tank"]

@@ -124,6 +124,7 @@ def test_thirty_lines_show_a_garment_that_moves(make_settings: Callable[..., Set
             assert page.errors == []
 
 
+@pytest.mark.long
 def test_a_garment_follows_whoever_stands_before_the_camera(make_settings: Callable[..., Settings], body: BodyModel):
     points = person(body, read_motion(find_motions(("squat",))[0]).poses[::6], "mediapipe").round(4).tolist()
     service: list[str] = []

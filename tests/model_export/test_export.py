@@ -69,7 +69,13 @@ def published(tmp_path_factory):
     return model, folder / "small", returned[0]
 
 
-@pytest.fixture(params=["vector", "paper"])
+@pytest.fixture
+def stored():
+    """A network of our own form, its folder and its manifest: exported once and kept."""
+    return packed.exported()
+
+
+@pytest.fixture(params=["vector", pytest.param("paper", marks=pytest.mark.long)])
 def exported(request):
     return packed.exported() if request.param == "vector" else request.getfixturevalue("published")
 
@@ -131,8 +137,8 @@ def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):
         assert_allclose(got[0], together[frame], rtol=0, atol=1e-6)
 
 
-def test_a_graph_that_differs_is_refused_and_the_old_model_stays(published, garment, tmp_path, monkeypatch):
-    model, folder, manifest = published
+def test_a_graph_that_differs_is_refused_and_the_old_model_stays(stored, garment, tmp_path, monkeypatch):
+    model, folder, manifest = stored
     shutil.copytree(folder, tmp_path / "m")
     before = (tmp_path / "m" / "manifest.json").read_text()
 
@@ -155,8 +161,8 @@ def test_a_graph_that_differs_is_refused_and_the_old_model_stays(published, garm
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m", "same"]
 
 
-def test_a_baked_in_axis_is_refused(published):
-    _, folder, manifest = published
+def test_a_baked_in_axis_is_refused(stored):
+    _, folder, manifest = stored
     proto = onnx.load(str(folder / "drape.onnx"))
     proto.graph.input[0].type.tensor_type.shape.dim[0].dim_value = 3
     graph = manifest.graphs["drape"]
@@ -164,8 +170,8 @@ def test_a_baked_in_axis_is_refused(published):
         _check_symbolic(proto, graph.inputs, graph.outputs, "drape.onnx")
 
 
-def test_quality_is_written_into_a_standing_folder(published, tmp_path, monkeypatch):
-    _, folder, manifest = published
+def test_quality_is_written_into_a_standing_folder(stored, tmp_path, monkeypatch):
+    _, folder, manifest = stored
     shutil.copytree(folder, tmp_path / "m")
     (tmp_path / "q.json").write_text(json.dumps({"rows": [{"garment": "tank", "gain": 0.5}]}))
     monkeypatch.setattr("sys.argv", ["model_export", "--quality", str(tmp_path / "q.json"), str(tmp_path / "m")])
@@ -174,6 +180,7 @@ def test_quality_is_written_into_a_standing_folder(published, tmp_path, monkeypa
     assert sorted(p.name for p in (tmp_path / "m").iterdir()) == sorted(p.name for p in folder.iterdir())
 
 
+@pytest.mark.long
 def test_a_checkpoint_exports_through_the_command(published, tmp_path, monkeypatch):
     _, folder, manifest = published
     assert manifest.training["frames"] == 5 * TrainConfig().batch_size and manifest.training["garments"]

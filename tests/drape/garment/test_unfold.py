@@ -171,7 +171,7 @@ def test_a_lone_chart_round_a_limb_is_counted_as_what_it_is():
     assert_allclose(fields["chart_weight"].sum(axis=1), 1.0, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["trousers", "shorts"])
+@pytest.mark.parametrize("name", [pytest.param("trousers", marks=pytest.mark.long), "shorts"])
 def test_every_chart_of_a_garment_is_a_bijection_after_the_fit(name):
     garment = shipped(name)
     rest = fitting.rest_garment(garment.vertices, garment.fine_faces, default_body())

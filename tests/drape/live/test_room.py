@@ -54,13 +54,13 @@ def test_rooms_are_those_of_all_pairs(rng, shape, dtype):
     assert 0.0 < found.min() < 0.5 * ROOM_M, "somewhere cloth is near to itself"
 
 
-@each(dtype=(np.float32, np.float64), side_m=(0.06, 0.15, 0.4))
+@each(dtype=(np.float32, np.float64), side_m=(0.06, 0.4))
 def test_rooms_in_a_cloud_are_those_of_all_pairs(rng, dtype, side_m):
     """Vertices anywhere in a box, of a cloth in two pieces: most have many others near, of the sheet and not."""
     vertices, faces = grid(22, 28, cell_m=0.008)
     cloth = ClothMesh.from_rest(vertices, faces[(faces < 300).all(axis=1) | (faces >= 300).all(axis=1)])
     assert len(vertices) > 2 * LANES**2 and len(vertices) % LANES, "several groups, and a cluster that is not full"
-    for _ in range(3):
+    for _ in range(2):
         cloud = (side_m * rng.uniform(size=vertices.shape)).astype(dtype)
         wanted, _ = reference.room(cloud.astype(np.float64), cloth)
         assert_allclose(room_of(cloth, cloud), wanted, rtol=0.0, atol=1e-7)

@@ -68,7 +68,6 @@ def test_junk_fails_with_a_sentence_and_leaves_nothing(uploads: httpx.Client, up
     junk = {
         "noise.obj": os.urandom(2000),
         "words.obj": b"v one two three\nf 1 2 3\n",
-        "empty.stl": b"solid nothing\nendsolid nothing\n",
         "half.glb": b"glTF\x02\0\0\0\xff\0\0\0",
         "zip.ply": b"PK\x03\x04" + os.urandom(200),
     }

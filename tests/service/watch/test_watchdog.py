@@ -301,6 +301,7 @@ class Hung:
             httpx.request(method, url + self.path, timeout=3.0, **more)
 
 
+@pytest.mark.long
 def test_the_word_to_end_ends_whatever_hangs_and_its_processes(make_settings: Callable[..., Settings]):
     with ExitStack() as opened:
         listeners = [opened.enter_context(bind("127.0.0.1", 0)) for _ in STATES]
