@@ -36,7 +36,7 @@ SMALL_M2, SMALL_SHARE, NEAR_M = 0.02, 0.05, 0.03  # a small thing near cloth: it
 STIFF_M = 0.06  # parts up to this size turn as a whole
 VERTEX_LIMIT = 12_000
 THINNED_M = 0.012  # edges of thinned cloth
-SAMPLES = 400
+SAMPLES, SAMPLED_FACES = 400, 4000
 
 Pairs = tuple[np.ndarray, np.ndarray, np.ndarray]  # of half-edges: ``meshes.edge_pairs``
 
@@ -75,9 +75,17 @@ def _single_walls(points: np.ndarray, faces: np.ndarray, skin: KDTree, notes: li
     """Which ``faces`` (F,) stay where walls have two sides: not the side at the body, nor the rim between them."""
     keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     middles, normals = points[faces].mean(axis=1), meshes.face_normals(points, faces)
-    areas, height = meshes.face_areas(points, faces), skin.query(points[faces].mean(axis=1))[0]
-    other = _other_sides(points, faces, middles, normals)
-    walled = other >= 0
+    areas = meshes.face_areas(points, faces)
+    some = np.arange(0, len(faces), max(1, len(faces) // SAMPLED_FACES))  # of most garments they tell that it has none
+    walled = _other_sides(points, faces, some, middles, normals) >= 0
+    seen = np.bincount(piece[some], areas[some], minlength=len(points))
+    share = np.bincount(piece[some], walled * areas[some], minlength=len(points)) / np.maximum(seen, 1e-12)
+    asked = np.flatnonzero((share > 0.7 * WALLED_SHARE)[piece] | (seen == 0.0)[piece])
+    if not len(asked):
+        return keep
+    other = np.full(len(faces), -1)
+    other[asked] = _other_sides(points, faces, asked, middles, normals)
+    walled, height = other >= 0, skin.query(middles)[0]
     rise = np.where(walled, height - height[np.maximum(other, 0)], 0.0)
     gap = np.abs(np.einsum("fc,fc->f", normals, middles - middles[np.maximum(other, 0)]))
     share = np.bincount(piece, walled * areas) / np.maximum(np.bincount(piece, areas), 1e-12)
@@ -132,17 +140,19 @@ def _beside(pairs: Pairs, label: np.ndarray, inner: np.ndarray, outer: np.ndarra
         gone = gone | joins
 
 
-def _other_sides(points: np.ndarray, faces: np.ndarray, middles: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The face (F,) opposite to each within a wall, -1 where there is none."""
-    other = np.full(len(faces), -1)
+def _other_sides(
+    points: np.ndarray, faces: np.ndarray, asked: np.ndarray, middles: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
+    """The face (n,) opposite to each ``asked`` one (n,) within a wall, -1 where there is none."""
+    other, own, start = np.full(len(asked), -1), normals[asked], middles[asked]
     for depth in PROBES_M:
         for sign in (-1.0, 1.0):
-            found = closest_point(middles + sign * depth * normals, points, faces)
-            way = found.point - middles
+            found = closest_point(start + sign * depth * own, points, faces)
+            way = found.point - start
             length = np.linalg.norm(way, axis=1)
-            straight = np.abs(np.einsum("fc,fc->f", way, normals)) > 0.8 * length
-            facing = np.abs(np.einsum("fc,fc->f", normals, normals[found.face])) > OPPOSITE
-            apart = (length > SAME_M) & (found.face != np.arange(len(faces))) & straight & facing
+            straight = np.abs(np.einsum("fc,fc->f", way, own)) > 0.8 * length
+            facing = np.abs(np.einsum("fc,fc->f", own, normals[found.face])) > OPPOSITE
+            apart = (length > SAME_M) & (found.face != asked) & straight & facing
             other = np.where((other < 0) & apart, found.face, other)
     return other
 
