@@ -13,7 +13,6 @@ from drape.garment.contours import pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.mesh_checks import check_options, check_surface, place
-from drape.garment.registration import FREE_JOINTS
 from drape.garment.wearer_fields import bones_of, cloth_points, enclosed
 from drape.garment.wearer_reading import Wearer
 from drape.garment.wearer_search import the_wearer
@@ -39,8 +38,7 @@ def lies_on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions)
     points, _ = cloth_points(placed.vertices, placed.faces, SAMPLE_COUNT)
     if (signed_distance(points, avatar.vertices, avatar.faces) < -DEEP_M).mean() > DEEP_SHARE:
         return False
-    rest = np.zeros(body.shape_count + 3 * len(FREE_JOINTS) + 3)
-    share, _ = enclosed(points, bones_of(body, rest, avatar.vertices))
+    share, _ = enclosed(points, bones_of(body.joints_template, avatar.vertices))
     return float(share.mean()) > 1.0 - BARE_SHARE
 
 

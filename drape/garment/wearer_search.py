@@ -29,6 +29,7 @@ from drape.garment.wearer_fields import (
     bones_of,
     cloth_points,
     enclosed,
+    joints_of,
     known_fields,
     point_cost,
     thin_body,
@@ -288,7 +289,7 @@ def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarr
     distance = np.where(far > 2.0 * BAND_LIMIT_M, np.copysign(far, along), along)
     band = points[:, 1] > points[:, 1].max() - BAND_M
     weight = np.where(band, BAND_WEIGHT, 1.0)
-    bones = bones_of(body, parameters, skin)
+    bones = bones_of(joints_of(body, parameters), skin)
     share, nearest = enclosed(points, bones)
     parts = np.array(bones.part)[nearest]
     sleeved = float(np.isin(parts, ("left arm", "right arm")).mean()) > SLEEVE_SHARE
