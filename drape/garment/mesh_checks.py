@@ -238,7 +238,7 @@ def misfit(points: np.ndarray, avatar: Avatar, normals: np.ndarray) -> float:
 
 def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
     """``mesh`` wound consistently, each piece with its normals away from the body; refuses a one-sided surface."""
-    turn = _consistent_turn(mesh.faces)
+    turn = consistent_turn(mesh.faces)
     faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
     normals = meshes.area_vectors(mesh.vertices, faces)
     centres = mesh.vertices[faces].mean(axis=1)
@@ -257,7 +257,7 @@ def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
     return turned.noted(f"turned {int(turn.sum())} of {len(turn)} faces so that normals point outward")
 
 
-def _consistent_turn(faces: np.ndarray) -> np.ndarray:
+def consistent_turn(faces: np.ndarray) -> np.ndarray:
     """Which faces (F,) to reverse so that neighbours agree, the fewest per piece; refuses where none does it."""
     halves, first, second = meshes.edge_pairs(faces)
     clash = (halves[first, :2] == halves[second, :2]).all(axis=1)

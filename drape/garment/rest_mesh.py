@@ -9,7 +9,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.garment.avatars import Avatar
 from drape.garment.cache import Garment
-from drape.garment.clearance import clear_body
+from drape.garment.clearance import CLEARANCE_M, clear_body
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions
 from drape.garment.mesh_checks import check_mesh
@@ -65,7 +65,9 @@ def rest_mesh(
     fine, fine_faces, origin = refine(
         moved.vertices, compact.faces, at_least=FINE_VERTEX_MINIMUM, at_most=FINE_VERTEX_LIMIT, edge_m=FINE_EDGE_M
     )
-    cleared = clear_body(fine, fine_faces, body.v_template, body.faces)
+    cleared = clear_body(fine, fine_faces, body.v_template, body.faces, through=avatar.moved)
+    if cleared.clearance_m < CLEARANCE_M:
+        compact = compact.noted(f"{1e3 * cleared.clearance_m:.1f} mm from the skin where two skins face each other")
     delivered, final = compact.vertices, cleared.vertices[: len(compact.vertices)]
     figures = {
         "avatar_residual_mm": avatar.residual_mm,

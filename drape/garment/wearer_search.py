@@ -18,7 +18,7 @@ from drape.errors import MeshError
 from drape.garment.contours import Contour, open_contours, pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.inside import fit_from, tube_ends
-from drape.garment.mesh_checks import UNITS_M
+from drape.garment.mesh_checks import UNITS_M, consistent_turn
 from drape.garment.registration import posed_by, start_parameters, unpack
 from drape.garment.wearer_fields import (
     CELL_M,
@@ -36,7 +36,7 @@ from drape.garment.wearer_fields import (
     unthreaded,
 )
 from drape.garment.wearer_reading import USUAL_FRONTS, Reading, Wearer, readings_of
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 
 EXTENT_M = (0.12, 2.4)  # of a garment
 FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # tried where no unit fits
@@ -52,11 +52,17 @@ HEIGHT_M, HEIGHT_SPREAD_M, HEIGHT_COST = 1.73, 0.13, 0.01  # of people; the cost
 # Costs of a body whose root and soles are away from the origin, of a bone through the cloth, of cloth on one side
 # alone, and of an opening without a bone.
 ODD_ORIGIN, ODD_PIERCED, ODD_SIDE, ODD_EMPTY = 0.03, 0.1, 0.3, 0.05
+SLACK = 0.25  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
+AT_ONCE = np.zeros(1, dtype=np.int32)
+# What a metre from its place is worth, where the file's origin is at the root, on the floor, or anywhere. Roots are
+# higher or lower in other makers' bodies.
+ORIGIN_PRIOR_M = {"root": np.array([0.2, 0.06, 0.2]), "floor": np.array([0.2, 1e-4, 0.2]), "": np.full(3, 1e-4)}
 ORIGIN_M = 0.05  # a body whose root or soles are this near to the file's origin stands where bodies do
 CUFF_M = 0.12  # shorter openings are holes
 LOOP_SHARE, LOOP_COUNT, LOOP_POINTS = 0.2, 6, 24  # openings over the extent, the most that count, points on each
 INSIDE_LIMIT, OPEN_LIMIT, BAND_LIMIT_M = 0.12, 0.35, 0.08
 DEEP_M = 0.01
+BONE_STEP = 3  # of the skin's points that tell how thick limbs are
 SLEEVE_SHARE = 0.04  # of the cloth that must lie on the arms to tell their pose
 UNIT_INSIDE, UNIT_ENOUGH = 0.06, 0.3  # cloth inside, and energy, up to which a unit is meant
 ENERGY_LIMIT = 0.7  # a body beyond has not worn it
@@ -107,7 +113,9 @@ class _Cloth:
         self.area = float(meshes.face_areas(mesh.vertices, mesh.faces).sum())
         self.few = cloth_points(mesh.vertices, mesh.faces, COARSE_COUNT)[0]
         self.points, face = cloth_points(mesh.vertices, mesh.faces, FINE_COUNT)
-        self.normals = meshes.face_normals(mesh.vertices, mesh.faces)[face]
+        wound = np.where(consistent_turn(mesh.faces), -1.0, 1.0)[face]
+        self.normals = wound[:, None] * meshes.face_normals(mesh.vertices, mesh.faces)[face]
+        self.piece = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[face, 0]]
         self.extent = float(np.ptp(self.points, axis=0).max())
         long = [one for one in open_contours(mesh.vertices, mesh.faces) if one.length_m > LOOP_SHARE * self.extent]
         picked = [one.points[np.linspace(0, len(one.points), LOOP_POINTS, endpoint=False).astype(int)] for one in long]
@@ -132,12 +140,13 @@ class _Cloth:
 
 @dataclass(frozen=True, eq=False)
 class _Guess:
-    """The known body ``number`` at ``-move`` [m] in a reading's frame, and its energy."""
+    """The known body ``number`` at ``-move`` [m] in a reading's frame, its energy, and where the file's origin is."""
 
     reading: Reading
     number: int
     move: np.ndarray
     energy: float
+    origin: str
 
 
 def _in_reach(extent_m: float) -> bool:
@@ -188,7 +197,12 @@ def _places(cloth: _Cloth, fields: Sequence[Field], reading: Reading) -> list[_G
         best = cost.min(axis=1)
         for rise in np.argsort(best)[:PLACES]:
             move = start + CELL_M * np.array([0, rises[rise], DEPTH_CELLS[cost[rise].argmin()]])
-            found.append(_Guess(reading, number, move, float(best[rise]) + extra + KNOWN[number][3]))
+            found.append(_Guess(reading, number, move, float(best[rise]) + extra + KNOWN[number][3] + ODD_ORIGIN, ""))
+        for origin, height in (("root", 0.0), ("floor", field.floor_m)):
+            move = np.array([0.0, height, 0.0])
+            if field.floor_m - 0.1 < low[1] + height and high[1] + height < field.top_m + 0.2:
+                cost = float(field.costs(points + move, AT_ONCE, AT_ONCE, weight)[0, 0])
+                found.append(_Guess(reading, number, move, cost + extra + KNOWN[number][3], origin))
     return sorted(found, key=lambda one: one.energy)
 
 
@@ -214,6 +228,7 @@ def _fitted(cloth: _Cloth, body: BodyModel, readings: Sequence[Reading]) -> list
             _moved(fields[one.number].parameters, one.move),
             FIRST_STEPS,
             KNOWN[one.number][3],
+            one.origin,
         )
         for one in kept
     ]
@@ -222,7 +237,7 @@ def _fitted(cloth: _Cloth, body: BodyModel, readings: Sequence[Reading]) -> list
         best.setdefault(one.reading, one)
     winners = [one for one in best.values() if one.energy < CLEARLY + next(iter(best.values())).energy][:WINNERS]
     last = [
-        _fit(cloth, one.reading, thin, contours[one.reading], one.parameters, LAST_STEPS, one.odd_arms)
+        _fit(cloth, one.reading, thin, contours[one.reading], one.parameters, LAST_STEPS, one.odd_arms, one.origin)
         for one in winners
     ]
     chosen = [min(pair, key=lambda one: one.energy) for pair in zip(winners, last, strict=True)]
@@ -258,13 +273,15 @@ def _fit(
     start: np.ndarray,
     steps: int,
     odd_arms: float,
+    origin: str,
 ) -> Wearer:
     """The body fitted to a reading from ``start``, and how well the garment lies on it."""
     points, normals = reading.apply(cloth.points), cloth.normals @ reading.turn.T
     skin = posed_by(body, start)
     near = KDTree(skin).query(points)[1]
-    # Inner walls and reversed faces look the other way: what counts is the line that they are normal to.
-    facing = np.sign(np.einsum("nc,nc->n", normals, meshes.vertex_normals(skin, body.faces)[near]))
+    # By pieces: a wall of a sleeve that lies in the arm, or beyond it, shall come back.
+    agreement = np.einsum("nc,nc->n", normals, meshes.vertex_normals(skin, body.faces)[near])
+    facing = np.where(np.bincount(cloth.piece, agreement)[cloth.piece] < 0.0, -1.0, 1.0)
     some = slice(None, None, max(1, len(points) // FIT_COUNT))
     parameters, _ = fit_from(
         body,
@@ -276,8 +293,11 @@ def _fit(
         wanted=None,
         likely=start,
         shape_prior_m=np.resize(SHAPE_PRIOR_M, body.shape_count),
+        slack=SLACK,
+        place_prior_m=ORIGIN_PRIOR_M[origin],
+        sole=int(skin[:, 1].argmin()) if origin == "floor" else None,
     )
-    return judge(cloth, reading, body, parameters, odd_arms)
+    return replace(judge(cloth, reading, body, parameters, odd_arms), origin=origin)
 
 
 def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float) -> Wearer:
@@ -289,7 +309,7 @@ def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarr
     distance = np.where(far > 2.0 * BAND_LIMIT_M, np.copysign(far, along), along)
     band = points[:, 1] > points[:, 1].max() - BAND_M
     weight = np.where(band, BAND_WEIGHT, 1.0)
-    bones = bones_of(joints_of(body, parameters), skin)
+    bones = bones_of(joints_of(body, parameters), skin[::BONE_STEP])
     share, nearest = enclosed(points, bones)
     parts = np.array(bones.part)[nearest]
     sleeved = float(np.isin(parts, ("left arm", "right arm")).mean()) > SLEEVE_SHARE
