@@ -161,7 +161,8 @@ def fit_from(
     """Parameters from one start, and the mean cost [m^2] with the priors.
 
     ``neutral`` [m] (3,) is the likely place of the mean shape in T-pose; ``likely`` (P,) are other likely parameters.
-    ``slack`` is the pull of cloth outside that carries nothing, over the usual one. ``place_prior_m`` (3,) is what a metre from there is worth. The vertex ``sole``, if given, stands on the floor.
+    ``slack`` is the pull of cloth outside that carries nothing, over the usual one. ``place_prior_m`` (3,) is what a
+    metre from the likely place is worth. The vertex ``sole``, if given, stands on the floor.
     """
     shape, pose = body.shape_count, 3 * len(FREE_JOINTS)
     prior = np.concatenate([np.full(shape, shape_prior_m), np.full(pose, POSE_PRIOR_M), place_prior_m]) ** 2

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from drape.body.model import BodyModel
 from drape.errors import MeshError
 from drape.garment.avatars import Avatar, standard_avatar

@@ -1,4 +1,4 @@
-"""Which cloth is a sleeve: cloth near an arm that goes round it, and all that hangs together with it up to the shoulder.
+"""Which cloth is a sleeve: that near an arm which goes round it, and what hangs together with it up to the shoulder.
 
 The side of a skirt that a hand hangs by is near the arm, but does not go round it and is far away along the cloth.
 """

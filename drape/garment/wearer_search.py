@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
 from drape.garment.contours import Contour, open_contours, pierced_parts
 from drape.garment.files.mesh import GarmentMesh
@@ -48,6 +49,8 @@ CLEARLY = 0.1  # a fit that is worse by this after a few steps stays worse
 FIRST_STEPS, LAST_STEPS = 5, 15
 SMALL_M2, SMALL = 0.4, 0.05  # a whole outfit read as a collar costs this for every e-fold less of cloth
 SHAPE_COST = 0.01  # of a squared beta beside the nearest known shape's
+UPRIGHT = [JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")]
+TURNED_COST = 0.3  # of a squared radian of all these together: who wears a garment stands straight
 HEIGHT_M, HEIGHT_SPREAD_M, HEIGHT_COST = 1.73, 0.13, 0.01  # of people; the cost of one spread
 # Costs of a body whose root and soles are away from the origin, of a bone through the cloth, of cloth on one side
 # alone, and of an opening without a bone.
@@ -313,11 +316,12 @@ def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarr
     share, nearest = enclosed(points, bones)
     parts = np.array(bones.part)[nearest]
     sleeved = float(np.isin(parts, ("left arm", "right arm")).mean()) > SLEEVE_SHARE
-    betas, _, trans = unpack(body, parameters)
+    betas, pose, trans = unpack(body, parameters)
     pierced = cloth.pierced(reading, bones.joints)
     odd = reading.oddness + cloth.smallness(reading) + odd_arms + ODD_PIERCED * len(pierced)
     odd += SHAPE_COST * min(float(((betas[:10] - shape) ** 2).sum()) for shape in map(np.array, SHAPES.values()))
     odd += ODD_SIDE * _one_sided(bones, nearest) + ODD_EMPTY * cloth.empty(reading, bones.joints)
+    odd += TURNED_COST * float((pose[UPRIGHT].sum(axis=0) ** 2).sum())
     odd += HEIGHT_COST * ((np.ptp(body.rest_vertices(betas)[:, 1]) - HEIGHT_M) / HEIGHT_SPREAD_M) ** 2
     odd += 0.0 if min(abs(trans[1]), abs(skin[:, 1].min())) < ORIGIN_M and abs(trans[0]) < ORIGIN_M else ODD_ORIGIN
     inside, open_share = distance < -DEEP_M, 1.0 - float(share.mean())
