@@ -35,12 +35,13 @@ from drape.garment.fitting import fit_garment
 from drape.garment.grain import corner_uv
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions, read_fabric
 from drape.garment.mesh_checks import Unit, Up
-from drape.garment.modelled_on import lies_on_standard, worn_by
+from drape.garment.modelled_on import modelled_on
 from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
 from drape.garment.rest_mesh import RestMesh, describe_rest, rest_mesh, with_unused
 from drape.garment.sewing import Sewing, sewing_beside, sewn_hinges
 
-WEARER_VERSION = 1  # raised when another wearer is found in the same cloth
+# Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
+MOVED_VERSION = 1
 INTAKE_VERSION = 2  # raised when a change here changes the garments that come out
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests as they were
 
@@ -57,10 +58,8 @@ def garment_digest(
     options: IntakeOptions,
     name: str,
     sewn: Sewing | None = None,
-    *,
-    searched: bool = False,
 ) -> str:
-    """The hex digest of everything that a garment is made of; ``searched`` where its wearer is looked for."""
+    """The hex digest of everything that a garment is made of."""
     if isinstance(avatar, Path):
         avatar = hashlib.sha256(avatar.read_bytes()).hexdigest()
     chosen, usual = (asdict(one.completed_by(sewn)) for one in (options, DEFAULT_OPTIONS))
@@ -74,8 +73,8 @@ def garment_digest(
         "options": chosen | {"clearance_m": CLEARANCE_M},
         "versions": [FORMAT_VERSION, INTAKE_VERSION],
     }
-    if searched:
-        header["wearer"] = WEARER_VERSION
+    if avatar != avatars.STANDARD:
+        header["moved"] = MOVED_VERSION
     if sewn is not None:
         header["sewing"] = replace(sewn, figures={}).to_json()  # how long it took makes no other garment
     return hashlib.sha256(json.dumps(header, sort_keys=True).encode() + b"\0" + payload).hexdigest()
@@ -123,8 +122,7 @@ def intake(
     sewn = sewing_beside(path) if path else None
     if sewn is not None:
         sewn.check(mesh)
-    searched = meaning is None and not lies_on_standard(mesh, body, options)
-    digest = garment_digest(payload, meaning, body, options, name, sewn, searched=searched)
+    digest = garment_digest(payload, meaning, body, options, name, sewn)
     options = options.completed_by(sewn)
     if folder is not None and (stored := folder / f"{name}-{digest[:16]}.npz").is_file():
         say(f"cached    {stored.name}")
@@ -133,8 +131,8 @@ def intake(
     with_uv = "with uv" if len(mesh.uv) else "no uv"
     say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {with_uv}")
     wearer = None
-    if searched:
-        mesh, model, wearer = worn_by(mesh, body, options)
+    if meaning is None:
+        mesh, model, wearer = modelled_on(mesh, body, options)
     else:
         model = avatars.read_avatar(meaning, body)
     say(
@@ -145,7 +143,7 @@ def intake(
         say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")
     started = time.perf_counter()
     begins("rest")
-    rest = rest_mesh(mesh, model, body, options, named=meaning is not None, placed=searched)
+    rest = rest_mesh(mesh, model, body, options, placed=meaning is None)
     for line in describe_rest(rest):
         say(line)
     manifest = _manifest(mesh, payload, model, options, rest) | ({} if wearer is None else {"wearer": wearer.to_json()})

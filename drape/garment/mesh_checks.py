@@ -69,10 +69,9 @@ def check_mesh(
     """``mesh`` in metres, y up, consistently wound with normals outward, on ``avatar``; raises ``MeshError``.
 
     Vertices keep their order and number. With ``repair`` degenerate and duplicated faces are
-    dropped instead of refused. A mesh that is ``placed`` is on its avatar in metres already.
+    dropped instead of refused. A mesh that is ``placed`` is checked and on its avatar in metres already.
     """
-    mesh = check_surface(mesh, repair=repair)
-    mesh = mesh if placed else place(mesh, avatar, unit=unit, up=up, named=named)
+    mesh = mesh if placed else place(check_surface(mesh, repair=repair), avatar, unit=unit, up=up, named=named)
     mesh = orient_outward(mesh, avatar)
     check_area(mesh, "garment area")
     return mesh.noted(*describe(mesh))

@@ -48,18 +48,14 @@ def rest_mesh(
     body: BodyModel,
     options: IntakeOptions = DEFAULT_OPTIONS,
     *,
-    named: bool = True,
     placed: bool = False,
 ) -> RestMesh:
     """The delivered ``mesh``, checked, moved from ``avatar`` to ``body`` in T-pose and pushed clear of it.
 
-    ``named`` is False where the avatar is only assumed: the garment must then fit it closely (``mesh_checks.place``).
-    ``placed`` meshes are on it in metres already.
+    ``placed`` meshes are checked and on it in metres already.
     Raises ``MeshError`` where the mesh cannot be draped.
     """
-    checked = check_mesh(
-        mesh, avatar, unit=options.unit, up=options.up, repair=options.repair, named=named, placed=placed
-    )
+    checked = check_mesh(mesh, avatar, unit=options.unit, up=options.up, repair=options.repair, placed=placed)
     compact, kept = without_unused(checked)
     moved = to_standard(compact.vertices, compact.faces, avatar, body)
     fine, fine_faces, origin = refine(

@@ -12,7 +12,7 @@ from drape.errors import MeshError
 from drape.garment.avatars import standard_avatar
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake_options import IntakeOptions
-from drape.garment.modelled_on import lies_on_standard, worn_by
+from drape.garment.modelled_on import on_standard, worn_by
 from drape.garment.registration import posed_by, unpack
 from drape.garment.wearer_fields import bones_of, enclosed, known_parameters, thin_body, unthreaded
 from drape.garment.wearer_reading import Reading
@@ -101,7 +101,7 @@ def test_solid_ball_is_refused_in_words():
 
 def test_an_outfit_for_hanging_arms_does_not_lie_on_the_standard_body():
     worn = shirt(BODY, BODY.v_template)[0]
-    assert lies_on_standard(plain_mesh("shirt", worn, FACES), BODY, IntakeOptions())
+    assert on_standard(plain_mesh("shirt", worn, FACES), BODY, IntakeOptions()) is not None
     for lift_rad in (0.3, 0.8):
         hanging = shirt(BODY, posed_by(BODY, known_parameters(BODY, "standard", lift_rad, 0.0)))[0]
-        assert not lies_on_standard(plain_mesh("shirt", hanging, FACES), BODY, IntakeOptions())
+        assert on_standard(plain_mesh("shirt", hanging, FACES), BODY, IntakeOptions()) is None
