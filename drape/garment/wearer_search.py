@@ -72,6 +72,8 @@ ENERGY_LIMIT = 0.7  # a body beyond has not worn it
 # Cloth inside, open share and energy of a garment on the standard body at its origin, and of one in metres, y up.
 LIMITS, PLAIN_LIMITS = (0.005, 0.2, 0.6), (0.002, 0.45, 0.8)
 SHAPE_PRIOR_M = np.array([5.0e-3, *[2.5e-3] * 9])  # of the betas in a fit: the first one is the height
+HELD_M, HELD = 0.06, 0.12  # moved so far up or down, the energy rises by this where a garment does not slide;
+HELD_ORIGIN = 0.5  # the file's origin is as good a sign
 RIVAL = 0.15  # a reading that is worse by this leaves no doubt
 
 
@@ -83,14 +85,15 @@ def find_wearers(mesh: GarmentMesh, body: BodyModel, *, unit: str = "auto", up: 
     ups = ups if up == "auto" else ups[:1]
     named = [one for one in readings_of(units.items(), ups) if _in_reach(cloth.extent * one.scale)]
     if (plain := _on_standard(cloth, body, named)) is not None:
-        return [plain]
+        return [replace(plain, sure=_held(cloth, plain))]
     found = _fitted(cloth, body, named)
     if unit == "auto" and not any(one.energy < UNIT_ENOUGH and one.inside < UNIT_INSIDE for one in found):
         sizes = [("free", extent / cloth.extent) for extent in FREE_EXTENTS_M]
         upright = tuple(one for one in ups if one in ("+y", "+z"))
         found += _fitted(cloth, body, list(readings_of(sizes, upright)))
     found.sort(key=lambda one: (bool(one.fault), one.energy))
-    return [replace(one, sure=_sureness(one, found)) for one in found]
+    sure = [_sureness(one, found) * (1.0 if number else _held(cloth, one)) for number, one in enumerate(found)]
+    return [replace(one, sure=one_sure) for one, one_sure in zip(found, sure, strict=True)]
 
 
 def the_wearer(mesh: GarmentMesh, body: BodyModel, *, unit: str = "auto", up: str = "auto") -> Wearer:
@@ -261,7 +264,7 @@ def _on_standard(cloth: _Cloth, body: BodyModel, readings: Sequence[Reading]) ->
             if (np.array([one.inside, one.open_share, one.energy]) < limits).all():
                 found.append(one)
     best = min(found, key=lambda one: one.energy, default=None)
-    return None if best is None else replace(best, body=body, fault="")
+    return None if best is None else replace(best, body=body, fault="", origin="root")
 
 
 def _moved(parameters: np.ndarray, move: np.ndarray) -> np.ndarray:
@@ -346,6 +349,15 @@ def _one_sided(bones: Bones, nearest: np.ndarray) -> float:
     """How much more of the cloth lies on the limbs of one side, as a share."""
     side = np.array([part.startswith("left") - 1.0 * part.startswith("right") for part in bones.part])
     return abs(float(side[nearest].mean()))
+
+
+def _held(cloth: _Cloth, one: Wearer) -> float:
+    """Near 1 where cloth holds its body in its place: the same body higher or lower fits clearly worse."""
+    thin, rises = thin_body(one.body), []
+    for rise in (-HELD_M, 0.0, HELD_M):
+        parameters = one.parameters + np.concatenate([np.zeros(len(one.parameters) - 2), [rise, 0.0]])
+        rises.append(judge(cloth, one.reading, thin, parameters, one.odd_arms).energy)
+    return float(np.clip((min(rises[0], rises[2]) - rises[1]) / HELD + (HELD_ORIGIN if one.origin else 0.3), 0.3, 1.0))
 
 
 def _sureness(one: Wearer, found: Sequence[Wearer]) -> float:
