@@ -27,7 +27,12 @@ LAYER_REACH_M = 0.010  # cloth this near lies on or under the same cloth and mov
 ROUNDS = 40
 STIFFNESS_M2 = 0.03**2  # smoothing length of the first push, squared; halves from round to round
 REST_SHARE = 0.02  # how much a vertex that is clear resists being taken along
-THROUGH_ROUNDS, THROUGH_M, THROUGH_STEPS = 4, 0.06, 16  # in which cloth leaves limbs that stick through it, and how far
+THROUGH_ROUNDS, THROUGH_M, THROUGH_STEPS = (
+    20,
+    0.06,
+    16,
+)  # in which cloth leaves limbs that stick through it, and how far
+ALONG = 0.85  # cosine between the ways out of the body and of the cloth from which both are the same
 LOOKS_OUT = 0.75  # of a piece of cloth: less have inner walls, which look the other way
 GIVE_UP_DEPTH_M = 0.06  # no cloth was modelled so deep in its avatar: it belongs to another one
 
@@ -133,10 +138,12 @@ def _through(
     agreement = np.einsum("nc,nc->n", normals, direction)
     piece = mesh_graphs.connected_components(faces, len(points))
     out = np.bincount(piece, agreement > 0.0) > LOOKS_OUT * np.bincount(piece)
-    cloth = np.flatnonzero((signed < 0.0) & (agreement < 0.0) & out[piece])
+    cloth = np.flatnonzero((signed < 0.0) & (agreement < ALONG) & out[piece])
     steps = np.linspace(0.0, THROUGH_M, THROUGH_STEPS + 1)[1:]
     along = points[cloth, None] + steps[:, None] * normals[cloth, None]
-    clear = signed_distance(along.reshape(-1, 3), body_vertices, body_faces).reshape(along.shape[:2]) > CLEARANCE_M
+    depth = signed_distance(along.reshape(-1, 3), body_vertices, body_faces).reshape(along.shape[:2])
+    left = np.logical_or.accumulate(depth > 0.0, axis=1)
+    clear = (depth > CLEARANCE_M) & ~np.logical_or.accumulate(left & (depth < 0.0), axis=1)  # before the next limb
     ends, wanted = clear.any(axis=1), wanted.copy()
     wanted[cloth[ends]] = steps[clear[ends].argmax(axis=1), None] * normals[cloth[ends]]
     return wanted
