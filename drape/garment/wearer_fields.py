@@ -160,7 +160,7 @@ def bones_of(posed: np.ndarray, skin: np.ndarray) -> Bones:
     first = np.cross(helper, last)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     frames = np.stack([first, np.cross(last, first), last], axis=1)
-    local = np.einsum("bac,bvc->bva", frames, skin[None] - points[:, None])
+    local = skin @ frames.transpose(0, 2, 1) - np.einsum("bac,bc->ba", frames, points)[:, None]
     across = np.linalg.norm(local[..., :2], axis=2)
     near = (np.abs(local[..., 2]) < SLAB_M / 2) & (across < np.array(reach)[:, None] / 2)
     radius = np.array(

@@ -65,7 +65,6 @@ CUFF_M = 0.12  # shorter openings are holes
 LOOP_SHARE, LOOP_COUNT, LOOP_POINTS = 0.2, 6, 24  # openings over the extent, the most that count, points on each
 INSIDE_LIMIT, OPEN_LIMIT, BAND_LIMIT_M = 0.12, 0.35, 0.08
 DEEP_M = 0.01
-BONE_STEP = 3  # of the skin's points that tell how thick limbs are
 SLEEVE_SHARE = 0.04  # of the cloth that must lie on the arms to tell their pose
 UNIT_INSIDE, UNIT_ENOUGH = 0.06, 0.3  # cloth inside, and energy, up to which a unit is meant
 ENERGY_LIMIT = 0.7  # a body beyond has not worn it
@@ -315,7 +314,7 @@ def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarr
     distance = np.where(far > 2.0 * BAND_LIMIT_M, np.copysign(far, along), along)
     band = points[:, 1] > points[:, 1].max() - BAND_M
     weight = np.where(band, BAND_WEIGHT, 1.0)
-    bones = bones_of(joints_of(body, parameters), skin[::BONE_STEP])
+    bones = bones_of(joints_of(body, parameters), skin)
     share, nearest = enclosed(points, bones)
     parts = np.array(bones.part)[nearest]
     sleeved = float(np.isin(parts, ("left arm", "right arm")).mean()) > SLEEVE_SHARE
