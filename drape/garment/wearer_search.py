@@ -55,7 +55,7 @@ HEIGHT_M, HEIGHT_SPREAD_M, HEIGHT_COST = 1.73, 0.13, 0.01  # of people; the cost
 # Costs of a body whose root and soles are away from the origin, of a bone through the cloth, of cloth on one side
 # alone, and of an opening without a bone.
 ODD_ORIGIN, ODD_PIERCED, ODD_SIDE, ODD_EMPTY = 0.03, 0.1, 0.3, 0.05
-SLACK = 0.25  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
+SLACK = 0.1  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
 AT_ONCE = np.zeros(1, dtype=np.int32)
 # What a metre from its place is worth, where the file's origin is at the root, on the floor, or anywhere. Roots are
 # higher or lower in other makers' bodies.
