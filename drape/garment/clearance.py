@@ -27,6 +27,13 @@ LAYER_REACH_M = 0.010  # cloth this near lies on or under the same cloth and mov
 ROUNDS = 40
 STIFFNESS_M2 = 0.03**2  # smoothing length of the first push, squared; halves from round to round
 REST_SHARE = 0.02  # how much a vertex that is clear resists being taken along
+THROUGH_ROUNDS, THROUGH_M, THROUGH_STEPS = (
+    20,
+    0.06,
+    16,
+)  # in which cloth leaves limbs that stick through it, and how far
+ALONG = 0.85  # cosine between the ways out of the body and of the cloth from which both are the same
+LOOKS_OUT = 0.75  # of a piece of cloth: less have inner walls, which look the other way
 GIVE_UP_DEPTH_M = 0.06  # no cloth was modelled so deep in its avatar: it belongs to another one
 
 
@@ -64,13 +71,15 @@ def clear_body(
     *,
     rounds: int = ROUNDS,
     least_m: float = CLEARANCE_M,
+    through: bool = False,
 ) -> Cleared:
     """``vertices`` (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body; refuses (``MeshError``)
     where the last of ``rounds`` leaves less than ``least_m``, as between thighs that touch.
 
     The first push maps distances through a softened maximum, which is monotone, so that a
     lining stays under its cloth; later pushes lift what is still short. Each push is spread
-    over the cloth, over shorter lengths from round to round, so that it ends without spikes.
+    over the cloth, over shorter lengths from round to round, so that it ends without spikes. With ``through`` limbs may
+    stick through the cloth, as toes through a short sock: cloth inside them leaves by the side that it looks to.
     """
     target = CLEARANCE_M + MARGIN_M
     start, moved = vertices, vertices.copy()
@@ -91,13 +100,20 @@ def clear_body(
             return Cleared(moved, float(signed.min()), float(np.linalg.norm(moved - start, axis=1).max()), round_number)
         if round_number:
             lift = np.where(short, target - signed, 0.0)
+        wanted = lift[:, None] * direction
+        if through and round_number < THROUGH_ROUNDS:
+            wanted = _through(moved, faces, signed, direction, wanted, body_vertices, body_faces)
         weight = np.where(lift > 1e-5, 1.0, REST_SHARE)
         # A vertex takes its neighbours along; where it must move alone the weight lets it.
         system = scipy.sparse.diags(weight) + stiffness * laplacian
-        push = scipy.sparse.linalg.splu(system.tocsc()).solve(weight[:, None] * lift[:, None] * direction)
+        push = scipy.sparse.linalg.splu(system.tocsc()).solve(weight[:, None] * wanted)
         moved = moved + push
         stiffness = max(0.6 * stiffness, 0.004**2) if round_number < rounds - 8 else 0.0
         signed, direction, nearest = distance_field(moved, body_vertices, body_faces)
+    short = signed < CLEARANCE_M
+    across = moved[short] + 2.0 * CLEARANCE_M * direction[short]
+    if through and signed.min() > 0.0 and (signed_distance(across, body_vertices, body_faces) < CLEARANCE_M).all():
+        least_m = 0.0  # two skins face each other there, with less room than twice the clearance between them
     if signed.min() >= least_m:
         return Cleared(moved, float(signed.min()), float(np.linalg.norm(moved - start, axis=1).max()), rounds)
     raise MeshError(
@@ -106,6 +122,31 @@ def clear_body(
         got=f"{1e3 * signed.min():.1f} mm at vertex {int(signed.argmin())} after {rounds} pushes",
         cure="Model the garment with more ease there, or say which avatar it was modelled on.",
     )
+
+
+def _through(
+    points: np.ndarray,
+    faces: np.ndarray,
+    signed: np.ndarray,
+    direction: np.ndarray,
+    wanted: np.ndarray,
+    body_vertices: np.ndarray,
+    body_faces: np.ndarray,
+) -> np.ndarray:
+    """``wanted`` pushes [m] (N, 3), but along their normals for ``points`` in the body that look away from the skin."""
+    normals = meshes.vertex_normals(points, faces)
+    agreement = np.einsum("nc,nc->n", normals, direction)
+    piece = mesh_graphs.connected_components(faces, len(points))
+    out = np.bincount(piece, agreement > 0.0) > LOOKS_OUT * np.bincount(piece)
+    cloth = np.flatnonzero((signed < 0.0) & (agreement < ALONG) & out[piece])
+    steps = np.linspace(0.0, THROUGH_M, THROUGH_STEPS + 1)[1:]
+    along = points[cloth, None] + steps[:, None] * normals[cloth, None]
+    depth = signed_distance(along.reshape(-1, 3), body_vertices, body_faces).reshape(along.shape[:2])
+    left = np.logical_or.accumulate(depth > 0.0, axis=1)
+    clear = (depth > CLEARANCE_M) & ~np.logical_or.accumulate(left & (depth < 0.0), axis=1)  # before the next limb
+    ends, wanted = clear.any(axis=1), wanted.copy()
+    wanted[cloth[ends]] = steps[clear[ends].argmax(axis=1), None] * normals[cloth[ends]]
+    return wanted
 
 
 def _layered_laplacian(

@@ -42,6 +42,8 @@ CUFF = 0.2  # of a square metre between a cuff's middle and the limb's bone
 SHAPE_PRIOR_M, POSE_PRIOR_M, LIMB_PRIOR_M = 1e-3, 1.5e-2, 3e-3  # root mean square that a beta, or a radian, is worth
 LIMB_JOINTS = ("collar", "shoulder", "elbow", "hip", "knee")  # a sleeve without an elbow would go through its arm
 ROOT_PRIOR_M = 0.03
+PLACE_PRIOR_M = np.full(3, 1e-4)
+FLOOR = 0.05  # of a square metre between the sole and the floor
 POINT_COUNT = 1200
 STEPS = 25
 AGREEMENT = 0.2
@@ -152,13 +154,18 @@ def fit_from(
     neutral: np.ndarray | None = None,
     likely: np.ndarray | None = None,
     shape_prior_m: float | np.ndarray = SHAPE_PRIOR_M,
+    slack: float = 1.0,
+    place_prior_m: np.ndarray = PLACE_PRIOR_M,
+    sole: int | None = None,
 ) -> tuple[np.ndarray, float]:
     """Parameters from one start, and the mean cost [m^2] with the priors.
 
     ``neutral`` [m] (3,) is the likely place of the mean shape in T-pose; ``likely`` (P,) are other likely parameters.
+    ``slack`` is the pull of cloth outside that carries nothing, over the usual one. ``place_prior_m`` (3,) is what a
+    metre from the likely place is worth. The vertex ``sole``, if given, stands on the floor.
     """
     shape, pose = body.shape_count, 3 * len(FREE_JOINTS)
-    prior = np.concatenate([np.full(shape, shape_prior_m), np.full(pose, POSE_PRIOR_M), np.full(3, 1e-4)]) ** 2
+    prior = np.concatenate([np.full(shape, shape_prior_m), np.full(pose, POSE_PRIOR_M), place_prior_m]) ** 2
     for number, joint in enumerate(FREE_JOINTS):
         if JOINT_NAMES[joint].partition("_")[2] in LIMB_JOINTS:
             prior[shape + 3 * number : shape + 3 * number + 3] = LIMB_PRIOR_M**2
@@ -166,7 +173,7 @@ def fit_from(
     cuffs = _cuffs(body, contours, parameters, wanted)
     if likely is None:
         likely = np.concatenate([np.zeros(shape + pose), parameters[-3:] if neutral is None else neutral])
-    pull = PULL * np.where(points[:, 1] > points[:, 1].max() - BAND_M, BAND_PULL, 1.0)
+    pull = PULL * np.where(points[:, 1] > points[:, 1].max() - BAND_M, BAND_PULL, slack)
     cost = np.inf
     for _ in range(steps):
         posed = posed_by(body, parameters)
@@ -187,6 +194,9 @@ def fit_from(
         system = (rows * weight[:, None]).T @ rows / len(rows) + np.diag(prior + 1e-8) + CUFF * turn.T @ turn
         slope = (rows * weight[:, None]).T @ gap / len(rows) - prior * (parameters - likely)
         slope = slope - CUFF * turn.T @ off
+        if sole is not None:
+            row = parameter_jacobian(body, parameters, np.array([sole]))[0, 1]
+            system, slope = system + FLOOR * np.outer(row, row), slope - FLOOR * posed[sole, 1] * row
         change = np.linalg.solve(system, slope)
         parameters = parameters + np.clip(change, -0.3, 0.3)
         if np.abs(change).max() < 1e-4 or abs(before - cost) < 1e-10:

@@ -36,13 +36,14 @@ from drape.garment.fitting import fit_garment
 from drape.garment.grain import corner_uv
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions, read_fabric
 from drape.garment.mesh_checks import Unit, Up, check_arrays, check_surface, place
-from drape.garment.modelled_on import lies_on_standard, worn_by
+from drape.garment.modelled_on import modelled_on
 from drape.garment.outfit import garments_in, part_names, parted
 from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
 from drape.garment.rest_mesh import RestMesh, describe_rest, rest_mesh, with_unused
 from drape.garment.sewing import Sewing, sewing_beside, sewn_hinges
 
-WEARER_VERSION = 1  # raised when another wearer is found in the same cloth
+# Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
+MOVED_VERSION = 1
 INTAKE_VERSION = 2  # raised when a change here changes the garments that come out
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests as they were
 
@@ -59,10 +60,8 @@ def garment_digest(
     options: IntakeOptions,
     name: str,
     sewn: Sewing | None = None,
-    *,
-    searched: bool = False,
 ) -> str:
-    """The hex digest of everything that a garment is made of; ``searched`` where its wearer is looked for."""
+    """The hex digest of everything that a garment is made of."""
     if isinstance(avatar, Path):
         avatar = hashlib.sha256(avatar.read_bytes()).hexdigest()
     chosen, usual = (asdict(one.completed_by(sewn)) for one in (options, DEFAULT_OPTIONS))
@@ -76,8 +75,8 @@ def garment_digest(
         "options": chosen | {"repair": False, "clearance_m": CLEARANCE_M},  # the first: as in older digests
         "versions": [FORMAT_VERSION, INTAKE_VERSION],
     }
-    if searched:
-        header["wearer"] = WEARER_VERSION
+    if avatar != avatars.STANDARD:
+        header["moved"] = MOVED_VERSION
     if sewn is not None:
         header["sewing"] = replace(sewn, figures={}).to_json()  # how long it took makes no other garment
     return hashlib.sha256(json.dumps(header, sort_keys=True).encode() + b"\0" + payload).hexdigest()
@@ -135,10 +134,7 @@ def intake_outfit(
     sewn = sewing_beside(path) if path else None
     if sewn is not None:
         sewn.check(mesh)
-    check_arrays(mesh)
-    sheets = mesh if sewn is not None else joined(mesh)
-    searched = meaning is None and not lies_on_standard(sheets, body, options)
-    digest = garment_digest(payload, meaning, body, options, mesh.name, sewn, searched=searched)
+    digest = garment_digest(payload, meaning, body, options, mesh.name, sewn)
     options = options.completed_by(sewn)
     if folder is not None and (stored := stored_outfit(folder, digest, whole=whole)):
         say(f"cached    {', '.join(one.file_name() for one in stored)}")
@@ -146,13 +142,13 @@ def intake_outfit(
 
     with_uv = "with uv" if len(mesh.uv) else "no uv"
     say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {with_uv}")
-    told: dict[str, Any] = {}
-    if searched:
-        sheets, model, wearer = worn_by(sheets, body, options)
-        told = {"wearer": wearer.to_json()}
+    check_arrays(mesh)
+    sheets, wearer = mesh if sewn is not None else joined(mesh), None
+    if meaning is None:
+        sheets, model, wearer = modelled_on(sheets, body, options)
     else:
         model = avatars.read_avatar(meaning, body)
-        sheets = place(check_surface(sheets), model, unit=options.unit, up=options.up, named=meaning is not None)
+        sheets = place(check_surface(sheets), model, unit=options.unit, up=options.up)
     say(
         f"avatar    {model.source}; residual {model.residual_mm:.1f} mm"
         + ("" if meaning is not None else " (none was named)")
@@ -161,13 +157,14 @@ def intake_outfit(
         say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")
     started = time.perf_counter()
     begins("rest")
+    told: dict[str, Any] = {} if wearer is None else {"wearer": wearer.to_json()}
     label = np.zeros(len(sheets.faces), dtype=int) if sewn is not None else garments_in(sheets, model.vertices)
     layers = int(label.max(initial=0)) + 1
     if layers > 1:
         told |= {"layers": layers}
     parts = [(mesh, sheets)] if whole else parted(mesh, sheets, label)
     names = part_names(mesh, [one for one, _ in parts])
-    rests = [rest_mesh(one, model, body, options, sheets=cut, placed=True, sewn=sewn is not None) for one, cut in parts]
+    rests = [rest_mesh(one, model, body, options, sheets=cut, sewn=sewn is not None) for one, cut in parts]
     begins("fit")
     made = []
     for number, rest in enumerate(rests):

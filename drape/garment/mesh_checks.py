@@ -67,10 +67,9 @@ def check_mesh(
 ) -> GarmentMesh:
     """``mesh`` in metres, y up, consistently wound with normals outward, on ``avatar``; raises ``MeshError``.
 
-    Vertices keep their order and number. A mesh that is ``placed`` is on its avatar in metres already.
+    Vertices keep their order and number. A mesh that is ``placed`` is checked and on its avatar in metres already.
     """
-    mesh = check_surface(mesh)
-    mesh = mesh if placed else place(mesh, avatar, unit=unit, up=up, named=named)
+    mesh = mesh if placed else place(check_surface(mesh), avatar, unit=unit, up=up, named=named)
     mesh = orient_outward(mesh, avatar)
     check_area(mesh, "garment area")
     return mesh.noted(*describe(mesh))
@@ -227,7 +226,7 @@ def misfit(points: np.ndarray, avatar: Avatar, normals: np.ndarray) -> float:
 
 def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
     """``mesh`` wound consistently, each piece with its normals away from the body; refuses a one-sided surface."""
-    turn = _consistent_turn(mesh.faces)
+    turn = consistent_turn(mesh.faces)
     faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
     normals = meshes.area_vectors(mesh.vertices, faces)
     centres = mesh.vertices[faces].mean(axis=1)
@@ -246,7 +245,7 @@ def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
     return turned.noted(f"turned {int(turn.sum())} of {len(turn)} faces so that normals point outward")
 
 
-def _consistent_turn(faces: np.ndarray) -> np.ndarray:
+def consistent_turn(faces: np.ndarray) -> np.ndarray:
     """Which faces (F,) to reverse so that neighbours agree, the fewest per piece; refuses where none does it."""
     halves, first, second = meshes.edge_pairs(faces)
     clash = (halves[first, :2] == halves[second, :2]).all(axis=1)

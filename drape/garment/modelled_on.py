@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from drape.body.model import BodyModel
 from drape.errors import MeshError
 from drape.garment.avatars import Avatar, standard_avatar
@@ -13,7 +11,6 @@ from drape.garment.contours import pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.mesh_checks import check_options, check_surface, place
-from drape.garment.registration import FREE_JOINTS
 from drape.garment.wearer_fields import bones_of, cloth_points, enclosed
 from drape.garment.wearer_reading import Wearer
 from drape.garment.wearer_search import the_wearer
@@ -25,36 +22,45 @@ SAMPLE_COUNT = 800
 DEEP_M, DEEP_SHARE, BARE_SHARE = 0.01, 0.01, 0.15
 
 
-def lies_on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> bool:
-    """Whether ``mesh`` lies close on the standard body in T-pose in some unit, every limb in its cloth."""
-    check_options(options.unit, options.up)
-    checked = check_surface(mesh)
-    avatar = standard_avatar(body)
-    try:
-        placed = place(checked, avatar, unit=options.unit, up=options.up, named=False)
-    except MeshError:
-        return False
-    if pierced_parts(placed.vertices, placed.faces, body.joints_template):
-        return False
-    points, _ = cloth_points(placed.vertices, placed.faces, SAMPLE_COUNT)
-    if (signed_distance(points, avatar.vertices, avatar.faces) < -DEEP_M).mean() > DEEP_SHARE:
-        return False
-    rest = np.zeros(body.shape_count + 3 * len(FREE_JOINTS) + 3)
-    share, _ = enclosed(points, bones_of(body, rest, avatar.vertices))
-    return float(share.mean()) > 1.0 - BARE_SHARE
+def modelled_on(
+    mesh: GarmentMesh, body: BodyModel, options: IntakeOptions
+) -> tuple[GarmentMesh, Avatar, Wearer | None]:
+    """``mesh``, checked, in metres on its avatar, that avatar, and its wearer where it was looked for.
 
-
-def worn_by(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> tuple[GarmentMesh, Avatar, Wearer]:
-    """``mesh`` in metres, y up, facing +z, the avatar that was found in it, and what was found.
-
-    Raises ``MeshError`` where no human body fits.
+    Raises ``MeshError`` where the mesh is no cloth or no human body fits in it.
     """
     check_options(options.unit, options.up)
     checked = check_surface(mesh)
-    wearer = the_wearer(checked, body, unit=options.unit, up=options.up)
+    if (placed := on_standard(checked, body, options)) is not None:
+        return placed, standard_avatar(body), None
+    return worn_by(checked, body, options)
+
+
+def on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> GarmentMesh | None:
+    """The checked ``mesh`` in metres, if it lies close on the standard body in T-pose, every limb in its cloth."""
+    avatar = standard_avatar(body)
+    try:
+        placed = place(mesh, avatar, unit=options.unit, up=options.up, named=False)
+    except MeshError:
+        return None
+    if pierced_parts(placed.vertices, placed.faces, body.joints_template):
+        return None
+    points, _ = cloth_points(placed.vertices, placed.faces, SAMPLE_COUNT)
+    if (signed_distance(points, avatar.vertices, avatar.faces) < -DEEP_M).mean() > DEEP_SHARE:
+        return None
+    share, _ = enclosed(points, bones_of(body.joints_template, avatar.vertices))
+    return placed if float(share.mean()) > 1.0 - BARE_SHARE else None
+
+
+def worn_by(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> tuple[GarmentMesh, Avatar, Wearer]:
+    """The checked ``mesh`` in metres, y up, facing +z, the avatar that was found in it, and what was found.
+
+    Raises ``MeshError`` where no human body fits.
+    """
+    wearer = the_wearer(mesh, body, unit=options.unit, up=options.up)
     vertices = body.posed_vertices(wearer.pose[None], wearer.trans[None], wearer.betas)[0]
     source = f"found in the cloth: {wearer.words}; sure {wearer.sure:.2f}"
-    turned = replace(checked, vertices=wearer.reading.apply(checked.vertices))
+    turned = replace(mesh, vertices=wearer.reading.apply(mesh.vertices))
     return (
         turned.noted(f"nobody named the avatar; it seems to be {wearer.words}"),
         Avatar(vertices, body.faces, 0.0, source),

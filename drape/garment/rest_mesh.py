@@ -10,7 +10,7 @@ from drape.body.model import BodyModel
 from drape.garment.avatars import Avatar
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment
-from drape.garment.clearance import clear_body
+from drape.garment.clearance import CLEARANCE_M, clear_body
 from drape.garment.cloth_layer import cloth_layer, hung, joined
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions
@@ -54,20 +54,15 @@ def rest_mesh(
     options: IntakeOptions = DEFAULT_OPTIONS,
     *,
     sheets: GarmentMesh | None = None,
-    named: bool = True,
-    placed: bool = False,
     sewn: bool = False,
 ) -> RestMesh:
     """The cloth in the delivered ``mesh``, moved from ``avatar`` to ``body`` in T-pose and pushed clear of it.
 
-    ``sheets``: ``cloth_layer.joined`` of it, made here if left out. ``named`` is False where the avatar is only
-    assumed: the garment must then fit it closely (``mesh_checks.place``). ``placed`` sheets are on it in metres. Of a
-    mesh that is ``sewn`` every face is cloth. Raises ``MeshError`` where the mesh cannot be draped.
+    ``sheets``: ``cloth_layer.joined`` of it, checked and on the avatar in metres; made here if left out. Of a mesh that
+    is ``sewn`` every face is cloth. Raises ``MeshError`` where the mesh cannot be draped.
     """
     if sheets is None:
-        sheets = joined(mesh)
-    if not placed:
-        sheets = place(check_surface(sheets), avatar, unit=options.unit, up=options.up, named=named)
+        sheets = place(check_surface(joined(mesh)), avatar, unit=options.unit, up=options.up)
     cloth = sheets if sewn else cloth_layer(sheets, avatar.vertices)
     whole = cloth is sheets and len(sheets.vertices) == len(mesh.vertices)
     checked = check_mesh(cloth if whole else with_used_vertices(cloth), avatar, placed=True)
@@ -77,7 +72,9 @@ def rest_mesh(
     fine, fine_faces, origin = refine(
         moved.vertices, compact.faces, at_least=FINE_VERTEX_MINIMUM, at_most=FINE_VERTEX_LIMIT, edge_m=FINE_EDGE_M
     )
-    cleared = clear_body(fine, fine_faces, body.v_template, body.faces)
+    cleared = clear_body(fine, fine_faces, body.v_template, body.faces, through=avatar.moved)
+    if cleared.clearance_m < CLEARANCE_M:
+        compact = compact.noted(f"{1e3 * cleared.clearance_m:.1f} mm from the skin where two skins face each other")
     delivered, final = compact.vertices, cleared.vertices[: len(compact.vertices)]
     figures = {
         "avatar_residual_mm": avatar.residual_mm,

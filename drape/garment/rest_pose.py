@@ -23,6 +23,7 @@ import scipy.sparse.linalg
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.avatars import Avatar
+from drape.garment.sleeves import SHOULDER, sleeve_of
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point, nearest_vertices
 
@@ -33,6 +34,10 @@ SPREAD_MIN_M = 0.015
 SPREAD_PER_DISTANCE = 0.7  # cloth far from the skin follows a wider part of it
 LEGS = {
     side: [JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot")]
+    for side in ("left", "right")
+}
+ARMS = {
+    side: [JOINT_NAMES.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist", "hand")]
     for side in ("left", "right")
 }
 TROUSERS_CROTCH_M = 0.08  # trousers hang at most this far below the body's crotch before their legs part
@@ -76,7 +81,7 @@ def to_standard(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: B
     weights = body.weights
     rotations, translations = bone_motions(avatar.vertices, body.v_template, weights)
     skinned = np.einsum("vj,jab,vb->va", weights, rotations, avatar.vertices, optimize=True) + weights @ translations
-    averaging = surface_weights(vertices, avatar)
+    averaging = own_skin_weights(vertices, faces, avatar, body)
     garment_weights = smoother(vertices, faces, WEIGHT_SMOOTHING_M)(averaging @ weights)
     displacement = smoother(vertices, faces, SHAPE_SMOOTHING_M)(averaging @ (body.v_template - skinned))
     garment_weights = garment_weights / garment_weights.sum(axis=1, keepdims=True)
@@ -87,12 +92,35 @@ def to_standard(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: B
     return MovedGarment(moved, skirt)
 
 
-def surface_weights(points: np.ndarray, avatar: Avatar) -> scipy.sparse.csr_matrix:
-    """Rows (V, body V) that average the body near each point: a Gaussian round it, over skin that faces its way."""
+def own_skin_weights(
+    vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel
+) -> scipy.sparse.csr_matrix:
+    """``surface_weights`` of a garment: sleeves have them from the skin of their arm, other cloth from all but arms.
+
+    A hand that hangs beside a skirt is nearer to it than the thigh is, and would take it along.
+    """
+    arms = [body.weights[:, bones].sum(axis=1) for bones in ARMS.values()]
+    sleeve = sleeve_of(vertices, faces, body.regressor @ avatar.vertices, avatar.vertices)
+    counts = [sum(arms) < 0.5, *(arm > 0.05 for arm in arms), None]
+    rows = [np.flatnonzero(sleeve == number) for number in range(SHOULDER + 1)]
+    blocks = [surface_weights(vertices[row], avatar, counts[number]) for number, row in enumerate(rows) if len(row)]
+    back = np.argsort(np.concatenate(rows))
+    return scipy.sparse.vstack(blocks).tocsr()[back]
+
+
+def surface_weights(points: np.ndarray, avatar: Avatar, counts: np.ndarray | None = None) -> scipy.sparse.csr_matrix:
+    """Rows (V, body V) that average the body near each point: a Gaussian round it, over skin that faces its way.
+
+    Only the skin that ``counts`` (body V,) does, if given.
+    """
+    counts = np.ones(len(avatar.vertices), dtype=bool) if counts is None else counts
+    skin, faces = np.flatnonzero(counts), avatar.faces[counts[avatar.faces].all(axis=1)]
     normals = meshes.vertex_normals(avatar.vertices, avatar.faces)
-    distance, near = nearest_vertices(points, avatar.vertices, NEAR_COUNT)
-    closest = closest_point(points, avatar.vertices, avatar.faces)
-    facing = np.einsum("vk,vkc->vc", closest.barycentric, normals[avatar.faces[closest.face]])
+    distance, near = nearest_vertices(points, avatar.vertices[skin], NEAR_COUNT)
+    near = skin[near]
+    closest = closest_point(points, avatar.vertices, faces)
+    corner = faces[closest.face]
+    facing = np.einsum("vk,vkc->vc", closest.barycentric, normals[corner])
     agreement = np.maximum(np.einsum("vc,vkc->vk", facing, normals[near]), 0.0)
     spread = np.maximum(SPREAD_MIN_M, SPREAD_PER_DISTANCE * closest.distance)[:, None]
     value = agreement * np.exp(-0.5 * (distance**2 - closest.distance[:, None] ** 2) / spread**2)
@@ -101,7 +129,6 @@ def surface_weights(points: np.ndarray, avatar: Avatar) -> scipy.sparse.csr_matr
         (value.reshape(-1), (rows, near.reshape(-1))), shape=(len(points), len(avatar.vertices))
     )
     # The closest point itself always counts, so no row is empty.
-    corner = avatar.faces[closest.face]
     own = scipy.sparse.csr_matrix(
         (closest.barycentric.reshape(-1), (np.repeat(np.arange(len(points)), 3), corner.reshape(-1))),
         shape=gathered.shape,

@@ -143,10 +143,8 @@ def point_cost(distance: np.ndarray) -> np.ndarray:
     return depth + outside / (outside + FAR_M**2)
 
 
-def bones_of(body: BodyModel, parameters: np.ndarray, skin: np.ndarray) -> Bones:
-    """The bones of the body with ``parameters``, which has the points ``skin`` [m] (V, 3)."""
-    betas, pose, trans = unpack(body, parameters)
-    posed = body.posed_joints(pose[None], betas)[0] + trans
+def bones_of(posed: np.ndarray, skin: np.ndarray) -> Bones:
+    """The bones between the joints ``posed`` [m] (24, 3) of a body that has the points ``skin`` [m] (V, 3)."""
     joints = dict(zip(JOINT_NAMES, posed, strict=True))
     joints["crown"] = joints["head"] + CROWN * (joints["head"] - joints["neck"])
     at, axis, reach, part = [], [], [], []
@@ -162,7 +160,7 @@ def bones_of(body: BodyModel, parameters: np.ndarray, skin: np.ndarray) -> Bones
     first = np.cross(helper, last)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     frames = np.stack([first, np.cross(last, first), last], axis=1)
-    local = np.einsum("bac,bvc->bva", frames, skin[None] - points[:, None])
+    local = skin @ frames.transpose(0, 2, 1) - np.einsum("bac,bc->ba", frames, points)[:, None]
     across = np.linalg.norm(local[..., :2], axis=2)
     near = (np.abs(local[..., 2]) < SLAB_M / 2) & (across < np.array(reach)[:, None] / 2)
     radius = np.array(
@@ -210,6 +208,12 @@ def unthreaded(loops: np.ndarray, joints: np.ndarray) -> int:
     return int((~threaded).sum())
 
 
+def joints_of(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
+    """The joints [m] (24, 3) of ``body`` with ``parameters``."""
+    betas, pose, trans = unpack(body, parameters)
+    return body.posed_joints(pose[None], betas)[0] + trans
+
+
 def field_of(body: BodyModel, parameters: np.ndarray) -> Field:
     """The field of ``body`` with ``parameters``."""
     skin = posed_by(body, parameters)
@@ -225,7 +229,7 @@ def field_of(body: BodyModel, parameters: np.ndarray) -> Field:
     outside = np.asarray(scipy.ndimage.distance_transform_edt(~solid))
     inside = np.asarray(scipy.ndimage.distance_transform_edt(solid))
     distance = CELL_M * np.where(solid, 0.5 - (inside - 0.5), outside)
-    bones = bones_of(body, parameters, skin[::6])
+    bones = bones_of(joints_of(body, parameters), skin[::6])
     cost = np.pad(point_cost(distance).astype(np.float32), ROOM, constant_values=1.0)
     low = low - ROOM * CELL_M
     return Field(parameters, cost, low, bones, float(skin[:, 1].min()), float(skin[:, 1].max()))

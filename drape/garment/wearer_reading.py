@@ -57,7 +57,8 @@ class Wearer:
     ``parameters`` as ``registration.unpack`` takes them; ``energy`` ranks it (0: cloth on the skin all round).
     ``inside`` is the share of the cloth deeper than 1 cm in the skin, ``open_share`` how much of the way round its
     bones is bare, ``band_m`` the median distance at the top; ``sleeved`` says whether the cloth shows the arms, and
-    ``fault`` what does not fit. ``sure`` in [0, 1] falls where another reading fits nearly as well.
+    ``fault`` what does not fit. ``origin`` is where the file's is, at the body's "root" or "floor", or "". ``sure`` in
+    [0, 1] falls where another reading fits nearly as well, or the same body higher or lower.
     """
 
     reading: Reading
@@ -70,6 +71,7 @@ class Wearer:
     sleeved: bool
     fault: str = ""
     odd_arms: float = 0.0
+    origin: str = ""
     sure: float = 1.0
 
     @property

@@ -14,11 +14,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
 from drape.garment.contours import Contour, open_contours, pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.inside import fit_from, tube_ends
-from drape.garment.mesh_checks import UNITS_M
+from drape.garment.mesh_checks import UNITS_M, consistent_turn
 from drape.garment.registration import posed_by, start_parameters, unpack
 from drape.garment.wearer_fields import (
     CELL_M,
@@ -29,13 +30,14 @@ from drape.garment.wearer_fields import (
     bones_of,
     cloth_points,
     enclosed,
+    joints_of,
     known_fields,
     point_cost,
     thin_body,
     unthreaded,
 )
 from drape.garment.wearer_reading import USUAL_FRONTS, Reading, Wearer, readings_of
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 
 EXTENT_M = (0.12, 2.4)  # of a garment
 FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # tried where no unit fits
@@ -47,10 +49,17 @@ CLEARLY = 0.1  # a fit that is worse by this after a few steps stays worse
 FIRST_STEPS, LAST_STEPS = 5, 15
 SMALL_M2, SMALL = 0.4, 0.05  # a whole outfit read as a collar costs this for every e-fold less of cloth
 SHAPE_COST = 0.01  # of a squared beta beside the nearest known shape's
+UPRIGHT = [JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")]
+TURNED_COST = 0.3  # of a squared radian of all these together: who wears a garment stands straight
 HEIGHT_M, HEIGHT_SPREAD_M, HEIGHT_COST = 1.73, 0.13, 0.01  # of people; the cost of one spread
 # Costs of a body whose root and soles are away from the origin, of a bone through the cloth, of cloth on one side
 # alone, and of an opening without a bone.
 ODD_ORIGIN, ODD_PIERCED, ODD_SIDE, ODD_EMPTY = 0.03, 0.1, 0.3, 0.05
+SLACK = 0.1  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
+AT_ONCE = np.zeros(1, dtype=np.int32)
+# What a metre from its place is worth, where the file's origin is at the root, on the floor, or anywhere. Roots are
+# higher or lower in other makers' bodies.
+ORIGIN_PRIOR_M = {"root": np.array([0.2, 0.06, 0.2]), "floor": np.array([0.2, 1e-4, 0.2]), "": np.full(3, 1e-4)}
 ORIGIN_M = 0.05  # a body whose root or soles are this near to the file's origin stands where bodies do
 CUFF_M = 0.12  # shorter openings are holes
 LOOP_SHARE, LOOP_COUNT, LOOP_POINTS = 0.2, 6, 24  # openings over the extent, the most that count, points on each
@@ -62,6 +71,8 @@ ENERGY_LIMIT = 0.7  # a body beyond has not worn it
 # Cloth inside, open share and energy of a garment on the standard body at its origin, and of one in metres, y up.
 LIMITS, PLAIN_LIMITS = (0.005, 0.2, 0.6), (0.002, 0.45, 0.8)
 SHAPE_PRIOR_M = np.array([5.0e-3, *[2.5e-3] * 9])  # of the betas in a fit: the first one is the height
+HELD_M, HELD = 0.06, 0.12  # moved so far up or down, the energy rises by this where a garment does not slide;
+HELD_ORIGIN = 0.5  # the file's origin is as good a sign
 RIVAL = 0.15  # a reading that is worse by this leaves no doubt
 
 
@@ -73,14 +84,15 @@ def find_wearers(mesh: GarmentMesh, body: BodyModel, *, unit: str = "auto", up: 
     ups = ups if up == "auto" else ups[:1]
     named = [one for one in readings_of(units.items(), ups) if _in_reach(cloth.extent * one.scale)]
     if (plain := _on_standard(cloth, body, named)) is not None:
-        return [plain]
+        return [replace(plain, sure=_held(cloth, plain))]
     found = _fitted(cloth, body, named)
     if unit == "auto" and not any(one.energy < UNIT_ENOUGH and one.inside < UNIT_INSIDE for one in found):
         sizes = [("free", extent / cloth.extent) for extent in FREE_EXTENTS_M]
         upright = tuple(one for one in ups if one in ("+y", "+z"))
         found += _fitted(cloth, body, list(readings_of(sizes, upright)))
     found.sort(key=lambda one: (bool(one.fault), one.energy))
-    return [replace(one, sure=_sureness(one, found)) for one in found]
+    sure = [_sureness(one, found) * (1.0 if number else _held(cloth, one)) for number, one in enumerate(found)]
+    return [replace(one, sure=one_sure) for one, one_sure in zip(found, sure, strict=True)]
 
 
 def the_wearer(mesh: GarmentMesh, body: BodyModel, *, unit: str = "auto", up: str = "auto") -> Wearer:
@@ -106,7 +118,9 @@ class _Cloth:
         self.area = float(meshes.face_areas(mesh.vertices, mesh.faces).sum())
         self.few = cloth_points(mesh.vertices, mesh.faces, COARSE_COUNT)[0]
         self.points, face = cloth_points(mesh.vertices, mesh.faces, FINE_COUNT)
-        self.normals = meshes.face_normals(mesh.vertices, mesh.faces)[face]
+        wound = np.where(consistent_turn(mesh.faces), -1.0, 1.0)[face]
+        self.normals = wound[:, None] * meshes.face_normals(mesh.vertices, mesh.faces)[face]
+        self.piece = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[face, 0]]
         self.extent = float(np.ptp(self.points, axis=0).max())
         long = [one for one in open_contours(mesh.vertices, mesh.faces) if one.length_m > LOOP_SHARE * self.extent]
         picked = [one.points[np.linspace(0, len(one.points), LOOP_POINTS, endpoint=False).astype(int)] for one in long]
@@ -131,12 +145,13 @@ class _Cloth:
 
 @dataclass(frozen=True, eq=False)
 class _Guess:
-    """The known body ``number`` at ``-move`` [m] in a reading's frame, and its energy."""
+    """The known body ``number`` at ``-move`` [m] in a reading's frame, its energy, and where the file's origin is."""
 
     reading: Reading
     number: int
     move: np.ndarray
     energy: float
+    origin: str
 
 
 def _in_reach(extent_m: float) -> bool:
@@ -187,7 +202,12 @@ def _places(cloth: _Cloth, fields: Sequence[Field], reading: Reading) -> list[_G
         best = cost.min(axis=1)
         for rise in np.argsort(best)[:PLACES]:
             move = start + CELL_M * np.array([0, rises[rise], DEPTH_CELLS[cost[rise].argmin()]])
-            found.append(_Guess(reading, number, move, float(best[rise]) + extra + KNOWN[number][3]))
+            found.append(_Guess(reading, number, move, float(best[rise]) + extra + KNOWN[number][3] + ODD_ORIGIN, ""))
+        for origin, height in (("root", 0.0), ("floor", field.floor_m)):
+            move = np.array([0.0, height, 0.0])
+            if field.floor_m - 0.1 < low[1] + height and high[1] + height < field.top_m + 0.2:
+                cost = float(field.costs(points + move, AT_ONCE, AT_ONCE, weight)[0, 0])
+                found.append(_Guess(reading, number, move, cost + extra + KNOWN[number][3], origin))
     return sorted(found, key=lambda one: one.energy)
 
 
@@ -213,6 +233,7 @@ def _fitted(cloth: _Cloth, body: BodyModel, readings: Sequence[Reading]) -> list
             _moved(fields[one.number].parameters, one.move),
             FIRST_STEPS,
             KNOWN[one.number][3],
+            one.origin,
         )
         for one in kept
     ]
@@ -221,7 +242,7 @@ def _fitted(cloth: _Cloth, body: BodyModel, readings: Sequence[Reading]) -> list
         best.setdefault(one.reading, one)
     winners = [one for one in best.values() if one.energy < CLEARLY + next(iter(best.values())).energy][:WINNERS]
     last = [
-        _fit(cloth, one.reading, thin, contours[one.reading], one.parameters, LAST_STEPS, one.odd_arms)
+        _fit(cloth, one.reading, thin, contours[one.reading], one.parameters, LAST_STEPS, one.odd_arms, one.origin)
         for one in winners
     ]
     chosen = [min(pair, key=lambda one: one.energy) for pair in zip(winners, last, strict=True)]
@@ -242,7 +263,7 @@ def _on_standard(cloth: _Cloth, body: BodyModel, readings: Sequence[Reading]) ->
             if (np.array([one.inside, one.open_share, one.energy]) < limits).all():
                 found.append(one)
     best = min(found, key=lambda one: one.energy, default=None)
-    return None if best is None else replace(best, body=body, fault="")
+    return None if best is None else replace(best, body=body, fault="", origin="root")
 
 
 def _moved(parameters: np.ndarray, move: np.ndarray) -> np.ndarray:
@@ -257,13 +278,15 @@ def _fit(
     start: np.ndarray,
     steps: int,
     odd_arms: float,
+    origin: str,
 ) -> Wearer:
     """The body fitted to a reading from ``start``, and how well the garment lies on it."""
     points, normals = reading.apply(cloth.points), cloth.normals @ reading.turn.T
     skin = posed_by(body, start)
     near = KDTree(skin).query(points)[1]
-    # Inner walls and reversed faces look the other way: what counts is the line that they are normal to.
-    facing = np.sign(np.einsum("nc,nc->n", normals, meshes.vertex_normals(skin, body.faces)[near]))
+    # By pieces: a wall of a sleeve that lies in the arm, or beyond it, shall come back.
+    agreement = np.einsum("nc,nc->n", normals, meshes.vertex_normals(skin, body.faces)[near])
+    facing = np.where(np.bincount(cloth.piece, agreement)[cloth.piece] < 0.0, -1.0, 1.0)
     some = slice(None, None, max(1, len(points) // FIT_COUNT))
     parameters, _ = fit_from(
         body,
@@ -275,8 +298,11 @@ def _fit(
         wanted=None,
         likely=start,
         shape_prior_m=np.resize(SHAPE_PRIOR_M, body.shape_count),
+        slack=SLACK,
+        place_prior_m=ORIGIN_PRIOR_M[origin],
+        sole=int(skin[:, 1].argmin()) if origin == "floor" else None,
     )
-    return judge(cloth, reading, body, parameters, odd_arms)
+    return replace(judge(cloth, reading, body, parameters, odd_arms), origin=origin)
 
 
 def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float) -> Wearer:
@@ -288,15 +314,16 @@ def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarr
     distance = np.where(far > 2.0 * BAND_LIMIT_M, np.copysign(far, along), along)
     band = points[:, 1] > points[:, 1].max() - BAND_M
     weight = np.where(band, BAND_WEIGHT, 1.0)
-    bones = bones_of(body, parameters, skin)
+    bones = bones_of(joints_of(body, parameters), skin)
     share, nearest = enclosed(points, bones)
     parts = np.array(bones.part)[nearest]
     sleeved = float(np.isin(parts, ("left arm", "right arm")).mean()) > SLEEVE_SHARE
-    betas, _, trans = unpack(body, parameters)
+    betas, pose, trans = unpack(body, parameters)
     pierced = cloth.pierced(reading, bones.joints)
     odd = reading.oddness + cloth.smallness(reading) + odd_arms + ODD_PIERCED * len(pierced)
     odd += SHAPE_COST * min(float(((betas[:10] - shape) ** 2).sum()) for shape in map(np.array, SHAPES.values()))
     odd += ODD_SIDE * _one_sided(bones, nearest) + ODD_EMPTY * cloth.empty(reading, bones.joints)
+    odd += TURNED_COST * float((pose[UPRIGHT].sum(axis=0) ** 2).sum())
     odd += HEIGHT_COST * ((np.ptp(body.rest_vertices(betas)[:, 1]) - HEIGHT_M) / HEIGHT_SPREAD_M) ** 2
     odd += 0.0 if min(abs(trans[1]), abs(skin[:, 1].min())) < ORIGIN_M and abs(trans[0]) < ORIGIN_M else ODD_ORIGIN
     inside, open_share = distance < -DEEP_M, 1.0 - float(share.mean())
@@ -321,6 +348,15 @@ def _one_sided(bones: Bones, nearest: np.ndarray) -> float:
     """How much more of the cloth lies on the limbs of one side, as a share."""
     side = np.array([part.startswith("left") - 1.0 * part.startswith("right") for part in bones.part])
     return abs(float(side[nearest].mean()))
+
+
+def _held(cloth: _Cloth, one: Wearer) -> float:
+    """Near 1 where cloth holds its body in its place: the same body higher or lower fits clearly worse."""
+    thin, rises = thin_body(one.body), []
+    for rise in (-HELD_M, 0.0, HELD_M):
+        parameters = one.parameters + np.concatenate([np.zeros(len(one.parameters) - 2), [rise, 0.0]])
+        rises.append(judge(cloth, one.reading, thin, parameters, one.odd_arms).energy)
+    return float(np.clip((min(rises[0], rises[2]) - rises[1]) / HELD + (HELD_ORIGIN if one.origin else 0.3), 0.3, 1.0))
 
 
 def _sureness(one: Wearer, found: Sequence[Wearer]) -> float:

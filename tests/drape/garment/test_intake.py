@@ -94,6 +94,25 @@ def test_digest_follows_everything_that_matters(garment, folder: Path, monkeypat
     assert digest() != garment.digest
 
 
+def test_a_garment_of_no_named_avatar_is_in_the_cache_before_it_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    payload = obj_text(*shirt(BODY, BODY.v_template))
+    first = intake(payload, name="plain", kind="obj", body=BODY, folder=tmp_path)
+    monkeypatch.setattr(intake_module, "modelled_on", None)
+    assert intake(payload, name="plain", kind="obj", body=BODY, folder=tmp_path).digest == first.digest
+
+
+def test_only_cloth_of_another_body_has_the_version_of_its_way_from_there(monkeypatch: pytest.MonkeyPatch):
+    def digests() -> list[str]:
+        avatars = (STANDARD, None, FEMALE)
+        return [intake_module.garment_digest(b"mesh", avatar, BODY, IntakeOptions(), "a") for avatar in avatars]
+
+    before = digests()
+    monkeypatch.setattr(intake_module, "MOVED_VERSION", -1)
+    assert [one == other for one, other in zip(before, digests(), strict=True)] == [True, False, False]
+
+
 def test_a_garment_has_as_many_patches_as_are_asked_for(garment, folder: Path):
     finer = intake(folder / "female_shirt.obj", avatar=FEMALE, body=BODY, options=IntakeOptions(patches=2.0))
     assert finer.patch_count == 2 * garment.patch_count
@@ -262,7 +281,7 @@ def test_without_out_a_garment_goes_where_the_service_looks(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     went: list[Path] = []
-    monkeypatch.setattr("drape.garment.intake.intake", lambda source, **options: went.append(options["folder"]))
+    monkeypatch.setattr("drape.garment.intake.intake_outfit", lambda source, **options: went.append(options["folder"]))
     assert main([str(folder / "female_shirt.obj")]) == 0
     assert went == [OWN_GARMENTS_DIR]
 

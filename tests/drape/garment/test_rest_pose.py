@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial import ConvexHull
 
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
@@ -159,6 +160,45 @@ def test_garment_that_cannot_be_cleared_is_refused_unless_less_is_enough():
         clear_body(vertices, faces, BODY.v_template, BODY.faces, rounds=1)
     cleared = clear_body(vertices, faces, BODY.v_template, BODY.faces, rounds=1, least_m=-0.04)
     assert -0.04 <= cleared.clearance_m < 0.006 and cleared.rounds == 1
+
+
+def ball(count: int, radii_m: tuple[float, float, float], middle: tuple[float, float, float]) -> tuple:
+    """A closed surface: vertices (N, 3), faces (F, 3) with normals outward."""
+    number = np.arange(count) + 0.5
+    angle, height = np.pi * (1.0 + 5.0**0.5) * number, 1.0 - 2.0 * number / count
+    flat = np.sqrt(1.0 - height**2)
+    unit = np.stack([flat * np.cos(angle), flat * np.sin(angle), height], axis=1)
+    faces = ConvexHull(unit).simplices
+    inward = np.einsum("fc,fc->f", meshes.area_vectors(unit, faces), unit[faces].mean(axis=1)) < 0.0
+    return unit * radii_m + middle, np.where(inward[:, None], faces[:, ::-1], faces)
+
+
+def test_toe_that_sticks_through_a_sock_ends_in_its_tip():
+    toe, faces = ball(1500, (0.012, 0.012, 0.06), (0.0, 0.0, 0.0))
+    sock, sock_faces = ball(3000, (0.02, 0.02, 0.06), (0.0, 0.0, -0.02))
+    kept = (sock[sock_faces][:, :, 2] > -0.05).all(axis=1)
+    used, inverse = np.unique(sock_faces[kept], return_inverse=True)
+    cloth, cloth_faces = sock[used], inverse.reshape(-1, 3)
+    assert cloth[:, 2].max() < toe[:, 2].max() - 0.015
+    cleared = clear_body(cloth, cloth_faces, toe, faces, through=True)
+    assert cleared.clearance_m >= CLEARANCE_M and cleared.vertices[:, 2].max() > toe[:, 2].max() + 0.7 * CLEARANCE_M
+    slid = clear_body(cloth, cloth_faces, toe, faces).vertices
+    assert slid[:, 2].max() < toe[:, 2].max()
+
+
+def test_less_is_enough_between_two_skins_but_not_beside_one():
+    left, faces = ball(1500, (0.05, 0.05, 0.05), (-0.054, 0.0, 0.0))
+    right, _ = ball(1500, (0.05, 0.05, 0.05), (0.054, 0.0, 0.0))
+    body, body_faces = np.concatenate([left, right]), np.concatenate([faces, faces + len(left)])
+    grid = np.linspace(-0.02, 0.02, 9)
+    sheet = np.stack([np.zeros(81), np.repeat(grid, 9), np.tile(grid, 9)], axis=1)
+    corner = (np.arange(8)[:, None] * 9 + np.arange(8)).reshape(-1)
+    quads = np.stack([corner, corner + 1, corner + 10, corner, corner + 10, corner + 9], axis=1).reshape(-1, 3)
+    with pytest.raises(MeshError, match="a clearance of 6"):
+        clear_body(sheet, quads, body, body_faces)
+    assert 0.0 < clear_body(sheet, quads, body, body_faces, through=True).clearance_m < CLEARANCE_M
+    with pytest.raises(MeshError, match="a clearance of 6"):
+        clear_body(sheet - [0.01, 0.0, 0.0], quads, left, faces, rounds=1, through=True)
 
 
 def test_other_shape_is_followed():

@@ -12,9 +12,9 @@ from drape.errors import MeshError
 from drape.garment.avatars import standard_avatar
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake_options import IntakeOptions
-from drape.garment.modelled_on import lies_on_standard, worn_by
+from drape.garment.modelled_on import on_standard, worn_by
 from drape.garment.registration import posed_by, unpack
-from drape.garment.wearer_fields import KNOWN, bones_of, enclosed, known_parameters, thin_body, unthreaded
+from drape.garment.wearer_fields import bones_of, enclosed, known_parameters, thin_body, unthreaded
 from drape.garment.wearer_reading import Reading
 from drape.garment.wearer_search import find_wearers, the_wearer
 from tests.drape.cloth.cloth_shapes import tube
@@ -48,7 +48,7 @@ def test_thin_body_has_the_joints_of_the_whole_one_in_every_shape():
 def test_a_tube_encloses_its_bones_whatever_its_faces_look_like_and_half_of_it_does_not():
     mesh = tube_dress()
     middles = mesh.vertices[mesh.faces].mean(axis=1)
-    bones = bones_of(BODY, known_parameters(BODY, *KNOWN[0][:3]), BODY.v_template[::6])
+    bones = bones_of(BODY.joints_template, BODY.v_template[::6])
     assert enclosed(middles, bones)[0].mean() > 0.99
     assert enclosed(middles[middles[:, 2] > 0.05], bones)[0].mean() < 0.75
 
@@ -101,7 +101,7 @@ def test_solid_ball_is_refused_in_words():
 
 def test_an_outfit_for_hanging_arms_does_not_lie_on_the_standard_body():
     worn = shirt(BODY, BODY.v_template)[0]
-    assert lies_on_standard(plain_mesh("shirt", worn, FACES), BODY, IntakeOptions())
+    assert on_standard(plain_mesh("shirt", worn, FACES), BODY, IntakeOptions()) is not None
     for lift_rad in (0.3, 0.8):
         hanging = shirt(BODY, posed_by(BODY, known_parameters(BODY, "standard", lift_rad, 0.0)))[0]
-        assert not lies_on_standard(plain_mesh("shirt", hanging, FACES), BODY, IntakeOptions())
+        assert on_standard(plain_mesh("shirt", hanging, FACES), BODY, IntakeOptions()) is None

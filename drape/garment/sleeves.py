@@ -1,0 +1,60 @@
+"""Which cloth is a sleeve: that near an arm which goes round it, and what hangs together with it up to the shoulder.
+
+The side of a skirt that a hand hangs by is near the arm, but does not go round it and is far away along the cloth.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csgraph
+
+from drape.body.skeleton import JOINT_NAMES
+from drape.garment.wearer_fields import bones_of, enclosed
+from drape.geometry import mesh_graphs, meshes
+from drape.geometry.closest import nearest_vertices
+
+ROUND_SHARE = 0.8  # of the way round a bone that a sleeve has cloth
+LOOKS_AWAY = -0.5  # cosine to the way from the bone: cloth that looks at the arm is the trunk's or an inner wall
+CUFF_M = 0.03  # the end of what is seen of a sleeve, from which it is followed up
+ARMHOLE_M = 0.1  # the last part of the way to the shoulder, where cloth is the arm's and the trunk's
+LOOSE_M = 0.03  # a button this near to a sleeve is a part of it
+SHOULDER = 3
+
+
+def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin: np.ndarray) -> np.ndarray:
+    """Where each vertex [m] (V, 3) of a garment lies on a body with ``joints`` (24, 3) and ``skin`` (N, 3), as (V,)
+    numbers: 1 and 2 in the left and right sleeve, ``SHOULDER`` at the upper ends of both, 0 elsewhere."""
+    bones = bones_of(joints, skin)
+    nearest = enclosed(vertices, bones)[1]
+    axis, way = bones.frames[nearest, 2], vertices - bones.at[nearest]
+    along = np.einsum("vc,vc->v", way, axis)
+    outward = way - along[:, None] * axis
+    looks = np.einsum("vc,vc->v", meshes.vertex_normals(vertices, faces), outward)
+    faces_away = looks > LOOKS_AWAY * np.linalg.norm(outward, axis=1)
+    edges = meshes.unique_edges(faces)
+    lengths = np.maximum(meshes.edge_lengths(vertices, edges), 1e-9)
+    graph = mesh_graphs.edge_matrix(edges, lengths, len(vertices))
+    found = np.zeros(len(vertices), dtype=np.int64)
+    for number, side in enumerate(("left", "right"), start=1):
+        own = np.array(bones.part) == f"{side} arm"
+        chain = np.concatenate([joints[[JOINT_NAMES.index(f"{side}_shoulder")]], bones.at[own]])
+        place = np.zeros(len(own))
+        place[own] = np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))
+        from_shoulder = place[nearest] + along
+        near = own[nearest] & faces_away
+        piece = mesh_graphs.connected_components(faces[near[faces].all(axis=1)], len(vertices))
+        for one in np.unique(piece[near]):
+            cloth = np.flatnonzero(near & (piece == one))
+            if len(cloth) < 3 or (enclosed(vertices[cloth], bones)[0] > ROUND_SHARE).mean() < 0.5:
+                continue
+            length = float(from_shoulder[cloth].max())
+            cuff = cloth[from_shoulder[cloth] > length - CUFF_M]
+            far = csgraph.dijkstra(graph, directed=False, indices=cuff, min_only=True, limit=length + CUFF_M)
+            found = np.where(far < length - ARMHOLE_M, number, np.where((far < np.inf) & (found == 0), SHOULDER, found))
+    if found.any():  # buttons are pieces of their own
+        label = mesh_graphs.connected_components(faces, len(vertices))
+        loose = ~np.isin(label, label[found > 0])
+        cloth = np.flatnonzero(~loose)
+        away, near = nearest_vertices(vertices, vertices[cloth])
+        found = np.where(loose & (away < LOOSE_M), found[cloth[near]], found)
+    return found
