@@ -263,7 +263,7 @@ def _on_standard(cloth: _Cloth, body: BodyModel, readings: Sequence[Reading]) ->
             if (np.array([one.inside, one.open_share, one.energy]) < limits).all():
                 found.append(one)
     best = min(found, key=lambda one: one.energy, default=None)
-    return None if best is None else replace(best, body=body, fault="", origin="root")
+    return None if best is None else replace(best, body=body, fault="")
 
 
 def _moved(parameters: np.ndarray, move: np.ndarray) -> np.ndarray:
@@ -287,6 +287,10 @@ def _fit(
     # By pieces: a wall of a sleeve that lies in the arm, or beyond it, shall come back.
     agreement = np.einsum("nc,nc->n", normals, meshes.vertex_normals(skin, body.faces)[near])
     facing = np.where(np.bincount(cloth.piece, agreement)[cloth.piece] < 0.0, -1.0, 1.0)
+    likely = start.copy()
+    if origin:
+        likely[[-3, -1]] = 0.0
+        likely[-2] = 0.0 if origin == "root" else start[-2]
     some = slice(None, None, max(1, len(points) // FIT_COUNT))
     parameters, _ = fit_from(
         body,
@@ -296,13 +300,13 @@ def _fit(
         start,
         steps,
         wanted=None,
-        likely=start,
+        likely=likely,
         shape_prior_m=np.resize(SHAPE_PRIOR_M, body.shape_count),
         slack=SLACK,
         place_prior_m=ORIGIN_PRIOR_M[origin],
         sole=int(skin[:, 1].argmin()) if origin == "floor" else None,
     )
-    return replace(judge(cloth, reading, body, parameters, odd_arms), origin=origin)
+    return judge(cloth, reading, body, parameters, odd_arms)
 
 
 def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float) -> Wearer:
@@ -325,7 +329,9 @@ def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarr
     odd += ODD_SIDE * _one_sided(bones, nearest) + ODD_EMPTY * cloth.empty(reading, bones.joints)
     odd += TURNED_COST * float((pose[UPRIGHT].sum(axis=0) ** 2).sum())
     odd += HEIGHT_COST * ((np.ptp(body.rest_vertices(betas)[:, 1]) - HEIGHT_M) / HEIGHT_SPREAD_M) ** 2
-    odd += 0.0 if min(abs(trans[1]), abs(skin[:, 1].min())) < ORIGIN_M and abs(trans[0]) < ORIGIN_M else ODD_ORIGIN
+    heights = {"root": abs(trans[1]), "floor": abs(skin[:, 1].min()), "": ORIGIN_M}
+    origin = min(heights, key=lambda name: heights[name]) if np.abs(trans[[0, 2]]).max() < ORIGIN_M else ""
+    odd += 0.0 if origin else ODD_ORIGIN
     inside, open_share = distance < -DEEP_M, 1.0 - float(share.mean())
     energy = float((point_cost(distance) * weight).sum() / weight.sum()) + open_share + odd
     top = float(np.median(np.abs(distance[band])))
@@ -341,7 +347,9 @@ def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarr
         fault = f"at best {100.0 * open_share:.0f} % of the way round the body is open"
     elif top > BAND_LIMIT_M:
         fault = f"at best its top hangs {1e3 * top:.0f} mm from the skin"
-    return Wearer(reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms)
+    return Wearer(
+        reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin
+    )
 
 
 def _one_sided(bones: Bones, nearest: np.ndarray) -> float:

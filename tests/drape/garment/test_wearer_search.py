@@ -68,6 +68,7 @@ def test_dress_on_the_standard_body_is_found_in_millimetres_with_z_up():
     np.testing.assert_allclose(mesh.vertices, dress.vertices, rtol=0, atol=1e-9)
     np.testing.assert_allclose(avatar.vertices, standard_avatar(BODY).vertices, rtol=0, atol=1e-9)
     assert "millimetres, z up" in mesh.notes[-1]
+    assert wearer.origin == "root" and wearer.sure < 1.0  # the dress may be worn higher or lower
 
 
 def test_arms_unit_axis_and_place_of_a_shirt_are_found():
@@ -84,6 +85,15 @@ def test_arms_unit_axis_and_place_of_a_shirt_are_found():
     off = (theirs - shift - posed_by(BODY, parameters))[covered].mean(axis=0)
     assert np.linalg.norm(off) < 0.02
     assert found.sleeved and found.to_json()["unit"] == "dm"
+
+
+def test_a_body_that_stands_on_the_origin_of_its_file_is_found_there():
+    parameters = known_parameters(BODY, "man", 0.6, 0.0)
+    floor = posed_by(BODY, parameters)[:, 1].min()
+    found = the_wearer(shirt_on(parameters, Reading("cm", 0.01, "+y", "+z"), np.array([0.0, -floor, 0.0])), BODY)
+    assert found.origin == "floor" and found.sure > 0.5
+    np.testing.assert_allclose(posed_by(BODY, found.parameters)[:, 1].min(), 0.0, rtol=0, atol=0.005)
+    np.testing.assert_allclose(found.trans[[0, 2]], 0.0, rtol=0, atol=0.01)
 
 
 def test_named_unit_and_axis_win():
