@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.contours import open_contours
 from drape.garment.files.mesh import GarmentMesh
-from drape.garment.registration import posed_by
-from drape.garment.wearer_fields import joints_of
-from drape.garment.wearer_reading import Wearer
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
 
 # By the bone that carries: the bones whose skin all of the piece must be nearest to.
@@ -25,26 +25,42 @@ THICK = 1.8
 NECK_M = 0.05  # an opening that reaches as far below the head's joint is round the neck: a hood is cloth
 
 
-def accessory_of(wearer: Wearer, mesh: GarmentMesh) -> str | None:
-    """The bone that carries ``mesh``, one piece, in metres in the frame of ``wearer`` (``worn_by``), or None for cloth.
+def carriers_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[str, ...]:
+    """The bones that carry the pieces of ``mesh`` [m] on ``body`` with the skin (V, 3); none where one is cloth."""
+    label = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
+    found = [accessory_of(mesh.take_faces(label == number), skin, body) for number in np.unique(label)]
+    return tuple(dict.fromkeys(bone for bone in found if bone)) if all(found) else ()
+
+
+def carried_rows(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, bones: Sequence[str]) -> np.ndarray:
+    """The number (V,) of the bone that carries each vertex: for its piece that of ``bones`` whose joint is nearest."""
+    piece = mesh_graphs.connected_components(faces, len(vertices))
+    count = np.bincount(piece)
+    middle = np.stack([np.bincount(piece, column) for column in vertices.T], axis=1) / np.maximum(count, 1)[:, None]
+    numbers = np.array([JOINT_NAMES.index(bone) for bone in bones])
+    nearest = np.linalg.norm(middle[:, None] - joints[numbers][None], axis=2).argmin(axis=1)
+    return numbers[nearest][piece]
+
+
+def accessory_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> str | None:
+    """The bone that carries ``mesh`` [m], one piece, on ``body`` with the ``skin`` (V, 3) [m], or None for cloth.
 
     Pieces at one foot or hand are cloth, as socks and gloves, unless their walls are double or they are much smaller.
     """
-    skin = posed_by(wearer.body, wearer.parameters)
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     areas = meshes.face_areas(mesh.vertices, mesh.faces)
-    nearest = closest_point(middles, skin, wearer.body.faces)
-    bone = wearer.body.weights.argmax(axis=1)[wearer.body.faces[nearest.face, nearest.barycentric.argmax(axis=1)]]
+    nearest = closest_point(middles, skin, body.faces)
+    bone = body.weights.argmax(axis=1)[body.faces[nearest.face, nearest.barycentric.argmax(axis=1)]]
     for carrier, names in CARRIERS.items():
         own = [JOINT_NAMES.index(name) for name in names]
         if areas[np.isin(bone, own)].sum() < WHOLLY * areas.sum():
             continue
         if carrier == "head":
-            floor = joints_of(wearer.body, wearer.parameters)[own[0], 1] - NECK_M
+            floor = (body.regressor @ skin)[own[0], 1] - NECK_M
             low = [one.points[:, 1].min() for one in open_contours(mesh.vertices, mesh.faces)]
             return None if min(low, default=np.inf) < floor else carrier
-        limb = wearer.body.faces[np.isin(wearer.body.weights.argmax(axis=1), own)[wearer.body.faces].all(axis=1)]
-        covered = np.isin(limb, wearer.body.faces[nearest.face]).any(axis=1)
+        limb = body.faces[np.isin(body.weights.argmax(axis=1), own)[body.faces].all(axis=1)]
+        covered = np.isin(limb, body.faces[nearest.face]).any(axis=1)
         share = areas.sum() / meshes.face_areas(skin, limb[covered]).sum()
         return carrier if share > THICK else None
     return None

@@ -121,6 +121,11 @@ class Garment(Atlas):
     drawn: BoundMesh | None = None
 
     @property
+    def carriers(self) -> tuple[str, ...]:
+        """The bones that carry it, where it is no cloth but a hat or shoes."""
+        return tuple(self.manifest.get("carried_by", ()))
+
+    @property
     def surface(self) -> Garment | BoundMesh:
         """What is drawn of it: its delivered triangles, or the mesh that hangs on them."""
         return self if self.drawn is None else self.drawn

@@ -172,6 +172,8 @@ def intake_outfit(
         for line in describe_rest(rest):
             say(line)
         manifest = _manifest(parts[number][0], payload, model, options, rest) | told
+        if rest.carriers:
+            manifest["carried_by"] = list(rest.carriers)
         compact = replace(rest.mesh, name=garment_name(names[number]))
         fitted = fit_garment(
             compact, rest.vertices, rest.fine_faces, body, digest=own, manifest=manifest, share=options.patches

@@ -7,20 +7,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.garment.accessories import carried_rows, carriers_of
 from drape.garment.avatars import Avatar
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment
-from drape.garment.clearance import CLEARANCE_M, clear_body
+from drape.garment.clearance import CLEARANCE_M, Cleared, clear_body
 from drape.garment.cloth_layer import cloth_layer, hung, joined
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions
 from drape.garment.mesh_checks import check_mesh, check_surface, place
-from drape.garment.rest_pose import refine, to_standard
+from drape.garment.rest_pose import MovedGarment, bone_motions, refine, to_standard
 from drape.garment.sheets import with_used_vertices
 from drape.geometry import meshes
-from drape.geometry.closest import nearest_vertices
+from drape.geometry.closest import nearest_vertices, signed_distance
 
 FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 4_000, 40_000
+CARRIED_SCALES, INSIDE_SHARE = 1.0 + 0.02 * np.arange(11), 0.005  # of a hat, and how much of it may be in the skin
 FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
 _VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual")
 
@@ -33,7 +35,7 @@ class RestMesh:
     ``faces``: the delivered faces. ``vertices`` [m] (N, 3): those of ``mesh`` at rest, then those that subdivision
     added; ``fine_faces`` its triangles. ``loose`` (N,) in [0, 1]: how much each vertex hangs as a skirt does.
     ``resized``: the garment was moved from another body. ``figures``: what the intake prints. ``drawn``: the delivered
-    mesh, hung on ``mesh``, where that is another.
+    mesh, hung on ``mesh``, where that is another. ``carriers``: the bones that carry it, where it is no cloth.
     """
 
     mesh: GarmentMesh
@@ -45,6 +47,7 @@ class RestMesh:
     resized: bool
     figures: dict[str, float]
     drawn: BoundMesh | None = None
+    carriers: tuple[str, ...] = ()
 
 
 def rest_mesh(
@@ -68,11 +71,19 @@ def rest_mesh(
     checked = check_mesh(cloth if whole else with_used_vertices(cloth), avatar, placed=True)
     drawn = None if whole else hung(mesh, sheets.vertices[: len(mesh.vertices)], checked)
     compact, kept = without_unused(checked)
-    moved = to_standard(compact.vertices, compact.faces, avatar, body)
+    carriers = () if sewn else carriers_of(compact, avatar.vertices, body)
+    if carriers:
+        moved = _carried(compact, avatar, body, carriers)
+        compact = compact.noted(f"warning: carried by the bones {', '.join(carriers)}, as no cloth is")
+    else:
+        moved = to_standard(compact.vertices, compact.faces, avatar, body)
     fine, fine_faces, origin = refine(
         moved.vertices, compact.faces, at_least=FINE_VERTEX_MINIMUM, at_most=FINE_VERTEX_LIMIT, edge_m=FINE_EDGE_M
     )
-    cleared = clear_body(fine, fine_faces, body.v_template, body.faces, through=avatar.moved)
+    if carriers:
+        cleared = Cleared(fine, CLEARANCE_M, 0.0, 0)
+    else:
+        cleared = clear_body(fine, fine_faces, body.v_template, body.faces, through=avatar.moved)
     if cleared.clearance_m < CLEARANCE_M:
         compact = compact.noted(f"{1e3 * cleared.clearance_m:.1f} mm from the skin where two skins face each other")
     delivered, final = compact.vertices, cleared.vertices[: len(compact.vertices)]
@@ -87,8 +98,31 @@ def rest_mesh(
         "fine_vertex_count": len(fine),
     }
     return RestMesh(
-        compact, kept, checked.faces, cleared.vertices, fine_faces, moved.loose[origin], avatar.moved, figures, drawn
+        compact,
+        kept,
+        checked.faces,
+        cleared.vertices,
+        fine_faces,
+        moved.loose[origin],
+        avatar.moved,
+        figures,
+        drawn,
+        carriers,
     )
+
+
+def _carried(mesh: GarmentMesh, avatar: Avatar, body: BodyModel, carriers: tuple[str, ...]) -> MovedGarment:
+    """What bones carry, where these are in T-pose, and as large as that the skin is not in it."""
+    rows = carried_rows(mesh.vertices, mesh.faces, body.regressor @ avatar.vertices, carriers)
+    rotations, translations = bone_motions(avatar.vertices, body.v_template, body.weights)
+    moved = np.einsum("vab,vb->va", rotations[rows], mesh.vertices) + translations[rows]
+    for row in np.unique(rows):
+        own = rows == row
+        middle = 0.5 * (moved[own].min(axis=0) + moved[own].max(axis=0))
+        tried = [middle + scale * (moved[own] - middle) for scale in CARRIED_SCALES]
+        inside = [(signed_distance(one, body.v_template, body.faces) < 0.0).mean() for one in tried]
+        moved[own] = tried[int(np.argmax(np.array(inside) <= min(inside) + INSIDE_SHARE))]
+    return MovedGarment(moved, np.zeros(len(moved)))
 
 
 def edge_strain(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> dict[str, float]:

@@ -1,20 +1,28 @@
-"""The drawn meshes, hung on the cloth that was draped in their place (``drape.garment.bound``)."""
+"""What hangs on the cloth that was draped in its place (``drape.garment.bound``), and what bones carry."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from drape.garment.accessories import carried_rows
+from drape.garment.cache import Garment
 from drape.stages.batch import Batch, changed
 from drape.stages.plan import Plan
-from drape.stages.stage import Stage
+from drape.stages.stage import Stage, StageSetup
 
 
 class Hang(Stage):
-    """Draws garments whose file is no single layer of cloth."""
+    """Draws garments whose file is no single layer of cloth, and moves hats and shoes with their bones."""
 
     name = "hang"
 
+    def __init__(self, setup: StageSetup) -> None:
+        super().__init__(setup)
+        self._carried: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+
     def wanted(self, plan: Plan) -> bool:
         return plan.options.geometry == "vertices" and any(
-            entry.garment.drawn is not None and seen
+            (entry.garment.drawn is not None or entry.garment.carriers) and seen
             for entry, seen in zip(plan.scene.layers, plan.visible, strict=True)
         )
 
@@ -25,6 +33,26 @@ class Hang(Stage):
         layers = list(batch.layers)
         for i, (entry, seen) in enumerate(zip(batch.plan.scene.layers, batch.plan.visible, strict=True)):
             cloth = layers[i].vertices
-            if seen and cloth is not None:
+            if seen and cloth is not None and entry.garment.carriers:
+                layers[i] = changed(layers[i], vertices=self._moved(batch, entry.garment))
+            elif seen and cloth is not None:
                 layers[i] = changed(layers[i], vertices=entry.garment.drawn_vertices(cloth))
         return changed(batch, layers=tuple(layers))
+
+    def remove(self, garment: Garment) -> None:
+        self._carried.pop(garment.digest, None)
+
+    def _moved(self, batch: Batch, garment: Garment) -> np.ndarray:
+        """The drawn vertices [m] (F, D, 3) of what bones carry, relative to the roots, float32."""
+        if garment.digest not in self._carried:
+            at_rest = garment.drawn_at_rest().astype(np.float64)
+            rows = carried_rows(at_rest, garment.surface.faces, self.body.joints_template, garment.carriers)
+            self._carried[garment.digest] = at_rest, rows
+        at_rest, rows = self._carried[garment.digest]
+        frames = []
+        for one, _ in batch.rows():
+            joints = self.body.rest_joints(one.betas)
+            rotations, translations = self.body.bones(one.poses, None, one.betas)
+            placed = at_rest + (joints - self.body.joints_template)[rows]
+            frames.append(np.einsum("fvab,vb->fva", rotations[:, rows], placed) + translations[:, rows] - joints[0])
+        return np.concatenate(frames).astype(np.float32)

@@ -9,14 +9,9 @@ from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.accessories import accessory_of
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
-from drape.garment.registration import start_parameters
-from drape.garment.wearer_reading import Reading, Wearer
 from drape.geometry import meshes
 
 BODY = load_body()
-WEARER = Wearer(
-    Reading("m", 1.0, "+y", "+z"), BODY, start_parameters(BODY, 0.0, np.zeros(3)), 0.0, 0.0, 0.0, 0.0, False
-)
 BONE = BODY.weights.argmax(axis=1)
 
 
@@ -53,7 +48,7 @@ FOOT, HAND = of("left_ankle", "left_foot"), of("right_wrist", "right_hand")
     ids=["hat", "hood", "shoe", "sock", "glove", "top"],
 )
 def test_bone_that_carries_is_found_and_cloth_has_none(mesh: GarmentMesh, bone: str | None):
-    assert accessory_of(WEARER, mesh) == bone
+    assert accessory_of(mesh, BODY.v_template, BODY) == bone
 
 
 def test_an_opening_round_the_neck_makes_a_hood():
@@ -61,4 +56,4 @@ def test_an_opening_round_the_neck_makes_a_hood():
     hood = of("head") | (of("neck") & (BODY.v_template[:, 1] > neck - 0.02) & (BODY.v_template[:, 2] < -10.0))
     low = over(hood, 0.01)
     stretched = np.where(low.vertices[:, 1:2] < neck + 0.06, low.vertices - [0.0, 0.08, 0.0], low.vertices)
-    assert accessory_of(WEARER, plain_mesh("hood", stretched, low.faces)) is None
+    assert accessory_of(plain_mesh("hood", stretched, low.faces), BODY.v_template, BODY) is None
