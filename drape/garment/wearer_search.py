@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -224,27 +225,12 @@ def _fitted(cloth: _Cloth, body: BodyModel, readings: Sequence[Reading]) -> list
     thin = thin_body(body)
     fields = known_fields(body)
     contours = {reading: cloth.contours(reading) for reading in {one.reading for one in kept}}
-    first = [
-        _fit(
-            cloth,
-            one.reading,
-            thin,
-            contours[one.reading],
-            _moved(fields[one.number].parameters, one.move),
-            FIRST_STEPS,
-            KNOWN[one.number][3],
-            one.origin,
-        )
-        for one in kept
-    ]
+    first = [_fit(cloth, thin, contours[one.reading], _Start.of(one, fields[one.number]), FIRST_STEPS) for one in kept]
     best: dict[Reading, Wearer] = {}
     for one in sorted(first, key=lambda one: one.energy):
         best.setdefault(one.reading, one)
     winners = [one for one in best.values() if one.energy < CLEARLY + next(iter(best.values())).energy][:WINNERS]
-    last = [
-        _fit(cloth, one.reading, thin, contours[one.reading], one.parameters, LAST_STEPS, one.odd_arms, one.origin)
-        for one in winners
-    ]
+    last = [_fit(cloth, thin, contours[one.reading], one, LAST_STEPS) for one in winners]
     chosen = [min(pair, key=lambda one: one.energy) for pair in zip(winners, last, strict=True)]
     return [replace(one, body=body) for one in (*chosen, *list(best.values())[len(winners) :])]
 
@@ -266,21 +252,23 @@ def _on_standard(cloth: _Cloth, body: BodyModel, readings: Sequence[Reading]) ->
     return None if best is None else replace(best, body=body, fault="")
 
 
-def _moved(parameters: np.ndarray, move: np.ndarray) -> np.ndarray:
-    return np.concatenate([parameters[:-3], parameters[-3:] - move])
+class _Start(NamedTuple):
+    """Where a fit begins; a ``Wearer`` has the same."""
+
+    reading: Reading
+    parameters: np.ndarray
+    odd_arms: float
+    origin: str
+
+    @classmethod
+    def of(cls, guess: _Guess, field: Field) -> _Start:
+        parameters = np.concatenate([field.parameters[:-3], field.parameters[-3:] - guess.move])
+        return cls(guess.reading, parameters, KNOWN[guess.number][3], guess.origin)
 
 
-def _fit(
-    cloth: _Cloth,
-    reading: Reading,
-    body: BodyModel,
-    contours: list[Contour],
-    start: np.ndarray,
-    steps: int,
-    odd_arms: float,
-    origin: str,
-) -> Wearer:
-    """The body fitted to a reading from ``start``, and how well the garment lies on it."""
+def _fit(cloth: _Cloth, body: BodyModel, contours: list[Contour], one: _Start | Wearer, steps: int) -> Wearer:
+    """The body fitted to a reading from where ``one`` is, and how well the garment lies on it."""
+    reading, start, origin = one.reading, one.parameters, one.origin
     points, normals = reading.apply(cloth.points), cloth.normals @ reading.turn.T
     skin = posed_by(body, start)
     near = KDTree(skin).query(points)[1]
@@ -306,7 +294,7 @@ def _fit(
         place_prior_m=ORIGIN_PRIOR_M[origin],
         sole=int(skin[:, 1].argmin()) if origin == "floor" else None,
     )
-    return judge(cloth, reading, body, parameters, odd_arms)
+    return judge(cloth, reading, body, parameters, one.odd_arms)
 
 
 def judge(cloth: _Cloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float) -> Wearer:
