@@ -27,11 +27,8 @@ LAYER_REACH_M = 0.010  # cloth this near lies on or under the same cloth and mov
 ROUNDS = 40
 STIFFNESS_M2 = 0.03**2  # smoothing length of the first push, squared; halves from round to round
 REST_SHARE = 0.02  # how much a vertex that is clear resists being taken along
-THROUGH_ROUNDS, THROUGH_M, THROUGH_STEPS = (
-    20,
-    0.06,
-    16,
-)  # in which cloth leaves limbs that stick through it, and how far
+THROUGH_ROUNDS, THROUGH_M, THROUGH_STEPS = 20, 0.06, 16  # in which cloth leaves limbs that stick through it, how far
+FEW_SHARE, FEW_DEPTH_M = 0.03, 0.004  # of the cloth may be as deep in the skin in the end
 ALONG = 0.85  # cosine between the ways out of the body and of the cloth from which both are the same
 LOOKS_OUT = 0.75  # of a piece of cloth: less have inner walls, which look the other way
 GIVE_UP_DEPTH_M = 0.06  # no cloth was modelled so deep in its avatar: it belongs to another one
@@ -74,7 +71,7 @@ def clear_body(
     through: bool = False,
 ) -> Cleared:
     """``vertices`` (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body; refuses (``MeshError``)
-    where the last of ``rounds`` leaves less than ``least_m``, as between thighs that touch.
+    where the last of ``rounds`` leaves less than ``least_m``, as between thighs that touch, in more than a few places.
 
     The first push maps distances through a softened maximum, which is monotone, so that a
     lining stays under its cloth; later pushes lift what is still short. Each push is spread
@@ -114,6 +111,8 @@ def clear_body(
     across = moved[short] + 2.0 * CLEARANCE_M * direction[short]
     if through and signed.min() > 0.0 and (signed_distance(across, body_vertices, body_faces) < CLEARANCE_M).all():
         least_m = 0.0  # two skins face each other there, with less room than twice the clearance between them
+    if short.mean() <= FEW_SHARE:  # between toes or fingers: a frame lifts what is left
+        least_m = min(least_m, -FEW_DEPTH_M)
     if signed.min() >= least_m:
         return Cleared(moved, float(signed.min()), float(np.linalg.norm(moved - start, axis=1).max()), rounds)
     raise MeshError(

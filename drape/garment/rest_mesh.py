@@ -85,7 +85,7 @@ def rest_mesh(
     else:
         cleared = clear_body(fine, fine_faces, body.v_template, body.faces, through=avatar.moved)
     if cleared.clearance_m < CLEARANCE_M:
-        compact = compact.noted(f"{1e3 * cleared.clearance_m:.1f} mm from the skin where two skins face each other")
+        compact = compact.noted(f"{1e3 * cleared.clearance_m:.1f} mm from the skin where it is nearest")
     delivered, final = compact.vertices, cleared.vertices[: len(compact.vertices)]
     figures = {
         "avatar_residual_mm": avatar.residual_mm,
