@@ -59,8 +59,10 @@ def garment_digest(
     sewn: Sewing | None = None,
     *,
     searched: bool = False,
+    looks: str = "",
 ) -> str:
-    """The hex digest of everything that a garment is made of; ``searched`` where its wearer is looked for."""
+    """The hex digest of everything that a garment is made of; ``searched`` where its wearer is looked for. ``looks`` is
+    the digest of its looks."""
     if isinstance(avatar, Path):
         avatar = hashlib.sha256(avatar.read_bytes()).hexdigest()
     chosen, usual = (asdict(one.completed_by(sewn)) for one in (options, DEFAULT_OPTIONS))
@@ -76,6 +78,8 @@ def garment_digest(
     }
     if searched:
         header["wearer"] = WEARER_VERSION
+    if looks:
+        header["looks"] = looks
     if sewn is not None:
         header["sewing"] = replace(sewn, figures={}).to_json()  # how long it took makes no other garment
     return hashlib.sha256(json.dumps(header, sort_keys=True).encode() + b"\0" + payload).hexdigest()
@@ -124,7 +128,7 @@ def intake(
     if sewn is not None:
         sewn.check(mesh)
     searched = meaning is None and not lies_on_standard(mesh, body, options)
-    digest = garment_digest(payload, meaning, body, options, name, sewn, searched=searched)
+    digest = garment_digest(payload, meaning, body, options, name, sewn, searched=searched, looks=mesh.looks.digest)
     options = options.completed_by(sewn)
     if folder is not None and (stored := folder / f"{name}-{digest[:16]}.npz").is_file():
         say(f"cached    {stored.name}")
@@ -155,7 +159,8 @@ def intake(
         compact, rest.vertices, rest.fine_faces, body, digest=digest, manifest=manifest, share=options.patches
     )
     begins("cloth")
-    garment = with_rest_state(with_unused(fitted, rest.faces, rest.kept), rest, options, sewn)
+    fitted = replace(with_unused(fitted, rest.faces, rest.kept), looks=mesh.looks)
+    garment = with_rest_state(fitted, rest, options, sewn)
     for line in _describe_fit(garment, options):
         say(line)
     say(f"took      {time.perf_counter() - started:.1f} s")
@@ -222,7 +227,7 @@ def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, se
 def main(arguments: list[str] | None = None) -> int:
     """The command line; 0 when the garment is made, 2 when it is refused."""
     parser = argparse.ArgumentParser(prog="python -m drape.garment.intake", description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("file", type=Path, help="OBJ, GLB, PLY, STL or USD")
+    parser.add_argument("file", type=Path, help="OBJ, GLB, glTF, PLY, STL, USD, or a zip of one with its pictures")
     parser.add_argument("--name", help="default: the file's name")
     parser.add_argument(
         "--avatar", help="JSON, a mesh file, a name in avatars.json, or 'standard'; default: avatars.json beside FILE"
