@@ -57,8 +57,8 @@ async def upload(
     if (kind := content_type(request)) == JSON:
         cure = f"Send the file itself as body, with ?name=shirt.obj and Content-Type: {BINARY}."
         raise InputError("request body", expected="the bytes of a mesh file", got="JSON", cure=cure)
-    stem, file_format = _name_and_format(name, format, kind)
-    file_format = "zip" if kind == FORM else file_format  # whose reader takes the parts of a form too
+    # The reader of zips takes the parts of a form too.
+    stem, file_format = _name_and_format(name, "zip" if kind == FORM else format, kind)
     known = upload_avatar(avatar, stem, state.runtime.settings.garments_dir)
     job = await state.uploads.submit(stem, file_format, request.stream(), known, client)
     response.headers["Location"] = f"/jobs/{job.id}"

@@ -316,8 +316,9 @@ const { withPictures } = await import(`${WEB}/lib/src/pictures.js`);
 const { clothMaterial, fabricLook } = await import(`${WEB}/lib/src/materials.js`);
 const made = [true, false].map((plain) => {
   const cloth = clothMaterial(fabricLook(null), { colour: "#808080", uvMetres: 1, plain });
-  const { map, normalMap, alphaTest, roughness } = withPictures(cloth, input.look, new Map([[0, { width: 1, height: 1 }]]));
-  return { matrix: map.matrix.elements, normal: normalMap === map, alphaTest, roughness, same: withPictures(cloth, null) === cloth };
+  const { map, normalMap, alphaTest } = withPictures(cloth, input.look, new Map([[0, { width: 1, height: 1 }]]));
+  const same = withPictures(cloth, null) === cloth;
+  return { matrix: map.matrix.elements, normal: normalMap === map, alphaTest, same };
 });
 console.log(JSON.stringify(made));
 """

@@ -124,19 +124,19 @@ def test_a_good_file_becomes_a_garment_that_can_be_draped(
 @pytest.mark.parametrize(
     ("query", "content", "status", "word"),
     [
-        ({}, b"x", 400, "format: expected one of obj, glb, ply, stl, usd, usda, usdc, usdz, got nothing"),
+        ({}, b"x", 400, "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, zip, got nothing"),
         (
             {"name": "shirt.fbx"},
             b"x",
             400,
-            "format: expected one of obj, glb, ply, stl, usd, usda, usdc, usdz, got the name shirt.fbx.",
+            "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, zip, got the name shirt.fbx.",
         ),
         ({"name": "shirt.obj", "avtar": "standard"}, b"x", 400, "avtar: expected no such parameter"),
         (
-            {"name": "shirt", "format": "zip"},
+            {"name": "shirt", "format": "rar"},
             b"x",
             400,
-            "format: expected one of obj, glb, ply, stl, usd, usda, usdc, usdz, got zip",
+            "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, zip, got rar",
         ),
         ({"format": "obj"}, b"x", 400, "name: expected the garment's name"),
         ({"name": "shirt.obj"}, b"", 422, "bytes of a mesh file"),
