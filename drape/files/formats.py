@@ -47,6 +47,7 @@ MESH_FORMATS: tuple[MeshFormat, ...] = (
         ("model/ply", "application/x-ply"),
         "ply_stl.read_ply",
         lambda payload: payload[:512].lstrip()[:4] in (b"ply\n", b"ply\r"),
+        names_others=True,
     ),
     MeshFormat("stl", ("model/stl", "application/sla"), "ply_stl.read_stl", _is_stl),
     MeshFormat("usd", ("model/vnd.usd",), "usd.read_usd", lambda payload: False),

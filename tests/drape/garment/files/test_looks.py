@@ -54,7 +54,7 @@ OBJ += "".join(f"f {a + 1}/{a + 1} {b + 1}/{b + 1} {c + 1}/{c + 1}\n" for a, b, 
 OBJ += "".join(f"f {a + 1}/{a + 1} {b + 1}/{b + 1} {c + 1}/{c + 1}\n" for a, b, c in FACES[20:])
 MTL = """newmtl front
 Kd 0.1 0.2 0.3
-map_Kd -s 2 2 1 C:\\Users\\me\\tex\\Cloth Red.png
+map_Kd -s 2 2 1 C:\\work\\tex\\Cloth Red.png
 map_Bump -bm 0.5 cloth_normal.png
 newmtl back
 Kd 0.1 0.2 0.3
@@ -88,7 +88,7 @@ def test_an_obj_in_a_zip_has_its_pictures():
 
 def test_an_obj_in_a_folder_has_its_pictures_and_none_from_outside(tmp_path: Path):
     for name, content in ZIP.items():
-        path = tmp_path / name.replace("coat/tex/cloth red", "coat/Users/me/tex/Cloth Red")
+        path = tmp_path / name.replace("coat/tex/cloth red", "coat/work/tex/Cloth Red")
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content if isinstance(content, bytes) else content.replace("C:\\", "").encode())
     assert_coat(read_mesh(tmp_path / "coat/coat.obj"))
@@ -429,3 +429,19 @@ def test_looks_that_do_not_fit_their_bytes_are_refused(tube: Garment, tmp_path: 
     odd = replace(tube, looks=Looks((LOOK,), ()))
     with pytest.raises(ArtifactError):
         load_garment(save_garment(odd, tmp_path))
+
+
+def ply_text(names: str) -> bytes:
+    lines = ["ply", "format ascii 1.0", "comment TextureFile cloth.png", f"element vertex {len(VERTICES)}"]
+    lines += [f"property float {name}" for name in ("x", "y", "z", *names)]
+    lines += [f"element face {len(FACES)}", "property list uchar int vertex_indices", "end_header"]
+    lines += [" ".join(map(str, row)) for row in np.hstack([VERTICES, UV])]
+    return "\n".join(lines + [f"3 {a} {b} {c}" for a, b, c in FACES]).encode() + b"\n"
+
+
+@pytest.mark.parametrize("names", ["st", "uv"])
+def test_a_ply_has_its_texture(names: str):
+    mesh = read_mesh(zipped({"a.ply": ply_text(names), "cloth.png": picture()}))
+    assert_allclose(mesh.uv[mesh.uv_faces], UV[FACES], rtol=0, atol=1e-6)
+    assert mesh.looks.materials == (Material(pictures={"base_colour": 0}),)
+    assert "'cloth.png' is not beside the mesh" in read_mesh(ply_text(names)).notes[-1]
