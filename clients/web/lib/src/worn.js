@@ -104,7 +104,8 @@ export class Worn extends Group {
       const { uvMetres } = this.wearing.layers[i];
       const how = { colour: this.colours[i % this.colours.length], uvMetres, bordered: uvMetres !== null, plain: this.plain, nearerM: OVER_M * i };
       const pictured = this.pictured?.[i];
-      const cloth = (look) => clothMaterial(look ? { ...this.looks[i], uneven: 0 } : this.looks[i], how);
+      // A picture has its own seams and shades.
+      const cloth = (look) => clothMaterial(this.looks[i], { ...how, bordered: how.bordered && !look });
       const made = (look) => withPictures(cloth(look), look, pictured?.bitmaps);
       if (pictured) groupByMaterial(mesh.geometry, pictured);
       this.dyed[i] = pictured ? pictured.materials.map(made) : made(null);
