@@ -56,7 +56,7 @@ OBJ += "".join(f"f {a + 1}/{a + 1} {b + 1}/{b + 1} {c + 1}/{c + 1}\n" for a, b, 
 OBJ += "".join(f"f {a + 1}/{a + 1} {b + 1}/{b + 1} {c + 1}/{c + 1}\n" for a, b, c in FACES[20:])
 MTL = """newmtl front
 Kd 0.1 0.2 0.3
-map_Kd -s 2 2 1 C:\\work\\tex\\Cloth Red.png
+map_Kd -s 2 2 1 C:\\mine\\tex\\Cloth Red.png
 map_Bump -bm 0.5 cloth_normal.png
 newmtl back
 Kd 0.1 0.2 0.3
@@ -90,7 +90,7 @@ def test_an_obj_in_a_zip_has_its_pictures():
 
 def test_an_obj_in_a_folder_has_its_pictures_and_none_from_outside(tmp_path: Path):
     for name, content in ZIP.items():
-        path = tmp_path / name.replace("coat/tex/cloth red", "coat/work/tex/Cloth Red")
+        path = tmp_path / name.replace("coat/tex/cloth red", "coat/mine/tex/Cloth Red")
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content if isinstance(content, bytes) else content.replace("C:\\", "").encode())
     assert_coat(read_mesh(tmp_path / "coat/coat.obj"))
