@@ -111,7 +111,7 @@ def add_shape(
         primitive: dict[str, Any] = {
             "attributes": base,
             "indices": file.array(flat_indices(chosen, len(corners.source)), target=INDEX_BUFFER),
-            "material": file.material(name, colour),
+            "material": file.material(name, colour, garment.looks, index, with_pictures=corners.uv is not None),
         }
         if moves:
             primitive["targets"] = moves

@@ -9,9 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from drape.files.looks import NO_LOOKS, Looks, Material, media_type
+
 GENERATOR = "drape"
 PIECE_BYTES = 256 * 1024
-QUANTIZATION = "KHR_mesh_quantization"
+QUANTIZATION, TRANSFORM = "KHR_mesh_quantization", "KHR_texture_transform"
+TEXTURES = {
+    "base_colour": "baseColorTexture",
+    "normal": "normalTexture",
+    "metallic_roughness": "metallicRoughnessTexture",
+}
 _COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
@@ -36,6 +43,7 @@ class GlbFile:
         }
         self._arrays: list[np.ndarray] = []
         self._size = 0  # of the binary chunk so far
+        self._textures: dict[int, tuple[bytes, int]] = {}  # by the picture's id, which holds while it is kept
 
     def add(self, key: str, value: dict[str, Any]) -> int:
         """Appends ``value`` to the list ``key`` and returns its index."""
@@ -67,7 +75,13 @@ class GlbFile:
 
     def quantised(self) -> None:
         """Declares in the file that vertices are in steps."""
-        self.json["extensionsUsed"] = self.json["extensionsRequired"] = [QUANTIZATION]
+        self._uses(QUANTIZATION)
+        self.json["extensionsRequired"] = [QUANTIZATION]
+
+    def _uses(self, extension: str) -> None:
+        used = self.json.setdefault("extensionsUsed", [])
+        if extension not in used:
+            used.append(extension)
 
     def quantised_rows(self, arrays: np.ndarray, *, bounds: bool = False) -> list[int]:
         """The normalized accessors of ``arrays`` (N, V, 3), int8 or int16, in one view; a row has four numbers."""
@@ -122,9 +136,50 @@ class GlbFile:
         placed = self.add("nodes", {"name": name, "translation": point.tolist(), "children": children})
         self.json["scenes"][0]["nodes"] = [placed, *skinned]
 
-    def material(self, name: str, colour: tuple[float, float, float, float]) -> int:
-        surface = {"baseColorFactor": list(colour), "metallicFactor": 0.0, "roughnessFactor": 0.85}
-        return self.add("materials", {"name": name, "doubleSided": True, "pbrMetallicRoughness": surface})
+    def material(
+        self,
+        name: str,
+        colour: tuple[float, float, float, float],
+        looks: Looks = NO_LOOKS,
+        index: int = 0,
+        *,
+        with_pictures: bool = True,
+    ) -> int:
+        """The material of a ``colour``, unless material ``index`` of ``looks`` has a look of its own.
+
+        Cloth is drawn from both sides, whatever its file says. ``with_pictures``: there are texture coordinates.
+        """
+        look = looks.material(index)
+        if look is None:
+            look = Material(colour)
+        surface: dict[str, Any] = {
+            "baseColorFactor": list(look.base_colour),
+            "metallicFactor": look.metallic,
+            "roughnessFactor": look.roughness,
+        }
+        made: dict[str, Any] = {"name": name, "doubleSided": True, "pbrMetallicRoughness": surface}
+        if look.alpha_mode != "OPAQUE":
+            made["alphaMode"] = look.alpha_mode
+        if look.alpha_mode == "MASK":
+            made["alphaCutoff"] = look.alpha_cutoff
+        placed = {"offset": list(look.offset), "rotation": look.rotation, "scale": list(look.scale)}
+        for slot, number in look.pictures.items() if with_pictures else ():
+            texture: dict[str, Any] = {"index": self._texture(looks.pictures[number])}
+            if placed != {"offset": [0.0, 0.0], "rotation": 0.0, "scale": [1.0, 1.0]}:
+                self._uses(TRANSFORM)
+                texture["extensions"] = {TRANSFORM: placed}
+            (made if slot == "normal" else surface)[TEXTURES[slot]] = texture
+        return self.add("materials", made)
+
+    def _texture(self, picture: bytes) -> int:
+        """The texture of a ``picture``, which is in the file once."""
+        if id(picture) not in self._textures:
+            view = {"buffer": 0, "byteOffset": self._size, "byteLength": len(picture)}
+            self._append(np.frombuffer(picture, np.uint8))
+            image = {"bufferView": self.add("bufferViews", view), "mimeType": media_type(picture)}
+            texture = self.add("textures", {"source": self.add("images", image)})
+            self._textures[id(picture)] = picture, texture
+        return self._textures[id(picture)][1]
 
     def head(self) -> bytes:
         """The file as far as the arrays: header, JSON chunk, and how long the binary chunk is."""

@@ -8,10 +8,13 @@ from typing import Protocol
 
 import numpy as np
 
+from drape.files.looks import NO_LOOKS, Looks
+
 
 class Surface(Protocol):
     """A mesh of triangles: ``faces`` (F, 3) of ``vertex_count`` vertices, texture coordinates ``uv`` (T, 2) with
-    ``uv_faces`` (F, 3), both empty where there are none, and the material ``face_material`` (F,) of each face."""
+    ``uv_faces`` (F, 3), both empty where there are none, the material ``face_material`` (F,) of each face, and
+    ``looks`` of the materials."""
 
     @property
     def name(self) -> str: ...
@@ -27,6 +30,8 @@ class Surface(Protocol):
     def material_names(self) -> tuple[str, ...]: ...
     @property
     def face_material(self) -> np.ndarray: ...
+    @property
+    def looks(self) -> Looks: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +45,7 @@ class MeshSurface:
     uv_faces: np.ndarray
     material_names: tuple[str, ...]
     face_material: np.ndarray
+    looks: Looks = NO_LOOKS
 
 
 class Counted(Protocol):

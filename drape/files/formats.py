@@ -14,16 +14,22 @@ HEAD_BYTES = 2048  # the beginning of a file, by which its format is known
 @dataclass(frozen=True)
 class MeshFormat:
     """One format: its ``name``, which is the suffix of its files too, the media types that HTTP knows it by, the reader
-    as ``module.function`` in ``drape.garment.files``, and whether a payload is of this format by its bytes."""
+    as ``module.function`` in ``drape.garment.files``, whether a payload is of this format by its bytes, and whether it
+    names files beside it."""
 
     name: str
     content_types: tuple[str, ...]
     reader: str
     fits: Callable[[bytes], bool]
+    names_others: bool = False
 
     @property
     def suffix(self) -> str:
         return f".{self.name}"
+
+
+def _is_usdz(payload: bytes) -> bool:
+    return payload[:4] == b"PK\x03\x04" and b".usd" in payload[30 : 30 + int.from_bytes(payload[26:28], "little")]
 
 
 def _is_stl(payload: bytes) -> bool:
@@ -33,19 +39,27 @@ def _is_stl(payload: bytes) -> bool:
 
 # OBJ has no mark of its own, so it comes first and is taken where no other fits.
 MESH_FORMATS: tuple[MeshFormat, ...] = (
-    MeshFormat("obj", ("model/obj",), "obj.read_obj", lambda payload: False),
+    MeshFormat("obj", ("model/obj",), "obj.read_obj", lambda payload: False, True),
     MeshFormat("glb", ("model/gltf-binary",), "glb.read_glb", lambda payload: payload[:4] == b"glTF"),
+    MeshFormat("gltf", ("model/gltf+json",), "glb.read_glb", lambda payload: payload[:64].lstrip()[:1] == b"{", True),
     MeshFormat(
         "ply",
         ("model/ply", "application/x-ply"),
         "ply_stl.read_ply",
         lambda payload: payload[:512].lstrip()[:4] in (b"ply\n", b"ply\r"),
+        names_others=True,
     ),
     MeshFormat("stl", ("model/stl", "application/sla"), "ply_stl.read_stl", _is_stl),
     MeshFormat("usd", ("model/vnd.usd",), "usd.read_usd", lambda payload: False),
     MeshFormat("usda", ("model/vnd.usda",), "usd.read_usd", lambda payload: payload[:5] == b"#usda"),
     MeshFormat("usdc", ("model/vnd.usdc",), "usd.read_usd", lambda payload: payload[:8] == b"PXR-USDC"),
-    MeshFormat("usdz", ("model/vnd.usdz+zip",), "usd.read_usd", lambda payload: payload[:4] == b"PK\x03\x04"),
+    MeshFormat("usdz", ("model/vnd.usdz+zip",), "usd.read_usd", _is_usdz),
+    MeshFormat(
+        "zip",
+        ("application/zip", "application/x-zip-compressed"),
+        "archive.read_zip",
+        lambda payload: payload[:4] == b"PK\x03\x04",
+    ),
 )
 MESH_NAMES: tuple[str, ...] = tuple(one.name for one in MESH_FORMATS)
 AVATAR_SUFFIXES = (".glb", ".vrm")
@@ -54,7 +68,7 @@ MESH_CONTENT_TYPES: dict[str, str] = {kind: one.name for one in MESH_FORMATS for
 
 
 def listed() -> str:
-    """The names for a sentence: ``OBJ, GLB, PLY, STL, USD, USDA, USDC or USDZ``."""
+    """The names for a sentence: ``OBJ, GLB, GLTF, ..., USDZ or ZIP``."""
     *first, final = (name.upper() for name in MESH_NAMES)
     return f"{', '.join(first)} or {final}"
 

@@ -1,4 +1,4 @@
-"""A GLB file as it is read: its JSON, and accessors as arrays (glTF 2.0, sections 3.6 and 12).
+"""A glTF file as it is read: its JSON, and accessors as arrays (glTF 2.0, sections 3.6 and 12).
 
 Nothing in a stranger's file is trusted: its JSON is checked (``drape.files.gltf_json``), every offset, count and index
 is compared with what is there before an array is made, and what is made is bounded.
@@ -6,13 +6,17 @@ is compared with what is there before an array is made, and what is made is boun
 
 from __future__ import annotations
 
+import base64
 import math
 import struct
+from collections.abc import Callable
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
 from drape.errors import MeshError
+from drape.files.gltf_compressed import DRACO, MESHOPT, draco_parts, meshopt_view
 from drape.files.gltf_json import EXPORT, SHRINK, Document, document_of, shown
 
 FILE_BYTES = 96 * 2**20
@@ -24,11 +28,29 @@ _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 
 
 class GltfFile:
-    """The checked ``document`` of a GLB file and its arrays. Refuses (``MeshError``) bytes that are no GLB 2.0."""
+    """The checked ``document`` of a GLB or glTF file and its arrays. Refuses (``MeshError``) bytes that are neither.
 
-    def __init__(self, payload: bytes, *, label: str = "avatar") -> None:
-        self.label = label
-        self.document, self._binary = _chunks(payload, label)
+    ``beside`` gives the files that a glTF names.
+    """
+
+    def __init__(
+        self, payload: bytes, *, label: str = "avatar", beside: Callable[[str], bytes | None] = lambda name: None
+    ) -> None:
+        self.label, self._beside = label, beside
+        if payload[:64].lstrip()[:1] == b"{" and len(payload) <= FILE_BYTES:
+            self.document, self._binary = document_of(payload, label), b""
+        else:
+            self.document, self._binary = _chunks(payload, label)
+        self._buffers: dict[int, bytes] = {}
+        self._views: dict[int, bytes] = {}
+        self._unpacked: dict[int, np.ndarray] = {}
+        self._draco = {
+            accessor: primitive
+            for mesh in self.document.meshes
+            for primitive in mesh.primitives
+            if DRACO in primitive.extensions
+            for accessor in (primitive.indices, *primitive.attributes.values())
+        }
 
     def item(self, key: str, index: Any, said: str = "") -> Any:
         """Entry ``index`` of the document's list ``key``, which ``said``, another field, tells of."""
@@ -49,7 +71,9 @@ class GltfFile:
         if kind is None or width is None or not 0 < count * width <= MOST_NUMBERS:
             got = ", ".join(shown(accessor.get(key)) for key in ("componentType", "type", "count"))
             raise self._fault(f"accessors[{index}]", f"numbers of a known type, at most {MOST_NUMBERS:,}", got)
-        if "bufferView" in accessor:
+        if index in self._draco:
+            found = self._from_draco(index, count, width, kind)
+        elif "bufferView" in accessor:
             found = self._rows(accessor["bufferView"], accessor.get("byteOffset", 0), count, width, kind)
         else:
             found = np.zeros((count, width), kind)
@@ -60,6 +84,66 @@ class GltfFile:
         if kind is np.float32 and not np.isfinite(found).all():
             raise self._fault(f"accessors[{index}]", "finite numbers", "NaN or infinity")
         return found
+
+    def _from_draco(self, index: Any, count: int, width: int, kind: Any) -> np.ndarray:
+        """Accessor ``index`` of a primitive that Draco packed."""
+        if index not in self._unpacked:
+            primitive = self._draco[index]
+            told = primitive.extensions[DRACO]
+            view = told.get("bufferView") if isinstance(told, dict) else None
+            self._unpacked |= draco_parts(self.view(view, "Draco's bufferView"), primitive, f"{self.label}: Draco")
+        found = self._unpacked.get(index)
+        if found is None or found.shape != (count, width):
+            got = "nothing" if found is None else f"{found.shape}"
+            raise self._fault(f"accessors[{index}]", f"{count} rows of {width} from Draco", got)
+        return found.astype(kind)
+
+    def picture(self, index: Any) -> bytes | None:
+        """The file of image ``index`` as it came; None where it lies nowhere."""
+        held = self.item("images", index, "textures.source")
+        return self.view(held["bufferView"], "images") if "bufferView" in held else self._named(held.get("uri"))
+
+    def view(self, index: Any, said: str) -> bytes:
+        """The bytes of buffer view ``index``, which ``said``, another field, tells of; unpacked if they are packed."""
+        held = self.item("buffer_views", index, said)
+        if index not in self._views:
+            extensions = held.get("extensions")
+            packed = extensions.get(MESHOPT) if isinstance(extensions, dict) else None
+            told = held if packed is None else packed
+            if not isinstance(told, dict):
+                raise self._fault(f"bufferViews[{index}]", "an object", shown(told))
+            start, size, buffer = (told.get(key, 0) for key in ("byteOffset", "byteLength", "buffer"))
+            if not all(type(one) is int and one >= 0 for one in (start, size, buffer)):
+                raise self._fault(f"bufferViews[{index}]", "whole numbers", ", ".join(map(shown, (start, size))))
+            content = self._buffer(buffer)
+            if start + size > len(content):
+                raise self._fault(f"bufferViews[{index}]", f"at most {len(content)} bytes", f"{start + size}")
+            rows = content[start : start + size]
+            label = f"{self.label}: bufferViews[{index}]"
+            self._views[index] = rows if packed is None else meshopt_view(rows, packed, label)
+        return self._views[index]
+
+    def _buffer(self, index: int) -> bytes:
+        """The bytes of buffer ``index``: the file's own, or those that its address names."""
+        if index not in self._buffers:
+            uri = self.item("buffers", index).get("uri")
+            content = self._binary if uri is None and index == 0 else self._named(uri)
+            if content is None:
+                cure = "Send it in the same zip, or export as one GLB file."
+                raise self._fault(f"buffers[{index}]", "bytes in the file or beside it", shown(uri), cure)
+            self._buffers[index] = content
+        return self._buffers[index]
+
+    def _named(self, uri: Any) -> bytes | None:
+        """What an address names: data, or a file beside; None where it is neither."""
+        if not isinstance(uri, str):
+            return None
+        if not uri.startswith("data:"):
+            return self._beside(unquote(uri))
+        try:
+            return base64.b64decode(uri.partition(",")[2], validate=True)
+        except ValueError:
+            return None
 
     def _with_sparse(self, array: np.ndarray, sparse: Any, kind: Any) -> np.ndarray:
         """``array`` with the values that the accessor's ``sparse`` part puts in the place of others."""
@@ -81,17 +165,16 @@ class GltfFile:
     def _rows(self, view: Any, offset: Any, count: int, width: int, kind: Any) -> np.ndarray:
         """``count`` rows of ``width`` numbers in buffer view ``view``, from ``offset`` bytes on."""
         held = self.item("buffer_views", view, "accessor.bufferView")
-        start, size, stride = held.get("byteOffset", 0), held.get("byteLength", 0), held.get("byteStride")
+        content, stride = self.view(view, "accessor.bufferView"), held.get("byteStride")
         row = width * np.dtype(kind).itemsize
         stride = row if stride is None else stride
-        numbers = (start, size, stride, offset, held.get("buffer", 0), count)
+        numbers = (stride, offset, count)
         if not all(type(one) is int and one >= 0 for one in numbers):
             raise self._fault(f"bufferViews[{view}]", "whole numbers", ", ".join(map(shown, numbers)))
-        if held.get("buffer", 0) != 0 or "uri" in self.item("buffers", 0):
-            raise self._fault("buffers", "one buffer, inside the file", "another file", "Export as one GLB file.")
-        if stride < row or offset + (count - 1) * stride + row > size or start + size > len(self._binary):
-            raise self._fault(f"bufferViews[{view}]", f"{count} rows of {row} bytes", f"{size} bytes of {stride}")
-        return np.ndarray((count, width), kind, self._binary, start + offset, (stride, np.dtype(kind).itemsize)).copy()
+        if stride < row or offset + (count - 1) * stride + row > len(content):
+            got = f"{len(content)} bytes of {stride}"
+            raise self._fault(f"bufferViews[{view}]", f"{count} rows of {row} bytes", got)
+        return np.ndarray((count, width), kind, content, offset, (stride, np.dtype(kind).itemsize)).copy()
 
     def _fault(self, name: str, expected: str, got: str, cure: str = EXPORT) -> MeshError:
         return MeshError(f"{self.label}: {name}", expected=expected, got=got, cure=cure)

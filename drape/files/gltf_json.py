@@ -15,9 +15,9 @@ from drape.errors import MeshError
 MOST_MARKS = 2_000_000  # commas, colons and brackets: the parser's objects; a character with 76 clips has 283,000
 MOST_NODES = 4096
 FIRST_ONLY = Field(fail_fast=True)  # one fault of a list is told, however many it has
-READ_WITHOUT = re.compile(  # extensions of looks and clips, which are not read, and those that are
+READ_WITHOUT = re.compile(  # extensions of clips and light, which are not read, and those that are
     r"(KHR_materials|KHR_texture|EXT_texture|MSFT_texture|KHR_lights|KHR_xmp|KHR_animation|VRMC)_\w+"
-    r"|VRM|KHR_mesh_quantization"
+    r"|VRM|KHR_mesh_quantization|KHR_draco_mesh_compression|EXT_meshopt_compression"
 )
 EXPORT, SHRINK = "Export it again.", "Remove custom properties (extras) and clips."
 
@@ -56,6 +56,7 @@ class Primitive(_Part):
     indices: Index | None = None
     material: Index | None = None
     mode: int = 4
+    extensions: dict[str, Any] = {}
 
 
 class Mesh(_Part):
@@ -133,6 +134,7 @@ class Document(_Part):
     skins: Annotated[list[Skin], FIRST_ONLY] = []
     materials: Objects = []
     images: Objects = []
+    textures: Objects = []
     accessors: Objects = []
     buffer_views: Objects = []
     buffers: Objects = []
@@ -155,7 +157,7 @@ def document_of(text: bytes, label: str) -> Document:
         raise _refusal(error, label) from error
     for name in found.extensions_required:
         if not READ_WITHOUT.fullmatch(name):
-            cure = "Export without compression and without extensions."
+            cure = "Export without extensions."
             expected = "no required extension that changes meshes"
             raise MeshError(f"{label}: extensionsRequired", expected=expected, got=name[:60], cure=cure)
     return found

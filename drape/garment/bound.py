@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse
 
 from drape.engine.calls import call_with_scratch
+from drape.files.looks import NO_LOOKS, Looks
 from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import meshes
 from drape.geometry.closest import barycentric, closest_point
@@ -31,7 +32,8 @@ ARRAYS = ("faces", "uv", "uv_faces", "face_material", "corner", "weight", "offse
 class BoundMesh:
     """A mesh of D vertices as it was delivered: ``faces`` (F, 3), ``uv`` (T, 2), ``uv_faces`` (F, 3) or both empty,
     ``material_names`` and ``face_material`` (F,); and where its vertices hang on the cloth: ``corner`` (D, 3) its
-    vertices, ``weight`` (D, 3), ``offset`` (D, 3) [m] along t, n x t and n, and ``kind`` (D,)."""
+    vertices, ``weight`` (D, 3), ``offset`` (D, 3) [m] along t, n x t and n, and ``kind`` (D,). ``looks`` are of the
+    materials."""
 
     name: str
     material_names: tuple[str, ...]
@@ -43,6 +45,7 @@ class BoundMesh:
     weight: np.ndarray
     offset: np.ndarray
     kind: np.ndarray
+    looks: Looks = NO_LOOKS
 
     @property
     def vertex_count(self) -> int:
@@ -119,6 +122,7 @@ def bind(
         weight.astype(np.float32),
         offset.astype(np.float32),
         kind,
+        mesh.looks,
     )
 
 

@@ -26,6 +26,7 @@ from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.cloth.rest_state import RestState
 from drape.errors import ArtifactError, NotFound, Unavailable, refusing
 from drape.files.atomic import whole_file
+from drape.files.looks import NO_LOOKS, Looks, looks_of
 from drape.files.packed import UNREADABLE, packed, read_packed
 from drape.folders import ASSETS, RUNS
 from drape.garment.bound import ARRAYS as BOUND_ARRAYS
@@ -98,8 +99,9 @@ class Garment(Atlas):
 
     ``rest_edges`` (G, 2, 2), ``rest_angle`` (H,) and ``rest_stiffening`` (H,): the ``RestState`` of ``fine_faces``.
     They are None in files of older versions; ``rest_state`` returns one for every garment. ``fabric``: the name of a
-    fabric, or its numbers as ``drape.cloth.fabric_table.fabric`` takes them. ``drawn``: the mesh of the file, where the
-    cloth is another: it hangs on the delivered vertices, which then are some of its own.
+    fabric, or its numbers as ``drape.cloth.fabric_table.fabric`` takes them. ``looks`` are of the materials.
+    ``drawn``: the mesh of the file, where the cloth is another: it hangs on the delivered vertices, which then are some
+    of its own, and the ``looks`` are of its materials.
     """
 
     name: str
@@ -118,6 +120,7 @@ class Garment(Atlas):
     rest_angle: np.ndarray | None = None
     rest_stiffening: np.ndarray | None = None
     fabric: str | Mapping[str, Any] = DEFAULT_FABRIC
+    looks: Looks = NO_LOOKS
     drawn: BoundMesh | None = None
 
     @property
@@ -204,10 +207,13 @@ def save_garment(garment: Garment, folder: Path) -> Path:
 
     Raises ``Unavailable`` where the folder cannot be made or written.
     """
-    arrays = {f.name: getattr(garment, f.name) for f in fields(Garment) if f.name not in _TEXT_FIELDS}
-    drawn = arrays.pop("drawn")
+    left_out = (*_TEXT_FIELDS, "looks", "drawn")
+    arrays, drawn = {f.name: getattr(garment, f.name) for f in fields(Garment) if f.name not in left_out}, garment.drawn
     arrays = {name: array for name, array in arrays.items() if array is not None}
     header = {key: getattr(garment, key) for key in _TEXT_FIELDS} | {"format_version": FILE_VERSION}
+    if any(garment.looks.materials):
+        header["looks"] = garment.looks.to_json()
+        arrays["pictures"] = np.frombuffer(b"".join(garment.looks.pictures), dtype=np.uint8)
     if np.array_equal(garment.fine_faces, garment.faces):
         del arrays["fine_faces"]
         header["fine_faces"] = "faces"
@@ -259,9 +265,12 @@ def load_garment(path: Path) -> Garment:
         if "chart_residual" not in arrays:
             arrays["chart_residual"] = _residual(arrays).astype(np.float32)
         arrays |= {name: np.ascontiguousarray(arrays[name]) for name in _BY_COLUMNS}
+        if (told := header.pop("looks", None)) is not None:
+            header["looks"] = looks_of(told, arrays.pop("pictures"))
         if (materials := header.pop("drawn_materials", None)) is not None:
             own = [np.ascontiguousarray(arrays.pop(f"drawn_{name}")) for name in BOUND_ARRAYS]
-            arrays["drawn"] = BoundMesh(header["name"], tuple(map(str, materials)), *own)
+            looks = header.get("looks", NO_LOOKS)
+            arrays["drawn"] = BoundMesh(header["name"], tuple(map(str, materials)), *own, looks=looks)
         return Garment(**header, **arrays)
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise _refused(f"garment cache {path.name}", "the fields of Garment", error) from error

@@ -206,6 +206,7 @@ def fit_garment(
         manifest={},
         fabric=DEFAULT_FABRIC,
         drawn=None,
+        looks=mesh.looks,
         **fields,
     )
     figures = fit_error(rest, fields) | {"patch_count": garment.patch_count, "area_m2": float(rest.areas.sum())}

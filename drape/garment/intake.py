@@ -60,8 +60,10 @@ def garment_digest(
     options: IntakeOptions,
     name: str,
     sewn: Sewing | None = None,
+    *,
+    looks: str = "",
 ) -> str:
-    """The hex digest of everything that a garment is made of."""
+    """The hex digest of everything that a garment is made of; ``looks`` is the digest of its looks."""
     if isinstance(avatar, Path):
         avatar = hashlib.sha256(avatar.read_bytes()).hexdigest()
     chosen, usual = (asdict(one.completed_by(sewn)) for one in (options, DEFAULT_OPTIONS))
@@ -77,6 +79,8 @@ def garment_digest(
     }
     if avatar != avatars.STANDARD:
         header["moved"] = MOVED_VERSION
+    if looks:
+        header["looks"] = looks
     if sewn is not None:
         header["sewing"] = replace(sewn, figures={}).to_json()  # how long it took makes no other garment
     return hashlib.sha256(json.dumps(header, sort_keys=True).encode() + b"\0" + payload).hexdigest()
@@ -134,7 +138,7 @@ def intake_outfit(
     sewn = sewing_beside(path) if path else None
     if sewn is not None:
         sewn.check(mesh)
-    digest = garment_digest(payload, meaning, body, options, mesh.name, sewn)
+    digest = garment_digest(payload, meaning, body, options, mesh.name, sewn, looks=mesh.looks.digest)
     options = options.completed_by(sewn)
     if folder is not None and (stored := stored_outfit(folder, digest, whole=whole)):
         say(f"cached    {', '.join(one.file_name() for one in stored)}")
@@ -179,7 +183,7 @@ def intake_outfit(
             compact, rest.vertices, rest.fine_faces, body, digest=own, manifest=manifest, share=options.patches
         )
         garment = with_rest_state(with_unused(fitted, rest.faces, rest.kept), rest, options, sewn)
-        garment = replace(garment, drawn=rest.drawn)
+        garment = replace(garment, drawn=rest.drawn, looks=mesh.looks)
         made.append(garment)
         for line in _describe_fit(garment, options):
             say(line)
@@ -271,7 +275,7 @@ def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, se
 def main(arguments: list[str] | None = None) -> int:
     """The command line; 0 when the garment is made, 2 when it is refused."""
     parser = argparse.ArgumentParser(prog="python -m drape.garment.intake", description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("file", type=Path, help="OBJ, GLB, PLY, STL or USD")
+    parser.add_argument("file", type=Path, help="OBJ, GLB, glTF, PLY, STL, USD, or a zip of one with its pictures")
     parser.add_argument("--name", help="default: the file's name")
     parser.add_argument(
         "--avatar", help="JSON, a mesh file, a name in avatars.json, or 'standard'; default: avatars.json beside FILE"

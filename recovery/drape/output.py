@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,24 +11,12 @@ from drape.body.model import BodyModel
 from drape.export import obj
 from drape.export.glb import add_garment
 from drape.export.glb_file import GlbFile
+from drape.export.surface import MeshSurface
 from drape.files.atomic import write_whole
 from drape.garment.intake import IntakeOptions, intake
 from recovery.drape.pipeline import Draped, Report
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.pieces import make_sheet
-
-
-@dataclass(frozen=True, eq=False)
-class GarmentSurface:
-    """A sewn garment as ``drape.export`` writes it; the fields are those of ``drape.export.surface.Surface``."""
-
-    name: str
-    vertex_count: int
-    faces: np.ndarray
-    uv: np.ndarray
-    uv_faces: np.ndarray
-    material_names: tuple[str, ...]
-    face_material: np.ndarray
 
 
 def panel_texture(mesh: PatternMesh, unit_m: float | None = None) -> tuple[np.ndarray, float]:
@@ -88,7 +75,7 @@ def write_rest(
     return files
 
 
-def _surface(mesh: PatternMesh, uv: np.ndarray) -> GarmentSurface:
+def _surface(mesh: PatternMesh, uv: np.ndarray) -> MeshSurface:
     pattern = mesh.pattern
     materials = tuple(panel.name for panel in pattern.panels)
-    return GarmentSurface(pattern.name, mesh.node_count, mesh.faces, uv, mesh.panel_faces, materials, mesh.face_panel)
+    return MeshSurface(pattern.name, mesh.node_count, mesh.faces, uv, mesh.panel_faces, materials, mesh.face_panel)

@@ -7,10 +7,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 from pydantic import BaseModel, Field
 
 from drape.errors import BodyError, InputError, NotFound, TooLarge
+from drape.files.looks import media_type
 from drape.garment.cache import Garment
 from drape.wire.meshes import pack_mesh
 from drape.wire.messages import WIRE_VERSION
@@ -22,6 +23,7 @@ from service.http.clip_files import rest_file
 from service.http.fold_messages import made_of, packed, queried_fabric
 from service.http.json_body import document_of, json_text, validated
 from service.http.kept import ASKED_AGAIN, packed_text
+from service.http.look_schemas import LooksDocument
 from service.http.openapi import KNOWN, body_schema, responses
 from service.http.pictures import PNG, picture
 from service.http.query import queried_shape
@@ -118,6 +120,32 @@ async def garment_mesh(
         "face_material": surface.face_material,
     }
     return json_answer(document, state.sliced_thread)
+
+
+@router.get("/garments/{garment_id}/looks", responses=responses(InputError, NotFound))
+async def garment_looks(
+    garment_id: str, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
+) -> LooksDocument:
+    """Returns how the garment's materials look: colours, and the numbers of their textures."""
+    entry = await state.garment(garment_id, client)
+    return LooksDocument.of((entry.fine if resolution == "fine" else entry).garment.surface)
+
+
+@router.get(
+    "/garments/{garment_id}/textures/{number}",
+    response_class=Response,
+    responses=responses(InputError, NotFound, kinds=(PNG, "image/jpeg")),
+)
+async def garment_texture(
+    garment_id: str, number: Annotated[int, Path(ge=0, le=10_000)], state: StateHere, client: ClientHere
+) -> Response:
+    """Returns a picture of the garment's materials, PNG or JPEG."""
+    pictures = (await state.garment(garment_id, client)).garment.looks.pictures
+    if number >= len(pictures):
+        cure = "GET /garments/{id}/looks tells their numbers."
+        raise NotFound("texture", expected=f"a number below {len(pictures)}", got=f"{number}", cure=cure)
+    picture = pictures[number]
+    return Response(picture, media_type=media_type(picture), headers={"X-Content-Type-Options": "nosniff"})
 
 
 def _mesh_message(garment: Garment) -> bytes:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 router = APIRouter()
 KINDS = (BINARY, *MESH_CONTENT_TYPES)
+FORM = "multipart/form-data"
 
 
 @router.post(
@@ -48,15 +49,16 @@ async def upload(
         str | None, Query(max_length=10, description=f"The format, if the name does not say it: {listed().lower()}.")
     ] = None,
 ) -> schemas.JobInfo:
-    """Uploads a garment. The body of the request is the raw bytes of its file. The answer is a job: ask for its state
-    until it has ended.
+    """Uploads a garment. The body of the request is the raw bytes of its file, or a form (multipart/form-data) of a
+    mesh file and the files that it names. The answer is a job: ask for its state until it has ended.
     """
     check_query(request.query_params, ("name", "avatar", "format"))
     state.uploads.check_place(client)  # before anything is read
     if (kind := content_type(request)) == JSON:
         cure = f"Send the file itself as body, with ?name=shirt.obj and Content-Type: {BINARY}."
         raise InputError("request body", expected="the bytes of a mesh file", got="JSON", cure=cure)
-    stem, file_format = _name_and_format(name, format, kind)
+    # The reader of zips takes the parts of a form too.
+    stem, file_format = _name_and_format(name, "zip" if kind == FORM else format, kind)
     known = upload_avatar(avatar, stem, state.runtime.settings.garments_dir)
     job = await state.uploads.submit(stem, file_format, request.stream(), known, client)
     response.headers["Location"] = f"/jobs/{job.id}"

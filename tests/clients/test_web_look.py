@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.testing import assert_allclose
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES, PARENTS
 from drape.cloth.fabric_table import FABRICS
+from drape.files.looks import Material
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.amass import read_amass
 from drape.motion.samples import reach
@@ -307,3 +309,37 @@ def test_what_is_worn_over_something_is_drawn_nearer_from_outside(tmp_path: Path
     assert "gl_Position.z" not in below and "vBorder = border" in below and own != other
     assert "vBorder = border" in over, "borders are drawn as well"
     assert "0.00800 * smoothstep(0.0, 0.3, normalize(transformedNormal).z)" in over
+
+
+PICTURED = """
+const { withPictures } = await import(`${WEB}/lib/src/pictures.js`);
+const { clothMaterial, fabricLook } = await import(`${WEB}/lib/src/materials.js`);
+const made = [true, false].map((plain) => {
+  const cloth = clothMaterial(fabricLook(null), { colour: "#808080", uvMetres: 1, plain });
+  const { map, normalMap, alphaTest } = withPictures(cloth, input.look, new Map([[0, { width: 1, height: 1 }]]));
+  const same = withPictures(cloth, null) === cloth;
+  return { matrix: map.matrix.elements, normal: normalMap === map, alphaTest, same };
+});
+console.log(JSON.stringify(made));
+"""
+
+
+def test_pictures_lie_on_cloth_as_in_their_file(tmp_path: Path):
+    look = Material(
+        alpha_mode="MASK",
+        alpha_cutoff=0.25,
+        roughness=0.5,
+        pictures={"base_colour": 0, "normal": 1},
+        offset=(0.1, 0.2),
+        rotation=0.3,
+        scale=(2.0, 3.0),
+    )
+    for got in page_answer(PICTURED, {"look": asdict(look)}, tmp_path):
+        uv = np.array([0.7, 0.4])  # from the lower left; KHR_texture_transform takes those from the upper left
+        cos, sin = np.cos(0.3), np.sin(0.3)
+        expected = [0.1, 0.2] + np.array([[cos, sin], [-sin, cos]]) @ ([2.0, 3.0] * np.array([uv[0], 1.0 - uv[1]]))
+        matrix = np.reshape(
+            list(got["matrix"].values()) if isinstance(got["matrix"], dict) else got["matrix"], (3, 3)
+        ).T
+        assert_allclose((matrix @ [*uv, 1.0])[:2], expected, rtol=1e-6)
+        assert (got["normal"], got["alphaTest"], got["same"]) == (False, 0.25, True)

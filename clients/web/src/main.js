@@ -197,7 +197,7 @@ async function take(kind, file) {
   if (kind === "garment") await upload(file);
   else if (kind === "character") await takeCharacter(file);
   else if (kind === "motion") await takeMotion(file);
-  else say(`${file.name} is none of OBJ, GLB, PLY, STL, USD (garments), GLB, VRM (characters), BVH, NPZ (motions).`, { bad: true });
+  else say(`${file.name} is none of OBJ, GLB, PLY, STL, USD, ZIP (garments), GLB, VRM (characters), BVH, NPZ (motions).`, { bad: true });
 }
 
 function tellOffline(refusal) {

@@ -1,14 +1,15 @@
-"""Reads the triangles of a binary glTF 2.0 file; declared counts are compared with the bytes first."""
+"""Reads the triangles of a glTF 2.0 file; declared counts are compared with the bytes first."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from drape.files.gltf import GltfFile
 from drape.files.gltf_json import Node, Primitive
+from drape.garment.files.gltf_looks import gltf_looks
 from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault, plain_mesh, weld
 from drape.geometry.rotations import quaternion_to_matrix
 
@@ -18,9 +19,11 @@ EXPORT = "Export the mesh again."
 Part = tuple[np.ndarray, np.ndarray, np.ndarray | None, int | None]
 
 
-def read_glb(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
+def read_glb(
+    payload: bytes, *, name: str, vertex_limit: int, beside: Callable[[str], bytes | None] = lambda wanted: None
+) -> GarmentMesh:
     """The default scene's triangles in world axes; vertices at the same place become one, uv stay per corner."""
-    file, parts, total = GltfFile(payload, label=f"mesh {name}"), [], 0
+    file, parts, total = GltfFile(payload, label=f"mesh {name}", beside=beside), [], 0
     for node, placed in _placed_nodes(file, name):
         mesh = None if node.mesh is None else file.item("meshes", node.mesh, "nodes.mesh")
         for primitive in () if mesh is None else mesh.primitives:
@@ -79,11 +82,8 @@ def _joined(file: GltfFile, parts: list[Part], name: str) -> GarmentMesh:
     names = [one.get("name") for one in held]
     names = tuple(name if isinstance(name, str) else f"material {i}" for i, name in zip(used, names, strict=True))
     material = np.concatenate([np.full(len(part[1]), used.index(part[3])) for part in parts]).astype(np.int64)
-    mesh = replace(mesh, material_names=names, face_material=material)
-    if pictures := len(file.document.images):  # not taken over
-        count = "a picture is" if pictures == 1 else f"{pictures} pictures are"
-        said = f"warning: {count} left out: put the textures on again, materials keep their names and coordinates"
-        mesh = mesh.noted(said)
+    looks, notes = gltf_looks(file, used)
+    mesh = replace(mesh, material_names=names, face_material=material, looks=looks).noted(*notes)
     if all(part[2] is None for part in parts):
         return mesh
     uv = np.concatenate([np.zeros((len(part[0]), 2)) if part[2] is None else part[2] for part in parts])

@@ -7,7 +7,10 @@ gigabyte. PLY and ASCII STL go through trimesh, after their declared counts were
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -15,6 +18,8 @@ import numpy as np
 
 from drape.errors import MeshError, NotFound, legible
 from drape.files.formats import MESH_FORMATS, listed, sniff
+from drape.files.looks import NO_LOOKS, Looks
+from drape.files.pictures import with_remade
 
 BYTES_LIMIT = 96 * 2**20
 VERTEX_LIMIT = 200_000
@@ -27,7 +32,7 @@ class GarmentMesh:
     """A triangle mesh: ``vertices`` (V, 3), ``faces`` (F, 3), ``uv`` (T, 2) and ``uv_faces`` (F, 3) or both empty.
 
     ``material_names`` and ``face_material`` (F,) are the file's; ``notes`` say what was
-    done to it on the way. Texture coordinates have their origin at the lower left.
+    done to it on the way. Texture coordinates have their origin at the lower left. ``looks`` are of the materials.
     """
 
     name: str
@@ -38,6 +43,7 @@ class GarmentMesh:
     material_names: tuple[str, ...]
     face_material: np.ndarray
     notes: tuple[str, ...] = ()
+    looks: Looks = NO_LOOKS
 
     def noted(self, *notes: str) -> GarmentMesh:
         return replace(self, notes=self.notes + notes)
@@ -79,6 +85,7 @@ def read_mesh(
 
     Raises ``MeshError`` (or ``NotFound`` for an absent file) with what was expected and what cures it.
     """
+    folder = None
     if isinstance(source, (bytes, bytearray, memoryview)):
         payload, name = bytes(source), name or "garment"
     else:
@@ -89,9 +96,21 @@ def read_mesh(
             raise mesh_fault(path.name, *_too_large(path.stat().st_size))
         payload, name = path.read_bytes(), name or path.stem
         kind = kind or path.suffix.lower().lstrip(".")
+        folder = path.absolute().parent
     if len(payload) > BYTES_LIMIT:
         raise mesh_fault(name, *_too_large(len(payload)))
     kind = sniff(payload).name if kind is None else kind.lower().lstrip(".")
+    mesh = read_payload(payload, name=name, kind=kind, vertex_limit=vertex_limit, beside=partial(_beside, folder))
+    names = tuple(legible(one)[:MATERIAL_CHARACTERS] for one in mesh.material_names)
+    looks, notes = with_remade(mesh.looks)
+    return replace(mesh, material_names=names, looks=looks).noted(*notes)
+
+
+def read_payload(
+    payload: bytes, *, name: str, kind: str, vertex_limit: int, beside: Callable[[str], bytes | None]
+) -> GarmentMesh:
+    """The mesh of format ``kind`` with its pictures as they came; ``beside`` gives files that a mesh file names."""
+    kind = "glb" if kind == "vrm" else kind
     found = next((one for one in MESH_FORMATS if one.name == kind), None)
     if found is None:
         raise mesh_fault(name, listed(), f".{kind}", "Export the mesh as one of these.")
@@ -99,8 +118,19 @@ def read_mesh(
         raise mesh_fault(name, "a mesh", "an empty file")
     module, _, function = found.reader.partition(".")
     read = getattr(import_module(f"{__package__}.{module}"), function)
-    mesh = read(payload, name=name, vertex_limit=vertex_limit)
-    return replace(mesh, material_names=tuple(legible(one)[:MATERIAL_CHARACTERS] for one in mesh.material_names))
+    more = {"beside": beside} if found.names_others else {}
+    return read(payload, name=name, vertex_limit=vertex_limit, **more)
+
+
+def _beside(folder: Path | None, wanted: str) -> bytes | None:
+    """The file ``wanted`` in or below ``folder``; None where it is not there, or too large for a picture."""
+    if folder is None:
+        return None
+    path = folder / wanted.replace("\\", "/")
+    with suppress(OSError, ValueError):  # a name may be none of a file
+        if path.resolve().is_relative_to(folder.resolve()) and path.stat().st_size <= BYTES_LIMIT:
+            return path.read_bytes()
+    return None
 
 
 def _too_large(size: int) -> tuple[str, str, str]:

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from dataclasses import replace
 from json import detect_encoding
 
 import numpy as np
 
 from drape.errors import MeshError
 from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault
+from drape.garment.files.mtl import Beside, mtl_looks
 
 # Statements that say nothing of the surface, nor of what is left out.
-_SILENT = frozenset("o g s mtllib".split())  # noqa: SIM905
+_SILENT = frozenset("o g s".split())  # noqa: SIM905
 _KEYWORD_LIMIT = 100
 _INTEGER = re.compile(r"[+-]?\d{1,18}\Z")  # more digits are no index, and no int64
 
 
-def read_obj(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
+def read_obj(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
     """The mesh of a Wavefront OBJ; vertices and texture coordinates in the file's order, polygons as triangle fans."""
-    return _ObjReader(name, vertex_limit).read(payload)
+    reader = _ObjReader(name, vertex_limit)
+    mesh = reader.read(payload)
+    looks, notes = mtl_looks(reader.libraries, beside, mesh.material_names)
+    return replace(mesh, looks=looks).noted(*notes)
 
 
 class _ObjReader:
@@ -34,6 +39,7 @@ class _ObjReader:
         self.uv_faces: list[tuple[int, int, int]] = []
         self.lines: list[int] = []
         self.materials: dict[str, int] = {}
+        self.libraries: list[str] = []
         self.face_material: list[int] = []
         self.material = -1
         self.polygon_count = 0
@@ -75,6 +81,8 @@ class _ObjReader:
         elif keyword == "usemtl":
             label = text[len("usemtl") :].strip() or "default"
             self.material = self.materials.setdefault(label, len(self.materials))
+        elif keyword == "mtllib":
+            self.libraries.append(text[len("mtllib") :].strip())
         elif keyword not in _SILENT:
             # A hostile file does not choose how many there are.
             self.skipped[keyword[:16] if len(self.skipped) < _KEYWORD_LIMIT else "others"] += 1

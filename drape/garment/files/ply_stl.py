@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from drape.files.looks import Looks, Material
 from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault, plain_mesh, weld
 
 _PLY_SIZES = {
@@ -14,8 +17,10 @@ _PLY_SIZES = {
 }  # fmt: skip
 
 
-def read_ply(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
-    """The mesh of a PLY file, by trimesh, once the header's counts fit the bytes."""
+def read_ply(
+    payload: bytes, *, name: str, vertex_limit: int, beside: Callable[[str], bytes | None] = lambda wanted: None
+) -> GarmentMesh:
+    """The mesh of a PLY file, by trimesh, once the header's counts fit the bytes; its TextureFile is the picture."""
     end = payload[:65536].find(b"end_header")
     if end < 0 or payload[:3] != b"ply":
         raise mesh_fault(name, "a PLY header", "none in the first 64 KiB")
@@ -38,7 +43,13 @@ def read_ply(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
     if needed > held:
         cure = "The file is cut off: export it again."
         raise mesh_fault(name, f"at least {needed:,} bytes of data", f"{held:,}", cure)
-    return _by_trimesh(payload, "ply", name)
+    mesh = _by_trimesh(payload, "ply", name)
+    named = [line.split(maxsplit=2)[2] for line in header if line.startswith("comment TextureFile ")]
+    if not named or not len(mesh.uv):
+        return mesh
+    if (picture := beside(named[0])) is None:
+        return mesh.noted(f"warning: {named[0]!a:.80} is not beside the mesh: send it in the same zip")
+    return replace(mesh, looks=Looks((Material(pictures={"base_colour": 0}),), (picture,)))
 
 
 def read_stl(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
@@ -67,4 +78,7 @@ def _by_trimesh(payload: bytes, kind: str, name: str) -> GarmentMesh:
     except Exception as error:
         # A broken file can raise anything inside the library.
         raise mesh_fault(name, f"a readable {kind[:3].upper()}", f"{type(error).__name__}: {error}") from error
-    return plain_mesh(name, vertices, faces)
+    mesh, uv = plain_mesh(name, vertices, faces), getattr(loaded.visual, "uv", None)
+    if uv is None or np.shape(uv) != (len(vertices), 2) or not np.isfinite(uv).all():
+        return mesh
+    return replace(mesh, uv=np.asarray(uv, dtype=np.float64), uv_faces=faces)

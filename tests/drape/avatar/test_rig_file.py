@@ -19,6 +19,7 @@ from drape.errors import BodyError
 from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
 from drape.geometry.rotations import rotvec_to_matrix
+from tests.drape.garment.files.test_looks import GENERATED, whole
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
 from tests.fixtures.glb_reader import Reader, khronos_complaints
 from tests.fixtures.poses import random_motion
@@ -162,6 +163,18 @@ def test_the_khronos_validator_has_no_complaint(
 ):
     for quantised in (True, False):
         assert khronos_complaints(written(draped, tube, moves, worn, read, quantised=quantised), tmp_path) == []
+
+
+def test_a_garment_has_its_pictures_on_the_rig(
+    draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: FileRig, tmp_path: Path
+):
+    dressed = replace(tube, looks=replace(whole().looks, materials=whole().looks.materials * len(tube.material_names)))
+    for quantised in (True, False):
+        content = written(draped, dressed, moves, worn, read, quantised=quantised)
+        # Normals without tangents are the viewer's to make.
+        assert {one["code"] for one in khronos_complaints(content, tmp_path)} == {GENERATED}
+        material = Reader(content).json["materials"][0]
+        assert ("baseColorTexture" in material["pbrMetallicRoughness"]) == bool(len(tube.uv))
 
 
 def test_a_rig_that_is_not_stored_or_damaged_is_refused(worn: Wearer, stored: Path, tmp_path: Path):

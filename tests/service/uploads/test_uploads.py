@@ -158,19 +158,19 @@ def test_the_garments_in_a_file_come_as_drawn_and_over_each_other(
 @pytest.mark.parametrize(
     ("query", "content", "status", "word"),
     [
-        ({}, b"x", 400, "format: expected one of obj, glb, ply, stl, usd, usda, usdc, usdz, got nothing"),
+        ({}, b"x", 400, "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, zip, got nothing"),
         (
             {"name": "shirt.fbx"},
             b"x",
             400,
-            "format: expected one of obj, glb, ply, stl, usd, usda, usdc, usdz, got the name shirt.fbx.",
+            "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, zip, got the name shirt.fbx.",
         ),
         ({"name": "shirt.obj", "avtar": "standard"}, b"x", 400, "avtar: expected no such parameter"),
         (
-            {"name": "shirt", "format": "zip"},
+            {"name": "shirt", "format": "rar"},
             b"x",
             400,
-            "format: expected one of obj, glb, ply, stl, usd, usda, usdc, usdz, got zip",
+            "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, zip, got rar",
         ),
         ({"format": "obj"}, b"x", 400, "name: expected the garment's name"),
         ({"name": "shirt.obj"}, b"", 422, "bytes of a mesh file"),

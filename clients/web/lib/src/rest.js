@@ -127,6 +127,15 @@ export class Rest {
     return this.#bytes(`/garments/${encodeURIComponent(id)}/mesh?${queried({ resolution, size })}`);
   }
 
+  // How its materials look, and which faces have which; and a picture of theirs, PNG or JPEG.
+  garmentLooks(id, { resolution = "delivered" } = {}) {
+    return this.json(`/garments/${encodeURIComponent(id)}/looks?${queried({ resolution })}`);
+  }
+
+  async garmentTexture(id, number) {
+    return (await this.request(`/garments/${encodeURIComponent(id)}/textures/${number}`)).blob();
+  }
+
   jetLayout(id, { resolution = "delivered", avatar = null, size = null } = {}) {
     const path = `/garments/${encodeURIComponent(id)}/jets?${queried({ resolution, avatar, size })}`;
     return this.#bytes(path);

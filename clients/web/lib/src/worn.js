@@ -5,6 +5,7 @@ import { FURTHEST_M, borderDistances } from "./borders.js";
 import { coverSkin } from "./covered.js";
 import { DrapeError } from "./errors.js";
 import { clothMaterial, dye } from "./materials.js";
+import { fetchPictures, groupByMaterial, withPictures } from "./pictures.js";
 
 const COLOURS = ["#66656b", "#969c8c", "#8a6a5a", "#6f7f8f"]; // charcoal, sage, clay, steel
 const OVER_M = 0.008; // garments that lie on each other cross by less, nearly everywhere
@@ -31,6 +32,13 @@ function clothMesh(layer) {
   return mesh;
 }
 
+function dispose(materials) {
+  for (const material of [materials ?? []].flat()) {
+    for (const name of ["map", "normalMap", "roughnessMap"]) if (material.userData.own) material[name]?.dispose();
+    material.dispose();
+  }
+}
+
 // Gives the mesh of a layer its lines along seams and hems.
 function drawBorders({ geometry: { attributes } }, layer) {
   if (!attributes.border) return;
@@ -53,7 +61,8 @@ export class Worn extends Group {
     this.plain = plain;
     this.looks = [];
     this.bordered = false;
-    this.dyed = []; // the materials that are ours
+    this.dyed = []; // the materials that are ours, a list of them where a garment has pictures
+    this.pictures = null; // a promise of each layer's
     this.meshes = wearing.layers.map(clothMesh);
     this.add(...this.meshes);
     this.figure = figure;
@@ -69,7 +78,9 @@ export class Worn extends Group {
 
   // Gives the garments the materials of their fabrics; a material that is not ours stays.
   async dress(fabric = this.wearing.options.fabric) {
-    this.looks = await this.findLooks(fabric);
+    const { layers, drape, options } = this.wearing;
+    this.pictures ??= Promise.all(layers.map(({ id, uv }) => (uv ? fetchPictures(drape.rest, id, options.resolution).catch(() => null) : null)));
+    [this.looks, this.pictured] = await Promise.all([this.findLooks(fabric), this.pictures]);
     this.#makeMaterials();
     return this;
   }
@@ -84,7 +95,7 @@ export class Worn extends Group {
   // Dyes one garment, the innermost is 0.
   colour(layer, colour) {
     this.colours = this.meshes.map((_, i) => (i === layer ? colour : this.colours[i % this.colours.length]));
-    if (this.dyed[layer]) dye(this.dyed[layer], colour);
+    for (const material of [this.dyed[layer] ?? []].flat()) if (!material.userData.own) dye(material, colour);
   }
 
   #makeMaterials() {
@@ -92,10 +103,15 @@ export class Worn extends Group {
       const own = this.dyed[i];
       const { uvMetres } = this.wearing.layers[i];
       const how = { colour: this.colours[i % this.colours.length], uvMetres, bordered: uvMetres !== null, plain: this.plain, nearerM: OVER_M * i };
-      this.dyed[i] = clothMaterial(this.looks[i], how);
+      const pictured = this.pictured?.[i];
+      // A picture has its own seams and shades.
+      const cloth = (look) => clothMaterial(this.looks[i], { ...how, bordered: how.bordered && !look });
+      const made = (look) => withPictures(cloth(look), look, pictured?.bitmaps);
+      if (pictured) groupByMaterial(mesh.geometry, pictured);
+      this.dyed[i] = pictured ? pictured.materials.map(made) : made(null);
       if (own && mesh.material !== own) return;
       mesh.material = this.dyed[i];
-      own?.dispose();
+      dispose(own);
     });
   }
 
@@ -187,7 +203,7 @@ export class Worn extends Group {
     this.removeFromParent();
     for (const mesh of this.figure ? [...this.meshes, this.figure.mesh] : this.meshes) {
       mesh.geometry.dispose();
-      mesh.material.dispose();
+      dispose(mesh.material);
     }
   }
 

@@ -1,0 +1,105 @@
+"""How the materials of a mesh look: numbers of glTF's metallic-roughness model (2.0, 3.9) and pictures."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field, TypeAdapter
+from pydantic.dataclasses import dataclass as checked
+
+MEDIA_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
+Slot = Literal["base_colour", "normal", "metallic_roughness"]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Pair = tuple[float, float]
+
+
+@checked(frozen=True, config=ConfigDict(allow_inf_nan=False))
+class Material:
+    """How one material looks; ``pictures`` are numbers of those of its ``Looks``.
+
+    ``base_colour`` is linear RGBA, and the picture in its place is multiplied by it. ``offset``, ``rotation`` [rad] and
+    ``scale`` place pictures as KHR_texture_transform does.
+    """
+
+    base_colour: tuple[Share, Share, Share, Share] = (1.0, 1.0, 1.0, 1.0)
+    metallic: Share = 0.0
+    roughness: Share = 0.85
+    alpha_mode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"
+    alpha_cutoff: Share = 0.5
+    double_sided: bool = True
+    pictures: dict[Slot, Annotated[int, Field(ge=0)]] = field(default_factory=dict)
+    offset: Pair = (0.0, 0.0)
+    rotation: float = 0.0
+    scale: Pair = (1.0, 1.0)
+
+
+_MATERIALS = TypeAdapter(list[Material | None])
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """``materials``, one for each of a mesh's, None where its file says nothing, and the files of ``pictures``."""
+
+    materials: tuple[Material | None, ...] = ()
+    pictures: tuple[bytes, ...] = ()
+
+    def material(self, index: int) -> Material | None:
+        """The look of material ``index``, None where there is none."""
+        return self.materials[index] if index < len(self.materials) else None
+
+    @property
+    def digest(self) -> str:
+        """The hex digest of everything in it, empty where no material has a look."""
+        if not any(self.materials):
+            return ""
+        text = json.dumps(self.to_json(), sort_keys=True).encode()
+        return hashlib.sha256(b"\0".join([text, *(hashlib.sha256(one).digest() for one in self.pictures)])).hexdigest()
+
+    def to_json(self) -> dict[str, Any]:
+        """The materials, and how many bytes each picture has; ``looks_of`` reads it."""
+        told = [None if one is None else asdict(one) for one in self.materials]
+        return {"materials": told, "picture_bytes": [len(one) for one in self.pictures]}
+
+
+NO_LOOKS = Looks()
+
+
+def media_type(picture: bytes) -> str:
+    """The media type of a picture of a garment; raises ``ValueError`` for any other bytes."""
+    found = [kind for mark, kind in MEDIA_TYPES.items() if picture.startswith(mark)]
+    if not found:
+        raise ValueError("neither PNG nor JPEG")
+    return found[0]
+
+
+def looks_of(told: dict[str, Any], content: np.ndarray) -> Looks:
+    """What ``to_json`` told, with the bytes of all pictures in ``content``; raises ``ValueError`` or ``TypeError``."""
+    sizes = [int(one) for one in told["picture_bytes"]]
+    materials, data = tuple(_MATERIALS.validate_python(told["materials"])), content.astype(np.uint8).tobytes()
+    used = [number for one in materials if one for number in one.pictures.values()]
+    if min(sizes, default=0) < 0 or sum(sizes) != len(data) or max(used, default=-1) >= len(sizes):
+        raise ValueError("pictures that are not as long or as many as is told")
+    ends = np.cumsum([0, *sizes]).tolist()
+    pictures = tuple(data[start:end] for start, end in pairwise(ends))
+    for one in pictures:
+        media_type(one)
+    return Looks(materials, pictures)
+
+
+def kept_pictures(looks: Looks, cleaned: Sequence[bytes | None]) -> Looks:
+    """``looks`` with ``cleaned`` pictures in the place of its own; where there is None, no material has it."""
+    kept = [number for number, one in enumerate(cleaned) if one is not None]
+
+    def changed(one: Material | None) -> Material | None:
+        if one is None:
+            return None
+        left = {slot: kept.index(number) for slot, number in one.pictures.items() if number in kept}
+        return replace(one, pictures=left)
+
+    return Looks(tuple(map(changed, looks.materials)), tuple(one for one in cleaned if one is not None))

@@ -1,0 +1,64 @@
+"""Pictures of strangers' files, made anew: pixels stay, and what else a file may carry goes."""
+
+from __future__ import annotations
+
+import io
+
+from drape.errors import MeshError
+from drape.files.looks import Looks, kept_pictures
+
+READ = ("PNG", "JPEG", "WEBP", "TGA", "BMP")
+MOST_PIXELS = 2**26  # 8192 x 8192
+LARGEST_SIDE = 2048
+MOST_BYTES = 48 * 2**20  # of the pictures of a garment, made anew
+
+
+def remade(payload: bytes, *, label: str) -> bytes:
+    """The picture in ``payload`` as PNG, or as JPEG if it was one or a WebP without alpha; no side is longer than
+    ``LARGEST_SIDE``. Refuses (``MeshError``) other formats, damaged files and more than ``MOST_PIXELS``."""
+    from PIL import Image
+
+    if payload[1:7] == b"KTX 20":
+        raise MeshError(label, expected=", ".join(READ), got="KTX2", cure="Export pictures as PNG or JPEG.")
+    try:
+        with Image.open(io.BytesIO(payload), formats=READ) as image:
+            kind, (width, height) = image.format, image.size
+            if width * height <= MOST_PIXELS:
+                image.draft("RGB", (LARGEST_SIDE, LARGEST_SIDE))  # of a JPEG that is larger only what is needed
+                has_alpha = "A" in image.getbands() or "transparency" in image.info
+                plain = image.convert("RGBA" if has_alpha else "RGB")
+                if has_alpha and plain.getchannel("A").getextrema() == (255, 255):
+                    plain = plain.convert("RGB")
+                plain.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
+                plain.info.clear()  # comments and profiles would be written again
+                out = io.BytesIO()
+                if kind in ("JPEG", "WEBP") and plain.mode == "RGB":
+                    plain.save(out, "JPEG", quality=92)
+                else:
+                    plain.save(out, "PNG")
+                return out.getvalue()
+    except MemoryError:
+        raise
+    except Exception as error:  # a broken file can raise anything inside the library
+        got = "too many pixels" if isinstance(error, Image.DecompressionBombError) else f"{type(error).__name__}"
+        raise MeshError(label, expected=f"a whole {', '.join(READ)}", got=got, cure="Export it again.") from error
+    got = f"{width} x {height}"
+    raise MeshError(label, expected=f"at most {MOST_PIXELS >> 20} million pixels", got=got, cure="Shrink the picture.")
+
+
+def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
+    """``looks`` with its pictures made anew; one that cannot be is left out, and a warning says why."""
+    cleaned: list[bytes | None] = []
+    notes, size = [], 0
+    for number, picture in enumerate(looks.pictures, start=1):
+        try:
+            made = remade(picture, label=f"picture {number}")
+            size += len(made)
+            if size > MOST_BYTES:
+                most, cure = f"at most {MOST_BYTES >> 20} MiB of pictures", "Export them smaller."
+                raise MeshError(f"picture {number}", expected=most, got="more", cure=cure)
+            cleaned.append(made)
+        except MeshError as error:
+            notes.append(f"warning: a picture is left out: {error}")
+            cleaned.append(None)
+    return kept_pictures(looks, cleaned), tuple(notes)

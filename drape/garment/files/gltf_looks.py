@@ -1,0 +1,70 @@
+"""The looks of a glTF file's materials (2.0, 3.9), with KHR_texture_transform and EXT_texture_webp."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import ValidationError
+
+from drape.errors import MeshError
+from drape.files.gltf import GltfFile
+from drape.files.gltf_json import shown
+from drape.files.looks import Looks, Material, Slot
+
+
+def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str, ...]]:
+    """The looks of the materials ``used`` of ``file``, and notes of what is passed over."""
+    pictures: dict[str, int] = {}
+    held: list[bytes] = []
+    notes: list[str] = []
+
+    def picture(texture: Any) -> int | None:
+        try:
+            told = file.item("textures", _object(texture).get("index"), "materials")
+            others = _object(told.get("extensions"))
+            source = next((_object(one).get("source") for one in others.values() if "source" in _object(one)), None)
+            # The picture that every program reads, where there is one.
+            image = told.get("source", source)
+            if shown(image) not in pictures:
+                content = file.picture(image)
+                if content is None:
+                    raise MeshError("picture", expected="a file beside", got="none", cure="Send it in the same zip.")
+                pictures[shown(image)] = len(held)
+                held.append(content)
+            return pictures[shown(image)]
+        except MeshError as error:
+            notes.append(f"warning: a picture is left out: {error}")
+            return None
+
+    def material(number: int) -> Material | None:
+        told = _object(file.item("materials", number, "primitives.material"))
+        surface = _object(told.get("pbrMetallicRoughness"))
+        glossy = _object(_object(told.get("extensions")).get("KHR_materials_pbrSpecularGlossiness"))
+        base = surface.get("baseColorTexture") or glossy.get("diffuseTexture")
+        found: dict[Slot, Any] = {"base_colour": base, "normal": told.get("normalTexture")}
+        found["metallic_roughness"] = surface.get("metallicRoughnessTexture")
+        placed = _object(_object(_object(base).get("extensions")).get("KHR_texture_transform"))
+        numbers = {slot: picture(one) for slot, one in found.items() if one is not None}
+        fields = {
+            "base_colour": surface.get("baseColorFactor", glossy.get("diffuseFactor", (1.0,) * 4)),
+            "metallic": surface.get("metallicFactor", 0.0 if glossy else 1.0),
+            "roughness": surface.get("roughnessFactor", 1.0),
+            "alpha_mode": told.get("alphaMode", "OPAQUE"),
+            "alpha_cutoff": told.get("alphaCutoff", 0.5),
+            "double_sided": told.get("doubleSided", False),
+            "pictures": {slot: one for slot, one in numbers.items() if one is not None},
+        }
+        fields |= {key: placed[key] for key in ("offset", "rotation", "scale") if key in placed}
+        try:
+            return Material(**fields) if len(told.keys() - {"name", "extras"}) else None
+        except ValidationError as error:
+            where = error.errors(include_url=False)[0]
+            notes.append(f"warning: the look of material {number} is left out: {where['loc'][0]}: {where['msg']}"[:200])
+            return None
+
+    materials = tuple(None if number is None else material(number) for number in used)
+    return Looks(materials, tuple(held)), tuple(dict.fromkeys(notes))
+
+
+def _object(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}

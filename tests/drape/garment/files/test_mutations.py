@@ -1,0 +1,89 @@
+"""Files with a few wrong bits, and files that claim much: each is answered in words, in bounded time and memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from tests.architecture.repository import ROOT
+from tests.drape.garment.files.test_looks import OBJ, ZIP, draco_gltf, glb_of, meshopt_gltf, picture, whole, zipped
+
+EACH = 40
+SECONDS, BYTES = 60, 3 * 2**29  # of one file; of the process that reads them all
+
+# Reads files one after the other; the last line names the one that it was at.
+READ = f"""
+import resource, signal, sys
+from pathlib import Path
+from drape.errors import DrapeError
+from drape.garment.files.mesh import read_mesh
+resource.setrlimit(resource.RLIMIT_AS, ({BYTES}, {BYTES}))
+for path in sorted(Path(sys.argv[1]).iterdir()):
+    print(path.name, end=" ", flush=True)
+    signal.alarm({SECONDS})
+    try:
+        read_mesh(path)
+        print("read", flush=True)
+    except DrapeError as error:
+        assert error.expected and error.got and error.cure
+        print("refused", flush=True)
+"""
+
+
+def good_files() -> dict[str, bytes]:
+    return {
+        "zip": zipped(ZIP),
+        "stored.zip": zipped(ZIP, 0),
+        "glb": glb_of(whole()),
+        "draco.gltf": json.dumps(draco_gltf()).encode(),
+        "meshopt.gltf": json.dumps(meshopt_gltf()).encode(),
+    }
+
+
+def claiming_files() -> dict[str, bytes]:
+    """Small files that ask for much."""
+    many, deep, wide = draco_gltf(), meshopt_gltf(), meshopt_gltf()
+    many["accessors"][1]["count"] = 30_000_000
+    deep["nodes"] = [{"children": [i + 1]} for i in range(4000)] + [{"mesh": 0}]
+    deep["scenes"] = [{"nodes": [0]}]
+    for view in wide["bufferViews"]:
+        view["extensions"]["EXT_meshopt_compression"]["count"] = 10_000_000
+    bomb = picture(size=(12_000, 12_000))
+    return {
+        "many.gltf": json.dumps(many).encode(),
+        "deep.gltf": json.dumps(deep).encode(),
+        "wide.gltf": json.dumps(wide).encode(),
+        "picture.zip": zipped(ZIP | {"coat/tex/cloth red.png": bomb}),
+        "nan.zip": zipped(ZIP | {"coat/coat.obj": OBJ.replace("v ", "v nan ", 1)}),
+        "colour.zip": zipped(ZIP | {"coat/cloth.mtl": "newmtl front\nKd nan inf 1e999\nd -3\nmap_Kd -s\n"}),
+        "zeros.zip": zipped({"a.obj": b"\0" * 2**27}),
+        "within.zip": zipped({"a.zip": zipped({"b.zip": zipped(ZIP)})}),
+    }
+
+
+def test_each_of_many_broken_files_is_answered_in_words(tmp_path: Path):
+    rng, folder = np.random.default_rng(11), tmp_path / "files"
+    folder.mkdir()
+    files = claiming_files()
+    for kind, content in good_files().items():
+        for number in range(EACH):
+            changed = np.frombuffer(content, np.uint8).copy()
+            if number % 3 == 0:
+                changed = changed[: rng.integers(len(changed))]
+            else:
+                places = rng.integers(0, len(changed), 1 + number // 3)
+                changed[places] ^= (1 << rng.integers(0, 8, len(places))).astype(np.uint8)
+            files[f"{number}.{kind}"] = changed.tobytes()
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    several = {"OPENBLAS_NUM_THREADS": "1"}  # whose stacks would count
+    command = [sys.executable, "-c", READ, str(folder)]
+    done = subprocess.run(command, cwd=ROOT, env=os.environ | several, capture_output=True, text=True)
+    answers = dict(line.split(" ", 1) for line in done.stdout.splitlines() if " " in line)
+    assert done.returncode == 0, (done.stdout[-200:], done.stderr[-2000:])
+    assert set(answers) == set(files) and set(answers.values()) == {"read", "refused"}
