@@ -20,7 +20,7 @@ from drape.errors import MeshError
 from drape.garment.contours import Contour, open_contours, pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.inside import fit_from, tube_ends
-from drape.garment.mesh_checks import UNITS_M, consistent_turn
+from drape.garment.mesh_checks import AREA_MINIMUM, UNITS_M, consistent_turn
 from drape.garment.registration import posed_by, start_parameters, unpack
 from drape.garment.wearer_fields import (
     CELL_M,
@@ -68,6 +68,7 @@ INSIDE_LIMIT, OPEN_LIMIT, BAND_LIMIT_M = 0.12, 0.35, 0.08
 DEEP_M = 0.01
 SLEEVE_SHARE = 0.04  # of the cloth that must lie on the arms to tell their pose
 UNIT_INSIDE, UNIT_ENOUGH = 0.06, 0.3  # cloth inside, and energy, up to which a unit is meant
+LOOSE_INSIDE, LOOSE_ENOUGH = 0.015, 0.45  # the same of capes and other cloth that stands off
 ENERGY_LIMIT = 0.7  # a body beyond has not worn it
 # Cloth inside, open share and energy of a garment on the standard body at its origin, and of one in metres, y up.
 LIMITS, PLAIN_LIMITS = (0.005, 0.2, 0.6), (0.002, 0.45, 0.8)
@@ -83,12 +84,14 @@ def find_wearers(mesh: GarmentMesh, body: BodyModel, *, unit: str = "auto", up: 
     units = UNITS_M if unit == "auto" else {unit: UNITS_M[unit]}
     ups = tuple(f"{sign}{axis}" for axis in ("yzx" if up == "auto" else up) for sign in "+-")
     ups = ups if up == "auto" else ups[:1]
-    named = [one for one in readings_of(units.items(), ups) if _in_reach(cloth.extent * one.scale)]
+    named = [one for one in readings_of(units.items(), ups) if cloth.may_be(one.scale)]
     if (plain := _on_standard(cloth, body, named)) is not None:
         return [replace(plain, sure=_held(cloth, plain))]
     found = _fitted(cloth, body, named)
-    if unit == "auto" and not any(one.energy < UNIT_ENOUGH and one.inside < UNIT_INSIDE for one in found):
-        sizes = [("free", extent / cloth.extent) for extent in FREE_EXTENTS_M]
+    enough = [(UNIT_ENOUGH, UNIT_INSIDE), (LOOSE_ENOUGH, LOOSE_INSIDE)]
+    fits = any(one.energy < energy and one.inside < inside for one in found for energy, inside in enough)
+    if unit == "auto" and not fits:
+        sizes = [("free", extent / cloth.extent) for extent in FREE_EXTENTS_M if cloth.may_be(extent / cloth.extent)]
         upright = tuple(one for one in ups if one in ("+y", "+z"))
         found += _fitted(cloth, body, list(readings_of(sizes, upright)))
     found.sort(key=lambda one: (bool(one.fault), one.energy))
@@ -127,6 +130,10 @@ class _Cloth:
         picked = [one.points[np.linspace(0, len(one.points), LOOP_POINTS, endpoint=False).astype(int)] for one in long]
         self.loops = np.array(picked[:LOOP_COUNT]).reshape(-1, LOOP_POINTS, 3)
 
+    def may_be(self, scale: float) -> bool:
+        """Whether it has the extent and the area of a garment in a unit of ``scale`` [m]."""
+        return EXTENT_M[0] <= self.extent * scale <= EXTENT_M[1] and self.area * scale**2 >= AREA_MINIMUM
+
     def contours(self, reading: Reading) -> list[Contour]:
         """Openings that look like a tube's ends, in metres."""
         ends = tube_ends(replace(self.mesh, vertices=reading.apply(self.mesh.vertices)))
@@ -153,10 +160,6 @@ class _Guess:
     move: np.ndarray
     energy: float
     origin: str
-
-
-def _in_reach(extent_m: float) -> bool:
-    return EXTENT_M[0] <= extent_m <= EXTENT_M[1]
 
 
 def _guesses(cloth: _Cloth, fields: Sequence[Field], readings: Sequence[Reading]) -> list[_Guess]:
