@@ -15,19 +15,17 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.tables import Row
 from drape.body.skeleton import JOINT_NAMES
-from drape.catalog import find_garments, find_motions
+from drape.catalog import find_garments, find_motions, open_garment
 from drape.errors import DrapeError
-from drape.files.formats import MESH_SUFFIXES
 from drape.garment.cache import Garment
 from drape.garment.contours import Contour, bone_chains, encircles
-from drape.garment.intake import intake
+from drape.garment.fine import fine_garment
 from drape.library import Drape, load
 
 LIMBS = {
@@ -158,16 +156,14 @@ def main(run: Run) -> None:
     drape = load()
     for path in find_garments(run.options.garments):
         try:
-            garment = intake(path, body=drape.body) if path.suffix.lower() in MESH_SUFFIXES else path
-            run.add(garment_rows(drape, garment, run.options))
+            run.add(garment_rows(drape, open_garment(path, drape.body), run.options))
         except DrapeError as error:
             run.add([{"garment": path.stem, "refused": str(error)[:90]}])
 
 
-def garment_rows(drape: Drape, garment: Garment | Path, options: argparse.Namespace) -> list[Row]:
-    """The rows of one garment."""
-    worn = drape.wear(garment, tier=options.tier)
-    (one,) = worn.garments
+def garment_rows(drape: Drape, garment: Garment, options: argparse.Namespace) -> list[Row]:
+    """The rows of one garment, of its cloth."""
+    worn, one = drape.wear(garment, tier=options.tier, resolution="fine"), fine_garment(garment)
     rest = drape.body.joints_template
     held = limb_loops(one, rest)
     row: Row = {"garment": one.name, "limbs": ", ".join(held), "planes": sum(map(len, held.values()))}

@@ -74,15 +74,15 @@ def test_garments_of_a_millimetre_and_of_ten_metres_are_refused_with_a_cure(fact
     assert refused.value.cure
 
 
-def test_slivers_and_doubled_vertices_are_refused_or_kept_apart():
+def test_slivers_and_doubled_vertices_are_left_out_of_the_cloth():
     """Guards against a triangle without a normal, and against vertices that are one and are taken for two."""
     a, b, c = CLOTH.faces[0]
     for moved, place in ((c, CLOTH.vertices[[a, b]].mean(axis=0)), (b, CLOTH.vertices[a])):
         vertices = CLOTH.vertices.copy()
         vertices[moved] = place
-        with pytest.raises(MeshError) as refused:
-            check_mesh(plain_mesh("shirt", vertices, CLOTH.faces), standard_avatar(BODY), unit="m")
-        assert refused.value.cure
+        checked = check_mesh(plain_mesh("shirt", vertices, CLOTH.faces), standard_avatar(BODY), unit="m")
+        assert 0 < len(CLOTH.faces) - len(checked.faces) <= 2
+        assert any(note.startswith("dropped") for note in checked.notes)
 
 
 @pytest.mark.parametrize("points", ["line", "point", "one", "two", "plane"])
