@@ -17,6 +17,7 @@ from PIL import Image
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import FABRICS
 from drape.errors import ArtifactError, TooLarge
+from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment, save_garment
 from drape.wire.folds import unpack_folds
 from drape.wire.options import FabricNumbers
@@ -115,6 +116,23 @@ def spoiled(array: np.ndarray, value: float) -> np.ndarray:
     return copy
 
 
+ROWS = np.zeros((4, 3), np.int32)
+
+
+def hung(garment: Garment, **changed: Any) -> BoundMesh:
+    """Four vertices of one triangle that hang on the first vertex of ``garment``."""
+    faces, none = np.array([[0, 1, 2]], np.int32), np.zeros((0, 2), np.float32)
+    arrays: dict[str, Any] = {
+        "faces": faces,
+        "uv": none,
+        "uv_faces": faces[:0],
+        "face_material": np.zeros(1, np.int32),
+        "corner": ROWS,
+    }
+    arrays |= {"weight": np.eye(3)[[0] * 4], "offset": np.zeros((4, 3)), "kind": np.zeros(4, np.uint8)}
+    return BoundMesh(garment.name, ("default",), **(arrays | changed))
+
+
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
@@ -129,6 +147,10 @@ def spoiled(array: np.ndarray, value: float) -> np.ndarray:
         (lambda g: {"vertices": spoiled(g.vertices, np.inf)}, "vertices: expected finite"),
         (lambda g: {"vertex_count": 0}, "vertex_count"),
         (lambda g: {"vertex_count": 1000}, "vertex_count"),
+        (lambda g: {"drawn": hung(g, corner=spoiled(ROWS, 216))}, r"corner: expected indices in \[0, 216\)"),
+        (lambda g: {"drawn": hung(g, kind=np.full(4, 3, np.uint8))}, "kind: expected indices"),
+        (lambda g: {"drawn": hung(g, offset=np.full((4, 3), np.nan))}, "drawn offset: expected shape"),
+        (lambda g: {"drawn": hung(g, weight=np.ones((3, 3)))}, "drawn weight: expected shape"),
     ],
 )
 def test_a_cache_that_does_not_fit_together_is_refused_by_name(
@@ -142,6 +164,10 @@ def test_too_many_vertices_are_refused(body: BodyModel, tube: Garment):
     check_garment(tube, body, max_vertices=216)
     with pytest.raises(TooLarge, match="at most 215"):
         check_garment(tube, body, max_vertices=215)
+    many = {name: np.zeros((217, 3)) for name in ("weight", "offset")}
+    drawn = hung(tube, corner=np.zeros((217, 3), np.int32), kind=np.zeros(217, np.uint8), **many)
+    with pytest.raises(TooLarge, match="drawn vertices: expected at most 216"):
+        check_garment(dataclasses.replace(tube, drawn=drawn), body, max_vertices=216)
 
 
 def test_a_broken_upload_is_set_aside_and_a_broken_shipped_cache_stops_the_start(
