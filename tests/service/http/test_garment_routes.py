@@ -122,14 +122,8 @@ ROWS = np.zeros((4, 3), np.int32)
 def hung(garment: Garment, **changed: Any) -> BoundMesh:
     """Four vertices of one triangle that hang on the first vertex of ``garment``."""
     faces, none = np.array([[0, 1, 2]], np.int32), np.zeros((0, 2), np.float32)
-    arrays: dict[str, Any] = {
-        "faces": faces,
-        "uv": none,
-        "uv_faces": faces[:0],
-        "face_material": np.zeros(1, np.int32),
-        "corner": ROWS,
-    }
-    arrays |= {"weight": np.eye(3)[[0] * 4], "offset": np.zeros((4, 3)), "kind": np.zeros(4, np.uint8)}
+    arrays: dict[str, Any] = {"faces": faces, "uv": none, "uv_faces": faces[:0], "face_material": np.zeros(1, np.int32)}
+    arrays |= {"corner": ROWS, "weight": np.eye(3)[[0] * 4], "offset": np.zeros((4, 3)), "kind": np.zeros(4, np.uint8)}
     return BoundMesh(garment.name, ("default",), **(arrays | changed))
 
 
