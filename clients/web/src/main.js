@@ -252,8 +252,8 @@ const upload = failing(async (file) => {
     const words = { start: "begins", read: "is read", rest: "is laid on the body", fit: "gets its patches", cloth: "comes to rest", store: "is stored", prepare: "is made ready" };
     const told = (job) => say(`${file.name} ${words[job.stage] ?? "waits"} … ${Math.round(100 * job.share)} %`);
     const { garments, wearer } = await uploadGarment(drape.rest, file, element("modelled-on").value, told, ending.signal);
-    const ids = shelf.worn.map(({ id }) => id);
-    await listGarments([...ids.slice(0, Math.max(shelf.limit - garments.length, 0)), ...garments]);
+    const ids = garments.length > 1 ? [] : shelf.worn.map(({ id }) => id); // an outfit is worn by itself
+    await listGarments([...ids.slice(0, shelf.limit - 1), ...garments]);
     await wearAgain();
     const count = garments.length > 1 ? `, ${garments.length} garments over each other` : "";
     say(`${file.name} is ready${count}${wearer ? `. It seems made for ${wearer.words}` : ""}.`);
