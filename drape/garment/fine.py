@@ -26,8 +26,7 @@ def fine_garment(garment: Garment) -> Garment:
 
     Its first vertices are the delivered ones, in their order. Texture coordinates are linear in every delivered
     triangle, whose parts have its material. A garment that was not subdivided is returned as it is, without what hangs
-    on it. Raises
-    ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``.
+    on it. Raises ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``.
     """
     if not has_finer(garment):
         return garment if garment.drawn is None else replace(garment, drawn=None, looks=_looks(garment))

@@ -45,7 +45,7 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
     count = garment.vertex_count
     mesh = GarmentMesh(
         garment.name, cleared[:count], garment.faces.astype(np.int64), garment.uv, garment.uv_faces.astype(np.int64),
-        garment.material_names, garment.face_material,
+        garment.material_names, garment.face_material, looks=garment.looks,
     )  # fmt: skip
     made = fit_garment(
         mesh, cleared, faces, wearer, digest=tailored_digest(garment, wearer), manifest=dict(garment.manifest),

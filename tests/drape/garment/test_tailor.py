@@ -9,11 +9,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.body.model import BodyModel
+from drape.files.looks import Looks, Material
 from drape.garment.cache import Garment
 from drape.garment.clearance import CLEARANCE_M
 from drape.garment.tailor import _metric, stretched, tailored, tailored_digest
 from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
+
+LOOKS = Looks((Material((0.2, 0.4, 0.6, 1.0)),), ())
 
 
 def larger(body: BodyModel, factor: float) -> BodyModel:
@@ -37,7 +40,11 @@ def test_cloth_that_is_moved_keeps_its_strain():
 @pytest.fixture(scope="module")
 def cut(tube: Garment, body: BodyModel) -> tuple[Garment, BodyModel]:
     wearer = larger(body, 1.1)
-    return tailored(tube, body, wearer), wearer
+    return tailored(replace(tube, looks=LOOKS), body, wearer), wearer
+
+
+def test_a_garment_looks_the_same_on_another_body(cut: tuple[Garment, BodyModel]):
+    assert cut[0].looks == LOOKS
 
 
 def test_a_garment_grows_with_its_wearer(cut: tuple[Garment, BodyModel], tube: Garment):
