@@ -20,9 +20,9 @@ from drape.garment.bound import BoundMesh, bind
 from drape.garment.files.mesh import GarmentMesh, plain_mesh, weld
 from drape.garment.mesh_checks import without_flat_faces
 from drape.garment.rest_detail import cloth_of, rest_of
-from drape.garment.sheets import cut_branches, without_copies
+from drape.garment.sheets import cut_branches, pieces_of, samples_to, without_copies
 from drape.geometry import mesh_graphs, meshes
-from drape.geometry.closest import closest_point, on_border
+from drape.geometry.closest import closest_point
 
 SAME_M = 1e-5  # a drawn vertex so near to one of the cloth is that
 PROBES_M = (0.003, 0.008, 0.015)  # below a face: a wall at up to twice the depth is nearer than the face itself
@@ -36,7 +36,7 @@ SMALL_M2, SMALL_SHARE, NEAR_M = 0.02, 0.05, 0.03  # a small thing near cloth: it
 STIFF_M = 0.06  # parts up to this size turn as a whole
 VERTEX_LIMIT = 12_000
 THINNED_M = 0.012  # edges of thinned cloth
-SAMPLES, SAMPLED_FACES = 400, 4000
+SAMPLED_FACES = 4000
 
 Pairs = tuple[np.ndarray, np.ndarray, np.ndarray]  # of half-edges: ``meshes.edge_pairs``
 
@@ -166,30 +166,19 @@ def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndar
 
 
 def bearing_pieces(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The piece (F,) of every face, the areas (P,) of the pieces [m^2], and which (P,) are cloth by themselves: they do
-    not lie on other cloth, and are no small things near it."""
-    label = mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
-    label = np.unique(label, return_inverse=True)[1]
-    area = np.bincount(label, meshes.face_areas(points, faces))
+    """The piece (F,) of every face, the largest first, the areas (P,) of the pieces [m^2], and which (P,) are cloth by
+    themselves: they do not lie on other cloth, and are no small things near it."""
+    piece, area = pieces_of(points, faces)
+    small = area < min(SMALL_M2, SMALL_SHARE * area[0])
     bears = np.zeros(len(area), dtype=bool)
-    order = np.argsort(-area, kind="stable")
-    bears[order[0]] = True
-    small = area < min(SMALL_M2, SMALL_SHARE * area[order[0]])
-    for number in order[1:][~small[order[1:]]]:
-        found, border = _nearest(points, faces[label == number], faces[bears[label]])
-        on = (found < ON_M) & ~border
-        bears[number] = on.mean() < ON_SHARE
+    bears[0] = True
+    for number in np.flatnonzero(~small)[1:]:
+        _, distance, border = samples_to(points, faces[piece == number], faces[bears[piece]])
+        bears[number] = ((distance < ON_M) & ~border).mean() < ON_SHARE
     for number in np.flatnonzero(small & (area > 0.1 * SMALL_M2)):
-        found, _ = _nearest(points, faces[label == number], faces[bears[label]])
-        bears[number] = (found < NEAR_M).mean() < 0.5
-    return label, area, bears
-
-
-def _nearest(points: np.ndarray, own: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The distances [m] (N,) of points on the faces ``own`` to the faces ``others``, and which are at their border."""
-    middles = points[own[:: max(1, len(own) // SAMPLES)]].mean(axis=1)
-    found = closest_point(middles, points, others)
-    return found.distance, on_border(found, others)
+        _, distance, _ = samples_to(points, faces[piece == number], faces[bears[piece]])
+        bears[number] = (distance < NEAR_M).mean() < 0.5
+    return piece, area, bears
 
 
 def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:

@@ -205,11 +205,11 @@ def _smoothest(group: np.ndarray, cost: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def pieces_of(mesh: GarmentMesh) -> tuple[np.ndarray, np.ndarray]:
-    """The piece (F,) of every face, the largest first, and the pieces' areas (P,)."""
-    piece = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
+def pieces_of(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The piece (F,) of every face of a mesh, the largest first, and the pieces' areas (P,)."""
+    piece = mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     _, piece = np.unique(piece, return_inverse=True)
-    area = np.bincount(piece, meshes.face_areas(mesh.vertices, mesh.faces))
+    area = np.bincount(piece, meshes.face_areas(points, faces))
     order = np.argsort(-area, kind="stable")
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
@@ -222,15 +222,16 @@ def main_sheet(mesh: GarmentMesh) -> tuple[GarmentMesh, list[np.ndarray]]:
     Crumbs and second layers (collars, facings, plackets, doubled hems) are left out with a note. A sheet that lies
     apart and is larger than ``OWN_SHARE`` of the largest is given back; smaller ones are left out and named.
     """
-    piece, area = pieces_of(mesh)
+    piece, area = pieces_of(mesh.vertices, mesh.faces)
     total = float(area.sum())
     tree_faces = mesh.faces[piece == 0]
     layers, apart, rivals = 0.0, [], []
     for number in range(1, len(area)):
         if area[number] <= CRUMB_SHARE * total:
             break
-        middle, on = _lies_on(mesh, mesh.faces[piece == number], tree_faces, LAYER_SHARE * np.sqrt(total))
-        if on >= LAYER_PART:
+        places, distance, border = samples_to(mesh.vertices, mesh.faces[piece == number], tree_faces)
+        middle, on = places.mean(axis=0), (distance < LAYER_SHARE * np.sqrt(total)) & ~border
+        if on.mean() >= LAYER_PART:
             layers += float(area[number])
         elif area[number] > OWN_SHARE * area[0]:
             rivals.append(middle)
@@ -263,11 +264,11 @@ def with_used_vertices(mesh: GarmentMesh) -> GarmentMesh:
     return replace(mesh, vertices=mesh.vertices[used], faces=faces)
 
 
-def _lies_on(mesh: GarmentMesh, faces: np.ndarray, main: np.ndarray, reach: float) -> tuple[np.ndarray, float]:
-    """The middle (3,) of a sheet, and the share of it that lies within ``reach`` over ``main``, not beyond it."""
-    middles = mesh.vertices[faces].mean(axis=1)
-    share = meshes.face_areas(mesh.vertices, faces)
-    chosen = np.random.default_rng(0).choice(len(faces), SAMPLES, p=share / share.sum())
-    near = closest.closest_point(middles[chosen], mesh.vertices, main)
-    on = (near.distance < reach) & ~closest.on_border(near, main)
-    return middles[chosen].mean(axis=0), float(on.mean())
+def samples_to(points: np.ndarray, own: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places (S, 3) on the faces ``own``, drawn by area; their distances (S,) to the faces ``others``; and which (S,)
+    are nearest to a border of these, so that they lie beyond it."""
+    share = meshes.face_areas(points, own)
+    chosen = np.random.default_rng(0).choice(len(own), SAMPLES, p=share / share.sum())
+    places = points[own[chosen]].mean(axis=1)
+    near = closest.closest_point(places, points, others)
+    return places, near.distance, closest.on_border(near, others)
