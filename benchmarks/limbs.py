@@ -6,9 +6,11 @@
 A limb is looked at in planes across its bones, from the upper arm to the wrist and from below the crotch to the ankle.
 A plane counts where cloth of the limb lies at rest on both sides of it, and between both legs: a skirt has none there.
 The loop in which it cuts the cloth round the bone at rest is a line on the cloth, which moves with it. In a frame the
-limb is inside where its bones go through that loop. ``rest_pct``: the share of planes with such a loop; ``inside_pct``:
-of planes whose loop the bones go through, of all frames; ``worst_pct``: of the worst frame. A garment without sleeves
-and legs has none of them.
+limb is inside where its bones go through that loop. An opening of a limb is such a line too; an opening of a limb's
+size through which no bone goes is of a sleeve that hangs beside its arm, and counts as a line without a limb.
+``loops``: how many lines there are; ``rest_pct``: those with a limb, ``inside_pct``: the same in all frames;
+``worst_pct``: of the worst frame. A garment without sleeves and legs has none of them. ``area``: of the cloth over that
+at rest, in the mean of frames; ``depth_mm``: how deep it is in the skin at the most.
 """
 
 from __future__ import annotations
@@ -21,11 +23,13 @@ import numpy as np
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.tables import Row
 from drape.body.skeleton import JOINT_NAMES
-from drape.catalog import find_garments, find_motions, open_garment
+from drape.catalog import find_garments, find_motions, open_outfit
 from drape.errors import DrapeError
 from drape.garment.cache import Garment
-from drape.garment.contours import Contour, bone_chains, encircles
+from drape.garment.contours import TRUNK, Contour, bone_chains, encircles, open_contours, part_round
 from drape.garment.fine import fine_garment
+from drape.geometry import meshes
+from drape.geometry.closest import signed_distance
 from drape.library import Drape, load
 
 LIMBS = {
@@ -37,10 +41,12 @@ OTHER_LEG = {"left leg": "right leg", "right leg": "left leg"}
 STARTS = {"arm": 0.25, "leg": 0.2}  # shares of a limb: above it cloth of the trunk lies near
 PLANES = 24  # across a limb
 NEAR_M = 0.16
+OPENING_M, MOST_OPENING_M = 0.15, 1.0  # lengths of openings that a limb may go through
+DEPTHS = 6  # frames of a clip whose depth in the skin is taken
 LEAST = 3  # vertices between two planes that make cloth of the limb, and planes that make a sleeve
 COLUMNS = {
-    "garment": "s", "clip": "s", "limbs": "s", "planes": "d", "frames": "d",
-    "rest_pct": ".1f", "inside_pct": ".2f", "worst_pct": ".1f", "refused": "s",
+    "garment": "s", "clip": "s", "limbs": "s", "loops": "d", "frames": "d", "rest_pct": ".1f", "inside_pct": ".2f",
+    "worst_pct": ".1f", "area": ".3f", "depth_mm": ".1f", "refused": "s",
 }  # fmt: skip
 
 
@@ -129,15 +135,32 @@ def limb_loops(garment: Garment, joints: np.ndarray) -> dict[str, list[Loop | No
             other = chain_of(joints, OTHER_LEG[name])
             round_it = [one for one in round_it if one is None or not encircles(one.contour(points), other)]
         found[name] = round_it
-    return {name: found[name] for name in found if len(found[name]) >= LEAST}
+    found = {name: loops for name, loops in found.items() if len(loops) >= LEAST}
+    for part, line in limb_openings(points, faces, joints):
+        found.setdefault(part, []).append(line)
+    return found
+
+
+def limb_openings(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> list[tuple[str, Loop | None]]:
+    """The openings of a mesh [m] (V, 3), (F, 3) by the limb that goes through them; "none", and no loop, for one of a
+    limb's size that no part of a body with ``joints`` [m] (24, 3) goes through."""
+    chains, found = bone_chains(joints), []
+    for one in open_contours(points, faces):
+        part = part_round(one, chains)
+        if part is None and OPENING_M < one.length_m < MOST_OPENING_M:
+            found.append(("none", None))
+        elif part not in (None, TRUNK):
+            found.append(
+                (part.replace("_", " "), Loop(np.stack([one.loop, one.loop], axis=1), np.zeros((len(one.loop), 1))))
+            )
+    return found
 
 
 def share_inside(vertices: np.ndarray, joints: np.ndarray, held: dict[str, list[Loop | None]]) -> float:
     """The share of the loops ``held`` on ``vertices`` [m] (V, 3) that their limb's bones of ``joints`` go through."""
     inside = [
-        one is not None and encircles(one.contour(vertices), chain)
+        one is not None and encircles(one.contour(vertices), chain_of(joints, name))
         for name, found in held.items()
-        for chain in [chain_of(joints, name)]
         for one in found
     ]
     return float(np.mean(inside))
@@ -152,37 +175,63 @@ def share_inside(vertices: np.ndarray, joints: np.ndarray, held: dict[str, list[
     Option("--tier", "balanced", "that drapes"),
 )
 def main(run: Run) -> None:
-    """A row for every garment and clip."""
+    """A row for every garment of every file and clip."""
     drape = load()
     for path in find_garments(run.options.garments):
         try:
-            run.add(garment_rows(drape, open_garment(path, drape.body), run.options))
+            run.add(outfit_rows(drape, open_outfit(path, drape.body), run.options))
         except DrapeError as error:
             run.add([{"garment": path.stem, "refused": str(error)[:90]}])
 
 
-def garment_rows(drape: Drape, garment: Garment, options: argparse.Namespace) -> list[Row]:
-    """The rows of one garment, of its cloth."""
-    worn, one = drape.wear(garment, tier=options.tier, resolution="fine"), fine_garment(garment)
+def outfit_rows(drape: Drape, garments: list[Garment], options: argparse.Namespace) -> list[Row]:
+    """The rows of the garments of one file, worn together, of their cloth."""
+    worn, cloth = drape.wear(garments, tier=options.tier, resolution="fine"), [fine_garment(one) for one in garments]
+    ends = np.cumsum([one.vertex_count for one in cloth])[:-1]
     rest = drape.body.joints_template
-    held = limb_loops(one, rest)
-    row: Row = {"garment": one.name, "limbs": ", ".join(held), "planes": sum(map(len, held.values()))}
-    if not held:
-        return [row]
-    row["rest_pct"] = 100.0 * share_inside(one.vertices.astype(np.float64), rest, held)
+    held = [limb_loops(one, rest) for one in cloth]
+    shared: list[Row] = []
+    for one, found in zip(cloth, held, strict=True):
+        row: Row = {"garment": one.name, "limbs": ", ".join(found), "loops": sum(map(len, found.values()))}
+        if found:
+            row["rest_pct"] = 100.0 * share_inside(one.vertices.astype(np.float64), rest, found)
+        shared.append(row)
     rows = []
     for motion in find_motions(options.motions):
         clip = worn.placed(motion)
         step = max(1, clip.frame_count // options.frames)
         joints = drape.body.posed_joints(clip.poses) + clip.trans[:, None]
-        shares = [
-            share_inside(frame.vertices.astype(np.float64), joints[number], held)
-            for number, frame in enumerate(worn.play(clip, as_recorded=True))
-            if number % step == 0
-        ]
-        told = {"inside_pct": 100.0 * float(np.mean(shares)), "worst_pct": 100.0 * min(shares), "frames": len(shares)}
-        rows.append(row | {"clip": clip.name} | told)
+        skins = drape.body.posed_vertices(clip.poses[::step]) + clip.trans[::step, None]
+        measured: list[list[tuple[float, float, float]]] = [[] for _ in cloth]
+        for number, frame in enumerate(worn.play(clip, as_recorded=True)):
+            if number % step == 0:
+                deep = number // step % max(1, options.frames // DEPTHS) == 0
+                skin = skins[number // step] if deep else None
+                parts = np.split(frame.vertices.astype(np.float64), ends)
+                for one, found, vertices, told in zip(cloth, held, parts, measured, strict=True):
+                    inside = share_inside(vertices, joints[number], found) if found else np.nan
+                    told.append((inside, area_over_rest(vertices, one), depth_mm(vertices, skin, drape.body.faces)))
+        for row, told in zip(shared, measured, strict=True):
+            inside, area, depth = np.array(told).T
+            figures = {"area": float(area.mean()), "depth_mm": float(np.nanmax(depth)), "frames": len(told)}
+            if row["limbs"]:
+                figures |= {"inside_pct": 100.0 * float(inside.mean()), "worst_pct": 100.0 * float(inside.min())}
+            rows.append(row | {"clip": clip.name} | figures)
     return rows
+
+
+def area_over_rest(vertices: np.ndarray, garment: Garment) -> float:
+    """The area of the cloth at ``vertices`` [m] (V, 3) over that of the ``garment`` at rest."""
+    faces = garment.faces.astype(np.int64)
+    rest = meshes.face_areas(garment.vertices.astype(np.float64), faces)
+    return float(meshes.face_areas(vertices, faces).sum() / rest.sum())
+
+
+def depth_mm(vertices: np.ndarray, skin: np.ndarray | None, faces: np.ndarray) -> float:
+    """How deep [mm] the deepest of ``vertices`` [m] (V, 3) is in the ``skin`` [m] (B, 3); NaN without one."""
+    if skin is None:
+        return float("nan")
+    return 1e3 * max(0.0, -float(signed_distance(vertices, skin, faces).min()))
 
 
 if __name__ == "__main__":
