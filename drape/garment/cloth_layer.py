@@ -193,7 +193,7 @@ def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:
     cloth = cloth_of(points, faces, (plain.uv, plain.uv_faces), (plain.material_names, plain.face_material))
     thin = coarse_mesh(rest_of(cloth, "modelled")[0], points, faces, edge_m)
     notes.append(f"{len(used):,} vertices of cloth are simulated as {len(thin.vertex):,}")
-    return replace(plain, vertices=points[thin.vertex], faces=thin.faces.astype(np.int64), name=mesh.name)
+    return plain_mesh(mesh.name, points[thin.vertex], thin.faces).noted(*mesh.notes)
 
 
 def _stiff_parts(mesh: GarmentMesh, places: np.ndarray, row: np.ndarray) -> np.ndarray:

@@ -120,6 +120,7 @@ def test_dense_cloth_is_thinned():
         vertices, faces, _ = meshes.subdivide(vertices, faces)
     cloth, kind, away = taken(plain_mesh("shirt", vertices, faces))
     assert len(cloth.vertices) <= VERTEX_LIMIT
+    assert len(cloth.face_material) == len(cloth.faces)
     assert len(meshes.boundary_loops(cloth.faces)) == len(meshes.boundary_loops(CLOTH.faces))
     assert np.isin([ON, OFF], kind).all()
     assert away.max() < 6e-4

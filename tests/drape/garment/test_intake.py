@@ -18,6 +18,7 @@ from drape.garment import intake as intake_module
 from drape.garment.avatars import STANDARD, phenotype_avatar
 from drape.garment.cache import OWN_GARMENTS_DIR, load_garment
 from drape.garment.clearance import CLEARANCE_M
+from drape.garment.cloth_layer import VERTEX_LIMIT
 from drape.garment.files.mesh import plain_mesh
 from drape.garment.intake import (
     IntakeOptions,
@@ -183,6 +184,17 @@ def test_garment_on_the_standard_body_is_unchanged_but_for_clearance():
     rest = rest_mesh(plain_mesh("shirt", vertices, faces), intake_module.avatars.standard_avatar(BODY), BODY)
     assert_allclose(rest.vertices[: len(vertices)], vertices, rtol=0, atol=1e-3)
     assert rest.figures["move_strain_mean_pct"] == 0.0
+
+
+def test_dense_cloth_rests_as_thin_cloth_and_is_drawn_as_it_was():
+    vertices, faces = shirt(BODY, BODY.v_template)
+    while len(vertices) <= VERTEX_LIMIT:
+        vertices, faces, _ = meshes.subdivide(vertices, faces)
+    mesh = plain_mesh("dense", vertices, faces)
+    rest = rest_mesh(mesh, intake_module.avatars.standard_avatar(BODY), BODY)
+    assert len(rest.mesh.vertices) <= VERTEX_LIMIT
+    assert rest.drawn is not None
+    assert_array_equal(rest.drawn.faces, faces)
 
 
 def test_unused_vertices_keep_their_places(garment, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch):
