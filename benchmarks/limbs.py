@@ -133,7 +133,9 @@ def limb_loops(garment: Garment, joints: np.ndarray) -> dict[str, list[Loop | No
         round_it = [loop_round(points, faces, at[i], ways[i], chain) for i in numbers]
         if name in OTHER_LEG:  # a loop round both legs is a skirt's
             other = chain_of(joints, OTHER_LEG[name])
-            round_it = [one for one in round_it if one is None or not encircles(one.contour(points), other)]
+            own = [one for one in round_it if one is None or not encircles(one.contour(points), other)]
+            # Where a skirt ends obliquely a plane has no closed line.
+            round_it = own if len(own) == len(round_it) else [one for one in own if one is not None]
         found[name] = round_it
     found = {name: loops for name, loops in found.items() if len(loops) >= LEAST}
     for part, line in limb_openings(points, faces, joints):

@@ -1,0 +1,116 @@
+"""What a garment's file costs: seconds until it is worn, and milliseconds a frame then.
+
+    python -m benchmarks.intakes --garments $DRAPE_DATA/strangers/garments --save
+
+A row is a file with nothing said of it: its ``faces``; processor seconds of every stage of its intake, of which
+``read_s`` has the search for the wearer; the vertices that are ``drawn`` and those of the ``cloth`` of its garments;
+``hang_ms`` a frame for what hangs on the cloth; and ``frame_ms`` of ``balanced`` in a walk, ``over_dress`` that of the
+shipped dress by turns with it. Times are of one thread.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import Benchmark, Option, Run
+from benchmarks.scenes import FPS, at_rate
+from benchmarks.served import Stream
+from benchmarks.tables import Row
+from drape.body.assets import load_body
+from drape.catalog import find_garments, find_motions, open_garment
+from drape.errors import DrapeError
+from drape.garment.cache import Garment
+from drape.garment.files.mesh import read_mesh
+from drape.garment.intake import STAGES, intake_outfit
+from drape.motion.readers import read_motion
+from drape.stages.scene import Entry, Outfit
+from drape.wire.options import DrapeOptions
+from service.compute.drape_runtime import DrapeRuntime
+from service.settings import Settings
+
+WARM, ROUNDS, PART = 8, 6, 8  # frames before the first that counts; turns of the two streams, and frames in each
+COLUMNS = {
+    "garment": "s", "faces": "d", "garments": "d", **{f"{stage}_s": ".1f" for stage in STAGES}, "all_s": ".1f",
+    "drawn": "d", "cloth": "d", "hang_ms": ".3f", "frame_ms": ".2f", "over_dress": ".2f", "refused": "s",
+}  # fmt: skip
+
+
+@Benchmark(
+    "intakes",
+    "What a garment's file costs until it is worn, and in a frame then.",
+    COLUMNS,
+    Option("--garments", ("tshirt", "dress"), "names, files or folders", ("tshirt",)),
+    Option("--rounds", ROUNDS, "of frames", 2),
+)
+def main(run: Run) -> None:
+    """A row for every file; a shipped garment has no intake."""
+    body = load_body()
+    drapery = DrapeRuntime(Settings(threads=1))
+    dress = [open_garment(find_garments(["dress"])[0], body)]
+    for path in find_garments(run.options.garments):
+        try:
+            row, garments = taken_in(path)
+        except DrapeError as error:
+            run.add([{"garment": path.stem, "refused": str(error)[:90]}])
+            continue
+        run.add([row | frame_times(drapery, garments, dress, run.options.rounds)])
+
+
+def taken_in(path: Path) -> tuple[Row, list[Garment]]:
+    """The garments in the file at ``path``, and what their intake took."""
+    if path.suffix == ".npz":
+        garment = open_garment(path, load_body())
+        return {"garment": garment.name, "faces": len(garment.surface.faces)}, [garment]
+    begun: list[tuple[str, float]] = []
+    garments = intake_outfit(path, begun=lambda stage: begun.append((stage, time.process_time())))
+    ends = [at for _, at in begun[1:]] + [time.process_time()]
+    took = {f"{stage}_s": end - at for (stage, at), end in zip(begun, ends, strict=True)}
+    faces = len(read_mesh(path).faces)
+    return {"garment": path.stem, "faces": faces, **took, "all_s": sum(took.values())}, garments
+
+
+def frame_times(drapery: DrapeRuntime, garments: list[Garment], dress: list[Garment], rounds: int) -> Row:
+    """What a frame of ``garments`` takes, by turns with one of the ``dress``."""
+    poses = at_rate(read_motion(find_motions(["walk"])[0]), FPS).poses
+    streams = [stream_of(drapery, worn) for worn in (garments, dress)]
+    for turn in range(rounds + WARM // PART):
+        for one in streams:
+            for frame in range(turn * PART, (turn + 1) * PART):
+                one.pose(poses[frame % len(poses)], frame / FPS)
+    own, theirs = (float(np.median(one.clock.cpu_ms[WARM:])) for one in streams)
+    hung = [one for one in garments if one.drawn is not None]
+    return {
+        "garments": len(garments),
+        "drawn": sum(one.surface.vertex_count for one in garments),
+        "cloth": sum(one.vertex_count for one in garments),
+        "hang_ms": sum(hang_ms(one) for one in hung) if hung else None,
+        "frame_ms": own,
+        "over_dress": own / theirs,
+    }
+
+
+def stream_of(drapery: DrapeRuntime, garments: list[Garment]) -> Stream:
+    """A stream of ``garments`` in ``balanced``."""
+    layers = tuple(Entry(one.name, one, "user") for one in garments)
+    plan = drapery.plan(layers[0] if len(layers) == 1 else Outfit(layers), DrapeOptions(tier="balanced"), messages=True)
+    drapery.add_missing(plan)
+    return Stream(plan, drapery.body.shape_count)
+
+
+def hang_ms(garment: Garment) -> float:
+    """What hanging takes a frame, at rest: the median [ms]."""
+    cloth = garment.vertices[: garment.vertex_count]
+    garment.drawn_vertices(cloth)
+    took = []
+    for _ in range(50):
+        began = time.thread_time()
+        garment.drawn_vertices(cloth)
+        took.append(1e3 * (time.thread_time() - began))
+    return float(np.median(took))
+
+
+if __name__ == "__main__":
+    main.command()
