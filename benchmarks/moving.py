@@ -1,112 +1,173 @@
-"""Whether moving cloth looks as it does at rest: a stream with swing and folds beside stills of its own poses.
+"""Whether moving cloth looks like cloth, tier by tier as it is served, beside stills of its own poses.
 
     python -m benchmarks.moving
-    python -m benchmarks.moving --garments tshirt --motions walk $DRAPE_DATA/motions/cmu_02_04.npz --fps 60
+    python -m benchmarks.moving --garments coat.obj --motions jump.npz --tiers balanced --sheet worst.png
 
-A still is a frame without a past, settled in ``STILL`` rounds of eight steps. Every measured frame is compared with the
-still of its own pose. ``dihedral``, ``sharp``, ``fine``, ``middle``, ``coarse`` and ``hem`` are shares of the still's:
-the RMS dihedral angle, hinges folded by more than 60 degrees, relief of waves below 2 cm, of 2 to 8 and of 8 to 30 cm,
-and the third difference along the hems. ``network_area`` and ``swung_area`` are the area before folds over the still's:
-folds have to hide what it lacks. ``pop`` is the change of fine relief from frame to frame over that relief.
-``crossings`` and ``still_crossings`` are pairs of triangles that cross. ``ms`` is a frame's swing and folds.
+Garments are streamed through a clip by all stages of the service. In two poses (``benchmarks.stills``) the frames just
+before are measured beside the still. ``curvature``, the first figure, is the total Gaussian curvature over the still's:
+cloth folds along lines, what is crumpled has peaks and dimples. Shares of the still's are also ``dihedral``, the RMS
+angle of hinges; ``fine`` and ``middle``, the relief of waves below 2 cm and of 2 to 8 cm; ``hem``, the third difference
+along hems; and ``area``. ``pop`` is the change of fine relief from frame to frame over that relief. Of every fifth
+frame are ``crossings`` and ``crossings_worst``, pairs of triangles of a garment that cross, for ten thousand of its
+triangles; ``depth_mm``, how deep it is in the skin at the most; and ``strain_pct``, the 99.9th percentile of edges.
+``jitter`` is the third difference in time over the skin's. ``resets`` are frames begun anew. ``ms`` is a frame's
+processor time. Rows are printed with the worst first; ``--sheet`` draws the worst clip of every garment in each tier.
 """
 
 from __future__ import annotations
 
-import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.moving import Looks
-from benchmarks.network import Network
-from benchmarks.scenes import FPS, Folding, Scene, read_clips
-from benchmarks.swing import swung
+from benchmarks.measure.sheet import Picture, draw_sheet
+from benchmarks.scenes import FPS, Clip, read_clips
+from benchmarks.served import Stream
+from benchmarks.stills import Stills, figures, input_of, looks_of, outfits, plan_of, posed_at
 from benchmarks.tables import Row
-from drape.artifacts import model_folder
 from drape.body.assets import load_body
-from drape.catalog import find_garments, open_garment
-from drape.cloth.fabric_table import fabric
+from drape.cloth.metrics import third_difference_square
+from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
-from drape.live.fold_step import FoldEffort, Frame, fold
+from drape.geometry.closest import signed_distance
+from service.compute.drape_runtime import DrapeRuntime
+from service.settings import Settings
 
-STILL = 20  # rounds that a still gets
-OWN = "own"
-GARMENTS = ("circle_skirt", "shirt", "dress", "tshirt", "trousers", "longsleeve")
-MOTIONS = ("turn", "reach", "walk", "squat")
+TIERS = ("fast", "balanced", "accurate")
+BEFORE = (0, 3, 6, 9)  # frames before that of the still whose means count
+EVERY = 5  # frames between two in which crossings and depth are counted
+SHARES = {"curvature": "curvature", "dihedral": "dihedral_deg", "fine": "fine_mm", "middle": "middle_mm",
+          "hem": "hem_mm", "area": "area_m2"}  # fmt: skip
 COLUMNS = {
-    "garment": "s", "fabric": "s", "clip": "s", "fps": ".0f", "dihedral": ".2f", "sharp": ".2f", "fine": ".2f",
-    "middle": ".2f", "coarse": ".2f", "hem": ".2f", "network_area": ".3f", "swung_area": ".3f", "pop": ".2f",
-    "crossings": ".0f", "still_crossings": ".0f", "dihedral_deg": ".1f", "still_deg": ".1f", "ms": ".2f",
+    "garment": "s", "clip": "s", "tier": "s", **dict.fromkeys(SHARES, ".2f"), "area": ".3f", "pop": ".2f",
+    "crossings": ".1f", "crossings_worst": ("worst", ".0f"), "depth_mm": ".1f", "strain_pct": ".0f", "jitter": ".2f",
+    "resets": ".1f", "ms": ".2f",
 }  # fmt: skip
+NAMES = ("garment", "clip", "tier")
 
 
-def measure(scene: Scene, network: Network, steps: int) -> Row:
-    """The row of a scene."""
-    garment, clip = scene.garment, scene.clip
-    drape = scene.network(network)
-    moving, swing_ms = swung(scene, drape, folds=0)
-    folding = Folding(scene.constants, FoldEffort(steps, cloth_contact=True), clip.fps)
-    stream = folding.frames(moving.astype(np.float32), clip.skin).astype(np.float64)
-    settled = FoldEffort(8, STILL, cloth_contact=True)
-    seen = clip.measured[1:]  # the first frame is a still itself
-    begin = time.thread_time()
-    still = np.stack(
-        [fold(scene.constants, None, Frame(drape[i], clip.skin[i], 0.0), settled)[0] for i in seen]
-    ).astype(np.float64)
-    still_ms = 1e3 * (time.thread_time() - begin) / len(seen)
-    count, faces = garment.vertex_count, garment.faces.astype(np.int64)
-    looks = Looks(garment.delivered_rest(), faces, garment.vertices[:count].astype(np.float64))
-    ours, own = stream[seen], still
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """The skin of a body through a ``clip``."""
 
-    def share(values: np.ndarray, base: np.ndarray) -> float:
-        return float(np.mean(values) / np.mean(base)) if np.mean(base) > 0.0 else float("nan")
+    clip: Clip
 
-    fine, middle, coarse = looks.relief_mm(ours).mean(axis=0) / looks.relief_mm(own).mean(axis=0)
-    area = looks.area_m2(own)
-    return scene.name | {
-        "fps": clip.fps,
-        "dihedral": share(looks.dihedral_deg(ours), looks.dihedral_deg(own)),
-        "sharp": share(looks.sharp_pct(ours), looks.sharp_pct(own)),
-        "fine": float(fine),
-        "middle": float(middle),
-        "coarse": float(coarse),
-        "hem": share(looks.hem_mm(ours), looks.hem_mm(own)),
-        "network_area": share(looks.area_m2(drape[seen].astype(np.float64)), area),
-        "swung_area": share(looks.area_m2(moving[seen].astype(np.float64)), area),
-        "pop": looks.pop(stream),
-        "crossings": float(intersection_count(ours, faces).mean()),
-        "still_crossings": float(intersection_count(own, faces).mean()),
-        "dihedral_deg": float(looks.dihedral_deg(ours).mean()),
-        "still_deg": float(looks.dihedral_deg(own).mean()),
-        "ms": float(np.median(folding.ms[1:])) + swing_ms,
-        "still_ms": still_ms,
-        "resets": folding.resets,
+    @cached_property
+    def vertices(self) -> np.ndarray:
+        """The vertices [m] (F, V, 3) in the world, float32."""
+        chunks = np.array_split(np.arange(len(self.clip.poses)), max(1, len(self.clip.poses) // 20))
+        posed = (self.clip.body.posed_vertices(self.clip.poses[rows], self.clip.trans[rows]) for rows in chunks)
+        return np.concatenate([one.astype(np.float32) for one in posed])
+
+    @cached_property
+    def third(self) -> float:
+        """The RMS third difference [m] in time."""
+        return float(np.sqrt(third_difference_square(self.vertices)))
+
+
+def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: Clip, tier: str) -> tuple[np.ndarray, Row]:
+    """The vertices [m] (F, V, 3) in the world, of one garment after the other, and what the stream tells."""
+    stream, frames, resets = Stream(plan_of(drapery, garments, tier=tier), clip.body.shape_count), [], 0
+    for number in range(len(clip.poses)):
+        batch = stream.frame(input_of(clip, number))
+        frames.append(batch.world()[0])
+        resets += int(batch.quality.folds_resets.sum())
+    return np.stack(frames), {"resets": resets, "ms": float(np.median(stream.clock.cpu_ms[1:]))}
+
+
+def moving_row(looks: Looks, vertices: np.ndarray, skin: Skin, stills: dict[int, Row]) -> Row:
+    """The measures of a garment at ``vertices`` [m] (F, V, 3), beside ``stills`` by frame."""
+    shares = []
+    for frame, still in stills.items():
+        near = [figures(looks, vertices[max(0, frame - before)]) for before in BEFORE]
+        shares.append({name: np.mean([one[key] for one in near]) / still[key] for name, key in SHARES.items()})
+    seen = np.arange(min(2 * EVERY, len(vertices) - 1), len(vertices), EVERY)
+    crossings = intersection_count(vertices[seen], looks.faces) * 1e4 / len(looks.faces)
+    body = skin.clip.body
+    depths = [-float(signed_distance(vertices[i], skin.vertices[i].astype(float), body.faces).min()) for i in seen]
+    return {name: float(np.mean([one[name] for one in shares])) for name in SHARES} | {
+        "pop": looks.pop(vertices[-30:]),
+        "crossings": float(crossings.mean()),
+        "crossings_worst": float(crossings.max()),
+        "depth_mm": 1e3 * max(0.0, *depths),
+        "strain_pct": looks.strain_pct(vertices[seen]),
+        "jitter": float(np.sqrt(third_difference_square(vertices))) / skin.third,
     }
+
+
+def scene_rows(
+    drapery: DrapeRuntime, garments: list[Garment], skin: Skin, stills: Stills, tier: str, sheet: Sheet
+) -> list[Row]:
+    """The row of every garment that is worn in a clip, in one tier."""
+    clip, fine = skin.clip, [fine_garment(one) for one in garments]
+    at_rest = {frame: stills.of(garments, clip, frame) for frame in posed_at(clip)}
+    vertices, told = streamed(drapery, garments, clip, tier)
+    parts = np.split(vertices, np.cumsum([one.vertex_count for one in fine])[:-1], axis=1)
+    rows = []
+    for number, (one, part) in enumerate(zip(fine, parts, strict=True)):
+        beside = {frame: own[number] for frame, own in at_rest.items()}
+        row: Row = {"garment": one.name, "clip": clip.name, "tier": tier}
+        rows.append(row | moving_row(looks_of(one), part.astype(float), skin, beside) | told)
+        sheet.seen(rows[-1], part[max(beside)], one.faces)
+    return rows
+
+
+@dataclass
+class Sheet:
+    """The worst frames so far: for each garment and tier that before a still with the most curvature over its own."""
+
+    pictures: dict[tuple[str, str], Picture] = field(default_factory=dict)
+    worst: dict[tuple[str, str], float] = field(default_factory=dict)
+
+    def seen(self, row: Row, vertices: np.ndarray, faces: np.ndarray) -> None:
+        """Keeps ``vertices`` [m] (V, 3) if ``row`` is worse than those of its garment and tier before."""
+        key = row["garment"], row["tier"]
+        if row["curvature"] > self.worst.get(key, 0.0):
+            self.worst[key] = row["curvature"]
+            self.pictures[key] = f"{row['clip']} {row['curvature']:.1f}", vertices, faces
+
+
+def summary(rows: Sequence[Row], tiers: Sequence[str]) -> list[Row]:
+    """The means and the worst of all rows of each tier."""
+    found = []
+    for tier in tiers:
+        own = [row for row in rows if row["tier"] == tier]
+        for name, of in (("mean", np.nanmean), ("worst", np.nanmax)):
+            figures_of = {key: float(of([row[key] for row in own])) for key in COLUMNS if key not in NAMES}
+            found.append(dict(zip(NAMES, (name, "", tier), strict=True)) | figures_of)
+    return found
 
 
 @Benchmark(
     "moving",
-    "Whether moving cloth looks as it does at rest.",
+    "Whether moving cloth looks like cloth, tier by tier.",
     COLUMNS,
-    *inputs(GARMENTS, MOTIONS, quick_garments=("tshirt",), quick_motions=("walk",)),
-    Option("--fabrics", (OWN,), f"what garments are made of; {OWN} is their own"),
-    Option("--folds", 1, "steps of folds: the default tier's"),
-    Option("--fps", FPS, "frames a second"),
+    *inputs(quick_garments=("tshirt",), quick_motions=("walk",)),
+    Option("--tiers", TIERS, "that are served", ("balanced",)),
     Option("--frames", 120, "of a clip at most", 30),
+    Option("--sheet", "", "a PNG of the worst frames"),
 )
 def main(run: Run) -> None:
-    """Rows of every garment in every fabric over every clip, and their means."""
+    """Rows of every garment over every clip in every tier, the worst first, and means."""
     options, body = run.options, load_body()
-    network = Network(model_folder(options.model), body, threads=options.threads)
-    clips = read_clips(options, body, options.fps)
-    for path in find_garments(options.garments):
-        garment = fine_garment(open_garment(path, body))
-        for name in options.fabrics:
-            cloth = fabric(garment.fabric if name == OWN else name)
-            run.add([measure(Scene(garment, cloth, clip), network, options.folds) for clip in clips])
-    run.extra |= {"frames": options.frames, "folds": options.folds, "model": options.model}
+    drapery = DrapeRuntime(Settings(threads=1, model=options.model))
+    stills, skins = Stills(drapery), [Skin(clip) for clip in read_clips(options, body, FPS)]
+    sheet = Sheet()
+    for garments in outfits(options.garments):
+        for skin in skins:
+            for tier in options.tiers:
+                run.add(scene_rows(drapery, garments, skin, stills, tier, sheet))
+    run.rows.sort(key=lambda row: -row["curvature"])
+    run.summary += summary(run.rows, options.tiers)
+    run.extra |= {"frames": options.frames, "model": options.model, "means": run.summary}
+    if options.sheet:
+        draw_sheet(sheet.pictures, Path(options.sheet))
 
 
 if __name__ == "__main__":

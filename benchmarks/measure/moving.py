@@ -16,6 +16,7 @@ from drape.cloth.rest_state import RestState, dihedral_angles
 from drape.geometry import meshes
 
 BANDS_M = (0.02, 0.08, 0.30)  # wavelengths between which relief is fine, middle and coarse
+BANDS = ("fine", "middle", "coarse")
 SHARP_DEG = 60.0  # a hinge that is folded by more is creased
 
 
@@ -38,6 +39,35 @@ class Looks:
         """The loops of hem vertices."""
         hem = hem_vertices(self.place, self.faces)
         return [loop for loop in meshes.boundary_loops(self.faces) if np.isin(loop, hem).all()]
+
+    @cached_property
+    def inner(self) -> np.ndarray:
+        """Which vertices (V,) lie within the cloth, not at its borders."""
+        inside = np.zeros(len(self.place), dtype=bool)
+        inside[self.faces] = True
+        inside[meshes.boundary_edges(self.faces)] = False
+        return inside
+
+    def curvature(self, vertices: np.ndarray) -> np.ndarray:
+        """Total Gaussian curvature [rad] (n,): |2 pi - angles round a vertex|, summed over inner vertices. Cloth folds
+        along lines and has hardly any, what is crumpled has peaks and dimples."""
+        found = []
+        for corners in vertices[:, self.faces]:
+            turned = np.zeros(len(self.place))
+            for first in range(3):
+                one, other = (corners[:, (first + step) % 3] - corners[:, first] for step in (1, 2))
+                sine = np.linalg.norm(np.cross(one, other), axis=1)
+                np.add.at(turned, self.faces[:, first], np.arctan2(sine, (one * other).sum(axis=1)))
+            found.append(np.abs(2.0 * np.pi - turned)[self.inner].sum())
+        return np.array(found)
+
+    def strain_pct(self, vertices: np.ndarray) -> float:
+        """The 99.9th percentile [%] of how much longer or shorter two edges of every triangle are than at rest, over
+        all of ``vertices`` [m] (n, V, 3)."""
+        rest = np.linalg.norm(self.rest.edges, axis=2)
+        corners = vertices[:, self.faces]
+        lengths = np.linalg.norm(corners[:, :, 1:] - corners[:, :, :1], axis=3)
+        return 100.0 * float(np.percentile(np.abs(lengths / rest - 1.0), 99.9))
 
     def dihedral_deg(self, vertices: np.ndarray) -> np.ndarray:
         """RMS dihedral angle [deg] (n,) of ``vertices`` [m] (n, V, 3)."""

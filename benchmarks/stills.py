@@ -1,0 +1,138 @@
+"""Cloth at rest in poses of clips: what moving cloth is measured against (``benchmarks.moving``), made once.
+
+    python -m benchmarks.stills --save
+    python -m benchmarks.stills --garments $DRAPE_DATA/garments --motions $DRAPE_DATA/motions --save
+
+A row is a garment's still in one pose, its ``frame`` of the clip: ``accurate`` with eight steps, settled in forty
+rounds. ``curvature`` is its total Gaussian curvature [rad]. The record keeps rows that it has, so that stills do not
+move with the engine; ``--anew`` makes them again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, inputs
+from benchmarks.measure.moving import BANDS, Looks
+from benchmarks.scenes import FPS, Clip, read_clips
+from benchmarks.served import Stream
+from benchmarks.tables import Row
+from drape.body.assets import load_body
+from drape.catalog import find_garments, open_outfit
+from drape.garment.cache import Garment
+from drape.garment.fine import fine_garment
+from drape.stages.batch import PoseInput
+from drape.stages.plan import Plan
+from drape.stages.scene import Entry, Outfit
+from drape.wire.options import DrapeOptions
+from service.compute.drape_runtime import DrapeRuntime
+from service.settings import Settings
+
+STEPS, ROUNDS = 8, 40
+PLACES = (0.55, 1.0)  # of a clip whose poses have a still
+COLUMNS = {
+    "garment": "s", "clip": "s", "frame": "d", "curvature": ".1f", "dihedral_deg": ".1f", "area_m2": ".4f",
+    **{f"{band}_mm": ".3f" for band in BANDS}, "hem_mm": ".3f",
+}  # fmt: skip
+KEY = ("garment", "digest", "clip", "frame")
+
+
+def posed_at(clip: Clip) -> list[int]:
+    """The frames of ``clip`` whose poses have a still."""
+    return [round(place * (len(clip.poses) - 1)) for place in PLACES]
+
+
+def looks_of(garment: Garment) -> Looks:
+    """The looks of a fine ``garment``."""
+    at_rest = garment.vertices[: garment.vertex_count].astype(np.float64)
+    return Looks(garment.delivered_rest(), garment.faces.astype(np.int64), at_rest)
+
+
+def plan_of(drapery: DrapeRuntime, garments: list[Garment], **options: object) -> Plan:
+    """The plan of ``garments`` as they are served, on the meshes that fold."""
+    layers = tuple(Entry(one.name, one, "user") for one in garments)
+    asked = DrapeOptions.model_validate({"resolution": "fine", **options})
+    plan = drapery.plan(layers[0] if len(layers) == 1 else Outfit(layers), asked, messages=False)
+    drapery.add_missing(plan)
+    return plan
+
+
+def input_of(clip: Clip, frame: int) -> PoseInput:
+    """A frame of ``clip`` on the body of mean shape."""
+    rows, shape = slice(frame, frame + 1), np.zeros(clip.body.shape_count)
+    return PoseInput(clip.poses[rows], clip.trans[rows], shape, np.array([frame / clip.fps]))
+
+
+def figures(looks: Looks, vertices: np.ndarray) -> Row:
+    """The measures of cloth at ``vertices`` [m] (V, 3)."""
+    one = vertices[None]
+    relief = dict(zip((f"{band}_mm" for band in BANDS), looks.relief_mm(one)[0].tolist(), strict=True))
+    told = {
+        "curvature": looks.curvature,
+        "dihedral_deg": looks.dihedral_deg,
+        "area_m2": looks.area_m2,
+        "hem_mm": looks.hem_mm,
+    }
+    return {name: float(measure(one)[0]) for name, measure in told.items()} | relief
+
+
+class Stills:
+    """Stills of garments in poses of clips: those of the record, and others, which are made."""
+
+    def __init__(self, drapery: DrapeRuntime, path: Path = RESULTS_DIR / "stills.json", *, anew: bool = False) -> None:
+        kept = json.loads(path.read_text())["rows"] if path.is_file() and not anew else []
+        self.rows: dict[tuple[object, ...], Row] = {tuple(row[name] for name in KEY): row for row in kept}
+        self._drapery = drapery
+
+    def of(self, garments: list[Garment], clip: Clip, frame: int) -> list[Row]:
+        """The rows of ``garments``, worn together, in the pose of a ``frame`` of ``clip``."""
+        keys = [(one.name, worn_digest(garments, one), clip.name, frame) for one in garments]
+        if any(key not in self.rows for key in keys):
+            stream = Stream(
+                plan_of(self._drapery, garments, tier="accurate", folds=STEPS, settle=ROUNDS), clip.body.shape_count
+            )
+            world = stream.frame(input_of(clip, frame)).world()[0].astype(np.float64)
+            fine = [fine_garment(one) for one in garments]
+            parts = np.split(world, np.cumsum([one.vertex_count for one in fine])[:-1])
+            for key, one, vertices in zip(keys, fine, parts, strict=True):
+                self.rows[key] = dict(zip(KEY, key, strict=True)) | figures(looks_of(one), vertices)
+        return [self.rows[key] for key in keys]
+
+
+def worn_digest(garments: list[Garment], one: Garment) -> str:
+    """What tells ``one`` as it is worn with ``garments`` from others of its name."""
+    return "+".join(garment.digest[:8] for garment in ([one, *garments] if len(garments) > 1 else garments))
+
+
+def outfits(names: list[str]) -> Iterator[list[Garment]]:
+    """The garments of every file or name of ``names``."""
+    body = load_body()
+    return (open_outfit(path, body) for path in find_garments(names))
+
+
+@Benchmark(
+    "stills",
+    "Cloth at rest in poses of clips.",
+    COLUMNS,
+    *inputs(quick_garments=("tshirt",), quick_motions=("walk",)),
+    Option("--frames", 120, "of a clip at most", 30),
+    Option("--anew", False, "makes those that the record has as well"),
+)
+def main(run: Run) -> None:
+    """Rows of every garment in two poses of every clip, and those of the record."""
+    options, body = run.options, load_body()
+    stills = Stills(DrapeRuntime(Settings(threads=1, model=options.model)), anew=options.anew)
+    clips = read_clips(options, body, FPS)
+    for garments in outfits(options.garments):
+        for clip in clips:
+            for frame in posed_at(clip):
+                stills.of(garments, clip, frame)
+    run.add(stills.rows.values())
+
+
+if __name__ == "__main__":
+    main.command()
