@@ -40,15 +40,23 @@ def two_steps(records: Records) -> str:
 
 
 def moving(records: Records) -> str:
-    """How rough streams are beside the stills of their poses."""
+    """How streams of each tier look beside the stills of their poses."""
     record = records["moving"]
-    rough = sorted(row["dihedral"] for row in record["rows"])
-    middle = f"{rough[len(rough) // 10]:.2f} to {rough[-1 - len(rough) // 10]:.2f}"
-    return (
-        f"The RMS dihedral angle of {len(rough)} streams in their last second, over that of the stills of their poses, "
-        f"is {rough[0]:.2f} to {rough[-1]:.2f}; without a tenth at either end {middle}. "
-        f"{measured_on(record, 'folds.md#moving')}"
-    )
+    columns = ("curvature", "dihedral", "crossings_worst", "strain_pct")
+    by_tier: dict[str, list[str]] = {}
+    for row in record["means"]:
+        numbers = [f"{row[name]:.2f}" if row[name] < 10 else f"{row[name]:.0f}" for name in columns]
+        by_tier.setdefault(row["tier"], []).extend(numbers)
+    heads = [
+        "tier",
+        *(
+            f"{name}, {which}"
+            for which in ("mean", "worst")
+            for name in ("curvature", "dihedral", "crossings", "strain [%]")
+        ),
+    ]
+    table = markdown_table(heads, [[tier, *numbers] for tier, numbers in by_tier.items()])
+    return f"{table}\n\n{len(record['rows'])} streams. {measured_on(record, 'folds.md#moving')}"
 
 
 def coarse_skin(records: Records) -> str:

@@ -99,11 +99,11 @@ TRADE = {
     "self_intersections": ("self-intersections", ".0f"),
 }  # fmt: skip
 MOVING = {
-    "garment": ("garment", "s"), "fabric": ("fabric", "s"), "clip": ("clip", "s"),
-    "dihedral": ("dihedral over the still's", ".2f"), "sharp": ("sharp hinges", ".2f"), "fine": ("fine", ".2f"),
-    "middle": ("middle", ".2f"), "coarse": ("coarse", ".2f"), "hem": ("hem", ".2f"),
-    "network_area": ("area of the network", ".3f"), "swung_area": ("with swing", ".3f"), "pop": ("pop", ".2f"),
-    "crossings": ("crossings", ".0f"), "still_crossings": ("of the still", ".0f"),
+    "garment": ("garment", "s"), "clip": ("clip", "s"), "tier": ("tier", "s"),
+    "curvature": ("curvature over the still's", ".2f"), "dihedral": ("dihedral", ".2f"), "fine": ("fine", ".2f"),
+    "middle": ("middle", ".2f"), "hem": ("hem", ".2f"), "area": ("area", ".3f"), "pop": ("pop", ".2f"),
+    "crossings": ("crossings", ".1f"), "crossings_worst": ("worst frame", ".0f"), "depth_mm": ("in skin [mm]", ".1f"),
+    "strain_pct": ("strain [%]", ".0f"), "jitter": ("jitter", ".2f"), "resets": ("resets", ".0f"),
 }  # fmt: skip
 SWING = {
     "garment": ("garment", "s"), "clip": ("clip", "s"), "method": ("method", "s"), "rise_mm": ("hem rises [mm]", ".0f"),

@@ -53,3 +53,25 @@ def test_sleeves_that_hang_beside_the_arms_are_seen_at_rest(body: BodyModel):
     lowered[sleeve, 1] -= 0.12
     found = limbs.limb_loops(replace(garment, vertices=lowered), joints)
     assert found and limbs.share_inside(lowered.astype(np.float64), joints, found) < 0.2
+
+
+def test_a_sleeve_far_beside_its_arm_is_an_opening_without_a_limb(body: BodyModel):
+    garment, joints = shipped("tshirt"), body.joints_template
+    faces, worn = garment.faces.astype(np.int64), garment.vertices.astype(np.float64)
+    assert sorted(part for part, _ in limbs.limb_openings(worn, faces, joints)) == ["left arm", "right arm"]
+    sleeve = worn[:, 0] > 0.25
+    beside = np.where(sleeve[:, None], worn - [0.0, 0.4, 0.0], worn)
+    told = dict(limbs.limb_openings(beside, faces, joints))
+    assert told["none"] is None and "left arm" not in told
+    held = limbs.limb_loops(replace(garment, vertices=beside.astype(np.float32)), joints)
+    assert limbs.share_inside(beside, joints, held) < 1.0
+
+
+def test_area_and_depth_are_those_of_the_cloth(body: BodyModel):
+    garment = shipped("tshirt")
+    at_rest = garment.vertices[: garment.vertex_count].astype(np.float64)
+    assert limbs.area_over_rest(1.1 * at_rest, garment) == pytest.approx(1.21)
+    assert limbs.depth_mm(at_rest, body.v_template, body.faces) == 0.0
+    inward = np.array([0.0, 0.0, 0.02])
+    assert limbs.depth_mm(at_rest - inward, body.v_template, body.faces) > 5.0
+    assert np.isnan(limbs.depth_mm(at_rest, None, body.faces))

@@ -44,6 +44,24 @@ def test_a_sheet_folded_in_two_has_one_row_of_sharp_hinges():
     assert looks.dihedral_deg(folded[None]) > looks.dihedral_deg(looks.place[None]) == 0.0
 
 
+def test_a_closed_surface_has_the_curvature_of_gauss_and_bonnet_and_a_folded_sheet_none():
+    ball, ball_faces = icosphere(2, radius_m=0.2)
+    assert_allclose(Looks(modelled(ball, ball_faces), ball_faces, ball).curvature(ball[None]), 4.0 * np.pi, rtol=1e-9)
+    looks = sheet()
+    x = looks.place[:, 0] - looks.place[:, 0].mean()
+    folded = np.stack([np.abs(x), looks.place[:, 1], 0.0 * x], axis=1)
+    peak = looks.place.copy()
+    peak[np.flatnonzero(looks.inner)[0], 2] += 0.001
+    flat, creased, dimpled = looks.curvature(np.stack([looks.place, folded, peak]))
+    assert max(flat, creased) < 1e-5 < 0.05 < dimpled
+
+
+def test_strain_is_that_of_edges():
+    looks = sheet()
+    assert_allclose(looks.strain_pct(np.stack([1.05 * looks.place, 1.05 * looks.place])), 5.0, rtol=1e-6)
+    assert looks.strain_pct(looks.place[None]) < 1e-6
+
+
 def test_a_hem_is_rough_where_its_vertices_alternate():
     rest, faces = tube(64, 20, radius_m=0.2, height_m=0.4)
     looks = Looks(modelled(rest, faces), faces, rest)
