@@ -131,11 +131,12 @@ def limb_loops(garment: Garment, joints: np.ndarray) -> dict[str, list[Loop | No
         numbers = np.flatnonzero(held[1:-1] & held[:-2] & held[2:]) + 1
         (at, ways), chain = places[name], chain_of(joints, name)
         round_it = [loop_round(points, faces, at[i], ways[i], chain) for i in numbers]
-        if name in OTHER_LEG:  # a loop round both legs is a skirt's
+        if name in OTHER_LEG:
             other = chain_of(joints, OTHER_LEG[name])
-            own = [one for one in round_it if one is None or not encircles(one.contour(points), other)]
-            # Where a skirt ends obliquely a plane has no closed line.
-            round_it = own if len(own) == len(round_it) else [one for one in own if one is not None]
+            both = [one is not None and encircles(one.contour(points), other) for one in round_it]
+            # A loop round both legs is a skirt's; where that ends obliquely, or has a slit, a plane has no closed line.
+            if any(both) or all(one is None for one in round_it):
+                round_it = []
         found[name] = round_it
     found = {name: loops for name, loops in found.items() if len(loops) >= LEAST}
     for part, line in limb_openings(points, faces, joints):
