@@ -64,6 +64,7 @@ MESH_FORMATS: tuple[MeshFormat, ...] = (
 MESH_NAMES: tuple[str, ...] = tuple(one.name for one in MESH_FORMATS)
 AVATAR_SUFFIXES = (".glb", ".vrm")
 MESH_SUFFIXES: tuple[str, ...] = tuple(one.suffix for one in MESH_FORMATS)
+BESIDE_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".ktx2")  # of what meshes name
 MESH_CONTENT_TYPES: dict[str, str] = {kind: one.name for one in MESH_FORMATS for kind in one.content_types}
 
 

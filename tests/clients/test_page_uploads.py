@@ -1,0 +1,101 @@
+"""Garments that are dropped on the page, or chosen: what belongs together is one upload, and it is worn."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+
+from drape.garment.cache import Garment
+from service.settings import Settings
+from tests.clients.browser import Page, open_page
+from tests.drape.garment.files.test_looks import picture
+from tests.fixtures.meshes import garment_obj
+from tests.fixtures.serving import served
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+
+RED, BLUE = (200, 30, 20), (20, 40, 200)
+SAID = "document.getElementById('message').textContent"
+
+
+@pytest.fixture(scope="module")
+def url(make_settings: Callable[..., Settings]) -> Iterator[str]:
+    with served(make_settings(intake_queue=6)) as url:
+        yield url
+
+
+@pytest.fixture(scope="module")
+def page(url: str) -> Iterator[Page]:
+    with open_page(url + "/?garment=tube&clip=reach", height=800) as page:
+        page.wait_for("Number(document.body?.dataset.frames) >= 2")
+        page.evaluate("(() => { document.getElementById('modelled-on').value = 'standard'; return true; })()")
+        yield page
+
+
+def written(folder: Path, tube: Garment, name: str, colour: tuple[int, int, int]) -> list[Path]:
+    """The files of a garment ``name``: its mesh, its materials and, in a folder of its own, its picture."""
+    (folder / "textures").mkdir(parents=True, exist_ok=True)
+    mesh, materials, image = folder / f"{name}.obj", folder / f"{name}.mtl", folder / f"textures/{name}.png"
+    mesh.write_bytes(f"mtllib {name}.mtl\nusemtl cloth\n".encode() + garment_obj(tube))
+    materials.write_text(f"newmtl cloth\nmap_Kd textures/{name}.png\n")
+    image.write_bytes(picture(colour))
+    return [mesh, materials, image]
+
+
+def ready(page: Page, name: str) -> list[str]:
+    """What is worn, once ``name`` is said to be ready."""
+    page.wait_for(f"{SAID}.startsWith('{name} is ready')")
+    return page.evaluate("Array.from(document.querySelectorAll('#worn li'), (chip) => chip.dataset.garment)")
+
+
+def colour(url: str, garment: str) -> list[int]:
+    """The colour of the first pixel of a garment's picture."""
+    import io
+
+    from PIL import Image
+
+    told = httpx.get(f"{url}/garments/{garment}/textures/0")
+    return np.asarray(Image.open(io.BytesIO(told.content)).convert("RGB"))[0, 0].tolist()
+
+
+def test_files_dropped_together_are_one_garment(page: Page, url: str, tube: Garment, tmp_path: Path):
+    page.drop(*written(tmp_path, tube, "poppy", RED))
+    assert ready(page, "poppy.obj")[-1] == "poppy"
+    assert colour(url, "poppy") == list(RED)
+    assert page.evaluate("document.getElementById('drop').hidden")
+
+
+def test_files_chosen_together_are_one_garment(page: Page, url: str, tube: Garment, tmp_path: Path):
+    page.choose_file("#file", *written(tmp_path, tube, "iris", BLUE)[::-1])
+    assert ready(page, "iris.obj")[-1] == "iris"
+    assert colour(url, "iris") == list(BLUE)
+
+
+def test_two_garments_in_a_folder_are_two_uploads_each_with_its_own(
+    page: Page, url: str, tube: Garment, tmp_path: Path
+):
+    folder = tmp_path / "wardrobe"
+    written(folder / "one", tube, "rose", RED)
+    written(folder / "two", tube, "flax", BLUE)
+    (folder / "readme.txt").write_text("words")
+    (folder / ".hidden.obj").write_text("no mesh")
+    before = {one["id"] for one in httpx.get(url + "/garments").json()}
+    page.drop(folder)
+    page.wait_for(f"['rose', 'flax'].some((name) => {SAID}.startsWith(`${{name}}.obj is ready`))")
+    page.wait_for("document.querySelector('.card[data-garment=rose]') && document.querySelector('.card[data-garment=flax]')")
+    page.wait_for(f"{SAID}.includes('is ready')")
+    assert {one["id"] for one in httpx.get(url + "/garments").json()} - before == {"rose", "flax"}
+    assert (colour(url, "rose"), colour(url, "flax")) == (list(RED), list(BLUE))
+
+
+def test_a_picture_alone_is_told_where_it_belongs(page: Page, tmp_path: Path):
+    (tmp_path / "cloth.png").write_bytes(picture(RED))
+    page.drop(tmp_path / "cloth.png")
+    said = "cloth.png belongs to a garment: drop it together with its mesh."
+    page.wait_for(f"{SAID} === {json.dumps(said)}")
+    assert page.errors == []
