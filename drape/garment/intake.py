@@ -35,7 +35,7 @@ from drape.garment.files.mesh import GarmentMesh, read_mesh
 from drape.garment.fitting import fit_garment
 from drape.garment.grain import corner_uv
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions, read_fabric
-from drape.garment.mesh_checks import Unit, Up, check_arrays, check_surface, place
+from drape.garment.mesh_checks import Unit, Up, check_arrays
 from drape.garment.modelled_on import modelled_on
 from drape.garment.outfit import garments_in, part_names, parted
 from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
@@ -147,12 +147,8 @@ def intake_outfit(
     with_uv = "with uv" if len(mesh.uv) else "no uv"
     say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {with_uv}")
     check_arrays(mesh)
-    sheets, wearer = mesh if sewn is not None else joined(mesh), None
-    if meaning is None:
-        sheets, model, wearer = modelled_on(sheets, body, options)
-    else:
-        model = avatars.read_avatar(meaning, body)
-        sheets = place(check_surface(sheets), model, unit=options.unit, up=options.up)
+    sheets = mesh if sewn is not None else joined(mesh)
+    sheets, model, wearer = modelled_on(sheets, body, options, meaning)
     say(
         f"avatar    {model.source}; residual {model.residual_mm:.1f} mm"
         + ("" if meaning is not None else " (none was named)")

@@ -282,8 +282,8 @@ class FrameTold(BaseModel):
     steps: int = Field(description="The number of Newton's steps.")
 
 
-class WearerFound(BaseModel):
-    """Who wore a garment, by its cloth."""
+class WearerLikely(BaseModel):
+    """A body that may have worn a garment, by its cloth."""
 
     height_m: float = Field(description="Standing, without shoes.")
     unit: str = Field(description="Of the file: a unit's name, or a size between the units in metres.")
@@ -292,6 +292,17 @@ class WearerFound(BaseModel):
     arms_deg: float = Field(description="How far the upper arms hang below the horizontal.")
     sure: float = Field(description="0 to 1: low where another body fits nearly as well, or the cloth lies far off.")
     words: str = Field(default="", description="The same in words.")
+    options: dict[str, str] = Field(
+        default={}, description="The fields of `POST /garments` that take the same file in on this body."
+    )
+
+
+class WearerFound(WearerLikely):
+    """Who wore a garment, by its cloth."""
+
+    others: list[WearerLikely] = Field(
+        default=[], description="At most two bodies that are nearly as likely, the likelier first; none when sure."
+    )
 
 
 class JobInfo(BaseModel):
