@@ -41,6 +41,7 @@ from drape.garment.outfit import garments_in, part_names, parted
 from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
 from drape.garment.rest_mesh import RestMesh, describe_rest, rest_mesh, with_unused
 from drape.garment.sewing import Sewing, sewing_beside, sewn_hinges
+from drape.garment.wearer_pictures import pictured
 
 # Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
 MOVED_VERSION = 1
@@ -157,7 +158,7 @@ def intake_outfit(
         say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")
     started = time.perf_counter()
     begins("rest")
-    told: dict[str, Any] = {} if wearer is None else {"wearer": wearer.to_json()}
+    told: dict[str, Any] = {} if wearer is None else {"wearer": pictured(wearer, mesh)}
     label = np.zeros(len(sheets.faces), dtype=int) if sewn is not None else garments_in(sheets, model.vertices)
     layers = int(label.max(initial=0)) + 1
     if layers > 1:

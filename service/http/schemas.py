@@ -295,6 +295,7 @@ class WearerLikely(BaseModel):
     options: dict[str, str] = Field(
         default={}, description="The fields of `POST /garments` that take the same file in on this body."
     )
+    picture: str = Field(default="", description="The garment on this body: a PNG, base64.")
 
 
 class WearerFound(WearerLikely):

@@ -25,7 +25,7 @@ SAID = "document.getElementById('message').textContent"
 
 @pytest.fixture(scope="module")
 def url(make_settings: Callable[..., Settings]) -> Iterator[str]:
-    with served(make_settings(intake_queue=6)) as url:
+    with served(make_settings(intake_queue=6, max_layers=1)) as url:
         yield url
 
 
@@ -87,7 +87,9 @@ def test_two_garments_in_a_folder_are_two_uploads_each_with_its_own(
     before = {one["id"] for one in httpx.get(url + "/garments").json()}
     page.drop(folder)
     page.wait_for(f"['rose', 'flax'].some((name) => {SAID}.startsWith(`${{name}}.obj is ready`))")
-    page.wait_for("document.querySelector('.card[data-garment=rose]') && document.querySelector('.card[data-garment=flax]')")
+    page.wait_for(
+        "document.querySelector('.card[data-garment=rose]') && document.querySelector('.card[data-garment=flax]')"
+    )
     page.wait_for(f"{SAID}.includes('is ready')")
     assert {one["id"] for one in httpx.get(url + "/garments").json()} - before == {"rose", "flax"}
     assert (colour(url, "rose"), colour(url, "flax")) == (list(RED), list(BLUE))
