@@ -16,7 +16,7 @@ CLOTH = (0.25, 0.42, 0.85)
 BACKGROUND = 1.0
 
 Paint = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""The colours (n, 3) of places in faces (n,) with the shares (n, 3) of their corners, and whether each is there (n,)."""
+"""Of places in faces (n,) with shares (n, 3) of their corners: the colours (n, 3), and whether each is there (n,)."""
 
 
 @dataclass(frozen=True)

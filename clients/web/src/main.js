@@ -249,9 +249,10 @@ async function listGarments(chosen, limit) {
 
 const uploads = new Uploads({
   rest: () => drape.rest,
-  async onMade(garments) {
-    const ids = garments.length > 1 ? [] : shelf.worn.map(({ id }) => id); // an outfit is worn by itself
-    await listGarments([...ids.slice(0, shelf.limit - 1), ...garments]);
+  async onMade(garments, instead) {
+    const before = shelf.worn.map(({ id }) => id).filter((id) => !instead.includes(id));
+    const under = garments.length > 1 ? [] : before.slice(0, shelf.limit - 1); // an outfit is worn by itself
+    await listGarments([...under, ...garments]);
     await wearAgain();
   },
 });

@@ -36,3 +36,5 @@ function bodyOf(parts) {
   for (const { file, path } of parts) body.append("file", file, path);
   return { body };
 }
+
+export const removeGarment = (rest, id) => rest.request(`/garments/${encodeURIComponent(id)}`, { method: "DELETE" });

@@ -24,7 +24,6 @@ from drape.wire.options import FabricNumbers
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import check_garment, slug
 from service.settings import Settings
-from tests.drape.cloth.cloth_shapes import grid
 from tests.fixtures.garments import tube_garment
 
 

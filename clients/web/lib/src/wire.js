@@ -12,7 +12,7 @@ export const FLAG_STEPPED = 2;
 export const FLAG_UNLIKE = 4;
 export const FLAG_BYTES = 8;
 // Suffixes of garment files, and of those that they name, as the file chooser takes them.
-export const MESH_SUFFIXES = ".obj,.glb,.gltf,.ply,.stl,.usd,.usda,.usdc,.usdz,.zip";
+export const MESH_SUFFIXES = ".obj,.glb,.gltf,.ply,.stl,.usd,.usda,.usdc,.usdz,.fbx,.zip";
 export const BESIDE_SUFFIXES = ".mtl,.bin,.png,.jpg,.jpeg,.webp,.tga,.bmp,.ktx2";
 export const BYTES = {
   POSE: 336, ACK: 16, SAME: 40, RIG_POSE_HEADER: 48,
