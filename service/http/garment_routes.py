@@ -62,6 +62,10 @@ class FoldsAsked(BaseModel):
         default=False,
         description="Whether a coarse cloth takes the steps of folds. The stream's `opened` message says which it is.",
     )
+    drawn: bool = Field(
+        default=False,
+        description="Whether what is drawn comes too, of a garment that says `hung`. It takes resolution fine.",
+    )
 
 
 class GarmentChange(schemas.Request):
@@ -202,8 +206,9 @@ async def garment_folds(
     scene = await state.scene(garment_id, None, client, avatar=asked.avatar, size=asked.size)
     chosen = {"resolution": asked.resolution, "fabric": queried_fabric(asked.fabric)}
     plan = runtime.plan(scene, DrapeOptions(geometry="jets", folds_by="client", folds=1, **chosen))  # may refuse
-    worn, body = plan.scene.layers[0].garment, runtime.on(scene).body
-    folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body), asked.coarse
+    (own,), worn, body = scene.layers, plan.scene.layers[0].garment, runtime.on(scene).body
+    hung = own.garment.drawer if asked.drawn and own.garment.drawn is not None and worn.drawn is None else None
+    folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body), asked.coarse, hung
     make = partial(runtime.made, packed, *folded)
     return await state.fold_messages.answer(made_of(*folded), make, asked=request.headers, kind=kind)
 

@@ -235,6 +235,9 @@ class GarmentInfo(BaseModel):
         description="The number of vertices of the mesh of resolution fine. It equals "
         "vertices where the delivered mesh is fine enough."
     )
+    hung: bool = Field(
+        default=False, description="Whether what is drawn hangs on a cloth of other triangles, that of resolution fine."
+    )
     patches: int
     source: Literal["shipped", "user"]
     published: bool = Field(description="Whether other keys than its owner's may use it.")
@@ -254,6 +257,7 @@ class GarmentInfo(BaseModel):
             vertices=entry.vertex_count,
             faces=len(garment.surface.faces),
             fine_vertices=len(garment.vertices),
+            hung=garment.drawn is not None and not garment.carriers,
             patches=garment.patch_count,
             source=entry.source,
             published=entry.owner is None or entry.published,

@@ -40,6 +40,9 @@ def url(make_settings: Callable[..., Settings]) -> Iterator[str]:
 def page(url: str) -> Iterator[Page]:
     with open_page(url + "/?garment=tube&clip=reach", height=800) as page:
         page.wait_for("Number(document.body?.dataset.frames) >= 2")
+        page.evaluate(
+            "(() => { document.getElementById('play').click(); return true; })()"
+        )  # intake steps back for frames
         page.evaluate("(() => { document.getElementById('modelled-on').value = 'standard'; return true; })()")
         yield page
 

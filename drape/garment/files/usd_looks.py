@@ -63,7 +63,8 @@ class _Reader:
             "metallic_roughness": self.metallic_roughness(surface),
         }
         pictures = {slot: number for slot, number in numbers.items() if number is not None}
-        if clear is not None and (clear != base or clear_channel != "a"):
+        same = clear is not None and base is not None and clear.GetPrim() == base.GetPrim() and clear_channel == "a"
+        if clear is not None and not same:
             self.notes.append("warning: an opacity that is not the alpha of its colour's picture is left out")
             clear = None
         see_through = clear is not None or opacity < 1.0
