@@ -66,7 +66,7 @@ def main() -> None:
             target_unit_meters=1.0,
         )
         _KEPT.append(scene)
-        np.savez(out, **_told(scene))
+        np.savez(out, allow_pickle=False, **_told(scene))
     except (ufbx.UfbxError, MemoryError, ValueError) as error:
         out, status = io.BytesIO(f"{type(error).__name__.removesuffix('Error')}: {error}"[:200].encode()), 3
     sys.stdout.buffer.write(out.getbuffer())

@@ -15,6 +15,7 @@ from drape.stages.placing import Origin
 from drape.stages.tiers import Tier
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
 from service.http.size_schemas import SizeInfo
+from service.http.wearer_schemas import WearerFound
 
 if TYPE_CHECKING:
     from drape.stages.scene import Entry
@@ -284,30 +285,6 @@ class FrameTold(BaseModel):
     crossings: int = Field(description="The number of pairs of cloth triangles that cross.")
     start_crossings: int = Field(description="The number of such pairs in the frame's drape of tier accurate.")
     steps: int = Field(description="The number of Newton's steps.")
-
-
-class WearerLikely(BaseModel):
-    """A body that may have worn a garment, by its cloth."""
-
-    height_m: float = Field(description="Standing, without shoes.")
-    unit: str = Field(description="Of the file: a unit's name, or a size between the units in metres.")
-    up: str = Field(description="The axis of the file that is up.")
-    facing: str = Field(description="The axis of the file that the body faces along.")
-    arms_deg: float = Field(description="How far the upper arms hang below the horizontal.")
-    sure: float = Field(description="0 to 1: low where another body fits nearly as well, or the cloth lies far off.")
-    words: str = Field(default="", description="The same in words.")
-    options: dict[str, str] = Field(
-        default={}, description="The fields of `POST /garments` that take the same file in on this body."
-    )
-    picture: str = Field(default="", description="The garment on this body: a PNG, base64.")
-
-
-class WearerFound(WearerLikely):
-    """Who wore a garment, by its cloth."""
-
-    others: list[WearerLikely] = Field(
-        default=[], description="At most two bodies that are nearly as likely, the likelier first; none when sure."
-    )
 
 
 class JobInfo(BaseModel):

@@ -240,7 +240,10 @@ const bytes = (name) => new Uint8Array(readFileSync(new URL(name, import.meta.ur
 const module = await WebAssembly.compile(bytes("engine.wasm"));
 const folding = await Folding.make({ module, constants: bytes("constants.bin") });
 const { engine } = folding;
-const drawn = input.cloths.map((cloth) => (engine.view(folding.smooth).set(cloth), [...engine.view(folding.drawnOn(folding.smooth))]));
+const drawn = input.cloths.map((cloth) => {
+  engine.view(folding.smooth).set(cloth);
+  return [...engine.view(folding.drawnOn(folding.smooth))];
+});
 console.log(JSON.stringify({ drawn }));
 """
 

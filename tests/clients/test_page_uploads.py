@@ -132,7 +132,7 @@ def test_two_likely_wearers_are_two_pictures_and_a_click_takes_the_other(page: P
 def test_what_a_hand_says_is_an_avatar(tmp_path: Path):
     script = """
     const { avatarOf } = await import(`${WEB}/src/wearer.js`);
-    console.log(JSON.stringify(input.map(([said, found]) => avatarOf(said, found))));
+    console.log(JSON.stringify(input.asked.map(([said, found]) => avatarOf(said, found))));
     """
     pose = [0.0] * 72
     pose[48:51] = [0.3, 0.2, -0.9]
@@ -145,7 +145,7 @@ def test_what_a_hand_says_is_an_avatar(tmp_path: Path):
         [{"unit": "", "up": "", "facing": "", "body": '{"gender":1.0}', "arms": "45"}, found],
         [{"unit": "", "up": "", "facing": "", "body": "", "arms": "45"}, found],
     ]
-    nothing, unit, standard, phenotype, arms = page_answer(script, asked, tmp_path)
+    nothing, unit, standard, phenotype, arms = page_answer(script, {"asked": asked}, tmp_path)
     assert nothing == "" and json.loads(unit) == {"unit": "dm"}
     assert json.loads(standard) == {"betas": [], "up": "z"} and json.loads(phenotype) == {"gender": 1.0}
     arms = json.loads(arms)

@@ -57,14 +57,14 @@ def fbx_looks(
         metal, roughness, bumps = shown.get("metalness"), shown.get("roughness"), shown.get("normal_map")
         if bumps is None and "bump" in shown and re.search("nor|nrm", " ".join(files[shown["bump"]][0]).lower()):
             bumps = shown["bump"]  # what is called a bump is a height or, as often, a normal: its name tells
-        plain = {"base_colour": shown.get("base_color"), "normal": bumps}
+        plain: dict[Slot, int | None] = {"base_colour": shown.get("base_color"), "normal": bumps}
         slots: dict[Slot, int | None] = {
             slot: numbers[one] if one in numbers else kept(one, content(one))
             for slot, one in plain.items()
             if one is not None
         }
         slots["metallic_roughness"] = None if metal is None and roughness is None else rough(metal, roughness)
-        pictures = {slot: number for slot, number in slots.items() if number is not None}
+        pictures: dict[Slot, int] = {slot: number for slot, number in slots.items() if number is not None}
         packed, alpha = "metallic_roughness" in pictures, _share(told["opacity"], 1.0)
         colour = np.array(told["base_color"] or (0.8,) * 3, dtype=float) * _share(told["base_factor"], 1.0)
         rgb = (1.0, 1.0, 1.0) if "base_colour" in pictures else np.clip(np.nan_to_num(colour), 0.0, 1.0).tolist()

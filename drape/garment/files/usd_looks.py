@@ -154,6 +154,8 @@ def _placed(texture: Any) -> tuple[Any | None, Any | None]:
     """The UsdTransform2d that ``texture`` is placed by and the UsdPrimvarReader_float2 before it."""
     transform, shader, name = None, texture, "st"
     for _ in range(4):  # a chain of a stranger's file may be a ring
+        if shader is None:
+            break
         found = shader.GetInput(name)
         attributes = found.GetValueProducingAttributes() if found else ()
         shader = next((import_module("pxr.UsdShade").Shader(one.GetPrim()) for one in attributes), None)

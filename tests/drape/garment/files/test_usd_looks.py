@@ -142,7 +142,7 @@ def test_each_face_has_the_colours_and_numbers_of_its_material():
     assert set(cloth.pictures) == {"base_colour", "normal"} and cloth.alpha_mode == "OPAQUE"
     assert_allclose((cloth.roughness, cloth.metallic), (0.6, 0.0), atol=1e-6)
     assert len(mesh.looks.pictures) == 2 and not any("warning" in note for note in mesh.notes)
-    assert_allclose(mesh.uv.max(axis=0), 1.0), "the coordinates that its reader names"
+    assert_allclose(mesh.uv.max(axis=0), 1.0, err_msg="the coordinates that its reader names")
 
 
 def test_roughness_in_a_channel_becomes_the_picture_of_gltf():
