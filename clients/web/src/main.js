@@ -200,7 +200,7 @@ async function take({ kind, parts }) {
   else if (kind === "character") await takeCharacter(file);
   else if (kind === "motion") await takeMotion(file);
   else if (kind === "beside") say(`${file.name} belongs to a garment: drop it together with its mesh.`, { bad: true });
-  else say(`${file.name} is none of OBJ, GLB, PLY, STL, USD, ZIP (garments), GLB, VRM (characters), BVH, NPZ (motions).`, { bad: true });
+  else say(`${file.name} is none of OBJ, GLB, PLY, STL, USD, FBX, ZIP (garments), GLB, VRM (characters), BVH, NPZ (motions).`, { bad: true });
 }
 
 function tellOffline(refusal) {
