@@ -73,9 +73,9 @@ export class WearerCard {
   }
 
   #choice({ words, picture, sure, options }, worn) {
-    const image = make("img", { alt: "", src: `data:image/png;base64,${picture}`, width: 224, height: 224 });
+    const drawn = picture ? [make("img", { alt: "", src: `data:image/png;base64,${picture}`, width: 224, height: 224 })] : []; // none of old garments
     const told = make("span", { className: "words", children: [make("b", { textContent: worn ? "Worn now" : "This one" }), make("small", { textContent: `${words}; ${sureness({ sure })}` })] });
-    const card = make("button", { type: "button", className: "card", "aria-pressed": worn, children: [image, told] });
+    const card = make("button", { type: "button", className: "card", "aria-pressed": worn, children: [...drawn, told] });
     card.addEventListener("click", () => (worn ? this.show(false) : this.#choose(options)));
     return card;
   }
