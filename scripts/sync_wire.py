@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from drape.engine.records import HASH, RECORDS  # noqa: E402
-from drape.files.formats import MESH_SUFFIXES  # noqa: E402
+from drape.files.formats import BESIDE_SUFFIXES, MESH_SUFFIXES  # noqa: E402
 from drape.geometry import jets  # noqa: E402
 from drape.wire import jets as wire_jets  # noqa: E402
 from drape.wire import layout as jet_layout  # noqa: E402
@@ -45,8 +45,9 @@ export const FLAG_PUSHED = {flag_pushed};
 export const FLAG_STEPPED = {flag_stepped};
 export const FLAG_UNLIKE = {flag_unlike};
 export const FLAG_BYTES = {flag_bytes};
-// Suffixes of garment files, as the file chooser takes them.
+// Suffixes of garment files, and of those that they name, as the file chooser takes them.
 export const MESH_SUFFIXES = "{suffixes}";
+export const BESIDE_SUFFIXES = "{beside}";
 export const BYTES = {{
   POSE: {pose_bytes}, ACK: {ack_bytes}, SAME: {same_bytes}, RIG_POSE_HEADER: {rig_pose_bytes},
   FRAME_HEADER: {frame_bytes}, JETS_HEADER: {jets_bytes}, LAYOUT_HEADER: {layout_bytes},
@@ -255,6 +256,7 @@ def generate() -> str:
         flag_unlike=wire.FLAG_UNLIKE,
         flag_bytes=wire.FLAG_BYTES,
         suffixes=",".join(MESH_SUFFIXES),
+        beside=",".join(BESIDE_SUFFIXES),
         pose_bytes=wire.POSE_BYTES,
         ack_bytes=wire.ACK_BYTES,
         same_bytes=wire.SAME_BYTES,

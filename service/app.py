@@ -28,7 +28,6 @@ from service.http import (
     info_routes,
     openapi,
     pages,
-    pictures,
     problems,
     upload_routes,
 )
@@ -137,7 +136,7 @@ def make_state(runtime: DrapeRuntime, access: Access, life: Lifecycle) -> State:
         handover=Handover(runtime, access.tickets),
         life=life,
         continuations=Continuations(runtime.settings),
-        previews=Kept(pictures.KEPT),
+        previews=Kept(garment_routes.PREVIEWS_KEPT),
         fold_messages=Kept(fold_messages.KEPT),
         meshes=Kept(MESHES_KEPT),
         exact=ExactClips(runtime),

@@ -37,6 +37,10 @@ def _is_stl(payload: bytes) -> bool:
     return binary or (payload[:512].lstrip()[:6] == b"solid " and b"facet" in payload[:HEAD_BYTES])
 
 
+def _is_fbx(payload: bytes) -> bool:
+    return payload[:18] == b"Kaydara FBX Binary" or (payload[:5] == b"; FBX" and b"FBXHeader" in payload[:HEAD_BYTES])
+
+
 # OBJ has no mark of its own, so it comes first and is taken where no other fits.
 MESH_FORMATS: tuple[MeshFormat, ...] = (
     MeshFormat("obj", ("model/obj",), "obj.read_obj", lambda payload: False, True),
@@ -50,10 +54,11 @@ MESH_FORMATS: tuple[MeshFormat, ...] = (
         names_others=True,
     ),
     MeshFormat("stl", ("model/stl", "application/sla"), "ply_stl.read_stl", _is_stl),
-    MeshFormat("usd", ("model/vnd.usd",), "usd.read_usd", lambda payload: False),
-    MeshFormat("usda", ("model/vnd.usda",), "usd.read_usd", lambda payload: payload[:5] == b"#usda"),
-    MeshFormat("usdc", ("model/vnd.usdc",), "usd.read_usd", lambda payload: payload[:8] == b"PXR-USDC"),
-    MeshFormat("usdz", ("model/vnd.usdz+zip",), "usd.read_usd", _is_usdz),
+    MeshFormat("usd", ("model/vnd.usd",), "usd.read_usd", lambda payload: False, True),
+    MeshFormat("usda", ("model/vnd.usda",), "usd.read_usd", lambda payload: payload[:5] == b"#usda", True),
+    MeshFormat("usdc", ("model/vnd.usdc",), "usd.read_usd", lambda payload: payload[:8] == b"PXR-USDC", True),
+    MeshFormat("usdz", ("model/vnd.usdz+zip",), "usd.read_usd", _is_usdz, True),
+    MeshFormat("fbx", ("model/fbx", "application/x-fbx"), "fbx.read_fbx", _is_fbx, True),
     MeshFormat(
         "zip",
         ("application/zip", "application/x-zip-compressed"),
@@ -64,6 +69,7 @@ MESH_FORMATS: tuple[MeshFormat, ...] = (
 MESH_NAMES: tuple[str, ...] = tuple(one.name for one in MESH_FORMATS)
 AVATAR_SUFFIXES = (".glb", ".vrm")
 MESH_SUFFIXES: tuple[str, ...] = tuple(one.suffix for one in MESH_FORMATS)
+BESIDE_SUFFIXES = (".mtl", ".bin", ".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".ktx2")  # of what meshes name
 MESH_CONTENT_TYPES: dict[str, str] = {kind: one.name for one in MESH_FORMATS for kind in one.content_types}
 
 

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import io
+from typing import TYPE_CHECKING
 
 from drape.errors import MeshError
 from drape.files.looks import Looks, kept_pictures
 
+if TYPE_CHECKING:
+    from PIL import Image
+
 READ = ("PNG", "JPEG", "WEBP", "TGA", "BMP")
+Channel = tuple[bytes, int]
 MOST_PIXELS = 2**26  # 8192 x 8192
 LARGEST_SIDE = 2048
 MOST_BYTES = 48 * 2**20  # of the pictures of a garment, made anew
@@ -62,3 +67,24 @@ def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
             notes.append(f"warning: a picture is left out: {error}")
             cleaned.append(None)
     return kept_pictures(looks, cleaned), tuple(notes)
+
+
+def metallic_roughness(metallic: Channel | None, roughness: Channel | None, *, label: str) -> bytes:
+    """The picture that glTF takes: roughness in green and metallic in blue, each from a channel (0 to 3) of a picture
+    as it came; white where there is none. Refuses (``MeshError``) what ``remade`` does."""
+    from PIL import Image
+
+    planes = [None if one is None else _channel(*one, label=label) for one in (roughness, metallic)]
+    size = next(one.size for one in planes if one is not None)
+    white = Image.new("L", size, 255)
+    green, blue = (white if one is None else one.resize(size) for one in planes)
+    out = io.BytesIO()
+    Image.merge("RGB", (white, green, blue)).save(out, "PNG")
+    return out.getvalue()
+
+
+def _channel(payload: bytes, number: int, *, label: str) -> Image.Image:
+    from PIL import Image
+
+    with Image.open(io.BytesIO(remade(payload, label=label))) as image:
+        return image.convert("RGBA").getchannel(number)

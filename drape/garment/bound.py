@@ -71,6 +71,14 @@ class Drawer:
         self._asked = np.unique(bound.corner[bound.kind == OFF])  # whose normals are
         self._faces = np.ascontiguousarray(faces[np.isin(faces, self._asked).any(axis=1)], dtype=np.int32)
 
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """What ``drape_draw_bound`` takes beside the cloth and the counts, in its order: faces (F, 3) around the
+        vertices (N,) of the cloth whose normals are asked for, then corner, weight, offset, kind; numbers as float32.
+        """
+        bound = self._bound
+        numbers = bound.weight.astype(np.float32), bound.offset.astype(np.float32)
+        return self._faces, self._asked.astype(np.int32), bound.corner, *numbers, bound.kind
+
     def draw(self, cloth: np.ndarray) -> np.ndarray:
         """The drawn vertices [m] (D, 3) where the cloth's are at ``cloth`` [m] (V, 3), of the same type."""
         bound, dtype = self._bound, cloth.dtype

@@ -137,7 +137,7 @@ class Garment(Atlas):
         """Where ``surface`` is [m] (..., D, 3) while the delivered vertices are at ``vertices`` [m] (..., V, 3)."""
         if self.drawn is None:
             return vertices
-        drawer = self._drawer
+        drawer = self.drawer
         flat = vertices.reshape(-1, *vertices.shape[-2:])
         return np.stack([drawer.draw(one) for one in flat]).reshape(*vertices.shape[:-2], -1, 3)
 
@@ -146,7 +146,8 @@ class Garment(Atlas):
         return self.drawn_vertices(self.vertices[: self.vertex_count].astype(np.float32, copy=False))
 
     @cached_property
-    def _drawer(self) -> Drawer:
+    def drawer(self) -> Drawer:
+        """Draws ``drawn``, which is there."""
         assert self.drawn is not None
         return Drawer(self.drawn, self.faces)
 

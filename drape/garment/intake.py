@@ -35,12 +35,13 @@ from drape.garment.files.mesh import GarmentMesh, read_mesh
 from drape.garment.fitting import fit_garment
 from drape.garment.grain import corner_uv
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions, read_fabric
-from drape.garment.mesh_checks import Unit, Up, check_arrays, check_surface, place
+from drape.garment.mesh_checks import Unit, Up, check_arrays
 from drape.garment.modelled_on import modelled_on
 from drape.garment.outfit import garments_in, part_names, parted
 from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
 from drape.garment.rest_mesh import RestMesh, describe_rest, rest_mesh, with_unused
 from drape.garment.sewing import Sewing, sewing_beside, sewn_hinges
+from drape.garment.wearer_pictures import pictured
 
 # Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
 MOVED_VERSION = 1
@@ -147,12 +148,8 @@ def intake_outfit(
     with_uv = "with uv" if len(mesh.uv) else "no uv"
     say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {with_uv}")
     check_arrays(mesh)
-    sheets, wearer = mesh if sewn is not None else joined(mesh), None
-    if meaning is None:
-        sheets, model, wearer = modelled_on(sheets, body, options)
-    else:
-        model = avatars.read_avatar(meaning, body)
-        sheets = place(check_surface(sheets), model, unit=options.unit, up=options.up)
+    sheets = mesh if sewn is not None else joined(mesh)
+    sheets, model, wearer = modelled_on(sheets, body, options, meaning)
     say(
         f"avatar    {model.source}; residual {model.residual_mm:.1f} mm"
         + ("" if meaning is not None else " (none was named)")
@@ -161,7 +158,7 @@ def intake_outfit(
         say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")
     started = time.perf_counter()
     begins("rest")
-    told: dict[str, Any] = {} if wearer is None else {"wearer": wearer.to_json()}
+    told: dict[str, Any] = {} if wearer is None else {"wearer": pictured(wearer, mesh)}
     label = np.zeros(len(sheets.faces), dtype=int) if sewn is not None else garments_in(sheets, model.vertices)
     layers = int(label.max(initial=0)) + 1
     if layers > 1:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from drape.garment.registration import unpack
 from drape.garment.wearer_fields import SHAPES
 
 ODD = {"inch": 0.02, "free": 0.12, "x up": 0.02, "downward": 0.05, "facing": 0.05}  # costs of readings that few write
+AXES = ("+y", "-y", "+z", "-z", "+x", "-x")
 USUAL_FRONTS = {"+y": ("+z",), "+z": ("-y", "+x"), "+x": ("+y", "+z", "-z")}
 
 
@@ -58,7 +61,8 @@ class Wearer:
     ``inside`` is the share of the cloth deeper than 1 cm in the skin, ``open_share`` how much of the way round its
     bones is bare, ``band_m`` the median distance at the top; ``sleeved`` says whether the cloth shows the arms, and
     ``fault`` what does not fit. ``origin`` is where the file's is, at the body's "root" or "floor", or "". ``sure`` in
-    [0, 1] falls where another reading fits nearly as well, or the same body higher or lower.
+    [0, 1] falls where another reading fits nearly as well, or the same body higher or lower. ``others`` are nearly as
+    likely.
     """
 
     reading: Reading
@@ -73,6 +77,7 @@ class Wearer:
     odd_arms: float = 0.0
     origin: str = ""
     sure: float = 1.0
+    others: tuple[Wearer, ...] = ()
 
     @property
     def betas(self) -> np.ndarray:
@@ -108,8 +113,30 @@ class Wearer:
         axes = "" if self.reading.up == "+y" else f", {self.reading.up.lstrip('+')} up"
         return f"{who} of {self.height_m:.2f} m, {arms}, {unit}{axes}"
 
-    def to_json(self) -> dict[str, float | str]:
+    @property
+    def options(self) -> dict[str, str]:
+        """The form fields of an upload that choose this body (``told_reading``, ``avatars.smpl_avatar``)."""
+        unit = self.reading.unit if self.reading.unit in UNITS_M else float(f"{self.reading.scale:.6g}")
+        told = {"unit": unit, "up": self.reading.up.lstrip("+"), "facing": self.reading.front.lstrip("+")}
+        arrays = {"betas": self.betas, "pose": self.pose.reshape(-1), "trans": self.trans}
+        numbers = {name: np.round(array, 4).tolist() for name, array in arrays.items()}
+        return {"avatar": json.dumps(told | numbers, separators=(",", ":"))}
+
+    def to_json(self) -> dict[str, Any]:
         """The manifest's entry."""
+        others = [one._facts() | {"words": one.words + one.unlike(self)} for one in self.others]
+        return self._facts() | {"others": others}
+
+    def unlike(self, other: Wearer) -> str:
+        """What ``words`` leave out of how it differs from ``other``, such as ", the cloth 9 cm lower"."""
+        if (self.reading.up, self.reading.front) != (other.reading.up, other.reading.front):
+            return f", facing {self.reading.front.lstrip('+')}"
+        rise_cm = round(100.0 * float(self.trans[1] - other.trans[1]))
+        if self.reading != other.reading or not rise_cm:
+            return ""
+        return f", the cloth {abs(rise_cm)} cm {'lower' if rise_cm > 0 else 'higher'}"
+
+    def _facts(self) -> dict[str, Any]:
         return {
             "height_m": round(self.height_m, 3),
             "unit": self.reading.unit if self.reading.unit in UNITS_M else f"{self.reading.scale:.4g} m",
@@ -118,6 +145,7 @@ class Wearer:
             "arms_deg": round(self.arms_deg, 1),
             "sure": round(self.sure, 2),
             "words": self.words,
+            "options": self.options,
         }
 
 
@@ -126,9 +154,9 @@ def _drop_deg(joints: np.ndarray, side: str) -> float:
     return float(np.degrees(np.arctan2(-way[1], np.hypot(way[0], way[2]))))
 
 
-def readings_of(units: Iterable[tuple[str, float]], ups: Sequence[str]) -> Iterable[Reading]:
-    """Every reading in ``units`` (names and metres) and ``ups``, in all four facings."""
-    fronts = [f"{sign}{axis}" for axis in "xyz" for sign in "+-"]
-    for (unit, scale), up, front in product(units, ups, fronts):
-        if up[1] != front[1]:
-            yield Reading(unit, scale, up, front)
+def readings_of(units: Iterable[tuple[str, float]], up: str | None, front: str | None) -> Iterable[Reading]:
+    """Every reading in ``units`` (names and metres), with the axes ``up`` and ``front`` where they are given."""
+    ups, fronts = (list(AXES) if one is None else [one] for one in (up, front))
+    for (unit, scale), upward, forward in product(units, ups, fronts):
+        if upward[1] != forward[1]:
+            yield Reading(unit, scale, upward, forward)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,15 +15,19 @@ SKIN = (0.80, 0.66, 0.56)
 CLOTH = (0.25, 0.42, 0.85)
 BACKGROUND = 1.0
 
+Paint = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Of places in faces (n,) with shares (n, 3) of their corners: the colours (n, 3), and whether each is there (n,)."""
+
 
 @dataclass(frozen=True)
 class Surface:
-    """A mesh to draw: vertices [m] (V, 3), faces (F, 3), an RGB colour or one per face (F, 3)."""
+    """A mesh to draw: vertices [m] (V, 3), faces (F, 3), an RGB colour or one per face (F, 3), or its ``paint``."""
 
     vertices: np.ndarray
     faces: np.ndarray
     colour: tuple[float, float, float] | np.ndarray = CLOTH
     smooth: bool = True
+    paint: Paint | None = None
 
 
 def view_matrix(azimuth_deg: float, elevation_deg: float = 8.0) -> np.ndarray:
@@ -151,9 +155,13 @@ def _raster(
     for t, pixel, z, w in _fragments(camera, screen, faces, size):
         nearer = z > depth[pixel]
         t, pixel, z, w = t[nearer], pixel[nearer], z[nearer], w[nearer]
+        own = colour[t]
+        if surface.paint is not None:
+            own, there = surface.paint(t, w)
+            t, pixel, z, w, own = t[there], pixel[there], z[there], w[there], own[there]
         n = np.einsum("nk,nkc->nc", w, vertex_normal[faces[t]]) if surface.smooth else normal[t]
         n = n / (np.linalg.norm(n, axis=1, keepdims=True) + 1e-12)
         n = np.where(n[:, 2:3] < 0, -n, n)
         shade = 0.28 + 0.72 * np.clip(n @ light, 0, 1)
         depth[pixel] = z
-        image[pixel] = np.clip(colour[t] * shade[:, None], 0, 1)
+        image[pixel] = np.clip(own * shade[:, None], 0, 1)

@@ -18,6 +18,7 @@ from service.errors import NotAcceptable
 BINARY = "application/octet-stream"
 JSON = "application/json"
 GLB = "model/gltf-binary"
+PNG = "image/png"
 PC2 = "application/x-pc2"
 USDA = "model/vnd.usda"
 PIECE_NUMBERS = 4096  # half a millisecond of the encoder, which holds the interpreter lock

@@ -15,15 +15,15 @@ from pydantic import Field
 from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.formats import AVATAR_SUFFIXES
+from drape.garment.portrait import Sitter, portrait
 from service.compute.avatars import AvatarInfo
 from service.errors import Full, TooSlow
 from service.http import schemas
-from service.http.answers import BINARY, JSON, json_answer
+from service.http.answers import BINARY, JSON, PNG, json_answer
 from service.http.covered_schemas import CoveredFaces, CoveredPrimitive
 from service.http.garment_routes import LEAST, MOST, USUAL
 from service.http.json_body import document_of, json_text, validated
 from service.http.openapi import BYTES, KNOWN, body_schema, responses
-from service.http.pictures import PNG, picture
 from service.http.problems import check_query
 from service.http.upload_routes import job_info
 from service.state import ClientHere, StateHere
@@ -176,8 +176,8 @@ async def avatar_preview(
 
     async def made() -> bytes:
         wearer = await state.wearer(avatar_id, client)
-        surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
-        return await state.runtime.made(picture, surface, None, size)
+        sitter = Sitter(wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64))
+        return await state.runtime.made(portrait, sitter, None, size)
 
     made_of = f"{entry.told.digest}-{size}".encode()
     return await state.previews.answer(made_of, made, asked=request.headers, kind=PNG, packed=False)

@@ -8,16 +8,17 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.engine.flat_records import flat_records
 from drape.engine.records import HASH
+from drape.garment.bound import Drawer
 from drape.garment.cache import Garment
 from drape.live.fold_records import fold_records
-from drape.wire.folds import pack_folds
+from drape.wire.folds import pack_folds, with_hung
 from drape.wire.messages import WIRE_VERSION
 from drape.wire.options import FabricChoice, FabricNumbers
 from service.http.json_body import document_of, validated
 from service.http.kept import packed_text
 
 KEPT = 8  # messages of some 3 MB, compressed to half of their size
-Folded = tuple[Garment, BodyModel, Fabric | None, np.ndarray, bool]
+Folded = tuple[Garment, BodyModel, Fabric | None, np.ndarray, bool, Drawer | None]
 
 
 def queried_fabric(text: str | None) -> FabricChoice | None:
@@ -27,14 +28,21 @@ def queried_fabric(text: str | None) -> FabricChoice | None:
     return validated(FabricNumbers, document_of(text.encode())) if text.startswith("{") else text
 
 
-def packed(worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool) -> bytes:
+def packed(
+    worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool, hung: Drawer | None
+) -> bytes:
     """The message of the garment ``worn`` on ``body`` of a ``shape``, of ``fabric`` or else its own, where a ``coarse``
-    cloth takes the steps or the fine one; compressed."""
-    return packed_text(pack_folds(*flat_records(fold_records(worn, body, fabric, shape, coarse=coarse))))
+    cloth takes the steps or the fine one; with what is drawn of it, if that is ``hung`` on it; compressed."""
+    told = flat_records(fold_records(worn, body, fabric, shape, coarse=coarse))
+    return packed_text(pack_folds(*(told if hung is None else with_hung(*told, hung.arrays()))))
 
 
-def made_of(worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool) -> bytes:
+def made_of(
+    worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool, hung: Drawer | None
+) -> bytes:
     """What the message of ``packed`` depends on."""
     named = "" if fabric is None else fabric.digest
-    said = "|".join((str(WIRE_VERSION), f"{HASH:x}", worn.digest, body.digest, named, str(coarse)))
+    said = "|".join(
+        (str(WIRE_VERSION), f"{HASH:x}", worn.digest, body.digest, named, str(coarse), "hung" * (hung is not None))
+    )
     return said.encode() + shape.tobytes()

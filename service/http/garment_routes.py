@@ -13,19 +13,19 @@ from pydantic import BaseModel, Field
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.looks import media_type
 from drape.garment.cache import Garment
+from drape.garment.portrait import at_rest, portrait
 from drape.wire.meshes import pack_mesh
 from drape.wire.messages import WIRE_VERSION
 from drape.wire.options import DrapeOptions, Resolution, SizeName
 from service.errors import Forbidden, NotAcceptable, TooSlow
 from service.http import schemas
-from service.http.answers import BINARY, GLB, JSON, choose, file_answer, json_answer
+from service.http.answers import BINARY, GLB, JSON, PNG, choose, file_answer, json_answer
 from service.http.clip_files import rest_file
 from service.http.fold_messages import made_of, packed, queried_fabric
 from service.http.json_body import document_of, json_text, validated
 from service.http.kept import ASKED_AGAIN, packed_text
 from service.http.look_schemas import LooksDocument
 from service.http.openapi import KNOWN, body_schema, responses
-from service.http.pictures import PNG, picture
 from service.http.query import queried_shape
 from service.state import ClientHere, State, StateHere
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side
+PREVIEWS_KEPT = 64  # pictures, of up to a quarter of a megabyte
 SIZE = "The size of the garment. Left out: M, or the only size that the garment has."
 AskedSize = Annotated[SizeName | None, Query(description=SIZE)]
 
@@ -60,6 +61,10 @@ class FoldsAsked(BaseModel):
     coarse: bool = Field(
         default=False,
         description="Whether a coarse cloth takes the steps of folds. The stream's `opened` message says which it is.",
+    )
+    drawn: bool = Field(
+        default=False,
+        description="Whether what is drawn comes too, of a garment that says `hung`. It takes resolution fine.",
     )
 
 
@@ -201,8 +206,9 @@ async def garment_folds(
     scene = await state.scene(garment_id, None, client, avatar=asked.avatar, size=asked.size)
     chosen = {"resolution": asked.resolution, "fabric": queried_fabric(asked.fabric)}
     plan = runtime.plan(scene, DrapeOptions(geometry="jets", folds_by="client", folds=1, **chosen))  # may refuse
-    worn, body = plan.scene.layers[0].garment, runtime.on(scene).body
-    folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body), asked.coarse
+    (own,), worn, body = scene.layers, plan.scene.layers[0].garment, runtime.on(scene).body
+    hung = own.garment.drawer if asked.drawn and own.garment.drawn is not None and worn.drawn is None else None
+    folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body), asked.coarse, hung
     make = partial(runtime.made, packed, *folded)
     return await state.fold_messages.answer(made_of(*folded), make, asked=request.headers, kind=kind)
 
@@ -222,13 +228,13 @@ async def garment_preview(
     ] = USUAL,
     alone: Annotated[bool, Query(description="Whether the picture leaves the body out.")] = False,
 ) -> Response:
-    """Returns a picture of the garment at rest on the standard body, seen from the front and a little from the side."""
+    """Returns a picture of the garment in its own colours at rest on the standard body, from the front and a little
+    from the side."""
     garment, body = (await state.garment(garment_id, client)).garment, state.runtime.body
 
     def drawn() -> bytes:
-        worn = (garment.drawn_at_rest().astype(np.float64), garment.surface.faces.astype(np.int64))
         skin = None if alone else (body.rest_vertices(np.zeros(body.shape_count)), body.faces.astype(np.int64))
-        return state.runtime.constants_process.call(picture, worn, skin, size)
+        return state.runtime.constants_process.call(portrait, at_rest(garment), skin, size)
 
     make = partial(state.runtime.threads.apart, drawn)
     drawn_of = f"{garment.digest}-{alone}-{size}".encode()

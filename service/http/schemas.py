@@ -15,6 +15,7 @@ from drape.stages.placing import Origin
 from drape.stages.tiers import Tier
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
 from service.http.size_schemas import SizeInfo
+from service.http.wearer_schemas import WearerFound
 
 if TYPE_CHECKING:
     from drape.stages.scene import Entry
@@ -235,6 +236,9 @@ class GarmentInfo(BaseModel):
         description="The number of vertices of the mesh of resolution fine. It equals "
         "vertices where the delivered mesh is fine enough."
     )
+    hung: bool = Field(
+        default=False, description="Whether what is drawn hangs on a cloth of other triangles, that of resolution fine."
+    )
     patches: int
     source: Literal["shipped", "user"]
     published: bool = Field(description="Whether other keys than its owner's may use it.")
@@ -254,6 +258,7 @@ class GarmentInfo(BaseModel):
             vertices=entry.vertex_count,
             faces=len(garment.surface.faces),
             fine_vertices=len(garment.vertices),
+            hung=garment.drawn is not None and not garment.carriers,
             patches=garment.patch_count,
             source=entry.source,
             published=entry.owner is None or entry.published,
@@ -280,18 +285,6 @@ class FrameTold(BaseModel):
     crossings: int = Field(description="The number of pairs of cloth triangles that cross.")
     start_crossings: int = Field(description="The number of such pairs in the frame's drape of tier accurate.")
     steps: int = Field(description="The number of Newton's steps.")
-
-
-class WearerFound(BaseModel):
-    """Who wore a garment, by its cloth."""
-
-    height_m: float = Field(description="Standing, without shoes.")
-    unit: str = Field(description="Of the file: a unit's name, or a size between the units in metres.")
-    up: str = Field(description="The axis of the file that is up.")
-    facing: str = Field(description="The axis of the file that the body faces along.")
-    arms_deg: float = Field(description="How far the upper arms hang below the horizontal.")
-    sure: float = Field(description="0 to 1: low where another body fits nearly as well, or the cloth lies far off.")
-    words: str = Field(default="", description="The same in words.")
 
 
 class JobInfo(BaseModel):

@@ -91,11 +91,17 @@ class Page:
             )
             time.sleep(0.1)
 
-    def choose_file(self, selector: str, path: Path) -> None:
-        """Puts a file into a file input."""
+    def choose_file(self, selector: str, *paths: Path) -> None:
+        """Puts files into a file input."""
         document = self.call("DOM.getDocument")["root"]["nodeId"]
         node = self.call("DOM.querySelector", nodeId=document, selector=selector)["nodeId"]
-        self.call("DOM.setFileInputFiles", nodeId=node, files=[str(path)])
+        self.call("DOM.setFileInputFiles", nodeId=node, files=[str(path) for path in paths])
+
+    def drop(self, *paths: Path) -> None:
+        """Drops files and folders on the page, as the hand of a user does."""
+        data = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
+        for kind in ("dragEnter", "dragOver", "drop"):
+            self.call("Input.dispatchDragEvent", type=kind, x=300, y=300, data=data)
 
     def go(self, url: str) -> None:
         """Leaves for ``url``."""

@@ -19,18 +19,22 @@ from drape.contact.skin import posed_table
 from drape.engine.flat_records import TYPES, flat_records
 from drape.engine.records import HASH, RECORDS
 from drape.errors import InputError
+from drape.garment.bound import Drawer, bind
+from drape.garment.files.mesh import plain_mesh
+from drape.geometry import meshes
 from drape.graph.packing import tile_charts
 from drape.live.clock import Frame
 from drape.live.fold_records import shape_feed
 from drape.live.fold_step import FoldEffort
 from drape.live.two_level import TwoLevel
-from drape.wire.folds import pack_folds, unpack_folds
+from drape.wire.folds import pack_folds, unpack_folds, with_hung
 from drape.wire.layout import JetLayout, pack_layout
 from drape.wire.messages import FOLDS
 from tests.clients.built import engine_for_browsers
 from tests.clients.node import answer_of
+from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.live.conftest import still, tank
-from tests.drape.live.folds_setup import constants, folded, frame, held_for, sleeve
+from tests.drape.live.folds_setup import EASE_M, HEIGHT_M, RADIUS_M, constants, folded, frame, held_for, sleeve
 
 __all__ = ["still", "tank"]  # fixtures
 FRAMES = 24
@@ -227,3 +231,38 @@ def test_a_message_holds_the_records_that_were_packed_and_nothing_else_is_read()
     ):
         with pytest.raises(InputError, match=expected):
             unpack_folds(wrong)
+
+
+HANG = """
+import { readFileSync } from "node:fs";
+import { Folding } from "./folding.js";
+const bytes = (name) => new Uint8Array(readFileSync(new URL(name, import.meta.url))).buffer;
+const module = await WebAssembly.compile(bytes("engine.wasm"));
+const folding = await Folding.make({ module, constants: bytes("constants.bin") });
+const { engine } = folding;
+const drawn = input.cloths.map((cloth) => {
+  engine.view(folding.smooth).set(cloth);
+  return [...engine.view(folding.drawnOn(folding.smooth))];
+});
+console.log(JSON.stringify({ drawn }));
+"""
+
+
+def test_what_hangs_on_the_cloth_is_drawn_as_in_the_service(rng, tmp_path: Path):
+    """A lining off the cloth, vertices on it, and a stiff button."""
+    rest, faces = tube(11, 6, radius_m=RADIUS_M + EASE_M, height_m=HEIGHT_M)
+    faces = faces.astype(np.int64)
+    normals = meshes.vertex_normals(rest, faces)
+    button = rest[40] + 0.004 * rng.normal(size=(6, 3)) + 0.01 * normals[40]
+    places = np.concatenate([rest, rest - 0.003 * normals, button])
+    row = np.concatenate([np.arange(len(rest)), np.full(len(rest) + 6, -1)])
+    part = np.concatenate([np.full(2 * len(rest), -1), np.zeros(6, dtype=int)])
+    mesh = plain_mesh("lined", places, np.concatenate([faces, faces + len(rest), [[0, 1, 2]]]))
+    drawer = Drawer(bind(mesh, places, rest, faces, row, part), faces)
+    cloths = [rest, rest + 0.05 * np.sin(9.0 * rest[:, [1, 2, 0]])]
+    shutil.copy(engine_for_browsers(), tmp_path)
+    told = flat_records({"FoldConstants": constants("rib"), "BodyFeed": no_body()})
+    (tmp_path / "constants.bin").write_bytes(pack_folds(*with_hung(*told, drawer.arrays())))
+    said = answer_of(HANG, {"cloths": [np.ravel(one).tolist() for one in cloths]}, tmp_path)
+    for cloth, got in zip(cloths, said["drawn"], strict=True):
+        assert_allclose(np.reshape(got, (-1, 3)), drawer.draw(cloth.astype(np.float32)), rtol=0, atol=1e-6)

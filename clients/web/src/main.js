@@ -1,11 +1,11 @@
 // The fitting room: what its parts have to do with each other.
 import { connect } from "../lib/src/index.js";
 import { clipSource } from "../lib/src/sources.js";
-import { BYTES, MESH_SUFFIXES } from "../lib/src/wire.js";
+import { BESIDE_SUFFIXES, BYTES, MESH_SUFFIXES } from "../lib/src/wire.js";
 import { findCharacter, sendCharacter } from "./avatars.js";
 import { Camera, makeDoor } from "./camera.js";
 import { askForKey } from "./door.js";
-import { acceptDrops } from "./drop.js";
+import { acceptDrops, chosenGarments } from "./drop.js";
 import { Fabrics } from "./fabrics.js";
 import { Figure } from "./figure.js";
 import { asked, clipFirst, countFrame, moving, wanted, wornFirst } from "./first.js";
@@ -16,10 +16,11 @@ import { Motions, sampled } from "./motions.js";
 import { Outfit } from "./outfit.js";
 import { Quality } from "./quality.js";
 import { Readouts, Triangles } from "./readouts.js";
-import { clipFile, key, uploadGarment } from "./service.js";
+import { clipFile, key } from "./service.js";
 import { Shelf } from "./shelf.js";
 import { Sizes } from "./sizes.js";
 import { Stage } from "./stage.js";
+import { Uploads } from "./uploads.js";
 import { element, failing, hush, say, title } from "./words.js";
 
 const SEND_RATE = 60; // poses per second at most
@@ -193,11 +194,13 @@ const takeMotion = failing(async (file) => {
   await motions.choose(before);
 });
 
-async function take(kind, file) {
-  if (kind === "garment") await upload(file);
+async function take({ kind, parts }) {
+  const [{ file }] = parts;
+  if (kind === "garment") await uploads.take(parts);
   else if (kind === "character") await takeCharacter(file);
   else if (kind === "motion") await takeMotion(file);
-  else say(`${file.name} is none of OBJ, GLB, PLY, STL, USD, ZIP (garments), GLB, VRM (characters), BVH, NPZ (motions).`, { bad: true });
+  else if (kind === "beside") say(`${file.name} belongs to a garment: drop it together with its mesh.`, { bad: true });
+  else say(`${file.name} is none of OBJ, GLB, PLY, STL, USD, FBX, ZIP (garments), GLB, VRM (characters), BVH, NPZ (motions).`, { bad: true });
 }
 
 function tellOffline(refusal) {
@@ -244,22 +247,14 @@ async function listGarments(chosen, limit) {
   if (garments.length === 0) say("No garments yet: upload one.");
 }
 
-const upload = failing(async (file) => {
-  const ending = new AbortController();
-  element("cancel").hidden = false;
-  element("cancel").onclick = () => ending.abort();
-  try {
-    const words = { start: "begins", read: "is read", rest: "is laid on the body", fit: "gets its patches", cloth: "comes to rest", store: "is stored", prepare: "is made ready" };
-    const told = (job) => say(`${file.name} ${words[job.stage] ?? "waits"} … ${Math.round(100 * job.share)} %`);
-    const { garments, wearer } = await uploadGarment(drape.rest, file, element("modelled-on").value, told, ending.signal);
-    const ids = garments.length > 1 ? [] : shelf.worn.map(({ id }) => id); // an outfit is worn by itself
-    await listGarments([...ids.slice(0, shelf.limit - 1), ...garments]);
+const uploads = new Uploads({
+  rest: () => drape.rest,
+  async onMade(garments, instead) {
+    const before = shelf.worn.map(({ id }) => id).filter((id) => !instead.includes(id));
+    const under = garments.length > 1 ? [] : before.slice(0, shelf.limit - 1); // an outfit is worn by itself
+    await listGarments([...under, ...garments]);
     await wearAgain();
-    const count = garments.length > 1 ? `, ${garments.length} garments over each other` : "";
-    say(`${file.name} is ready${count}${wearer ? `. It seems made for ${wearer.words}` : ""}.`);
-  } finally {
-    element("cancel").hidden = true;
-  }
+  },
 });
 
 const save = failing(async () => {
@@ -344,11 +339,15 @@ function makeRoom() {
 }
 
 function wireControls() {
-  element("file").accept = MESH_SUFFIXES;
-  for (const [id, taker] of [["file", upload], ["character-file", takeCharacter], ["motion-file", takeMotion]]) {
+  element("file").accept = `${MESH_SUFFIXES},${BESIDE_SUFFIXES}`;
+  const single = (taker) => (files) => taker(files[0]);
+  const several = async (files) => {
+    for (const thing of await chosenGarments(files)) await take(thing);
+  };
+  for (const [id, taker] of [["file", several], ["character-file", single(takeCharacter)], ["motion-file", single(takeMotion)]]) {
     element(id).addEventListener("change", async () => {
-      const [file] = element(id).files;
-      if (file) await taker(file);
+      const { files } = element(id);
+      if (files.length) await taker(files);
       element(id).value = ""; // so that the same one may come again
     });
   }

@@ -11,13 +11,13 @@ export async function clipFile(rest, document) {
   return (await rest.request("/drape", { method: "POST", headers, body: JSON.stringify(document) })).blob();
 }
 
-// Uploads a garment file and waits for its job; returns that when it is done. onJob(job) is told where it is; signal: an AbortSignal
-// that ends it there too.
-export async function uploadGarment(rest, file, modelledOn, onJob, signal) {
-  const query = new URLSearchParams({ name: file.name });
-  if (modelledOn) query.set("avatar", modelledOn);
-  const headers = { "Content-Type": "application/octet-stream" };
-  let job = await rest.json(`/garments?${query}`, { method: "POST", headers, body: file });
+// Uploads a garment, the parts { file, path } of it, the mesh first, and waits for its job; returns that when it is done.
+// options: fields of POST /garments. onJob(job) is told where it is; signal: an AbortSignal that ends it there too.
+export async function uploadGarment(rest, parts, options, onJob, signal) {
+  const [{ file }] = parts;
+  const given = Object.entries(options).filter(([, value]) => value);
+  const query = new URLSearchParams([["name", file.name], ...given]);
+  let job = await rest.json(`/garments?${query}`, { method: "POST", ...bodyOf(parts) });
   while (job.state === "queued" || job.state === "running") {
     onJob(job);
     await new Promise((resolve) => setTimeout(resolve, POLL_MS));
@@ -28,3 +28,13 @@ export async function uploadGarment(rest, file, modelledOn, onJob, signal) {
   if (job.state === "failed") throw new DrapeError(job.problem);
   return job;
 }
+
+// One file goes as it is, several as the parts of a form.
+function bodyOf(parts) {
+  if (parts.length === 1) return { headers: { "Content-Type": "application/octet-stream" }, body: parts[0].file };
+  const body = new FormData();
+  for (const { file, path } of parts) body.append("file", file, path);
+  return { body };
+}
+
+export const removeGarment = (rest, id) => rest.request(`/garments/${encodeURIComponent(id)}`, { method: "DELETE" });

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import PurePosixPath
 
 from drape.files.formats import HEAD_BYTES, MESH_FORMATS
-from drape.garment.files.mesh import GarmentMesh, mesh_fault, read_payload
+from drape.garment.files.mesh import Beside, GarmentMesh, mesh_fault, read_payload
 
 MOST_FILES = 1000
 MOST_BYTES = 384 * 2**20
@@ -27,7 +27,7 @@ Files = Mapping[str, Callable[[], bytes]]
 
 def read_zip(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
     """The one mesh in a zip or in the parts of a form, with the pictures beside it."""
-    files = _parts(payload, name) if payload[:2] == b"--" else _members(payload, name)
+    files = _parts(payload, name) if payload[:2] == b"--" else zip_members(payload, name)
     shown = {path: read for path, read in files.items() if not path.startswith(("__MACOSX/", ".")) and "/." not in path}
     meshes = [path for path in shown if path.lower().endswith(MESHES)]
     if not meshes and (inner := [path for path in shown if path.lower().endswith(ARCHIVES)]):
@@ -37,19 +37,24 @@ def read_zip(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
         got = ", ".join(f"{one!a:.40}" for one in meshes[:3]) or "none"
         raise mesh_fault(name, f"one mesh, {', '.join(MESHES)}", got, "Keep one mesh and its pictures in the zip.")
     content, kind = shown[meshes[0]](), PurePosixPath(meshes[0]).suffix.lower().lstrip(".")
-    folder = PurePosixPath(meshes[0]).parent
-
-    def beside(wanted: str) -> bytes | None:
-        plain = str(PurePosixPath(wanted.replace("\\", "/")))
-        here = [path for path in shown if path.lower() == str(folder / plain).lower()]
-        last = plain.rpartition("/")[2].lower()  # exporters write the paths of their own machine
-        named = here or [path for path in shown if path.rpartition("/")[2].lower() == last]
-        return shown[named[0]]() if named else None
-
+    beside = files_beside(shown, PurePosixPath(meshes[0]).parent)
     return read_payload(content, name=name, kind=kind, vertex_limit=vertex_limit, beside=beside)
 
 
-def _members(payload: bytes, name: str) -> Files:
+def files_beside(files: Files, folder: PurePosixPath) -> Beside:
+    """Gives of ``files`` what a mesh in ``folder`` names: at its path from there, else by its last name."""
+
+    def beside(wanted: str) -> bytes | None:
+        plain = str(PurePosixPath(wanted.replace("\\", "/")))
+        here = [path for path in files if path.lower() == str(folder / plain).lower()]
+        last = plain.rpartition("/")[2].lower()  # exporters write the paths of their own machine
+        named = here or [path for path in files if path.rpartition("/")[2].lower() == last]
+        return files[named[0]]() if named else None
+
+    return beside
+
+
+def zip_members(payload: bytes, name: str) -> Files:
     """The files of a zip; refuses one that is too large, encrypted or damaged, or that has names outside of it."""
     if (entries := payload.count(b"PK\x01\x02")) > MOST_FILES:
         raise mesh_fault(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from drape.files.gltf import GltfFile
 from drape.files.gltf_json import Node, Primitive
 from drape.garment.files.gltf_looks import gltf_looks
-from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault, plain_mesh, weld
+from drape.garment.files.mesh import Beside, GarmentMesh, check_count, mesh_fault, plain_mesh, weld
 from drape.geometry.rotations import quaternion_to_matrix
 
 TRIANGLES = 4
@@ -19,9 +19,7 @@ EXPORT = "Export the mesh again."
 Part = tuple[np.ndarray, np.ndarray, np.ndarray | None, int | None]
 
 
-def read_glb(
-    payload: bytes, *, name: str, vertex_limit: int, beside: Callable[[str], bytes | None] = lambda wanted: None
-) -> GarmentMesh:
+def read_glb(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
     """The default scene's triangles in world axes; vertices at the same place become one, uv stay per corner."""
     file, parts, total = GltfFile(payload, label=f"mesh {name}", beside=beside), [], 0
     for node, placed in _placed_nodes(file, name):

@@ -24,6 +24,8 @@ from drape.files.pictures import with_remade
 BYTES_LIMIT = 96 * 2**20
 VERTEX_LIMIT = 200_000
 AVATAR_VERTEX_LIMIT = 400_000
+Beside = Callable[[str], bytes | None]
+"""The bytes of a file that a mesh file names, None where it is not there."""
 MATERIAL_CHARACTERS = 200  # of a name that is kept
 
 
@@ -68,6 +70,14 @@ def plain_mesh(name: str, vertices: np.ndarray, faces: np.ndarray | list[list[in
     )
 
 
+def fans(sides: np.ndarray) -> np.ndarray:
+    """Rows (F, 3) of the corners of triangles in which polygons with ``sides`` corners are cut from their first."""
+    start = np.cumsum(sides) - sides
+    first = np.repeat(start, sides - 2)
+    step = np.arange(len(first)) - np.repeat(np.cumsum(sides - 2) - (sides - 2), sides - 2)
+    return np.stack([first, first + step + 1, first + step + 2], axis=1)
+
+
 def weld(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` with vertices at exactly the same place made one; order of first appearance."""
     _, first, inverse = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
@@ -106,9 +116,7 @@ def read_mesh(
     return replace(mesh, material_names=names, looks=looks).noted(*notes)
 
 
-def read_payload(
-    payload: bytes, *, name: str, kind: str, vertex_limit: int, beside: Callable[[str], bytes | None]
-) -> GarmentMesh:
+def read_payload(payload: bytes, *, name: str, kind: str, vertex_limit: int, beside: Beside) -> GarmentMesh:
     """The mesh of format ``kind`` with its pictures as they came; ``beside`` gives files that a mesh file names."""
     kind = "glb" if kind == "vrm" else kind
     found = next((one for one in MESH_FORMATS if one.name == kind), None)

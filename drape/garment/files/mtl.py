@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
 
 from drape.files.looks import Looks, Material, Slot
+from drape.garment.files.mesh import Beside
 
-Beside = Callable[[str], bytes | None]
-"""The bytes of a file that a mesh file names, None where it is not there."""
 PICTURES: dict[str, Slot] = {"map_kd": "base_colour", "norm": "normal", "map_bump": "normal", "bump": "normal"}
 MOST_LIBRARIES = 32
 _NUMBERS = re.compile(r"[-+.\dEe]+\Z|(on|off)\Z")

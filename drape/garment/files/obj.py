@@ -10,8 +10,8 @@ from json import detect_encoding
 import numpy as np
 
 from drape.errors import MeshError
-from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault
-from drape.garment.files.mtl import Beside, mtl_looks
+from drape.garment.files.mesh import Beside, GarmentMesh, check_count, mesh_fault
+from drape.garment.files.mtl import mtl_looks
 
 # Statements that say nothing of the surface, nor of what is left out.
 _SILENT = frozenset("o g s".split())  # noqa: SIM905

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from drape.files.looks import Looks, Material
-from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault, plain_mesh, weld
+from drape.garment.files.mesh import Beside, GarmentMesh, check_count, mesh_fault, plain_mesh, weld
 
 _PLY_SIZES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
@@ -17,9 +16,7 @@ _PLY_SIZES = {
 }  # fmt: skip
 
 
-def read_ply(
-    payload: bytes, *, name: str, vertex_limit: int, beside: Callable[[str], bytes | None] = lambda wanted: None
-) -> GarmentMesh:
+def read_ply(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
     """The mesh of a PLY file, by trimesh, once the header's counts fit the bytes; its TextureFile is the picture."""
     end = payload[:65536].find(b"end_header")
     if end < 0 or payload[:3] != b"ply":

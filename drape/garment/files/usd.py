@@ -10,12 +10,14 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib import import_module
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault, plain_mesh
+from drape.garment.files.archive import files_beside, zip_members
+from drape.garment.files.mesh import Beside, GarmentMesh, check_count, fans, mesh_fault, plain_mesh
+from drape.garment.files.usd_looks import coordinates_of, usd_looks
 
 MOST_PRIMS = 100_000
 SHOWN = ("default", "render")  # purposes
@@ -23,23 +25,28 @@ SHOWN = ("default", "render")  # purposes
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """World ``points`` (V, 3), triangles ``faces`` (F, 3), texture coordinates of their corners (3 F, 2) or None."""
+    """World ``points`` (V, 3), triangles ``faces`` (F, 3), texture coordinates of their corners (3 F, 2) or None;
+    bound ``materials``, None for the usual one, and which of them each triangle has (F,)."""
 
     points: np.ndarray
     faces: np.ndarray
     uv: np.ndarray | None
-    material: str
+    materials: tuple[Any, ...]
+    face_material: np.ndarray
     polygons: int
 
 
-def read_usd(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
-    """The drawn meshes of a USD file in world axes, y up; vertices keep the file's order."""
+def read_usd(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
+    """The drawn meshes of a USD file in world axes, y up; vertices keep the file's order. Pictures are in the archive
+    or ``beside``."""
     try:
-        sdf, tf, usd, geometry = (import_module(f"pxr.{one}") for one in ("Sdf", "Tf", "Usd", "UsdGeom"))
+        sdf, tf, usd = (import_module(f"pxr.{one}") for one in ("Sdf", "Tf", "Usd"))
     except ModuleNotFoundError as error:
         cure = "Install it (pip install usd-core), or export the mesh as OBJ or GLB."
         raise mesh_fault(name, "the package usd-core, which reads USD", "none", cure) from error
     suffix = ".usdz" if payload[:2] == b"PK" else ".usd"
+    if suffix == ".usdz":
+        beside = files_beside(zip_members(payload, name), PurePosixPath())
     with tempfile.TemporaryDirectory(prefix="usd-") as folder:
         path = Path(folder) / f"garment{suffix}"
         path.write_bytes(payload)
@@ -51,19 +58,14 @@ def read_usd(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
             stage = usd.Stage.Open(layer, usd.Stage.LoadNone) if layer else None
             if stage is None:
                 raise mesh_fault(name, "a readable USD file", "a damaged one")
-            parts = list(_parts(stage, name, vertex_limit))
-            stated_m = geometry.GetStageMetersPerUnit(stage) if geometry.StageHasAuthoredMetersPerUnit(stage) else 1.0
-            upright = geometry.GetStageUpAxis(stage) == geometry.Tokens.y
+            return _joined(list(_parts(stage, name, vertex_limit)), stage, name, beside)
         except tf.ErrorException as error:  # its text names files of this machine
             raise mesh_fault(name, "a readable USD file", "a damaged one") from error
-    if not parts:
-        raise mesh_fault(name, "a mesh that is drawn", "none", "Export the garment's surface.")
-    return _joined(parts, name, stated_m, upright)
 
 
 def _parts(stage: Any, name: str, vertex_limit: int) -> Iterator[_Part]:
     """The drawn meshes of ``stage``, whose declared counts are checked before anything is made of them."""
-    usd, geometry, shade = (import_module(f"pxr.{one}") for one in ("Usd", "UsdGeom", "UsdShade"))
+    usd, geometry = (import_module(f"pxr.{one}") for one in ("Usd", "UsdGeom"))
     time = usd.TimeCode.EarliestTime()
     placed, total = geometry.XformCache(time), 0
     for count, prim in enumerate(stage.Traverse(usd.TraverseInstanceProxies())):
@@ -85,29 +87,38 @@ def _parts(stage: Any, name: str, vertex_limit: int) -> Iterator[_Part]:
         if len(corners) and not 0 <= corners.min() <= corners.max() < len(points):
             raise mesh_fault(name, f"corners below {len(points)}", f"{corners.min()} to {corners.max()}")
         matrix = np.array(placed.GetLocalToWorldTransform(prim))
-        fan = _fan(sides)
+        fan = fans(sides)
         left = mesh.GetOrientationAttr().Get(time) == geometry.Tokens.leftHanded
         if left != (np.linalg.det(matrix[:3, :3]) < 0.0):
             fan = fan[:, ::-1]
-        bound = shade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
-        material = bound.GetPath().name if bound else "default"
-        uv = _uv(geometry.PrimvarsAPI(prim), time, corners, len(points), fan)
-        yield _Part(points @ matrix[:3, :3] + matrix[3, :3], corners[fan], uv, material, int((sides > 3).sum()))
+        materials, polygon_material = _materials(prim, time, len(sides))
+        uv = _uv(geometry.PrimvarsAPI(prim), time, corners, len(points), fan, coordinates_of(materials))
+        placed_points = points @ matrix[:3, :3] + matrix[3, :3]
+        face_material = np.repeat(polygon_material, sides - 2)
+        yield _Part(placed_points, corners[fan], uv, materials, face_material, int((sides > 3).sum()))
 
 
-def _fan(sides: np.ndarray) -> np.ndarray:
-    """Rows (F, 3) of the corners of triangles in which polygons with ``sides`` corners are cut from their first."""
-    start = np.cumsum(sides) - sides
-    first = np.repeat(start, sides - 2)
-    step = np.arange(len(first)) - np.repeat(np.cumsum(sides - 2) - (sides - 2), sides - 2)
-    return np.stack([first, first + step + 1, first + step + 2], axis=1)
+def _materials(prim: Any, time: Any, count: int) -> tuple[tuple[Any, ...], np.ndarray]:
+    """The materials that are bound to ``prim`` and to subsets of its faces, and which of them each polygon has."""
+    api = import_module("pxr.UsdShade").MaterialBindingAPI
+    own = api(prim).ComputeBoundMaterial()[0]
+    materials, number = [own.GetPrim() if own else None], np.zeros(count, dtype=np.int64)
+    for subset in api(prim).GetMaterialBindSubsets():
+        bound = api(subset.GetPrim()).ComputeBoundMaterial()[0]
+        rows = np.asarray(subset.GetIndicesAttr().Get(time) or [], dtype=np.int64)
+        number[rows[(rows >= 0) & (rows < count)]] = len(materials)
+        materials.append(bound.GetPrim() if bound else None)
+    used = np.unique(number)
+    return tuple(materials[i] for i in used), np.searchsorted(used, number)
 
 
-def _uv(primvars: Any, time: Any, corners: np.ndarray, point_count: int, fan: np.ndarray) -> np.ndarray | None:
-    """Texture coordinates (3 F, 2) of the triangles' corners: the first primvar of their kind that is as long as it
-    must be."""
-    for one in primvars.GetPrimvars():
-        if "texCoord2" not in str(one.GetTypeName()) and one.GetPrimvarName() not in ("st", "UVMap", "map1"):
+def _uv(
+    primvars: Any, time: Any, corners: np.ndarray, point_count: int, fan: np.ndarray, wanted: str
+) -> np.ndarray | None:
+    """Texture coordinates (3 F, 2) of the triangles' corners: the primvar ``wanted``, else the first of their kind,
+    that is as long as it must be."""
+    for one in sorted(primvars.GetPrimvars(), key=lambda one: one.GetPrimvarName() != wanted):
+        if "texCoord2" not in str(one.GetTypeName()) and one.GetPrimvarName() not in ("st", "UVMap", "map1", wanted):
             continue
         values = np.asarray(one.ComputeFlattened(time) or [], dtype=np.float64)
         by_corner = values if len(values) == len(corners) else values[corners] if len(values) == point_count else None
@@ -116,16 +127,25 @@ def _uv(primvars: Any, time: Any, corners: np.ndarray, point_count: int, fan: np
     return None
 
 
-def _joined(parts: list[_Part], name: str, stated_m: float, upright: bool) -> GarmentMesh:
+def _joined(parts: list[_Part], stage: Any, name: str, beside: Beside) -> GarmentMesh:
+    """The mesh of all ``parts`` of ``stage``, y up, with the looks of their materials."""
+    if not parts:
+        raise mesh_fault(name, "a mesh that is drawn", "none", "Export the garment's surface.")
+    geometry = import_module("pxr.UsdGeom")
+    stated_m = geometry.GetStageMetersPerUnit(stage) if geometry.StageHasAuthoredMetersPerUnit(stage) else 1.0
+    upright = geometry.GetStageUpAxis(stage) == geometry.Tokens.y
     starts = np.cumsum([0] + [len(part.points) for part in parts])
     points = stated_m * np.concatenate([part.points for part in parts])
     if not upright:
         points = np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
     faces = np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)])
-    names = tuple(dict.fromkeys(part.material for part in parts))
-    material = np.concatenate([np.full(len(part.faces), names.index(part.material)) for part in parts])
+    materials = list(dict.fromkeys(one for part in parts for one in part.materials))
+    names = tuple("default" if one is None else one.GetName() for one in materials)
+    rows = [np.array([materials.index(one) for one in part.materials]) for part in parts]
+    material = np.concatenate([row[part.face_material] for row, part in zip(rows, parts, strict=True)])
+    looks, notes = usd_looks(materials, beside)
     mesh = plain_mesh(name, points, faces)
-    mesh = replace(mesh, material_names=names, face_material=material.astype(np.int64))
+    mesh = replace(mesh, material_names=names, face_material=material.astype(np.int64), looks=looks).noted(*notes)
     if polygons := sum(part.polygons for part in parts):
         mesh = mesh.noted(f"{polygons} polygons triangulated")
     if stated_m != 1.0:

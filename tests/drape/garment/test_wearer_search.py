@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drape.body.assets import load_body
-from drape.errors import MeshError
+from drape.errors import BodyError, MeshError
 from drape.garment.avatars import standard_avatar
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake_options import IntakeOptions
-from drape.garment.modelled_on import on_standard, worn_by
+from drape.garment.modelled_on import modelled_on, on_standard, worn_by
 from drape.garment.registration import posed_by, unpack
+from drape.garment.told_reading import ToldReading, told_reading
 from drape.garment.wearer_fields import bones_of, enclosed, known_parameters, thin_body, unthreaded
 from drape.garment.wearer_reading import Reading
 from drape.garment.wearer_search import find_wearers, the_wearer
@@ -30,6 +32,12 @@ def tube_dress(radius_m: float = 0.24) -> GarmentMesh:
     down = 1.0 - unit[:, 1:2]
     points = (radius_m + 0.06 * down) * unit * [1.0, 0.0, 0.75] + [0.0, 0.36, 0.02] - 0.8 * down * [0.0, 1.0, 0.0]
     return plain_mesh("tube", points, faces)
+
+
+def a_wrap() -> GarmentMesh:
+    """A tube of 30 cm that fits round hips and round a chest, its origin anywhere, in centimetres."""
+    unit, faces = tube(40, 14, radius_m=1.0, height_m=1.0)
+    return plain_mesh("wrap", 100.0 * (unit * [0.16, 0.3, 0.12] + [0.3, 0.2, -0.2]), faces)
 
 
 def shirt_on(parameters: np.ndarray, reading: Reading, shift: np.ndarray) -> GarmentMesh:
@@ -97,8 +105,23 @@ def test_a_body_that_stands_on_the_origin_of_its_file_is_found_there():
 
 
 def test_named_unit_and_axis_win():
-    found = find_wearers(tube_dress(), BODY, unit="m", up="y")
+    found = find_wearers(tube_dress(), BODY, ToldReading(("m", 1.0), "+y"))
     assert {one.reading.unit for one in found} == {"m"} and {one.reading.up for one in found} == {"+y"}
+
+
+def test_a_tube_that_is_a_skirt_as_well_as_a_top_has_the_other_body_that_its_options_choose():
+    wrap = a_wrap()
+    mesh, avatar, wearer = worn_by(wrap, BODY, IntakeOptions())
+    (other,) = wearer.to_json()["others"]
+    assert other["words"].endswith("higher") or other["words"].endswith("lower")
+    assert (other["unit"], other["up"], other["facing"]) == ("cm", "y", "z") and wearer.sure < 0.5
+    placed, chosen, found = modelled_on(wrap, BODY, IntakeOptions(), json.loads(other["options"]["avatar"]))
+    assert found is None
+    np.testing.assert_allclose(placed.vertices, mesh.vertices, rtol=0, atol=1e-9)
+    expected = posed_by(BODY, wearer.others[0].parameters)
+    np.testing.assert_allclose(chosen.vertices, expected, rtol=0, atol=1e-3)
+    pelvis = [float((BODY.regressor @ skin)[0, 1]) for skin in (chosen.vertices, avatar.vertices)]
+    assert abs(pelvis[0] - pelvis[1]) > 0.15  # from the hips to the chest
 
 
 def test_solid_ball_is_refused_in_words():
@@ -106,7 +129,7 @@ def test_solid_ball_is_refused_in_words():
     height = 2.0 * unit[:, 1:2] - 1.0
     ball = np.concatenate([np.sqrt(np.maximum(1.0 - height**2, 1e-4)) * unit[:, [0, 2]], height], axis=1)[:, [0, 2, 1]]
     with pytest.raises(MeshError, match="at best"):
-        the_wearer(plain_mesh("ball", 0.5 * ball, faces), BODY, unit="m", up="y")
+        the_wearer(plain_mesh("ball", 0.5 * ball, faces), BODY, ToldReading(("m", 1.0), "+y"))
 
 
 def test_an_outfit_for_hanging_arms_does_not_lie_on_the_standard_body():
@@ -115,3 +138,44 @@ def test_an_outfit_for_hanging_arms_does_not_lie_on_the_standard_body():
     for lift_rad in (0.3, 0.8):
         hanging = shirt(BODY, posed_by(BODY, known_parameters(BODY, "standard", lift_rad, 0.0)))[0]
         assert on_standard(plain_mesh("shirt", hanging, FACES), BODY, IntakeOptions()) is None
+
+
+def test_what_is_told_of_a_file_holds_on_any_body():
+    dress = tube_dress()
+    turned = replace(dress, vertices=dress.vertices[:, [2, 0, 1]] / 0.37)  # z up, facing +x, in units of 37 cm
+    told = {"unit": 0.37, "up": "z", "facing": "x"}
+    for meaning in (told, told | {"trans": [0.0, 0.0, 0.0]}, told | {"betas": [0.0]}):
+        mesh, avatar, _ = modelled_on(turned, BODY, IntakeOptions(), meaning)
+        np.testing.assert_allclose(mesh.vertices, dress.vertices, rtol=0, atol=1e-9)
+        if meaning != told:  # else the body is looked for
+            np.testing.assert_allclose(avatar.vertices, BODY.v_template, rtol=0, atol=1e-9)
+
+
+def test_a_facing_that_is_told_leaves_the_rest_to_the_search():
+    wearer = modelled_on(a_wrap(), BODY, IntakeOptions(), {"facing": "-z"})[2]
+    assert wearer is not None and (wearer.reading.unit, wearer.reading.up, wearer.reading.front) == ("cm", "+y", "-z")
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ({"unit": "yard"}, "avatar unit: expected m, cm, dm, mm, inch, or metres > 0, got 'yard'"),
+        ({"unit": -1.0}, "avatar unit"),
+        ({"unit": True}, "avatar unit"),
+        ({"up": "w"}, "avatar axis: expected x, y, z, -x, -y or -z, got 'w'"),
+        ({"facing": ["z"]}, "avatar axis"),
+        ({"up": "z", "facing": "-z"}, "avatar facing"),
+    ],
+)
+def test_units_and_axes_that_are_none_are_refused(told: dict[str, object], words: str):
+    with pytest.raises(BodyError, match=words):
+        told_reading(told)
+
+
+def test_what_is_told_in_part_has_the_usual_rest():
+    front_only, rest = told_reading({"facing": "y", "gender": 1.0})
+    assert rest == {"gender": 1.0} and front_only.reading is None
+    assert front_only.turned == Reading("m", 1.0, "+z", "+y")
+    assert told_reading({"unit": 0.01}) == (ToldReading(("cm", 0.01)), None)
+    assert told_reading({"up": "-z"})[0].turned == Reading("m", 1.0, "-z", "-y")
+    assert told_reading("standard") == (ToldReading(), "standard")

@@ -23,24 +23,8 @@ from drape.wire.folds import unpack_folds
 from drape.wire.options import FabricNumbers
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import check_garment, slug
-from service.http.pictures import CLOTH, picture
 from service.settings import Settings
-from tests.drape.cloth.cloth_shapes import grid
 from tests.fixtures.garments import tube_garment
-
-
-def test_a_picture_shows_the_cloth_in_the_middle_and_what_stands_behind_it():
-    square, faces = grid(40, 40, cell_m=0.05)
-    square = square - square.mean(axis=0) + np.array([0.0, 0.0, 0.1])
-    behind = (square - np.array([0.0, 0.0, 0.2])) * np.array([1.0, 0.2, 1.0])
-    for size in (64, 600):
-        image = Image.open(io.BytesIO(picture((0.5 * square, faces), (behind, faces), size)))
-        assert image.format == "PNG" and image.size == (size, size)
-        pixels = np.asarray(image.convert("RGB"), dtype=float) / 255.0
-        middle, corner, beside = pixels[size // 2, size // 2], pixels[1, 1], pixels[size // 2, 1]
-        assert (corner == 1.0).all(), "nothing is there"
-        np.testing.assert_allclose(middle / middle.max(), np.array(CLOTH) / max(CLOTH), atol=0.03)
-        assert beside[0] > 1.15 * beside[2], "skin is redder than cloth"
 
 
 def test_a_garment_has_a_picture_that_is_made_once(api: TestClient):

@@ -27,6 +27,7 @@ from service.uploads.accepted import Accepted
 from service.uploads.avatars import upload_avatar
 from service.uploads.job_records import JobRecord, read_record
 from service.uploads.jobs import SHARES, Job, Uploads, run_sandbox, warnings_of
+from tests.drape.cloth.cloth_shapes import tube as tube_shape
 from tests.drape.garment.garment_files import obj_text
 from tests.drape.geometry.geometry_shapes import box
 from tests.fixtures.meshes import garment_obj, huge_count_glb
@@ -151,6 +152,24 @@ def test_the_garments_in_a_file_come_as_drawn_and_over_each_other(
     assert np.linalg.norm(sizes[0]) == pytest.approx(np.linalg.norm(sizes[1]), rel=0.2)  # stiff, and turned a little
     glb = uploads.post("/drape", json=asked, headers={"Accept": "model/gltf-binary"})
     assert glb.content[:4] == b"glTF", glb.text
+    for stored in files_in(upload_settings.garments_dir):
+        stored.unlink()
+
+
+def test_another_likely_wearer_is_told_and_chosen_by_its_options(uploads: httpx.Client, upload_settings: Settings):
+    """A tube that is a skirt as well as a strapless top."""
+    unit, faces = tube_shape(40, 14, radius_m=1.0, height_m=1.0)
+    wrap = obj_text(100.0 * (unit * [0.16, 0.3, 0.12] + [0.3, 0.2, -0.2]), faces)
+    heights = []
+    first = finished(uploads, post(uploads, wrap, name="wrap.obj"))
+    (other,) = first["wearer"]["others"]
+    assert other["unit"] == "cm" and set(other) == set(first["wearer"]) - {"others"}
+    second = finished(uploads, post(uploads, wrap, name="wrap.obj", **other["options"]))
+    assert second["garment"] != first["garment"] and second["wearer"] is None, second
+    for job in (first, second):
+        mesh = uploads.get(f"/garments/{job['garment']}/mesh").json()
+        heights.append(np.mean(mesh["vertices"], axis=0)[1])
+    assert abs(heights[0] - heights[1]) > 0.15  # from the hips to the chest
     for stored in files_in(upload_settings.garments_dir):
         stored.unlink()
 

@@ -14,6 +14,7 @@ const HEADER = 20; // bytes of a FOLDS message
 const KINDS = {
   numbers: Float32Array, float32s: Float32Array, float64s: Float64Array, int32s: Int32Array, uint32s: Uint32Array, uint16s: Uint16Array, bytes: Uint8Array,
 };
+const HUNG = { faces: "int32s", asked: "int32s", corner: "int32s", weight: "numbers", offset: "numbers", kind: "bytes" };
 const NOTHING = { at: 0, count: 0 };
 
 const wordsOf = (kind) =>
@@ -111,14 +112,15 @@ export class Engine {
     return { at, count: all.length };
   }
 
-  // Copies the arrays of a FOLDS message here; returns the fields of its records by their names.
+  // Copies the arrays of a FOLDS message here; returns the fields of its records by their names, and as "hung" the
+  // arrays by which a drawn mesh hangs on the cloth, null where none came.
   lay(message) {
     const view = new DataView(message);
     if (view.getUint32(0, true) !== MAGIC || view.getUint8(4) !== WIRE_VERSION || view.getUint8(5) !== KIND.FOLDS) {
       throw new Error("not a FOLDS message of this wire version: reload the page");
     }
     let from = HEADER + view.getUint32(16, true);
-    const { layout, records } = JSON.parse(new TextDecoder().decode(new Uint8Array(message, HEADER, from - HEADER)));
+    const { layout, records, hung = null } = JSON.parse(new TextDecoder().decode(new Uint8Array(message, HEADER, from - HEADER)));
     if (layout !== LAYOUT) throw new Error(`expected a FOLDS message of the layout ${LAYOUT}, got ${layout}: reload the page`);
     const fieldsOf = (name, told) =>
       Object.fromEntries(Object.entries(RECORDS[name]).map(([field, kind]) => [field, read(kind, told[field])]));
@@ -133,7 +135,9 @@ export class Engine {
       from += given.length + (-given.length & 3);
       return array;
     };
-    return Object.fromEntries(Object.entries(records).map(([name, told]) => [name, fieldsOf(name, told)]));
+    const laid = Object.fromEntries(Object.entries(records).map(([name, told]) => [name, fieldsOf(name, told)]));
+    const drawn = hung && Object.fromEntries(Object.entries(HUNG).map(([field, kind], i) => [field, read(kind, hung[i])]));
+    return { ...laid, hung: drawn };
   }
 
   // Calls a function of float32 that takes scratch: records, arrays and numbers, whole ones as BigInt. Returns a whole number.

@@ -39,6 +39,8 @@ export class Folding {
     if (layout) this.#makeJets(unpackLayout(layout));
     this.#makeFolds(told);
     this.#makeSwing(told.SwingConstants);
+    this.hung = told.hung;
+    this.drawn = this.hung && engine.array("numbers", 3 * this.hung.kind.count);
   }
 
   #points(count) {
@@ -123,7 +125,16 @@ export class Folding {
     if (jets) for (const name of ["jet", "rotation", "centre"]) engine.view(this.jets[name]).set(jets[name]);
     else this.network.run(this.body, this.jets, effort.passes);
     engine.call("vertices", this.jets, this.tiles, this.smooth, BigInt(this.count));
-    positions.set(engine.view(this.moved(root, timeS, steps, effort)));
+    positions.set(engine.view(this.drawnOn(this.moved(root, timeS, steps, effort))));
+  }
+
+  // The array of what is drawn where the cloth is: the mesh that hangs on it, or itself.
+  drawnOn(cloth) {
+    if (!this.hung) return cloth;
+    const { faces, asked, corner, weight, offset, kind } = this.hung;
+    const counted = [cloth, BigInt(this.count), faces, BigInt(faces.count / 3), asked, BigInt(asked.count)];
+    this.engine.call("draw_bound", ...counted, corner, weight, offset, kind, BigInt(kind.count), this.drawn);
+    return this.drawn;
   }
 
   // The array of the network's vertices with swing and folds.

@@ -147,10 +147,11 @@ export class Rest {
   }
 
   // What a client needs to make the folds of a garment in a fabric (a name or numbers) on a body or an avatar.
-  // coarse: whether a coarse cloth takes their steps, as the answer to its opening says.
-  foldConstants(id, { fabric = null, betas = [], resolution = "delivered", avatar = null, size = null, coarse = false } = {}) {
+  // coarse: whether a coarse cloth takes their steps, as the answer to its opening says; drawn: whether the mesh that hangs
+  // on it comes too.
+  foldConstants(id, { fabric = null, betas = [], resolution = "delivered", avatar = null, size = null, coarse = false, drawn = false } = {}) {
     const made = fabric === null || typeof fabric === "string" ? fabric : JSON.stringify(fabric);
-    const asked = queried({ resolution, fabric: made, betas: betas.length ? betas.join(",") : null, avatar, size, coarse });
+    const asked = queried({ resolution, fabric: made, betas: betas.length ? betas.join(",") : null, avatar, size, coarse, drawn });
     return this.#bytes(`/garments/${encodeURIComponent(id)}/folds?${asked}`);
   }
 

@@ -14,6 +14,7 @@ export class Wearing {
     this.auto = options.folds_by === "auto"; // the client folds where it can, and keeps up with it
     this.pace = new Pace(); // of the folds that are made here
     this.folds = null; // what its folds need, where the client makes them
+    this.hung = false; // whether what is drawn hangs on the cloth that is folded here
     this.layers = []; // id and topology of each garment that comes
     this.positions = this.normals = null; // of each layer, from the root
     this.root = [0, 0, 0]; // [m]
@@ -66,7 +67,9 @@ export class Wearing {
     }
     this.options = { ...this.options, folds_by: "client", geometry: "jets" };
     try {
-      this.folds = { module: await this.drape.engine() };
+      const [module, { hung }] = await Promise.all([this.drape.engine(), this.drape.rest.garment(this.garments[0])]);
+      this.folds = { module };
+      this.hung = Boolean(hung) && this.options.resolution !== "fine";
     } catch (error) {
       if (!this.auto) throw error;
       this.#leaveFolds();
@@ -75,12 +78,13 @@ export class Wearing {
 
   #leaveFolds() {
     this.folds = null;
+    this.hung = false;
     this.options = { ...this.options, folds_by: "server", geometry: "vertices" };
   }
 
   // This device is too slow: the service folds in its place. Where it will not, all stays as it is.
   async #giveUpFolds() {
-    const before = { folds: this.folds, options: this.options };
+    const before = { folds: this.folds, hung: this.hung, options: this.options };
     this.#leaveFolds();
     try {
       await this.#reopen();
@@ -96,8 +100,13 @@ export class Wearing {
     const { fabric, ...others } = this.options;
     const { coarse } = this.stream.opened;
     const [id] = this.garments;
-    const one = { fabric: Array.isArray(fabric) ? fabric[0] : fabric, size: this.sizeOf(id), coarse };
+    const one = { fabric: Array.isArray(fabric) ? fabric[0] : fabric, size: this.sizeOf(id), coarse, ...this.#folded(), drawn: this.hung };
     return { ...this.folds, coarse, constants: await this.drape.rest.foldConstants(id, { ...others, ...one }) };
+  }
+
+  // What is asked of the service where the cloth is folded here and something hangs on it.
+  #folded() {
+    return this.hung ? { resolution: "fine" } : {};
   }
 
   // The size of a garment that is worn; null: the usual one.
@@ -112,7 +121,7 @@ export class Wearing {
     const fetched = shown.map(async (id) => {
       const [mesh, layout] = await Promise.all([
         this.drape.rest.garmentMesh(id, { resolution, size: this.sizeOf(id) }),
-        geometry === "jets" ? this.drape.rest.jetLayout(id, { resolution, avatar, size: this.sizeOf(id) }) : null,
+        geometry === "jets" ? this.drape.rest.jetLayout(id, { resolution, avatar, size: this.sizeOf(id), ...this.#folded() }) : null,
       ]);
       return { id, layout, ...unpackMesh(mesh) };
     });
@@ -128,7 +137,7 @@ export class Wearing {
     const worn = this.garments.length === 1 ? { garment: this.garments[0] } : { garments: this.garments };
     return new Promise((resolve, reject) => {
       this.asked.push({ resolve, reject });
-      this.stream.open({ ...worn, ...this.options });
+      this.stream.open({ ...worn, ...this.options, ...this.#folded() });
     });
   }
 

@@ -11,8 +11,9 @@ export const FLAG_PUSHED = 1;
 export const FLAG_STEPPED = 2;
 export const FLAG_UNLIKE = 4;
 export const FLAG_BYTES = 8;
-// Suffixes of garment files, as the file chooser takes them.
-export const MESH_SUFFIXES = ".obj,.glb,.gltf,.ply,.stl,.usd,.usda,.usdc,.usdz,.zip";
+// Suffixes of garment files, and of those that they name, as the file chooser takes them.
+export const MESH_SUFFIXES = ".obj,.glb,.gltf,.ply,.stl,.usd,.usda,.usdc,.usdz,.fbx,.zip";
+export const BESIDE_SUFFIXES = ".mtl,.bin,.png,.jpg,.jpeg,.webp,.tga,.bmp,.ktx2";
 export const BYTES = {
   POSE: 336, ACK: 16, SAME: 40, RIG_POSE_HEADER: 48,
   FRAME_HEADER: 96, JETS_HEADER: 460, LAYOUT_HEADER: 24,

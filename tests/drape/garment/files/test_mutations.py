@@ -11,9 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from tests.architecture.repository import ROOT
+from tests.drape.garment.files.test_fbx import POLYGONS, SQUARE, UV
 from tests.drape.garment.files.test_looks import OBJ, ZIP, draco_gltf, glb_of, meshopt_gltf, picture, whole, zipped
+from tests.drape.garment.files.test_usd_looks import PICTURES, usda
+from tests.fixtures.fbx_writer import fbx_of
 
 EACH = 40
+NEW = 60  # of the files whose readers are others' and the newest
 SECONDS, BYTES = 60, 3 * 2**29  # of one file; of the process that reads them all
 
 # Reads files one after the other; the last line names the one that it was at.
@@ -42,6 +46,9 @@ def good_files() -> dict[str, bytes]:
         "glb": glb_of(whole()),
         "draco.gltf": json.dumps(draco_gltf()).encode(),
         "meshopt.gltf": json.dumps(meshopt_gltf()).encode(),
+        "fbx": fbx_of(SQUARE, POLYGONS, UV, material=(1, 0), pictures=(("red.png", picture()),)),
+        "looks.usda": usda(rough="</Looks/Cloth/R.outputs:r>").encode(),
+        "looks.usdz": zipped({"shirt.usda": usda(rough="</Looks/Cloth/R.outputs:r>")} | PICTURES, 0),
     }
 
 
@@ -71,7 +78,7 @@ def test_each_of_many_broken_files_is_answered_in_words(tmp_path: Path):
     folder.mkdir()
     files = claiming_files()
     for kind, content in good_files().items():
-        for number in range(EACH):
+        for number in range(NEW if kind in ("fbx", "looks.usda", "looks.usdz") else EACH):
             changed = np.frombuffer(content, np.uint8).copy()
             if number % 3 == 0:
                 changed = changed[: rng.integers(len(changed))]

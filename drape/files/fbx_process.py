@@ -1,0 +1,147 @@
+"""Reads the FBX file on standard input by the package ufbx; writes what is in it as an npz to standard output.
+
+A process of its own: ufbx 0.0.5 frees memory that is still in use (``mesh.faces``, a material's maps), and then it
+crashes. Here every object is kept until the process ends, which it does without freeing any. It limits itself, since
+files are strangers'.
+"""
+
+from __future__ import annotations
+
+import gc
+import io
+import json
+import os
+import resource
+import sys
+from typing import Any
+
+import numpy as np
+
+MEMORY_BYTES, CPU_S = 3 * 2**30, 60
+DEEPEST = 500  # nodes within each other
+MOST_NUMBERS = 60_000_000
+NUMBERS = ("base_factor", "metalness", "roughness", "opacity")
+MAPS = {
+    "base_color": ("pbr",),
+    "metalness": ("pbr",),
+    "roughness": ("pbr",),
+    "normal_map": ("fbx", "pbr"),
+    "bump": ("fbx",),
+}
+_KEPT: list[Any] = []
+
+
+def _of(one: Any, *names: str | int) -> Any:
+    """An attribute, or an item, of an attribute of ``one``, with all on the way to it kept."""
+    for name in names:
+        one = one[name] if isinstance(name, int) else getattr(one, name)
+        _KEPT.append(one)
+    return one
+
+
+def _all(held: Any) -> list[Any]:
+    return [_of(held, number) for number in range(len(held))]
+
+
+def main() -> None:
+    """Ends with status 3 where ufbx says what is wrong; that is on standard output then."""
+    gc.disable()
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 1))
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    least = min(one for one in (soft, hard, MEMORY_BYTES) if one != resource.RLIM_INFINITY)
+    resource.setrlimit(resource.RLIMIT_AS, (least, hard))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    import ufbx
+
+    payload, out, status = sys.stdin.buffer.read(), io.BytesIO(), 0
+    try:
+        scene = ufbx.load_memory(
+            payload,
+            file_format=ufbx.FileFormat.FBX,
+            load_external_files=False,
+            ignore_animation=True,
+            force_single_thread_ascii_parsing=True,
+            node_depth_limit=DEEPEST,
+            target_axes=ufbx.axes_right_handed_y_up,
+            target_unit_meters=1.0,
+        )
+        _KEPT.append(scene)
+        np.savez(out, allow_pickle=False, **_told(scene))
+    except (ufbx.UfbxError, MemoryError, ValueError) as error:
+        out, status = io.BytesIO(f"{type(error).__name__.removesuffix('Error')}: {error}"[:200].encode()), 3
+    sys.stdout.buffer.write(out.getbuffer())
+    sys.stdout.flush()
+    os._exit(status)
+
+
+def _told(scene: Any) -> dict[str, np.ndarray]:
+    """The arrays of the visible meshes, the pictures, and as JSON what names and numbers there are."""
+    materials, textures = _all(_of(scene, "materials")), list[Any]()
+    arrays: dict[str, np.ndarray] = {}
+    meshes = list[dict[str, Any]]()
+    total = 0
+    for node in _all(_of(scene, "nodes")):
+        mesh = _of(node, "mesh")
+        if mesh is None or not node.visible:
+            continue
+        if (total := total + 6 * mesh.num_vertices + 4 * mesh.num_indices) > MOST_NUMBERS:
+            raise ValueError(f"more than {MOST_NUMBERS >> 20} million numbers")
+        number = len(meshes)
+        arrays |= {f"{number}.{name}": array for name, array in _arrays(node, mesh).items()}
+        used = _all(_of(node, "materials")) or _all(_of(mesh, "materials"))
+        meshes.append({"name": node.name, "materials": [one.typed_id for one in used]})
+    looks = [_look(one, textures) for one in materials]
+    files = list[list[str]]()
+    for number, texture in enumerate(textures):
+        video = _of(texture, "video")
+        content = _of(texture, "content") or (b"" if video is None else _of(video, "content"))
+        arrays[f"picture.{number}"] = np.frombuffer(bytes(content), dtype=np.uint8)
+        files.append([texture.relative_filename, texture.filename, texture.absolute_filename])
+    told = {
+        "unit_m": _of(scene, "settings").original_unit_meters,
+        "meshes": meshes,
+        "materials": looks,
+        "pictures": files,
+    }
+    return arrays | {"told": np.frombuffer(json.dumps(told).encode(), dtype=np.uint8)}
+
+
+def _arrays(node: Any, mesh: Any) -> dict[str, np.ndarray]:
+    uv = _of(mesh, "vertex_uv")
+    found = {
+        "vertices": np.array(_of(mesh, "vertices"), dtype=np.float64).reshape(-1, 3),
+        "corners": np.array(_of(mesh, "vertex_indices"), dtype=np.int64),
+        "polygons": np.array(_of(mesh, "faces"), dtype=np.int64).reshape(-1, 2),
+        "face_material": np.array(_of(mesh, "face_material"), dtype=np.int64),
+        "placed": np.array(_of(node, "geometry_to_world"), dtype=np.float64).T,
+    }
+    if uv.exists:
+        values = np.array(_of(uv, "values"), dtype=np.float64).reshape(-1, 2)
+        found["uv"] = values[np.array(_of(uv, "indices"), dtype=np.int64)]
+    return found
+
+
+def _look(material: Any, textures: list[Any]) -> dict[str, Any]:
+    """The numbers of ``material``, and which of ``textures`` its maps show; those that are new are added."""
+    sides = {name: _of(material, name) for name in ("pbr", "fbx")}
+    told: dict[str, Any] = {"name": material.name, "pictures": {}}
+    colour = _of(sides["pbr"], "base_color")
+    told["base_color"] = list(_of(colour, "value_vec4"))[:3] if colour.has_value else None
+    for name in NUMBERS:
+        held = _of(sides["pbr"], name)
+        told[name] = _of(held, "value_vec4")[0] if held.has_value else None
+    for name, places in MAPS.items():
+        for held in (_of(sides[side], name) for side in places):
+            texture = _of(held, "texture") if held.texture_enabled else None
+            files = [] if texture is None else _all(_of(texture, "file_textures"))  # of layers the lowest
+            if files and name not in told["pictures"]:
+                known = [one.element_id for one in textures]
+                if files[0].element_id not in known:
+                    textures.append(files[0])
+                    known.append(files[0].element_id)
+                told["pictures"][name] = known.index(files[0].element_id)
+    return told
+
+
+if __name__ == "__main__":
+    main()

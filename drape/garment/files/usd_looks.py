@@ -1,0 +1,187 @@
+"""The looks of a USD file's materials: UsdPreviewSurface, with UsdUVTexture, UsdTransform2d and UsdPrimvarReader."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from drape.errors import MeshError
+from drape.files.looks import Looks, Material, Slot
+from drape.files.pictures import Channel, metallic_roughness
+from drape.garment.files.mesh import Beside
+
+CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
+GLTF_CHANNELS = {"roughness": "g", "metallic": "b"}  # of a picture that glTF takes as it is
+USUAL = "st"  # the name of texture coordinates
+
+
+def coordinates_of(prims: Sequence[Any | None]) -> str:
+    """The name of the texture coordinates that the first picture of the materials ``prims`` is placed by."""
+    for prim in prims:
+        surface = None if prim is None else _surface(prim)
+        for name in () if surface is None else ("diffuseColor", "normal", "roughness"):
+            texture, _ = _source(surface, name)
+            reader = None if texture is None else _placed(texture)[1]
+            told = None if reader is None else _value(reader, "varname")
+            if told:
+                return str(told)
+    return USUAL
+
+
+def usd_looks(prims: Sequence[Any | None], beside: Beside) -> tuple[Looks, tuple[str, ...]]:
+    """The looks of the materials ``prims``, None where it has no UsdPreviewSurface, with pictures of ``beside``, and
+    notes of what is not there."""
+    reader = _Reader(beside)
+    looks = tuple(None if prim is None else reader.material(prim) for prim in prims)
+    return Looks(looks, tuple(reader.held)), tuple(dict.fromkeys(reader.notes))
+
+
+class _Reader:
+    """The pictures that were found so far, and what was not."""
+
+    def __init__(self, beside: Beside) -> None:
+        self.beside = beside
+        self.numbers: dict[Any, int] = {}
+        self.held: list[bytes] = []
+        self.notes: list[str] = []
+
+    def material(self, prim: Any) -> Material | None:
+        surface = _surface(prim)
+        if surface is None:
+            return None
+        base, channel = _source(surface, "diffuseColor")
+        clear, clear_channel = _source(surface, "opacity")
+        threshold = float(_value(surface, "opacityThreshold", 0.0))
+        opacity = 1.0 if clear is not None else float(_value(surface, "opacity", 1.0))
+        numbers: dict[Slot, int | None] = {
+            "base_colour": None if base is None or channel != "rgb" else self.picture(base),
+            "normal": None if (bumps := _source(surface, "normal")[0]) is None else self.picture(bumps),
+            "metallic_roughness": self.metallic_roughness(surface),
+        }
+        pictures = {slot: number for slot, number in numbers.items() if number is not None}
+        same = clear is not None and base is not None and clear.GetPrim() == base.GetPrim() and clear_channel == "a"
+        if clear is not None and not same:
+            self.notes.append("warning: an opacity that is not the alpha of its colour's picture is left out")
+            clear = None
+        see_through = clear is not None or opacity < 1.0
+        textured = {"metallic_roughness"} & set(pictures)
+        colour = (1.0, 1.0, 1.0) if "base_colour" in pictures else tuple(_value(surface, "diffuseColor", (0.18,) * 3))
+        fields: dict[str, Any] = {
+            "base_colour": (*np.clip(np.array(colour, dtype=float), 0.0, 1.0).tolist(), opacity),
+            "metallic": 1.0 if textured else float(_value(surface, "metallic", 0.0)),
+            "roughness": 1.0 if textured else float(_value(surface, "roughness", 0.5)),
+            "alpha_mode": "OPAQUE" if not see_through else "MASK" if threshold > 0.0 else "BLEND",
+            "alpha_cutoff": threshold if threshold > 0.0 else 0.5,
+            "pictures": pictures,
+        }
+        if textured and _source(surface, "metallic")[0] is None and float(_value(surface, "metallic", 0.0)) < 1.0:
+            fields["metallic"] = float(_value(surface, "metallic", 0.0))
+        placed = base if base is not None else bumps
+        try:
+            return Material(**fields | ({} if placed is None else _placing(_placed(placed)[0])))
+        except ValidationError as error:
+            where = error.errors(include_url=False)[0]
+            self.notes.append(f"warning: the look of {prim.GetName()} is left out: {where['loc'][0]}: {where['msg']}")
+            return None
+
+    def content(self, texture: Any) -> bytes | None:
+        """The file of a UsdUVTexture."""
+        asset = _value(texture, "file")
+        path = getattr(asset, "path", "")
+        content = self.beside(path) if path else None
+        if content is None:
+            self.notes.append(f"warning: {path!a:.80} is not beside the mesh: send it in the same zip")
+        return content
+
+    def held_as(self, key: Any, content: bytes | None) -> int | None:
+        if content is None:
+            return None
+        self.numbers[key] = len(self.held)
+        self.held.append(content)
+        return self.numbers[key]
+
+    def picture(self, texture: Any) -> int | None:
+        path = getattr(_value(texture, "file"), "path", "")
+        return self.numbers[path] if path in self.numbers else self.held_as(path, self.content(texture))
+
+    def metallic_roughness(self, surface: Any) -> int | None:
+        """The number of a picture as glTF takes it, made of one or two."""
+        found = {name: _source(surface, name) for name in GLTF_CHANNELS}
+        there = {name: one for name, one in found.items() if one[0] is not None}
+        if not there:
+            return None
+        paths = {getattr(_value(texture, "file"), "path", "") for texture, _ in there.values()}
+        if len(paths) == 1 and all(channel == GLTF_CHANNELS[name] for name, (_, channel) in there.items()):
+            return self.picture(next(iter(there.values()))[0])
+        key = tuple((name, getattr(_value(one, "file"), "path", ""), channel) for name, (one, channel) in there.items())
+        if key in self.numbers:
+            return self.numbers[key]
+        pairs: dict[str, Channel] = {}
+        for name, (texture, channel) in there.items():
+            if (content := self.content(texture)) is not None:
+                pairs[name] = content, CHANNELS.get(channel, 0)
+        if not pairs:
+            return None
+        try:
+            made = metallic_roughness(pairs.get("metallic"), pairs.get("roughness"), label="picture of roughness")
+        except MeshError as error:
+            self.notes.append(f"warning: a picture is left out: {error}")
+            return None
+        return self.held_as(key, made)
+
+
+def _surface(prim: Any) -> Any | None:
+    """The UsdPreviewSurface of the material ``prim``."""
+    shader = import_module("pxr.UsdShade").Material(prim).ComputeSurfaceSource()[0]
+    return shader if shader and shader.GetIdAttr().Get() == "UsdPreviewSurface" else None
+
+
+def _source(shader: Any, name: str) -> tuple[Any | None, str]:
+    """The UsdUVTexture that the input ``name`` is connected to, and which of its outputs."""
+    found = shader.GetInput(name)
+    for attribute in found.GetValueProducingAttributes() if found else ():
+        source = import_module("pxr.UsdShade").Shader(attribute.GetPrim())
+        if source and source.GetIdAttr().Get() == "UsdUVTexture":
+            return source, attribute.GetBaseName()
+    return None, ""
+
+
+def _placed(texture: Any) -> tuple[Any | None, Any | None]:
+    """The UsdTransform2d that ``texture`` is placed by and the UsdPrimvarReader_float2 before it."""
+    transform, shader, name = None, texture, "st"
+    for _ in range(4):  # a chain of a stranger's file may be a ring
+        if shader is None:
+            break
+        found = shader.GetInput(name)
+        attributes = found.GetValueProducingAttributes() if found else ()
+        shader = next((import_module("pxr.UsdShade").Shader(one.GetPrim()) for one in attributes), None)
+        kind = shader.GetIdAttr().Get() if shader else None
+        if kind != "UsdTransform2d":
+            return transform, shader if kind == "UsdPrimvarReader_float2" else None
+        transform, name = shader, "in"
+    return transform, None
+
+
+def _value(shader: Any, name: str, usual: Any = None) -> Any:
+    """What the input ``name`` is, through the inputs that it is connected to."""
+    found = shader.GetInput(name)
+    for attribute in found.GetValueProducingAttributes() if found else ():
+        value = attribute.Get()
+        return usual if value is None else value
+    return usual
+
+
+def _placing(transform: Any | None) -> dict[str, Any]:
+    """``transform`` of coordinates whose origin is at the lower left, as KHR_texture_transform says it."""
+    if transform is None:
+        return {}
+    angle = float(np.deg2rad(_value(transform, "rotation", 0.0)))
+    sx, sy = map(float, _value(transform, "scale", (1.0, 1.0)))
+    x, y = map(float, _value(transform, "translation", (0.0, 0.0)))
+    # (u, v) -> R S (u, v) + t of ours; with v = 1 - v' on both sides.
+    c, s = float(np.cos(angle)), float(np.sin(angle))
+    return {"rotation": angle, "scale": (sx, sy), "offset": (x - s * sy, 1.0 - y - c * sy)}

@@ -1,0 +1,58 @@
+"""The cloth of a garment whose wearer is looked for: points, openings and size, in the file's unit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drape.garment.contours import Contour, open_contours, pierced_parts
+from drape.garment.files.mesh import GarmentMesh
+from drape.garment.inside import tube_ends
+from drape.garment.mesh_checks import AREA_MINIMUM, consistent_turn
+from drape.garment.wearer_fields import cloth_points, unthreaded
+from drape.garment.wearer_reading import Reading
+from drape.geometry import mesh_graphs, meshes
+
+EXTENT_M = (0.12, 2.4)  # of a garment
+COARSE_COUNT, FINE_COUNT = 350, 800  # points on the cloth
+SMALL_M2, SMALL = 0.4, 0.05  # a whole outfit read as a collar costs this for every e-fold less of cloth
+CUFF_M = 0.12  # shorter openings are holes
+LOOP_SHARE, LOOP_COUNT, LOOP_POINTS = 0.2, 6, 24  # openings over the extent, the most that count, points on each
+
+
+class SearchedCloth:
+    """A garment's points on two densities, their normals, its area and extent, in the file's unit."""
+
+    def __init__(self, mesh: GarmentMesh) -> None:
+        self.mesh = mesh
+        self.area = float(meshes.face_areas(mesh.vertices, mesh.faces).sum())
+        self.few = cloth_points(mesh.vertices, mesh.faces, COARSE_COUNT)[0]
+        self.points, face = cloth_points(mesh.vertices, mesh.faces, FINE_COUNT)
+        wound = np.where(consistent_turn(mesh.faces), -1.0, 1.0)[face]
+        self.normals = wound[:, None] * meshes.face_normals(mesh.vertices, mesh.faces)[face]
+        self.piece = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[face, 0]]
+        self.extent = float(np.ptp(self.points, axis=0).max())
+        long = [one for one in open_contours(mesh.vertices, mesh.faces) if one.length_m > LOOP_SHARE * self.extent]
+        picked = [one.points[np.linspace(0, len(one.points), LOOP_POINTS, endpoint=False).astype(int)] for one in long]
+        self.loops = np.array(picked[:LOOP_COUNT]).reshape(-1, LOOP_POINTS, 3)
+
+    def may_be(self, scale: float) -> bool:
+        """Whether it has the extent and the area of a garment in a unit of ``scale`` [m]."""
+        return EXTENT_M[0] <= self.extent * scale <= EXTENT_M[1] and self.area * scale**2 >= AREA_MINIMUM
+
+    def contours(self, reading: Reading) -> list[Contour]:
+        """Openings that look like a tube's ends, in metres."""
+        ends = tube_ends(replace(self.mesh, vertices=reading.apply(self.mesh.vertices)))
+        return [one for one in ends if one.length_m > CUFF_M]
+
+    def pierced(self, reading: Reading, joints: np.ndarray) -> tuple[str, ...]:
+        """Parts of a body with ``joints`` [m] (24, 3) whose bones go through the cloth."""
+        return pierced_parts(self.mesh.vertices, self.mesh.faces, joints @ reading.turn / reading.scale)
+
+    def empty(self, reading: Reading, joints: np.ndarray) -> int:
+        """The number of long openings that no bone goes through."""
+        return unthreaded(reading.apply(self.loops.reshape(-1, 3)).reshape(self.loops.shape), joints)
+
+    def smallness(self, reading: Reading) -> float:
+        return SMALL * max(0.0, float(np.log(SMALL_M2 / (self.area * reading.scale**2))))

@@ -1,0 +1,77 @@
+"""What a client tells of a garment's file beside the body in it: the unit, the axis that is up, and the facing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from drape.errors import BodyError
+from drape.garment.mesh_checks import UNITS_M
+from drape.garment.wearer_reading import AXES, USUAL_FRONTS, Reading
+
+KEYS = ("unit", "up", "facing")
+
+
+@dataclass(frozen=True)
+class ToldReading:
+    """``unit`` as (name, metres), ``up`` and ``front`` as "+y"; None where nobody told it."""
+
+    unit: tuple[str, float] | None = None
+    up: str | None = None
+    front: str | None = None
+
+    @property
+    def reading(self) -> Reading | None:
+        """The reading, if all of it is told."""
+        return None if self.unit is None or not (self.up and self.front) else Reading(*self.unit, self.up, self.front)
+
+    @property
+    def turned(self) -> Reading | None:
+        """A reading in metres with the axes that are told, the usual ones where one is left out; None without any."""
+        if self.up is None and self.front is None:
+            return None
+        up = self.up or ("+y" if self.front and self.front[1] != "y" else "+z")
+        front = self.front or USUAL_FRONTS.get(up, USUAL_FRONTS[f"+{up[1]}"])[0]
+        return Reading("m", 1.0, up, front)
+
+
+NOTHING_TOLD = ToldReading()
+
+
+def told_reading(meaning: Any) -> tuple[ToldReading, Any]:
+    """What the dictionary ``meaning`` of an avatar tells of the file, and the rest of it, None where nothing is left.
+
+    Raises ``BodyError`` for a unit or an axis that is none, and where the body would face along the axis that is up.
+    """
+    if not isinstance(meaning, dict) or not set(KEYS) & set(meaning):
+        return NOTHING_TOLD, meaning
+    unit, up, front = (meaning.get(key) for key in KEYS)
+    told = ToldReading(
+        None if unit is None else _unit(unit),
+        None if up is None else _axis(up),
+        None if front is None else _axis(front),
+    )
+    if told.up and told.front and told.up[1] == told.front[1]:
+        cure = 'Give for example {"up": "z", "facing": "-y"}.'
+        raise BodyError("avatar facing", expected=f"an axis across {told.up}", got=told.front, cure=cure)
+    return told, {key: value for key, value in meaning.items() if key not in KEYS} or None
+
+
+def _unit(value: Any) -> tuple[str, float]:
+    if isinstance(value, str) and value in UNITS_M:
+        return value, UNITS_M[value]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < np.inf:
+        expected = f"{', '.join(UNITS_M)}, or metres > 0"
+        raise BodyError("avatar unit", expected=expected, got=repr(value)[:60], cure='Give for example {"unit": "cm"}.')
+    named = next((name for name, scale in UNITS_M.items() if abs(scale / value - 1.0) < 1e-6), "free")
+    return named, float(value)
+
+
+def _axis(value: Any) -> str:
+    axis = f"+{value}" if value in ("x", "y", "z") else value
+    if axis not in AXES:
+        cure = 'Give for example {"up": "z"}.'
+        raise BodyError("avatar axis", expected="x, y, z, -x, -y or -z", got=repr(value)[:60], cure=cure)
+    return axis

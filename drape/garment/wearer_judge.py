@@ -1,0 +1,78 @@
+"""How well a garment lies on a body that may have worn it: an energy, and in words what does not fit."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.garment.registration import posed_by, unpack
+from drape.garment.searched_cloth import SearchedCloth
+from drape.garment.wearer_fields import SHAPES, Bones, bones_of, enclosed, joints_of, point_cost
+from drape.garment.wearer_reading import Reading, Wearer
+from drape.geometry import meshes
+
+BAND_M, BAND_WEIGHT = 0.15, 2.0  # from the top: there a garment hangs on its body
+SHAPE_COST = 0.01  # of a squared beta beside the nearest known shape's
+UPRIGHT = [JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")]
+TURNED_COST = 0.3  # of a squared radian of all these together: who wears a garment stands straight
+HEIGHT_M, HEIGHT_SPREAD_M, HEIGHT_COST = 1.73, 0.13, 0.01  # of people; the cost of one spread
+# Costs of a body whose root and soles are away from the origin, of a bone through the cloth, of cloth on one side
+# alone, and of an opening without a bone.
+ODD_ORIGIN, ODD_PIERCED, ODD_SIDE, ODD_EMPTY = 0.03, 0.1, 0.3, 0.05
+ORIGIN_M = 0.05  # a body whose root or soles are this near to the file's origin stands where bodies do
+INSIDE_LIMIT, OPEN_LIMIT, BAND_LIMIT_M = 0.12, 0.35, 0.08
+DEEP_M = 0.01
+SLEEVE_SHARE = 0.04  # of the cloth that must lie on the arms to tell their pose
+UNIT_INSIDE = 0.06  # cloth inside up to which a unit is meant
+ENERGY_LIMIT = 0.7  # a body beyond has not worn it
+
+
+def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float) -> Wearer:
+    """How the cloth lies on the body with ``parameters``, of whose arms the start was as odd as ``odd_arms``."""
+    points = reading.apply(cloth.points)
+    skin = posed_by(body, parameters)
+    far, near = KDTree(skin).query(points)
+    along = np.einsum("nc,nc->n", meshes.vertex_normals(skin, body.faces)[near], points - skin[near])
+    distance = np.where(far > 2.0 * BAND_LIMIT_M, np.copysign(far, along), along)
+    band = points[:, 1] > points[:, 1].max() - BAND_M
+    weight = np.where(band, BAND_WEIGHT, 1.0)
+    bones = bones_of(joints_of(body, parameters), skin)
+    share, nearest = enclosed(points, bones)
+    parts = np.array(bones.part)[nearest]
+    sleeved = float(np.isin(parts, ("left arm", "right arm")).mean()) > SLEEVE_SHARE
+    betas, pose, trans = unpack(body, parameters)
+    pierced = cloth.pierced(reading, bones.joints)
+    odd = reading.oddness + cloth.smallness(reading) + odd_arms + ODD_PIERCED * len(pierced)
+    odd += SHAPE_COST * min(float(((betas[:10] - shape) ** 2).sum()) for shape in map(np.array, SHAPES.values()))
+    odd += ODD_SIDE * one_sided(bones, nearest) + ODD_EMPTY * cloth.empty(reading, bones.joints)
+    odd += TURNED_COST * float((pose[UPRIGHT].sum(axis=0) ** 2).sum())
+    odd += HEIGHT_COST * ((np.ptp(body.rest_vertices(betas)[:, 1]) - HEIGHT_M) / HEIGHT_SPREAD_M) ** 2
+    heights = {"root": abs(trans[1]), "floor": abs(skin[:, 1].min()), "": ORIGIN_M}
+    origin = min(heights, key=lambda name: heights[name]) if np.abs(trans[[0, 2]]).max() < ORIGIN_M else ""
+    odd += 0.0 if origin else ODD_ORIGIN
+    inside, open_share = distance < -DEEP_M, 1.0 - float(share.mean())
+    energy = float((point_cost(distance) * weight).sum() / weight.sum()) + open_share + odd
+    top = float(np.median(np.abs(distance[band])))
+    fault = ""
+    if inside.mean() > INSIDE_LIMIT:
+        names, counts = np.unique(parts[inside], return_counts=True)
+        fault = f"at best the {names[counts.argmax()]} cuts through it ({100.0 * inside.mean():.0f} % lies inside)"
+    elif energy > ENERGY_LIMIT:
+        fault = f"at best it lies {1e3 * np.abs(distance).mean():.0f} mm from the skin on average"
+    elif pierced and inside.mean() > UNIT_INSIDE:
+        fault = f"at best the {pierced[0].replace('_', ' ')} goes through the cloth"
+    elif open_share > OPEN_LIMIT:
+        fault = f"at best {100.0 * open_share:.0f} % of the way round the body is open"
+    elif top > BAND_LIMIT_M:
+        fault = f"at best its top hangs {1e3 * top:.0f} mm from the skin"
+    return Wearer(
+        reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin
+    )
+
+
+def one_sided(bones: Bones, nearest: np.ndarray) -> float:
+    """How much more of the cloth lies on the limbs of one side, as a share."""
+    side = np.array([part.startswith("left") - 1.0 * part.startswith("right") for part in bones.part])
+    return abs(float(side[nearest].mean()))

@@ -1,0 +1,32 @@
+"""Pictures of who may have worn a garment: the cloth as it was delivered on each body that was found in it."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+
+from drape.garment.files.mesh import GarmentMesh
+from drape.garment.portrait import Sitter, portrait
+from drape.garment.wearer_reading import Wearer
+
+SIZE_PX = 224
+
+
+def pictured(wearer: Wearer, mesh: GarmentMesh) -> dict[str, Any]:
+    """The entry of the manifest for ``wearer``, and in it and in each of ``others`` a ``picture``: ``mesh``, as its
+    file has it, on that body, a PNG as base64."""
+    told = wearer.to_json()
+    told["picture"] = _picture(wearer, mesh)
+    for entry, other in zip(told["others"], wearer.others, strict=True):
+        entry["picture"] = _picture(other, mesh)
+    return told
+
+
+def _picture(wearer: Wearer, mesh: GarmentMesh) -> str:
+    skin = wearer.body.posed_vertices(wearer.pose[None], wearer.trans[None], wearer.betas)[0]
+    faces = wearer.body.faces.astype(np.int64)
+    cloth = wearer.reading.apply(mesh.vertices)
+    sitter = Sitter(cloth, mesh.faces, mesh.uv, mesh.uv_faces, mesh.face_material, mesh.looks)
+    return base64.b64encode(portrait(sitter, (skin, faces), SIZE_PX, whole=True)).decode()
