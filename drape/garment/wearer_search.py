@@ -41,9 +41,9 @@ from drape.geometry import meshes
 FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # tried where no unit fits
 FIT_COUNT = 500  # points on the cloth
 RISE_CELLS, DEPTH_CELLS = 2, np.arange(-4, 5, 2, dtype=np.int32)
-PLACES, READINGS, PIERCED_COUNT, FINALISTS, WINNERS = 2, 8, 40, 6, 2
-CLEARLY = 0.1  # a fit that is worse by this after a few steps stays worse
-FIRST_STEPS, LAST_STEPS = 5, 15
+PLACES, READINGS, PIERCED_COUNT, FINALISTS, WINNERS = 2, 8, 40, 6, 3
+CLEARLY, WORSE = 0.1, 0.03  # a fit that is worse by this after a few steps stays worse; one that went astray
+FIRST_STEPS, LAST_STEPS, LOCK = 5, 15, 0.5
 SLACK = 0.1  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
 AT_ONCE = np.zeros(1, dtype=np.int32)
 # What a metre from its place is worth, where the file's origin is at the root, on the floor, or anywhere. Roots are
@@ -201,14 +201,19 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) 
     contours = {reading: cloth.contours(reading) for reading in {one.reading for one in kept}}
     first = [_fit(cloth, thin, contours[one.reading], _Start.of(one, fields[one.number]), FIRST_STEPS) for one in kept]
     first.sort(key=lambda one: one.energy)
-    apart: list[Wearer] = []
+    likely: list[Wearer] = []
     for one in first:
+        rivals = [other for other in likely if other.reading == one.reading]
+        if one.energy < CLEARLY + first[0].energy and len(rivals) < 2 and len(likely) < WINNERS:
+            likely.append(one)
+    # The middle of a sleeve's or an armhole's rim is below the bone: that leads arms into sleeves, and no farther.
+    last = [_fit(cloth, thin, [], one, LAST_STEPS, LOCK) for one in likely]
+    chosen = [fit if fit.energy < one.energy + WORSE else one for one, fit in zip(likely, last, strict=True)]
+    apart: list[Wearer] = []
+    for one in sorted([*chosen, *first[len(likely) :]], key=lambda one: one.energy):
         if all(one.reading != other.reading or _apart_m(cloth, one, other) > APART_M for other in apart):
             apart.append(one)
-    likely = [one for one in apart if one.energy < CLEARLY + apart[0].energy][:WINNERS]
-    last = [_fit(cloth, thin, contours[one.reading], one, LAST_STEPS) for one in likely]
-    chosen = [min(pair, key=lambda one: one.energy) for pair in zip(likely, last, strict=True)]
-    return [replace(one, body=body) for one in (*chosen, *apart[len(likely) :])]
+    return [replace(one, body=body) for one in apart]
 
 
 def _on_standard(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) -> Wearer | None:
@@ -240,7 +245,9 @@ class _Start(NamedTuple):
         return cls(guess.reading, parameters, KNOWN[guess.number][3], guess.origin)
 
 
-def _fit(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: _Start | Wearer, steps: int) -> Wearer:
+def _fit(
+    cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: _Start | Wearer, steps: int, lock: float = 0.0
+) -> Wearer:
     """The body fitted to a reading from where ``one`` is, and how well the garment lies on it."""
     reading, start, origin = one.reading, one.parameters, one.origin
     points, normals = reading.apply(cloth.points), cloth.normals @ reading.turn.T
@@ -267,6 +274,7 @@ def _fit(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: _S
         slack=SLACK,
         place_prior_m=ORIGIN_PRIOR_M[origin],
         sole=int(skin[:, 1].argmin()) if origin == "floor" else None,
+        lock=lock,
     )
     return judge(cloth, reading, body, parameters, one.odd_arms)
 
