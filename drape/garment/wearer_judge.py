@@ -58,6 +58,8 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     odd += UNEVEN * float(np.clip(-distance, 0.0, DEEP_M).mean())
     inside, open_share = distance < -DEEP_M, 1.0 - float(share.mean())
     energy = float((point_cost(distance) * weight).sum() / weight.sum()) + open_share + odd
+    hanging = ~band & (distance > 0.0)
+    loose = float((point_cost(distance) * weight * hanging).sum() / weight.sum())
     top = float(np.median(np.abs(distance[band])))
     fault = ""
     if inside.mean() > INSIDE_LIMIT:
@@ -72,8 +74,9 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     elif top > BAND_LIMIT_M:
         fault = f"at best its top hangs {1e3 * top:.0f} mm from the skin"
     return Wearer(
-        reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin
-    )
+        reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin,
+        loose=loose,
+    )  # fmt: skip
 
 
 def one_sided(bones: Bones, nearest: np.ndarray) -> float:

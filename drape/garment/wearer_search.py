@@ -41,7 +41,7 @@ from drape.geometry import meshes
 FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # tried where no unit fits
 FIT_COUNT = 500  # points on the cloth
 RISE_CELLS, DEPTH_CELLS = 2, np.arange(-4, 5, 2, dtype=np.int32)
-PLACES, READINGS, PIERCED_COUNT, FINALISTS, WINNERS = 2, 8, 40, 6, 3
+PLACES, READINGS, PIERCED_COUNT, FINALISTS, RIVALS, WINNERS = 2, 8, 40, 6, 3, 4
 CLEARLY, WORSE = 0.1, 0.03  # a fit that is worse by this after a few steps stays worse; one that went astray
 FIRST_STEPS, LAST_STEPS, LOCK = 5, 15, 0.5
 SLACK = 0.1  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
@@ -56,6 +56,7 @@ LIMITS, PLAIN_LIMITS = (0.005, 0.2, 0.6), (0.002, 0.45, 0.8)
 SHAPE_PRIOR_M = np.array([5.0e-3, *[2.5e-3] * 9])  # of the betas in a fit: the first one is the height
 HELD_M, HELD = 0.06, 0.12  # moved so far up or down, the energy rises by this where a garment does not slide;
 HELD_ORIGIN = 0.5  # the file's origin is as good a sign
+AS_GOOD, SLID_M = 0.02, 0.08  # bodies that fit as well, so far apart, leave no place to be sure of
 RIVAL = 0.15  # a reading that is worse by this leaves no doubt
 NEARLY, APART_M, MOST_OTHERS = 0.04, 0.06, 2  # worse by less is nearly as likely; so far off it is another body
 
@@ -204,16 +205,21 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) 
     likely: list[Wearer] = []
     for one in first:
         rivals = [other for other in likely if other.reading == one.reading]
-        if one.energy < CLEARLY + first[0].energy and len(rivals) < 2 and len(likely) < WINNERS:
+        if one.energy < CLEARLY + first[0].energy and len(rivals) < RIVALS and len(likely) < WINNERS:
             likely.append(one)
     # The middle of a sleeve's or an armhole's rim is below the bone: that leads arms into sleeves, and no farther.
     last = [_fit(cloth, thin, [], one, LAST_STEPS, LOCK) for one in likely]
     chosen = [fit if fit.energy < one.energy + WORSE else one for one, fit in zip(likely, last, strict=True)]
+    # Loose cloth tells readings apart, but no bodies in one of them: a larger one is nearer to it.
+    found = sorted([*chosen, *first[len(likely) :]], key=lambda one: one.energy - one.loose)
     apart: list[Wearer] = []
-    for one in sorted([*chosen, *first[len(likely) :]], key=lambda one: one.energy):
+    for one in found:
         if all(one.reading != other.reading or _apart_m(cloth, one, other) > APART_M for other in apart):
-            apart.append(one)
-    return [replace(one, body=body) for one in apart]
+            alike = [other for other in chosen if other.reading == one.reading]
+            as_good = [other for other in alike if other.energy - other.loose < one.energy - one.loose + AS_GOOD]
+            slid = max([_apart_m(cloth, one, other) for other in as_good], default=0.0)
+            apart.append(replace(one, body=body, slid_m=slid))
+    return apart
 
 
 def _on_standard(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) -> Wearer | None:
@@ -285,7 +291,8 @@ def _held(cloth: SearchedCloth, one: Wearer) -> float:
     for rise in (-HELD_M, 0.0, HELD_M):
         parameters = one.parameters + np.concatenate([np.zeros(len(one.parameters) - 2), [rise, 0.0]])
         rises.append(judge(cloth, one.reading, thin, parameters, one.odd_arms).energy)
-    return float(np.clip((min(rises[0], rises[2]) - rises[1]) / HELD + (HELD_ORIGIN if one.origin else 0.3), 0.3, 1.0))
+    held = (min(rises[0], rises[2]) - rises[1]) / HELD + (HELD_ORIGIN if one.origin else 0.3)
+    return float(np.clip(held, 0.3, 1.0) * np.clip(1.0 - one.slid_m / SLID_M, 0.3, 1.0))
 
 
 def _sureness(one: Wearer, found: Sequence[Wearer]) -> float:
