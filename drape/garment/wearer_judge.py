@@ -54,8 +54,8 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     origin = min(heights, key=lambda name: heights[name]) if np.abs(trans[[0, 2]]).max() < ORIGIN_M else ""
     odd += 0.0 if origin else ODD_ORIGIN
     lying = distance[band]
-    odd += UNEVEN * float(np.minimum(np.abs(lying - np.median(lying)), UNEVEN_MOST_M).mean())
-    odd += UNEVEN * float(np.clip(-distance, 0.0, DEEP_M).mean())
+    uneven = UNEVEN * float(np.minimum(np.abs(lying - np.median(lying)), UNEVEN_MOST_M).mean())
+    uneven += UNEVEN * float(np.clip(-distance, 0.0, DEEP_M).mean())
     inside, open_share = distance < -DEEP_M, 1.0 - float(share.mean())
     energy = float((point_cost(distance) * weight).sum() / weight.sum()) + open_share + odd
     hanging = ~band & (distance > 0.0)
@@ -75,7 +75,7 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
         fault = f"at best its top hangs {1e3 * top:.0f} mm from the skin"
     return Wearer(
         reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin,
-        loose=loose,
+        among=energy - loose + uneven,
     )  # fmt: skip
 
 

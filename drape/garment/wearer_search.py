@@ -41,9 +41,9 @@ from drape.geometry import meshes
 FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # tried where no unit fits
 FIT_COUNT = 500  # points on the cloth
 RISE_CELLS, DEPTH_CELLS = 2, np.arange(-4, 5, 2, dtype=np.int32)
-PLACES, READINGS, PIERCED_COUNT, FINALISTS, RIVALS, WINNERS = 2, 8, 40, 6, 3, 4
+PLACES, READINGS, PIERCED_COUNT, FINALISTS, RIVALS, WINNERS = 2, 8, 40, 6, 2, 3
 CLEARLY, WORSE = 0.1, 0.03  # a fit that is worse by this after a few steps stays worse; one that went astray
-FIRST_STEPS, LAST_STEPS, LOCK = 5, 15, 0.5
+FIRST_STEPS, LAST_STEPS, FREE_STEPS, LOCK = 5, 15, 12, 0.5
 SLACK = 0.1  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
 AT_ONCE = np.zeros(1, dtype=np.int32)
 # What a metre from its place is worth, where the file's origin is at the root, on the floor, or anywhere. Roots are
@@ -79,7 +79,8 @@ def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING
         sizes = [("free", extent / cloth.extent) for extent in FREE_EXTENTS_M if cloth.may_be(extent / cloth.extent)]
         free = [one for one in readings_of(sizes, told.up, told.front) if told.up or one.up in ("+y", "+z")]
         found += _fitted(cloth, body, free)
-    found.sort(key=_rank)
+    least = {one.reading: min(_rank(other) for other in found if other.reading == one.reading) for one in found}
+    found.sort(key=lambda one: (least[one.reading], bool(one.fault), one.among))
     sure = [_sureness(one, found) * (1.0 if number else _held(cloth, one)) for number, one in enumerate(found)]
     found = [replace(one, sure=one_sure) for one, one_sure in zip(found, sure, strict=True)]
     return [replace(found[0], others=_others(cloth, found)), *found[1:]] if found else []
@@ -93,7 +94,9 @@ def _others(cloth: SearchedCloth, found: Sequence[Wearer]) -> tuple[Wearer, ...]
     """Those of ``found``, best first, that are nearly as likely as the first, and distinctly other bodies."""
     kept = [found[0]]
     for one in found[1:]:
-        near = not one.fault and one.energy < found[0].energy + NEARLY
+        alike = one.reading == found[0].reading
+        worse = one.among - found[0].among if alike else one.energy - found[0].energy
+        near = not one.fault and worse < NEARLY
         if near and len(kept) <= MOST_OTHERS and all(_apart_m(cloth, one, other) > APART_M for other in kept):
             kept.append(one)
     return tuple(kept[1:])
@@ -207,19 +210,26 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) 
         rivals = [other for other in likely if other.reading == one.reading]
         if one.energy < CLEARLY + first[0].energy and len(rivals) < RIVALS and len(likely) < WINNERS:
             likely.append(one)
-    # The middle of a sleeve's or an armhole's rim is below the bone: that leads arms into sleeves, and no farther.
-    last = [_fit(cloth, thin, [], one, LAST_STEPS, LOCK) for one in likely]
-    chosen = [fit if fit.energy < one.energy + WORSE else one for one, fit in zip(likely, last, strict=True)]
-    # Loose cloth tells readings apart, but no bodies in one of them: a larger one is nearer to it.
-    found = sorted([*chosen, *first[len(likely) :]], key=lambda one: one.energy - one.loose)
+    chosen = [_refined(cloth, thin, contours[one.reading], one) for one in likely]
+    rest = [one for one in first if one not in likely]
     apart: list[Wearer] = []
-    for one in found:
+    for one in (*sorted(chosen, key=lambda one: one.among), *rest):
         if all(one.reading != other.reading or _apart_m(cloth, one, other) > APART_M for other in apart):
             alike = [other for other in chosen if other.reading == one.reading]
-            as_good = [other for other in alike if other.energy - other.loose < one.energy - one.loose + AS_GOOD]
+            as_good = [other for other in alike if other.among < one.among + AS_GOOD]
             slid = max([_apart_m(cloth, one, other) for other in as_good], default=0.0)
             apart.append(replace(one, body=body, slid_m=slid))
     return apart
+
+
+def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: Wearer) -> Wearer:
+    """``one`` after more steps, the last of them without ``contours``.
+
+    The middle of a sleeve's or an armhole's rim is below the bone: that leads arms into sleeves, and no farther.
+    """
+    led = min(one, _fit(cloth, body, contours, one, LAST_STEPS), key=lambda fit: fit.energy)
+    free = _fit(cloth, body, [], led, FREE_STEPS, LOCK)
+    return free if free.energy < led.energy + WORSE else led
 
 
 def _on_standard(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) -> Wearer | None:
