@@ -92,10 +92,10 @@ def _rank(one: Wearer) -> tuple[bool, float]:
 
 def _others(cloth: SearchedCloth, found: Sequence[Wearer]) -> tuple[Wearer, ...]:
     """Those of ``found``, best first, that are nearly as likely as the first, and distinctly other bodies."""
-    kept = [found[0]]
+    kept, least = [found[0]], min(one.energy for one in found if one.reading == found[0].reading)
     for one in found[1:]:
         alike = one.reading == found[0].reading
-        worse = one.among - found[0].among if alike else one.energy - found[0].energy
+        worse = one.among - found[0].among if alike else one.energy - least
         near = not one.fault and worse < NEARLY
         if near and len(kept) <= MOST_OTHERS and all(_apart_m(cloth, one, other) > APART_M for other in kept):
             kept.append(one)
@@ -228,7 +228,7 @@ def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one
     The middle of a sleeve's or an armhole's rim is below the bone: that leads arms into sleeves, and no farther.
     """
     led = min(one, _fit(cloth, body, contours, one, LAST_STEPS), key=lambda fit: fit.energy)
-    free = _fit(cloth, body, [], led, FREE_STEPS, LOCK)
+    free = _fit(cloth, body, [], led, FREE_STEPS, 0.0 if led.origin == "floor" else LOCK)
     return free if free.energy < led.energy + WORSE else led
 
 
