@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-import scipy.sparse.linalg
 from scipy.spatial import KDTree
 
 from drape.errors import MeshError
 from drape.geometry import mesh_graphs, meshes
-from drape.geometry.closest import ClosestPoints, closest_point, signed_distance
+from drape.geometry.closest import ClosedMesh
+from drape.geometry.symmetric import symmetric_factor
 
 CLEARANCE_M = 0.006
 MARGIN_M = 2e-4  # aimed beyond the clearance, so that the last smoothing does not fall short of it
@@ -24,6 +24,7 @@ LAYER_SOFTNESS_M = (
     0.003  # cloth nearer than about this to the clearance is lifted in proportion: layers keep their order
 )
 LAYER_REACH_M = 0.010  # cloth this near lies on or under the same cloth and moves with it
+FAR_M = 2.0 * CLEARANCE_M  # cloth beyond needs no push, wherever it is exactly
 ROUNDS = 40
 STIFFNESS_M2 = 0.03**2  # smoothing length of the first push, squared; halves from round to round
 REST_SHARE = 0.02  # how much a vertex that is clear resists being taken along
@@ -44,20 +45,38 @@ class Cleared:
     rounds: int
 
 
-def distance_field(
-    points: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, ClosestPoints]:
-    """Signed distance [m] (N,), the outward direction (N, 3) it grows in, and the nearest points on the body."""
-    signed = signed_distance(points, body_vertices, body_faces)
-    nearest = closest_point(points, body_vertices, body_faces)
-    normals = meshes.vertex_normals(body_vertices, body_faces)
-    outward = np.einsum("nk,nkc->nc", nearest.barycentric, normals[body_faces[nearest.face]])
-    gap = points - nearest.point
-    length = np.linalg.norm(gap, axis=1)
-    # On the surface itself the gap has no direction, the body's normal has.
-    trusted = (length > 1e-4)[:, None]
-    direction = np.where(trusted, np.sign(signed)[:, None] * gap / np.maximum(length, 1e-12)[:, None], outward)
-    return signed, direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12), nearest
+class _Skin:
+    """A closed body, asked for the signed distance of points that move: those that stayed clear of it are not asked."""
+
+    def __init__(self, points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> None:
+        self.body, self.faces = ClosedMesh(vertices, faces), faces
+        self.normals = meshes.vertex_normals(vertices, faces)
+        self.points, count = points, len(points)
+        self.signed, self.direction, self.nearest = np.zeros(count), np.zeros((count, 3)), np.zeros(count, dtype=int)
+        self._ask(np.arange(count))
+
+    def move(self, points: np.ndarray) -> None:
+        """Takes the points to their new places ``points`` [m] (N, 3).
+
+        A distance beyond ``FAR_M`` falls by no more than its point moves: ``signed`` may be less than it is there.
+        """
+        bound = self.signed - np.linalg.norm(points - self.points, axis=1)
+        self.points, self.signed = points, np.maximum(bound, FAR_M)
+        self._ask(np.flatnonzero(bound < FAR_M))
+
+    def _ask(self, rows: np.ndarray) -> None:
+        if not len(rows):
+            return
+        points = self.points[rows]
+        signed, near = self.body.signed_closest(points)
+        outward = np.einsum("nk,nkc->nc", near.barycentric, self.normals[self.faces[near.face]])
+        gap = points - near.point
+        length = np.linalg.norm(gap, axis=1)
+        # On the surface itself the gap has no direction, the body's normal has.
+        trusted = (length > 1e-4)[:, None]
+        away = np.where(trusted, np.sign(signed)[:, None] * gap / np.maximum(length, 1e-12)[:, None], outward)
+        self.direction[rows] = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+        self.signed[rows], self.nearest[rows] = signed, near.face
 
 
 def clear_body(
@@ -80,7 +99,8 @@ def clear_body(
     """
     target = CLEARANCE_M + MARGIN_M
     start, moved = vertices, vertices.copy()
-    signed, direction, nearest = distance_field(moved, body_vertices, body_faces)
+    skin = _Skin(moved, body_vertices, body_faces)
+    signed, direction = skin.signed, skin.direction
     if signed.min() < -GIVE_UP_DEPTH_M:
         raise MeshError(
             "garment",
@@ -88,7 +108,7 @@ def clear_body(
             got=f"{-1e3 * signed.min():.0f} mm at vertex {int(signed.argmin())}",
             cure="Say which avatar the garment was modelled on.",
         )
-    laplacian = _layered_laplacian(moved, faces, nearest, body_vertices, body_faces)
+    laplacian = _layered_laplacian(moved, faces, skin.nearest, body_vertices, body_faces)
     lift = target + LAYER_SOFTNESS_M * np.logaddexp(0.0, (signed - target) / LAYER_SOFTNESS_M) - signed
     stiffness = STIFFNESS_M2
     for round_number in range(rounds):
@@ -99,17 +119,17 @@ def clear_body(
             lift = np.where(short, target - signed, 0.0)
         wanted = lift[:, None] * direction
         if through and round_number < THROUGH_ROUNDS:
-            wanted = _through(moved, faces, signed, direction, wanted, body_vertices, body_faces)
+            wanted = _through(moved, faces, signed, direction, wanted, skin.body)
         weight = np.where(lift > 1e-5, 1.0, REST_SHARE)
         # A vertex takes its neighbours along; where it must move alone the weight lets it.
         system = scipy.sparse.diags(weight) + stiffness * laplacian
-        push = scipy.sparse.linalg.splu(system.tocsc()).solve(weight[:, None] * wanted)
-        moved = moved + push
+        moved = moved + symmetric_factor(system).solve(weight[:, None] * wanted)
         stiffness = max(0.6 * stiffness, 0.004**2) if round_number < rounds - 8 else 0.0
-        signed, direction, nearest = distance_field(moved, body_vertices, body_faces)
+        skin.move(moved)
+        signed, direction = skin.signed, skin.direction
     short = signed < CLEARANCE_M
     across = moved[short] + 2.0 * CLEARANCE_M * direction[short]
-    if through and signed.min() > 0.0 and (signed_distance(across, body_vertices, body_faces) < CLEARANCE_M).all():
+    if through and signed.min() > 0.0 and (skin.body.signed_closest(across)[0] < CLEARANCE_M).all():
         least_m = 0.0  # two skins face each other there, with less room than twice the clearance between them
     if short.mean() <= FEW_SHARE:  # between toes or fingers: a frame lifts what is left
         least_m = min(least_m, -FEW_DEPTH_M)
@@ -129,8 +149,7 @@ def _through(
     signed: np.ndarray,
     direction: np.ndarray,
     wanted: np.ndarray,
-    body_vertices: np.ndarray,
-    body_faces: np.ndarray,
+    body: ClosedMesh,
 ) -> np.ndarray:
     """``wanted`` pushes [m] (N, 3), but along their normals for ``points`` in the body that look away from the skin."""
     normals = meshes.vertex_normals(points, faces)
@@ -140,7 +159,7 @@ def _through(
     cloth = np.flatnonzero((signed < 0.0) & (agreement < ALONG) & out[piece])
     steps = np.linspace(0.0, THROUGH_M, THROUGH_STEPS + 1)[1:]
     along = points[cloth, None] + steps[:, None] * normals[cloth, None]
-    depth = signed_distance(along.reshape(-1, 3), body_vertices, body_faces).reshape(along.shape[:2])
+    depth = body.signed_closest(along.reshape(-1, 3))[0].reshape(along.shape[:2])
     left = np.logical_or.accumulate(depth > 0.0, axis=1)
     clear = (depth > CLEARANCE_M) & ~np.logical_or.accumulate(left & (depth < 0.0), axis=1)  # before the next limb
     ends, wanted = clear.any(axis=1), wanted.copy()
@@ -149,12 +168,12 @@ def _through(
 
 
 def _layered_laplacian(
-    vertices: np.ndarray, faces: np.ndarray, nearest: ClosestPoints, body_vertices: np.ndarray, body_faces: np.ndarray
+    vertices: np.ndarray, faces: np.ndarray, nearest: np.ndarray, body_vertices: np.ndarray, body_faces: np.ndarray
 ) -> scipy.sparse.csr_matrix:
     """Laplacian [1/m^2] (N, N) over the mesh's edges and over pairs of layers on the same side of the body."""
     edges = meshes.unique_edges(faces)
     pairs = KDTree(vertices).query_pairs(LAYER_REACH_M, output_type="ndarray")
-    normals = meshes.face_normals(body_vertices, body_faces)[nearest.face]
+    normals = meshes.face_normals(body_vertices, body_faces)[nearest]
     if len(pairs):
         pairs = pairs[np.einsum("nc,nc->n", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.5]
     joined = np.unique(np.sort(np.concatenate([edges, pairs]), axis=1), axis=0)

@@ -37,6 +37,7 @@ BAND_LIMIT_MM = 25.0  # median distance in that band: beyond, the body is beside
 RISES_M = (-0.08, 0.0, 0.08)  # of the body, that are tried
 FIRST_STEPS, FINALISTS = 6, 2  # of every start, and how many of them go on
 LYING_GAP_M = 0.004  # between skin and cloth that lies on it
+LYING_SHARE, LYING_MOST_M, LOCK_REACH_M = 0.4, 0.008, 0.006
 PULL, PULL_REACH_M = 0.1, 0.03  # of cloth outside, against cloth inside; halved at that distance
 CUFF = 0.2  # of a square metre between a cuff's middle and the limb's bone
 SHAPE_PRIOR_M, POSE_PRIOR_M, LIMB_PRIOR_M = 1e-3, 1.5e-2, 3e-3  # root mean square that a beta, or a radian, is worth
@@ -157,12 +158,14 @@ def fit_from(
     slack: float = 1.0,
     place_prior_m: np.ndarray = PLACE_PRIOR_M,
     sole: int | None = None,
+    lock: float = 0.0,
 ) -> tuple[np.ndarray, float]:
     """Parameters from one start, and the mean cost [m^2] with the priors.
 
     ``neutral`` [m] (3,) is the likely place of the mean shape in T-pose; ``likely`` (P,) are other likely parameters.
     ``slack`` is the pull of cloth outside that carries nothing, over the usual one. ``place_prior_m`` (3,) is what a
-    metre from the likely place is worth. The vertex ``sole``, if given, stands on the floor.
+    metre from the likely place is worth. The vertex ``sole``, if given, stands on the floor. With a ``lock`` cloth lies
+    as far from the skin as most of the band that carries it does, and what lies so pulls by that much either way.
     """
     shape, pose = body.shape_count, 3 * len(FREE_JOINTS)
     prior = np.concatenate([np.full(shape, shape_prior_m), np.full(pose, POSE_PRIOR_M), place_prior_m]) ** 2
@@ -174,7 +177,7 @@ def fit_from(
     if likely is None:
         likely = np.concatenate([np.zeros(shape + pose), parameters[-3:] if neutral is None else neutral])
     pull = PULL * np.where(points[:, 1] > points[:, 1].max() - BAND_M, BAND_PULL, slack)
-    cost = np.inf
+    cost, band = np.inf, points[:, 1] > points[:, 1].max() - BAND_M
     for _ in range(steps):
         posed = posed_by(body, parameters)
         skin_normals = meshes.vertex_normals(posed, body.faces)
@@ -184,7 +187,10 @@ def fit_from(
         index = near[np.arange(len(near)), first]
         normal = skin_normals[index]
         gap = np.einsum("nc,nc->n", normal, points - posed[index]) - LYING_GAP_M
+        if lock:
+            gap -= np.clip(np.quantile(gap[band], LYING_SHARE), 0.0, LYING_MOST_M)
         weight = np.where(gap < 0.0, 1.0, pull / (1.0 + (gap / PULL_REACH_M) ** 2))
+        weight = np.maximum(weight, lock / (1.0 + (gap / LOCK_REACH_M) ** 2) ** 2)
         off, turn = _cuff_rows(body, cuffs, parameters)
         before, cost = (
             cost,

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-import scipy.sparse.linalg
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
@@ -26,6 +25,7 @@ from drape.garment.avatars import Avatar
 from drape.garment.sleeves import SHOULDER, sleeve_of
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point, nearest_vertices
+from drape.geometry.symmetric import symmetric_factor
 
 WEIGHT_SMOOTHING_M = 0.05  # along the garment; longer spreads an armpit's strain further
 SHAPE_SMOOTHING_M = 0.03  # longer keeps the avatar's bust on a body that has none, which then creases
@@ -143,8 +143,7 @@ def smoother(vertices: np.ndarray, faces: np.ndarray, length_m: float):
     inverse_square = (length_m / np.maximum(meshes.edge_lengths(vertices, edges), 1e-4)) ** 2
     # About six neighbours lie in the plane: a third of the sum is the Laplacian's scale.
     laplacian = mesh_graphs.weighted_laplacian(mesh_graphs.edge_matrix(edges, inverse_square, len(vertices)))
-    solve = scipy.sparse.linalg.factorized((scipy.sparse.identity(len(vertices)) + laplacian / 3.0).tocsc())
-    return lambda fields: np.column_stack([solve(np.ascontiguousarray(column)) for column in fields.T])
+    return symmetric_factor(scipy.sparse.identity(len(vertices)) + laplacian / 3.0).solve
 
 
 def skirt_blend(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> np.ndarray:

@@ -24,6 +24,7 @@ ODD_ORIGIN, ODD_PIERCED, ODD_SIDE, ODD_EMPTY = 0.03, 0.1, 0.3, 0.05
 ORIGIN_M = 0.05  # a body whose root or soles are this near to the file's origin stands where bodies do
 INSIDE_LIMIT, OPEN_LIMIT, BAND_LIMIT_M = 0.12, 0.35, 0.08
 DEEP_M = 0.01
+UNEVEN, UNEVEN_MOST_M = 10.0, 0.03  # cost of a metre from the usual distance where cloth hangs, and of one in the skin
 SLEEVE_SHARE = 0.04  # of the cloth that must lie on the arms to tell their pose
 UNIT_INSIDE = 0.06  # cloth inside up to which a unit is meant
 ENERGY_LIMIT = 0.7  # a body beyond has not worn it
@@ -52,8 +53,13 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     heights = {"root": abs(trans[1]), "floor": abs(skin[:, 1].min()), "": ORIGIN_M}
     origin = min(heights, key=lambda name: heights[name]) if np.abs(trans[[0, 2]]).max() < ORIGIN_M else ""
     odd += 0.0 if origin else ODD_ORIGIN
+    lying = distance[band]
+    uneven = UNEVEN * float(np.minimum(np.abs(lying - np.median(lying)), UNEVEN_MOST_M).mean())
+    uneven += UNEVEN * float(np.clip(-distance, 0.0, DEEP_M).mean())
     inside, open_share = distance < -DEEP_M, 1.0 - float(share.mean())
     energy = float((point_cost(distance) * weight).sum() / weight.sum()) + open_share + odd
+    hanging = ~band & (distance > 0.0)
+    loose = float((point_cost(distance) * weight * hanging).sum() / weight.sum())
     top = float(np.median(np.abs(distance[band])))
     fault = ""
     if inside.mean() > INSIDE_LIMIT:
@@ -68,8 +74,9 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     elif top > BAND_LIMIT_M:
         fault = f"at best its top hangs {1e3 * top:.0f} mm from the skin"
     return Wearer(
-        reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin
-    )
+        reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin,
+        among=energy - loose + uneven,
+    )  # fmt: skip
 
 
 def one_sided(bones: Bones, nearest: np.ndarray) -> float:

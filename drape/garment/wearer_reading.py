@@ -62,7 +62,8 @@ class Wearer:
     bones is bare, ``band_m`` the median distance at the top; ``sleeved`` says whether the cloth shows the arms, and
     ``fault`` what does not fit. ``origin`` is where the file's is, at the body's "root" or "floor", or "". ``sure`` in
     [0, 1] falls where another reading fits nearly as well, or the same body higher or lower. ``others`` are nearly as
-    likely.
+    likely. ``among`` ranks bodies of one reading: the energy without cloth that hangs away from the skin, which larger
+    bodies are nearer to, and with how evenly the top lies. Those that fit as well have their skin up to ``slid_m`` off.
     """
 
     reading: Reading
@@ -78,6 +79,8 @@ class Wearer:
     origin: str = ""
     sure: float = 1.0
     others: tuple[Wearer, ...] = ()
+    among: float = 0.0
+    slid_m: float = 0.0
 
     @property
     def betas(self) -> np.ndarray:

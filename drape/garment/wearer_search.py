@@ -41,9 +41,9 @@ from drape.geometry import meshes
 FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # tried where no unit fits
 FIT_COUNT = 500  # points on the cloth
 RISE_CELLS, DEPTH_CELLS = 2, np.arange(-4, 5, 2, dtype=np.int32)
-PLACES, READINGS, PIERCED_COUNT, FINALISTS, WINNERS = 2, 8, 40, 6, 2
-CLEARLY = 0.1  # a fit that is worse by this after a few steps stays worse
-FIRST_STEPS, LAST_STEPS = 5, 15
+PLACES, READINGS, PIERCED_COUNT, FINALISTS, RIVALS, WINNERS = 2, 8, 40, 6, 2, 3
+CLEARLY, WORSE = 0.1, 0.03  # a fit that is worse by this after a few steps stays worse; one that went astray
+FIRST_STEPS, LAST_STEPS, FREE_STEPS, LOCK = 5, 15, 12, 0.5
 SLACK = 0.1  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
 AT_ONCE = np.zeros(1, dtype=np.int32)
 # What a metre from its place is worth, where the file's origin is at the root, on the floor, or anywhere. Roots are
@@ -56,6 +56,7 @@ LIMITS, PLAIN_LIMITS = (0.005, 0.2, 0.6), (0.002, 0.45, 0.8)
 SHAPE_PRIOR_M = np.array([5.0e-3, *[2.5e-3] * 9])  # of the betas in a fit: the first one is the height
 HELD_M, HELD = 0.06, 0.12  # moved so far up or down, the energy rises by this where a garment does not slide;
 HELD_ORIGIN = 0.5  # the file's origin is as good a sign
+AS_GOOD, SLID_M = 0.02, 0.08  # bodies that fit as well, so far apart, leave no place to be sure of
 RIVAL = 0.15  # a reading that is worse by this leaves no doubt
 NEARLY, APART_M, MOST_OTHERS = 0.04, 0.06, 2  # worse by less is nearly as likely; so far off it is another body
 
@@ -78,7 +79,8 @@ def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING
         sizes = [("free", extent / cloth.extent) for extent in FREE_EXTENTS_M if cloth.may_be(extent / cloth.extent)]
         free = [one for one in readings_of(sizes, told.up, told.front) if told.up or one.up in ("+y", "+z")]
         found += _fitted(cloth, body, free)
-    found.sort(key=_rank)
+    least = {one.reading: min(_rank(other) for other in found if other.reading == one.reading) for one in found}
+    found.sort(key=lambda one: (least[one.reading], bool(one.fault), one.among))
     sure = [_sureness(one, found) * (1.0 if number else _held(cloth, one)) for number, one in enumerate(found)]
     found = [replace(one, sure=one_sure) for one, one_sure in zip(found, sure, strict=True)]
     return [replace(found[0], others=_others(cloth, found)), *found[1:]] if found else []
@@ -90,9 +92,11 @@ def _rank(one: Wearer) -> tuple[bool, float]:
 
 def _others(cloth: SearchedCloth, found: Sequence[Wearer]) -> tuple[Wearer, ...]:
     """Those of ``found``, best first, that are nearly as likely as the first, and distinctly other bodies."""
-    kept = [found[0]]
+    kept, least = [found[0]], min(one.energy for one in found if one.reading == found[0].reading)
     for one in found[1:]:
-        near = not one.fault and one.energy < found[0].energy + NEARLY
+        alike = one.reading == found[0].reading
+        worse = one.among - found[0].among if alike else one.energy - least
+        near = not one.fault and worse < NEARLY
         if near and len(kept) <= MOST_OTHERS and all(_apart_m(cloth, one, other) > APART_M for other in kept):
             kept.append(one)
     return tuple(kept[1:])
@@ -201,14 +205,31 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) 
     contours = {reading: cloth.contours(reading) for reading in {one.reading for one in kept}}
     first = [_fit(cloth, thin, contours[one.reading], _Start.of(one, fields[one.number]), FIRST_STEPS) for one in kept]
     first.sort(key=lambda one: one.energy)
-    apart: list[Wearer] = []
+    likely: list[Wearer] = []
     for one in first:
+        rivals = [other for other in likely if other.reading == one.reading]
+        if one.energy < CLEARLY + first[0].energy and len(rivals) < RIVALS and len(likely) < WINNERS:
+            likely.append(one)
+    chosen = [_refined(cloth, thin, contours[one.reading], one) for one in likely]
+    rest = [one for one in first if one not in likely]
+    apart: list[Wearer] = []
+    for one in (*sorted(chosen, key=lambda one: one.among), *rest):
         if all(one.reading != other.reading or _apart_m(cloth, one, other) > APART_M for other in apart):
-            apart.append(one)
-    likely = [one for one in apart if one.energy < CLEARLY + apart[0].energy][:WINNERS]
-    last = [_fit(cloth, thin, contours[one.reading], one, LAST_STEPS) for one in likely]
-    chosen = [min(pair, key=lambda one: one.energy) for pair in zip(likely, last, strict=True)]
-    return [replace(one, body=body) for one in (*chosen, *apart[len(likely) :])]
+            alike = [other for other in chosen if other.reading == one.reading]
+            as_good = [other for other in alike if other.among < one.among + AS_GOOD]
+            slid = max([_apart_m(cloth, one, other) for other in as_good], default=0.0)
+            apart.append(replace(one, body=body, slid_m=slid))
+    return apart
+
+
+def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: Wearer) -> Wearer:
+    """``one`` after more steps, the last of them without ``contours``.
+
+    The middle of a sleeve's or an armhole's rim is below the bone: that leads arms into sleeves, and no farther.
+    """
+    led = min(one, _fit(cloth, body, contours, one, LAST_STEPS), key=lambda fit: fit.energy)
+    free = _fit(cloth, body, [], led, FREE_STEPS, 0.0 if led.origin == "floor" else LOCK)
+    return free if free.energy < led.energy + WORSE else led
 
 
 def _on_standard(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) -> Wearer | None:
@@ -240,7 +261,9 @@ class _Start(NamedTuple):
         return cls(guess.reading, parameters, KNOWN[guess.number][3], guess.origin)
 
 
-def _fit(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: _Start | Wearer, steps: int) -> Wearer:
+def _fit(
+    cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: _Start | Wearer, steps: int, lock: float = 0.0
+) -> Wearer:
     """The body fitted to a reading from where ``one`` is, and how well the garment lies on it."""
     reading, start, origin = one.reading, one.parameters, one.origin
     points, normals = reading.apply(cloth.points), cloth.normals @ reading.turn.T
@@ -267,6 +290,7 @@ def _fit(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: _S
         slack=SLACK,
         place_prior_m=ORIGIN_PRIOR_M[origin],
         sole=int(skin[:, 1].argmin()) if origin == "floor" else None,
+        lock=lock,
     )
     return judge(cloth, reading, body, parameters, one.odd_arms)
 
@@ -277,7 +301,8 @@ def _held(cloth: SearchedCloth, one: Wearer) -> float:
     for rise in (-HELD_M, 0.0, HELD_M):
         parameters = one.parameters + np.concatenate([np.zeros(len(one.parameters) - 2), [rise, 0.0]])
         rises.append(judge(cloth, one.reading, thin, parameters, one.odd_arms).energy)
-    return float(np.clip((min(rises[0], rises[2]) - rises[1]) / HELD + (HELD_ORIGIN if one.origin else 0.3), 0.3, 1.0))
+    held = (min(rises[0], rises[2]) - rises[1]) / HELD + (HELD_ORIGIN if one.origin else 0.3)
+    return float(np.clip(held, 0.3, 1.0) * np.clip(1.0 - one.slid_m / SLID_M, 0.3, 1.0))
 
 
 def _sureness(one: Wearer, found: Sequence[Wearer]) -> float:

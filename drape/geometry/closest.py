@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from drape.arrays import check_finite, check_shape
 from drape.errors import MeshError
-from drape.geometry.meshes import boundary_edges, check_faces
+from drape.geometry.meshes import boundary_edges, check_faces, face_normals
 
 ON_EDGE = 1e-9  # barycentric coordinate below which a point lies on the edge opposite
 NEEDLE = 1e-12  # squared sine below which a triangle has no barycentric coordinates; its nearest corner stands in
@@ -70,6 +70,53 @@ def signed_distance(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
         return np.zeros(0)
     kind = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
     return np.asarray(igl.signed_distance(points, vertices, faces, sign_type=kind)[0]).reshape(-1)
+
+
+class ClosedMesh:
+    """A closed mesh that is asked for signed distances many times: ``vertices`` [m] (V, 3), ``faces`` (F, 3).
+
+    The sign is that of ``signed_distance``; the tree and the normals that it takes are made once.
+    """
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        _, self.vertices, self.faces = _checked(np.zeros((0, 3)), vertices, faces)
+        self._tree = igl.AABB()
+        self._tree.init(self.vertices, self.faces)
+        corners = self.vertices[self.faces]
+        self._face_normals = face_normals(self.vertices, self.faces)
+        following, last = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+        sine = np.linalg.norm(np.cross(following, last), axis=2)
+        angle = np.arctan2(sine, (following * last).sum(axis=2)).reshape(-1)
+        self._vertex_normals = _gathered(
+            self.faces.reshape(-1), angle[:, None] * np.repeat(self._face_normals, 3, axis=0), len(self.vertices)
+        )
+        opposite = np.sort(self.faces[:, [[1, 2], [2, 0], [0, 1]]], axis=2).reshape(-1, 2)
+        _, edge = np.unique(opposite @ (len(self.vertices), 1), return_inverse=True)
+        edge = edge.reshape(-1)
+        summed = _gathered(edge, np.repeat(self._face_normals, 3, axis=0), int(edge.max()) + 1)
+        self._edge_normals = summed[edge].reshape(-1, 3, 3)  # of the edge across from each corner
+
+    def signed_closest(self, points: np.ndarray) -> tuple[np.ndarray, ClosestPoints]:
+        """Distances [m] (N,) of ``points`` (N, 3), negative inside, and the nearest points of the mesh."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        if len(points) == 0:
+            return np.zeros(0), closest_point(points, self.vertices, self.faces)
+        squared, face, nearest = self._tree.squared_distance(self.vertices, self.faces, points)
+        face, nearest = np.asarray(face).reshape(-1), np.asarray(nearest)
+        weights = barycentric(nearest, self.vertices[self.faces[face]])
+        there = weights > ON_EDGE
+        normal, count = self._face_normals[face], there.sum(axis=1)
+        on_edge, on_corner = count == 2, count == 1
+        normal[on_edge] = self._edge_normals[face[on_edge], there[on_edge].argmin(axis=1)]
+        normal[on_corner] = self._vertex_normals[self.faces[face[on_corner], there[on_corner].argmax(axis=1)]]
+        distance = np.sqrt(np.asarray(squared).reshape(-1))
+        outside = np.einsum("nc,nc->n", points - nearest, normal) >= 0.0
+        return np.where(outside, distance, -distance), ClosestPoints(distance, face, weights, nearest)
+
+
+def _gathered(rows: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """The sums (``count``, 3) of ``values`` (N, 3) by ``rows`` (N,)."""
+    return np.stack([np.bincount(rows, column, count) for column in values.T], axis=1)
 
 
 def barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -79,19 +79,21 @@ def test_dress_on_the_standard_body_is_found_in_millimetres_with_z_up():
     assert wearer.origin == "root" and wearer.sure < 1.0  # the dress may be worn higher or lower
 
 
-def test_arms_unit_axis_and_place_of_a_shirt_are_found():
-    parameters = known_parameters(BODY, "woman", 0.7, 0.0)
+@pytest.mark.parametrize(("shape", "lift_rad"), [("woman", 0.7), ("person", 1.0)])
+def test_arms_unit_axis_and_place_of_a_shirt_are_found(shape: str, lift_rad: float):
+    """Where the rims of its sleeves led to the end, arms were 2.5 degrees off, and the second body 44 mm."""
+    parameters = known_parameters(BODY, shape, lift_rad, 0.0)
     reading, shift = Reading("dm", 0.1, "+z", "-y"), np.array([0.4, 0.2, -0.1])
     found = the_wearer(shirt_on(parameters, reading, shift), BODY)
     assert (found.reading.unit, found.reading.up, found.reading.front) == ("dm", "+z", "-y")
     pose = unpack(BODY, parameters)[1]
     joints = BODY.posed_joints(pose[None], unpack(BODY, parameters)[0])[0]
     way = joints[18] - joints[16]
-    assert abs(found.arms_deg - np.degrees(np.arctan2(-way[1], np.hypot(way[0], way[2])))) < 6.0
+    assert abs(found.arms_deg - np.degrees(np.arctan2(-way[1], np.hypot(way[0], way[2])))) < 2.0
     theirs = posed_by(BODY, found.parameters)
     covered = BODY.weights[:, [3, 6, 9]].sum(axis=1) > 0.6
     off = (theirs - shift - posed_by(BODY, parameters))[covered].mean(axis=0)
-    assert np.linalg.norm(off) < 0.02
+    assert np.linalg.norm(off) < 0.012
     assert found.sleeved and found.to_json()["unit"] == "dm"
 
 
@@ -100,7 +102,7 @@ def test_a_body_that_stands_on_the_origin_of_its_file_is_found_there():
     floor = posed_by(BODY, parameters)[:, 1].min()
     found = the_wearer(shirt_on(parameters, Reading("cm", 0.01, "+y", "+z"), np.array([0.0, -floor, 0.0])), BODY)
     assert found.origin == "floor" and found.sure > 0.5
-    np.testing.assert_allclose(posed_by(BODY, found.parameters)[:, 1].min(), 0.0, rtol=0, atol=0.005)
+    np.testing.assert_allclose(posed_by(BODY, found.parameters)[:, 1].min(), 0.0, rtol=0, atol=0.01)
     np.testing.assert_allclose(found.trans[[0, 2]], 0.0, rtol=0, atol=0.01)
 
 

@@ -84,3 +84,16 @@ def test_broken_input_is_refused(function, change, match):
     arguments = {"points": np.zeros((2, 3)), "vertices": vertices, "faces": faces} | change
     with pytest.raises(MeshError, match=match):
         function(**arguments)
+
+
+def test_a_closed_mesh_that_is_asked_again_has_the_same_distances_and_signs(rng):
+    vertices, faces = icosphere(2)
+    vertices = vertices * rng.uniform(0.4, 1.0, size=(len(vertices), 1))  # spikes: edges and corners are nearest
+    mesh = closest.ClosedMesh(vertices, faces)
+    for points in (rng.normal(size=(3000, 3)), 1.3 * vertices, 0.7 * vertices):
+        signed, found = mesh.signed_closest(points)
+        assert_allclose(signed, closest.signed_distance(points, vertices, faces), rtol=1e-12, atol=1e-15)
+        expected = closest.closest_point(points, vertices, faces)
+        assert_allclose(found.point, expected.point, rtol=0.0, atol=1e-12)
+        assert_allclose(found.distance, np.abs(signed), rtol=0.0, atol=0.0)
+    assert len(mesh.signed_closest(np.zeros((0, 3)))[0]) == 0
