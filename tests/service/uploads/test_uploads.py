@@ -177,19 +177,24 @@ def test_another_likely_wearer_is_told_and_chosen_by_its_options(uploads: httpx.
 @pytest.mark.parametrize(
     ("query", "content", "status", "word"),
     [
-        ({}, b"x", 400, "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, zip, got nothing"),
         (
-            {"name": "shirt.fbx"},
+            {},
             b"x",
             400,
-            "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, zip, got the name shirt.fbx.",
+            "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, fbx, zip, got nothing",
+        ),
+        (
+            {"name": "shirt.dae"},
+            b"x",
+            400,
+            "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, fbx, zip, got the name shirt.dae.",
         ),
         ({"name": "shirt.obj", "avtar": "standard"}, b"x", 400, "avtar: expected no such parameter"),
         (
             {"name": "shirt", "format": "rar"},
             b"x",
             400,
-            "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, zip, got rar",
+            "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, fbx, zip, got rar",
         ),
         ({"format": "obj"}, b"x", 400, "name: expected the garment's name"),
         ({"name": "shirt.obj"}, b"", 422, "bytes of a mesh file"),

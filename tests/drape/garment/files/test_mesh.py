@@ -152,9 +152,9 @@ def test_rubbish_is_refused(payload: bytes, kind: str | None):
 def test_unknown_suffix_absent_and_large_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(NotFound):
         read_mesh(tmp_path / "absent.obj")
-    (tmp_path / "a.fbx").write_bytes(b"Kaydara")
-    with pytest.raises(MeshError, match="OBJ, GLB, GLTF, PLY, STL, USD, USDA, USDC, USDZ or ZIP"):
-        read_mesh(tmp_path / "a.fbx")
+    (tmp_path / "a.dae").write_bytes(b"<COLLADA>")
+    with pytest.raises(MeshError, match="OBJ, GLB, GLTF, PLY, STL, USD, USDA, USDC, USDZ, FBX or ZIP"):
+        read_mesh(tmp_path / "a.dae")
     monkeypatch.setattr(mesh, "BYTES_LIMIT", 10)
     (tmp_path / "a.obj").write_bytes(b"v 0 0 0\n" * 9)
     for source in (tmp_path / "a.obj", b"v 0 0 0\n" * 9):
