@@ -69,6 +69,7 @@ def colour(url: str, garment: str) -> list[int]:
     return np.asarray(Image.open(io.BytesIO(told.content)).convert("RGB"))[0, 0].tolist()
 
 
+@pytest.mark.long
 def test_files_dropped_together_are_one_garment(page: Page, url: str, tube: Garment, tmp_path: Path):
     page.drop(*written(tmp_path, tube, "poppy", RED))
     assert ready(page, "poppy.obj")[-1] == "poppy"
@@ -76,12 +77,14 @@ def test_files_dropped_together_are_one_garment(page: Page, url: str, tube: Garm
     assert page.evaluate("document.getElementById('drop').hidden")
 
 
+@pytest.mark.long
 def test_files_chosen_together_are_one_garment(page: Page, url: str, tube: Garment, tmp_path: Path):
     page.choose_file("#file", *written(tmp_path, tube, "iris", BLUE)[::-1])
     assert ready(page, "iris.obj")[-1] == "iris"
     assert colour(url, "iris") == list(BLUE)
 
 
+@pytest.mark.long
 def test_two_garments_in_a_folder_are_two_uploads_each_with_its_own(
     page: Page, url: str, tube: Garment, tmp_path: Path
 ):
@@ -109,6 +112,7 @@ def test_a_picture_alone_is_told_where_it_belongs(page: Page, tmp_path: Path):
     assert page.errors == []
 
 
+@pytest.mark.long
 def test_two_likely_wearers_are_two_pictures_and_a_click_takes_the_other(page: Page, url: str, tmp_path: Path):
     """A tube that is a skirt as well as a strapless top."""
     points, faces = tube_shape(40, 14, radius_m=1.0, height_m=1.0)

@@ -187,7 +187,7 @@ def test_another_likely_wearer_is_told_and_chosen_by_its_options(uploads: httpx.
             {"name": "shirt.dae"},
             b"x",
             400,
-            "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, fbx, zip, got the name shirt.dae.",
+            "format: expected one of obj, glb, gltf, ply, stl, usd, usda, usdc, usdz, fbx, zip, got the name shirt.dae",
         ),
         ({"name": "shirt.obj", "avtar": "standard"}, b"x", 400, "avtar: expected no such parameter"),
         (
