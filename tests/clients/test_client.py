@@ -126,7 +126,7 @@ def test_refusals_come_back_as_themselves(live: str, tmp_path: Path):
         with pytest.raises(MeshError):
             client.upload_garment(noise, {"betas": [0.0]})
         with pytest.raises(InputError, match=r"one of \.obj"):
-            client.upload_garment(tmp_path / "shirt.fbx")
+            client.upload_garment(tmp_path / "shirt.dae")
         with pytest.raises(InputError, match="a file that can be read"):
             client.upload_garment(tmp_path / "absent.obj")
         with pytest.raises(Unavailable, match="within 0 s"):
