@@ -15,9 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.clock import Clock
 from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.scenes import FPS, at_rate
-from benchmarks.served import Stream
+from benchmarks.served import Stream, plan_of
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.catalog import find_garments, find_motions, open_garment
@@ -26,8 +27,6 @@ from drape.garment.cache import Garment
 from drape.garment.files.mesh import read_mesh
 from drape.garment.intake import STAGES, intake_outfit
 from drape.motion.readers import read_motion
-from drape.stages.scene import Entry, Outfit
-from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
@@ -75,7 +74,8 @@ def taken_in(path: Path) -> tuple[Row, list[Garment]]:
 def frame_times(drapery: DrapeRuntime, garments: list[Garment], dress: list[Garment], rounds: int) -> Row:
     """What a frame of ``garments`` takes, by turns with one of the ``dress``."""
     poses = at_rate(read_motion(find_motions(["walk"])[0]), FPS).poses
-    streams = [stream_of(drapery, worn) for worn in (garments, dress)]
+    plans = [plan_of(drapery, worn, messages=True, tier="balanced") for worn in (garments, dress)]
+    streams = [Stream(plan, drapery.body.shape_count) for plan in plans]
     for turn in range(rounds + WARM // PART):
         for one in streams:
             for frame in range(turn * PART, (turn + 1) * PART):
@@ -92,24 +92,14 @@ def frame_times(drapery: DrapeRuntime, garments: list[Garment], dress: list[Garm
     }
 
 
-def stream_of(drapery: DrapeRuntime, garments: list[Garment]) -> Stream:
-    """A stream of ``garments`` in ``balanced``."""
-    layers = tuple(Entry(one.name, one, "user") for one in garments)
-    plan = drapery.plan(layers[0] if len(layers) == 1 else Outfit(layers), DrapeOptions(tier="balanced"), messages=True)
-    drapery.add_missing(plan)
-    return Stream(plan, drapery.body.shape_count)
-
-
 def hang_ms(garment: Garment) -> float:
     """What hanging takes a frame, at rest: the median [ms]."""
     cloth = garment.vertices[: garment.vertex_count]
-    garment.drawn_vertices(cloth)
-    took = []
+    clock = Clock()
     for _ in range(50):
-        began = time.thread_time()
-        garment.drawn_vertices(cloth)
-        took.append(1e3 * (time.thread_time() - began))
-    return float(np.median(took))
+        with clock:
+            garment.drawn_vertices(cloth)
+    return float(np.median(clock.cpu_ms))
 
 
 if __name__ == "__main__":

@@ -28,8 +28,8 @@ from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.moving import Looks
 from benchmarks.measure.sheet import Picture, draw_sheet
 from benchmarks.scenes import FPS, Clip, read_clips
-from benchmarks.served import Stream
-from benchmarks.stills import Stills, figures, input_of, looks_of, outfits, plan_of, posed_at
+from benchmarks.served import Stream, plan_of
+from benchmarks.stills import Stills, figures, input_of, looks_of, outfits, posed_at
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.cloth.metrics import third_difference_square
@@ -73,7 +73,11 @@ class Skin:
 
 def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: Clip, tier: str) -> tuple[np.ndarray, Row]:
     """The vertices [m] (F, V, 3) in the world, of one garment after the other, and what the stream tells."""
-    stream, frames, resets = Stream(plan_of(drapery, garments, tier=tier), clip.body.shape_count), [], 0
+    stream, frames, resets = (
+        Stream(plan_of(drapery, garments, resolution="fine", tier=tier), clip.body.shape_count),
+        [],
+        0,
+    )
     for number in range(len(clip.poses)):
         batch = stream.frame(input_of(clip, number))
         frames.append(batch.world()[0])

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from benchmarks.clock import Clock
+from drape.garment.cache import Garment
 from drape.stages.batch import Batch, Memories, PoseInput
 from drape.stages.encode import answer_again, idle_before, remember
 from drape.stages.plan import Plan
+from drape.stages.scene import Entry, Outfit
 from drape.stages.walk import Took, by_stages, walk
+from drape.wire.options import DrapeOptions
+from service.compute.drape_runtime import DrapeRuntime
+
+
+def plan_of(runtime: DrapeRuntime, garments: Sequence[Garment], *, messages: bool = False, **options: object) -> Plan:
+    """The plan of ``garments`` worn together, with the fields of ``DrapeOptions``; with ``messages`` as a stream's."""
+    layers = tuple(Entry(one.name, one, "user") for one in garments)
+    asked = DrapeOptions.model_validate(options)
+    plan = runtime.plan(layers[0] if len(layers) == 1 else Outfit(layers), asked, messages=messages)
+    runtime.add_missing(plan)
+    return plan
 
 
 class Stream:

@@ -19,16 +19,13 @@ import numpy as np
 from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, inputs
 from benchmarks.measure.moving import BANDS, Looks
 from benchmarks.scenes import FPS, Clip, read_clips
-from benchmarks.served import Stream
+from benchmarks.served import Stream, plan_of
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.catalog import find_garments, open_outfit
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.stages.batch import PoseInput
-from drape.stages.plan import Plan
-from drape.stages.scene import Entry, Outfit
-from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
@@ -50,15 +47,6 @@ def looks_of(garment: Garment) -> Looks:
     """The looks of a fine ``garment``."""
     at_rest = garment.vertices[: garment.vertex_count].astype(np.float64)
     return Looks(garment.delivered_rest(), garment.faces.astype(np.int64), at_rest)
-
-
-def plan_of(drapery: DrapeRuntime, garments: list[Garment], **options: object) -> Plan:
-    """The plan of ``garments`` as they are served, on the meshes that fold."""
-    layers = tuple(Entry(one.name, one, "user") for one in garments)
-    asked = DrapeOptions.model_validate({"resolution": "fine", **options})
-    plan = drapery.plan(layers[0] if len(layers) == 1 else Outfit(layers), asked, messages=False)
-    drapery.add_missing(plan)
-    return plan
 
 
 def input_of(clip: Clip, frame: int) -> PoseInput:
@@ -93,7 +81,8 @@ class Stills:
         keys = [(one.name, worn_digest(garments, one), clip.name, frame) for one in garments]
         if any(key not in self.rows for key in keys):
             stream = Stream(
-                plan_of(self._drapery, garments, tier="accurate", folds=STEPS, settle=ROUNDS), clip.body.shape_count
+                plan_of(self._drapery, garments, resolution="fine", tier="accurate", folds=STEPS, settle=ROUNDS),
+                clip.body.shape_count,
             )
             world = stream.frame(input_of(clip, frame)).world()[0].astype(np.float64)
             fine = [fine_garment(one) for one in garments]
