@@ -106,19 +106,25 @@ def moving_row(looks: Looks, vertices: np.ndarray, skin: Skin, stills: dict[int,
 
 
 def scene_rows(
-    drapery: DrapeRuntime, garments: list[Garment], skin: Skin, stills: Stills, tier: str, sheet: Sheet
+    drapery: DrapeRuntime,
+    garments: list[Garment],
+    looks: list[Looks],
+    skin: Skin,
+    stills: Stills,
+    tier: str,
+    sheet: Sheet,
 ) -> list[Row]:
-    """The row of every garment that is worn in a clip, in one tier."""
-    clip, fine = skin.clip, [fine_garment(one) for one in garments]
+    """The row of every garment that is worn in a clip, in one tier; ``looks`` are those of the garments."""
+    clip = skin.clip
     at_rest = {frame: stills.of(garments, clip, frame) for frame in posed_at(clip)}
     vertices, told = streamed(drapery, garments, clip, tier)
-    parts = np.split(vertices, np.cumsum([one.vertex_count for one in fine])[:-1], axis=1)
+    parts = np.split(vertices, np.cumsum([len(one.place) for one in looks])[:-1], axis=1)
     rows = []
-    for number, (one, part) in enumerate(zip(fine, parts, strict=True)):
+    for number, (one, own_looks, part) in enumerate(zip(garments, looks, parts, strict=True)):
         beside = {frame: own[number] for frame, own in at_rest.items()}
         row: Row = {"garment": one.name, "clip": clip.name, "tier": tier}
-        rows.append(row | moving_row(looks_of(one), part.astype(float), skin, beside) | told)
-        sheet.seen(rows[-1], part[max(beside)], one.faces)
+        rows.append(row | moving_row(own_looks, part.astype(float), skin, beside) | told)
+        sheet.seen(rows[-1], part[max(beside)], own_looks.faces)
     return rows
 
 
@@ -164,9 +170,10 @@ def main(run: Run) -> None:
     stills, skins = Stills(drapery), [Skin(clip) for clip in read_clips(options, body, FPS)]
     sheet = Sheet()
     for garments in outfits(options.garments):
+        looks = [looks_of(fine_garment(one)) for one in garments]  # whose filters take a while
         for skin in skins:
             for tier in options.tiers:
-                run.add(scene_rows(drapery, garments, skin, stills, tier, sheet))
+                run.add(scene_rows(drapery, garments, looks, skin, stills, tier, sheet))
     run.rows.sort(key=lambda row: -row["curvature"])
     run.summary += summary(run.rows, options.tiers)
     run.extra |= {"frames": options.frames, "model": options.model, "means": run.summary}
