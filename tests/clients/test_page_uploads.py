@@ -16,7 +16,7 @@ from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.cache import Garment
 from service.settings import Settings
-from tests.clients.browser import Page, open_page
+from tests.clients.browser import PATIENT_S, Page, open_page
 from tests.clients.node import page_answer
 from tests.drape.cloth.cloth_shapes import tube as tube_shape
 from tests.drape.garment.files.test_looks import picture
@@ -96,9 +96,8 @@ def test_two_garments_in_a_folder_are_two_uploads_each_with_its_own(
     before = {one["id"] for one in httpx.get(url + "/garments").json()}
     page.drop(folder)
     page.wait_for(f"['rose', 'flax'].some((name) => {SAID}.startsWith(`${{name}}.obj is ready`))")
-    page.wait_for(
-        "document.querySelector('.card[data-garment=rose]') && document.querySelector('.card[data-garment=flax]')"
-    )
+    both = "document.querySelector('.card[data-garment=rose]') && document.querySelector('.card[data-garment=flax]')"
+    page.wait_for(both, seconds=2 * PATIENT_S)  # an intake waits for frames of the page
     page.wait_for(f"{SAID}.includes('is ready')")
     assert {one["id"] for one in httpx.get(url + "/garments").json()} - before == {"rose", "flax"}
     assert (colour(url, "rose"), colour(url, "flax")) == (list(RED), list(BLUE))
