@@ -81,7 +81,9 @@ def to_standard(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: B
     weights = body.weights
     rotations, translations = bone_motions(avatar.vertices, body.v_template, weights)
     skinned = np.einsum("vj,jab,vb->va", weights, rotations, avatar.vertices, optimize=True) + weights @ translations
-    averaging = own_skin_weights(vertices, faces, avatar, body)
+    sleeve = sleeve_of(vertices, faces, body.regressor @ avatar.vertices, avatar.vertices)
+    skirt = np.where(sleeve == 0, skirt, 0.0)  # a cuff that hangs below the crotch is no skirt
+    averaging = own_skin_weights(vertices, sleeve, avatar, body)
     garment_weights = smoother(vertices, faces, WEIGHT_SMOOTHING_M)(averaging @ weights)
     displacement = smoother(vertices, faces, SHAPE_SMOOTHING_M)(averaging @ (body.v_template - skinned))
     garment_weights = garment_weights / garment_weights.sum(axis=1, keepdims=True)
@@ -93,14 +95,14 @@ def to_standard(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: B
 
 
 def own_skin_weights(
-    vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel
+    vertices: np.ndarray, sleeve: np.ndarray, avatar: Avatar, body: BodyModel
 ) -> scipy.sparse.csr_matrix:
-    """``surface_weights`` of a garment: sleeves have them from the skin of their arm, other cloth from all but arms.
+    """``surface_weights`` of a garment: sleeves (``sleeve_of``) have them from the skin of their arm, other cloth from
+    all but arms.
 
     A hand that hangs beside a skirt is nearer to it than the thigh is, and would take it along.
     """
     arms = [body.weights[:, bones].sum(axis=1) for bones in ARMS.values()]
-    sleeve = sleeve_of(vertices, faces, body.regressor @ avatar.vertices, avatar.vertices)
     counts = [sum(arms) < 0.5, *(arm > 0.05 for arm in arms), None]
     rows = [np.flatnonzero(sleeve == number) for number in range(SHOULDER + 1)]
     blocks = [surface_weights(vertices[row], avatar, counts[number]) for number, row in enumerate(rows) if len(row)]

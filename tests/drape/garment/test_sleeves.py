@@ -41,6 +41,19 @@ def test_a_skirt_that_hands_hang_by_is_no_sleeve_and_keeps_its_shape():
     assert np.linalg.norm(moved - vertices, axis=1).max() < 0.05
 
 
+def test_a_cuff_below_the_crotch_is_no_part_of_its_robe_s_skirt():
+    hands = JOINTS[[JOINT_NAMES.index(f"{side}_wrist") for side in ("left", "right")]]
+    skirt, skirt_faces = tube(48, 24, radius_m=0.22, height_m=0.9)
+    skirt = skirt + np.array([0.0, -0.45 + JOINTS[0, 1], JOINTS[0, 2]])
+    vertices = np.concatenate([SHIRT, skirt])
+    bridge = [[int(SHIRT[:, 1].argmin()), len(SHIRT), len(SHIRT) + 1]]
+    faces = np.concatenate([FACES, skirt_faces + len(SHIRT), bridge])
+    found = sleeve_of(vertices, faces, JOINTS, HANGING)
+    assert vertices[np.isin(found, (1, 2)), 1].min() < hands[:, 1].max() + 0.05
+    loose = to_standard(vertices, faces, Avatar(HANGING, BODY.faces, 0.0, "hanging"), BODY).loose
+    assert loose.max() == 1.0 and not loose[found > 0].any()
+
+
 def test_sleeves_are_the_cloth_round_the_arms_of_their_side():
     found = sleeve_of(SHIRT, FACES, JOINTS, HANGING)
     out = np.abs(TARGET[:, 0]) > np.quantile(np.abs(TARGET[:, 0]), 0.97)
