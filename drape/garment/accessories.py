@@ -22,6 +22,7 @@ CARRIERS = {
 WHOLLY = 0.97  # of the piece
 # Area over that of the skin below: gloves and socks have one to one and a half; shoes have a sole and inner walls.
 THICK = 1.8
+STANDS_OFF_M = 0.009  # median distance from the skin: socks and gloves lie on it, shoes do not
 NECK_M = 0.05  # an opening that reaches as far below the head's joint is round the neck: a hood is cloth
 
 
@@ -45,7 +46,7 @@ def carried_rows(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, bo
 def accessory_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> str | None:
     """The bone that carries ``mesh`` [m], one piece, on ``body`` with the ``skin`` (V, 3) [m], or None for cloth.
 
-    Pieces at one foot or hand are cloth, as socks and gloves, unless their walls are double or they are much smaller.
+    Pieces at one foot or hand are cloth, as socks and gloves, unless their walls are double or stand off the skin.
     """
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     areas = meshes.face_areas(mesh.vertices, mesh.faces)
@@ -62,5 +63,6 @@ def accessory_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> str | 
         limb = body.faces[np.isin(body.weights.argmax(axis=1), own)[body.faces].all(axis=1)]
         covered = np.isin(limb, body.faces[nearest.face]).any(axis=1)
         share = areas.sum() / meshes.face_areas(skin, limb[covered]).sum()
-        return carrier if share > THICK else None
+        far = float(np.median(np.repeat(nearest.distance, np.ceil(1e4 * areas / areas.sum()).astype(int))))
+        return carrier if share > THICK or far > STANDS_OFF_M else None
     return None

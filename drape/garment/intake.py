@@ -44,7 +44,7 @@ from drape.garment.sewing import Sewing, sewing_beside, sewn_hinges
 from drape.garment.wearer_pictures import pictured
 
 # Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
-MOVED_VERSION = 2
+MOVED_VERSION = 3
 INTAKE_VERSION = 2  # raised when a change here changes the garments that come out
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests as they were
 
@@ -159,7 +159,7 @@ def intake_outfit(
     started = time.perf_counter()
     begins("rest")
     told: dict[str, Any] = {} if wearer is None else {"wearer": pictured(wearer, mesh)}
-    label = np.zeros(len(sheets.faces), dtype=int) if sewn is not None else garments_in(sheets, model.vertices)
+    label = np.zeros(len(sheets.faces), dtype=int) if sewn is not None else garments_in(sheets, model.vertices, body)
     layers = int(label.max(initial=0)) + 1
     if layers > 1:
         told |= {"layers": layers}

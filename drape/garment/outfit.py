@@ -12,6 +12,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import KDTree
 
+from drape.body.model import BodyModel
+from drape.garment.accessories import accessory_of
 from drape.garment.cloth_layer import bearing_pieces
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.sheets import with_used_vertices
@@ -19,23 +21,25 @@ from drape.geometry import meshes
 from drape.geometry.closest import closest_point, on_border
 
 MOST = 4  # layers that an outfit may have
-OWN_M2, OWN_SHARE = 0.05, 0.06  # of the largest: smaller pieces are no garments
+OWN_M2, OWN_SHARE = 0.03, 0.06  # of the largest: smaller pieces are no garments
 SEWN_M, SEWN_SHARE = 0.004, 0.3  # of a piece's border that lies on another's
 OVER_M = 0.06  # cloth within this over other cloth is felt by it
 LEVEL_SHARE = 0.7  # of the heights that two pieces side by side have in common
 SAMPLES = 400
 
 
-def garments_in(sheets: GarmentMesh, skin: np.ndarray) -> np.ndarray:
-    """The garment (F,) of every face of ``sheets`` [m] on a body with the points ``skin`` [m] (S, 3), 0 next to it."""
+def garments_in(sheets: GarmentMesh, skin: np.ndarray, body: BodyModel) -> np.ndarray:
+    """The garment (F,) of every face of ``sheets`` [m] on ``body`` with the ``skin`` [m] (S, 3), 0 next to it."""
     points, faces = sheets.vertices, sheets.faces
     piece, area, bears = bearing_pieces(points, faces)
     own = bears & (area > max(OWN_M2, OWN_SHARE * area.max()))
     group = np.arange(len(area))
     numbers = np.flatnonzero(own)
+    carried = {number: bool(accessory_of(sheets.take_faces(piece == number), skin, body)) for number in numbers}
     for i, a in enumerate(numbers):
         for b in numbers[:i]:
-            if group[a] != group[b] and _one_garment(points, faces[piece == a], faces[piece == b]):
+            apart = group[a] != group[b] and carried[a] == carried[b]  # a shoe is no sock
+            if apart and _one_garment(points, faces[piece == a], faces[piece == b]):
                 group[group == group[a]] = group[b]
     while len(np.unique(group[own])) > MOST:
         size = np.bincount(group[own], area[own], minlength=len(group))

@@ -41,11 +41,12 @@ FOOT, HAND = of("left_ankle", "left_foot"), of("right_wrist", "right_hand")
         (over(HAT, 0.01), "head"),
         (over(of("head", "neck"), 0.01), None),
         (over(FOOT, 0.004, 0.012), "left_ankle"),
+        (over(FOOT, 0.012), "left_ankle"),
         (over(FOOT, 0.004), None),
         (over(HAND, 0.004), None),
         (over(of("spine1", "spine2", "spine3"), 0.01), None),
     ],
-    ids=["hat", "hood", "shoe", "sock", "glove", "top"],
+    ids=["hat", "hood", "shoe", "shoe of one wall", "sock", "glove", "top"],
 )
 def test_bone_that_carries_is_found_and_cloth_has_none(mesh: GarmentMesh, bone: str | None):
     assert accessory_of(mesh, BODY.v_template, BODY) == bone

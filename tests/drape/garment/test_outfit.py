@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
+from drape.body.skeleton import JOINT_NAMES
 from drape.garment.cloth_layer import joined
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake import intake, intake_outfit
@@ -16,6 +17,7 @@ from drape.garment.outfit import MOST, garments_in, part_names, parted
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import obj_text, shirt, skirt
+from tests.drape.garment.test_accessories import of, over
 
 BODY = load_body()
 SKIN = BODY.v_template
@@ -41,7 +43,7 @@ def ring(radius_m: float, height_m: float, at: tuple[float, float, float]) -> Pi
 
 def pieces(mesh: GarmentMesh) -> list[set[int]]:
     """The numbers of the pieces, which are materials, in each garment."""
-    label = garments_in(mesh, SKIN)
+    label = garments_in(mesh, SKIN, BODY)
     return [set(mesh.face_material[label == number].tolist()) for number in range(label.max() + 1)]
 
 
@@ -58,6 +60,14 @@ def test_a_pair_is_one_garment():
     assert pieces(together(SHIRT, *socks)) in ([{0}, {1, 2}], [{1, 2}, {0}])
 
 
+def test_a_shoe_is_no_part_of_the_sock_in_it():
+    shoes = [over(of(f"{side}_ankle", f"{side}_foot"), 0.012) for side in ("left", "right")]
+    ankles = [BODY.joints_template[JOINT_NAMES.index(f"{side}_ankle")] for side in ("left", "right")]
+    socks = [ring(0.07, 0.2, (x, y + 0.2, z)) for x, y, z in ankles]
+    worn = together(*socks, *[(one.vertices, one.faces) for one in shoes])
+    assert sorted(map(sorted, pieces(worn))) == [[0, 1], [2, 3]]
+
+
 def test_what_is_sewn_and_what_is_small_is_no_layer():
     upper, lower = ring(0.3, 0.3, (0.0, 0.1, 0.0)), ring(0.3, 0.3, (0.0, -0.2, 0.0))
     assert pieces(together(upper, lower)) == [{0, 1}]
@@ -68,7 +78,7 @@ def test_what_is_sewn_and_what_is_small_is_no_layer():
 
 def test_more_garments_than_layers_go_with_the_nearest():
     rings = [ring(0.25 + 0.04 * number, 0.5, (0.0, 0.0, 0.0)) for number in range(MOST + 2)]
-    label = garments_in(together(*rings), SKIN)
+    label = garments_in(together(*rings), SKIN, BODY)
     assert label.max() + 1 == MOST
     assert label[0] == 0
 
@@ -78,13 +88,13 @@ def test_each_part_is_of_the_file():
     apart = plain_mesh("suit", mesh.vertices[mesh.faces.reshape(-1)], np.arange(mesh.faces.size).reshape(-1, 3))
     for whole in (mesh, apart):
         sheets = joined(whole)
-        parts = parted(whole, sheets, garments_in(sheets, SKIN))
+        parts = parted(whole, sheets, garments_in(sheets, SKIN, BODY))
         assert [len(part.faces) for part, _ in parts] == [len(SHIRT[1]), len(SKIRT[1])]
         for part, cut in parts:
             corners = part.vertices[part.faces]
             assert_allclose(np.sort(corners.reshape(-1)), np.sort(cut.vertices[cut.faces].reshape(-1)), rtol=0, atol=0)
             assert_array_equal(cut.vertices[: len(part.vertices)], part.vertices)
-    assert part_names(mesh, [part for part, _ in parted(mesh, mesh, garments_in(mesh, SKIN))]) == [
+    assert part_names(mesh, [part for part, _ in parted(mesh, mesh, garments_in(mesh, SKIN, BODY))]) == [
         "suit cloth 1",
         "suit cloth 0",
     ]
