@@ -17,22 +17,23 @@ from scipy.spatial import KDTree
 
 from drape.cloth.coarse_mesh import coarse_mesh
 from drape.garment.bound import BoundMesh, bind
+from drape.garment.caps import SHARP, edge_cosines, smooth_parts, without_caps
 from drape.garment.files.mesh import GarmentMesh, plain_mesh, weld
 from drape.garment.mesh_checks import without_flat_faces
 from drape.garment.rest_detail import cloth_of, rest_of
-from drape.garment.sheets import cut_branches, pieces_of, samples_to, without_copies
+from drape.garment.sheets import cut_branches, pieces_of, samples_to, with_used_vertices, without_copies
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
 
 SAME_M = 1e-5  # a drawn vertex so near to one of the cloth is that
 PROBES_M = (0.003, 0.008, 0.015)  # below a face: a wall at up to twice the depth is nearer than the face itself
 OPPOSITE = 0.5  # cosine between the sides of a wall, whichever way they are wound
-SHARP = 0.5  # cosine at the edges of a rim
 WALLED_SHARE = 0.5  # of a piece's area that must have a second side
 EVEN = 1.6  # a wall is as thick everywhere: its upper quartile over the lower one
 RIM_M = 0.035  # the rim between two walls
 ON_M, ON_SHARE = 0.015, 0.8  # cloth that lies on other cloth with this share of its points is left out
 SMALL_M2, SMALL_SHARE, NEAR_M = 0.02, 0.05, 0.03  # a small thing near cloth: its area, that over the largest piece's
+SEWN_M, SEWN_SHARE, TRIM_SHARE = 0.004, 0.4, 0.15  # of a collar's border on its garment, and its area over that
 STIFF_M = 0.06  # parts up to this size turn as a whole
 VERTEX_LIMIT = 12_000
 THINNED_M = 0.012  # edges of thinned cloth
@@ -42,9 +43,12 @@ Pairs = tuple[np.ndarray, np.ndarray, np.ndarray]  # of half-edges: ``meshes.edg
 
 
 def joined(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` as sheets: copies of a vertex are one, faces without area or drawn twice are left out, and edges have
-    two faces at most. Where that changes it, the vertices of the sheets follow those of ``mesh``."""
+    """``mesh`` as sheets: copies of a vertex are one, faces without area, drawn twice or closing the end of a tube are
+    left out, and edges have two faces at most. Where that changes it, the vertices of the sheets follow those of
+    ``mesh``."""
     sheets = cut_branches(without_flat_faces(without_copies(weld(mesh))))
+    if not (keep := without_caps(sheets.vertices, sheets.faces)).all():
+        sheets = with_used_vertices(sheets.take_faces(keep)).noted(f"{int((~keep).sum())} faces close ends of tubes")
     if sheets is mesh:
         return mesh
     vertices = np.concatenate([mesh.vertices, sheets.vertices])
@@ -95,7 +99,9 @@ def _single_walls(points: np.ndarray, faces: np.ndarray, skin: KDTree, notes: li
         if high > EVEN * low:  # folds
             continue
         pairs = meshes.edge_pairs(faces[own])
-        label = _smooth_parts(pairs, normals[own], walled[own])
+        ends = pairs[1] // 3, pairs[2] // 3
+        smooth = (edge_cosines(pairs, normals[own]) > SHARP) & (walled[own][ends[0]] == walled[own][ends[1]])
+        label = smooth_parts(len(own), *ends, smooth)
         area, lift = np.bincount(label, areas[own]), np.bincount(label, areas[own] * rise[own])
         side = (np.bincount(label, walled[own]) > 0) & (area > 0.05 * area.sum())
         inner, outer = side & (lift < 0.0), side & (lift >= 0.0)
@@ -106,16 +112,6 @@ def _single_walls(points: np.ndarray, faces: np.ndarray, skin: KDTree, notes: li
     if not keep.all():
         notes.append(f"{int((~keep).sum())} faces are the inner side of walls with a thickness")
     return keep
-
-
-def _smooth_parts(pairs: Pairs, normals: np.ndarray, walled: np.ndarray) -> np.ndarray:
-    """A number (F,) for each part of a piece without an edge as sharp as at a rim; all of it is ``walled``, or not."""
-    halves, first, second = pairs
-    a, b = first // 3, second // 3
-    wound = np.where((halves[first, :2] == halves[second, :2]).all(axis=1), -1.0, 1.0)
-    smooth = (wound * np.einsum("ec,ec->e", normals[a], normals[b]) > SHARP) & (walled[a] == walled[b])
-    graph = scipy.sparse.coo_matrix((np.ones(smooth.sum()), (a[smooth], b[smooth])), shape=(len(normals),) * 2)
-    return csgraph.connected_components(graph, directed=False)[1]
 
 
 def _most(label: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -167,18 +163,31 @@ def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndar
 
 def bearing_pieces(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The piece (F,) of every face, the largest first, the areas (P,) of the pieces [m^2], and which (P,) are cloth by
-    themselves: they do not lie on other cloth, and are no small things near it."""
+    themselves: they do not lie on other cloth, are not sewn to a much larger piece, and are no small things near it.
+    """
     piece, area = pieces_of(points, faces)
     small = area < min(SMALL_M2, SMALL_SHARE * area[0])
     bears = np.zeros(len(area), dtype=bool)
     bears[0] = True
     for number in np.flatnonzero(~small)[1:]:
         _, distance, border = samples_to(points, faces[piece == number], faces[bears[piece]])
-        bears[number] = ((distance < ON_M) & ~border).mean() < ON_SHARE
+        sewn = any(_trims(points, faces[piece == number], faces[piece == other]) for other in range(number)
+                   if bears[other] and area[number] < TRIM_SHARE * area[other])  # fmt: skip
+        bears[number] = ((distance < ON_M) & ~border).mean() < ON_SHARE and not sewn
     for number in np.flatnonzero(small & (area > 0.1 * SMALL_M2)):
         _, distance, _ = samples_to(points, faces[piece == number], faces[bears[piece]])
         bears[number] = (distance < NEAR_M).mean() < 0.5
     return piece, area, bears
+
+
+def _trims(points: np.ndarray, faces: np.ndarray, others: np.ndarray) -> bool:
+    """Whether a piece of ``faces`` is sewn onto that of ``others`` by its border, as a collar or a lapel."""
+    border = meshes.boundary_edges(faces)
+    if not len(border):
+        return False
+    length = meshes.edge_lengths(points, border)
+    near = closest_point(points[border].mean(axis=1), points, others).distance < SEWN_M
+    return float(length[near].sum()) > SEWN_SHARE * float(length.sum())
 
 
 def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:

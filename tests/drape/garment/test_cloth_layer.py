@@ -67,6 +67,47 @@ def test_faces_that_share_no_vertices_are_sewn():
     assert away.max() < SAME_M
 
 
+def closed(points: np.ndarray, faces: np.ndarray, ends: slice, depth_m: float) -> GarmentMesh:
+    """The mesh with some of its openings closed by fans, whose middles lie ``depth_m`` within."""
+    middle = points[np.unique(faces)].mean(axis=0)
+    vertices, fans = [points], [faces]
+    for loop in meshes.boundary_loops(faces)[ends]:
+        hub = points[loop].mean(axis=0)
+        way = middle - hub
+        number = sum(map(len, vertices))
+        vertices.append((hub + depth_m * way / np.linalg.norm(way))[None])
+        fans.append(np.stack([np.roll(loop, -1), loop, np.full(len(loop), number)], axis=1))
+    return plain_mesh("closed", np.concatenate(vertices), np.concatenate(fans))
+
+
+def test_closed_ends_of_tubes_are_no_cloth_and_are_drawn():
+    points, faces = tube(32, 12, radius_m=0.15, height_m=0.8)
+    for depth_m in (0.0, 0.05):
+        game = closed(points, faces, slice(None), depth_m)
+        assert not len(meshes.boundary_edges(game.faces))
+        cloth, kind, away = taken(game)
+        assert (len(cloth.vertices), len(cloth.faces)) == (len(points), len(faces))
+        assert (kind != ON).sum() == 2 and away.max() < SAME_M
+
+
+def test_a_crown_and_a_sole_stay():
+    points, faces = tube(32, 12, radius_m=0.1, height_m=0.12)
+    hat = closed(points, faces, slice(0, 1), 0.02)
+    assert joined(hat) is hat
+
+
+def test_a_collar_hangs_on_its_shirt():
+    loop = max(meshes.boundary_loops(CLOTH.faces), key=lambda one: CLOTH.vertices[one, 1].mean())
+    rim, count = CLOTH.vertices[loop] + [0.0, 0.001, 0.0], len(loop)
+    rise = np.concatenate([rim + step * np.array([0.0, 0.02, 0.0]) for step in range(5)])
+    low = np.arange(4 * count)
+    beside = count * (low // count) + (low + 1) % count
+    cells = [np.stack([low, beside, low + count], axis=1), np.stack([beside, beside + count, low + count], axis=1)]
+    cloth, _, _ = taken(with_parts((rise, np.concatenate(cells))))
+    assert len(cloth.vertices) == len(CLOTH.vertices)
+    assert "hang on them" in cloth.notes[-1]
+
+
 def test_bad_faces_and_fins_hang_on_the_cloth():
     edge = CLOTH.faces[200, :2]
     tip = CLOTH.vertices[edge].mean(axis=0) + 0.02 * NORMALS[edge[0]]
