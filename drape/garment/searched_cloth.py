@@ -16,7 +16,7 @@ from drape.geometry import mesh_graphs, meshes
 
 EXTENT_M = (0.12, 2.4)  # of a garment
 COARSE_COUNT, FINE_COUNT = 350, 800  # points on the cloth
-SMALL_M2, SMALL = 0.4, 0.05  # a whole outfit read as a collar costs this for every e-fold less of cloth
+SMALL_M2, SMALL = 0.4, 0.07  # a whole outfit read as a collar costs this for every e-fold less of cloth
 CUFF_M = 0.12  # shorter openings are holes
 LOOP_SHARE, LOOP_COUNT, LOOP_POINTS = 0.2, 6, 24  # openings over the extent, the most that count, points on each
 

@@ -14,6 +14,7 @@ from drape.garment.wearer_reading import Reading, Wearer
 from drape.geometry import meshes
 
 BAND_M, BAND_WEIGHT = 0.15, 2.0  # from the top: there a garment hangs on its body
+HANGING = 0.3  # off the cost of walls of cloth that hang below it, away from the skin, as those of capes
 SHAPE_COST = 0.01  # of a squared beta beside the nearest known shape's
 UPRIGHT = [JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")]
 TURNED_COST = 0.3  # of a squared radian of all these together: who wears a garment stands straight
@@ -23,7 +24,7 @@ HEIGHT_M, HEIGHT_SPREAD_M, HEIGHT_COST = 1.73, 0.13, 0.01  # of people; the cost
 ODD_ORIGIN, ODD_PIERCED, ODD_SIDE, ODD_EMPTY = 0.03, 0.1, 0.3, 0.05
 ORIGIN_M = 0.05  # a body whose root or soles are this near to the file's origin stands where bodies do
 INSIDE_LIMIT, OPEN_LIMIT, BAND_LIMIT_M = 0.12, 0.35, 0.08
-DEEP_M = 0.01
+DEEP_M, INSIDE_COST = 0.01, 0.5  # and what the share of cloth that is deeper in the skin costs
 UNEVEN, UNEVEN_MOST_M = 10.0, 0.03  # cost of a metre from the usual distance where cloth hangs, and of one in the skin
 SLEEVE_SHARE = 0.04  # of the cloth that must lie on the arms to tell their pose
 UNIT_INSIDE = 0.06  # cloth inside up to which a unit is meant
@@ -57,9 +58,12 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     uneven = UNEVEN * float(np.minimum(np.abs(lying - np.median(lying)), UNEVEN_MOST_M).mean())
     uneven += UNEVEN * float(np.clip(-distance, 0.0, DEEP_M).mean())
     inside, open_share = distance < -DEEP_M, 1.0 - float(share.mean())
-    energy = float((point_cost(distance) * weight).sum() / weight.sum()) + open_share + odd
+    cost = point_cost(distance) * weight / weight.sum()
+    wall = 1.0 - np.abs(cloth.normals @ reading.turn[1])
     hanging = ~band & (distance > 0.0)
-    loose = float((point_cost(distance) * weight * hanging).sum() / weight.sum())
+    cost *= 1.0 - HANGING * wall * hanging
+    among = float(cost[~hanging].sum()) + open_share + odd + uneven
+    energy = float(cost.sum()) + open_share + odd + INSIDE_COST * float(inside.mean())
     top = float(np.median(np.abs(distance[band])))
     fault = ""
     if inside.mean() > INSIDE_LIMIT:
@@ -75,7 +79,7 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
         fault = f"at best its top hangs {1e3 * top:.0f} mm from the skin"
     return Wearer(
         reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin,
-        among=energy - loose + uneven,
+        among=among,
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from drape.garment.mesh_checks import UNITS_M
 from drape.garment.registration import unpack
 from drape.garment.wearer_fields import SHAPES
 
-ODD = {"inch": 0.02, "free": 0.12, "x up": 0.02, "downward": 0.05, "facing": 0.05}  # costs of readings that few write
+ODD = {"inch": 0.02, "free": 0.12, "x up": 0.02, "downward": 0.1, "facing": 0.05}  # costs of readings that few write
 AXES = ("+y", "-y", "+z", "-z", "+x", "-x")
 USUAL_FRONTS = {"+y": ("+z",), "+z": ("-y", "+x"), "+x": ("+y", "+z", "-z")}
 

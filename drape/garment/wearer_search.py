@@ -44,13 +44,15 @@ RISE_CELLS, DEPTH_CELLS = 2, np.arange(-4, 5, 2, dtype=np.int32)
 PLACES, READINGS, PIERCED_COUNT, FINALISTS, RIVALS, WINNERS = 2, 8, 40, 6, 2, 3
 CLEARLY, WORSE = 0.1, 0.03  # a fit that is worse by this after a few steps stays worse; one that went astray
 FIRST_STEPS, LAST_STEPS, FREE_STEPS, LOCK = 5, 15, 12, 0.5
+# Arms that hang so far below the horizontal are tried too, at such a cost.
+ARM_LIFTS_RAD, ODD_ARMS = (1.5, 1.35, 1.1, 0.85, 0.6, 0.3, -0.4), 0.02
 SLACK = 0.1  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
 AT_ONCE = np.zeros(1, dtype=np.int32)
 # What a metre from its place is worth, where the file's origin is at the root, on the floor, or anywhere. Roots are
 # higher or lower in other makers' bodies.
 ORIGIN_PRIOR_M = {"root": np.array([0.2, 0.06, 0.2]), "floor": np.array([0.2, 1e-4, 0.2]), "": np.full(3, 1e-4)}
 UNIT_ENOUGH = 0.3  # energy up to which a unit is meant
-LOOSE_INSIDE, LOOSE_ENOUGH = 0.015, 0.45  # cloth inside and energy of capes and other cloth that stands off
+LOOSE_INSIDE, LOOSE_ENOUGH = 0.015, 0.35  # cloth inside and energy of capes and other cloth that stands off
 # Cloth inside, open share and energy of a garment on the standard body at its origin, and of one in metres, y up.
 LIMITS, PLAIN_LIMITS = (0.005, 0.2, 0.6), (0.002, 0.45, 0.8)
 SHAPE_PRIOR_M = np.array([5.0e-3, *[2.5e-3] * 9])  # of the betas in a fit: the first one is the height
@@ -58,7 +60,7 @@ HELD_M, HELD = 0.06, 0.12  # moved so far up or down, the energy rises by this w
 HELD_ORIGIN = 0.5  # the file's origin is as good a sign
 AS_GOOD, SLID_M = 0.02, 0.08  # bodies that fit as well, so far apart, leave no place to be sure of
 RIVAL = 0.15  # a reading that is worse by this leaves no doubt
-NEARLY, APART_M, MOST_OTHERS = 0.04, 0.06, 2  # worse by less is nearly as likely; so far off it is another body
+NEARLY, APART_M, MOST_OTHERS = 0.05, 0.06, 2  # worse by less is nearly as likely; so far off it is another body
 
 
 def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> list[Wearer]:
@@ -203,7 +205,10 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) 
     thin = thin_body(body)
     fields = known_fields(body)
     contours = {reading: cloth.contours(reading) for reading in {one.reading for one in kept}}
-    first = [_fit(cloth, thin, contours[one.reading], _Start.of(one, fields[one.number]), FIRST_STEPS) for one in kept]
+    starts = [_Start.of(one, fields[one.number]) for one in kept]
+    tops = {one.reading: one for one in reversed(starts)}
+    starts += [_with_arms(cloth, thin, one) for one in tops.values()]
+    first = [_fit(cloth, thin, contours[one.reading], one, FIRST_STEPS) for one in starts]
     first.sort(key=lambda one: one.energy)
     likely: list[Wearer] = []
     for one in first:
@@ -259,6 +264,17 @@ class _Start(NamedTuple):
     def of(cls, guess: _Guess, field: Field) -> _Start:
         parameters = np.concatenate([field.parameters[:-3], field.parameters[-3:] - guess.move])
         return cls(guess.reading, parameters, KNOWN[guess.number][3], guess.origin)
+
+
+def _with_arms(cloth: SearchedCloth, body: BodyModel, one: _Start) -> _Start:
+    """``one`` with straight arms as low as the cloth fits them best."""
+    arms = slice(body.shape_count, -3)
+    tried = []
+    for lift in ARM_LIFTS_RAD:
+        parameters = one.parameters.copy()
+        parameters[arms] = start_parameters(body, lift, np.zeros(3))[arms]
+        tried.append(one._replace(parameters=parameters, odd_arms=ODD_ARMS))
+    return min(tried, key=lambda each: judge(cloth, each.reading, body, each.parameters, 0.0).energy)
 
 
 def _fit(
