@@ -87,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
         help="a garment's id, or a file to take in first; several are worn over each other, the innermost first",
     )
     drape.add_argument("--avatar", help="for a file: the body it was modelled on")
-    drape.add_argument("--motion", required=True, help="a sample clip's name, or a file .npz or .bvh")
+    drape.add_argument("--motion", required=True, help="a sample clip's name, or a file: npz, BVH, GLB, VRMA or FBX")
     drape.add_argument(
         "--out",
         required=True,

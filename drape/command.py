@@ -39,7 +39,7 @@ def parser(complete: object = None) -> argparse.ArgumentParser:
     wear = commands.add_parser("wear", help="drape garments over a motion and write a file")
     paths = [
         wear.add_argument("garment", nargs="+", help="the names or files of the garments, the innermost first"),
-        wear.add_argument("motion", help="the name of a shipped clip, or an npz or bvh file"),
+        wear.add_argument("motion", help="the name of a shipped clip, or a file: npz, BVH, GLB, VRMA or FBX"),
         wear.add_argument("--out", type=Path, required=True, help="the file to write: .glb, .usda, .pc2, .mdd or .npy"),
         wear.add_argument(
             "--on", type=Path, metavar="FILE", help="the GLB or VRM file of a character that wears the garments"

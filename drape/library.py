@@ -205,7 +205,7 @@ class Worn:
     def placed(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> MotionClip:
         """Returns ``motion`` as a clip of ``fps`` frames a second.
 
-        ``motion``: a shipped name, a file (npz or BVH), or a clip. The soles of the body are put on the ground, unless
+        ``motion``: a shipped name, a file (``read_motion``), or a clip. The soles of the body are put on the ground, unless
         ``as_recorded`` leaves the translations as they are. Raises ``NotFound`` for an unknown name and ``MotionError``
         for a file that cannot be read.
         """

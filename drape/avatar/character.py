@@ -17,10 +17,9 @@ from drape.errors import MeshError
 from drape.files.gltf import GltfFile
 from drape.files.gltf_json import EXPORT, Node
 from drape.files.gltf_json import Primitive as FilePrimitive
-from drape.garment.files.glb import node_matrix
+from drape.files.gltf_nodes import node_matrix, tree_of
 
 MOST_JOINTS = 400
-MOST_DEPTH = 256  # of a node below those above it
 MOST_UNITS = 1e12  # where nodes and vertices may be: far enough for any unit of length
 MOST_VERTICES = 400_000
 LEAST_VERTICES = 100
@@ -92,34 +91,6 @@ def character_in(file: GltfFile) -> Character:
 
 def _name(node: Node) -> str:
     return (node.name or "")[:120]
-
-
-def tree_of(file: GltfFile) -> tuple[list[int], tuple[int, ...]]:
-    """The file's nodes, parents first, and the place of each one's parent among them."""
-    nodes = file.document.nodes
-    parent, depth = np.full(len(nodes), -1), np.zeros(len(nodes), dtype=np.int64)
-    for number, node in enumerate(nodes):
-        for child in node.children:
-            file.item("nodes", child, f"nodes[{number}].children")
-            if parent[child] >= 0:
-                raise _no_tree(file, f"node {child} under two")
-            parent[child] = number
-    order, waiting = [], [node for node in range(len(nodes)) if parent[node] < 0][::-1]
-    while waiting:
-        node = waiting.pop()
-        order.append(node)
-        depth[nodes[node].children] = depth[node] + 1
-        waiting.extend(reversed(nodes[node].children))
-    if len(order) < len(nodes):
-        raise _no_tree(file, f"{len(nodes) - len(order)} nodes in a ring")
-    if depth.max(initial=0) > MOST_DEPTH:
-        raise _no_tree(file, f"{depth.max()} nodes above one, more than {MOST_DEPTH}")
-    place = {node: number for number, node in enumerate(order)}
-    return order, tuple(place[int(parent[node])] if parent[node] >= 0 else -1 for node in order)
-
-
-def _no_tree(file: GltfFile, got: str) -> MeshError:
-    return MeshError(f"{file.label}: nodes", expected="a tree", got=got, cure=EXPORT)
 
 
 def _check_places(moves: np.ndarray, name: str, numbers: Sequence[int]) -> None:

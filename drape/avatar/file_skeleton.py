@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 
-from drape.avatar.character import Character, Primitive, skin_of, tree_of
+from drape.avatar.character import Character, Primitive, skin_of
 from drape.errors import BodyError
 from drape.files.gltf import GltfFile
 from drape.files.gltf_json import Node
+from drape.files.gltf_nodes import node_matrix, tree_of
 from drape.files.packed import UNREADABLE, read_packed
-from drape.garment.files.glb import node_matrix
 from drape.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
 
 PART = "file"  # of a wearer's file: what begins the names of these arrays

@@ -48,14 +48,43 @@ class FbxScene:
     unit_m: float
 
 
+@dataclass(frozen=True, eq=False)
+class FbxMotion:
+    """J nodes: ``names``, ``parents`` (-1: none), ``rest`` (J, 3, 4) in the world; ``moves`` (F, J, 10) in the frames,
+    relative to the parent: translation, quaternion xyzw, scale; y up."""
+
+    names: list[str]
+    parents: list[int]
+    rest: np.ndarray
+    moves: np.ndarray
+    fps: float
+
+
 def read_scene(payload: bytes, fault: Callable[[str, str, str], DrapeError]) -> FbxScene:
     """The scene of an FBX file, binary or text.
 
     Raises ``fault(expected, got, cure)`` for damaged bytes, and where ufbx is not installed.
     """
+    arrays = _read(payload, fault)
+    told = json.loads(arrays["told"].tobytes())
+    meshes = [_mesh(arrays, number, one) for number, one in enumerate(told["meshes"])]
+    pictures = [(names, arrays[f"picture.{number}"].tobytes()) for number, names in enumerate(told["pictures"])]
+    return FbxScene(meshes, told["materials"], pictures, told["unit_m"])
+
+
+def read_motion(payload: bytes, fault: Callable[[str, str, str], DrapeError], *, clip: str | None = None) -> FbxMotion:
+    """The animation called ``clip`` in an FBX file, or its longest. Raises as ``read_scene`` does, and where there is
+    none."""
+    arrays = _read(payload, fault, "motion", *([] if clip is None else [clip]))
+    told = json.loads(arrays["told"].tobytes())
+    return FbxMotion(told["names"], told["parents"], arrays["rest"], arrays["moves"], told["fps"])
+
+
+def _read(payload: bytes, fault: Callable[[str, str, str], DrapeError], *asked: str) -> dict[str, np.ndarray]:
+    """The arrays that the process writes."""
     if find_spec("ufbx") is None:
         raise fault("the package ufbx, which reads FBX", "none", INSTALL)
-    command = [sys.executable, "-m", "drape.files.fbx_process"]
+    command = [sys.executable, "-m", "drape.files.fbx_process", *asked]
     try:
         ended = subprocess.run(command, input=payload, capture_output=True, timeout=WAIT_S, check=False)
     except subprocess.TimeoutExpired as error:
@@ -66,11 +95,7 @@ def read_scene(payload: bytes, fault: Callable[[str, str, str], DrapeError]) -> 
         got = "one that takes too long" if ended.returncode == -signal.SIGXCPU else "one at which its reader ends"
         raise fault("a readable FBX file", got, AGAIN)
     with np.load(io.BytesIO(ended.stdout), allow_pickle=False) as found:
-        arrays = {name: found[name] for name in found.files}
-    told = json.loads(arrays["told"].tobytes())
-    meshes = [_mesh(arrays, number, one) for number, one in enumerate(told["meshes"])]
-    pictures = [(names, arrays[f"picture.{number}"].tobytes()) for number, names in enumerate(told["pictures"])]
-    return FbxScene(meshes, told["materials"], pictures, told["unit_m"])
+        return {name: found[name] for name in found.files}
 
 
 def _mesh(arrays: dict[str, np.ndarray], number: int, told: dict[str, Any]) -> FbxMesh:

@@ -1,5 +1,7 @@
 """Reads the FBX file on standard input by the package ufbx; writes what is in it as an npz to standard output.
 
+With the argument ``motion`` these are its nodes in the frames of its longest animation, or of that which is named.
+
 A process of its own: ufbx 0.0.5 frees memory that is still in use (``mesh.faces``, a material's maps), and then it
 crashes. Here every object is kept until the process ends, which it does without freeing any. It limits itself, since
 files are strangers'.
@@ -20,6 +22,7 @@ import numpy as np
 MEMORY_BYTES, CPU_S = 3 * 2**30, 60
 DEEPEST = 500  # nodes within each other
 MOST_NUMBERS = 60_000_000
+MOST_MATRICES = 600_000  # of frames and nodes
 NUMBERS = ("base_factor", "metalness", "roughness", "opacity")
 MAPS = {
     "base_color": ("pbr",),
@@ -53,20 +56,21 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     import ufbx
 
+    moving = sys.argv[1:2] == ["motion"]
     payload, out, status = sys.stdin.buffer.read(), io.BytesIO(), 0
     try:
         scene = ufbx.load_memory(
             payload,
             file_format=ufbx.FileFormat.FBX,
             load_external_files=False,
-            ignore_animation=True,
+            ignore_animation=not moving,
             force_single_thread_ascii_parsing=True,
             node_depth_limit=DEEPEST,
             target_axes=ufbx.axes_right_handed_y_up,
             target_unit_meters=1.0,
         )
         _KEPT.append(scene)
-        np.savez(out, allow_pickle=False, **_told(scene))
+        np.savez(out, allow_pickle=False, **(_motion(scene, *sys.argv[2:3]) if moving else _told(scene)))
     except (ufbx.UfbxError, MemoryError, ValueError) as error:
         out, status = io.BytesIO(f"{type(error).__name__.removesuffix('Error')}: {error}"[:200].encode()), 3
     sys.stdout.buffer.write(out.getbuffer())
@@ -104,6 +108,34 @@ def _told(scene: Any) -> dict[str, np.ndarray]:
         "pictures": files,
     }
     return arrays | {"told": np.frombuffer(json.dumps(told).encode(), dtype=np.uint8)}
+
+
+def _motion(scene: Any, clip: str | None = None) -> dict[str, np.ndarray]:
+    """The nodes at rest and in the frames of the longest animation, or of the one called ``clip``, at the file's own
+    rate, and as JSON their names, parents, and that rate."""
+    import ufbx
+
+    nodes, stacks = _all(_of(scene, "nodes")), _all(_of(scene, "anim_stacks"))
+    stacks = [one for one in stacks if clip is None or one.name in (clip, f"{clip}|{clip}")]
+    if not stacks:
+        raise ValueError("no animation" + ("" if clip is None else f" called {clip[:40]}"))
+    longest = max(stacks, key=lambda one: one.time_end - one.time_begin)
+    rate = min(max(_of(scene, "settings").frames_per_second, 15.0), 120.0)
+    frames = round((longest.time_end - longest.time_begin) * rate) + 1
+    if frames * len(nodes) > MOST_MATRICES:
+        raise ValueError(f"more than {MOST_MATRICES // len(nodes):,} frames")
+    place = {node.typed_id: number for number, node in enumerate(nodes)}
+    parents = [place.get(parent.typed_id, -1) if (parent := _of(node, "parent")) else -1 for node in nodes]
+    moves = np.empty((frames, len(nodes), 10))
+    anim = _of(longest, "anim")
+    for number, node in enumerate(nodes):
+        for frame in range(frames):
+            told = ufbx.evaluate_transform(anim, node, longest.time_begin + frame / rate)
+            moves[frame, number] = [*told.translation, *told.rotation, *told.scale]
+            _KEPT.append(told)
+    rest = np.array([np.array(_of(node, "node_to_world"), dtype=np.float64).T for node in nodes])
+    told = {"names": [node.name for node in nodes], "parents": parents, "fps": rate}
+    return {"moves": moves, "rest": rest, "told": np.frombuffer(json.dumps(told).encode(), dtype=np.uint8)}
 
 
 def _arrays(node: Any, mesh: Any) -> dict[str, np.ndarray]:

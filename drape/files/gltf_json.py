@@ -31,11 +31,13 @@ Four = Annotated[list[Number], Field(min_length=4, max_length=4), FIRST_ONLY]
 Sixteen = Annotated[list[Number], Field(min_length=16, max_length=16), FIRST_ONLY]
 
 
-class _Part(BaseModel):
+class Part(BaseModel):
+    """A part of the JSON, read strictly."""
+
     model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False, alias_generator=to_camel)
 
 
-class Node(_Part):
+class Node(Part):
     """A node: its transform is ``matrix``, column by column, or else the three others; ``rotation`` is x, y, z, w."""
 
     name: Text | None = None
@@ -49,7 +51,7 @@ class Node(_Part):
     scale: Three = [1.0, 1.0, 1.0]
 
 
-class Primitive(_Part):
+class Primitive(Part):
     """A primitive: accessors of its ``attributes`` and ``indices``; ``mode`` 4 are triangles."""
 
     attributes: dict[Text, Index]
@@ -59,70 +61,79 @@ class Primitive(_Part):
     extensions: dict[str, Any] = {}
 
 
-class Mesh(_Part):
+class Mesh(Part):
     """A mesh."""
 
     primitives: Annotated[list[Primitive], FIRST_ONLY]
 
 
-class Skin(_Part):
+class Skin(Part):
     """A skin: the nodes of its joints, and the accessor of their inverse bind matrices."""
 
     joints: Indices
     inverse_bind_matrices: Index | None = None
 
 
-class Scene(_Part):
+class Scene(Part):
     """A scene: its nodes that have no parent."""
 
     nodes: Indices = []
 
 
-class NamedBone(_Part):
+class NamedBone(Part):
     """A bone of VRM 0 and its node, -1 where it has none."""
 
     bone: Text
     node: Annotated[int, Field(ge=-1)] = -1
 
 
-class PlacedBone(_Part):
+class PlacedBone(Part):
     """The node of a bone of VRM 1."""
 
     node: Index
 
 
-class NamedBones(_Part):
+class NamedBones(Part):
     """The bones of VRM 0."""
 
     human_bones: Annotated[list[NamedBone], FIRST_ONLY]
 
 
-class PlacedBones(_Part):
+class PlacedBones(Part):
     """The bones of VRM 1 by their names."""
 
     human_bones: dict[Text, PlacedBone]
 
 
-class Vrm(_Part):
+class Vrm(Part):
     """A VRM 0."""
 
     humanoid: NamedBones
 
 
-class VrmcVrm(_Part):
+class VrmcVrm(Part):
     """A VRM 1."""
 
     humanoid: PlacedBones
 
 
-class Extensions(_Part):
+class Extensions(Part):
     """Extensions that say which node is which bone."""
 
     vrm: Annotated[Vrm | None, Field(alias="VRM")] = None
     vrmc_vrm: Annotated[VrmcVrm | None, Field(alias="VRMC_vrm")] = None
+    vrmc_vrm_animation: Annotated[VrmcVrm | None, Field(alias="VRMC_vrm_animation")] = None
+
+    @property
+    def humanoid(self) -> dict[str, int]:
+        """The nodes of VRM's bones, none where the file is no VRM and no VRMA."""
+        if one := self.vrmc_vrm or self.vrmc_vrm_animation:
+            return {name: bone.node for name, bone in one.humanoid.human_bones.items()}
+        bones = [] if self.vrm is None else self.vrm.humanoid.human_bones
+        return {bone.bone: bone.node for bone in bones if bone.node >= 0}
 
 
-class Document(_Part):
+class Document(Part):
     """The whole; what is told of the binary chunk is checked where it is read."""
 
     extensions_required: Annotated[list[Text], FIRST_ONLY] = []
@@ -132,6 +143,7 @@ class Document(_Part):
     nodes: Annotated[list[Node], Field(max_length=MOST_NODES), FIRST_ONLY] = []
     meshes: Annotated[list[Mesh], FIRST_ONLY] = []
     skins: Annotated[list[Skin], FIRST_ONLY] = []
+    animations: Objects = []
     materials: Objects = []
     images: Objects = []
     textures: Objects = []

@@ -60,7 +60,7 @@ _SCHEMES = {
         "ankle": ("foot",),
         "foot": ("toes", "toebase", "ball", "toe", "toe0", "toe21", "toe11"),  # MakeHuman's second toe points ahead
         "collar": ("shoulder", "clavicle", "collar"),
-        "shoulder": ("upperarm", "upperarm01", "shldrbend"),
+        "shoulder": ("upperarm", "upperarm01", "shldrbend", "shldr"),
         "elbow": ("lowerarm", "forearm", "lowerarm01", "forearmbend"),
         "wrist": ("hand", "wrist"),
     },

@@ -9,23 +9,37 @@ from drape.errors import MotionError
 from drape.motion.amass import read_amass
 from drape.motion.bvh import read_bvh
 from drape.motion.clip import MotionClip
+from drape.motion.fbx_clip import read_fbx_motion
+from drape.motion.gltf_clip import read_gltf_motion
 
+_OF_SCENES = {
+    **dict.fromkeys((".glb", ".gltf", ".vrm", ".vrma"), read_gltf_motion),
+    ".fbx": read_fbx_motion,
+}
 _READERS: dict[str, Callable[[Path], MotionClip]] = {".npz": read_amass, ".bvh": read_bvh}
-MOTION_SUFFIXES = tuple(_READERS)
+MOTION_SUFFIXES = (*_READERS, *_OF_SCENES)
 
 
-def read_motion(path: Path) -> MotionClip:
-    """Reads a clip from an npz file (AMASS's form or our own) or a BVH file.
+def read_motion(path: Path, *, clip: str | None = None) -> MotionClip:
+    """Reads a clip from an npz file (AMASS's form or our own), BVH, GLB, glTF, VRM, VRMA or FBX.
 
-    The clip has 24 joints, y up, in metres. Raises ``MotionError`` for a file that is neither or cannot be read.
+    Of a scene with several animations the one called ``clip`` is read, or the longest. The clip has 24 joints, y up, in
+    metres. Raises ``MotionError`` for a file of another kind or one that cannot be read.
     """
     path = Path(path)
-    reader = _READERS.get(path.suffix.lower())
+    suffix = path.suffix.lower()
+    if suffix in _OF_SCENES:
+        return _OF_SCENES[suffix](path, clip=clip)
+    reader = _READERS.get(suffix)
     if reader is None:
         raise MotionError(
             path.name,
-            expected="a motion file: AMASS .npz or .bvh",
+            expected=f"a motion file: {', '.join(MOTION_SUFFIXES)}",
             got=f"suffix {path.suffix!r}",
             cure="Convert the motion to one of these formats.",
+        )
+    if clip is not None:
+        raise MotionError(
+            f"{path.name}: clip", expected="none", got=repr(clip)[:60], cure="It has no clips to choose from."
         )
     return reader(path)

@@ -92,18 +92,20 @@ def retarget(
     name: str,
     metres_per_unit: float | None = None,
     up: str | None = None,
+    any_size: bool = False,
 ) -> MotionClip:
     """The clip of world rotations (F, J, 3, 3) and of ``places``, in the file's unit.
 
     ``places`` holds the positions (F, 3), relative to the parent, of the joints that
     move; the root must be among them. ``metres_per_unit`` None guesses the unit from
-    the length of the legs, ``up`` None the axis by how the person stands.
+    the length of the legs, ``up`` None the axis by how the person stands. A figure of ``any_size`` walks as far as an
+    adult whose legs turn so, where its own are no person's.
     """
     if up is not None and up not in _AXES:
         raise MotionError("up", expected=f"one of {', '.join(_AXES)}", got=repr(up), cure="Name the vertical axis.")
     sources = match_joints(skeleton.names, skeleton.parents, label=name)
     rest = skeleton.rest_positions()
-    scale = _scale(rest, sources, metres_per_unit, name)
+    scale = _scale(rest, sources, metres_per_unit, name, any_size=any_size)
     ends, pelvis_up = trunk_ends(rest, skeleton.parents, sources)
     alignment = rest_alignment(
         rest,
@@ -152,13 +154,17 @@ def _path(skeleton: SourceSkeleton, rotations: np.ndarray, places: dict[int, np.
     return _path(skeleton, rotations, places, parent) + turned
 
 
-def _scale(rest: np.ndarray, sources: dict[str, int], metres_per_unit: float | None, name: str) -> float:
+def _scale(
+    rest: np.ndarray, sources: dict[str, int], metres_per_unit: float | None, name: str, *, any_size: bool
+) -> float:
     hip, knee, ankle = (rest[sources[f"left_{joint}"]] for joint in ("hip", "knee", "ankle"))
     leg = float(np.linalg.norm(hip - knee) + np.linalg.norm(knee - ankle))
     units = _UNITS if metres_per_unit is None else (metres_per_unit,)
     scale = min(units, key=lambda unit: abs(np.log(max(leg * unit, 1e-12) / _ADULT_LEG_LENGTH)))
     low, high = LEG_LENGTH_RANGE
     if not low <= leg * scale <= high:
+        if any_size and leg > 0.0:
+            return _ADULT_LEG_LENGTH / leg
         raise MotionError(
             f"{name}: skeleton",
             expected=f"legs of {low} to {high} m",

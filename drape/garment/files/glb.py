@@ -9,9 +9,9 @@ import numpy as np
 
 from drape.files.gltf import GltfFile
 from drape.files.gltf_json import Node, Primitive
+from drape.files.gltf_nodes import node_matrix
 from drape.garment.files.gltf_looks import gltf_looks
 from drape.garment.files.mesh import Beside, GarmentMesh, check_count, mesh_fault, plain_mesh, weld
-from drape.geometry.rotations import quaternion_to_matrix
 
 TRIANGLES = 4
 EXPORT = "Export the mesh again."
@@ -87,17 +87,3 @@ def _joined(file: GltfFile, parts: list[Part], name: str) -> GarmentMesh:
     uv = np.concatenate([np.zeros((len(part[0]), 2)) if part[2] is None else part[2] for part in parts])
     # glTF's origin is at the upper left.
     return replace(mesh, uv=np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]), uv_faces=corner)
-
-
-def node_matrix(node: Node) -> np.ndarray:
-    """The transform (4, 4) of a glTF ``node`` relative to its parent; of a quaternion without length none."""
-    placed = np.eye(4)
-    if node.matrix is not None:
-        return np.array(node.matrix).reshape(4, 4).T
-    x, y, z, w = node.rotation
-    length = np.linalg.norm(node.rotation)
-    if length > 1e-6:
-        placed[:3, :3] = quaternion_to_matrix(np.array([w, x, y, z]) / length)
-    placed[:3, :3] *= node.scale
-    placed[:3, 3] = node.translation
-    return placed

@@ -111,5 +111,5 @@ def test_absent_binary_and_unknown_files_are_refused(tmp_path):
     (tmp_path / "noise.bvh").write_bytes(bytes(range(256)) * 20)
     with pytest.raises(MotionError, match="HIERARCHY"):
         read_bvh(tmp_path / "noise.bvh")
-    with pytest.raises(MotionError, match=r"expected a motion file: AMASS \.npz or \.bvh, got suffix '\.amc'"):
+    with pytest.raises(MotionError, match=r"expected a motion file: .*\.bvh, .*, got suffix '\.amc'"):
         read_motion(tmp_path / "02_01.amc")

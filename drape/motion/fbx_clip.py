@@ -1,0 +1,46 @@
+"""Motion clips from FBX files, as Mixamo and motion capture have them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from drape.errors import MotionError
+from drape.files.fbx import read_motion
+from drape.motion.clip import MotionClip
+from drape.motion.node_clip import MovingNodes, file_bytes, node_clip
+
+
+def read_fbx_motion(path: Path, *, clip: str | None = None) -> MotionClip:
+    """The animation called ``clip`` in an FBX file, its longest if none is named, at the file's rate.
+
+    Raises ``MotionError`` where there is none of a person, and where ufbx is not installed.
+    """
+    path = Path(path)
+
+    def fault(expected: str, got: str, cure: str) -> MotionError:
+        return MotionError(path.name, expected=expected, got=got, cure=cure)
+
+    held = read_motion(file_bytes(path), fault, clip=clip)
+    order, parents = _parents_first(held.parents)
+    rest = np.tile(np.eye(4), (len(order), 1, 1))
+    rest[:, :3] = held.rest[order]
+    moves = held.moves[:, order]
+    length = np.maximum(np.linalg.norm(moves[:, :, 3:7], axis=2, keepdims=True), 1e-12)
+    turns = np.roll(moves[:, :, 3:7] / length, 1, axis=2)
+    names = [held.names[node] or f"node {node}" for node in order]
+    moving = MovingNodes(names, parents, rest, moves[:, :, :3], turns, moves[:, :, 7:], held.fps)
+    return node_clip(moving, name=clip or path.stem)
+
+
+def _parents_first(parents: list[int]) -> tuple[list[int], list[int]]:
+    """The nodes with parents before children, and the place of each one's parent among them."""
+    depth = np.zeros(len(parents), dtype=int)
+    for node, parent in enumerate(parents):
+        while parent >= 0:
+            depth[node] += 1
+            parent = parents[parent]
+    order = np.argsort(depth, kind="stable").tolist()
+    place = {node: number for number, node in enumerate(order)}
+    return order, [place[parents[node]] if parents[node] >= 0 else -1 for node in order]

@@ -1,0 +1,99 @@
+"""The clip of a scene's nodes that move, as glTF and FBX have them.
+
+A node has axes of its own at rest. What turns it in a frame is its world rotation W(t) after the inverse of W at rest,
+as if all axes were the world's at rest; then a scene is a skeleton like that of a BVH file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drape.errors import MotionError
+from drape.geometry.rotations import quaternion_to_matrix
+from drape.motion.clip import MotionClip
+from drape.motion.retarget import SourceSkeleton, retarget
+
+MOST_MATRICES = 4_000_000  # of frames and nodes
+STILL_SHARE = 1e-4  # of the skeleton's extent: a node that moves less from its parent does not
+
+
+@dataclass(frozen=True, eq=False)
+class MovingNodes:
+    """J nodes, parents before children, in F frames.
+
+    ``names``, ``parents`` (-1: none); ``rest`` (J, 4, 4) their world transforms at rest; in the frames ``translations``
+    (F, J, 3), unit ``quaternions`` (F, J, 4) wxyz and ``scales`` (F, J, 3) relative to the parent.
+    """
+
+    names: Sequence[str]
+    parents: Sequence[int]
+    rest: np.ndarray
+    translations: np.ndarray
+    quaternions: np.ndarray
+    scales: np.ndarray
+    fps: float
+
+
+def file_bytes(path: Path) -> bytes:
+    """The bytes of a motion file; raises ``MotionError`` where it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        cure = "Check the path."
+        raise MotionError(path.name, expected="a readable file", got=error.strerror or "an error", cure=cure) from error
+
+
+def check_size(frames: int, nodes: int, label: str) -> None:
+    """Refuses (``MotionError``) more frames of so many nodes than are read."""
+    if frames * nodes > MOST_MATRICES:
+        raise MotionError(
+            f"{label}: animation",
+            expected=f"at most {MOST_MATRICES // nodes:,} frames of {nodes} nodes",
+            got=f"{frames:,}",
+            cure="Cut it, or export at a lower rate.",
+        )
+
+
+def node_clip(moving: MovingNodes, *, name: str) -> MotionClip:
+    """The clip of ``moving``, retargeted to the 24 SMPL joints; raises ``MotionError`` where these are no person's."""
+    frames, count = moving.quaternions.shape[:2]
+    check_size(frames, count, name)
+    turns, places = _world(moving)
+    rest_turn, rest_place = _rotations(moving.rest[:, :3, :3]), moving.rest[:, :3, 3]
+    # A node above all, so that several roots are one skeleton.
+    parents = (-1, *(int(parent) + 1 for parent in moving.parents))
+    relative = np.empty((frames, count + 1, 3, 3))
+    relative[:, 0] = np.eye(3)
+    relative[:, 1:] = turns @ np.swapaxes(rest_turn, -1, -2)
+    place = np.concatenate([np.zeros((frames, 1, 3)), places], axis=1)
+    rest = np.concatenate([np.zeros((1, 3)), rest_place])
+    above = np.maximum(parents, 0)
+    ways = np.einsum("fjba,fjb->fja", relative[:, above], place - place[:, above])
+    offsets = rest - rest[above]
+    moved = np.abs(ways - offsets).max(axis=(0, 2)) > STILL_SHARE * float(np.ptp(rest, axis=0).max())
+    skeleton = SourceSkeleton(("", *moving.names), parents, offsets)
+    moves = {0: np.zeros((frames, 3)), **{joint: ways[:, joint] for joint in np.flatnonzero(moved)}}
+    return retarget(skeleton, relative, moves, fps=moving.fps, name=name, any_size=True)
+
+
+def _world(moving: MovingNodes) -> tuple[np.ndarray, np.ndarray]:
+    """World rotations (F, J, 3, 3) and places (F, J, 3) of the frames."""
+    frames, count = moving.quaternions.shape[:2]
+    linear = quaternion_to_matrix(moving.quaternions) * moving.scales[:, :, None]
+    place = np.array(moving.translations, dtype=np.float64)
+    for node, parent in enumerate(moving.parents):
+        if parent >= 0:
+            place[:, node] = place[:, parent] + np.einsum("fab,fb->fa", linear[:, parent], place[:, node])
+            linear[:, node] = linear[:, parent] @ linear[:, node]
+    return _rotations(linear.reshape(-1, 3, 3)).reshape(frames, count, 3, 3), place
+
+
+def _rotations(matrices: np.ndarray) -> np.ndarray:
+    """The rotations (N, 3, 3) nearest to ``matrices`` (N, 3, 3); a mirrored one keeps two of its axes."""
+    u, _, vt = np.linalg.svd(matrices)
+    u[..., -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
+    return u @ vt
