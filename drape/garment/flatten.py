@@ -19,9 +19,10 @@ from drape.garment.charts import ridge_fit
 from drape.geometry import jets, mesh_graphs, meshes
 
 # Weights of the projection against the symmetric Dirichlet energy, and the steps of SLIM after which jets are fitted:
-# the places with the best fit stay. More pull fits tighter creases and drapes worse, since places crowd along the fold
-# (docs/decisions/0005-polyfit.md). If every rim crosses itself, places nearer to Tutte's take over.
-PULLS, STEPS = (30.0, 10.0), (4, 8)
+# the places with the best fit stay, and steps end where it is no longer better by that share. More pull fits tighter
+# creases and drapes worse, since places crowd along the fold (docs/decisions/0005-polyfit.md). If every rim crosses
+# itself, places nearer to Tutte's take over, after each step.
+PULLS, STEPS, BETTER = (10.0,), (3, 3, 3, 3), 0.05
 LOOSE_PULLS, LOOSE_STEPS = (1.0, 0.0), (1, 1, 1, 1, 1, 1)
 # Then places go back to the projection wherever it does not fold. Triangles keep this share of their area; the share of
 # the way back changes by at most so much per patch scale along an edge.
@@ -115,14 +116,16 @@ def _flatten(
     real = int(np.searchsorted(used, len(points)))
     inner = mesh[(mesh < real).all(axis=1)]
     best, least = None, np.inf
-    for pulls, steps in ((PULLS, STEPS), (LOOSE_PULLS, LOOSE_STEPS)):
+    for pulls, steps, better in ((PULLS, STEPS, BETTER), (LOOSE_PULLS, LOOSE_STEPS, -np.inf)):
         for pull in pulls if best is None else ():
             for placed in _relaxed(surface, mesh, start, target[:real], pull, steps):
                 if not np.isfinite(placed).all() or (signed_areas(placed, inner) <= 0.0).any():
                     break
-                misfit = _misfit(placed, surface[:real], weight[used[:real]])
+                misfit, before = _misfit(placed, surface[:real], weight[used[:real]]), least
                 if misfit < least and not rims_cross(placed, inner):
                     best, least = placed, misfit
+                if misfit > (1.0 - better) * before:
+                    break
     # A rim on a circle crosses nothing: Tutte's own places are the last resort.
     best = start[:real] if best is None else best
     back = _returned(best, target[:real], surface[:real], inner)
