@@ -7,11 +7,10 @@ from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
-from drape.garment.registration import posed_by, unpack
+from drape.garment.registration import posed_by, posed_normals, unpack
 from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.wearer_fields import SHAPES, Bones, bones_of, enclosed, joints_of, point_cost
 from drape.garment.wearer_reading import Reading, Wearer
-from drape.geometry import meshes
 
 BAND_M, BAND_WEIGHT = 0.15, 2.0  # from the top: there a garment hangs on its body
 SHAPE_COST = 0.01  # of a squared beta beside the nearest known shape's
@@ -35,7 +34,7 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     points = reading.apply(cloth.points)
     skin = posed_by(body, parameters)
     far, near = KDTree(skin).query(points)
-    along = np.einsum("nc,nc->n", meshes.vertex_normals(skin, body.faces)[near], points - skin[near])
+    along = np.einsum("nc,nc->n", posed_normals(body, skin)[near], points - skin[near])
     distance = np.where(far > 2.0 * BAND_LIMIT_M, np.copysign(far, along), along)
     band = points[:, 1] > points[:, 1].max() - BAND_M
     weight = np.where(band, BAND_WEIGHT, 1.0)
