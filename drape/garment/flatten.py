@@ -27,6 +27,7 @@ LOOSE_PULLS, LOOSE_STEPS = (1.0, 0.0), (1, 1, 1, 1, 1, 1)
 # Then places go back to the projection wherever it does not fold. Triangles keep this share of their area; the share of
 # the way back changes by at most so much per patch scale along an edge.
 RETURN_AREA, RETURN_SLOPE, RETURN_ROUNDS = 0.2, 1.0, 40
+WORSE = 1.5  # the misfit of places that were found for the same cloth on another body, over the one there
 RING_SHARE = 0.3  # a second rim this long, of the first, means that the piece runs round a limb
 CUT_FLOOR = 0.02  # weight that a cut costs where the chart has none, so that cuts stay short
 
@@ -128,8 +129,23 @@ def _flatten(
                     break
     # A rim on a circle crosses nothing: Tutte's own places are the last resort.
     best = start[:real] if best is None else best
-    back = _returned(best, target[:real], surface[:real], inner)
-    return used[:real], best if rims_cross(back, inner) else back
+    return used[:real], _settled(best, target[:real], surface[:real], inner)
+
+
+def lay_alike(
+    placed: np.ndarray, before: np.ndarray, points: np.ndarray, triangles: np.ndarray, weight: np.ndarray
+) -> np.ndarray | None:
+    """Places (n, 2) for ``points`` (n, 3) from those of ``before`` (n, 3), ``placed`` (n, 2), where nothing folds; None
+    where jets fit them clearly worse there."""
+    found = _settled(placed, points[:, :2], points, triangles)
+    return None if _misfit(found, points, weight) > WORSE * _misfit(placed, before, weight) else found
+
+
+def _settled(placed: np.ndarray, target: np.ndarray, surface: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """``placed`` (m, 2), where no triangle of ``surface`` (m, 3) folds, moved to ``target`` (m, 2) wherever none folds
+    there either."""
+    back = _returned(placed, target, surface, triangles)
+    return placed if rims_cross(back, triangles) else back
 
 
 def _returned(placed: np.ndarray, target: np.ndarray, surface: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -5,7 +5,8 @@ C = F^T F. Moved to another body it has C'. The cloth that is as strained there 
 
     S C S = C',    S = C^-1/2 (C^1/2 C' C^1/2)^1/2 C^-1/2,
 
-the geometric mean of C^-1 and C': longer where the new body is larger, and no tighter.
+the geometric mean of C^-1 and C': longer where the new body is larger, and no tighter. Its patches and charts are those
+that it had, laid anew where they would fold or fit clearly worse.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
     )  # fmt: skip
     made = fit_garment(
         mesh, cleared, faces, wearer, digest=tailored_digest(garment, wearer), manifest=dict(garment.manifest),
-        count=garment.patch_count,
+        count=garment.patch_count, like=garment,
     )  # fmt: skip
     rest = garment.rest_state()
     edges = stretched(rest.edges, standing, cleared, faces)
