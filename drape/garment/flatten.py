@@ -43,7 +43,11 @@ def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
 
     A piece that is a disc and has no triangle upside down covers no place twice unless its rim crosses itself.
     """
-    rim = meshes.boundary_edges(triangles)
+    return _crosses(uv, meshes.boundary_edges(triangles))
+
+
+def _crosses(uv: np.ndarray, rim: np.ndarray) -> bool:
+    """Whether two of the edges ``rim`` (E, 2) cross in the plane ``uv`` (n, 2)."""
     start, along = uv[rim[:, 0]], uv[rim[:, 1]] - uv[rim[:, 0]]
 
     def side(points: np.ndarray) -> np.ndarray:
@@ -52,8 +56,9 @@ def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
         return along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
 
     parted = side(start) * side(uv[rim[:, 1]]) < 0.0
-    joined = (rim[:, None, :, None] == rim[None, :, None, :]).any(axis=(2, 3))
-    return bool((parted & parted.T & ~joined).any())
+    one, other = rim[np.argwhere(parted & parted.T)].swapaxes(0, 1)
+    joined = (one[:, :, None] == other[:, None, :]).any(axis=(1, 2))
+    return not joined.all()
 
 
 def lay_flat(
@@ -116,6 +121,7 @@ def _flatten(
         return None
     real = int(np.searchsorted(used, len(points)))
     inner = mesh[(mesh < real).all(axis=1)]
+    rim = meshes.boundary_edges(inner)
     best, least = None, np.inf
     for pulls, steps, better in ((PULLS, STEPS, BETTER), (LOOSE_PULLS, LOOSE_STEPS, -np.inf)):
         for pull in pulls if best is None else ():
@@ -123,7 +129,7 @@ def _flatten(
                 if not np.isfinite(placed).all() or (signed_areas(placed, inner) <= 0.0).any():
                     break
                 misfit, before = _misfit(placed, surface[:real], weight[used[:real]]), least
-                if misfit < least and not rims_cross(placed, inner):
+                if misfit < least and not _crosses(placed, rim):
                     best, least = placed, misfit
                 if misfit > (1.0 - better) * before:
                     break
