@@ -11,7 +11,7 @@ import scipy.sparse
 from drape.arrays import check_finite, check_shape
 from drape.body.skeleton import BONE_ENDS, JOINT_COUNT, PARENTS
 from drape.errors import BodyError, MotionError
-from drape.geometry import rigid, skinning
+from drape.geometry import meshes, rigid, skinning
 from drape.geometry.rotations import rotvec_to_matrix
 
 
@@ -42,6 +42,11 @@ class BodyModel:
     @property
     def shape_count(self) -> int:
         return self.shapedirs.shape[2]
+
+    @cached_property
+    def face_table(self) -> np.ndarray:
+        """The faces around every vertex, as ``meshes.vertex_normals`` takes them."""
+        return meshes.face_table(self.faces, self.vertex_count)
 
     @cached_property
     def joints_template(self) -> np.ndarray:

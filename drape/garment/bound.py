@@ -21,7 +21,7 @@ from drape.engine.calls import call_with_scratch
 from drape.files.looks import NO_LOOKS, Looks
 from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import meshes
-from drape.geometry.closest import barycentric, closest_point
+from drape.geometry.closest import closest_point
 
 ON, OFF, STIFF = range(3)
 SLACK_M = 5e-4  # a place that its triangle's normal misses by more has a frame
@@ -150,8 +150,9 @@ def _triangles(
     part that of its middle."""
     found = closest_point(points, cloth, faces)
     face, shares = found.face.copy(), found.barycentric.copy()
-    for number in np.unique(part[part >= 0]):
-        own = part == number
-        middle = closest_point(points[own].mean(axis=0)[None], cloth, faces)
-        face[own], shares[own] = middle.face[0], barycentric(middle.point, cloth[faces[middle.face]])[0]
+    stiff = np.flatnonzero(part >= 0)
+    if len(stiff):
+        numbers, which = np.unique(part[stiff], return_inverse=True)
+        middle = closest_point(np.stack([points[part == one].mean(axis=0) for one in numbers]), cloth, faces)
+        face[stiff], shares[stiff] = middle.face[which], middle.barycentric[which]
     return face, shares

@@ -101,7 +101,7 @@ class Garment(Atlas):
     They are None in files of older versions; ``rest_state`` returns one for every garment. ``fabric``: the name of a
     fabric, or its numbers as ``drape.cloth.fabric_table.fabric`` takes them. ``looks`` are of the materials.
     ``drawn``: the mesh of the file, where the cloth is another: it hangs on the delivered vertices, which then are some
-    of its own, and the ``looks`` are of its materials.
+    of its own. Cloth that was thinned has no material of it, and no look.
     """
 
     name: str
@@ -212,9 +212,10 @@ def save_garment(garment: Garment, folder: Path) -> Path:
     arrays, drawn = {f.name: getattr(garment, f.name) for f in fields(Garment) if f.name not in left_out}, garment.drawn
     arrays = {name: array for name, array in arrays.items() if array is not None}
     header = {key: getattr(garment, key) for key in _TEXT_FIELDS} | {"format_version": FILE_VERSION}
-    if any(garment.looks.materials):
-        header["looks"] = garment.looks.to_json()
-        arrays["pictures"] = np.frombuffer(b"".join(garment.looks.pictures), dtype=np.uint8)
+    looks = garment.surface.looks
+    if any(looks.materials):
+        header["looks"] = looks.to_json()
+        arrays["pictures"] = np.frombuffer(b"".join(looks.pictures), dtype=np.uint8)
     if np.array_equal(garment.fine_faces, garment.faces):
         del arrays["fine_faces"]
         header["fine_faces"] = "faces"
@@ -266,13 +267,13 @@ def load_garment(path: Path) -> Garment:
         if "chart_residual" not in arrays:
             arrays["chart_residual"] = _residual(arrays).astype(np.float32)
         arrays |= {name: np.ascontiguousarray(arrays[name]) for name in _BY_COLUMNS}
-        if (told := header.pop("looks", None)) is not None:
-            header["looks"] = looks_of(told, arrays.pop("pictures"))
+        told = header.pop("looks", None)
+        looks = NO_LOOKS if told is None else looks_of(told, arrays.pop("pictures"))
         if (materials := header.pop("drawn_materials", None)) is not None:
             own = [np.ascontiguousarray(arrays.pop(f"drawn_{name}")) for name in BOUND_ARRAYS]
-            looks = header.get("looks", NO_LOOKS)
             arrays["drawn"] = BoundMesh(header["name"], tuple(map(str, materials)), *own, looks=looks)
-        return Garment(**header, **arrays)
+            looks = looks if arrays["drawn"].material_names == header["material_names"] else NO_LOOKS
+        return Garment(**header, **arrays, looks=looks)
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise _refused(f"garment cache {path.name}", "the fields of Garment", error) from error
 

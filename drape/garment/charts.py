@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.sparse
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 
 from drape.garment.cache import CHARTS_PER_VERTEX
 
@@ -59,13 +59,13 @@ def blend_charts(graph: scipy.sparse.csr_matrix, seeds: np.ndarray, *, spacing_m
     normalised: it reaches zero where the fourth and fifth patch trade places, so the blend
     is continuous over the surface. ``spacing_m`` bounds the search (typical patch spacing).
     """
-    limit = 6.0 * spacing_m
-    while True:
-        distance = dijkstra(graph, directed=False, indices=seeds, limit=limit)
-        wanted = min(CHARTS_PER_VERTEX + 1, len(seeds))
-        if (np.isfinite(distance).sum(axis=0) >= wanted).all() or limit > 50.0:
-            break  # pieces with fewer patches never reach the count; 50 m is beyond any garment
-        limit *= 4.0
+    piece = connected_components(graph, directed=False)[1]
+    wanted = np.minimum(np.bincount(piece[seeds], minlength=int(piece.max()) + 1)[piece], CHARTS_PER_VERTEX + 1)
+    distance, limit, asked = np.full((len(seeds), len(piece)), np.inf), 2.5 * spacing_m, np.ones(len(seeds), dtype=bool)
+    while asked.any():
+        distance[asked] = dijkstra(graph, directed=False, indices=seeds[asked], limit=limit)
+        short = np.isfinite(distance).sum(axis=0) < wanted
+        asked, limit = np.isin(piece[seeds], piece[short]), 2.0 * limit
     count = distance.shape[1]
     kept = min(CHARTS_PER_VERTEX + 1, len(seeds))
     nearest = np.argpartition(distance, kept - 1, axis=0)[:kept]

@@ -97,10 +97,38 @@ def clear_body(
     over the cloth, over shorter lengths from round to round, so that it ends without spikes. With ``through`` limbs may
     stick through the cloth, as toes through a short sock: cloth inside them leaves by the side that it looks to.
     """
-    target = CLEARANCE_M + MARGIN_M
-    start, moved = vertices, vertices.copy()
+    target, moved = CLEARANCE_M + MARGIN_M, vertices.copy()
     skin = _Skin(moved, body_vertices, body_faces)
-    signed, direction = skin.signed, skin.direction
+    _check_depth(skin.signed)
+    laplacian = _layered_laplacian(moved, faces, skin.nearest, body_vertices, body_faces)
+    lift = target + LAYER_SOFTNESS_M * np.logaddexp(0.0, (skin.signed - target) / LAYER_SOFTNESS_M) - skin.signed
+    stiffness = STIFFNESS_M2
+    for round_number in range(rounds):
+        short = skin.signed < target - 0.5 * MARGIN_M
+        if not short.any():
+            return _cleared(vertices, skin, round_number)
+        if round_number:
+            lift = np.where(short, target - skin.signed, 0.0)
+        wanted = lift[:, None] * skin.direction
+        if through and round_number < THROUGH_ROUNDS:
+            wanted = _through(moved, faces, skin.signed, skin.direction, wanted, skin.body)
+        weight = np.where(lift > 1e-5, 1.0, REST_SHARE)
+        # A vertex takes its neighbours along; where it must move alone the weight lets it.
+        system = symmetric_factor(scipy.sparse.diags(weight) + stiffness * laplacian)
+        moved = moved + system.solve(weight[:, None] * wanted)
+        stiffness = max(0.6 * stiffness, 0.004**2) if round_number < rounds - 8 else 0.0
+        skin.move(moved)
+    _check_clear(skin, rounds, least_m, through=through)
+    return _cleared(vertices, skin, rounds)
+
+
+def _cleared(start: np.ndarray, skin: _Skin, rounds: int) -> Cleared:
+    push_m = float(np.linalg.norm(skin.points - start, axis=1).max())
+    return Cleared(skin.points, float(skin.signed.min()), push_m, rounds)
+
+
+def _check_depth(signed: np.ndarray) -> None:
+    """Refuses (``MeshError``) cloth that lies deeper in the body than any that was modelled on it."""
     if signed.min() < -GIVE_UP_DEPTH_M:
         raise MeshError(
             "garment",
@@ -108,39 +136,23 @@ def clear_body(
             got=f"{-1e3 * signed.min():.0f} mm at vertex {int(signed.argmin())}",
             cure="Say which avatar the garment was modelled on.",
         )
-    laplacian = _layered_laplacian(moved, faces, skin.nearest, body_vertices, body_faces)
-    lift = target + LAYER_SOFTNESS_M * np.logaddexp(0.0, (signed - target) / LAYER_SOFTNESS_M) - signed
-    stiffness = STIFFNESS_M2
-    for round_number in range(rounds):
-        short = signed < target - 0.5 * MARGIN_M
-        if not short.any():
-            return Cleared(moved, float(signed.min()), float(np.linalg.norm(moved - start, axis=1).max()), round_number)
-        if round_number:
-            lift = np.where(short, target - signed, 0.0)
-        wanted = lift[:, None] * direction
-        if through and round_number < THROUGH_ROUNDS:
-            wanted = _through(moved, faces, signed, direction, wanted, skin.body)
-        weight = np.where(lift > 1e-5, 1.0, REST_SHARE)
-        # A vertex takes its neighbours along; where it must move alone the weight lets it.
-        system = scipy.sparse.diags(weight) + stiffness * laplacian
-        moved = moved + symmetric_factor(system).solve(weight[:, None] * wanted)
-        stiffness = max(0.6 * stiffness, 0.004**2) if round_number < rounds - 8 else 0.0
-        skin.move(moved)
-        signed, direction = skin.signed, skin.direction
-    short = signed < CLEARANCE_M
-    across = moved[short] + 2.0 * CLEARANCE_M * direction[short]
+
+
+def _check_clear(skin: _Skin, rounds: int, least_m: float, *, through: bool) -> None:
+    """Refuses (``MeshError``) cloth that all pushes have left nearer than ``least_m``, in more than a few places."""
+    signed, short = skin.signed, skin.signed < CLEARANCE_M
+    across = skin.points[short] + 2.0 * CLEARANCE_M * skin.direction[short]
     if through and signed.min() > 0.0 and (skin.body.signed_closest(across)[0] < CLEARANCE_M).all():
         least_m = 0.0  # two skins face each other there, with less room than twice the clearance between them
     if short.mean() <= FEW_SHARE:  # between toes or fingers: a frame lifts what is left
         least_m = min(least_m, -FEW_DEPTH_M)
-    if signed.min() >= least_m:
-        return Cleared(moved, float(signed.min()), float(np.linalg.norm(moved - start, axis=1).max()), rounds)
-    raise MeshError(
-        "garment",
-        expected=f"a clearance of {1e3 * CLEARANCE_M:.1f} mm to the body",
-        got=f"{1e3 * signed.min():.1f} mm at vertex {int(signed.argmin())} after {rounds} pushes",
-        cure="Model the garment with more ease there, or say which avatar it was modelled on.",
-    )
+    if signed.min() < least_m:
+        raise MeshError(
+            "garment",
+            expected=f"a clearance of {1e3 * CLEARANCE_M:.1f} mm to the body",
+            got=f"{1e3 * signed.min():.1f} mm at vertex {int(signed.argmin())} after {rounds} pushes",
+            cure="Model the garment with more ease there, or say which avatar it was modelled on.",
+        )
 
 
 def _through(

@@ -141,15 +141,15 @@ def _other_sides(
 ) -> np.ndarray:
     """The face (n,) opposite to each ``asked`` one (n,) within a wall, -1 where there is none."""
     other, own, start = np.full(len(asked), -1), normals[asked], middles[asked]
-    for depth in PROBES_M:
-        for sign in (-1.0, 1.0):
-            found = closest_point(start + sign * depth * own, points, faces)
-            way = found.point - start
-            length = np.linalg.norm(way, axis=1)
-            straight = np.abs(np.einsum("fc,fc->f", way, own)) > 0.8 * length
-            facing = np.abs(np.einsum("fc,fc->f", own, normals[found.face])) > OPPOSITE
-            apart = (length > SAME_M) & (found.face != asked) & straight & facing
-            other = np.where((other < 0) & apart, found.face, other)
+    probes = [start + sign * depth * own for depth in PROBES_M for sign in (-1.0, 1.0)]
+    found = closest_point(np.concatenate(probes), points, faces)
+    for face, point in zip(np.split(found.face, len(probes)), np.split(found.point, len(probes)), strict=True):
+        way = point - start
+        length = np.linalg.norm(way, axis=1)
+        straight = np.abs(np.einsum("fc,fc->f", way, own)) > 0.8 * length
+        facing = np.abs(np.einsum("fc,fc->f", own, normals[face])) > OPPOSITE
+        apart = (length > SAME_M) & (face != asked) & straight & facing
+        other = np.where((other < 0) & apart, face, other)
     return other
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from drape.errors import ArtifactError
-from drape.files.looks import NO_LOOKS, Looks
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 
@@ -29,7 +28,7 @@ def fine_garment(garment: Garment) -> Garment:
     on it. Raises ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``.
     """
     if not has_finer(garment):
-        return garment if garment.drawn is None else replace(garment, drawn=None, looks=_looks(garment))
+        return garment if garment.drawn is None else replace(garment, drawn=None)
     uv, uv_faces, per_face = np.asarray(garment.uv), garment.uv_faces, 1
     for _ in _rounds(garment):
         per_face *= 4
@@ -44,14 +43,7 @@ def fine_garment(garment: Garment) -> Garment:
         uv_faces=uv_faces.astype(garment.uv_faces.dtype),
         face_material=np.repeat(garment.face_material, per_face),
         drawn=None,
-        looks=_looks(garment),
     )
-
-
-def _looks(garment: Garment) -> Looks:
-    """Those of the cloth's own materials: cloth that was thinned has none."""
-    same = garment.drawn is None or garment.material_names == garment.drawn.material_names
-    return garment.looks if same else NO_LOOKS
 
 
 def corner_weights(garment: Garment) -> sp.csr_matrix:

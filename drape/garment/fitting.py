@@ -12,7 +12,7 @@ import scipy.sparse
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.garment import charts, features, skin
-from drape.garment.cache import Garment
+from drape.garment.cache import Atlas, Garment
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.partition import partition, patch_count_for, vertex_graph
 from drape.garment.unfold import fit_planes, folded_charts, folded_triangles, without_folds
@@ -76,16 +76,19 @@ def patch_fields(
     share: float = 1.0,
     seed: int = DEFAULT_SEED,
     unfold: bool = False,
+    like: Atlas | None = None,
 ) -> dict[str, np.ndarray]:
     """The patch and chart fields of ``Garment`` for one partition of ``rest`` into ``count`` patches, by default
-    ``share`` times those of ``patch_count_for``.
+    ``share`` times those of ``patch_count_for``, or into those of the same cloth on another body, ``like``.
 
     ``unfold`` lays charts flat that fold over (``drape.garment.unfold``). What the
     network reads of a patch is that of the projection either way: training draws partitions without unfolding.
     """
     area = float(rest.areas.sum())
     count = min(patch_count_for(area, share) if count is None else count, len(rest.vertices))
-    label = partition(rest.vertices, rest.faces, rest.areas, count, seed=seed, graph=rest.graph)
+    label = None if like is None else _label_of(like)
+    if label is None:
+        like, label = None, partition(rest.vertices, rest.faces, rest.areas, count, seed=seed, graph=rest.graph)
     centre, seeds = charts.cluster_centres(label, rest.vertices, rest.areas)
     count = len(centre)
     weights = _cluster_mean(label, rest.areas, rest.binding.weights, count)
@@ -93,12 +96,12 @@ def patch_fields(
     shapedirs = _cluster_mean(label, rest.areas, moves, count).reshape(count, 3, -1)
     rotation = charts.patch_frames(label, rest.normals, rest.areas, weights @ rest.body.bone_directions)
     scale = np.full(count, CHART_RADIUS * np.sqrt(area / count))
-    blend = charts.blend_charts(rest.graph, seeds, spacing_m=float(np.sqrt(area / count)))
+    blend = _blend_of(like) if like else charts.blend_charts(rest.graph, seeds, spacing_m=float(np.sqrt(area / count)))
     local = np.einsum("vkba,vkb->vka", rotation[blend.patch], rest.vertices[:, None] - centre[blend.patch])
     uv, height = local[..., :2] / scale[blend.patch][..., None], local[..., 2] / scale[blend.patch]
     jet = projected = fit_jets(uv, height, blend, count)
     if unfold:
-        flat = without_folds(blend, local, scale, rest.faces)
+        flat = without_folds(blend, local, scale, rest.faces, like)
         blend, uv = flat.blend, flat.uv
         jet = fit_planes(fit_jets(uv, height, blend, count), flat, local, scale)
     residual = local - scale[blend.patch][..., None] * jets.evaluate(jet[blend.patch], uv)
@@ -120,6 +123,16 @@ def patch_fields(
         "chart_weight": blend.weight.astype(np.float32),
         "chart_residual": residual.astype(np.float32),
     }  # fmt: skip
+
+
+def _blend_of(like: Atlas) -> charts.ChartBlend:
+    return charts.ChartBlend(like.chart_patch, like.chart_weight.astype(np.float64))
+
+
+def _label_of(like: Atlas) -> np.ndarray | None:
+    """The patch (N,) in which each vertex weighs most; None where a patch has none then."""
+    label = np.take_along_axis(like.chart_patch, like.chart_weight.argmax(axis=1)[:, None], axis=1)[:, 0]
+    return label if len(np.unique(label)) == like.patch_count else None
 
 
 def _cluster_mean(label: np.ndarray, area: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
@@ -183,14 +196,15 @@ def fit_garment(
     manifest: dict[str, Any],
     count: int | None = None,
     share: float = 1.0,
+    like: Atlas | None = None,
 ) -> Garment:
     """The garment of ``mesh`` at rest on ``body``: patches and charts, the fit's error in the manifest.
 
     ``vertices`` [m] (N, 3) are those of ``mesh`` at rest and then those that subdivision added, ``fine_faces`` (G, 3)
-    its triangles. ``count`` and ``share`` as in ``patch_fields``.
+    its triangles. ``count``, ``share`` and ``like`` as in ``patch_fields``.
     """
     rest = rest_garment(vertices, fine_faces, body)
-    fields = patch_fields(rest, count=count, share=share, unfold=True)
+    fields = patch_fields(rest, count=count, share=share, unfold=True, like=like)
     garment = Garment(
         name=mesh.name,
         digest=digest,

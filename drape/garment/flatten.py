@@ -19,13 +19,15 @@ from drape.garment.charts import ridge_fit
 from drape.geometry import jets, mesh_graphs, meshes
 
 # Weights of the projection against the symmetric Dirichlet energy, and the steps of SLIM after which jets are fitted:
-# the places with the best fit stay. More pull fits tighter creases and drapes worse, since places crowd along the fold
-# (docs/decisions/0005-polyfit.md). If every rim crosses itself, places nearer to Tutte's take over.
-PULLS, STEPS = (30.0, 10.0), (4, 8)
+# the places with the best fit stay, and steps end where it is no longer better by that share. More pull fits tighter
+# creases and drapes worse, since places crowd along the fold (docs/decisions/0005-polyfit.md). If every rim crosses
+# itself, places nearer to Tutte's take over, after each step.
+PULLS, STEPS, BETTER = (10.0,), (3, 3, 3, 3), 0.05
 LOOSE_PULLS, LOOSE_STEPS = (1.0, 0.0), (1, 1, 1, 1, 1, 1)
 # Then places go back to the projection wherever it does not fold. Triangles keep this share of their area; the share of
 # the way back changes by at most so much per patch scale along an edge.
 RETURN_AREA, RETURN_SLOPE, RETURN_ROUNDS = 0.2, 1.0, 40
+WORSE = 1.5  # the misfit of places that were found for the same cloth on another body, over the one there
 RING_SHARE = 0.3  # a second rim this long, of the first, means that the piece runs round a limb
 CUT_FLOOR = 0.02  # weight that a cut costs where the chart has none, so that cuts stay short
 
@@ -41,7 +43,11 @@ def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
 
     A piece that is a disc and has no triangle upside down covers no place twice unless its rim crosses itself.
     """
-    rim = meshes.boundary_edges(triangles)
+    return _crosses(uv, meshes.boundary_edges(triangles))
+
+
+def _crosses(uv: np.ndarray, rim: np.ndarray) -> bool:
+    """Whether two of the edges ``rim`` (E, 2) cross in the plane ``uv`` (n, 2)."""
     start, along = uv[rim[:, 0]], uv[rim[:, 1]] - uv[rim[:, 0]]
 
     def side(points: np.ndarray) -> np.ndarray:
@@ -50,8 +56,9 @@ def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
         return along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
 
     parted = side(start) * side(uv[rim[:, 1]]) < 0.0
-    joined = (rim[:, None, :, None] == rim[None, :, None, :]).any(axis=(2, 3))
-    return bool((parted & parted.T & ~joined).any())
+    one, other = rim[np.argwhere(parted & parted.T)].swapaxes(0, 1)
+    joined = (one[:, :, None] == other[:, None, :]).any(axis=(1, 2))
+    return not joined.all()
 
 
 def lay_flat(
@@ -114,19 +121,37 @@ def _flatten(
         return None
     real = int(np.searchsorted(used, len(points)))
     inner = mesh[(mesh < real).all(axis=1)]
+    rim = meshes.boundary_edges(inner)
     best, least = None, np.inf
-    for pulls, steps in ((PULLS, STEPS), (LOOSE_PULLS, LOOSE_STEPS)):
+    for pulls, steps, better in ((PULLS, STEPS, BETTER), (LOOSE_PULLS, LOOSE_STEPS, -np.inf)):
         for pull in pulls if best is None else ():
             for placed in _relaxed(surface, mesh, start, target[:real], pull, steps):
                 if not np.isfinite(placed).all() or (signed_areas(placed, inner) <= 0.0).any():
                     break
-                misfit = _misfit(placed, surface[:real], weight[used[:real]])
-                if misfit < least and not rims_cross(placed, inner):
+                misfit, before = _misfit(placed, surface[:real], weight[used[:real]]), least
+                if misfit < least and not _crosses(placed, rim):
                     best, least = placed, misfit
+                if misfit > (1.0 - better) * before:
+                    break
     # A rim on a circle crosses nothing: Tutte's own places are the last resort.
     best = start[:real] if best is None else best
-    back = _returned(best, target[:real], surface[:real], inner)
-    return used[:real], best if rims_cross(back, inner) else back
+    return used[:real], _settled(best, target[:real], surface[:real], inner)
+
+
+def lay_alike(
+    placed: np.ndarray, before: np.ndarray, points: np.ndarray, triangles: np.ndarray, weight: np.ndarray
+) -> np.ndarray | None:
+    """Places (n, 2) for ``points`` (n, 3) from those of ``before`` (n, 3), ``placed`` (n, 2), where nothing folds; None
+    where jets fit them clearly worse there."""
+    found = _settled(placed, points[:, :2], points, triangles)
+    return None if _misfit(found, points, weight) > WORSE * _misfit(placed, before, weight) else found
+
+
+def _settled(placed: np.ndarray, target: np.ndarray, surface: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """``placed`` (m, 2), where no triangle of ``surface`` (m, 3) folds, moved to ``target`` (m, 2) wherever none folds
+    there either."""
+    back = _returned(placed, target, surface, triangles)
+    return placed if rims_cross(back, triangles) else back
 
 
 def _returned(placed: np.ndarray, target: np.ndarray, surface: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
-from drape.body.skeleton import JOINT_NAMES
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import BodyError
 from drape.garment.borders import borders, plainly_opening
 from drape.garment.contours import LIMBS, TRUNK, Contour, bone_chains, open_contours
@@ -26,6 +26,7 @@ from drape.garment.registration import (
     FREE_JOINTS,
     parameter_jacobian,
     posed_by,
+    posed_normals,
     start_parameters,
     unpack,
 )
@@ -49,6 +50,8 @@ POINT_COUNT = 1200
 STEPS = 25
 AGREEMENT = 0.2
 INSIDE_LIMIT_PCT = 15.0  # of the cloth inside the best body: none of ours fits
+
+Cuffs = list[tuple[np.ndarray, int, int]]  # middles [m] (3,) of cuffs, and the joints at the ends of their bones
 
 
 class InsideFit(NamedTuple):
@@ -167,52 +170,83 @@ def fit_from(
     metre from the likely place is worth. The vertex ``sole``, if given, stands on the floor. With a ``lock`` cloth lies
     as far from the skin as most of the band that carries it does, and what lies so pulls by that much either way.
     """
-    shape, pose = body.shape_count, 3 * len(FREE_JOINTS)
-    prior = np.concatenate([np.full(shape, shape_prior_m), np.full(pose, POSE_PRIOR_M), place_prior_m]) ** 2
-    for number, joint in enumerate(FREE_JOINTS):
-        if JOINT_NAMES[joint].partition("_")[2] in LIMB_JOINTS:
-            prior[shape + 3 * number : shape + 3 * number + 3] = LIMB_PRIOR_M**2
-    prior[shape : shape + 3] = ROOT_PRIOR_M**2
     cuffs = _cuffs(body, contours, parameters, wanted)
     if likely is None:
-        likely = np.concatenate([np.zeros(shape + pose), parameters[-3:] if neutral is None else neutral])
-    pull = PULL * np.where(points[:, 1] > points[:, 1].max() - BAND_M, BAND_PULL, slack)
-    cost, band = np.inf, points[:, 1] > points[:, 1].max() - BAND_M
+        place = parameters[-3:] if neutral is None else neutral
+        likely = np.concatenate([np.zeros(len(parameters) - 3), place])
+    prior = _prior(body, shape_prior_m, place_prior_m)
+    fit = _Fit(body, points, normals, cuffs, prior, likely, slack, sole, lock)
+    cost = np.inf
     for _ in range(steps):
-        posed = posed_by(body, parameters)
-        skin_normals = meshes.vertex_normals(posed, body.faces)
-        near = np.asarray(KDTree(posed).query(points, k=6)[1])
-        agree = np.einsum("nc,nkc->nk", normals, skin_normals[near]) > AGREEMENT
-        first = np.where(agree.any(axis=1), np.argmax(agree, axis=1), 0)
-        index = near[np.arange(len(near)), first]
-        normal = skin_normals[index]
-        gap = np.einsum("nc,nc->n", normal, points - posed[index]) - LYING_GAP_M
-        if lock:
-            gap -= np.clip(np.quantile(gap[band], LYING_SHARE), 0.0, LYING_MOST_M)
-        weight = np.where(gap < 0.0, 1.0, pull / (1.0 + (gap / PULL_REACH_M) ** 2))
-        weight = np.maximum(weight, lock / (1.0 + (gap / LOCK_REACH_M) ** 2) ** 2)
-        off, turn = _cuff_rows(body, cuffs, parameters)
-        before, cost = (
-            cost,
-            float((weight * gap**2).mean() + prior @ (parameters - likely) ** 2 + CUFF * (off**2).sum()),
-        )
-        rows = np.einsum("nc,ncp->np", normal, parameter_jacobian(body, parameters, index))
-        system = (rows * weight[:, None]).T @ rows / len(rows) + np.diag(prior + 1e-8) + CUFF * turn.T @ turn
-        slope = (rows * weight[:, None]).T @ gap / len(rows) - prior * (parameters - likely)
-        slope = slope - CUFF * turn.T @ off
-        if sole is not None:
-            row = parameter_jacobian(body, parameters, np.array([sole]))[0, 1]
-            system, slope = system + FLOOR * np.outer(row, row), slope - FLOOR * posed[sole, 1] * row
-        change = np.linalg.solve(system, slope)
+        before = cost
+        cost, change = fit.step(parameters)
         parameters = parameters + np.clip(change, -0.3, 0.3)
         if np.abs(change).max() < 1e-4 or abs(before - cost) < 1e-10:
             break
     return parameters, cost
 
 
-def _cuffs(
-    body: BodyModel, contours: list[Contour], parameters: np.ndarray, wanted: dict[str, int] | None
-) -> list[tuple[np.ndarray, int, int]]:
+def _prior(body: BodyModel, shape_prior_m: float | np.ndarray, place_prior_m: np.ndarray) -> np.ndarray:
+    """What the square of each parameter's way from the likely one costs (P,) [m^2]."""
+    shape, pose = body.shape_count, 3 * len(FREE_JOINTS)
+    prior = np.concatenate([np.full(shape, shape_prior_m), np.full(pose, POSE_PRIOR_M), place_prior_m]) ** 2
+    for number, joint in enumerate(FREE_JOINTS):
+        if JOINT_NAMES[joint].partition("_")[2] in LIMB_JOINTS:
+            prior[shape + 3 * number : shape + 3 * number + 3] = LIMB_PRIOR_M**2
+    prior[shape : shape + 3] = ROOT_PRIOR_M**2
+    return prior
+
+
+class _Fit(NamedTuple):
+    """What ``fit_from`` makes least, with its arguments; ``cuffs`` as ``_cuffs`` finds them."""
+
+    body: BodyModel
+    points: np.ndarray
+    normals: np.ndarray
+    cuffs: Cuffs
+    prior: np.ndarray
+    likely: np.ndarray
+    slack: float
+    sole: int | None
+    lock: float
+
+    def step(self, parameters: np.ndarray) -> tuple[float, np.ndarray]:
+        """The cost [m^2] of ``parameters`` and the change (P,) that a step of Gauss-Newton makes."""
+        posed = posed_by(self.body, parameters)
+        index, normal = self._skin(posed)
+        gap, weight = self._gaps(normal, posed[index])
+        off, turn = _cuff_rows(self.body, self.cuffs, parameters)
+        away = parameters - self.likely
+        cost = float((weight * gap**2).mean() + self.prior @ away**2 + CUFF * (off**2).sum())
+        rows = np.einsum("nc,ncp->np", normal, parameter_jacobian(self.body, parameters, index))
+        weighted = (rows * weight[:, None]).T / len(rows)
+        system = weighted @ rows + np.diag(self.prior + 1e-8) + CUFF * turn.T @ turn
+        slope = weighted @ gap - self.prior * away - CUFF * turn.T @ off
+        if self.sole is not None:
+            row = parameter_jacobian(self.body, parameters, np.array([self.sole]))[0, 1]
+            system, slope = system + FLOOR * np.outer(row, row), slope - FLOOR * posed[self.sole, 1] * row
+        return cost, np.linalg.solve(system, slope)
+
+    def _skin(self, posed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The vertex of the skin under each point (N,): of the nearest the first that looks its way; its normal."""
+        skin_normals = posed_normals(self.body, posed)
+        near = np.asarray(KDTree(posed).query(self.points, k=6)[1])
+        agree = np.einsum("nc,nkc->nk", self.normals, skin_normals[near]) > AGREEMENT
+        index = near[np.arange(len(near)), np.argmax(agree, axis=1)]
+        return index, skin_normals[index]
+
+    def _gaps(self, normal: np.ndarray, under: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far [m] (N,) the cloth is from lying on the skin ``under`` it, and how much that counts (N,)."""
+        band = self.points[:, 1] > self.points[:, 1].max() - BAND_M
+        gap = np.einsum("nc,nc->n", normal, self.points - under) - LYING_GAP_M
+        if self.lock:
+            gap -= np.clip(np.quantile(gap[band], LYING_SHARE), 0.0, LYING_MOST_M)
+        pull = PULL * np.where(band, BAND_PULL, self.slack)
+        weight = np.where(gap < 0.0, 1.0, pull / (1.0 + (gap / PULL_REACH_M) ** 2))
+        return gap, np.maximum(weight, self.lock / (1.0 + (gap / LOCK_REACH_M) ** 2) ** 2)
+
+
+def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray, wanted: dict[str, int] | None) -> Cuffs:
     """Middles [m] (3,) of the openings that lie nearer to a limb than to the trunk at the start, with the bone.
 
     Each limb has one at most, the first of ``contours``, and none if the garment's kind has none there.
@@ -241,29 +275,20 @@ def _cuffs(
 
 
 def _perpendicular(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The way (3,) from ``point`` (3,) to the nearest point of a bone."""
+    """The way (..., 3) from ``point`` (3,) to the nearest point of a bone from ``start`` (..., 3) to ``end``."""
     way = end - start
-    share = float(np.clip((point - start) @ way / (way @ way), 0.0, 1.0))
-    return start + share * way - point
+    share = np.clip(((point - start) * way).sum(axis=-1) / (way * way).sum(axis=-1), 0.0, 1.0)
+    return start + share[..., None] * way - point
 
 
-def _cuff_rows(
-    body: BodyModel, cuffs: list[tuple[np.ndarray, int, int]], parameters: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _cuff_rows(body: BodyModel, cuffs: Cuffs, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Ways [m] (3 C,) from the cuffs' middles to their bones, and the derivative (3 C, P) by forward differences."""
-    step, pose_count = 1e-5, 3 * len(FREE_JOINTS)
-    betas, pose, trans = unpack(body, parameters)
-    turned = np.repeat(pose[None], pose_count + 1, axis=0)
-    for column in range(pose_count):
-        turned[column + 1, FREE_JOINTS[column // 3], column % 3] += step
-    by_pose = body.posed_joints(turned, betas) + trans
-    shapes = betas + step * np.eye(body.shape_count)
-    by_shape = body.posed_joints(np.repeat(pose[None], len(shapes), axis=0), shapes) + trans
-    by_place = [by_pose[0] + step * row for row in np.eye(3)]
-
-    def ways(joints: np.ndarray) -> np.ndarray:
-        return np.array([_perpendicular(centre, joints[a], joints[b]) for centre, a, b in cuffs]).reshape(-1)
-
-    here = ways(by_pose[0])
-    columns = [(ways(joints) - here) / step for joints in (*by_shape, *by_pose[1:], *by_place)]
-    return here, np.array(columns).T.reshape(len(here), len(parameters))
+    if not cuffs:
+        return np.zeros(0), np.zeros((0, len(parameters)))
+    step = 1e-5
+    moved = np.concatenate([parameters[None], parameters + step * np.eye(len(parameters))])
+    poses = np.zeros((len(moved), JOINT_COUNT, 3))
+    poses[:, FREE_JOINTS] = moved[:, body.shape_count : -3].reshape(len(moved), -1, 3)
+    joints = body.posed_joints(poses, moved[:, : body.shape_count]) + moved[:, None, -3:]
+    ways = np.concatenate([_perpendicular(centre, joints[:, a], joints[:, b]) for centre, a, b in cuffs], axis=1)
+    return ways[0], (ways[1:] - ways[0]).T / step

@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -45,7 +45,7 @@ from drape.garment.wearer_pictures import pictured
 
 # Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
 MOVED_VERSION = 3
-INTAKE_VERSION = 2  # raised when a change here changes the garments that come out
+INTAKE_VERSION = 3  # raised when a change here changes the garments that come out
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests as they were
 
 Report = Callable[[str], None]
@@ -131,6 +131,38 @@ def intake_outfit(
     say, begins = report or (lambda line: None), begun or (lambda stage: None)
     begins("read")
     body = load_body() if body is None else body
+    file = _opened(source, name, kind, avatar, body, options)
+    if folder is not None and (stored := stored_outfit(folder, file.digest, whole=whole)):
+        say(f"cached    {', '.join(one.file_name() for one in stored)}")
+        return stored
+    made = _made(file, body, say, begins, whole=whole)
+    begins("store")
+    if folder is not None:
+        for garment in made:
+            say(f"stored    {save_garment(garment, folder)}")
+    return made
+
+
+class _File(NamedTuple):
+    """A mesh file as it is asked for: its bytes, what its avatar means, its sewing, and the digest of all of it."""
+
+    mesh: GarmentMesh
+    payload: bytes
+    meaning: Any
+    sewn: Sewing | None
+    digest: str
+    options: IntakeOptions
+
+
+def _opened(
+    source: Path | bytes,
+    name: str | None,
+    kind: str | None,
+    avatar: str | Path | dict[str, Any] | None,
+    body: BodyModel,
+    options: IntakeOptions,
+) -> _File:
+    """The file of the arguments of ``intake_outfit``."""
     path = None if isinstance(source, (bytes, bytearray)) else Path(source)
     mesh = read_mesh(source, name=name or (path.stem if path else None), kind=kind)
     payload = bytes(source) if path is None else path.read_bytes()
@@ -140,20 +172,18 @@ def intake_outfit(
     if sewn is not None:
         sewn.check(mesh)
     digest = garment_digest(payload, meaning, body, options, mesh.name, sewn, looks=mesh.looks.digest)
-    options = options.completed_by(sewn)
-    if folder is not None and (stored := stored_outfit(folder, digest, whole=whole)):
-        say(f"cached    {', '.join(one.file_name() for one in stored)}")
-        return stored
+    return _File(mesh, payload, meaning, sewn, digest, options.completed_by(sewn))
 
+
+def _made(file: _File, body: BodyModel, say: Report, begins: Report, *, whole: bool) -> list[Garment]:
+    """The garments of ``file``, the innermost first; one of all where they are ``whole``."""
+    mesh, sewn, options = file.mesh, file.sewn, file.options
     with_uv = "with uv" if len(mesh.uv) else "no uv"
     say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {with_uv}")
     check_arrays(mesh)
-    sheets = mesh if sewn is not None else joined(mesh)
-    sheets, model, wearer = modelled_on(sheets, body, options, meaning)
-    say(
-        f"avatar    {model.source}; residual {model.residual_mm:.1f} mm"
-        + ("" if meaning is not None else " (none was named)")
-    )
+    sheets, model, wearer = modelled_on(mesh if sewn is not None else joined(mesh), body, options, file.meaning)
+    unnamed = "" if file.meaning is not None else " (none was named)"
+    say(f"avatar    {model.source}; residual {model.residual_mm:.1f} mm{unnamed}")
     if sewn is not None:
         say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")
     started = time.perf_counter()
@@ -168,29 +198,29 @@ def intake_outfit(
     rests = [rest_mesh(one, model, body, options, sheets=cut, sewn=sewn is not None) for one, cut in parts]
     begins("fit")
     made = []
-    for number, rest in enumerate(rests):
-        own = digest if len(rests) == 1 else part_digest(digest, number)
+    for number, ((part, _), rest, name) in enumerate(zip(parts, rests, names, strict=True)):
+        own = file.digest if len(rests) == 1 else part_digest(file.digest, number)
+        manifest = _manifest(part, file.payload, model, options, rest) | told
         for line in describe_rest(rest):
             say(line)
-        manifest = _manifest(parts[number][0], payload, model, options, rest) | told
-        if rest.carriers:
-            manifest["carried_by"] = list(rest.carriers)
-        compact = replace(rest.mesh, name=garment_name(names[number]))
-        fitted = fit_garment(
-            compact, rest.vertices, rest.fine_faces, body, digest=own, manifest=manifest, share=options.patches
-        )
-        garment = with_rest_state(with_unused(fitted, rest.faces, rest.kept), rest, options, sewn)
-        garment = replace(garment, drawn=rest.drawn, looks=mesh.looks)
-        made.append(garment)
-        for line in _describe_fit(garment, options):
+        made.append(_fitted(rest, name, body, own, manifest, file))
+        for line in _describe_fit(made[-1], options):
             say(line)
     begins("cloth")
     say(f"took      {time.perf_counter() - started:.1f} s")
-    begins("store")
-    if folder is not None:
-        for garment in made:
-            say(f"stored    {save_garment(garment, folder)}")
     return made
+
+
+def _fitted(rest: RestMesh, name: str, body: BodyModel, digest: str, manifest: dict[str, Any], file: _File) -> Garment:
+    """The garment ``name`` of the mesh at ``rest``, with its patches and its rest state."""
+    if rest.carriers:
+        manifest["carried_by"] = list(rest.carriers)
+    compact = replace(rest.mesh, name=garment_name(name))
+    fitted = fit_garment(
+        compact, rest.vertices, rest.fine_faces, body, digest=digest, manifest=manifest, share=file.options.patches
+    )
+    garment = with_rest_state(with_unused(fitted, rest.faces, rest.kept), rest, file.options, file.sewn)
+    return replace(garment, drawn=rest.drawn)
 
 
 def part_digest(digest: str, number: int) -> str:

@@ -14,10 +14,11 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from drape.body.model import BodyModel
-from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.errors import BodyError
-from drape.geometry import mesh_graphs, meshes, skinning
+from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point, nearest_vertices
+from drape.geometry.rotations import rotvec_to_matrix
 
 RESIDUAL_LIMIT_MM = 15.0
 HEIGHTS_M = (1.2, 2.3)
@@ -30,6 +31,18 @@ STEPS = 24
 NORMAL_AGREEMENT = 0.3
 SHAPE_PRIOR, POSE_PRIOR = 5e-4, 2e-3  # [m] per unit of beta and per radian: keep near zero what the surface leaves open
 MATCH_REACH_M = 0.08  # points of the target farther from the body than this do not pull; four times as far at first
+
+
+def _below() -> np.ndarray:
+    """1 where a joint is a free one or hangs on it, else 0 (free, 24)."""
+    hangs = np.eye(JOINT_COUNT)
+    for joint, parent in enumerate(PARENTS):
+        if parent >= 0:
+            hangs[:, joint] += hangs[:, parent]
+    return hangs[FREE_JOINTS]
+
+
+BELOW = _below()
 
 
 def body_units(vertices: np.ndarray, *, name: str = "avatar") -> tuple[float, np.ndarray]:
@@ -120,7 +133,7 @@ def _fit(body: BodyModel, target: _Target, lift_rad: float) -> tuple[np.ndarray,
     centre = parameters.copy()
     for step in range(STEPS):
         posed = posed_by(body, parameters)
-        normals = meshes.vertex_normals(posed, body.faces)
+        normals = posed_normals(body, posed)
         # Every point of the target looks for the body: parts that the target lacks do not pull.
         distance, near = nearest_vertices(target.points, posed, 4)
         agree = np.einsum("nc,nkc->nk", target.point_normals, normals[near]) > NORMAL_AGREEMENT
@@ -178,19 +191,33 @@ def posed_by(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
     return body.posed_vertices(pose[None], trans[None], betas)[0]
 
 
+def posed_normals(body: BodyModel, posed: np.ndarray) -> np.ndarray:
+    """Unit normals (V, 3) of the body's vertices at ``posed`` [m] (V, 3)."""
+    return meshes.vertex_normals(posed, body.faces, table=body.face_table)
+
+
 def parameter_jacobian(body: BodyModel, parameters: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Derivative (N, 3, P) of the posed vertices ``index`` by forward differences; shape and translation exact."""
+    """Derivative (N, 3, P) of the posed vertices ``index``, without pose blend shapes.
+
+    A joint that turns by dR R^T takes what hangs on it along: sum_j w_j (R_j x + t_j - p) over the bones j from there
+    on, p the joint. By shape it is exact in T-pose; elsewhere joints move as if no bone had turned, and fits, whose
+    weights were chosen with that, end in worse bodies with the exact one.
+    """
     betas, pose, trans = unpack(body, parameters)
     rest, weights = body.rest_vertices(betas)[index], body.weights[index]
-    step = 1e-5
-    poses = np.repeat(pose[None], 3 * len(FREE_JOINTS) + 1, axis=0)
-    for column in range(3 * len(FREE_JOINTS)):
-        poses[column + 1, FREE_JOINTS[column // 3], column % 3] += step
-    rotations, translations = body.bones(poses, np.repeat(trans[None], len(poses), axis=0), betas)
-    moved = skinning.skin_points(np.broadcast_to(rest, (len(poses), *rest.shape)), weights, rotations, translations)
-    by_pose = (moved[1:] - moved[0]).transpose(1, 2, 0) / step
-    blended = (weights @ rotations[0].reshape(-1, 9)).reshape(-1, 3, 3)
-    joint_part = np.einsum("jab,jbs->jas", np.eye(3) - rotations[0], body.joint_shapedirs)
+    (rotations,), (translations,) = body.bones(pose[None], trans[None], betas)
+    carried = weights.T[..., None] * (rest @ rotations.transpose(0, 2, 1) + translations[:, None])
+    joints = (rotations @ body.rest_joints(betas)[..., None])[..., 0] + translations
+    share = weights @ BELOW.T
+    arms = np.tensordot(BELOW, carried, axes=1) - share.T[..., None] * joints[FREE_JOINTS, None]
+    parents = np.concatenate([rotations, np.eye(3)[None]])[[PARENTS[joint] for joint in FREE_JOINTS]][:, None]
+    own, step = pose[FREE_JOINTS], 1e-5
+    moved = rotvec_to_matrix(own[:, None] + step * np.eye(3)) - rotvec_to_matrix(own)[:, None]
+    turns = parents @ moved / step @ np.swapaxes(parents @ rotvec_to_matrix(own)[:, None], -1, -2)
+    by_pose = (arms @ turns.reshape(len(own), 9, 3).transpose(0, 2, 1)).reshape(len(own), len(index), 3, 3)
+    by_pose = by_pose.transpose(1, 3, 0, 2).reshape(len(index), 3, -1)
+    blended = (weights @ rotations.reshape(-1, 9)).reshape(-1, 3, 3)
+    joint_part = np.einsum("jab,jbs->jas", np.eye(3) - rotations, body.joint_shapedirs)
     by_shape = blended @ body.shapedirs[index] + (weights @ joint_part.reshape(len(joint_part), -1)).reshape(
         len(index), 3, -1
     )
@@ -200,7 +227,7 @@ def parameter_jacobian(body: BodyModel, parameters: np.ndarray, index: np.ndarra
 def _snap(fitted: np.ndarray, body: BodyModel, target: _Target) -> np.ndarray:
     """``fitted`` drawn on to the target by a smooth displacement, where the surfaces face the same way."""
     nearest = closest_point(fitted, target.vertices, target.faces)
-    normals = meshes.vertex_normals(fitted, body.faces)
+    normals = posed_normals(body, fitted)
     agree = np.einsum("vc,vc->v", normals, target.normals[nearest.face]) > 0.6
     trust = (agree & (nearest.distance < 0.04)).astype(np.float64)
     umbrella = mesh_graphs.umbrella_laplacian(body.faces, len(fitted))

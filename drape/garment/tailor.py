@@ -5,7 +5,8 @@ C = F^T F. Moved to another body it has C'. The cloth that is as strained there 
 
     S C S = C',    S = C^-1/2 (C^1/2 C' C^1/2)^1/2 C^-1/2,
 
-the geometric mean of C^-1 and C': longer where the new body is larger, and no tighter.
+the geometric mean of C^-1 and C': longer where the new body is larger, and no tighter. Its patches and charts are those
+that it had, laid anew where they would fold or fit clearly worse.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from drape.garment.rest_pose import to_standard
 from drape.geometry import meshes
 
 ROUNDS, LEAST_M = 12, -0.03  # thighs of characters may touch: frames lift what is left
-VERSION = 1  # raised when a change here changes the garments that come out
+VERSION = 2  # raised when a change here changes the garments that come out
 
 
 def tailored_digest(garment: Garment, wearer: BodyModel) -> str:
@@ -49,7 +50,7 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
     )  # fmt: skip
     made = fit_garment(
         mesh, cleared, faces, wearer, digest=tailored_digest(garment, wearer), manifest=dict(garment.manifest),
-        count=garment.patch_count,
+        count=garment.patch_count, like=garment,
     )  # fmt: skip
     rest = garment.rest_state()
     edges = stretched(rest.edges, standing, cleared, faces)

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
+from drape.garment.cache import Atlas
 from drape.garment.charts import ChartBlend, ridge_fit, rows_of_patches
-from drape.garment.flatten import lay_flat, rims_cross, signed_areas
+from drape.garment.flatten import lay_alike, lay_flat, rims_cross, signed_areas
 from drape.geometry import jets, mesh_graphs
 
 TRIM, TRIM_ROUNDS = 0.85, 12  # a chart that cannot be laid flat is made smaller by this factor, so often
@@ -69,11 +70,14 @@ class Flattened:
     unfolded: np.ndarray
 
 
-def without_folds(blend: ChartBlend, local: np.ndarray, scale: np.ndarray, faces: np.ndarray) -> Flattened:
+def without_folds(
+    blend: ChartBlend, local: np.ndarray, scale: np.ndarray, faces: np.ndarray, like: Atlas | None = None
+) -> Flattened:
     """Charts of ``local`` positions (N, 4, 3) [m] in the patch frames, laid flat where the projection folds.
 
     ``scale`` (K,) [m per unit of u, v]. Vertices leave a chart where it has to be cut, or hangs on by a corner,
-    if another chart holds them; around them its weight fades, so that the blend stays continuous.
+    if another chart holds them; around them its weight fades, so that the blend stays continuous. Charts lie as those
+    of ``like``, which has the same ``blend``, wherever these fit.
     """
     slots = blend.patch.shape[1]
     uv = local[..., :2] / scale[blend.patch][..., None]
@@ -87,9 +91,18 @@ def without_folds(blend: ChartBlend, local: np.ndarray, scale: np.ndarray, faces
     rows = rows_of_patches(owner, count)
     flat_uv, weight = uv.reshape(-1, 2).copy(), blend.weight.reshape(-1).copy()
     places = local.reshape(-1, 3)
+    if like is not None:
+        known = like.chart_uv.reshape(-1, 2).astype(np.float64), like.chart_local().reshape(-1, 3)
     for k in np.flatnonzero(folded):
         entries, triangles = np.unique(corners[rows[k]], return_inverse=True)
-        kept, placed, fade = _chart(places[entries] / scale[k], triangles.reshape(-1, 3), weight[entries])
+        points, triangles = places[entries] / scale[k], triangles.reshape(-1, 3)
+        if like is not None:
+            before = known[1][entries] / like.patch_scale[k]
+            alike = lay_alike(known[0][entries], before, points, triangles, weight[entries])
+            if alike is not None:
+                flat_uv[entries] = alike
+                continue
+        kept, placed, fade = _chart(points, triangles, weight[entries])
         flat_uv[entries[kept]] = placed
         weight[entries] *= fade
         # Entries of this patch that are in no triangle of it say nothing of the surface: they go too.

@@ -24,6 +24,7 @@ from drape.geometry import meshes
 CELL_M = 0.025
 MARGIN_M = 0.2  # of the grid round the body, and as many cells more in which cloth is nowhere:
 ROOM = 28
+MARGIN_CELLS = round(MARGIN_M / CELL_M) - 2  # at every side of the grid are outside, whatever is rounded
 FREE_M = 0.01  # cloth as delivered is this deep in the skin here and there
 DEEP_M, DEEP_MOST = 0.02, 4.0  # depth that costs one, and the most that a point of cloth costs
 FAR_M = 0.08  # distance outside at which half of the cost of being nowhere is reached
@@ -160,13 +161,14 @@ def bones_of(posed: np.ndarray, skin: np.ndarray) -> Bones:
     first = np.cross(helper, last)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     frames = np.stack([first, np.cross(last, first), last], axis=1)
-    local = skin @ frames.transpose(0, 2, 1) - np.einsum("bac,bc->ba", frames, points)[:, None]
-    across = np.linalg.norm(local[..., :2], axis=2)
-    near = (np.abs(local[..., 2]) < SLAB_M / 2) & (across < np.array(reach)[:, None] / 2)
+    along = skin @ last.T - np.einsum("bc,bc->b", last, points)  # (V, B)
+    square = (skin**2).sum(axis=1)[:, None] - 2.0 * skin @ points.T + (points**2).sum(axis=1) - along**2
+    near = (np.abs(along) < SLAB_M / 2) & (square < (np.array(reach) / 2) ** 2)
     radius = np.array(
-        [np.quantile(row[mask], 0.5) if mask.any() else 0.05 for row, mask in zip(across, near, strict=True)]
+        [np.median(square[mask, number]) if mask.any() else 0.05**2 for number, mask in enumerate(near.T)]
     )
-    return Bones(points, frames, np.array(reach), np.minimum(radius, 0.16), tuple(part), posed)
+    radius = np.sqrt(np.clip(radius, 0.0, 0.16**2))
+    return Bones(points, frames, np.array(reach), radius, tuple(part), posed)
 
 
 def enclosed(points: np.ndarray, bones: Bones) -> tuple[np.ndarray, np.ndarray]:
@@ -178,11 +180,10 @@ def enclosed(points: np.ndarray, bones: Bones) -> tuple[np.ndarray, np.ndarray]:
         - np.einsum("bac,bc->ba", frames, bones.at.astype(np.float32))[:, None]
     )
     across = np.hypot(local[..., 0], local[..., 1])
-    near = (np.abs(local[..., 2]) < SLAB_M) & (across < bones.reach[:, None])
-    turn = np.floor((np.arctan2(local[..., 1], local[..., 0]) / (2.0 * np.pi) + 0.5) * BIN_COUNT).astype(np.int64)
-    bits = np.where(near, np.left_shift(1, np.mod(turn, BIN_COUNT)), 0)
-    there = np.bitwise_or.reduce(bits, axis=1)
-    bins = (there[:, None] >> np.arange(BIN_COUNT)) & 1
+    row, point = np.nonzero((np.abs(local[..., 2]) < SLAB_M) & (across < bones.reach[:, None]))
+    turn = np.arctan2(local[row, point, 1], local[row, point, 0]) / (2.0 * np.pi) + 0.5
+    bins = np.zeros((len(across), BIN_COUNT), dtype=bool)
+    bins[row, np.floor(turn * BIN_COUNT).astype(np.int64) % BIN_COUNT] = True
     share = (bins | np.roll(bins, 1, axis=1) | np.roll(bins, -1, axis=1)).mean(axis=1)
     nearest = (np.hypot(across, local[..., 2]) - bones.radius[:, None]).argmin(axis=0)
     return share[nearest], nearest
@@ -217,18 +218,20 @@ def joints_of(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
 def field_of(body: BodyModel, parameters: np.ndarray) -> Field:
     """The field of ``body`` with ``parameters``."""
     skin = posed_by(body, parameters)
-    corners = skin[body.faces]
     spread = np.array([(a, b, 3 - a - b) for a in range(4) for b in range(4 - a)]) / 3.0  # no cell of a face is missed
-    dense = np.concatenate([share @ corners for share in spread])
-    low = dense.min(axis=0) - MARGIN_M
-    shape = np.ceil((dense.max(axis=0) + MARGIN_M - low) / CELL_M).astype(int) + 1
+    low = skin.min(axis=0) - MARGIN_M
+    shape = np.ceil((skin.max(axis=0) + MARGIN_M - low) / CELL_M).astype(int) + 1
     solid = np.zeros(shape, dtype=bool)
-    solid[tuple(np.rint((dense - low) / CELL_M).astype(int).T)] = True
+    cells = np.tensordot(spread, (skin - low)[body.faces] / CELL_M, axes=(1, 1))
+    solid[tuple(np.rint(cells).astype(np.int32).reshape(-1, 3).T)] = True
     solid = np.asarray(scipy.ndimage.binary_fill_holes(solid))
     # Cells that the skin passes through count as inside, so the surface lies half a cell within.
-    outside = np.asarray(scipy.ndimage.distance_transform_edt(~solid))
-    inside = np.asarray(scipy.ndimage.distance_transform_edt(solid))
-    distance = CELL_M * np.where(solid, 0.5 - (inside - 0.5), outside)
+    distance = np.asarray(scipy.ndimage.distance_transform_edt(~solid))
+    body_cells = (slice(MARGIN_CELLS, -MARGIN_CELLS),) * 3
+    within = solid[body_cells]
+    inside = np.asarray(scipy.ndimage.distance_transform_edt(within))
+    distance[body_cells] = np.where(within, 1.0 - inside, distance[body_cells])
+    distance *= CELL_M
     bones = bones_of(joints_of(body, parameters), skin[::6])
     cost = np.pad(point_cost(distance).astype(np.float32), ROOM, constant_values=1.0)
     low = low - ROOM * CELL_M

@@ -7,11 +7,10 @@ from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
-from drape.garment.registration import posed_by, unpack
+from drape.garment.registration import posed_by, posed_normals, unpack
 from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.wearer_fields import SHAPES, Bones, bones_of, enclosed, joints_of, point_cost
 from drape.garment.wearer_reading import Reading, Wearer
-from drape.geometry import meshes
 
 BAND_M, BAND_WEIGHT = 0.15, 2.0  # from the top: there a garment hangs on its body
 HANGING = 0.3  # off the cost of walls of cloth that hang below it, away from the skin, as those of capes
@@ -33,27 +32,18 @@ ENERGY_LIMIT = 0.7  # a body beyond has not worn it
 
 def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float) -> Wearer:
     """How the cloth lies on the body with ``parameters``, of whose arms the start was as odd as ``odd_arms``."""
-    points = reading.apply(cloth.points)
-    skin = posed_by(body, parameters)
-    far, near = KDTree(skin).query(points)
-    along = np.einsum("nc,nc->n", meshes.vertex_normals(skin, body.faces)[near], points - skin[near])
-    distance = np.where(far > 2.0 * BAND_LIMIT_M, np.copysign(far, along), along)
+    points, skin = reading.apply(cloth.points), posed_by(body, parameters)
+    distance = _distance(points, skin, body)
     band = points[:, 1] > points[:, 1].max() - BAND_M
     weight = np.where(band, BAND_WEIGHT, 1.0)
     bones = bones_of(joints_of(body, parameters), skin)
     share, nearest = enclosed(points, bones)
     parts = np.array(bones.part)[nearest]
     sleeved = float(np.isin(parts, ("left arm", "right arm")).mean()) > SLEEVE_SHARE
-    betas, pose, trans = unpack(body, parameters)
     pierced = cloth.pierced(reading, bones.joints)
-    odd = reading.oddness + cloth.smallness(reading) + odd_arms + ODD_PIERCED * len(pierced)
-    odd += SHAPE_COST * min(float(((betas[:10] - shape) ** 2).sum()) for shape in map(np.array, SHAPES.values()))
+    odd, origin = _oddness(body, parameters, skin)
+    odd += reading.oddness + cloth.smallness(reading) + odd_arms + ODD_PIERCED * len(pierced)
     odd += ODD_SIDE * one_sided(bones, nearest) + ODD_EMPTY * cloth.empty(reading, bones.joints)
-    odd += TURNED_COST * float((pose[UPRIGHT].sum(axis=0) ** 2).sum())
-    odd += HEIGHT_COST * ((np.ptp(body.rest_vertices(betas)[:, 1]) - HEIGHT_M) / HEIGHT_SPREAD_M) ** 2
-    heights = {"root": abs(trans[1]), "floor": abs(skin[:, 1].min()), "": ORIGIN_M}
-    origin = min(heights, key=lambda name: heights[name]) if np.abs(trans[[0, 2]]).max() < ORIGIN_M else ""
-    odd += 0.0 if origin else ODD_ORIGIN
     lying = distance[band]
     uneven = UNEVEN * float(np.minimum(np.abs(lying - np.median(lying)), UNEVEN_MOST_M).mean())
     uneven += UNEVEN * float(np.clip(-distance, 0.0, DEEP_M).mean())
@@ -64,23 +54,49 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     cost *= 1.0 - HANGING * wall * hanging
     among = float(cost[~hanging].sum()) + open_share + odd + uneven
     energy = float(cost.sum()) + open_share + odd + INSIDE_COST * float(inside.mean())
-    top = float(np.median(np.abs(distance[band])))
-    fault = ""
-    if inside.mean() > INSIDE_LIMIT:
-        names, counts = np.unique(parts[inside], return_counts=True)
-        fault = f"at best the {names[counts.argmax()]} cuts through it ({100.0 * inside.mean():.0f} % lies inside)"
-    elif energy > ENERGY_LIMIT:
-        fault = f"at best it lies {1e3 * np.abs(distance).mean():.0f} mm from the skin on average"
-    elif pierced and inside.mean() > UNIT_INSIDE:
-        fault = f"at best the {pierced[0].replace('_', ' ')} goes through the cloth"
-    elif open_share > OPEN_LIMIT:
-        fault = f"at best {100.0 * open_share:.0f} % of the way round the body is open"
-    elif top > BAND_LIMIT_M:
-        fault = f"at best its top hangs {1e3 * top:.0f} mm from the skin"
+    top = float(np.median(np.abs(lying)))
+    fault = _inside_fault(inside, parts) or _other_fault(energy, distance, inside, pierced, open_share, top)
     return Wearer(
         reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin,
         among=among,
     )  # fmt: skip
+
+
+def _distance(points: np.ndarray, skin: np.ndarray, body: BodyModel) -> np.ndarray:
+    """How far [m] (N,) ``points`` are outside the ``skin``, along its normals where they are near."""
+    far, near = KDTree(skin).query(points)
+    along = np.einsum("nc,nc->n", posed_normals(body, skin)[near], points - skin[near])
+    return np.where(far > 2.0 * BAND_LIMIT_M, np.copysign(far, along), along)
+
+
+def _oddness(body: BodyModel, parameters: np.ndarray, skin: np.ndarray) -> tuple[float, str]:
+    """The cost of a body that few are, and where in it the file's origin is."""
+    betas, pose, trans = unpack(body, parameters)
+    odd = SHAPE_COST * min(float(((betas[:10] - shape) ** 2).sum()) for shape in map(np.array, SHAPES.values()))
+    odd += TURNED_COST * float((pose[UPRIGHT].sum(axis=0) ** 2).sum())
+    odd += HEIGHT_COST * ((np.ptp(body.rest_vertices(betas)[:, 1]) - HEIGHT_M) / HEIGHT_SPREAD_M) ** 2
+    heights = {"root": abs(trans[1]), "floor": abs(skin[:, 1].min()), "": ORIGIN_M}
+    origin = min(heights, key=lambda name: heights[name]) if np.abs(trans[[0, 2]]).max() < ORIGIN_M else ""
+    return odd if origin else odd + ODD_ORIGIN, origin
+
+
+def _inside_fault(inside: np.ndarray, parts: np.ndarray) -> str:
+    if inside.mean() <= INSIDE_LIMIT:
+        return ""
+    names, counts = np.unique(parts[inside], return_counts=True)
+    return f"at best the {names[counts.argmax()]} cuts through it ({100.0 * inside.mean():.0f} % lies inside)"
+
+
+def _other_fault(
+    energy: float, distance: np.ndarray, inside: np.ndarray, pierced: tuple[str, ...], open_share: float, top_m: float
+) -> str:
+    if energy > ENERGY_LIMIT:
+        return f"at best it lies {1e3 * np.abs(distance).mean():.0f} mm from the skin on average"
+    if pierced and inside.mean() > UNIT_INSIDE:
+        return f"at best the {pierced[0].replace('_', ' ')} goes through the cloth"
+    if open_share > OPEN_LIMIT:
+        return f"at best {100.0 * open_share:.0f} % of the way round the body is open"
+    return f"at best its top hangs {1e3 * top_m:.0f} mm from the skin" if top_m > BAND_LIMIT_M else ""
 
 
 def one_sided(bones: Bones, nearest: np.ndarray) -> float:

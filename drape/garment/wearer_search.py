@@ -20,7 +20,7 @@ from drape.garment.contours import Contour
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.inside import fit_from
 from drape.garment.mesh_checks import UNITS_M
-from drape.garment.registration import posed_by, start_parameters
+from drape.garment.registration import posed_by, posed_normals, start_parameters
 from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading
 from drape.garment.wearer_fields import CELL_M, KNOWN, Field, enclosed, known_fields, thin_body
@@ -36,7 +36,6 @@ from drape.garment.wearer_judge import (
     one_sided,
 )
 from drape.garment.wearer_reading import USUAL_FRONTS, Reading, Wearer, readings_of
-from drape.geometry import meshes
 
 FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # tried where no unit fits
 FIT_COUNT = 500  # points on the cloth
@@ -286,7 +285,7 @@ def _fit(
     skin = posed_by(body, start)
     near = KDTree(skin).query(points)[1]
     # By pieces: a wall of a sleeve that lies in the arm, or beyond it, shall come back.
-    agreement = np.einsum("nc,nc->n", normals, meshes.vertex_normals(skin, body.faces)[near])
+    agreement = np.einsum("nc,nc->n", normals, posed_normals(body, skin)[near])
     facing = np.where(np.bincount(cloth.piece, agreement)[cloth.piece] < 0.0, -1.0, 1.0)
     likely = start.copy()
     if origin:

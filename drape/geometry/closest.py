@@ -13,6 +13,7 @@ from drape.errors import MeshError
 from drape.geometry.meshes import boundary_edges, check_faces, face_normals
 
 ON_EDGE = 1e-9  # barycentric coordinate below which a point lies on the edge opposite
+LEAF = 32  # vertices in a leaf: the fastest for tens of neighbours
 NEEDLE = 1e-12  # squared sine below which a triangle has no barycentric coordinates; its nearest corner stands in
 
 
@@ -39,7 +40,7 @@ def closest_point(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -
 def nearest_vertices(points: np.ndarray, vertices: np.ndarray, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Distances [m] to the vertices nearest to each of ``points`` (N, 3), and their rows: both (N,), or (N, ``count``)
     from the nearest on."""
-    distance, index = KDTree(vertices).query(points, k=count)
+    distance, index = KDTree(vertices, leafsize=LEAF).query(points, k=count)
     return np.asarray(distance), np.asarray(index)
 
 

@@ -20,6 +20,7 @@ from drape.live.clusters import clusters
 NEAR_M = 0.02  # vertices nearer than that along the cloth, and those of one triangle, are one sheet
 FOLDED = 0.6  # so are those whose way through the air is at least this share of that along the cloth
 ROOM_M = 0.018  # how far lists of what is of one sheet reach through the air
+ROOM = 200  # entries a vertex that a list has at first: most lists are no longer
 FREE = 255  # a bound that no pair within ROOM_M is below; FREE - 1 stands for ROOM_M
 BOUND_M2 = ROOM_M**2 / (FREE - 1)
 
@@ -96,10 +97,10 @@ def reached(
         *(np.ascontiguousarray(each, np.int32) for each in (start, other)),
         np.ascontiguousarray(length, np.float64),
     )
-    count, room = len(start) - 1, 0
-    while True:  # the engine tells how much room the lists take
+    count, room = len(start) - 1, ROOM * (len(start) - 1)
+    while True:  # the engine tells how much room longer lists take
         begins, found, ways = np.empty(count + 1, np.int32), np.empty(room, np.int32), np.empty(room)
         filled = call_with_scratch("reached", np.float64, *given, count, float(most), begins, found, ways, room)
         if filled <= room:
-            return begins, found, ways
+            return begins, found[:filled], ways[:filled]
         room = filled

@@ -31,10 +31,10 @@ class BodyStages:
         self._known.add(garment.digest)
 
     def missing(self, entries: Iterable[Entry]) -> list[Garment]:
-        """The garments of ``entries`` that no stage knows yet, such as a subdivided mesh that is requested for the
-        first time.
-        """
-        return [entry.garment for entry in entries if entry.garment.digest not in self._known]
+        """The garments of ``entries`` that no stage knows yet, each once, such as a subdivided mesh at its first
+        request."""
+        worn = {entry.garment.digest: entry.garment for entry in entries}
+        return [garment for digest, garment in worn.items() if digest not in self._known]
 
     def remove(self, garment: Garment) -> None:
         """Forgets the constants of ``garment``, if there are any."""

@@ -8,7 +8,7 @@ from drape.garment.accessories import carried_rows
 from drape.garment.cache import Garment
 from drape.stages.batch import Batch, changed
 from drape.stages.plan import Plan
-from drape.stages.stage import Stage, StageSetup
+from drape.stages.stage import KeptConstants, Stage, StageSetup
 
 
 class Hang(Stage):
@@ -18,7 +18,7 @@ class Hang(Stage):
 
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
-        self._carried: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._carried = KeptConstants[tuple[np.ndarray, np.ndarray]]()
 
     def wanted(self, plan: Plan) -> bool:
         return plan.options.geometry == "vertices" and any(
@@ -40,15 +40,11 @@ class Hang(Stage):
         return changed(batch, layers=tuple(layers))
 
     def remove(self, garment: Garment) -> None:
-        self._carried.pop(garment.digest, None)
+        self._carried.forget(garment.digest)
 
     def _moved(self, batch: Batch, garment: Garment) -> np.ndarray:
         """The drawn vertices [m] (F, D, 3) of what bones carry, relative to the roots, float32."""
-        if garment.digest not in self._carried:
-            at_rest = garment.drawn_at_rest().astype(np.float64)
-            rows = carried_rows(at_rest, garment.surface.faces, self.body.joints_template, garment.carriers)
-            self._carried[garment.digest] = at_rest, rows
-        at_rest, rows = self._carried[garment.digest]
+        at_rest, rows = self._carried.get((garment.digest,), lambda: self._carrying(garment))
         frames = []
         for one, _ in batch.rows():
             joints = self.body.rest_joints(one.betas)
@@ -56,3 +52,9 @@ class Hang(Stage):
             placed = at_rest + (joints - self.body.joints_template)[rows]
             frames.append(np.einsum("fvab,vb->fva", rotations[:, rows], placed) + translations[:, rows] - joints[0])
         return np.concatenate(frames).astype(np.float32)
+
+    def _carrying(self, garment: Garment) -> tuple[np.ndarray, np.ndarray]:
+        """Where the drawn vertices are at rest [m] (D, 3), and the bone (D,) that carries each."""
+        at_rest = garment.drawn_at_rest().astype(np.float64)
+        rows = carried_rows(at_rest, garment.surface.faces, self.body.joints_template, garment.carriers)
+        return at_rest, rows

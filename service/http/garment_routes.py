@@ -145,7 +145,7 @@ async def garment_texture(
     garment_id: str, number: Annotated[int, Path(ge=0, le=10_000)], state: StateHere, client: ClientHere
 ) -> Response:
     """Returns a picture of the garment's materials, PNG or JPEG."""
-    pictures = (await state.garment(garment_id, client)).garment.looks.pictures
+    pictures = (await state.garment(garment_id, client)).garment.surface.looks.pictures
     if number >= len(pictures):
         cure = "GET /garments/{id}/looks tells their numbers."
         raise NotFound("texture", expected=f"a number below {len(pictures)}", got=f"{number}", cure=cure)

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from dataclasses import replace
 from json import detect_encoding
+from math import isfinite
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from drape.garment.files.mtl import mtl_looks
 _SILENT = frozenset("o g s".split())  # noqa: SIM905
 _KEYWORD_LIMIT = 100
 _INTEGER = re.compile(r"[+-]?\d{1,18}\Z")  # more digits are no index, and no int64
+_USUAL = re.compile(r"([1-9]\d{,17})(?:/([1-9]\d{,17})?(?:/(?:[1-9]\d{,17})?)?)?\Z")  # a corner that counts from 1
 
 
 def read_obj(payload: bytes, *, name: str, vertex_limit: int, beside: Beside = lambda wanted: None) -> GarmentMesh:
@@ -94,7 +96,7 @@ class _ObjReader:
             values = tuple(float(word) if "_" not in word else float("x") for word in words[: max(count, 3)])
         except ValueError:
             values = ()
-        if len(values) < count or not np.isfinite(values).all():
+        if len(values) < count or not all(map(isfinite, values)):
             raise self.fault(
                 number, f"{count} finite numbers", " ".join(words) or "nothing", "Repair or remove the line."
             )
@@ -119,6 +121,8 @@ class _ObjReader:
 
     def corner(self, number: int, word: str) -> tuple[int, int]:
         """Zero-based vertex and texture index of ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; -1 for no texture."""
+        if (usual := _USUAL.match(word)) is not None:
+            return int(usual[1]) - 1, int(usual[2] or 0) - 1
         parts = word.split("/")
         if len(parts) > 3 or any(part and not _INTEGER.match(part) for part in parts) or not parts[0]:
             raise self.fault(number, "corners like 1, 1/2, 1//3 or 1/2/3", repr(word))

@@ -15,6 +15,7 @@ from drape.garment.clearance import CLEARANCE_M
 from drape.garment.tailor import _metric, stretched, tailored, tailored_digest
 from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
+from tests.fixtures.garments import shipped
 
 LOOKS = Looks((Material((0.2, 0.4, 0.6, 1.0)),), ())
 
@@ -55,6 +56,25 @@ def test_a_garment_grows_with_its_wearer(cut: tuple[Garment, BodyModel], tube: G
     assert 1.1 < grown < 1.22  # the gap to the skin stays
     ratio = np.linalg.norm(made.rest_state().edges, axis=-1) / np.linalg.norm(tube.rest_state().edges, axis=-1)
     assert 1.05 < np.median(ratio) < 1.11
+
+
+def test_its_charts_are_those_it_had_without_a_fold(body: BodyModel):
+    dress, wearer = shipped("dress"), larger(body, 1.05)
+    made = tailored(dress, body, wearer)
+    fit = made.manifest["fit"]
+    assert (made.chart_patch == dress.chart_patch).all()
+    assert fit["folded_charts"] == fit["folded_chart_triangles"] == 0
+    assert fit["point_rmse_m"] < 1.2 * dress.manifest["fit"]["point_rmse_m"]
+
+
+def test_a_patch_that_weighs_most_nowhere_gives_way_to_new_ones(tube: Garment, body: BodyModel):
+    weight = tube.chart_weight.copy()
+    lost = int(tube.chart_patch[0, weight[0].argmax()])
+    weight[(tube.chart_patch == lost) & (weight < 1.0)] *= 1e-3
+    weight /= weight.sum(axis=1, keepdims=True)
+    made = tailored(replace(tube, chart_weight=weight), body, larger(body, 1.1))
+    assert made.patch_count == tube.patch_count and np.isfinite(made.patch_centre).all()
+    assert not (made.chart_patch == tube.chart_patch).all()
 
 
 def test_it_keeps_its_mesh_its_cloth_and_its_name(cut: tuple[Garment, BodyModel], tube: Garment):

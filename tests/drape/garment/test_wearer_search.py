@@ -13,9 +13,10 @@ from drape.errors import BodyError, MeshError
 from drape.garment.avatars import standard_avatar
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake_options import IntakeOptions
-from drape.garment.modelled_on import modelled_on, on_standard, worn_by
+from drape.garment.modelled_on import modelled_on
 from drape.garment.registration import posed_by, unpack
 from drape.garment.told_reading import ToldReading, told_reading
+from drape.garment.unnamed_avatar import on_standard, worn_by
 from drape.garment.wearer_fields import bones_of, enclosed, known_parameters, thin_body, unthreaded
 from drape.garment.wearer_reading import Reading
 from drape.garment.wearer_search import find_wearers, the_wearer

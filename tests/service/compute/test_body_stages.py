@@ -24,3 +24,11 @@ def test_stages_that_nobody_uses_go_at_once_with_what_they_hold(make_runtime: Ca
         assert [name for name, one in zip(names, held, strict=True) if one() is not None] == []
     finally:
         gc.enable()
+
+
+def test_a_garment_that_is_worn_and_draped_is_missing_once(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime()
+    entry, stages = runtime.garments.entries()[0], runtime.stages_on(runtime.body)
+    plan = make_plan(stages.stages, entry, DrapeOptions())
+    worn = (*plan.scene.layers, *plan.draped)
+    assert len(worn) == 2 and stages.missing(worn) == [entry.garment]

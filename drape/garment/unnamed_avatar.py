@@ -1,0 +1,62 @@
+"""The avatar of a garment for which none was named: the standard body where it lies close on that, else its wearer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from drape.body.model import BodyModel
+from drape.errors import MeshError
+from drape.garment.avatars import Avatar, standard_avatar
+from drape.garment.contours import pierced_parts
+from drape.garment.files.mesh import GarmentMesh
+from drape.garment.intake_options import IntakeOptions
+from drape.garment.mesh_checks import UNITS_M, place
+from drape.garment.told_reading import NOTHING_TOLD, ToldReading
+from drape.garment.wearer_fields import bones_of, cloth_points, enclosed
+from drape.garment.wearer_reading import Wearer
+from drape.garment.wearer_search import the_wearer
+from drape.geometry.closest import signed_distance
+
+SAMPLE_COUNT = 800
+# Garments on the standard body have no cloth deeper than 1 cm in it, 0 to 9 % of the way round its bones is bare, and
+# no bone goes through them; of an outfit for arms that hang 2 to 45 % is in the skin, and arms pierce its sleeves.
+DEEP_M, DEEP_SHARE, BARE_SHARE = 0.01, 0.01, 0.15
+
+
+def on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> GarmentMesh | None:
+    """The checked ``mesh`` in metres, if it lies close on the standard body in T-pose, every limb in its cloth."""
+    avatar = standard_avatar(body)
+    try:
+        placed = place(mesh, avatar, unit=options.unit, up=options.up, named=False)
+    except MeshError:
+        return None
+    if pierced_parts(placed.vertices, placed.faces, body.joints_template):
+        return None
+    points, _ = cloth_points(placed.vertices, placed.faces, SAMPLE_COUNT)
+    if (signed_distance(points, avatar.vertices, avatar.faces) < -DEEP_M).mean() > DEEP_SHARE:
+        return None
+    share, _ = enclosed(points, bones_of(body.joints_template, avatar.vertices))
+    return placed if float(share.mean()) > 1.0 - BARE_SHARE else None
+
+
+def worn_by(
+    mesh: GarmentMesh, body: BodyModel, options: IntakeOptions, told: ToldReading = NOTHING_TOLD
+) -> tuple[GarmentMesh, Avatar, Wearer]:
+    """The checked ``mesh`` in metres, y up, facing +z, the avatar that was found in it, and what was found.
+
+    Raises ``MeshError`` where no human body fits.
+    """
+    said = ToldReading(
+        (options.unit, UNITS_M[options.unit]) if told.unit is None and options.unit != "auto" else told.unit,
+        f"+{options.up}" if told.up is None and options.up != "auto" else told.up,
+        told.front,
+    )
+    wearer = the_wearer(mesh, body, said)
+    vertices = body.posed_vertices(wearer.pose[None], wearer.trans[None], wearer.betas)[0]
+    source = f"found in the cloth: {wearer.words}; sure {wearer.sure:.2f}"
+    turned = replace(mesh, vertices=wearer.reading.apply(mesh.vertices))
+    return (
+        turned.noted(f"nobody named the avatar; it seems to be {wearer.words}"),
+        Avatar(vertices, body.faces, 0.0, source),
+        wearer,
+    )
