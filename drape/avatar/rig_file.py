@@ -143,7 +143,10 @@ def garment_weights(garment: Garment, wearer: Wearer, rig: FileRig) -> scipy.spa
     corners = parts_of(wearer.weights)[wearer.faces]
     names = list(PARTS)
     other = [number for number, part in enumerate(names) if plain_part(part) in ("head", "palm")]
-    faces = wearer.faces[~np.isin(corners, other).any(axis=1)].astype(np.int64)
+    near = ~np.isin(corners, other).any(axis=1)
+    if wearer.attire.parts:
+        near &= ~wearer.attire.of_kinds(("hair", "hat", "carried"))
+    faces = wearer.faces[near].astype(np.int64)
     vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
     found = closest_point(vertices, wearer.vertices.astype(np.float64), faces)
     rows = np.repeat(np.arange(len(vertices)), 3)

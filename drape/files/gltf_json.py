@@ -62,6 +62,7 @@ class Primitive(_Part):
 class Mesh(_Part):
     """A mesh."""
 
+    name: Text | None = None
     primitives: Annotated[list[Primitive], FIRST_ONLY]
 
 

@@ -87,10 +87,12 @@ def clear_body(
     *,
     rounds: int = ROUNDS,
     least_m: float = CLEARANCE_M,
+    give_up_m: float = GIVE_UP_DEPTH_M,
     through: bool = False,
 ) -> Cleared:
     """``vertices`` (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body; refuses (``MeshError``)
-    where the last of ``rounds`` leaves less than ``least_m``, as between thighs that touch, in more than a few places.
+    where the last of ``rounds`` leaves less than ``least_m``, as between thighs that touch, in more than a few places,
+    and where a vertex begins deeper than ``give_up_m`` in the body.
 
     The first push maps distances through a softened maximum, which is monotone, so that a
     lining stays under its cloth; later pushes lift what is still short. Each push is spread
@@ -101,10 +103,10 @@ def clear_body(
     start, moved = vertices, vertices.copy()
     skin = _Skin(moved, body_vertices, body_faces)
     signed, direction = skin.signed, skin.direction
-    if signed.min() < -GIVE_UP_DEPTH_M:
+    if signed.min() < -give_up_m:
         raise MeshError(
             "garment",
-            expected=f"vertices at most {1e3 * GIVE_UP_DEPTH_M:.0f} mm inside the body",
+            expected=f"vertices at most {1e3 * give_up_m:.0f} mm inside the body",
             got=f"{-1e3 * signed.min():.0f} mm at vertex {int(signed.argmin())}",
             cure="Say which avatar the garment was modelled on.",
         )

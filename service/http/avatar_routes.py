@@ -12,7 +12,10 @@ import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
+from drape.avatar.attire import TOLD as SURE
+from drape.avatar.attire_words import Kind
 from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
+from drape.avatar.mapping import TOLD
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.formats import AVATAR_SUFFIXES
 from drape.garment.portrait import Sitter, portrait
@@ -34,10 +37,13 @@ KINDS = (BINARY, "model/gltf-binary", "model/vrm")
 
 
 class AvatarChange(schemas.Request):
-    """A correction of which node is which joint. Joints that are left out stay as they are."""
+    """A correction of which node is which joint, and of which part is what. What is left out stays as it is."""
 
     joints: dict[Annotated[str, Field(max_length=40)], Annotated[str, Field(max_length=120)]] = Field(
-        min_length=1, max_length=24, description="The name of the node of each joint, by SMPL's name of the joint."
+        default={}, max_length=24, description="The name of the node of each joint, by SMPL's name of the joint."
+    )
+    parts: dict[Annotated[str, Field(max_length=400)], Kind] = Field(
+        default={}, max_length=400, description="The kind of each part by the part's name."
     )
 
 
@@ -90,14 +96,18 @@ async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> Respon
 async def change_avatar(
     avatar_id: str, request: Request, response: Response, state: StateHere, client: ClientHere
 ) -> schemas.JobInfo:
-    """Corrects which node is which joint. The service then makes the avatar anew from its file. The answer is a job:
-    ask for its state until it has ended.
+    """Corrects which node is which joint, and which part is what. The service then makes the avatar anew from its file.
+    The answer is a job: ask for its state until it has ended.
     """
     entry = await state.avatar(avatar_id, client)
     asked = validated(AvatarChange, document_of(await json_text(request)))
     if not await asyncio.to_thread(entry.source.is_file):
         raise NotFound("avatar", expected="one whose file is stored", got="none", cure="Send the character again.")
-    told = json.dumps({**entry.told.joints, **asked.joints})
+    if not (asked.joints or asked.parts):
+        raise InputError("avatar", expected="joints or parts", got="neither", cure='Send {"parts": {"NAME": "hair"}}.')
+    kept = entry.told.joints if asked.joints or entry.told.found_by == TOLD else {}
+    parts = {part.name: part.kind for part in entry.told.parts if part.sure == SURE}
+    told = json.dumps({"joints": {**kept, **asked.joints}, "parts": {**parts, **asked.parts}})
     pieces = _pieces(entry.source)
     job = await state.uploads.submit(entry.told.name, "glb", pieces, told, client, kind="avatar", replaces=entry.id)
     response.headers["Location"] = f"/jobs/{job.id}"
