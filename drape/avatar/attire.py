@@ -32,12 +32,14 @@ Names = tuple[str | None, ...]
 
 
 class AttirePart(NamedTuple):
-    """Faces of one ``kind``: their number ``faces`` and how ``sure`` the kind is, 0 to 1."""
+    """Faces of one ``kind``: their number ``faces`` and how ``sure`` the kind is, 0 to 1; ``bulky`` things stand so far
+    off the trunk that no cloth lies over them."""
 
     name: str
     kind: str
     faces: int
     sure: float
+    bulky: bool = False
 
 
 class Attire(NamedTuple):

@@ -23,6 +23,7 @@ from drape.garment.cache import Garment
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point, nearest_vertices
 
+BONES = np.array([name.removeprefix("left_").removeprefix("right_") for name in JOINT_NAMES])
 UPPER, LOWER = ("top", "outer", "dress"), ("trousers", "skirt", "dress")
 SKIN = ("skin", "face", "gloves", "shoes", "underwear")
 BULKY_M = 0.05  # what stands farther off the skin is no belt: cloth does not lie over it
@@ -41,8 +42,7 @@ class Halves(NamedTuple):
 
 def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
     """The halves of the standard ``body`` on which ``garments`` lie, by the bones of the skin next to them."""
-    names = [name.removeprefix("left_").removeprefix("right_") for name in JOINT_NAMES]
-    bones = np.array(names)[body.weights.argmax(axis=1)]
+    bones = BONES[body.weights.argmax(axis=1)]
     upper = np.isin(bones, ["spine2", "spine3", "collar", "shoulder", "elbow", "neck"])
     lower = np.isin(bones, ["hip", "knee", "ankle", "foot"])
     found = np.zeros(2, dtype=bool)
@@ -55,18 +55,18 @@ def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
 
 class Layers(NamedTuple):
     """Faces (F,) of a character: its ``body`` with what is painted on it and flat on it; ``upper`` and ``lower``
-    clothes that are no part of it; ``bulky`` things that stand off it. ``hollow`` clothes have no skin below, and stand
-    for it."""
+    clothes that are no part of it. ``hollow`` clothes have no skin below, and stand for it. ``attire`` knows the things
+    that are bulky."""
 
     body: np.ndarray
     upper: np.ndarray
     lower: np.ndarray
-    bulky: np.ndarray
     hollow: np.ndarray
+    attire: Attire
 
 
 def layers_of(attire: Attire, pose: TPose) -> Layers:
-    """The layers of a character in ``pose``."""
+    """The layers of a character in ``pose``, whose faces are known by ``attire``."""
     part = parts_of(pose.weights)[pose.faces[:, 0]]
     skin, clothes = attire.of_kinds(SKIN), attire.of_kinds(UPPER + LOWER)
     sewn = np.zeros(len(pose.vertices), dtype=bool)
@@ -82,16 +82,18 @@ def layers_of(attire: Attire, pose: TPose) -> Layers:
     legs = np.isin([plain_part(name) for name in PARTS], ["thigh", "shin"])
     wide = attire.of_kinds(("skirt",)) | (attire.of_kinds(("dress",)) & legs[part])
     hollow = clothes & missing[part] & ~wide & ~attire.of_kinds(("outer",))
-    carried = attire.of_kinds(("carried",)) & np.isin(part, [list(PARTS).index("trunk")])
-    bulky = np.zeros(len(skin), dtype=bool)
-    for number in np.unique(attire.part[carried]):
-        rows = np.flatnonzero(attire.part == number)
-        if (skin | hollow).any():
-            middle = pose.vertices[pose.faces[rows]].mean(axis=1)
-            off = closest_point(middle, pose.vertices, pose.faces[skin | hollow]).distance
-            bulky[rows] = np.quantile(off, 0.9) > BULKY_M
+    parts = list(attire.parts)
+    under, thin = np.flatnonzero(skin | hollow), np.zeros(len(skin), dtype=bool)
+    for number, held in enumerate(parts):
+        rows = np.flatnonzero((attire.part == number) & (part == list(PARTS).index("trunk")))
+        if held.kind != "carried" or not len(rows) or not len(under):
+            continue
+        middle = pose.vertices[pose.faces[rows]].mean(axis=1)
+        off = closest_point(middle, pose.vertices, pose.faces[under]).distance
+        parts[number] = held._replace(bulky=bool(np.quantile(off, 0.9) > BULKY_M))
+        thin[rows] = not parts[number].bulky
     upper, lower = (clothes & attire.of_kinds(kinds) & ~attire.of_kinds(("dress",)) for kinds in (UPPER, LOWER))
-    return Layers(skin | (carried & ~bulky), upper, lower, bulky, hollow)
+    return Layers(skin | thin, upper, lower, hollow, attire._replace(parts=tuple(parts)))
 
 
 def shrunk(pose: TPose, hollow: np.ndarray) -> TPose:
@@ -103,10 +105,11 @@ def shrunk(pose: TPose, hollow: np.ndarray) -> TPose:
     return replace(pose, vertices=vertices)
 
 
-def taken_off(attire: Attire, bulky: np.ndarray, halves: Halves) -> np.ndarray:
-    """Which faces (F,) garments on these ``halves`` take off; ``bulky`` (F,) ones go with what is on the upper half."""
+def taken_off(attire: Attire, halves: Halves) -> np.ndarray:
+    """Which faces (F,) garments on these ``halves`` take off; bulky things go with what is on the upper half."""
     kinds = (UPPER if halves.upper else ()) + (LOWER if halves.lower else ())
-    return attire.of_kinds(kinds) | (bulky & halves.upper)
+    off = [part.kind in kinds or (part.bulky and halves.upper) for part in attire.parts]
+    return np.array(off, dtype=bool)[attire.part]
 
 
 def bare_faces(body: BodyModel, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray) -> np.ndarray:

@@ -25,8 +25,8 @@ from drape.avatar.character import character_in
 from drape.avatar.face_colours import face_colours
 from drape.avatar.file_skeleton import FileRig, file_rig
 from drape.avatar.mapping import NAMES, mapped
-from drape.avatar.own_clothes import Halves, layers_of, shrunk
-from drape.avatar.parts import counted_vertices
+from drape.avatar.own_clothes import Halves, Layers, layers_of, shrunk
+from drape.avatar.parts import PARTS, counted_vertices
 from drape.avatar.t_pose import TPose, t_posed
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
@@ -42,7 +42,7 @@ from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_pos
 FORMAT_VERSION = 1
 FIT_VERSION = 2  # raised when a change here changes the bodies that come out
 WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56))
-FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's
+FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's; more for one with a deeper trunk than ours
 BARE, UPPER, LOWER = "bare", "upper", "lower"
 LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # lengths of characters that drape
 
@@ -175,28 +175,29 @@ def read_wearer(
     colours = face_colours(file, character.primitives)[character.triangle]
     attire = attire_of(file, character, pose, colours, told=kinds)
     begins("fit")
-    seen, bodies = _bodies(pose, attire, body, name)
+    layers = layers_of(attire, pose)
+    seen, bodies = _bodies(pose, layers, body, name)
     made = bodies[BARE]
     root = JOINT_NAMES.index("pelvis")
     surface = pose.vertices + made.joints_template[root] - pose.joints[root]
     distance = 1e3 * closest_point(surface[counted_vertices(seen)], made.v_template, made.faces).distance
     median_mm, p95_mm = float(np.median(distance)), float(np.quantile(distance, 0.95))
-    if not median_mm <= FIT_LIMIT_MM:  # none, where nothing of it is trunk or limb
+    limit_mm = FIT_LIMIT_MM * max(1.0, _depth_m(made) / _depth_m(body))
+    if not median_mm <= limit_mm:  # none, where nothing of it is trunk or limb
         cure = " ".join([*(f"{note}." for note in found.notes), "Send a character with a body in a T- or A-pose."])
         got = f"{median_mm:.0f} mm"
-        raise BodyError(name, expected=f"a body that ours fits to {FIT_LIMIT_MM:g} mm", got=got, cure=cure)
+        raise BodyError(name, expected=f"a body that ours fits to {limit_mm:.0f} mm", got=got, cure=cure)
     made_of = json.dumps([FIT_VERSION, body.digest, dict(told or {}), dict(kinds or {})])
     digest = hashlib.sha256(made_of.encode() + payload).hexdigest()
     return Wearer(
         name, digest, made, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
-        pose.height_m, median_mm, p95_mm, character.vrm, found.by, found.confidence, found.notes, whole, attire,
+        pose.height_m, median_mm, p95_mm, character.vrm, found.by, found.confidence, found.notes, whole, layers.attire,
         bodies,
     )  # fmt: skip
 
 
-def _bodies(pose: TPose, attire: Attire, body: BodyModel, name: str) -> tuple[TPose, dict[str, BodyModel]]:
+def _bodies(pose: TPose, layers: Layers, body: BodyModel, name: str) -> tuple[TPose, dict[str, BodyModel]]:
     """The part of a character's surface on which clothes lie, and its bodies: bare, and with clothes on either half."""
-    layers = layers_of(attire, pose)
     seen = shrunk(pose, layers.hollow).only(layers.body | layers.hollow)
     fit = fit_to(seen, body)
     on = {BARE: layers.body, UPPER: layers.body | layers.lower, LOWER: layers.body | layers.upper}
@@ -204,6 +205,12 @@ def _bodies(pose: TPose, attire: Attire, body: BodyModel, name: str) -> tuple[TP
     return seen, {
         key: avatar_body(fit, seen, body, name=name, covered=pose.only(faces)) for key, faces in wanted.items()
     }
+
+
+def _depth_m(body: BodyModel) -> float:
+    """How far the trunk of ``body`` reaches from back to front."""
+    trunk = body.weights[:, [JOINT_NAMES.index(name) for name in PARTS["trunk"]]].sum(axis=1) > 0.5
+    return float(np.ptp(body.v_template[trunk, 2]))
 
 
 def _check_limbs(pose: TPose, rig: Rig, name: str) -> None:

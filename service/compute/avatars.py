@@ -7,7 +7,7 @@ import json
 import logging
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,8 +17,9 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from drape.avatar.attire_words import Kind
-from drape.avatar.own_clothes import Halves, halves_of
+from drape.avatar.own_clothes import Halves
 from drape.avatar.wearer import Wearer, load_wearer
+from drape.avatar.wears import Reach, reach_of, why_not
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, NotFound, did_you_mean
 from drape.garment.tailor import tailored, tailored_digest
@@ -45,6 +46,7 @@ class AvatarPart(BaseModel):
     kind: Kind = Field(description="What it is.")
     faces: int = Field(description="The number of its triangles.")
     sure: float = Field(description="How sure the kind is, 0 to 1; 1 where a client told it.")
+    bulky: bool = Field(default=False, description="Whether it is a thing that comes off with what a top replaces.")
 
 
 class AvatarFacts(BaseModel):
@@ -88,6 +90,13 @@ class AvatarInfo(AvatarFacts):
     id: str
 
 
+class AvatarWears(AvatarInfo):
+    """A user's character, and what it can wear."""
+
+    wears: dict[str, bool] = Field(description="Whether it can wear each garment, by the garments' ids.")
+    wears_why: dict[str, str] = Field(description="Why it cannot wear a garment.")
+
+
 @dataclass(frozen=True)
 class AvatarRecord:
     """What is stored of an avatar beside its files."""
@@ -127,6 +136,7 @@ class Avatars:
         self._root = settings.garments_dir / FOLDER
         self._entries: dict[str, AvatarEntry] = {}
         self._worn: OrderedDict[str, _Dressed] = OrderedDict()
+        self._reaches: dict[str, Reach] = {}
         self._one = threading.Lock()
         self._seen: dict[Path, int] = {}  # when each file that tells of an avatar was written [ns]
         self.follow()
@@ -239,9 +249,26 @@ class Avatars:
     def dress(self, name: str, scene: Scene) -> Scene:
         """The garments of ``scene`` cut for the avatar ``name``; seconds for each that it never wore."""
         dressed = self._dressed(name)
-        halves = halves_of([layer.garment for layer in scene.layers], self._body)
+        reaches = [self._reach(layer) for layer in scene.layers]
+        halves = Halves(*(any(which) for which in zip(*(reach.halves for reach in reaches), strict=True)))
+        for layer, reach in zip(scene.layers, reaches, strict=True):
+            if (refusal := why_not(dressed.wearer.body, reach, garment=layer.id)) is not None:
+                raise refusal
         layers = tuple(dressed.cut(layer, halves) for layer in scene.layers)
         return Outfit(layers) if isinstance(scene, Outfit) else layers[0]
+
+    def wears(self, name: str, entries: Sequence[Entry]) -> dict[str, str | None]:
+        """Why the avatar ``name`` cannot wear each of ``entries``, by their ids; None where it can: what ``dress`` then
+        never refuses."""
+        body = self.wearer(name).body
+        found = {entry.id: why_not(body, self._reach(entry), garment=entry.id) for entry in entries}
+        return {key: None if refusal is None else str(refusal) for key, refusal in found.items()}
+
+    def _reach(self, entry: Entry) -> Reach:
+        digest = entry.garment.digest
+        if digest not in self._reaches:
+            self._reaches[digest] = reach_of(entry.garment, self._body)
+        return self._reaches[digest]
 
 
 class _Dressed:

@@ -16,10 +16,14 @@ from drape.avatar.attire import TOLD as SURE
 from drape.avatar.attire_words import Kind
 from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
 from drape.avatar.mapping import TOLD
+from drape.avatar.own_clothes import bare_faces, halves_of, taken_off
+from drape.avatar.wearer import Wearer
 from drape.errors import BodyError, InputError, NotFound, TooLarge
+from drape.export.glb_body import heaviest_bones
 from drape.files.formats import AVATAR_SUFFIXES
 from drape.garment.portrait import Sitter, portrait
-from service.compute.avatars import AvatarInfo
+from drape.wire.meshes import pack_body
+from service.compute.avatars import AvatarInfo, AvatarWears
 from service.errors import Full, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, JSON, PNG, json_answer
@@ -34,6 +38,9 @@ from service.state import ClientHere, StateHere
 router = APIRouter()
 PIECE_BYTES = 1 << 20
 KINDS = (BINARY, "model/gltf-binary", "model/vrm")
+Garments = Annotated[
+    str, Query(max_length=1000, description="The ids of the garments that it wears, separated by commas.")
+]
 
 
 class AvatarChange(schemas.Request):
@@ -81,10 +88,17 @@ async def avatars(state: StateHere, client: ClientHere) -> Response:
     return Response(b"[%b]" % documents, media_type=JSON)
 
 
-@router.get("/avatars/{avatar_id}", response_model=AvatarInfo, responses=responses(NotFound))
+@router.get("/avatars/{avatar_id}", response_model=AvatarWears, responses=responses(NotFound))
 async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> Response:
-    """Returns one avatar: which of its nodes is which joint, and how well our body fits its skin."""
-    return Response((await state.avatar(avatar_id, client)).document, media_type=JSON)
+    """Returns one avatar: which of its nodes is which joint, how well our body fits its skin, what is what on it, and
+    which garments it can wear.
+    """
+    entry = await state.avatar(avatar_id, client)
+    known = state.runtime.garments.visible(client.name)
+    why = await asyncio.to_thread(state.runtime.avatars.wears, entry.id, known)
+    told = {"wears": {key: one is None for key, one in why.items()}}
+    told |= {"wears_why": {key: one for key, one in why.items() if one is not None}}
+    return Response(entry.document[:-1] + b"," + json.dumps(told).encode()[1:], media_type=JSON)
 
 
 @router.patch(
@@ -137,34 +151,73 @@ async def avatar_covered(
     avatar_id: str,
     state: StateHere,
     client: ClientHere,
-    garments: Annotated[
-        str, Query(max_length=1000, description="The ids of the garments that it wears, separated by commas.")
-    ],
+    garments: Garments,
     size: Annotated[
         str | None,
         Query(max_length=40, description="One size for all garments, or a size for each, separated by commas."),
     ] = None,
 ) -> CoveredFaces:
-    """Returns the faces of the character that lie wholly under its garments at rest, away from their hems. A client
-    that draws these faces a little deeper keeps them from showing through the cloth.
+    """Returns the faces of the character that lie wholly under its garments at rest, away from their hems, and those of
+    its own clothes that these replace. A client that draws the first a little deeper and leaves out the others keeps
+    them from showing through the cloth.
     """
     entry = await state.avatar(avatar_id, client)
-    sizes = size if size is None or "," not in size else [one or None for one in size.split(",")]
+    ids, sizes = (
+        garments.split(","),
+        size if size is None or "," not in size else [one or None for one in size.split(",")],
+    )
     state.check_slot()
     with state.access.using(client, "clips"), state.slot():
-        scene = await state.scene(None, garments.split(","), client, avatar=avatar_id, size=sizes)
-        wearer = await state.wearer(avatar_id, client)
+        scene = await state.scene(None, ids, client, avatar=avatar_id, size=sizes)
+        wearer, off, bare = await _undressed(state, avatar_id, ids, client)
         cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
         surface = entry.path, wearer.vertices, wearer.faces
-        covered, own = await state.runtime.made(covered_in_file, *surface, cloth)
+        covered, own = await state.runtime.made(covered_in_file, *surface, cloth, off)
     return CoveredFaces(
         deeper_m=DEEPER_M,
         share=round(float(covered.mean()), 4),
         ranges=ranges_of(covered).reshape(-1).tolist(),
+        hidden=ranges_of(off).reshape(-1).tolist(),
+        bare=int(bare.sum()),
+        skin_colour=list(wearer.attire.skin_colour),
         primitives=[
-            CoveredPrimitive(**primitive._asdict(), ranges=ranges.reshape(-1).tolist()) for primitive, ranges in own
+            CoveredPrimitive(
+                **one.primitive._asdict(),
+                ranges=one.ranges.reshape(-1).tolist(),
+                hidden=one.hidden.reshape(-1).tolist(),
+            )
+            for one in own
         ],
     )
+
+
+async def _undressed(
+    state: StateHere, avatar_id: str, garments: list[str], client: ClientHere
+) -> tuple[Wearer, np.ndarray, np.ndarray]:
+    """The wearer, its faces (F,) that ``garments`` take off, and the faces (Fb,) of its body that then are bare."""
+    scene = await state.scene(None, garments, client)
+    halves = halves_of([layer.garment for layer in scene.layers], state.runtime.body)
+    wearer = await state.wearer(avatar_id, client)
+    off = taken_off(wearer.attire, halves) if wearer.attire.parts else np.zeros(len(wearer.faces), dtype=bool)
+    surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
+    return wearer, off, await state.runtime.made(bare_faces, wearer.body_under(halves), *surface, off)
+
+
+@router.get(
+    "/avatars/{avatar_id}/bare", response_class=Response, responses=responses(InputError, NotFound, kinds=(BINARY,))
+)
+async def avatar_bare(avatar_id: str, state: StateHere, client: ClientHere, garments: Garments) -> Response:
+    """Returns the skin that is bare where the garments take off clothes of the character and nothing was modelled
+    below, as a BODY message (docs/reference/wire.md): it stands where our body stands, and its 24 joints move it.
+    """
+    ids = garments.split(",")
+    wearer, _, bare = await _undressed(state, avatar_id, ids, client)
+    scene = await state.scene(None, ids, client)
+    body = wearer.body_under(halves_of([layer.garment for layer in scene.layers], state.runtime.body))
+    bones, weights = heaviest_bones(body)
+    used, faces = np.unique(body.faces[bare], return_inverse=True)
+    message = pack_body(body.v_template[used], faces.reshape(-1, 3), body.joints_template, bones[used], weights[used])
+    return Response(message, media_type=BINARY)
 
 
 @router.get(
