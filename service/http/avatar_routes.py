@@ -15,18 +15,19 @@ from pydantic import Field
 from drape.avatar.attire import TOLD as SURE
 from drape.avatar.attire_words import Kind
 from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
+from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.mapping import TOLD
-from drape.avatar.own_clothes import bare_faces, halves_of, taken_off
+from drape.avatar.own_clothes import Halves, bare_faces, halves_of, taken_off
+from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import Wearer
+from drape.body.model import BodyModel
 from drape.errors import BodyError, InputError, NotFound, TooLarge
-from drape.export.glb_body import heaviest_bones
 from drape.files.formats import AVATAR_SUFFIXES
 from drape.garment.portrait import Sitter, portrait
-from drape.wire.meshes import pack_body
 from service.compute.avatars import AvatarInfo, AvatarWears
 from service.errors import Full, TooSlow
 from service.http import schemas
-from service.http.answers import BINARY, JSON, PNG, json_answer
+from service.http.answers import BINARY, GLB, JSON, PNG, json_answer
 from service.http.covered_schemas import CoveredFaces, CoveredPrimitive
 from service.http.garment_routes import LEAST, MOST, USUAL
 from service.http.json_body import document_of, json_text, validated
@@ -169,7 +170,9 @@ async def avatar_covered(
     state.check_slot()
     with state.access.using(client, "clips"), state.slot():
         scene = await state.scene(None, ids, client, avatar=avatar_id, size=sizes)
-        wearer, off, bare = await _undressed(state, avatar_id, ids, client)
+        wearer, halves, off = await _undressed(state, avatar_id, ids, client)
+        below = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
+        bare = await state.runtime.made(bare_faces, wearer.body_under(halves), *below, off)
         cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
         surface = entry.path, wearer.vertices, wearer.faces
         covered, own = await state.runtime.made(covered_in_file, *surface, cloth, off)
@@ -193,31 +196,37 @@ async def avatar_covered(
 
 async def _undressed(
     state: StateHere, avatar_id: str, garments: list[str], client: ClientHere
-) -> tuple[Wearer, np.ndarray, np.ndarray]:
-    """The wearer, its faces (F,) that ``garments`` take off, and the faces (Fb,) of its body that then are bare."""
+) -> tuple[Wearer, Halves, np.ndarray]:
+    """The wearer, the halves of it on which ``garments`` lie, and its faces (F,) that these take off."""
     scene = await state.scene(None, garments, client)
     halves = halves_of([layer.garment for layer in scene.layers], state.runtime.body)
     wearer = await state.wearer(avatar_id, client)
     off = taken_off(wearer.attire, halves) if wearer.attire.parts else np.zeros(len(wearer.faces), dtype=bool)
-    surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
-    return wearer, off, await state.runtime.made(bare_faces, wearer.body_under(halves), *surface, off)
+    return wearer, halves, off
+
+
+def bare_skin(stored: Path, body: BodyModel, wearer: Wearer, off: np.ndarray) -> bytes:
+    """The GLB of the faces of ``body`` that are bare where the faces ``off`` (F,) of ``wearer`` are gone; refuses
+    (``NotFound``) where none are."""
+    chosen = bare_faces(body, wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64), off)
+    if not chosen.any():
+        raise NotFound(
+            "bare", expected="skin that comes to light", got="none", cure="Ask only where covered tells of it."
+        )
+    return bare_file(wearer, load_file_rig(stored), body, chosen).to_bytes()
 
 
 @router.get(
-    "/avatars/{avatar_id}/bare", response_class=Response, responses=responses(InputError, NotFound, kinds=(BINARY,))
+    "/avatars/{avatar_id}/bare", response_class=Response, responses=responses(InputError, NotFound, kinds=(GLB,))
 )
 async def avatar_bare(avatar_id: str, state: StateHere, client: ClientHere, garments: Garments) -> Response:
     """Returns the skin that is bare where the garments take off clothes of the character and nothing was modelled
-    below, as a BODY message (docs/reference/wire.md): it stands where our body stands, and its 24 joints move it.
+    below: a GLB on the character's own nodes, to be drawn beside it.
     """
-    ids = garments.split(",")
-    wearer, _, bare = await _undressed(state, avatar_id, ids, client)
-    scene = await state.scene(None, ids, client)
-    body = wearer.body_under(halves_of([layer.garment for layer in scene.layers], state.runtime.body))
-    bones, weights = heaviest_bones(body)
-    used, faces = np.unique(body.faces[bare], return_inverse=True)
-    message = pack_body(body.v_template[used], faces.reshape(-1, 3), body.joints_template, bones[used], weights[used])
-    return Response(message, media_type=BINARY)
+    entry = await state.avatar(avatar_id, client)
+    wearer, halves, off = await _undressed(state, avatar_id, garments.split(","), client)
+    made = await state.runtime.made(bare_skin, entry.path, wearer.body_under(halves), wearer, off)
+    return Response(made, media_type=GLB)
 
 
 @router.get(

@@ -31,7 +31,7 @@ class CoveredFaces(BaseModel):
         description="The faces of its own clothes that the garments replace, as ``ranges``: leave them out."
     )
     bare: int = Field(
-        description="The number of faces of GET /avatars/{id}/bare: draw these where its clothes are left out."
+        description="The number of faces of GET /avatars/{id}/bare, to be drawn where its clothes are left out."
     )
     skin_colour: list[float] = Field(description="The mean colour of its skin, sRGB, 0 to 1.")
     primitives: list[CoveredPrimitive] = Field(

@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drape.avatar.character import character_in
 from drape.avatar.own_clothes import Halves, bare_faces, taken_off
+from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import LOWER, UPPER, Wearer, load_wearer, read_wearer, save_wearer
 from drape.avatar.wears import THICKEST, legs_thickness, reach_of, why_not
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
+from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
 from drape.geometry.closest import closest_point, signed_distance
 from tests.fixtures.characters import character
@@ -101,6 +104,18 @@ def test_no_hole_is_left_where_clothes_come_off(cut_away: Wearer):
     skin = closest_point(middle, cut_away.vertices, cut_away.faces[~off]).distance
     assert not (below & ~bare & (skin > 0.02)).any() and bare.sum() > 2000
     assert not bare_faces(body, cut_away.vertices, cut_away.faces, np.zeros(len(off), dtype=bool)).any()
+
+
+def test_bare_skin_lies_on_the_character_s_own_nodes(cut_away: Wearer):
+    """Skinned by the nodes of its file, which stand in T-pose, it is the body that was laid below."""
+    halves = Halves(True, True)
+    body, off = cut_away.body_under(halves), taken_off(cut_away.attire, halves)
+    chosen = bare_faces(body, cut_away.vertices, cut_away.faces, off)
+    assert cut_away.file is not None
+    skin = character_in(GltfFile(bare_file(cut_away, cut_away.file, body, chosen).to_bytes()))
+    expected = np.sort(body.v_template[body.faces[chosen]].mean(axis=1), axis=0)
+    assert np.allclose(np.sort(cut_away.scale * skin.vertices[skin.faces].mean(axis=1), axis=0), expected, atol=1e-4)
+    assert set(skin.names) >= {"mixamorig:Hips", "mixamorig:Spine2"}
 
 
 def test_a_stored_wearer_keeps_its_parts_and_bodies(whole: Wearer, body: BodyModel, tmp_path: Path):
