@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from drape.avatar.own_clothes import halves_of
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.body.model import BodyModel
@@ -93,7 +94,8 @@ class Drape:
 
     def __init__(self, runtime: Runtime) -> None:
         self._runtime = runtime
-        self._characters: dict[Path, tuple[Wearer, BodyStages]] = {}
+        self._characters: dict[Path, Wearer] = {}
+        self._stages: dict[str, BodyStages] = {}  # by the digest of a body
 
     @property
     def body(self) -> BodyModel:
@@ -136,24 +138,31 @@ class Drape:
         or size.
         """
         asked = [garments] if isinstance(garments, (str, Path, Garment)) else list(garments)
-        wearer, stages = (None, None) if on is None else self._character(Path(on))
+        wearer = None if on is None else self._character(Path(on))
         entries = tuple(entry for one in asked for entry in self._entries(one))
         if not entries:
             raise InputError("garments", expected="one or more", got="none", cure="Name a garment.")
         if size is not None:
             entries = Sizes(self.body, GARMENTS_DIR, entries).wear(Outfit(entries), size).layers
+        body = self.body
         if wearer is not None:
+            body = wearer.body_under(halves_of([one.garment for one in entries], self.body))
+            stages = self._stages_of(body)
             entries = tuple(
-                replace(one, garment=tailored(one.garment, self.body, wearer.body), worn=stages) for one in entries
+                replace(one, garment=tailored(one.garment, self.body, body), worn=stages) for one in entries
             )
         if len(entries) > 1:
             check_layers([entry.garment for entry in entries])
         scene: Scene = entries[0] if len(entries) == 1 else Outfit(entries)
-        body = self.body if wearer is None else wearer.body
         shape = shape_array(betas, body)
         return Worn(self._runtime, scene, _checked(options), body, shape, wearer)
 
-    def _character(self, path: Path) -> tuple[Wearer, BodyStages]:
+    def _stages_of(self, body: BodyModel) -> BodyStages:
+        if body.digest not in self._stages:
+            self._stages[body.digest] = self._runtime.stages_on(body)
+        return self._stages[body.digest]
+
+    def _character(self, path: Path) -> Wearer:
         if path not in self._characters:
             try:
                 payload = path.read_bytes()
@@ -161,8 +170,7 @@ class Drape:
                 raise InputError(
                     "on", expected="a GLB or VRM file", got=f"{path}: {error.strerror}", cure="Check the path."
                 ) from error
-            wearer = read_wearer(payload, name=wearer_name(path.stem), body=self.body)
-            self._characters[path] = wearer, self._runtime.stages_on(wearer.body)
+            self._characters[path] = read_wearer(payload, name=wearer_name(path.stem), body=self.body)
         return self._characters[path]
 
     def _entries(self, asked: str | Path | Garment) -> list[Entry]:

@@ -7,7 +7,7 @@ the surface was bound to the skeleton; the surface is where the skin puts it, so
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,8 +28,8 @@ TRIANGLES = 4
 
 
 class Primitive(NamedTuple):
-    """One primitive of the skinned mesh of ``node``, which is its number in the file: the node's ``name``, its place
-    among the mesh's primitives, and how many ``triangles`` it has."""
+    """One primitive of the mesh of ``node``, which is its number in the file: the node's ``name``, its place among the
+    mesh's primitives, and how many ``triangles`` it has."""
 
     node: int
     name: str
@@ -45,7 +45,8 @@ class Character:
     in the file's space.
     ``vertices`` (V, 3) at rest, ``faces`` (F, 3), ``weights`` (V, N), rows sum to one. ``humanoid``: VRM's bones and
     their places among the N; empty where the file is no VRM. ``vrm``: "0", "1" or "". ``primitives`` have the file's
-    triangles one after the other; ``triangle`` (F,) says which of these each face is.
+    triangles one after the other; ``triangle`` (F,) says which of these each face is. ``hung`` (F,): faces of meshes
+    without a skin that hang on a bone, as swords and hats do; a node between moves with the bone above it.
     """
 
     names: tuple[str, ...]
@@ -58,6 +59,18 @@ class Character:
     vrm: str
     primitives: tuple[Primitive, ...] = ()
     triangle: np.ndarray | None = None
+    hung: np.ndarray | None = None
+
+    def only(self, chosen: np.ndarray) -> Character:
+        """The character with no other faces than those that are ``chosen`` (F,), and with their vertices alone."""
+        used, faces = np.unique(self.faces[chosen], return_inverse=True)
+        rows = {"vertices": self.vertices[used], "weights": scipy.sparse.csr_matrix(self.weights[used])}
+        return replace(self, faces=faces.reshape(-1, 3), triangle=None, hung=None, **rows)
+
+    @property
+    def skinned(self) -> Character:
+        """The character without what hangs on its bones."""
+        return self if self.hung is None or not self.hung.any() else self.only(~self.hung)
 
     @property
     def places(self) -> np.ndarray:
@@ -75,7 +88,7 @@ def character_in(file: GltfFile) -> Character:
         if parent >= 0:
             world[number] = world[parent] @ world[number]
     _check_places(world, f"{label}: nodes", order)
-    parts = _surface(file, place, world)
+    parts, skinned = _surface(file, place, world)
     vertices, faces, weights = _joined(list(parts.values()), len(order))
     _check_joints(weights, label)
     if not np.abs(vertices).max() < MOST_UNITS:
@@ -85,7 +98,7 @@ def character_in(file: GltfFile) -> Character:
     names = tuple(_name(nodes[node]) for node in order)
     vertices, faces, weights, triangle = _welded(vertices, faces, weights)
     return Character(
-        names, parents, world, vertices, faces, weights, humanoid, version, tuple(parts), triangle
+        names, parents, world, vertices, faces, weights, humanoid, version, tuple(parts), triangle, triangle >= skinned
     )  # fmt: skip
 
 
@@ -103,18 +116,14 @@ def _check_places(moves: np.ndarray, name: str, numbers: Sequence[int]) -> None:
 
 
 Part = tuple[np.ndarray, np.ndarray, scipy.sparse.csr_matrix]
+Listed = list[tuple[int, int, FilePrimitive]]
 
 
-def _surface(file: GltfFile, place: dict[int, int], world: np.ndarray) -> dict[Primitive, Part]:
-    """Vertices, faces and weights over nodes of each primitive of triangles of skinned meshes."""
+def _surface(file: GltfFile, place: dict[int, int], world: np.ndarray) -> tuple[dict[Primitive, Part], int]:
+    """Vertices, faces and weights over nodes of each primitive of triangles that moves with a skeleton, those of
+    skinned meshes first, and how many of the faces these have."""
     nodes = file.document.nodes
-    skinned = [
-        (node, index, primitive)
-        for node in place
-        if nodes[node].skin is not None
-        for index, primitive in enumerate(file.item("meshes", nodes[node].mesh, f"nodes[{node}].mesh").primitives)
-        if primitive.mode == TRIANGLES and {"JOINTS_0", "WEIGHTS_0"} <= primitive.attributes.keys()
-    ]
+    skinned = _listed(file, [node for node in place if nodes[node].skin is not None], {"JOINTS_0", "WEIGHTS_0"})
     if not skinned:
         raise MeshError(
             f"{file.label}: skin",
@@ -133,7 +142,50 @@ def _surface(file: GltfFile, place: dict[int, int], world: np.ndarray) -> dict[P
             skins[skin] = rows, world[rows] @ binds
         part = _primitive(file, primitive, *skins[skin], len(world))
         found[Primitive(node, _name(nodes[node]), index, len(part[1]))] = part
+    count = sum(one.triangles for one in found)
+    above = _bones_above(file, {int(row) for rows, _ in skins.values() for row in rows}, place)
+    hung = _listed(file, list(above), set())
+    _check_size(file, [primitive for _, _, primitive in (*skinned, *hung)])
+    for node, index, primitive in hung:
+        part = _on_bone(file, primitive, world[place[node]], above[node], len(world))
+        found[Primitive(node, _name(nodes[node]), index, len(part[1]))] = part
+    return found, count
+
+
+def _listed(file: GltfFile, nodes: list[int], attributes: set[str]) -> Listed:
+    """The primitives of triangles of meshes of ``nodes`` that have ``attributes``: node, place in the mesh, itself."""
+    wanted = attributes | {"POSITION"}
+    return [
+        (node, index, primitive)
+        for node in nodes
+        for index, primitive in enumerate(
+            file.item("meshes", file.document.nodes[node].mesh, f"nodes[{node}].mesh").primitives
+        )
+        if primitive.mode == TRIANGLES and wanted <= primitive.attributes.keys()
+    ]
+
+
+def _bones_above(file: GltfFile, joints: set[int], place: dict[int, int]) -> dict[int, int]:
+    """Nodes with a mesh and no skin below a joint -> the place of the nearest joint above, among ``joints``."""
+    found: dict[int, int] = {}
+    carried: dict[int, int] = {}
+    for node, number in place.items():  # parents first
+        if number in joints:
+            carried[node] = number
+        held = file.document.nodes[node]
+        if node in carried:
+            carried |= {child: carried[node] for child in held.children}
+            if held.mesh is not None and held.skin is None:
+                found[node] = carried[node]
     return found
+
+
+def _on_bone(file: GltfFile, primitive: FilePrimitive, world: np.ndarray, joint: int, nodes: int) -> Part:
+    """One primitive without a skin whose node has the transform ``world`` (4, 4) and moves with ``joint``."""
+    points, faces = _triangles(file, primitive)
+    placed = points @ world[:3, :3].T + world[:3, 3]
+    rows = np.arange(len(points)), np.full(len(points), joint)
+    return placed, faces, scipy.sparse.csr_matrix((np.ones(len(points)), rows), (len(points), nodes))
 
 
 def skin_of(file: GltfFile, index: Any) -> tuple[list[int], np.ndarray]:
@@ -160,24 +212,16 @@ def skin_of(file: GltfFile, index: Any) -> tuple[list[int], np.ndarray]:
 def _primitive(file: GltfFile, primitive: FilePrimitive, rows: np.ndarray, moves: np.ndarray, nodes: int) -> Part:
     """One primitive, its vertices where ``moves`` (J, 4, 4) of the joints put them."""
     held = primitive.attributes
-    points = file.array(held.get("POSITION")).astype(np.float64)
+    points, faces = _triangles(file, primitive)
     count = len(points)
-    faces = np.arange(count)[:, None] if primitive.indices is None else file.array(primitive.indices)
-    faces = faces[: len(faces) - len(faces) % 3].astype(np.int64).reshape(-1, 3)
     sets = [k for k in range(4) if f"JOINTS_{k}" in held and f"WEIGHTS_{k}" in held]
     read = [file.array(held[f"{kind}_{k}"]) for kind in ("JOINTS", "WEIGHTS") for k in sets]
-    fits = points.shape[1] == 3 and all(one.shape == (count, 4) for one in read)
+    fits = all(one.shape == (count, 4) for one in read)
     joint, weight = np.split(np.concatenate(read, axis=1), 2, axis=1) if fits else np.zeros((2, 1, 1))
     weight = np.maximum(weight.astype(np.float64), 0.0)
     joint = np.where(weight > 0.0, joint, 0).astype(np.int64)
-    if not (
-        fits
-        and min(joint.min(), faces.min(initial=0)) >= 0
-        and joint.max() < len(rows)
-        and faces.max(initial=0) < count
-    ):
-        expected = "positions, joints and weights that fit together"
-        raise MeshError(f"{file.label}: mesh", expected=expected, got="others", cure=EXPORT)
+    if not (fits and joint.min() >= 0 and joint.max() < len(rows)):
+        raise _no_fit(file)
     total = weight.sum(axis=1, keepdims=True)
     weight = np.where(total > 1e-6, weight / np.maximum(total, 1e-12), np.eye(1, weight.shape[1]))
     spread = np.repeat(np.arange(count), joint.shape[1])
@@ -186,6 +230,21 @@ def _primitive(file: GltfFile, primitive: FilePrimitive, rows: np.ndarray, moves
     placed = np.einsum("vab,vb->va", blended[:, :3, :3], points) + blended[:, :3, 3]
     onto = scipy.sparse.csr_matrix((np.ones(len(rows)), (np.arange(len(rows)), rows)), (len(rows), nodes))
     return placed, faces, scipy.sparse.csr_matrix(over_joints @ onto)
+
+
+def _triangles(file: GltfFile, primitive: FilePrimitive) -> tuple[np.ndarray, np.ndarray]:
+    """The points (V, 3) of a primitive as they stand in the file, and its faces (F, 3)."""
+    points = file.array(primitive.attributes.get("POSITION")).astype(np.float64)
+    faces = np.arange(len(points))[:, None] if primitive.indices is None else file.array(primitive.indices)
+    faces = faces[: len(faces) - len(faces) % 3].astype(np.int64).reshape(-1, 3)
+    if points.shape[1] != 3 or not (faces.min(initial=0) >= 0 and faces.max(initial=0) < len(points)):
+        raise _no_fit(file)
+    return points, faces
+
+
+def _no_fit(file: GltfFile) -> MeshError:
+    expected = "positions, joints and weights that fit together"
+    return MeshError(f"{file.label}: mesh", expected=expected, got="others", cure=EXPORT)
 
 
 def _joined(parts: list[Part], nodes: int) -> Part:

@@ -29,10 +29,12 @@ MARGIN_M = 0.03  # from all that is bare, and from hems and openings: cloth move
 
 
 class PrimitiveFaces(NamedTuple):
-    """``ranges`` (n, 2) of triangles of a ``primitive`` in its order: where each begins, and how many they are."""
+    """Runs (n, 2) of triangles of a ``primitive`` in its order, where each begins, and how many they are: ``ranges`` of
+    those that are covered, ``hidden`` of those that are taken off."""
 
     primitive: Primitive
     ranges: np.ndarray
+    hidden: np.ndarray
 
 
 def covered_faces(
@@ -49,17 +51,25 @@ def covered_faces(
 
 
 def covered_in_file(
-    stored: Path, vertices: np.ndarray, faces: np.ndarray, garments: Iterable[tuple[np.ndarray, np.ndarray]]
+    stored: Path,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    garments: Iterable[tuple[np.ndarray, np.ndarray]],
+    off: np.ndarray | None = None,
 ) -> tuple[np.ndarray, list[PrimitiveFaces]]:
-    """``covered_faces`` of the wearer that is ``stored`` with this surface, and which triangles of the primitives of
-    its own file these are; raises ``BodyError`` as ``load_file_rig``."""
+    """``covered_faces`` of the wearer that is ``stored`` with this surface, without the faces that are taken ``off``
+    (F,), and which triangles of the primitives of its own file all these are; raises ``BodyError`` as
+    ``load_file_rig``."""
     rig = load_file_rig(stored)
-    covered = covered_faces(vertices, faces, garments)
-    of_file = np.zeros(sum(primitive.triangles for primitive in rig.primitives), dtype=bool)
-    of_file[rig.triangle[covered]] = True
-    ends = np.cumsum([primitive.triangles for primitive in rig.primitives])[:-1]
-    own = zip(rig.primitives, np.split(of_file, ends), strict=True)
-    return covered, [PrimitiveFaces(primitive, ranges_of(part)) for primitive, part in own]
+    off = np.zeros(len(faces), dtype=bool) if off is None else off
+    covered = covered_faces(vertices, faces, garments) & ~off
+    ends = np.cumsum([primitive.triangles for primitive in rig.primitives])
+    own = []
+    for chosen in (covered, off):
+        of_file = np.zeros(ends[-1], dtype=bool)
+        of_file[rig.triangle[chosen]] = True
+        own.append([ranges_of(part) for part in np.split(of_file, ends[:-1])])
+    return covered, [PrimitiveFaces(*one) for one in zip(rig.primitives, *own, strict=True)]
 
 
 def ranges_of(chosen: np.ndarray) -> np.ndarray:

@@ -18,10 +18,12 @@ import scipy.sparse
 from drape.avatar.file_skeleton import FileRig, FileSkeleton
 from drape.avatar.parts import PARTS, parts_of, plain_part
 from drape.avatar.wearer import Wearer
-from drape.body.skeleton import JOINT_COUNT
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.export.glb import NORMAL_STEPS, Corners, Shape, add_shape, normal_steps, split_seams, vertex_normals
 from drape.export.glb_file import VERTEX_BUFFER, GlbFile
 from drape.export.root_motion import quaternion_keys
+from drape.export.surface import MeshSurface
 from drape.garment.cache import Garment
 from drape.garment.skin import smoothing_matrix
 from drape.geometry.closest import closest_point
@@ -30,6 +32,7 @@ from drape.wanted import go_on
 
 HEAVIEST = 4  # joints of a vertex, which is what players support
 SMOOTHING_PASSES = 6
+BARE = "bare skin"
 LEAST_VOLUME = 0.2  # of a blend of joints, of theirs: one that is flatter cannot be undone, and gets a single joint
 STILL = 1e-11  # a node that turns by less than 1e-5 rad in all frames is not animated
 
@@ -85,6 +88,39 @@ def rig_file(
         channels.append((nodes[top], "translation", moves[1:, top].astype(np.float32)))
     file.animate(len(clip.quaternions), clip.fps, channels)
     return file
+
+
+def bare_file(wearer: Wearer, rig: FileRig, body: BodyModel, chosen: np.ndarray) -> GlbFile:
+    """The file of the faces that are ``chosen`` (Fb,) of ``body``, one of ``wearer``'s, whose own file had ``rig``:
+    skin on the character's nodes, in its unit and in the mean colour of its skin."""
+    skeleton = rig.skeleton
+    quaternions, places = wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3)))
+    moves, turns, _ = _local(wearer, skeleton, quaternions, places)
+    blends = skeleton.world(moves, turns)[:, skeleton.joints] @ skeleton.binds
+    file = GlbFile()
+    skin = _add_skin(file, skeleton, _add_nodes(file, skeleton))
+    used, faces = np.unique(body.faces[chosen], return_inverse=True)
+    none = np.zeros((0, 2)), np.zeros((0, 3), dtype=np.int64), (), np.zeros(0, dtype=np.int64)
+    surface = MeshSurface(BARE, len(used), faces.reshape(-1, 3), *none)
+    weights = scipy.sparse.csr_matrix(body.weights[used]) @ _onto_joints(wearer, skeleton)
+    corners, at = split_seams(surface), body.v_template[used][None] / wearer.scale
+    shape = _shape(file, corners, surface.faces, at, weights, blends, quantised=False)
+    red, green, blue = (value**2.2 for value in wearer.attire.skin_colour)  # glTF's colours are linear
+    add_shape(file, surface, corners, Shape(shape, {"skin": skin}), 0, 1.0, (red, green, blue, 1.0))
+    return file
+
+
+def _onto_joints(wearer: Wearer, skeleton: FileSkeleton) -> scipy.sparse.csr_matrix:
+    """The joint (24, J) of the file that moves what each joint of ours does: its node, or the nearest joint above."""
+    column = {int(node): number for number, node in enumerate(skeleton.joints)}
+    found: list[int] = []
+    for joint, name in enumerate(JOINT_NAMES):
+        node = wearer.rig.sources.get(name, -1)
+        while node >= 0 and node not in column:
+            node = skeleton.parents[node]
+        found.append(column[node] if node >= 0 else found[PARENTS[joint]] if joint else 0)
+    onto = np.ones(len(found)), (np.arange(len(found)), np.array(found))
+    return scipy.sparse.csr_matrix(onto, (len(found), len(skeleton.joints)))
 
 
 def _local(
@@ -143,7 +179,10 @@ def garment_weights(garment: Garment, wearer: Wearer, rig: FileRig) -> scipy.spa
     corners = parts_of(wearer.weights)[wearer.faces]
     names = list(PARTS)
     other = [number for number, part in enumerate(names) if plain_part(part) in ("head", "palm")]
-    faces = wearer.faces[~np.isin(corners, other).any(axis=1)].astype(np.int64)
+    near = ~np.isin(corners, other).any(axis=1)
+    if wearer.attire.parts:
+        near &= ~wearer.attire.of_kinds(("hair", "hat", "carried"))
+    faces = wearer.faces[near].astype(np.int64)
     vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
     found = closest_point(vertices, wearer.vertices.astype(np.float64), faces)
     rows = np.repeat(np.arange(len(vertices)), 3)

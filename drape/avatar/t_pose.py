@@ -7,7 +7,7 @@ goes to sum_j w_j (A_j^T (x - p_j) + p'_j).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse
@@ -23,10 +23,10 @@ ADULT_HEIGHT_M = 1.7  # of what is no person's height in any unit
 
 @dataclass(frozen=True, eq=False)
 class TPose:
-    """A character in T-pose, y up, facing +z, its lowest point at 0.
+    """A character in T-pose, y up, facing +z, the lowest point of its skin at 0.
 
     ``vertices`` [m] (V, 3), ``faces`` (F, 3), ``weights`` (V, 24) of the joints; ``joints`` [m] (24, 3), NaN where the
-    character has none; ``scale`` its unit in metres.
+    character has none; ``scale`` its unit in metres; ``height_m`` of what is skinned.
     """
 
     vertices: np.ndarray
@@ -34,11 +34,11 @@ class TPose:
     weights: np.ndarray
     joints: np.ndarray
     scale: float
+    height_m: float
 
-    @property
-    def height_m(self) -> float:
-        """The height [m] from its lowest to its highest point."""
-        return float(np.ptp(self.vertices[:, 1]))
+    def only(self, chosen: np.ndarray) -> TPose:
+        """The pose with no other faces than those that are ``chosen`` (F,)."""
+        return replace(self, faces=self.faces[chosen])
 
 
 def t_posed(character: Character, rig: Rig) -> TPose:
@@ -53,13 +53,16 @@ def t_posed(character: Character, rig: Rig) -> TPose:
     rest, placed = _joints(character, rig, undone)
     moves = placed - np.einsum("jab,jb->ja", undone, rest)
     moved = np.einsum("vj,jab,vb->va", weights, undone, character.vertices, optimize=True) + weights @ moves
-    height = max(float(np.ptp(moved[:, 1])), 1e-9)
+    own = np.arange(len(moved))
+    if character.hung is not None and character.hung.any():
+        own = np.setdiff1d(own, character.faces[character.hung])
+    height = max(float(np.ptp(moved[own, 1])), 1e-9)
     fitting = [scale for scale in UNIT_SCALES if HEIGHTS_M[0] <= height * scale <= HEIGHTS_M[1]]
     scale = fitting[0] if fitting else ADULT_HEIGHT_M / height
-    floor = np.array([0.0, scale * moved[:, 1].min(), 0.0])
+    floor = np.array([0.0, scale * moved[own, 1].min(), 0.0])
     known = np.array([name in rig.sources for name in JOINT_NAMES])
     placed = np.where(known[:, None], scale * placed - floor, np.nan)
-    return TPose(scale * moved - floor, character.faces, weights, placed, scale)
+    return TPose(scale * moved - floor, character.faces, weights, placed, scale, scale * height)
 
 
 def _joints(character: Character, rig: Rig, undone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,19 +11,22 @@ import json
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import scipy.sparse
 
+from drape.avatar.attire import Attire, AttirePart, attire_of
 from drape.avatar.avatar_body import avatar_body
 from drape.avatar.body_fit import fit_to
 from drape.avatar.character import character_in
+from drape.avatar.face_colours import face_colours
 from drape.avatar.file_skeleton import FileRig, file_rig
 from drape.avatar.mapping import NAMES, mapped
-from drape.avatar.parts import counted_vertices
+from drape.avatar.own_clothes import Halves, Layers, layers_of, shrunk
+from drape.avatar.parts import PARTS, counted_vertices
 from drape.avatar.t_pose import TPose, t_posed
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
@@ -37,7 +40,10 @@ from drape.geometry.skinning import skin_points
 from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_poses
 
 FORMAT_VERSION = 1
-FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's
+FIT_VERSION = 2  # raised when a change here changes the bodies that come out
+WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56))
+FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's; more for one with a deeper trunk than ours
+BARE, UPPER, LOWER = "bare", "upper", "lower"
 LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # lengths of characters that drape
 
 _ARRAYS = ("vertices", "faces", "weights")
@@ -51,7 +57,9 @@ class Wearer:
     ``vertices`` [m] (V, 3) of its surface in T-pose in the frame of ``body``, ``faces`` (F, 3), ``weights`` (V, 24) of
     the joints. ``scale``: metres per unit of its file. ``median_mm``, ``p95_mm``: how far its trunk and limbs are from
     the body. ``vrm``: "0", "1" or "". ``found_by``, ``confidence`` and ``notes`` as in ``Mapped``. ``file``: what its
-    file is asked for later; of one that was stored ``load_file_rig`` reads it where it is wanted.
+    file is asked for later; of one that was stored ``load_file_rig`` reads it where it is wanted. ``attire``: what is
+    what on its surface; it has no parts where an earlier version stored the character. ``bodies``: of one with clothes
+    of its own, ``body`` below garments for its ``UPPER`` and for its ``LOWER`` half, with its other clothes on.
     """
 
     name: str
@@ -71,6 +79,12 @@ class Wearer:
     confidence: float = 1.0
     notes: tuple[str, ...] = ()
     file: FileRig | None = None
+    attire: Attire = WORN_NOTHING
+    bodies: Mapping[str, BodyModel] = field(default_factory=dict)
+
+    def body_under(self, halves: Halves) -> BodyModel:
+        """The body below garments that lie on these ``halves``."""
+        return self.bodies.get({(True, False): UPPER, (False, True): LOWER}.get(halves, BARE), self.body)
 
     @property
     def joints(self) -> dict[str, str]:
@@ -138,12 +152,13 @@ def read_wearer(
     name: str,
     body: BodyModel | None = None,
     told: Mapping[str, str] | None = None,
+    kinds: Mapping[str, str] | None = None,
     begun: Callable[[str], None] | None = None,
 ) -> Wearer:
     """The wearer in the bytes of a GLB or VRM file, for garments of ``body``, the standard one by default.
 
-    ``told`` as in ``mapped``; ``begun`` gets each stage as it begins: read, map, fit. Raises ``MeshError``,
-    ``MotionError``, ``BodyError`` or ``NotFound`` for what is no person with a skeleton and a skin.
+    ``told`` as in ``mapped``, ``kinds`` as in ``attire_of``; ``begun`` gets each stage as it begins: read, map, fit.
+    Raises ``MeshError``, ``MotionError``, ``BodyError`` or ``NotFound`` for what is no person with skeleton and skin.
     """
     begins = begun or (lambda stage: None)
     begins("read")
@@ -152,25 +167,50 @@ def read_wearer(
     character = character_in(file)
     whole = file_rig(file, character)
     begins("map")
-    found = mapped(character, body, told=told, label=name)
+    found = mapped(character.skinned, body, told=told, label=name)
     rig = found.rig
     pose = t_posed(character, rig)
     _check_limbs(pose, rig, name)
+    assert character.triangle is not None
+    colours = face_colours(file, character.primitives)[character.triangle]
+    attire = attire_of(file, character, pose, colours, told=kinds)
     begins("fit")
-    made = avatar_body(fit_to(pose, body), pose, body, name=name)
+    layers = layers_of(attire, pose)
+    seen, bodies = _bodies(pose, layers, body, name)
+    made = bodies[BARE]
     root = JOINT_NAMES.index("pelvis")
     surface = pose.vertices + made.joints_template[root] - pose.joints[root]
-    distance = 1e3 * closest_point(surface[counted_vertices(pose)], made.v_template, made.faces).distance
+    distance = 1e3 * closest_point(surface[counted_vertices(seen)], made.v_template, made.faces).distance
     median_mm, p95_mm = float(np.median(distance)), float(np.quantile(distance, 0.95))
-    if not median_mm <= FIT_LIMIT_MM:  # none, where nothing of it is trunk or limb
+    limit_mm = FIT_LIMIT_MM * max(1.0, _depth_m(made) / _depth_m(body))
+    if not median_mm <= limit_mm:  # none, where nothing of it is trunk or limb
         cure = " ".join([*(f"{note}." for note in found.notes), "Send a character with a body in a T- or A-pose."])
         got = f"{median_mm:.0f} mm"
-        raise BodyError(name, expected=f"a body that ours fits to {FIT_LIMIT_MM:g} mm", got=got, cure=cure)
-    digest = hashlib.sha256(json.dumps([FORMAT_VERSION, body.digest, dict(told or {})]).encode() + payload).hexdigest()
+        raise BodyError(name, expected=f"a body that ours fits to {limit_mm:.0f} mm", got=got, cure=cure)
+    made_of = json.dumps([FIT_VERSION, body.digest, dict(told or {}), dict(kinds or {})])
+    digest = hashlib.sha256(made_of.encode() + payload).hexdigest()
     return Wearer(
         name, digest, made, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
-        pose.height_m, median_mm, p95_mm, character.vrm, found.by, found.confidence, found.notes, whole,
+        pose.height_m, median_mm, p95_mm, character.vrm, found.by, found.confidence, found.notes, whole, layers.attire,
+        bodies,
     )  # fmt: skip
+
+
+def _bodies(pose: TPose, layers: Layers, body: BodyModel, name: str) -> tuple[TPose, dict[str, BodyModel]]:
+    """The part of a character's surface on which clothes lie, and its bodies: bare, and with clothes on either half."""
+    seen = shrunk(pose, layers.hollow).only(layers.body | layers.hollow)
+    fit = fit_to(seen, body)
+    on = {BARE: layers.body, UPPER: layers.body | layers.lower, LOWER: layers.body | layers.upper}
+    wanted = {key: faces for key, faces in on.items() if key == BARE or (faces & ~layers.body).any()}
+    return seen, {
+        key: avatar_body(fit, seen, body, name=name, covered=pose.only(faces)) for key, faces in wanted.items()
+    }
+
+
+def _depth_m(body: BodyModel) -> float:
+    """How far the trunk of ``body`` reaches from back to front."""
+    trunk = body.weights[:, [JOINT_NAMES.index(name) for name in PARTS["trunk"]]].sum(axis=1) > 0.5
+    return float(np.ptp(body.v_template[trunk, 2]))
 
 
 def _check_limbs(pose: TPose, rig: Rig, name: str) -> None:
@@ -216,32 +256,53 @@ def rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndar
 def save_wearer(wearer: Wearer, folder: Path) -> Path:
     """Writes the file of ``wearer`` into ``folder``, whole or not at all, and returns its path."""
     rig, body = wearer.rig, wearer.body
-    regressor = scipy.sparse.coo_matrix(body.regressor)
     header = {
         "format_version": FORMAT_VERSION, "name": wearer.name, "digest": wearer.digest, "scale": wearer.scale,
         "height_m": wearer.height_m, "median_mm": wearer.median_mm, "p95_mm": wearer.p95_mm, "vrm": wearer.vrm,
         "nodes": list(wearer.nodes), "rig_names": list(rig.names), "parents": list(rig.parents),
         "told": dict(rig.sources), "body_digest": body.digest, "standard_digest": body.standard_digest,
         "found_by": wearer.found_by, "confidence": wearer.confidence, "notes": list(wearer.notes),
+        "bodies": {key: one.digest for key, one in wearer.bodies.items() if one is not body},
+        "parts": wearer.attire.parts, "skin_colour": wearer.attire.skin_colour,
     }  # fmt: skip
     arrays = {
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
         "vertices": wearer.vertices.astype(np.float32),
         "faces": wearer.faces.astype(np.int32),
         "weights": wearer.weights.astype(np.float32),
-        "body_vertices": body.v_template,
+        "part": wearer.attire.part.astype(np.int16),
         "body_weights": body.weights,
-        "regressor_place": np.stack([regressor.row, regressor.col]).astype(np.int32),
-        "regressor_value": regressor.data,
+        **_body_arrays("", body),
         "rest_rotations": rig.rest_rotations,
         "rest_translations": rig.rest_translations,
         **({} if wearer.file is None else wearer.file.arrays()),
     }
+    for key, one in wearer.bodies.items():
+        arrays |= {} if one is body else _body_arrays(f"{key}_", one)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / wearer.file_name()
     with whole_file(path) as file:
         file.write(packed(arrays))
     return path
+
+
+def _body_arrays(key: str, body: BodyModel) -> dict[str, np.ndarray]:
+    """Arrays from which ``_stored_body`` makes ``body`` again; the weights of all bodies of a wearer are the same."""
+    regressor = scipy.sparse.coo_matrix(body.regressor)
+    places = np.stack([regressor.row, regressor.col]).astype(np.int32)
+    found = {"body_vertices": body.v_template, "regressor_place": places, "regressor_value": regressor.data}
+    return {f"{key}{name}": array for name, array in found.items()}
+
+
+def _stored_body(key: str, digest: str, name: str, arrays: Mapping[str, np.ndarray], body: BodyModel) -> BodyModel:
+    shape = (JOINT_COUNT, body.vertex_count)
+    held = (arrays[f"{key}{one}"] for one in ("body_vertices", "regressor_value", "regressor_place"))
+    vertices, value, place = held
+    regressor = scipy.sparse.csr_matrix((value, place), shape)
+    return BodyModel(
+        name, digest, vertices, np.zeros_like(body.shapedirs), regressor, arrays["body_weights"], body.faces,
+        standard_digest=body.digest,
+    )  # fmt: skip
 
 
 def load_wearer(path: Path, body: BodyModel) -> Wearer:
@@ -250,12 +311,9 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
         header, arrays = read_packed(path)
         if header["format_version"] != FORMAT_VERSION or header["standard_digest"] != body.digest:
             raise ValueError("another version, or made for another body")
-        shape = (JOINT_COUNT, body.vertex_count)
-        regressor = scipy.sparse.csr_matrix((arrays["regressor_value"], arrays["regressor_place"]), shape)
-        worn = BodyModel(
-            header["name"], header["body_digest"], arrays["body_vertices"], np.zeros_like(body.shapedirs), regressor,
-            arrays["body_weights"], body.faces, standard_digest=body.digest,
-        )  # fmt: skip
+        worn = _stored_body("", header["body_digest"], header["name"], arrays, body)
+        others = header.get("bodies", {}).items()
+        bodies = {key: _stored_body(f"{key}_", digest, header["name"], arrays, body) for key, digest in others}
         rig = Rig(
             header["rig_names"], header["parents"], arrays["rest_rotations"], arrays["rest_translations"],
             body.joints_template, header["name"], header["told"],
@@ -263,7 +321,14 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
         figures = [header[key] for key in ("scale", "height_m", "median_mm", "p95_mm", "vrm")]
         figures += [header.get("found_by", NAMES), header.get("confidence", 1.0), tuple(header.get("notes", ()))]
         surface = [arrays[key] for key in _ARRAYS]
-        return Wearer(header["name"], header["digest"], worn, rig, tuple(header["nodes"]), *surface, *figures)
+        attire = WORN_NOTHING
+        if header.get("parts"):
+            parts = tuple(AttirePart(*one) for one in header["parts"])
+            attire = Attire(parts, arrays["part"].astype(np.int64), tuple(header["skin_colour"]))
+        nodes = tuple(header["nodes"])
+        return Wearer(
+            header["name"], header["digest"], worn, rig, nodes, *surface, *figures, attire=attire, bodies=bodies
+        )
     except (*UNREADABLE, DrapeError) as error:
         raise ArtifactError(
             f"avatar {path.name}", expected="a stored avatar", got=str(error), cure="Send the character again."
@@ -286,6 +351,8 @@ def main(arguments: list[str] | None = None) -> int:
     for joint, node in found.joints.items():
         print(f"{joint:15s} {node}")
     print(f"joints by {found.found_by}, {100.0 * found.confidence:.0f} % sure")
+    for part in found.attire.parts:
+        print(f"{part.kind:10s} {part.faces:6d} faces, {100.0 * part.sure:3.0f} % sure: {part.name}")
     for note in found.notes:
         print(f"note: {note}")
     print(f"height {found.height_m:.2f} m; fit {found.median_mm:.1f} mm median, {found.p95_mm:.1f} mm at 95 %")

@@ -64,6 +64,7 @@ class Primitive(Part):
 class Mesh(Part):
     """A mesh."""
 
+    name: Text | None = None
     primitives: Annotated[list[Primitive], FIRST_ONLY]
 
 

@@ -18,9 +18,9 @@ LARGEST_SIDE = 2048
 MOST_BYTES = 48 * 2**20  # of the pictures of a garment, made anew
 
 
-def remade(payload: bytes, *, label: str) -> bytes:
+def remade(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
     """The picture in ``payload`` as PNG, or as JPEG if it was one or a WebP without alpha; no side is longer than
-    ``LARGEST_SIDE``. Refuses (``MeshError``) other formats, damaged files and more than ``MOST_PIXELS``."""
+    ``side``. Refuses (``MeshError``) other formats, damaged files and more than ``MOST_PIXELS``."""
     from PIL import Image
 
     if payload[1:7] == b"KTX 20":
@@ -29,12 +29,12 @@ def remade(payload: bytes, *, label: str) -> bytes:
         with Image.open(io.BytesIO(payload), formats=READ) as image:
             kind, (width, height) = image.format, image.size
             if width * height <= MOST_PIXELS:
-                image.draft("RGB", (LARGEST_SIDE, LARGEST_SIDE))  # of a JPEG that is larger only what is needed
+                image.draft("RGB", (side, side))  # of a JPEG that is larger only what is needed
                 has_alpha = "A" in image.getbands() or "transparency" in image.info
                 plain = image.convert("RGBA" if has_alpha else "RGB")
                 if has_alpha and plain.getchannel("A").getextrema() == (255, 255):
                     plain = plain.convert("RGB")
-                plain.thumbnail((LARGEST_SIDE, LARGEST_SIDE))
+                plain.thumbnail((side, side))
                 plain.info.clear()  # comments and profiles would be written again
                 out = io.BytesIO()
                 if kind in ("JPEG", "WEBP") and plain.mode == "RGB":

@@ -87,10 +87,12 @@ def clear_body(
     *,
     rounds: int = ROUNDS,
     least_m: float = CLEARANCE_M,
+    give_up_m: float = GIVE_UP_DEPTH_M,
     through: bool = False,
 ) -> Cleared:
     """``vertices`` (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body; refuses (``MeshError``)
-    where the last of ``rounds`` leaves less than ``least_m``, as between thighs that touch, in more than a few places.
+    where the last of ``rounds`` leaves less than ``least_m``, as between thighs that touch, in more than a few places,
+    and where a vertex begins deeper than ``give_up_m`` in the body.
 
     The first push maps distances through a softened maximum, which is monotone, so that a
     lining stays under its cloth; later pushes lift what is still short. Each push is spread
@@ -99,7 +101,7 @@ def clear_body(
     """
     target, moved = CLEARANCE_M + MARGIN_M, vertices.copy()
     skin = _Skin(moved, body_vertices, body_faces)
-    _check_depth(skin.signed)
+    _check_depth(skin.signed, give_up_m)
     laplacian = _layered_laplacian(moved, faces, skin.nearest, body_vertices, body_faces)
     lift = target + LAYER_SOFTNESS_M * np.logaddexp(0.0, (skin.signed - target) / LAYER_SOFTNESS_M) - skin.signed
     stiffness = STIFFNESS_M2
@@ -127,12 +129,12 @@ def _cleared(start: np.ndarray, skin: _Skin, rounds: int) -> Cleared:
     return Cleared(skin.points, float(skin.signed.min()), push_m, rounds)
 
 
-def _check_depth(signed: np.ndarray) -> None:
-    """Refuses (``MeshError``) cloth that lies deeper in the body than any that was modelled on it."""
-    if signed.min() < -GIVE_UP_DEPTH_M:
+def _check_depth(signed: np.ndarray, give_up_m: float) -> None:
+    """Refuses (``MeshError``) cloth that begins deeper than ``give_up_m`` in the body."""
+    if signed.min() < -give_up_m:
         raise MeshError(
             "garment",
-            expected=f"vertices at most {1e3 * GIVE_UP_DEPTH_M:.0f} mm inside the body",
+            expected=f"vertices at most {1e3 * give_up_m:.0f} mm inside the body",
             got=f"{-1e3 * signed.min():.0f} mm at vertex {int(signed.argmin())}",
             cure="Say which avatar the garment was modelled on.",
         )

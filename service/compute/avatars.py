@@ -7,7 +7,7 @@ import json
 import logging
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
+from drape.avatar.attire_words import Kind
+from drape.avatar.own_clothes import Halves
 from drape.avatar.wearer import Wearer, load_wearer
+from drape.avatar.wears import Reach, reach_of, why_not
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, NotFound, did_you_mean
 from drape.garment.tailor import tailored, tailored_digest
@@ -34,6 +37,16 @@ FOLDER = ".avatars"  # beside the garments, which their registry looks for witho
 log = logging.getLogger("drape.service")
 # Avatars whose stages and garments are kept, 20 to 40 MB a garment; others are made again when they are worn.
 MOST_WORN = 4
+
+
+class AvatarPart(BaseModel):
+    """One part of a character."""
+
+    name: str
+    kind: Kind = Field(description="What it is.")
+    faces: int = Field(description="The number of its triangles.")
+    sure: float = Field(description="How sure the kind is, 0 to 1; 1 where a client told it.")
+    bulky: bool = Field(default=False, description="Whether it is a thing that comes off with what a top replaces.")
 
 
 class AvatarFacts(BaseModel):
@@ -66,12 +79,22 @@ class AvatarFacts(BaseModel):
     scale: float = Field(description="How many metres a unit of its file is.")
     vrm: str | None = Field(description="The version of VRM, if the file is one.")
     vertices: int = Field(description="The number of vertices of its own surface.")
+    parts: list[AvatarPart] = Field(
+        default=[], description="What is what on the character: skin, hair, clothes, things that it carries."
+    )
 
 
 class AvatarInfo(AvatarFacts):
     """A user's character that wears garments."""
 
     id: str
+
+
+class AvatarWears(AvatarInfo):
+    """A user's character, and what it can wear."""
+
+    wears: dict[str, bool] = Field(description="Whether it can wear each garment, by the garments' ids.")
+    wears_why: dict[str, str] = Field(description="Why it cannot wear a garment.")
 
 
 @dataclass(frozen=True)
@@ -113,6 +136,7 @@ class Avatars:
         self._root = settings.garments_dir / FOLDER
         self._entries: dict[str, AvatarEntry] = {}
         self._worn: OrderedDict[str, _Dressed] = OrderedDict()
+        self._reaches: dict[str, Reach] = {}
         self._one = threading.Lock()
         self._seen: dict[Path, int] = {}  # when each file that tells of an avatar was written [ns]
         self.follow()
@@ -142,7 +166,7 @@ class Avatars:
     @property
     def worn(self) -> tuple[BodyStages, ...]:
         """The bodies of those that wear garments."""
-        return tuple(one.stages for one in self._worn.values())
+        return tuple(stages for one in list(self._worn.values()) for stages in list(one.stages.values()))
 
     def visible(self, viewer: str | None) -> list[AvatarEntry]:
         """Those that the key ``viewer`` may know of."""
@@ -207,7 +231,7 @@ class Avatars:
         with self._one:
             if name not in self._worn:
                 wearer = self._stored_wearer(self._entries.get(name) or self.get(name))
-                self._worn[name] = _Dressed(wearer, self._stages_on(wearer.body), self._body, self._make)
+                self._worn[name] = _Dressed(wearer, self._stages_on, self._body, self._make)
                 while len(self._worn) > MOST_WORN:
                     self._worn.popitem(last=False)
             self._worn.move_to_end(name)
@@ -225,26 +249,50 @@ class Avatars:
     def dress(self, name: str, scene: Scene) -> Scene:
         """The garments of ``scene`` cut for the avatar ``name``; seconds for each that it never wore."""
         dressed = self._dressed(name)
-        layers = tuple(dressed.cut(layer) for layer in scene.layers)
+        reaches = [self._reach(layer) for layer in scene.layers]
+        halves = Halves(*(any(which) for which in zip(*(reach.halves for reach in reaches), strict=True)))
+        for layer, reach in zip(scene.layers, reaches, strict=True):
+            if (refusal := why_not(dressed.wearer.body, reach, garment=layer.id)) is not None:
+                raise refusal
+        layers = tuple(dressed.cut(layer, halves) for layer in scene.layers)
         return Outfit(layers) if isinstance(scene, Outfit) else layers[0]
+
+    def wears(self, name: str, entries: Sequence[Entry]) -> dict[str, str | None]:
+        """Why the avatar ``name`` cannot wear each of ``entries``, by their ids; None where it can: what ``dress`` then
+        never refuses."""
+        body = self.wearer(name).body
+        found = {entry.id: why_not(body, self._reach(entry), garment=entry.id) for entry in entries}
+        return {key: None if refusal is None else str(refusal) for key, refusal in found.items()}
+
+    def _reach(self, entry: Entry) -> Reach:
+        digest = entry.garment.digest
+        if digest not in self._reaches:
+            self._reaches[digest] = reach_of(entry.garment, self._body)
+        return self._reaches[digest]
 
 
 class _Dressed:
-    """An avatar with its stages and the garments that were cut for it."""
+    """An avatar with its stages and the garments that were cut for it, for each of its bodies."""
 
-    def __init__(self, wearer: Wearer, stages: BodyStages, standard: BodyModel, make: Make) -> None:
-        self.wearer, self.stages, self._standard, self._make = wearer, stages, standard, make
+    def __init__(
+        self, wearer: Wearer, stages_on: Callable[[BodyModel], BodyStages], standard: BodyModel, make: Make
+    ) -> None:
+        self.wearer, self._stages_on, self._standard, self._make = wearer, stages_on, standard, make
+        self.stages: dict[str, BodyStages] = {wearer.body.digest: stages_on(wearer.body)}
         self._cut: dict[str, Entry] = {}
         self._one = threading.Lock()
 
-    def cut(self, entry: Entry) -> Entry:
-        """``entry`` for this avatar."""
-        digest = tailored_digest(entry.garment, self.wearer.body)
+    def cut(self, entry: Entry, halves: Halves) -> Entry:
+        """``entry`` for this avatar, among garments that lie on these ``halves``."""
+        body = self.wearer.body_under(halves)
+        digest = tailored_digest(entry.garment, body)
         with self._one:
             go_on()
+            if body.digest not in self.stages:
+                self.stages[body.digest] = self._stages_on(body)
             if digest not in self._cut:
-                garment = self._make(tailored, entry.garment, self._standard, self.wearer.body)
-                self._cut[digest] = replace(entry, garment=garment, worn=self.stages)
+                garment = self._make(tailored, entry.garment, self._standard, body)
+                self._cut[digest] = replace(entry, garment=garment, worn=self.stages[body.digest])
             return self._cut[digest]
 
 
@@ -265,4 +313,5 @@ def _facts(wearer: Wearer) -> AvatarFacts:
         scale=wearer.scale,
         vrm=wearer.vrm or None,
         vertices=len(wearer.vertices),
+        parts=[AvatarPart(**part._asdict()) for part in wearer.attire.parts],
     )

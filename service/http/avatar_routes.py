@@ -12,14 +12,22 @@ import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
+from drape.avatar.attire import TOLD as SURE
+from drape.avatar.attire_words import Kind
 from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
+from drape.avatar.file_skeleton import load_file_rig
+from drape.avatar.mapping import TOLD
+from drape.avatar.own_clothes import Halves, bare_faces, halves_of, taken_off
+from drape.avatar.rig_file import bare_file
+from drape.avatar.wearer import Wearer
+from drape.body.model import BodyModel
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.formats import AVATAR_SUFFIXES
 from drape.garment.portrait import Sitter, portrait
-from service.compute.avatars import AvatarInfo
+from service.compute.avatars import AvatarInfo, AvatarWears
 from service.errors import Full, TooSlow
 from service.http import schemas
-from service.http.answers import BINARY, JSON, PNG, json_answer
+from service.http.answers import BINARY, GLB, JSON, PNG, json_answer
 from service.http.covered_schemas import CoveredFaces, CoveredPrimitive
 from service.http.garment_routes import LEAST, MOST, USUAL
 from service.http.json_body import document_of, json_text, validated
@@ -31,13 +39,19 @@ from service.state import ClientHere, StateHere
 router = APIRouter()
 PIECE_BYTES = 1 << 20
 KINDS = (BINARY, "model/gltf-binary", "model/vrm")
+Garments = Annotated[
+    str, Query(max_length=1000, description="The ids of the garments that it wears, separated by commas.")
+]
 
 
 class AvatarChange(schemas.Request):
-    """A correction of which node is which joint. Joints that are left out stay as they are."""
+    """A correction of which node is which joint, and of which part is what. What is left out stays as it is."""
 
     joints: dict[Annotated[str, Field(max_length=40)], Annotated[str, Field(max_length=120)]] = Field(
-        min_length=1, max_length=24, description="The name of the node of each joint, by SMPL's name of the joint."
+        default={}, max_length=24, description="The name of the node of each joint, by SMPL's name of the joint."
+    )
+    parts: dict[Annotated[str, Field(max_length=400)], Kind] = Field(
+        default={}, max_length=400, description="The kind of each part by the part's name."
     )
 
 
@@ -75,10 +89,17 @@ async def avatars(state: StateHere, client: ClientHere) -> Response:
     return Response(b"[%b]" % documents, media_type=JSON)
 
 
-@router.get("/avatars/{avatar_id}", response_model=AvatarInfo, responses=responses(NotFound))
+@router.get("/avatars/{avatar_id}", response_model=AvatarWears, responses=responses(NotFound))
 async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> Response:
-    """Returns one avatar: which of its nodes is which joint, and how well our body fits its skin."""
-    return Response((await state.avatar(avatar_id, client)).document, media_type=JSON)
+    """Returns one avatar: which of its nodes is which joint, how well our body fits its skin, what is what on it, and
+    which garments it can wear.
+    """
+    entry = await state.avatar(avatar_id, client)
+    known = state.runtime.garments.visible(client.name)
+    why = await asyncio.to_thread(state.runtime.avatars.wears, entry.id, known)
+    told = {"wears": {key: one is None for key, one in why.items()}}
+    told |= {"wears_why": {key: one for key, one in why.items() if one is not None}}
+    return Response(entry.document[:-1] + b"," + json.dumps(told).encode()[1:], media_type=JSON)
 
 
 @router.patch(
@@ -90,14 +111,18 @@ async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> Respon
 async def change_avatar(
     avatar_id: str, request: Request, response: Response, state: StateHere, client: ClientHere
 ) -> schemas.JobInfo:
-    """Corrects which node is which joint. The service then makes the avatar anew from its file. The answer is a job:
-    ask for its state until it has ended.
+    """Corrects which node is which joint, and which part is what. The service then makes the avatar anew from its file.
+    The answer is a job: ask for its state until it has ended.
     """
     entry = await state.avatar(avatar_id, client)
     asked = validated(AvatarChange, document_of(await json_text(request)))
     if not await asyncio.to_thread(entry.source.is_file):
         raise NotFound("avatar", expected="one whose file is stored", got="none", cure="Send the character again.")
-    told = json.dumps({**entry.told.joints, **asked.joints})
+    if not (asked.joints or asked.parts):
+        raise InputError("avatar", expected="joints or parts", got="neither", cure='Send {"parts": {"NAME": "hair"}}.')
+    kept = entry.told.joints if asked.joints or entry.told.found_by == TOLD else {}
+    parts = {part.name: part.kind for part in entry.told.parts if part.sure == SURE}
+    told = json.dumps({"joints": {**kept, **asked.joints}, "parts": {**parts, **asked.parts}})
     pieces = _pieces(entry.source)
     job = await state.uploads.submit(entry.told.name, "glb", pieces, told, client, kind="avatar", replaces=entry.id)
     response.headers["Location"] = f"/jobs/{job.id}"
@@ -127,34 +152,81 @@ async def avatar_covered(
     avatar_id: str,
     state: StateHere,
     client: ClientHere,
-    garments: Annotated[
-        str, Query(max_length=1000, description="The ids of the garments that it wears, separated by commas.")
-    ],
+    garments: Garments,
     size: Annotated[
         str | None,
         Query(max_length=40, description="One size for all garments, or a size for each, separated by commas."),
     ] = None,
 ) -> CoveredFaces:
-    """Returns the faces of the character that lie wholly under its garments at rest, away from their hems. A client
-    that draws these faces a little deeper keeps them from showing through the cloth.
+    """Returns the faces of the character that lie wholly under its garments at rest, away from their hems, and those of
+    its own clothes that these replace. A client that draws the first a little deeper and leaves out the others keeps
+    them from showing through the cloth.
     """
     entry = await state.avatar(avatar_id, client)
-    sizes = size if size is None or "," not in size else [one or None for one in size.split(",")]
+    ids, sizes = (
+        garments.split(","),
+        size if size is None or "," not in size else [one or None for one in size.split(",")],
+    )
     state.check_slot()
     with state.access.using(client, "clips"), state.slot():
-        scene = await state.scene(None, garments.split(","), client, avatar=avatar_id, size=sizes)
-        wearer = await state.wearer(avatar_id, client)
+        scene = await state.scene(None, ids, client, avatar=avatar_id, size=sizes)
+        wearer, halves, off = await _undressed(state, avatar_id, ids, client)
+        below = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
+        bare = await state.runtime.made(bare_faces, wearer.body_under(halves), *below, off)
         cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
         surface = entry.path, wearer.vertices, wearer.faces
-        covered, own = await state.runtime.made(covered_in_file, *surface, cloth)
+        covered, own = await state.runtime.made(covered_in_file, *surface, cloth, off)
     return CoveredFaces(
         deeper_m=DEEPER_M,
         share=round(float(covered.mean()), 4),
         ranges=ranges_of(covered).reshape(-1).tolist(),
+        hidden=ranges_of(off).reshape(-1).tolist(),
+        bare=int(bare.sum()),
+        skin_colour=list(wearer.attire.skin_colour),
         primitives=[
-            CoveredPrimitive(**primitive._asdict(), ranges=ranges.reshape(-1).tolist()) for primitive, ranges in own
+            CoveredPrimitive(
+                **one.primitive._asdict(),
+                ranges=one.ranges.reshape(-1).tolist(),
+                hidden=one.hidden.reshape(-1).tolist(),
+            )
+            for one in own
         ],
     )
+
+
+async def _undressed(
+    state: StateHere, avatar_id: str, garments: list[str], client: ClientHere
+) -> tuple[Wearer, Halves, np.ndarray]:
+    """The wearer, the halves of it on which ``garments`` lie, and its faces (F,) that these take off."""
+    scene = await state.scene(None, garments, client)
+    halves = halves_of([layer.garment for layer in scene.layers], state.runtime.body)
+    wearer = await state.wearer(avatar_id, client)
+    off = taken_off(wearer.attire, halves) if wearer.attire.parts else np.zeros(len(wearer.faces), dtype=bool)
+    return wearer, halves, off
+
+
+def bare_skin(stored: Path, body: BodyModel, wearer: Wearer, off: np.ndarray) -> bytes:
+    """The GLB of the faces of ``body`` that are bare where the faces ``off`` (F,) of ``wearer`` are gone; refuses
+    (``NotFound``) where none are."""
+    chosen = bare_faces(body, wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64), off)
+    if not chosen.any():
+        raise NotFound(
+            "bare", expected="skin that comes to light", got="none", cure="Ask only where covered tells of it."
+        )
+    return bare_file(wearer, load_file_rig(stored), body, chosen).to_bytes()
+
+
+@router.get(
+    "/avatars/{avatar_id}/bare", response_class=Response, responses=responses(InputError, NotFound, kinds=(GLB,))
+)
+async def avatar_bare(avatar_id: str, state: StateHere, client: ClientHere, garments: Garments) -> Response:
+    """Returns the skin that is bare where the garments take off clothes of the character and nothing was modelled
+    below: a GLB on the character's own nodes, to be drawn beside it.
+    """
+    entry = await state.avatar(avatar_id, client)
+    wearer, halves, off = await _undressed(state, avatar_id, garments.split(","), client)
+    made = await state.runtime.made(bare_skin, entry.path, wearer.body_under(halves), wearer, off)
+    return Response(made, media_type=GLB)
 
 
 @router.get(

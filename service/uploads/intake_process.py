@@ -34,7 +34,7 @@ async def run_sandbox(
 ) -> dict[str, Any]:
     """The report of the intake process; raises its refusal, or one for the limit that it ran into.
 
-    ``avatar``: of a garment, what it was modelled on; of an avatar, its joints as JSON.
+    ``avatar``: of a garment, what it was modelled on; of an avatar, its joints and parts as JSON.
 
     ``begun`` is called with each stage as the process begins it.
     """

@@ -1,10 +1,10 @@
 """One intake in a process with limits: ``python -m service.uploads.sandbox FILE --out DIR``; prints lines of JSON.
 
 Standard input holds the avatar of a garment, or nothing where the standard body is meant; with ``--kind avatar`` the
-joints that were told, as JSON, or nothing. ``{"stage": NAME}`` is a line before, for each stage as it begins. A mesh
-file of a few hundred bytes can ask for gigabytes, so strangers' files are never parsed in the serving process. The
-last line is ``{"problem": {kind, name, expected, got, cure}}``, or ``{"files": [NAME, ...]}``: the garments of the
-file, the innermost first, or the avatar.
+``joints`` and ``parts`` that were told, as JSON, or nothing. ``{"stage": NAME}`` is a line before, for each stage as it
+begins. A mesh file of a few hundred bytes can ask for gigabytes, so strangers' files are never parsed in the serving
+process. The last line is ``{"problem": {kind, name, expected, got, cure}}``, or ``{"files": [NAME, ...]}``: the
+garments of the file, the innermost first, or the avatar.
 """
 
 from __future__ import annotations
@@ -50,8 +50,11 @@ def avatar_file(file: Path, out: Path, *, told: str | None, body: str) -> Path:
     from drape.avatar.wearer import read_wearer, save_wearer, wearer_name
     from drape.body.assets import load_body
 
-    joints = json.loads(told) if told else None
-    wearer = read_wearer(file.read_bytes(), name=wearer_name(file.stem), body=load_body(body), told=joints, begun=_say)
+    said = json.loads(told) if told else {}
+    wearer = read_wearer(
+        file.read_bytes(), name=wearer_name(file.stem), body=load_body(body), told=said.get("joints"),
+        kinds=said.get("parts"), begun=_say,
+    )  # fmt: skip
     _say("store")
     return save_wearer(wearer, out)
 

@@ -10,11 +10,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from drape.avatar.own_clothes import Halves, bare_faces, taken_off
+from drape.avatar.rig_file import bare_file
+from drape.avatar.wearer import read_wearer
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES, PARENTS
+from drape.catalog import find_garments, open_garment
 from drape.cloth.fabric_table import FABRICS
 from drape.files.looks import Material
 from drape.geometry.rotations import rotvec_to_matrix
+from drape.geometry.skinning import skin_points
 from drape.motion.amass import read_amass
 from drape.motion.samples import reach
 from drape.wire.meshes import STEP_M, pack_mesh
@@ -22,6 +27,7 @@ from service.http.schemas import FabricInfo
 from tests.clients.node import page_answer
 from tests.drape.motion.rigs import rig_names
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.dressed_characters import dressed_character, dressed_parts
 
 BORDERS = """
 const { unpackMesh } = await import(`${WEB}/lib/src/meshes.js`);
@@ -269,7 +275,12 @@ const shader = { vertexShader: "void main() {\\n#include <project_vertex>\\n}" }
 twin.material.onBeforeCompile(shader);
 second();
 const own = twin.material.customProgramCacheKey() !== body.material.customProgramCacheKey();
-console.log(JSON.stringify({ before, one, both, left, after: told(), shader, own }));
+const after = told();
+const gone = [{ name: "Body", triangles: 4, ranges: [0, 1], hidden: [1, 2] }];
+const third = coverSkin(object, { deeper_m: 0.05, primitives: gone });
+const hidden = told();
+third();
+console.log(JSON.stringify({ before, one, both, left, after, shader, own, hidden, last: told() }));
 """
 
 
@@ -286,8 +297,50 @@ def test_covered_skin_is_drawn_deeper_and_comes_back(tmp_path: Path):
         assert got[moment][0] == [above, [below]], "each triangle has an area in one of the two meshes"
         assert got[moment][1] == [own.ravel().tolist(), []], "the hand has as many triangles and another name"
     assert got["one"][2] == [[0, 1, 2, 3, 3, 3], [[0, 0, 0, 3, 4, 5]]], "hair has no index of its own"
-    assert got["before"] == got["after"] and got["before"][2] == [None, []]
+    above, below = (np.reshape(one, (4, 3)) for one in got["hidden"][0])
+    assert (above[:3] == above[:3, :1]).all() and (below[1:] == below[1:, :1]).all(), "two of four are in neither"
+    assert np.array_equal(above[3], own[3]) and np.array_equal(below[0], own[0])
+    assert got["before"] == got["after"] == got["last"] and got["before"][2] == [None, []]
     assert "mvPosition + vec4(0.0, 0.0, -0.05000, 0.0)" in got["shader"]["vertexShader"] and got["own"]
+
+
+BARE = """
+globalThis.self = globalThis;
+const { readCharacter } = await import(`${WEB}/lib/src/character.js`);
+const { bareSkin } = await import(`${WEB}/lib/src/covered.js`);
+const { Vector3 } = await import(`${WEB}/node_modules/three/build/three.module.js`);
+const bytesOf = (text) => Uint8Array.from(Buffer.from(text, "base64")).buffer;
+const one = await readCharacter(bytesOf(input.file), input.avatar);
+const off = await bareSkin(one.object, bytesOf(input.bare));
+one.pose(input.pose, input.root);
+one.object.updateMatrixWorld(true);
+let skin = null;
+one.object.traverse((node) => (skin = node.name === "bare_skin" ? node : skin));
+const at = [...Array(skin.geometry.attributes.position.count).keys()].map((i) =>
+  skin.getVertexPosition(i, new Vector3()).applyMatrix4(skin.matrixWorld).toArray());
+off();
+console.log(JSON.stringify({ at, gone: skin.parent === null }));
+"""
+
+
+def test_bare_skin_moves_with_the_character(body: BodyModel, rng: np.random.Generator, tmp_path: Path):
+    """Where players put it is where the body that was laid on the character is posed."""
+    top = open_garment(find_garments(["tshirt"])[0], body)
+    payload = dressed_character(body, dressed_parts(body, {"top": top}, cut_away=True))
+    wearer = read_wearer(payload, name="me", body=body)
+    off = taken_off(wearer.attire, Halves(True, False))
+    chosen = bare_faces(wearer.body, wearer.vertices, wearer.faces, off)
+    assert wearer.file is not None
+    bare = bare_file(wearer, wearer.file, wearer.body, chosen).to_bytes()
+    pose, root = rng.normal(scale=0.3, size=(1, 24, 3)).astype(np.float32), [0.3, 1.1, -0.2]
+    avatar = {"joints": wearer.joints, "rest_joints": wearer.body.joints_template.tolist(), "scale": wearer.scale}
+    document = {"file": base64.b64encode(payload).decode(), "bare": base64.b64encode(bare).decode(), "avatar": avatar}
+    got = page_answer(BARE, document | {"pose": pose.reshape(72).tolist(), "root": root}, tmp_path)
+    moves = wearer.body.bones(pose.astype(np.float64), np.array([root]) - wearer.body.joints_template[0])
+    used = np.unique(wearer.body.faces[chosen])
+    expected = skin_points(wearer.body.v_template[None], wearer.body.weights, *moves)[0, used]
+    apart = np.linalg.norm(np.array(got["at"]) - expected, axis=1)
+    assert len(used) > 500 and np.quantile(apart, 0.99) < 5e-3 and got["gone"]  # of four joints a vertex
 
 
 OVER = """

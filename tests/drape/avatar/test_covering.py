@@ -22,7 +22,7 @@ DEEP_M = 0.005
 @pytest.fixture(scope="module")
 def pose(body: BodyModel) -> TPose:
     """Our own body as a character."""
-    return TPose(body.v_template, body.faces, body.weights, body.joints_template, 1.0)
+    return TPose(body.v_template, body.faces, body.weights, body.joints_template, 1.0, 1.7)
 
 
 def test_a_skin_that_is_short_comes_out_in_every_pose(body: BodyModel, pose: TPose):

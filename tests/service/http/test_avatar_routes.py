@@ -15,9 +15,16 @@ from numpy.testing import assert_allclose
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from drape.avatar import wears
+from drape.avatar.character import character_in
 from drape.avatar.covered import DEEPER_M
+from drape.avatar.own_clothes import Halves
 from drape.avatar.wearer import Wearer, read_wearer, save_wearer
+from drape.avatar.wears import Reach
 from drape.body.model import BodyModel
+from drape.catalog import find_garments, open_garment
+from drape.errors import BodyError
+from drape.files.gltf import GltfFile
 from drape.geometry.closest import signed_distance
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from drape.motion.rig_poses import poses_to_rig
@@ -28,12 +35,14 @@ from service.compute import avatars as in_service
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.dressed_characters import dressed_character, dressed_parts
 from tests.fixtures.glb_reader import Reader
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.serving import files_in
 from tests.fixtures.streams import PROTOCOLS
 
 BETAS = np.array([1.0, -1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+OWN = {"top": "tshirt", "trousers": "trousers"}
 NUMBERS = {"Accept": "application/octet-stream"}
 POSES = np.zeros((2, 24, 3))
 POSES[:, 16:18, 2] = [-0.9, 0.9]
@@ -76,7 +85,10 @@ def posed(api: httpx.Client, avatar: str) -> np.ndarray:
 
 def test_an_avatar_is_told_of(api: httpx.Client, avatar: str):
     found = api.get(f"/avatars/{avatar}").json()
-    assert found in api.get("/avatars").json()
+    assert {key: held for key, held in found.items() if key not in ("wears", "wears_why")} in api.get("/avatars").json()
+    assert found["wears"]["tube"] is True and found["wears_why"] == {}
+    assert sum(part["faces"] for part in found["parts"]) == len(api.get(f"/avatars/{avatar}/mesh").json()["faces"])
+    assert {part["kind"] for part in found["parts"]} <= {"skin", "face"}
     assert found["joints"]["left_knee"] == "bone left_knee" and "bone left_knee" in found["nodes"]
     assert (found["found_by"], found["confidence"], found["notes"]) == ("vrm", 1.0, [])
     assert found["fit"]["median_mm"] < 2.5 and found["vrm"] == "0" and found["scale"] == 0.01
@@ -361,8 +373,69 @@ def test_quaternions_are_checked_for_their_length(api: httpx.Client, avatar: str
     assert answer.status_code == 422 and "unit quaternions" in answer.json()["expected"]
 
 
+@pytest.fixture(scope="module")
+def dressed(api: httpx.Client, body: BodyModel) -> str:
+    """Our body in a T-shirt and trousers of its own, without skin below, with a rucksack: its id in the service."""
+    garments = {kind: open_garment(find_garments([name])[0], body) for kind, name in OWN.items()}
+    payload = dressed_character(body, dressed_parts(body, garments, cut_away=True))
+    job = sent(api, payload, "dressed.vrm")
+    assert job["state"] == "done", job
+    return job["avatar"]
+
+
+def test_own_clothes_come_off_and_the_skin_below_is_there(api: httpx.Client, dressed: str, avatar: str):
+    """The tube lies on the trunk alone: the T-shirt goes with the rucksack, and the trousers stay."""
+    parts = {part["kind"]: part for part in api.get(f"/avatars/{dressed}").json()["parts"]}
+    assert parts["carried"]["bulky"] and not parts["hair"]["bulky"]
+    found = api.get(f"/avatars/{dressed}/covered", params={"garments": "tube"}).json()
+    assert sum(found["hidden"][1::2]) == parts["top"]["faces"] + parts["carried"]["faces"]
+    gone = [sum(one["hidden"][1::2]) for one in found["primitives"]]
+    assert sum(gone) == sum(found["hidden"][1::2]) and set(gone) == {
+        0,
+        parts["top"]["faces"],
+        parts["carried"]["faces"],
+    }
+    bare = api.get(f"/avatars/{dressed}/bare", params={"garments": "tube"})
+    assert bare.status_code == 200, bare.text
+    skin = character_in(GltfFile(bare.content))
+    assert len(skin.faces) == found["bare"] > 500
+    none = api.get(f"/avatars/{avatar}/bare", params={"garments": "tube"})
+    assert none.status_code == 404 and none.json()["got"] == "none"
+
+
+def test_a_part_is_corrected(api: httpx.Client, dressed: str):
+    before = {part["name"]: part for part in api.get(f"/avatars/{dressed}").json()["parts"]}
+    name = next(key for key, part in before.items() if part["kind"] == "top")
+    job = ended(api, api.patch(f"/avatars/{dressed}", json={"parts": {name: "skin"}}))
+    assert job["state"] == "done", job
+    told = api.get(f"/avatars/{dressed}").json()
+    after = {part["name"]: part for part in told["parts"]}
+    assert (after[name]["kind"], after[name]["sure"], told["found_by"]) == ("skin", 1.0, "names")
+    assert after.keys() == before.keys()
+    assert api.patch(f"/avatars/{dressed}", json={"parts": {name: "wig"}}).status_code == 400
+    assert api.delete(f"/avatars/{dressed}").status_code == 204
+
+
+def test_what_an_avatar_cannot_wear_is_told_before_and_in_the_same_words(
+    make_runtime: Callable[..., DrapeRuntime], wearers: list[Wearer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    runtime = make_runtime()
+    entry, tube = add(runtime.avatars, wearers[0], tmp_path, None), runtime.garments.get("tube")
+    assert runtime.avatars.wears(entry.id, [tube]) == {"tube": None}
+    monkeypatch.setattr(in_service, "reach_of", lambda garment, body: Reach(Halves(False, True), True))
+    monkeypatch.setattr(wears, "THICKEST", 0.01)
+    avatars = runtime.avatars
+    avatars._reaches.clear()
+    why = avatars.wears(entry.id, [tube])["tube"]
+    assert why is not None and "times as thick as long" in why
+    with pytest.raises(BodyError) as refused:
+        avatars.dress(entry.id, tube)
+    assert str(refused.value) == why
+
+
 def test_joints_are_corrected_and_an_avatar_is_removed(api: httpx.Client, avatar: str, settings: Settings):
-    assert api.patch(f"/avatars/{avatar}", json={"joints": {}}).status_code == 400
+    refused = api.patch(f"/avatars/{avatar}", json={"joints": {}})
+    assert refused.status_code == 400 and refused.json()["expected"] == "joints or parts"
     job = ended(api, api.patch(f"/avatars/{avatar}", json={"joints": {"spine3": "nothing"}}))
     assert job["state"] == "failed" and "a node" in job["problem"]["expected"]
     job = ended(api, api.patch(f"/avatars/{avatar}", json={"joints": {"spine3": "bone spine2"}}))

@@ -3,8 +3,9 @@
 //
 // The covered triangles of a mesh are drawn by a second mesh beside it, with a copy of its material whose depth is that of
 // points further from the viewer. Both have an index of their own, in which what the other one draws has no area, so that
-// groups of materials stay as they are.
-import { BufferAttribute, BufferGeometry, Mesh, PropertyBinding, SkinnedMesh } from "three";
+// groups of materials stay as they are. Hidden triangles, of clothes that a garment replaces, are drawn by neither one, and
+// what was never modelled below them is skin on the character's bones.
+import { BufferAttribute, BufferGeometry, Matrix4, Mesh, PropertyBinding, Skeleton, SkinnedMesh } from "three";
 import { nearer } from "./depth.js";
 
 const drawn = new Map(); // by mesh: what is drawn in its place
@@ -16,7 +17,7 @@ export function coverSkin(object, covered) {
   const found = meshesOf(object, covered.primitives);
   for (const [mesh, primitive] of found) {
     if (!drawn.has(mesh)) drawn.set(mesh, new Divided(mesh, covered.deeper_m));
-    drawn.get(mesh).cover(by, primitive.ranges);
+    drawn.get(mesh).cover(by, primitive);
   }
   return () => {
     for (const [mesh] of found) {
@@ -25,12 +26,36 @@ export function coverSkin(object, covered) {
   };
 }
 
+// Puts skin on the bones of object, a rig in a scene: bytes are a GLB, the answer of GET /avatars/{id}/bare. The result takes
+// it off.
+export async function bareSkin(object, bytes) {
+  const { GLTFLoader } = await import("three/addons/loaders/GLTFLoader.js");
+  const { scene } = await new GLTFLoader().parseAsync(bytes, "");
+  const named = new Map();
+  object.traverse((node) => !node.isMesh && !named.has(nameOf(node)) && named.set(nameOf(node), node));
+  let skin = null;
+  scene.traverse((node) => (skin = node.isSkinnedMesh ? node : skin));
+  const bones = skin.skeleton.bones.map((bone) => named.get(nameOf(bone)));
+  if (bones.some((bone) => !bone)) return () => {}; // it is another character's
+  skin.bind(new Skeleton(bones, skin.skeleton.boneInverses), new Matrix4());
+  Object.assign(skin, { castShadow: true, receiveShadow: true, frustumCulled: false });
+  skin.userData.drapeCovered = true;
+  object.add(skin);
+  return () => {
+    skin.removeFromParent();
+    skin.geometry.dispose();
+    skin.material.dispose();
+  };
+}
+
+const nameOf = (node) => node.userData.name ?? node.name;
+
 const trianglesOf = ({ index, attributes }) => Math.floor((index ?? attributes.position).count / 3);
 
 // The mesh of each primitive that has covered triangles: of those with as many triangles the one of its name, else the first.
 function meshesOf(object, primitives) {
   const left = [];
-  object.traverse((node) => node.isSkinnedMesh && !node.userData.drapeCovered && left.push(node));
+  object.traverse((node) => node.isMesh && !node.userData.drapeCovered && left.push(node));
   const found = [];
   for (const primitive of primitives) {
     const alike = left.filter(({ geometry }) => trianglesOf(geometry) === primitive.triangles);
@@ -38,7 +63,7 @@ function meshesOf(object, primitives) {
     const mesh = alike.find((one) => one.name === name || one.parent?.name === name) ?? alike[0];
     if (!mesh) continue; // it is not in this scene
     left.splice(left.indexOf(mesh), 1);
-    if (primitive.ranges.length) found.push([mesh, primitive]);
+    if (primitive.ranges.length || primitive.hidden?.length) found.push([mesh, primitive]);
   }
   return found;
 }
@@ -56,8 +81,8 @@ class Divided {
     mesh.add(this.twin);
   }
 
-  cover(by, ranges) {
-    this.by.set(by, ranges);
+  cover(by, { ranges, hidden = [] }) {
+    this.by.set(by, { ranges, hidden });
     this.#divide();
   }
 
@@ -77,16 +102,17 @@ class Divided {
 
   #divide() {
     const { corners, above, below } = this;
-    const covered = new Uint8Array(corners.length / 3);
-    for (const ranges of this.by.values()) {
-      for (let i = 0; i < ranges.length; i += 2) covered.fill(1, ranges[i], ranges[i] + ranges[i + 1]);
+    const where = new Uint8Array(corners.length / 3); // 0: above, 1: below, 2: hidden
+    for (const [kind, name] of [[1, "ranges"], [2, "hidden"]]) {
+      for (const { [name]: runs } of this.by.values()) {
+        for (let i = 0; i < runs.length; i += 2) where.fill(kind, runs[i], runs[i] + runs[i + 1]);
+      }
     }
-    covered.forEach((is, triangle) => {
+    where.forEach((is, triangle) => {
       const at = 3 * triangle;
-      const [shown, flat] = is ? [below, above] : [above, below];
       for (let corner = at; corner < at + 3; corner++) {
-        shown.array[corner] = corners[corner];
-        flat.array[corner] = corners[at];
+        above.array[corner] = corners[is === 0 ? corner : at];
+        below.array[corner] = corners[is === 1 ? corner : at];
       }
     });
     above.needsUpdate = below.needsUpdate = true;

@@ -60,8 +60,8 @@ export class Rest {
     return (await this.request(path, options)).json();
   }
 
-  async #bytes(path) {
-    return (await this.request(path, { headers: { Accept: "application/octet-stream" } })).arrayBuffer();
+  async #bytes(path, kind = "application/octet-stream") {
+    return (await this.request(path, { headers: { Accept: kind } })).arrayBuffer();
   }
 
   // A ticket for a stream, which can send no header and spends it; empty where no key is asked for.
@@ -110,6 +110,11 @@ export class Rest {
   covered(id, garments, sizes = []) {
     const size = sizes.some(Boolean) ? sizes.map((one) => one ?? "").join(",") : null;
     return this.json(`/avatars/${encodeURIComponent(id)}/covered?${queried({ garments: garments.join(","), size })}`);
+  }
+
+  // Skin of an avatar that is bare where garments take off clothes of its own: a GLB on its nodes.
+  bare(id, garments) {
+    return this.#bytes(`/avatars/${encodeURIComponent(id)}/bare?${queried({ garments: garments.join(",") })}`, "model/gltf-binary");
   }
 
   // Sends a character, the bytes of a GLB or VRM; the answer is the job.

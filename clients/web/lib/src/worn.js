@@ -2,7 +2,7 @@
 import { BufferAttribute, BufferGeometry, DynamicDrawUsage, Group, Mesh, Sphere, Vector3 } from "three";
 import { poseBones } from "./body.js";
 import { FURTHEST_M, borderDistances } from "./borders.js";
-import { coverSkin } from "./covered.js";
+import { bareSkin, coverSkin } from "./covered.js";
 import { DrapeError } from "./errors.js";
 import { clothMaterial, dye } from "./materials.js";
 import { fetchPictures, groupByMaterial, withPictures } from "./pictures.js";
@@ -157,7 +157,7 @@ export class Worn extends Group {
   }
 
   // From its first frame on, draws the skin of the avatar that lies below the garments a little deeper than it is, so that
-  // it does not stand through them. skin: the character in the scene, an Object3D; null: as it was.
+  // it does not stand through them, and leaves out the clothes of its own that they replace. skin: the character in the scene, an Object3D; null: as it was.
   async cover(skin) {
     this.covering?.end?.();
     const now = skin && { skin };
@@ -169,13 +169,21 @@ export class Worn extends Group {
       throw new DrapeError({ ...words, cure: "wear() takes avatar." });
     }
     const ids = layers.map(({ id }) => id);
-    now.covered = await drape.rest.covered(options.avatar, ids, ids.map((id) => this.wearing.sizeOf(id)));
+    const covered = await drape.rest.covered(options.avatar, ids, ids.map((id) => this.wearing.sizeOf(id)));
+    now.bare = covered.bare ? await drape.rest.bare(options.avatar, ids) : null;
+    now.covered = covered;
     if (this.covering === now && this.mesh.visible) this.#cover();
   }
 
   #cover() {
     const { covering } = this;
-    if (covering?.covered && !covering.end) covering.end = coverSkin(covering.skin, covering.covered);
+    if (!covering?.covered || covering.end) return;
+    const uncover = coverSkin(covering.skin, covering.covered);
+    const skin = covering.bare && bareSkin(covering.skin, covering.bare).catch(() => () => {}); // the cloth is there without
+    covering.end = () => {
+      uncover();
+      skin?.then((off) => off());
+    };
   }
 
   play(motion, choice) {

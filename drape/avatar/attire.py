@@ -1,0 +1,317 @@
+"""What is what on a character: which of its faces are skin, face, hair, clothes, shoes, and things that it carries.
+
+Names tell first (``drape.avatar.attire_words``). Faces whose names do not are cut into regions, pieces of one colour:
+a region in a colour that head and hands share is skin, another one is what is worn where it lies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse.csgraph import connected_components
+
+from drape.avatar.attire_words import CLOTH, DOLL, KINDS, kind_of_names
+from drape.avatar.character import Character
+from drape.avatar.parts import PARTS, parts_of, plain_part
+from drape.avatar.t_pose import TPose
+from drape.body.skeleton import JOINT_NAMES
+from drape.errors import NotFound, did_you_mean
+from drape.files.gltf import GltfFile
+from drape.geometry import meshes
+
+SAME_COLOUR = 0.11  # the largest difference of a channel, sRGB, between faces of one region, and between skin and skin
+LEAST_SHARE = 0.002  # of the surface: a smaller region goes with its largest neighbour
+BY_NAME, BY_COLOUR, BY_CLOTH = 0.95, 0.6, 0.8  # how sure
+TOLD = 1.0
+
+
+Names = tuple[str | None, ...]
+
+
+class AttirePart(NamedTuple):
+    """Faces of one ``kind``: their number ``faces`` and how ``sure`` the kind is, 0 to 1; ``bulky`` things stand so far
+    off the trunk that no cloth lies over them."""
+
+    name: str
+    kind: str
+    faces: int
+    sure: float
+    bulky: bool = False
+
+
+class Attire(NamedTuple):
+    """``parts`` of a character, and which of them each of its faces is, ``part`` (F,); ``skin_colour``, sRGB, the mean
+    of its skin."""
+
+    parts: tuple[AttirePart, ...]
+    part: np.ndarray
+    skin_colour: tuple[float, float, float]
+
+    def of_kinds(self, kinds: tuple[str, ...] | set[str]) -> np.ndarray:
+        """Which faces (F,) are of ``kinds``."""
+        return np.array([part.kind in kinds for part in self.parts], dtype=bool)[self.part]
+
+
+def attire_of(
+    file: GltfFile, character: Character, pose: TPose, colours: np.ndarray, *, told: Mapping[str, str] | None = None
+) -> Attire:
+    """The parts of ``character`` in ``pose``, whose faces have the ``colours`` (F, 3), sRGB; ``told``: parts' names and
+    kinds that a client corrects. Raises ``NotFound`` for a part or a kind that is not there."""
+    surface = _Surface(character, pose, colours)
+    names = [_names(file, primitive.node, primitive.primitive) for primitive in character.primitives]
+    said = [kind_of_names(one) for one in names]
+    plain = len({kind for kind in said if kind not in (None, "face")}) <= 1
+    kinds = np.full(len(pose.faces), -1)
+    sure = np.full(len(pose.faces), BY_NAME)
+    for number, kind in enumerate(said):
+        rows = np.flatnonzero(surface.primitive == number)
+        if kind == CLOTH:
+            kinds[rows], sure[rows] = KINDS.index(surface.clothes(rows)), BY_CLOTH
+        elif kind is not None and not (kind == "skin" and plain and surface.is_whole(rows)):
+            kinds[rows] = KINDS.index("skin" if kind == DOLL else kind)
+    left = np.flatnonzero(kinds < 0)
+    if len(left):
+        kinds[left], sure[left] = surface.by_colour(left, kinds), BY_COLOUR
+    parts, part = _grouped(character, surface.primitive, kinds, sure, names)
+    found = Attire(_corrected(parts, told or {}, file.label), part, (0.0, 0.0, 0.0))
+    bare = found.of_kinds(("skin",))
+    bare = bare if bare.any() else found.of_kinds(("face",))
+    rows = bare if bare.any() else np.ones(len(bare), dtype=bool)
+    red, green, blue = np.round(np.average(colours[rows], axis=0, weights=surface.area[rows]), 3).tolist()
+    return found._replace(skin_colour=(red, green, blue))
+
+
+def _names(file: GltfFile, node: int, index: int) -> Names:
+    """The names of a primitive's material, node, mesh and picture: what tells most comes first."""
+    held = file.document.nodes[node]
+    mesh = file.item("meshes", held.mesh)
+    number = mesh.primitives[index].material
+    material = {} if number is None else file.item("materials", number, "primitives.material")
+    pictures = [one.get("name") for one in (_picture(file, material),) if one]
+    found = [material.get("name"), held.name, mesh.name, *pictures]
+    return tuple(name[:120] if isinstance(name, str) else None for name in found)
+
+
+def _picture(file: GltfFile, material: dict) -> dict:
+    """The image of the base colour of ``material``, empty where it has none."""
+    try:
+        texture = material["pbrMetallicRoughness"]["baseColorTexture"]["index"]
+        return file.document.images[file.document.textures[texture]["source"]]
+    except (KeyError, IndexError, TypeError):
+        return {}
+
+
+class _Surface:
+    """A character's faces: where on the body each is, and which touch."""
+
+    def __init__(self, character: Character, pose: TPose, colours: np.ndarray) -> None:
+        assert character.triangle is not None and character.hung is not None
+        counts = [primitive.triangles for primitive in character.primitives]
+        self.primitive = np.repeat(np.arange(len(counts)), counts)[character.triangle]
+        self.pose, self.colours, self.hung = pose, colours, character.hung
+        self.area = np.maximum(meshes.face_areas(pose.vertices, pose.faces), 1e-12)
+        self.centre = pose.vertices[pose.faces].mean(axis=1)
+        own = [plain_part(part) for part in PARTS]
+        self.part = np.array(own)[parts_of(pose.weights)[pose.faces[:, 0]]]
+        at = dict(zip(JOINT_NAMES, pose.joints, strict=True))
+        self.hip, self.knee = (0.5 * (at[f"left_{one}"] + at[f"right_{one}"]) for one in ("hip", "knee"))
+        self.shoulder = 0.5 * (at["left_shoulder"] + at["right_shoulder"])
+        self.half_hips = 0.5 * abs(at["left_hip"][0] - at["right_hip"][0])
+        self.pairs = _touching(pose.faces)
+
+    def share(self, rows: np.ndarray, *parts: str) -> float:
+        """How much of the area of ``rows`` lies on ``parts``."""
+        return float(self.area[rows][np.isin(self.part[rows], parts)].sum() / self.area[rows].sum())
+
+    def regions(self, rows: np.ndarray) -> np.ndarray:
+        """Which region (F,) each of the faces ``rows`` belongs to, -1 elsewhere: touching faces of one primitive and
+        one colour; small ones go with the neighbour with which they share most edges."""
+        inside = np.zeros(len(self.area), dtype=bool)
+        inside[rows] = True
+        a, b = self.pairs[inside[self.pairs].all(axis=1)].T
+        joined = self.primitive[a] == self.primitive[b]
+        like = joined & (np.abs(self.colours[a] - self.colours[b]).max(axis=1) < SAME_COLOUR)
+        label = _components(len(self.area), a[like], b[like])
+        least = LEAST_SHARE * self.area[~self.hung].sum()
+        for _ in range(4):
+            size = np.bincount(label, self.area, label.max() + 1)
+            ends = np.stack([label[a[joined]], label[b[joined]]], axis=1)
+            ends = np.concatenate([ends, ends[:, ::-1]])
+            ends = ends[(ends[:, 0] != ends[:, 1]) & (size[ends[:, 0]] < least)]
+            if not len(ends):
+                break
+            pair, count = np.unique(ends, axis=0, return_counts=True)
+            best = pair[np.lexsort((size[pair[:, 1]], count))]
+            into = np.arange(len(size))
+            into[best[:, 0]] = best[:, 1]  # the last one counts
+            bigger = size[into] > size
+            label = np.where(bigger, into, np.arange(len(size)))[label]
+        return np.where(inside, label, -1)
+
+    def is_whole(self, rows: np.ndarray) -> bool:
+        """Whether ``rows`` reach from head to hands: where such a mesh is called skin, its picture is meant."""
+        return all(self.share(rows, part) > 0.0 for part in ("head", "trunk", "palm"))
+
+    def skin_colours(self, label: np.ndarray, skin: np.ndarray) -> np.ndarray:
+        """The colours (n, 3) of skin: of faces that names call ``skin``, or those that face and hands share, or the
+        face's."""
+        if skin.any():
+            return np.average(self.colours[skin], axis=0, weights=self.area[skin])[None]
+        seen = (label >= 0) & ~self.hung
+        face = self._means(label, np.flatnonzero(seen & self._face()), 0.35)
+        palm = self._means(label, np.flatnonzero(seen & (self.part == "palm")), 0.2)
+        if len(face) and len(palm):
+            apart = np.abs(face[:, None] - palm).max(axis=2)
+            shared = face[apart.min(axis=1) < SAME_COLOUR]
+            if len(shared):
+                return shared
+        return face[:1]
+
+    def _face(self) -> np.ndarray:
+        """Which faces (F,) look ahead at the height of nose and mouth."""
+        head = self.part == "head"
+        if not head[~self.hung].any():
+            return head
+        low, high = np.quantile(self.centre[head & ~self.hung, 1], (0.0, 1.0))
+        share = (self.centre[:, 1] - low) / max(high - low, 1e-9)
+        ahead = meshes.face_normals(self.pose.vertices, self.pose.faces)[:, 2] > 0.3
+        return head & ahead & (share > 0.1) & (share < 0.55)
+
+    def _means(self, label: np.ndarray, rows: np.ndarray, least: float) -> np.ndarray:
+        """The mean colours (n, 3) of regions that take the share ``least`` of ``rows`` or more, the largest first."""
+        if not len(rows):
+            return np.zeros((0, 3))
+        index = np.unique(label[rows], return_inverse=True)[1]
+        area = np.bincount(index, self.area[rows])
+        mean = np.stack([np.bincount(index, self.area[rows] * column) for column in self.colours[rows].T], axis=1)
+        order = np.argsort(-area)
+        return (mean / area[:, None])[order[area[order] > least * area.sum()]]
+
+    def by_colour(self, rows: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+        """The numbers of kinds (n,) of faces ``rows`` whose names tell none; ``kinds`` (F,) are known elsewhere."""
+        label = self.regions(rows)
+        named = np.isin(kinds, [KINDS.index("skin"), KINDS.index("face")])
+        skin = self.skin_colours(label, named & (self.part != "head"))
+        found = np.zeros(len(label), dtype=np.int64)
+        for number in np.unique(label[rows]):
+            own = np.flatnonzero(label == number)
+            colour = np.average(self.colours[own], axis=0, weights=self.area[own])
+            bare = bool(len(skin)) and np.abs(skin - colour).max(axis=1).min() < SAME_COLOUR
+            found[own] = KINDS.index(self._worn_there(own, bare))
+        return found[rows]
+
+    def _worn_there(self, rows: np.ndarray, bare: bool) -> str:
+        """The kind of the faces ``rows`` of a region by where it lies; ``bare``: in a colour of skin."""
+        head = self.share(rows, "head", "neck") > 0.6
+        if self.hung[rows].all():
+            return "hat" if head else "carried"
+        if bare:
+            return "face" if head else "skin"
+        if head:
+            ahead = np.average(self.centre[rows, 2], weights=self.area[rows])
+            skull = np.flatnonzero((self.part == "head") & ~self.hung)
+            front = np.quantile(self.centre[skull, 2], 0.7)
+            small = self.area[rows].sum() < 0.08 * self.area[skull].sum()
+            return "face" if small and ahead > front else "hair"
+        if self._is_rigid(rows):
+            return "carried"
+        if self.share(rows, "palm") > 0.6:
+            return "gloves"
+        if self.share(rows, "sole") > 0.25 and self.share(rows, "sole", "shin") > 0.8:
+            return "shoes"
+        return self.clothes(rows)
+
+    def _is_rigid(self, rows: np.ndarray) -> bool:
+        """Whether one bone of the trunk moves all of ``rows``, which do not go round it: a bag, a quiver, a buckle."""
+        weights = self.pose.weights[np.unique(self.pose.faces[rows])]
+        if self.share(rows, "trunk") < 1.0 or (weights > 0.99).all(axis=0).sum() != 1:
+            return False
+        trunk = self.centre[(self.part == "trunk") & ~self.hung, 2]
+        ahead = (self.centre[rows, 2] > np.median(trunk)).mean()
+        return bool(max(ahead, 1.0 - ahead) > 0.98)
+
+    def clothes(self, rows: np.ndarray) -> str:
+        """Which clothes the faces ``rows`` are, by how far they reach up and down, and whether they part the legs."""
+        if self.share(rows, "head", "neck") > 0.6:
+            return "hat"
+        if self.share(rows, "palm") > 0.6:
+            return "gloves"
+        if self.share(rows, "sole", "shin") > 0.8:
+            return "shoes"
+        height, area = self.centre[rows, 1], self.area[rows]
+        order = np.argsort(height)
+        share = np.cumsum(area[order]) / area.sum()
+        low, high = (height[order][min(np.searchsorted(share, one), len(rows) - 1)] for one in (0.05, 0.95))
+        chest = 0.5 * (self.hip[1] + self.shoulder[1])
+        legs = low < self.hip[1] - 0.5 * (self.hip[1] - self.knee[1])
+        if self.share(rows, "trunk") > 0.98:
+            return "top"
+        if high > chest:
+            return "dress" if legs else "top"
+        return "skirt" if self._one_tube(rows) else "trousers"
+
+    def _one_tube(self, rows: np.ndarray) -> bool:
+        """Whether cloth goes round both legs below the crotch: it then faces ahead or back between the legs."""
+        below = rows[self.centre[rows, 1] < self.hip[1] - 0.3 * (self.hip[1] - self.knee[1])]
+        middle = below[np.abs(self.centre[below, 0] - self.hip[0]) < 0.3 * self.half_hips]
+        if not len(middle):
+            return False
+        facing = np.abs(meshes.face_normals(self.pose.vertices, self.pose.faces)[middle, 2]) > 0.7
+        return bool(self.area[middle][facing].sum() > 0.05 * self.area[below].sum())
+
+
+def _touching(faces: np.ndarray) -> np.ndarray:
+    """Pairs of faces (n, 2) that share an edge."""
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+    owner = np.repeat(np.arange(len(faces)), 3)
+    order = np.lexsort(edges.T)
+    same = (edges[order][1:] == edges[order][:-1]).all(axis=1)
+    return np.stack([owner[order][:-1][same], owner[order][1:][same]], axis=1)
+
+
+def _components(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    graph = scipy.sparse.coo_matrix((np.ones(len(a)), (a, b)), (count, count))
+    return connected_components(graph, directed=False)[1]
+
+
+def _grouped(
+    character: Character,
+    primitive: np.ndarray,
+    kinds: np.ndarray,
+    sure: np.ndarray,
+    names: list[tuple[str | None, ...]],
+) -> tuple[tuple[AttirePart, ...], np.ndarray]:
+    """Faces of one primitive and one kind as a part, and the part (F,) of each face; a part's name is the node's, with
+    the material and the kind where these tell it from others."""
+    nodes = [one.node for one in character.primitives]
+    found: list[AttirePart] = []
+    part = np.zeros(len(kinds), dtype=np.int64)
+    for number, told in enumerate(character.primitives):
+        rows = np.flatnonzero(primitive == number)
+        there, index = np.unique(kinds[rows], return_inverse=True)
+        base = told.name or f"node {told.node}"
+        if nodes.count(told.node) > 1:
+            base = f"{base}/{names[number][0] or told.primitive}"
+        for place, kind in enumerate(there):
+            own = rows[index == place]
+            name, known = f"{base} {KINDS[kind]}" if len(there) > 1 else base, {one.name for one in found}
+            name = name if name not in known else f"{name} {len(found)}"
+            part[own] = len(found)
+            found.append(AttirePart(name, KINDS[kind], len(own), round(float(sure[own].mean()), 2)))
+    return tuple(found), part
+
+
+def _corrected(parts: tuple[AttirePart, ...], told: Mapping[str, str], label: str) -> tuple[AttirePart, ...]:
+    """``parts`` with the kinds that were ``told``."""
+    names = [part.name for part in parts]
+    for name, kind in told.items():
+        if name not in names:
+            known, cure = ", ".join(names[:40]), did_you_mean(name, names, "GET /avatars/ID lists the parts.")
+            raise NotFound(f"{label}: part", expected=f"one of {known}", got=name[:60], cure=cure)
+        if kind not in KINDS:
+            cure = did_you_mean(kind, KINDS, "Correct the kind.")
+            raise NotFound(f"{label}: {name}", expected=f"one of {', '.join(KINDS)}", got=kind[:40], cure=cure)
+    return tuple(part._replace(kind=told[part.name], sure=TOLD) if part.name in told else part for part in parts)

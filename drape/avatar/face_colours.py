@@ -1,0 +1,60 @@
+"""The colour of each triangle of a character's file, as its materials and their pictures paint it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.avatar.character import Primitive
+from drape.errors import MeshError
+from drape.files.gltf import GltfFile
+from drape.files.looks import kept_pictures
+from drape.files.pictures import remade
+from drape.garment.files.gltf_looks import gltf_looks
+from drape.garment.portrait import CLOTH, Sitter, paint_of
+
+SIDE_PX = 256  # of pictures, of which a mean is asked
+SHARES = np.array([[1 / 3, 1 / 3, 1 / 3], [0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.2, 0.2, 0.6]])  # places in a triangle
+
+
+def face_colours(file: GltfFile, primitives: tuple[Primitive, ...]) -> np.ndarray:
+    """The mean colours (T, 3), sRGB in [0, 1], of the triangles of ``primitives`` one after the other; a material that
+    says nothing, and what is cut out of a picture, is light grey."""
+    held = [_held(file, primitive) for primitive in primitives]
+    used = sorted({material for _, material in held if material is not None})
+    looks, _ = gltf_looks(file, list(used))
+    looks = kept_pictures(looks, [_small(picture) for picture in looks.pictures])
+    uv_faces = [uv for uv, _ in held]
+    corners = np.concatenate(uv_faces).reshape(-1, 2)
+    material = [used.index(one) if one is not None else len(used) for _, one in held]
+    sitter = Sitter(
+        np.zeros((0, 3)), np.zeros((0, 3), int), corners * [1.0, -1.0] + [0.0, 1.0],
+        np.arange(len(corners)).reshape(-1, 3), np.repeat(material, [len(uv) for uv in uv_faces]), looks,
+    )  # fmt: skip
+    count = len(sitter.uv_faces)
+    paint = paint_of(sitter)
+    if paint is None:
+        return np.tile(np.array(CLOTH), (count, 1))
+    every = np.arange(count)
+    return np.mean([paint(every, np.tile(share, (count, 1)))[0] for share in SHARES], axis=0)
+
+
+def _held(file: GltfFile, primitive: Primitive) -> tuple[np.ndarray, int | None]:
+    """The texture coordinates (F, 3, 2) of a primitive's triangles, zero where it has none, and its material."""
+    mesh = file.item("meshes", file.document.nodes[primitive.node].mesh)
+    told = mesh.primitives[primitive.primitive]
+    count = primitive.triangles
+    if "TEXCOORD_0" not in told.attributes:
+        return np.zeros((count, 3, 2)), told.material
+    uv = file.array(told.attributes["TEXCOORD_0"]).astype(np.float64)
+    index = np.arange(3 * count) if told.indices is None else file.array(told.indices).reshape(-1)[: 3 * count]
+    if uv.shape[1] != 2 or index.max(initial=0) >= len(uv):
+        return np.zeros((count, 3, 2)), told.material
+    return uv[index.astype(np.int64)].reshape(-1, 3, 2), told.material
+
+
+def _small(picture: bytes) -> bytes | None:
+    """``picture`` made small, None where it cannot be read."""
+    try:
+        return remade(picture, label="picture", side=SIDE_PX)
+    except MeshError:
+        return None

@@ -1,0 +1,124 @@
+"""The clothes that a character came in, and the body below: what garments of ours take off, what then is bare.
+
+A garment for the upper half of the body takes off tops and coats, one for the lower half trousers and skirts, and
+either one a dress; bags that stand far off the back go with a top. Clothes that are painted on the skin, or sewn to it,
+are the body's own surface. Clothes that stay on lie under our cloth, so there is a body for either half with the other
+half's clothes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.avatar.attire import Attire
+from drape.avatar.parts import PARTS, parts_of, plain_part
+from drape.avatar.t_pose import TPose
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.garment.cache import Garment
+from drape.geometry import meshes
+from drape.geometry.closest import closest_point, nearest_vertices
+
+BONES = np.array([name.removeprefix("left_").removeprefix("right_") for name in JOINT_NAMES])
+UPPER, LOWER = ("top", "outer", "dress"), ("trousers", "skirt", "dress")
+SKIN = ("skin", "face", "gloves", "shoes", "underwear")
+BULKY_M = 0.05  # what stands farther off the skin is no belt: cloth does not lie over it
+INSET_M = 0.01  # cloth stands so far off a skin that was cut away below it
+LEAST_SHARE = 0.2  # of a garment's vertices at a half of the body, and of a part of the body that its own skin has
+BARE_M = 0.02  # skin farther from the body than this leaves it bare
+GONE_M = 0.12  # clothes that were taken off lay so near to the body
+
+
+class Halves(NamedTuple):
+    """Whether garments lie on the ``upper`` and on the ``lower`` half of a body."""
+
+    upper: bool
+    lower: bool
+
+
+def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
+    """The halves of the standard ``body`` on which ``garments`` lie, by the bones of the skin next to them."""
+    bones = BONES[body.weights.argmax(axis=1)]
+    upper = np.isin(bones, ["spine2", "spine3", "collar", "shoulder", "elbow", "neck"])
+    lower = np.isin(bones, ["hip", "knee", "ankle", "foot"])
+    found = np.zeros(2, dtype=bool)
+    for garment in garments:
+        _, row = nearest_vertices(garment.vertices[: garment.vertex_count].astype(np.float64), body.v_template)
+        share = np.array([upper[row].mean(), lower[row].mean()])
+        found |= share > LEAST_SHARE * np.array([1.0, 1.0 + (share[0] > LEAST_SHARE)])  # a shirt's hem is on the hips
+    return Halves(*map(bool, found))
+
+
+class Layers(NamedTuple):
+    """Faces (F,) of a character: its ``body`` with what is painted on it and flat on it; ``upper`` and ``lower``
+    clothes that are no part of it. ``hollow`` clothes have no skin below, and stand for it. ``attire`` knows the things
+    that are bulky."""
+
+    body: np.ndarray
+    upper: np.ndarray
+    lower: np.ndarray
+    hollow: np.ndarray
+    attire: Attire
+
+
+def layers_of(attire: Attire, pose: TPose) -> Layers:
+    """The layers of a character in ``pose``, whose faces are known by ``attire``."""
+    part = parts_of(pose.weights)[pose.faces[:, 0]]
+    skin, clothes = attire.of_kinds(SKIN), attire.of_kinds(UPPER + LOWER)
+    sewn = np.zeros(len(pose.vertices), dtype=bool)
+    sewn[pose.faces[skin]] = True
+    for number in range(len(attire.parts)):  # a region of colour is sewn on whole
+        rows = attire.part == number
+        if clothes[rows].all() and sewn[pose.faces[rows]].any(axis=1).sum() > 0.01 * rows.sum():
+            skin |= rows
+    clothes &= ~skin
+    area = meshes.face_areas(pose.vertices, pose.faces)
+    own, theirs = (np.bincount(part, area * which, len(PARTS)) for which in (skin, clothes))
+    missing = own < LEAST_SHARE * theirs
+    legs = np.isin([plain_part(name) for name in PARTS], ["thigh", "shin"])
+    wide = attire.of_kinds(("skirt",)) | (attire.of_kinds(("dress",)) & legs[part])
+    hollow = clothes & missing[part] & ~wide & ~attire.of_kinds(("outer",))
+    parts = list(attire.parts)
+    under, thin = np.flatnonzero(skin | hollow), np.zeros(len(skin), dtype=bool)
+    for number, held in enumerate(parts):
+        rows = np.flatnonzero((attire.part == number) & (part == list(PARTS).index("trunk")))
+        if held.kind != "carried" or not len(rows) or not len(under):
+            continue
+        middle = pose.vertices[pose.faces[rows]].mean(axis=1)
+        off = closest_point(middle, pose.vertices, pose.faces[under]).distance
+        parts[number] = held._replace(bulky=bool(np.quantile(off, 0.9) > BULKY_M))
+        thin[rows] = not parts[number].bulky
+    upper, lower = (clothes & attire.of_kinds(kinds) & ~attire.of_kinds(("dress",)) for kinds in (UPPER, LOWER))
+    return Layers(skin | thin, upper, lower, hollow, attire._replace(parts=tuple(parts)))
+
+
+def shrunk(pose: TPose, hollow: np.ndarray) -> TPose:
+    """``pose`` with its ``hollow`` faces (F,) moved in to where a skin would be."""
+    normals = meshes.vertex_normals(pose.vertices, pose.faces)
+    rows = np.unique(pose.faces[hollow])
+    vertices = pose.vertices.copy()
+    vertices[rows] -= INSET_M * normals[rows]
+    return replace(pose, vertices=vertices)
+
+
+def taken_off(attire: Attire, halves: Halves) -> np.ndarray:
+    """Which faces (F,) garments on these ``halves`` take off; bulky things go with what is on the upper half."""
+    kinds = (UPPER if halves.upper else ()) + (LOWER if halves.lower else ())
+    off = [part.kind in kinds or (part.bulky and halves.upper) for part in attire.parts]
+    return np.array(off, dtype=bool)[attire.part]
+
+
+def bare_faces(body: BodyModel, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """Which faces (Fb,) of a character's ``body`` are seen where the faces ``off`` (F,) of its surface, ``vertices``
+    [m] (V, 3) and ``faces`` (F, 3), are gone: they lay below these, and no other skin lies there."""
+    middle = body.v_template[body.faces].mean(axis=1)
+    if not off.any():
+        return np.zeros(len(middle), dtype=bool)
+    gone = closest_point(middle, vertices, faces[off]).distance
+    left = faces[~off]
+    stays = closest_point(middle, vertices, left).distance if len(left) else np.full(len(middle), np.inf)
+    return (gone < GONE_M) & (stays > np.minimum(BARE_M, gone))

@@ -1,0 +1,68 @@
+"""Whether a character can wear a garment: told before anything is cut, by its proportions alone.
+
+Cloth is cut for any body; what it cannot do is hang from limbs that are hardly longer than they are thick, as those of
+figures of games are. A tube of cloth round such a limb is wider than long and falls off its end.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.avatar.own_clothes import BONES, Halves, halves_of
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.errors import BodyError
+from drape.garment.avatars import Avatar
+from drape.garment.cache import Garment
+from drape.garment.rest_pose import skirt_blend
+from drape.geometry.closest import nearest_vertices
+
+THICKEST = 0.45  # of the length of a leg: a tube of cloth hangs from it; persons have 0.1, stylised ones up to 0.3
+HIP, KNEE, ANKLE = (JOINT_NAMES.index(f"left_{joint}") for joint in ("hip", "knee", "ankle"))
+LEAST_SHARE = 0.1  # of a garment's vertices at the shins, to go round them
+
+
+class Reach(NamedTuple):
+    """The ``halves`` of a body on which a garment lies, and whether it has long tubes round the ``legs``."""
+
+    halves: Halves
+    legs: bool
+
+
+def reach_of(garment: Garment, body: BodyModel) -> Reach:
+    """The reach of a ``garment`` of the standard ``body``."""
+    vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
+    near = BONES[body.weights.argmax(axis=1)][nearest_vertices(vertices, body.v_template)[1]]
+    legs = (near == "knee").mean() > LEAST_SHARE
+    if legs:
+        standing = Avatar(body.v_template, body.faces, 0.0, body.name)
+        legs = not skirt_blend(vertices, garment.faces.astype(np.int64), standing, body).any()
+    return Reach(halves_of([garment], body), bool(legs))
+
+
+def legs_thickness(body: BodyModel) -> float:
+    """How thick the shin of ``body`` is, twice the median distance of its skin from the bone, over the length of the
+    leg; 0 where it has none."""
+    joints = body.joints_template
+    along, length = joints[ANKLE] - joints[KNEE], np.linalg.norm(joints[ANKLE] - joints[KNEE])
+    own = body.v_template[body.weights.argmax(axis=1) == KNEE] - joints[KNEE]
+    if not len(own):
+        return 0.0
+    along = along / max(float(length), 1e-9)
+    across = np.linalg.norm(own - np.outer(own @ along, along), axis=1)
+    return float(2.0 * np.median(across) / (length + np.linalg.norm(joints[KNEE] - joints[HIP])))
+
+
+def why_not(body: BodyModel, reach: Reach, *, garment: str) -> BodyError | None:
+    """Why ``body``, laid on a character, cannot wear a ``garment`` of this ``reach``; None where it can."""
+    thickness = legs_thickness(body) if reach.legs else 0.0
+    if thickness <= THICKEST:
+        return None
+    return BodyError(
+        f"{garment} on {body.name}",
+        expected=f"legs at most {THICKEST:g} times as thick as long",
+        got=f"{thickness:.2f} times",
+        cure="Choose a skirt, shorts or a dress.",
+    )

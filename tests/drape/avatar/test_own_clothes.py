@@ -1,0 +1,158 @@
+"""Clothes that a character came in: what comes off, what is bare then, and the bodies below, on made characters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drape.avatar.character import character_in
+from drape.avatar.own_clothes import Halves, bare_faces, taken_off
+from drape.avatar.rig_file import bare_file
+from drape.avatar.wearer import LOWER, UPPER, Wearer, load_wearer, read_wearer, save_wearer
+from drape.avatar.wears import THICKEST, legs_thickness, reach_of, why_not
+from drape.body.model import BodyModel
+from drape.catalog import find_garments, open_garment
+from drape.files.gltf import GltfFile
+from drape.garment.cache import Garment
+from drape.geometry.closest import closest_point, signed_distance
+from tests.fixtures.characters import character
+from tests.fixtures.dressed_characters import dressed_character, dressed_parts
+
+CATALOGUE = {
+    "tshirt": ((True, False), False), "tank": ((True, False), False), "longsleeve": ((True, False), False),
+    "shirt": ((True, False), False), "sweat": ((True, False), False), "trousers": ((False, True), True),
+    "slim_trousers": ((False, True), True), "shorts": ((False, True), False), "skirt": ((False, True), False),
+    "circle_skirt": ((False, True), False), "dress": ((True, True), False),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def shelf(body: BodyModel) -> dict[str, Garment]:
+    return {name: open_garment(find_garments([name])[0], body) for name in CATALOGUE}
+
+
+@pytest.fixture(scope="module")
+def cut_away(body: BodyModel, shelf: dict[str, Garment]) -> Wearer:
+    """Our body in a T-shirt and trousers of its own with no skin below, with hair and a rucksack."""
+    parts = dressed_parts(body, {"top": shelf["tshirt"], "trousers": shelf["trousers"]}, cut_away=True)
+    return read_wearer(dressed_character(body, parts), name="cut_away", body=body)
+
+
+@pytest.fixture(scope="module")
+def whole(body: BodyModel, shelf: dict[str, Garment]) -> Wearer:
+    """Our body in the same clothes, its skin whole."""
+    parts = dressed_parts(body, {"top": shelf["tshirt"], "trousers": shelf["trousers"]})
+    return read_wearer(dressed_character(body, parts), name="whole", body=body)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_the_catalogue_lies_on_its_halves(name: str, body: BodyModel, shelf: dict[str, Garment]):
+    halves, legs = CATALOGUE[name]
+    assert reach_of(shelf[name], body) == (halves, legs)
+
+
+def kinds_off(wearer: Wearer, halves: Halves) -> set[str]:
+    off = taken_off(wearer.attire, halves)
+    return {wearer.attire.parts[number].kind for number in np.unique(wearer.attire.part[off])}
+
+
+def test_a_top_takes_off_the_top_and_the_rucksack_and_trousers_the_trousers(cut_away: Wearer):
+    assert kinds_off(cut_away, Halves(True, False)) == {"top", "carried"}
+    assert kinds_off(cut_away, Halves(False, True)) == {"trousers"}
+    assert kinds_off(cut_away, Halves(True, True)) == {"top", "carried", "trousers"}
+
+
+def test_any_garment_takes_off_a_dress(body: BodyModel, shelf: dict[str, Garment]):
+    parts = dressed_parts(body, {"dress": shelf["dress"]}, rucksack=False)
+    wearer = read_wearer(dressed_character(body, parts), name="in_a_dress", body=body)
+    assert kinds_off(wearer, Halves(True, False)) == kinds_off(wearer, Halves(False, True)) == {"dress"}
+
+
+def test_the_body_is_laid_below_the_clothes(whole: Wearer, cut_away: Wearer, body: BodyModel):
+    """Where the skin is whole the body is the skin; where it was cut away it is nearer to it than the clothes are."""
+    trunk = (np.abs(body.v_template[:, 0]) < 0.15) & (np.abs(body.v_template[:, 1] - body.joints_template[3, 1]) < 0.15)
+    gaps = []
+    for wearer in (whole, cut_away):
+        off = taken_off(wearer.attire, Halves(True, True))
+        bare = closest_point(wearer.body.v_template[trunk], body.v_template, body.faces).distance
+        gaps.append(float(np.median(bare)))
+        assert signed_distance(wearer.vertices[np.unique(wearer.faces[off])], body.v_template, body.faces).max() > 0.02
+    assert gaps[0] < 0.003 and gaps[1] < 0.02
+
+
+def test_each_half_has_a_body_with_the_other_half_s_clothes(whole: Wearer):
+    """A T-shirt lies over trousers that stay: the body below it encloses them, and the bare one does not."""
+    assert set(whole.bodies) == {"bare", UPPER, LOWER}
+    trousers = np.unique(whole.faces[taken_off(whole.attire, Halves(False, True))])
+    hips = trousers[whole.vertices[trousers, 1] > whole.body.joints_template[0, 1] - 0.05]
+    out = {
+        key: signed_distance(whole.vertices[hips], one.v_template, one.faces)
+        for key, one in (("bare", whole.body), (UPPER, whole.body_under(Halves(True, False))))
+    }
+    assert (out["bare"] > 0.005).mean() > 0.3 and (out[UPPER] > 0.005).mean() < 0.02
+
+
+def test_no_hole_is_left_where_clothes_come_off(cut_away: Wearer):
+    """Whatever of the body lay below the clothes has skin of its own near, or is among the bare faces."""
+    halves = Halves(True, True)
+    body, off = cut_away.body_under(halves), taken_off(cut_away.attire, halves)
+    bare = bare_faces(body, cut_away.vertices, cut_away.faces, off)
+    middle = body.v_template[body.faces].mean(axis=1)
+    below = closest_point(middle, cut_away.vertices, cut_away.faces[off]).distance < 0.05
+    skin = closest_point(middle, cut_away.vertices, cut_away.faces[~off]).distance
+    assert not (below & ~bare & (skin > 0.02)).any() and bare.sum() > 2000
+    assert not bare_faces(body, cut_away.vertices, cut_away.faces, np.zeros(len(off), dtype=bool)).any()
+
+
+def test_bare_skin_lies_on_the_character_s_own_nodes(cut_away: Wearer):
+    """Skinned by the nodes of its file, which stand in T-pose, it is the body that was laid below."""
+    halves = Halves(True, True)
+    body, off = cut_away.body_under(halves), taken_off(cut_away.attire, halves)
+    chosen = bare_faces(body, cut_away.vertices, cut_away.faces, off)
+    assert cut_away.file is not None
+    skin = character_in(GltfFile(bare_file(cut_away, cut_away.file, body, chosen).to_bytes()))
+    expected = np.sort(body.v_template[body.faces[chosen]].mean(axis=1), axis=0)
+    assert np.allclose(np.sort(cut_away.scale * skin.vertices[skin.faces].mean(axis=1), axis=0), expected, atol=1e-4)
+    assert set(skin.names) >= {"mixamorig:Hips", "mixamorig:Spine2"}
+
+
+def test_a_stored_wearer_keeps_its_parts_and_bodies(whole: Wearer, body: BodyModel, tmp_path: Path):
+    again = load_wearer(save_wearer(whole, tmp_path), body)
+    assert again.attire.parts == whole.attire.parts and np.array_equal(again.attire.part, whole.attire.part)
+    assert again.attire.skin_colour == whole.attire.skin_colour
+    for halves in (Halves(True, False), Halves(False, True), Halves(True, True)):
+        one, other = whole.body_under(halves), again.body_under(halves)
+        assert one.digest == other.digest and np.array_equal(one.v_template, other.v_template)
+        assert np.allclose(other.joints_template, whole.body.joints_template, atol=1e-9)
+
+
+def test_a_bare_character_has_one_body(body: BodyModel):
+    wearer = read_wearer(character(body), name="bare", body=body)
+    assert wearer.body_under(Halves(True, False)) is wearer.body and set(wearer.bodies) == {"bare"}
+
+
+def test_legs_as_thick_as_long_wear_no_trousers(body: BodyModel, shelf: dict[str, Garment]):
+    """A cylinder of the standard leg's length round each shin tells its own thickness."""
+    assert legs_thickness(body) < 0.2
+    own = body.weights.argmax(axis=1) == 4
+    regressor = _without(body, own)  # so that joints stay
+    knee, ankle, hip = (regressor @ body.v_template)[[4, 7, 1]]
+    vertices, along = body.v_template.copy(), (ankle - knee) / np.linalg.norm(ankle - knee)
+    way = vertices[own] - knee
+    across = way - np.outer(way @ along, along)
+    radius_m = 0.25 * (np.linalg.norm(ankle - knee) + np.linalg.norm(knee - hip))
+    vertices[own] += across * (radius_m / np.linalg.norm(across, axis=1) - 1.0)[:, None]
+    thick = BodyModel("thick", "d", vertices, body.shapedirs, regressor, body.weights, body.faces)
+    assert legs_thickness(thick) == pytest.approx(0.5, rel=0.02) and THICKEST < 0.5
+    refusal = why_not(thick, reach_of(shelf["trousers"], body), garment="trousers")
+    assert refusal is not None and "0.50 times" in str(refusal)
+    assert why_not(thick, reach_of(shelf["skirt"], body), garment="skirt") is None
+    assert why_not(body, reach_of(shelf["trousers"], body), garment="trousers") is None
+
+
+def _without(body: BodyModel, own: np.ndarray):
+    """The regressor of ``body`` without its ``own`` vertices, scaled so that rows still sum to one."""
+    dense = np.where(own[None], 0.0, body.regressor.toarray())
+    return type(body.regressor)(dense / dense.sum(axis=1, keepdims=True))
