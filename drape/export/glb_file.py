@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ TEXTURES = {
 _COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
+Channel = tuple[int, str, np.ndarray]  # node, path, values per frame
 
 
 class GlbFile:
@@ -106,7 +107,7 @@ class GlbFile:
             accessors.append(self.add("accessors", accessor))
         return accessors
 
-    def animate(self, frames: int, fps: float, channels: list[tuple[int, str, np.ndarray]]) -> None:
+    def animate(self, frames: int, fps: float, channels: Sequence[Channel]) -> None:
         """Adds ``channels`` (node, path, values per frame) to the file's one animation."""
         times = self.array((np.arange(frames) / fps).astype(np.float32), bounds=True)
         if "animations" not in self.json:
