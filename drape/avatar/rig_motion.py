@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,6 +48,11 @@ class RigMotion:
     def blends(self) -> np.ndarray:
         """From the bind pose to the world (F + 1, J, 4, 4), of each joint."""
         return self.world[:, self.skeleton.joints] @ self.skeleton.binds
+
+    def part(self, rows: np.ndarray) -> RigMotion:
+        """The T-pose and the frames ``rows`` (n,)."""
+        rows = np.concatenate([[0], rows + 1])
+        return replace(self, moves=self.moves[rows], turns=self.turns[rows], world=self.world[rows])
 
     def animate(self, file: GlbFile, nodes: Mapping[int, int], more: Sequence[Channel] = ()) -> None:
         """Adds the clip to ``file``, in which the skeleton's node n is ``nodes[n]``, with ``more`` channels."""

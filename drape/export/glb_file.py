@@ -52,8 +52,11 @@ class GlbFile:
         rows.append(value)
         return len(rows) - 1
 
-    def array(self, array: np.ndarray, *, target: int | None = None, bounds: bool = False) -> int:
-        """The accessor of ``array`` (N, ...); positions and times need ``bounds``."""
+    def array(
+        self, array: np.ndarray, *, target: int | None = None, bounds: bool = False, normalized: bool = False
+    ) -> int:
+        """The accessor of ``array`` (N, ...); positions and times need ``bounds``. ``normalized``: its largest integer
+        stands for one."""
         array = np.ascontiguousarray(array)
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self._size, "byteLength": array.nbytes}
         if target is not None:
@@ -65,6 +68,8 @@ class GlbFile:
             "count": len(array),
             "type": _SHAPES[array.shape[1:]],
         }
+        if normalized:
+            accessor["normalized"] = True
         if bounds:
             rows = array.reshape(len(array), -1)
             accessor["min"], accessor["max"] = rows.min(axis=0).tolist(), rows.max(axis=0).tolist()

@@ -1,7 +1,7 @@
 """Linear blend skinning that comes nearest to given frames: sparse weights and rigid motions, by turns.
 
-A vertex v of the mesh p is at y_fv = sum_b w_vb T_fb p_v in frame f. Given x_fv, the sum of |x_fv - y_fv|^2 is lowered by
-exact steps, over the weights of each vertex (at most a few, none negative, their sum one) and over each bone's rigid
+A vertex v of the mesh p is at y_fv = sum_b w_vb T_fb p_v in frame f. Given x_fv, the sum of |x_fv - y_fv|^2 is lowered
+by exact steps, over the weights of each vertex (at most a few, none negative, their sum one) and over each bone's rigid
 motion, the others as they are: smooth skinning decomposition with rigid bones (Le and Deng 2012). So it never grows.
 Bones that are given, as those of a skeleton, keep their motions and take part in the weights.
 
@@ -41,12 +41,14 @@ def fit_weights(
     candidates: np.ndarray,
     *,
     most: int,
+    past: np.ndarray | None = None,
     pull: np.ndarray | None = None,
     stiffness: float = 0.0,
 ) -> np.ndarray:
     """The weights (V, B), at most ``most`` a vertex, of bones at ``moves``, that bring ``rest`` nearest to ``frames``.
 
-    ``candidates`` (V, C): the bones that a vertex may have, each once. Weights are drawn to ``pull`` (V, B) by
+    ``candidates`` (V, C): the bones that a vertex may have, each once. Where these would bring it no nearer than the
+    bones of ``past`` weights (V, B), it keeps these bones. Weights are drawn to ``pull`` (V, B) by
     ``stiffness`` [m^2 a frame], the square of the way that an error of one in a weight is taken for.
     """
     count, bones = len(rest), moves.shape[1]
@@ -62,20 +64,32 @@ def fit_weights(
         if pull is not None:
             gram += stiffness * np.eye(own.shape[1])
             right = right + stiffness * np.take_along_axis(pull[rows], own, axis=1)
-        found[np.arange(count)[rows, None], own] = simplex_fit(gram, right, most)
+        stays = None if past is None else np.take_along_axis(past[rows], own, axis=1) > 0.0
+        found[np.arange(count)[rows, None], own] = better_fit(gram, right, most, stays)
     return found
 
 
-def simplex_fit(gram: np.ndarray, right: np.ndarray, most: int) -> np.ndarray:
+def better_fit(gram: np.ndarray, right: np.ndarray, most: int, stays: np.ndarray | None) -> np.ndarray:
+    """The better of two ``simplex_fit``: of all weights, and of those that are said to be above zero (N, C)."""
+    found = simplex_fit(gram, right, most)
+    if stays is None:
+        return found
+    again = simplex_fit(gram, right, most, stays)
+    costs = [np.einsum("vc,vcd,vd->v", one, 0.5 * gram, one) - (one * right).sum(axis=1) for one in (found, again)]
+    return np.where((costs[0] < costs[1])[:, None], found, again)
+
+
+def simplex_fit(gram: np.ndarray, right: np.ndarray, most: int, stays: np.ndarray | None = None) -> np.ndarray:
     """The weights w (N, C) >= 0 that sum to one, at most ``most`` of them above zero, for a small w.Gw / 2 - w.h each,
-    ``gram`` G (N, C, C) and ``right`` h (N, C).
+    ``gram`` G (N, C, C) and ``right`` h (N, C). ``stays`` (N, C): those that may be above zero, all by default.
 
     One after the other leaves: the most negative one, else the one whose absence costs least, which is w^2 over its
     variance. What leaves does not come back, so the minimum is that of the weights that stay.
     """
     count, size = right.shape
     gram = gram + SINGULAR * np.trace(gram, axis1=1, axis2=2)[:, None, None] / size * np.eye(size)
-    stays, weights = np.ones((count, size), dtype=bool), np.zeros((count, size))
+    stays = np.ones((count, size), dtype=bool) if stays is None else stays.copy()
+    weights = np.zeros((count, size))
     open_rows = np.arange(count)
     while len(open_rows):
         own = stays[open_rows]
@@ -83,7 +97,8 @@ def simplex_fit(gram: np.ndarray, right: np.ndarray, most: int) -> np.ndarray:
         sides = np.concatenate([np.where(own, right[open_rows], 0.0), np.ones((len(own), 1))], axis=1)
         found = np.einsum("vij,vj->vi", inverse, sides)[:, :size]
         found[~own] = np.inf
-        cost = found**2 / np.maximum(inverse[:, range(size), range(size)], 1e-300)
+        variance = np.where(own, inverse[:, range(size), range(size)], 1.0)
+        cost = found**2 / np.maximum(variance, SINGULAR)
         negative = (found < 0.0).any(axis=1)
         leaves = np.where(negative, found.argmin(axis=1), np.where(own, cost, np.inf).argmin(axis=1))
         goes = negative | (own.sum(axis=1) > most)
