@@ -26,12 +26,12 @@ from drape.geometry.rigid_fit import rigid_fit
 from drape.wanted import go_on
 
 JOINTS = 24  # a garment, by default
-FRAMES = 240  # that weights are fitted to, at most
-ROUNDS = 6  # of weights and motions
+FRAMES = 300  # that weights are fitted to, at most
+ROUNDS = 8  # of weights and motions
 TRACK_ROUNDS = 6
 NEAR, NEAR_RIG = 6, 3  # joints that a vertex may have: the nearest of its own, the heaviest of the rig
 NEARNESS = 0.02  # of clusters
-SMOOTH_M = 2e-3  # of a weight's error of one, in the fit
+SMOOTH_M = 5e-3  # of a weight's error of one, in the fit
 STEADINESS = 1e-3  # of tracks
 PIVOT_SHARE = 0.02  # of a joint's distance from its middle, of that by which it moves
 
@@ -104,12 +104,19 @@ class Distilled:
 
 
 def distil(
-    garment: Garment, clips: Sequence[Draped], wearer: Wearer, rig: FileRig, *, count: int = JOINTS
+    garment: Garment,
+    clips: Sequence[Draped],
+    wearer: Wearer,
+    rig: FileRig,
+    *,
+    count: int = JOINTS,
+    poses: Sequence[Draped] = (),
 ) -> Distilled:
-    """``garment`` with ``count`` joints of its own on ``wearer``, fitted to frames of ``clips``."""
+    """``garment`` with ``count`` joints of its own on ``wearer``, fitted to frames of ``clips``, which say where they
+    hang, and of ``poses``, which count for weights alone."""
     hung = _on_rig(garment, clips[0].motion, wearer, rig)
     rest, rig_weights = hung.rest, hung.weights
-    frames, above = _chosen_frames(clips, wearer.scale, hung)
+    frames, above, usual = _chosen_frames([*clips, *poses], wearer.scale, hung, len(clips))
     faces, rows = garment.surface.faces.astype(np.int64), slice(None, None, 3)
     cluster, _ = decomposition.rigid_clusters(rest, frames[rows], count, nearness=NEARNESS)
     moves = [rigid_fit(rest[cluster == one], frames[:, cluster == one]) for one in range(count)]
@@ -117,37 +124,38 @@ def distil(
     candidates = _candidates(rest, faces, cluster, rig_weights)
     smooth = smoothing_matrix(faces, len(rest))
     stiffness, free = (SMOOTH_M / wearer.scale) ** 2, np.arange(above.shape[1], moves.shape[1])
-    weights: np.ndarray | None = None
+    weights = np.pad(rig_weights, ((0, 0), (0, count)))
     for _ in range(ROUNDS):
         go_on()
-        pull = None if weights is None else smooth @ weights
         weights = decomposition.fit_weights(
-            rest, frames, moves, candidates, most=HEAVIEST, past=weights, pull=pull, stiffness=stiffness
+            rest, frames, moves, candidates, most=HEAVIEST, past=weights, pull=smooth @ weights, stiffness=stiffness
         )
         moves = decomposition.fit_moves(weights, rest, frames, moves, free)
-    assert weights is not None
-    parents, pivots, still = _hung(rest, weights[:, free], above, moves[:, free])
+    parents, pivots, still = _hung(rest, weights[:, free], above[:usual], moves[:usual, free])
     return replace(hung, weights=weights, parents=parents, pivots=pivots, still=still)
 
 
 def _on_rig(garment: Garment, motion: RigMotion, wearer: Wearer, rig: FileRig) -> Distilled:
     """The garment without joints of its own, its mesh in the bind pose in the unit of the world."""
     weights, skeleton = garment_weights(garment, wearer, rig), rig.skeleton
-    bones, kept = heaviest(weights, np.zeros(weights.shape[0], dtype=bool))
+    at = garment.drawn_at_rest() / wearer.scale
+    bones, kept = heaviest(weights, np.zeros(len(at), dtype=bool))
     used = np.unique(bones[kept > 0.0])
     unit = np.cbrt(np.abs(np.linalg.det(motion.blends[0, used, :3, :3]))).mean()  # of the world, per one of the skin's
     joints, binds = skeleton.joints[used], skeleton.binds[used, :3, :] / [unit, unit, unit, 1.0]
     dense = np.zeros((len(bones), len(used)))
     np.add.at(dense, (np.arange(len(bones))[:, None], np.searchsorted(used, bones) % len(used)), kept)
     blend = np.tensordot(dense, compose(motion.world[0, joints, :3, :], binds), axes=1)
-    at = garment.drawn_at_rest() / wearer.scale
     rest = np.linalg.solve(blend[:, :, :3], (at - blend[:, :, 3])[..., None])[..., 0]
     none = np.zeros((0, 3, 4))
     return Distilled(rest, dense, joints, binds, np.zeros(0, dtype=np.int64), none[..., 3], none)
 
 
-def _chosen_frames(clips: Sequence[Draped], scale: float, hung: Distilled) -> tuple[np.ndarray, np.ndarray]:
-    """Some frames (F, V, 3) of all ``clips``, evenly, and motions (F, n, 3, 4) of the rig, seen from the pelvis."""
+def _chosen_frames(
+    clips: Sequence[Draped], scale: float, hung: Distilled, first: int
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Some frames (F, V, 3) of all ``clips``, evenly, and motions (F, n, 3, 4) of the rig, seen from the pelvis; how
+    many of them are of the ``first`` clips."""
     step = max(1.0, sum(len(one.vertices) for one in clips) / FRAMES)
     frames, above = [], []
     for one in clips:
@@ -155,22 +163,22 @@ def _chosen_frames(clips: Sequence[Draped], scale: float, hung: Distilled) -> tu
         part = Draped(one.vertices[rows], one.motion.part(rows))
         frames.append(seen_from_pelvis(part, scale))
         above.append(hung.above(part.motion))
-    return np.concatenate(frames), np.concatenate(above)
+    return np.concatenate(frames), np.concatenate(above), sum(map(len, frames[:first]))
 
 
 def seen_from_pelvis(draped: Draped, scale: float) -> np.ndarray:
     """The vertices (F, V, 3) of ``draped`` in the frame of the pelvis's node, in the unit of the file."""
-    at = _pelvis(draped.motion)
+    at = pelvis_places(draped.motion)
     return (draped.vertices / scale - at[:, None, :, 3]) @ at[:, :, :3]
 
 
 def to_world(motion: RigMotion, seen: np.ndarray, scale: float) -> np.ndarray:
     """The inverse of ``seen_from_pelvis``: points (F, V, 3) in the world [m]."""
-    at = _pelvis(motion)
+    at = pelvis_places(motion)
     return scale * (seen @ at[:, :, :3].swapaxes(-1, -2) + at[:, None, :, 3])
 
 
-def _pelvis(motion: RigMotion) -> np.ndarray:
+def pelvis_places(motion: RigMotion) -> np.ndarray:
     """Place and rotation (F, 3, 4) of the pelvis's node, without its scale."""
     at = motion.world[1:, motion.pelvis, :3, :].copy()
     at[:, :, :3] /= np.linalg.norm(at[:, :, :3], axis=1, keepdims=True)
@@ -179,7 +187,7 @@ def _pelvis(motion: RigMotion) -> np.ndarray:
 
 def _from_pelvis(motion: RigMotion, joints: np.ndarray, binds: np.ndarray) -> np.ndarray:
     """The motions (F, n, 3, 4) of ``joints`` from the bind pose, seen from the pelvis."""
-    return compose(compose(affine_inverse(_pelvis(motion))[:, None], motion.world[1:, joints, :3, :]), binds)
+    return compose(compose(affine_inverse(pelvis_places(motion))[:, None], motion.world[1:, joints, :3, :]), binds)
 
 
 def _candidates(rest: np.ndarray, faces: np.ndarray, cluster: np.ndarray, rig_weights: np.ndarray) -> np.ndarray:

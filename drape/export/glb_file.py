@@ -31,8 +31,9 @@ class GlbFile:
     It keeps the arrays that it is given, which may not change any more, and never has the file in one piece.
     """
 
-    def __init__(self) -> None:
-        self.json: dict[str, Any] = {
+    def __init__(self, document: dict[str, Any] | None = None, binary: bytes = b"") -> None:
+        """A file of nothing, or one that goes on from the ``document`` and the ``binary`` chunk of another."""
+        self.json: dict[str, Any] = document or {
             "asset": {"version": "2.0", "generator": GENERATOR},
             "scene": 0,
             "scenes": [{"nodes": []}],
@@ -42,9 +43,14 @@ class GlbFile:
             "accessors": [],
             "bufferViews": [],
         }
+        for key in ("nodes", "meshes", "materials", "accessors", "bufferViews"):
+            self.json.setdefault(key, [])
         self._arrays: list[np.ndarray] = []
         self._size = 0  # of the binary chunk so far
+        self._animation: dict[str, Any] | None = None
         self._textures: dict[int, tuple[bytes, int]] = {}  # by the picture's id, which holds while it is kept
+        if binary:
+            self._append(np.frombuffer(binary, np.uint8))
 
     def add(self, key: str, value: dict[str, Any]) -> int:
         """Appends ``value`` to the list ``key`` and returns its index."""
@@ -81,10 +87,11 @@ class GlbFile:
 
     def quantised(self) -> None:
         """Declares in the file that vertices are in steps."""
-        self._uses(QUANTIZATION)
+        self.uses(QUANTIZATION)
         self.json["extensionsRequired"] = [QUANTIZATION]
 
-    def _uses(self, extension: str) -> None:
+    def uses(self, extension: str) -> None:
+        """Declares that there is something of an ``extension``."""
         used = self.json.setdefault("extensionsUsed", [])
         if extension not in used:
             used.append(extension)
@@ -113,11 +120,12 @@ class GlbFile:
         return accessors
 
     def animate(self, frames: int, fps: float, channels: Sequence[Channel]) -> None:
-        """Adds ``channels`` (node, path, values per frame) to the file's one animation."""
+        """Adds ``channels`` (node, path, values per frame) to the one animation that we write."""
         times = self.array((np.arange(frames) / fps).astype(np.float32), bounds=True)
-        if "animations" not in self.json:
-            self.json["animations"] = [{"name": "drape", "channels": [], "samplers": []}]
-        animation = self.json["animations"][0]
+        if self._animation is None:
+            self._animation = {"name": "drape", "channels": [], "samplers": []}
+            self.add("animations", self._animation)
+        animation = self._animation
         for node, path, values in channels:
             sampler = {"input": times, "output": self.array(values), "interpolation": "LINEAR"}
             animation["channels"].append(
@@ -128,7 +136,7 @@ class GlbFile:
     def node(self, value: dict[str, Any]) -> int:
         """A node at the top of the scene."""
         index = self.add("nodes", value)
-        self.json["scenes"][0]["nodes"].append(index)
+        self.json["scenes"][self.json.get("scene", 0)].setdefault("nodes", []).append(index)
         return index
 
     def place(self, name: str, point: np.ndarray) -> None:
@@ -172,7 +180,7 @@ class GlbFile:
         for slot, number in look.pictures.items() if with_pictures else ():
             texture: dict[str, Any] = {"index": self._texture(looks.pictures[number])}
             if placed != {"offset": [0.0, 0.0], "rotation": 0.0, "scale": [1.0, 1.0]}:
-                self._uses(TRANSFORM)
+                self.uses(TRANSFORM)
                 texture["extensions"] = {TRANSFORM: placed}
             (made if slot == "normal" else surface)[TEXTURES[slot]] = texture
         return self.add("materials", made)
