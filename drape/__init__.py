@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from drape.distilling import distil
     from drape.errors import DrapeError
     from drape.garment.cache import Garment
     from drape.garment.intake import intake
@@ -20,10 +21,12 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Drape", "DrapeError", "DrapeOptions", "Frame", "Garment", "MotionClip", "Worn", "intake", "load", "read_motion",
+    "Drape", "DrapeError", "DrapeOptions", "Frame", "Garment", "MotionClip", "Worn", "distil", "intake", "load",
+    "read_motion",
 ]  # fmt: skip
 # They are imported when they are asked for: most modules of the core need few of these.
 _HOMES = {
+    "drape.distilling": ("distil",),
     "drape.errors": ("DrapeError",),
     "drape.garment.cache": ("Garment",),
     "drape.garment.intake": ("intake",),

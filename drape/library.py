@@ -24,6 +24,7 @@ from drape.avatar.own_clothes import halves_of
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.body.model import BodyModel
+from drape.body.pose_support import PoseSupport
 from drape.catalog import GARMENTS_DIR, MOTIONS_DIR, find_garments, find_motions, open_outfit, short_name
 from drape.cloth.fabric_table import FABRICS
 from drape.contact.projection import CLEARANCE_M
@@ -155,7 +156,7 @@ class Drape:
             check_layers([entry.garment for entry in entries])
         scene: Scene = entries[0] if len(entries) == 1 else Outfit(entries)
         shape = shape_array(betas, body)
-        return Worn(self._runtime, scene, _checked(options), body, shape, wearer)
+        return Worn(self._runtime, scene, _checked(options), body, shape, wearer, None if on is None else Path(on))
 
     def _stages_of(self, body: BodyModel) -> BodyStages:
         if body.digest not in self._stages:
@@ -193,9 +194,10 @@ class Worn:
         body: BodyModel,
         betas: np.ndarray,
         wearer: Wearer | None = None,
+        character: Path | None = None,
     ) -> None:
         self._runtime, self._betas = runtime, betas
-        self.body, self.wearer = body, wearer
+        self.body, self.wearer, self.character = body, wearer, character
         self._plan: Plan = runtime.plan(scene, options)
         runtime.ready(self._plan)
         self._memories: Memories = {}
@@ -203,7 +205,17 @@ class Worn:
     @property
     def garments(self) -> list[Garment | BoundMesh]:
         """The visible garments, the innermost first. Each has its ``faces`` (F, 3) and its ``vertex_count``."""
-        return [entry.garment.surface for entry in self._plan.shown.layers]
+        return [garment.surface for garment in self.layers]
+
+    @property
+    def layers(self) -> list[Garment]:
+        """The visible garments with all that intake knows of them."""
+        return [entry.garment for entry in self._plan.shown.layers]
+
+    @property
+    def pose_support(self) -> PoseSupport | None:
+        """The poses that the model was trained on, where it keeps them."""
+        return self._runtime.engine.pose_support
 
     @property
     def tier(self) -> str:

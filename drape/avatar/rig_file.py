@@ -16,25 +16,19 @@ import numpy as np
 import scipy.sparse
 
 from drape.avatar.file_skeleton import FileRig, FileSkeleton
-from drape.avatar.parts import PARTS, parts_of, plain_part
+from drape.avatar.rig_motion import RigClip, rig_motion
+from drape.avatar.rig_weights import blended, garment_weights, heaviest, undone, volume
 from drape.avatar.wearer import Wearer
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.export.glb import NORMAL_STEPS, Corners, Shape, add_shape, normal_steps, split_seams, vertex_normals
 from drape.export.glb_file import VERTEX_BUFFER, GlbFile
-from drape.export.root_motion import quaternion_keys
 from drape.export.surface import MeshSurface
 from drape.garment.cache import Garment
-from drape.garment.skin import smoothing_matrix
-from drape.geometry.closest import closest_point
-from drape.motion.rig_poses import carrier
 from drape.wanted import go_on
 
-HEAVIEST = 4  # joints of a vertex, which is what players support
-SMOOTHING_PASSES = 6
 BARE = "bare skin"
 LEAST_VOLUME = 0.2  # of a blend of joints, of theirs: one that is flatter cannot be undone, and gets a single joint
-STILL = 1e-11  # a node that turns by less than 1e-5 rad in all frames is not animated
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +38,6 @@ class Dressed:
     garment: Garment
     vertices: np.ndarray
     colour: tuple[float, float, float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class RigClip:
-    """Local ``quaternions`` (F, N, 4), xyzw, of a character's nodes, and ``places`` [m] (F, 3) of its pelvis's."""
-
-    quaternions: np.ndarray
-    places: np.ndarray
-    fps: float
 
 
 def rig_file(
@@ -68,12 +53,9 @@ def rig_file(
     ``quantised``: normals have 8 bits (KHR_mesh_quantization).
     """
     skeleton = rig.skeleton
-    rest = wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3)))
-    both = (np.concatenate(pair) for pair in zip(rest, (clip.quaternions, clip.places), strict=True))
-    moves, turns, animated = _local(wearer, skeleton, *both)
-    blends = skeleton.world(moves, turns)[:, skeleton.joints] @ skeleton.binds
-    file = GlbFile()
-    nodes = _add_nodes(file, skeleton)
+    motion, file = rig_motion(clip, wearer, skeleton), GlbFile()
+    blends = motion.blends
+    nodes = add_nodes(file, skeleton)
     skin = _add_skin(file, skeleton, nodes)
     for layer in layers:
         weights = garment_weights(layer.garment, wearer, rig)
@@ -82,11 +64,7 @@ def rig_file(
         shape = _shape(file, corners, surface.faces, at / wearer.scale, weights, blends, quantised=quantised)
         whole = Shape(shape, {"skin": skin})
         add_shape(file, surface, corners, whole, len(layer.vertices), clip.fps, layer.colour)
-    channels = [(nodes[node], "rotation", quaternion_keys(turns[1:, node])) for node in animated if node in nodes]
-    top = carrier(wearer.rig)
-    if top in nodes:  # what no skin hangs on is not written
-        channels.append((nodes[top], "translation", moves[1:, top].astype(np.float32)))
-    file.animate(len(clip.quaternions), clip.fps, channels)
+    motion.animate(file, nodes)
     return file
 
 
@@ -94,11 +72,10 @@ def bare_file(wearer: Wearer, rig: FileRig, body: BodyModel, chosen: np.ndarray)
     """The file of the faces that are ``chosen`` (Fb,) of ``body``, one of ``wearer``'s, whose own file had ``rig``:
     skin on the character's nodes, in its unit and in the mean colour of its skin."""
     skeleton = rig.skeleton
-    quaternions, places = wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3)))
-    moves, turns, _ = _local(wearer, skeleton, quaternions, places)
-    blends = skeleton.world(moves, turns)[:, skeleton.joints] @ skeleton.binds
+    still = RigClip(*wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3))), 1.0)
+    blends = rig_motion(still, wearer, skeleton).part(np.zeros(0, dtype=np.int64)).blends
     file = GlbFile()
-    skin = _add_skin(file, skeleton, _add_nodes(file, skeleton))
+    skin = _add_skin(file, skeleton, add_nodes(file, skeleton))
     used, faces = np.unique(body.faces[chosen], return_inverse=True)
     none = np.zeros((0, 2)), np.zeros((0, 3), dtype=np.int64), (), np.zeros(0, dtype=np.int64)
     surface = MeshSurface(BARE, len(used), faces.reshape(-1, 3), *none)
@@ -123,30 +100,7 @@ def _onto_joints(wearer: Wearer, skeleton: FileSkeleton) -> scipy.sparse.csr_mat
     return scipy.sparse.csr_matrix(onto, (len(found), len(skeleton.joints)))
 
 
-def _local(
-    wearer: Wearer, skeleton: FileSkeleton, quaternions: np.ndarray, places: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Local translations (F, N, 3) and quaternions wxyz (F, N, 4) of the nodes as float32 has them, and the nodes (n,)
-    that turn after the first frame.
-
-    The node that carries legs and trunk moves, so that the pelvis's is at ``places`` [m] (F, 3).
-    """
-    turns = quaternions[..., [3, 0, 1, 2]] / np.linalg.norm(quaternions, axis=-1, keepdims=True)
-    still = (np.abs(np.einsum("fnq,nq->fn", turns[1:], skeleton.turns)) > 1.0 - STILL).all(axis=0)
-    turns[1:, still] = skeleton.turns[still]
-    turns = turns.astype(np.float32).astype(np.float64)
-    moves = np.tile(skeleton.moves, (len(turns), 1, 1))
-    world = skeleton.world(moves, turns)
-    top, pelvis = carrier(wearer.rig), wearer.rig.sources["pelvis"]
-    way = places / wearer.scale - world[:, pelvis, :3, 3]
-    above = skeleton.parents[top]
-    if above >= 0:
-        way = np.linalg.solve(world[:, above, :3, :3], way[..., None])[..., 0]
-    moves[:, top] = (moves[:, top] + way).astype(np.float32)
-    return moves, turns, np.flatnonzero(~still)
-
-
-def _add_nodes(file: GlbFile, skeleton: FileSkeleton) -> dict[int, int]:
+def add_nodes(file: GlbFile, skeleton: FileSkeleton) -> dict[int, int]:
     """The skeleton's nodes in ``file``: their places -> its nodes."""
     kept, waiting = [], list(skeleton.tops[::-1])
     while waiting:
@@ -171,46 +125,6 @@ def _add_skin(file: GlbFile, skeleton: FileSkeleton, nodes: dict[int, int]) -> i
     return file.add("skins", {"joints": joints, "inverseBindMatrices": file.array(columns)})
 
 
-def garment_weights(garment: Garment, wearer: Wearer, rig: FileRig) -> scipy.sparse.csr_matrix:
-    """Weights (D, J) of the joints for each vertex that is drawn: those of the skin next to the cloth there, smooth.
-
-    Hair, fingers and what else is no trunk or limb moves no cloth.
-    """
-    corners = parts_of(wearer.weights)[wearer.faces]
-    names = list(PARTS)
-    other = [number for number, part in enumerate(names) if plain_part(part) in ("head", "palm")]
-    near = ~np.isin(corners, other).any(axis=1)
-    if wearer.attire.parts:
-        near &= ~wearer.attire.of_kinds(("hair", "hat", "carried"))
-    faces = wearer.faces[near].astype(np.int64)
-    vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
-    found = closest_point(vertices, wearer.vertices.astype(np.float64), faces)
-    rows = np.repeat(np.arange(len(vertices)), 3)
-    onto = (found.barycentric.reshape(-1), (rows, faces[found.face].reshape(-1)))
-    nearest = scipy.sparse.csr_matrix(onto, (len(vertices), len(wearer.vertices)))
-    weights = nearest @ rig.weights
-    smooth = smoothing_matrix(garment.faces.astype(np.int64), len(vertices))
-    for _ in range(SMOOTHING_PASSES):
-        weights = smooth @ weights
-    if garment.drawn is not None:
-        weights = garment.drawn.shares(len(vertices)) @ weights
-    return scipy.sparse.csr_matrix(weights)
-
-
-def _heaviest(weights: scipy.sparse.csr_matrix, alone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The heaviest joints (V, 4) of each vertex and their weights, float32, summing to one; a single one where a vertex
-    is to have it ``alone`` (V,)."""
-    used = np.unique(weights.indices)  # of thousands of joints few move a garment
-    dense = weights[:, used].toarray()
-    order = np.argsort(-dense, axis=1, kind="stable")[:, :HEAVIEST]
-    order = np.pad(order, ((0, 0), (0, HEAVIEST - order.shape[1])))
-    kept = np.take_along_axis(dense, order, axis=1)
-    kept[:, dense.shape[1] :] = 0.0
-    kept[alone, 1:] = 0.0
-    kept = (kept / kept.sum(axis=1, keepdims=True)).astype(np.float32)
-    return np.where(kept > 0.0, used[order], 0), kept
-
-
 def _shape(
     file: GlbFile,
     corners: Corners,
@@ -224,14 +138,14 @@ def _shape(
     """Accessors of the mesh that is at ``at[0]`` in the first of ``blends`` (F + 1, J, 4, 4), and of the ways to what
     is at ``at`` (F + 1, V, 3) in the others."""
     flat = blends[:, :, :3, :].reshape(len(blends), -1, 12)
-    bones, kept = _heaviest(weights, np.zeros(len(at[0]), dtype=bool))
-    volumes = [_volume(_blended(kept, bones, one)) / _volume(one.reshape(-1, 3, 4))[bones[:, 0]] for one in flat]
-    bones, kept = _heaviest(weights, np.min(volumes, axis=0) < LEAST_VOLUME)
+    bones, kept = heaviest(weights, np.zeros(len(at[0]), dtype=bool))
+    volumes = [volume(blended(kept, bones, one)) / volume(one.reshape(-1, 3, 4))[bones[:, 0]] for one in flat]
+    bones, kept = heaviest(weights, np.min(volumes, axis=0) < LEAST_VOLUME)
     parts: list[dict[str, int]] = []
     first, first_normals = np.zeros(0), None
     for points, one in zip(at, flat, strict=True):
         go_on()
-        inverse, offset = _undone(_blended(kept, bones, one))
+        inverse, offset = undone(blended(kept, bones, one))
         bound = np.einsum("vab,vb->va", inverse, points - offset)
         normals = np.einsum("vab,vb->va", inverse, vertex_normals(points[None], faces)[0])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -254,18 +168,3 @@ def _shape(
     parts[0]["JOINTS_0"] = file.array(bones[corners.source].astype(joint), target=VERTEX_BUFFER)
     parts[0]["WEIGHTS_0"] = file.array(kept[corners.source], target=VERTEX_BUFFER)
     return parts
-
-
-def _blended(weights: np.ndarray, bones: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """The blends (V, 3, 4) of ``moves`` (J, 12) by ``weights`` (V, 4) of ``bones`` (V, 4)."""
-    return np.einsum("vk,vkm->vm", weights.astype(np.float64), moves[bones]).reshape(-1, 3, 4)
-
-
-def _volume(moves: np.ndarray) -> np.ndarray:
-    """What volumes grow by (V,) in ``moves`` (V, 3, 4)."""
-    return np.linalg.det(moves[:, :, :3])
-
-
-def _undone(moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The inverse of the linear part (V, 3, 3) of ``moves`` (V, 3, 4), and their translation (V, 3)."""
-    return np.linalg.inv(moves[:, :, :3]), moves[:, :, 3]

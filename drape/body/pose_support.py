@@ -17,6 +17,7 @@ from drape.body.features import joint_rotations
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import ArtifactError
 from drape.files.packed import UNREADABLE
+from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix, sixd_to_matrix
 
 BODY_JOINTS = range(1, 22)  # without the root and the hands, which are rigid
 LEGS = tuple(i for i in BODY_JOINTS if JOINT_NAMES[i].split("_")[-1] in ("hip", "knee", "ankle", "foot"))
@@ -81,6 +82,23 @@ def pose_parts(poses: np.ndarray) -> dict[str, np.ndarray]:
     """The rows of ``poses`` (F, 24, 3) [rad] by the names in ``PARTS``: (F, 48), (F, 78) and (F, 3)."""
     rows = pose_rows(poses)
     return {name: rows[:, part] for name, part in zip(PARTS, PART_SLICES, strict=True)}
+
+
+def wandering(support: PoseSupport, count: int, *, seed: int = 0) -> np.ndarray:
+    """``count`` poses (n, 24, 3) [rad] that mix the kept legs, trunks and tilts, as training does; at most as many as
+    are kept."""
+    draw = np.random.default_rng(seed)
+    turns = np.tile(np.eye(3), (min(count, len(support.legs), len(support.trunk)), JOINT_COUNT, 1, 1))
+    for rows, joints in ((support.legs, LEGS), (support.trunk, TRUNK)):
+        kept = draw.permutation(len(rows))[: len(turns)]
+        sixd = rows[kept].reshape(len(turns), len(joints), SIXD).astype(np.float64) / STEPS
+        turns[:, list(joints)] = sixd_to_matrix(sixd)
+    up = support.tilt[draw.integers(0, len(support.tilt), len(turns))].astype(np.float64)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    axis = np.stack([-up[:, 2], np.zeros(len(up)), up[:, 0]], axis=1)  # the shortest turn from there to y
+    sine = np.linalg.norm(axis, axis=1, keepdims=True)
+    turns[:, 0] = rotvec_to_matrix(axis / np.maximum(sine, 1e-9) * np.arctan2(sine, up[:, 1:2]))
+    return matrix_to_rotvec(turns)
 
 
 def read_pose_support(path: Path) -> PoseSupport:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ TEXTURES = {
 _COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
+Channel = tuple[int, str, np.ndarray]  # node, path, values per frame
 
 
 class GlbFile:
@@ -30,8 +31,9 @@ class GlbFile:
     It keeps the arrays that it is given, which may not change any more, and never has the file in one piece.
     """
 
-    def __init__(self) -> None:
-        self.json: dict[str, Any] = {
+    def __init__(self, document: dict[str, Any] | None = None, binary: bytes = b"") -> None:
+        """A file of nothing, or one that goes on from the ``document`` and the ``binary`` chunk of another."""
+        self.json: dict[str, Any] = document or {
             "asset": {"version": "2.0", "generator": GENERATOR},
             "scene": 0,
             "scenes": [{"nodes": []}],
@@ -41,9 +43,14 @@ class GlbFile:
             "accessors": [],
             "bufferViews": [],
         }
+        for key in ("nodes", "meshes", "materials", "accessors", "bufferViews"):
+            self.json.setdefault(key, [])
         self._arrays: list[np.ndarray] = []
         self._size = 0  # of the binary chunk so far
+        self._animation: dict[str, Any] | None = None
         self._textures: dict[int, tuple[bytes, int]] = {}  # by the picture's id, which holds while it is kept
+        if binary:
+            self._append(np.frombuffer(binary, np.uint8))
 
     def add(self, key: str, value: dict[str, Any]) -> int:
         """Appends ``value`` to the list ``key`` and returns its index."""
@@ -51,8 +58,11 @@ class GlbFile:
         rows.append(value)
         return len(rows) - 1
 
-    def array(self, array: np.ndarray, *, target: int | None = None, bounds: bool = False) -> int:
-        """The accessor of ``array`` (N, ...); positions and times need ``bounds``."""
+    def array(
+        self, array: np.ndarray, *, target: int | None = None, bounds: bool = False, normalized: bool = False
+    ) -> int:
+        """The accessor of ``array`` (N, ...); positions and times need ``bounds``. ``normalized``: its largest integer
+        stands for one."""
         array = np.ascontiguousarray(array)
         view: dict[str, Any] = {"buffer": 0, "byteOffset": self._size, "byteLength": array.nbytes}
         if target is not None:
@@ -64,6 +74,8 @@ class GlbFile:
             "count": len(array),
             "type": _SHAPES[array.shape[1:]],
         }
+        if normalized:
+            accessor["normalized"] = True
         if bounds:
             rows = array.reshape(len(array), -1)
             accessor["min"], accessor["max"] = rows.min(axis=0).tolist(), rows.max(axis=0).tolist()
@@ -75,10 +87,11 @@ class GlbFile:
 
     def quantised(self) -> None:
         """Declares in the file that vertices are in steps."""
-        self._uses(QUANTIZATION)
+        self.uses(QUANTIZATION)
         self.json["extensionsRequired"] = [QUANTIZATION]
 
-    def _uses(self, extension: str) -> None:
+    def uses(self, extension: str) -> None:
+        """Declares that there is something of an ``extension``."""
         used = self.json.setdefault("extensionsUsed", [])
         if extension not in used:
             used.append(extension)
@@ -106,12 +119,13 @@ class GlbFile:
             accessors.append(self.add("accessors", accessor))
         return accessors
 
-    def animate(self, frames: int, fps: float, channels: list[tuple[int, str, np.ndarray]]) -> None:
-        """Adds ``channels`` (node, path, values per frame) to the file's one animation."""
+    def animate(self, frames: int, fps: float, channels: Sequence[Channel]) -> None:
+        """Adds ``channels`` (node, path, values per frame) to the one animation that we write."""
         times = self.array((np.arange(frames) / fps).astype(np.float32), bounds=True)
-        if "animations" not in self.json:
-            self.json["animations"] = [{"name": "drape", "channels": [], "samplers": []}]
-        animation = self.json["animations"][0]
+        if self._animation is None:
+            self._animation = {"name": "drape", "channels": [], "samplers": []}
+            self.add("animations", self._animation)
+        animation = self._animation
         for node, path, values in channels:
             sampler = {"input": times, "output": self.array(values), "interpolation": "LINEAR"}
             animation["channels"].append(
@@ -122,7 +136,7 @@ class GlbFile:
     def node(self, value: dict[str, Any]) -> int:
         """A node at the top of the scene."""
         index = self.add("nodes", value)
-        self.json["scenes"][0]["nodes"].append(index)
+        self.json["scenes"][self.json.get("scene", 0)].setdefault("nodes", []).append(index)
         return index
 
     def place(self, name: str, point: np.ndarray) -> None:
@@ -166,7 +180,7 @@ class GlbFile:
         for slot, number in look.pictures.items() if with_pictures else ():
             texture: dict[str, Any] = {"index": self._texture(looks.pictures[number])}
             if placed != {"offset": [0.0, 0.0], "rotation": 0.0, "scale": [1.0, 1.0]}:
-                self._uses(TRANSFORM)
+                self.uses(TRANSFORM)
                 texture["extensions"] = {TRANSFORM: placed}
             (made if slot == "normal" else surface)[TEXTURES[slot]] = texture
         return self.add("materials", made)

@@ -9,7 +9,8 @@ import numpy as np
 from fastapi.responses import StreamingResponse
 
 from drape.avatar.file_skeleton import load_file_rig
-from drape.avatar.rig_file import Dressed, RigClip, rig_file
+from drape.avatar.rig_file import Dressed, rig_file
+from drape.avatar.rig_motion import RigClip
 from drape.body.model import BodyModel
 from drape.export import glb
 from drape.export.glb_body import add_body

@@ -11,7 +11,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.avatar.file_skeleton import FileRig, load_file_rig
-from drape.avatar.rig_file import Dressed, RigClip, rig_file
+from drape.avatar.rig_file import Dressed, rig_file
+from drape.avatar.rig_motion import RigClip
 from drape.avatar.wearer import Wearer, read_wearer, save_wearer
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES

@@ -1,0 +1,233 @@
+"""A garment's drape as a few more joints below those of a character's rig, with weights of all, for any player.
+
+Frames that were draped become weights and rigid motions (``drape.geometry.skin_decomposition``). Each joint e hangs
+below the joint j of the rig that it moves with most. In its joint's frame S = (W_j B_j)^-1 T_e it hardly moves, so a
+file's own clips, which know nothing of it, still carry the garment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse.csgraph import dijkstra
+
+from drape.avatar.file_skeleton import FileRig
+from drape.avatar.rig_motion import RigMotion
+from drape.avatar.rig_weights import HEAVIEST, garment_weights, heaviest
+from drape.avatar.wearer import Wearer
+from drape.garment.cache import Garment
+from drape.garment.skin import smoothing_matrix
+from drape.geometry import skin_decomposition as decomposition
+from drape.geometry.mesh_graphs import edge_graph
+from drape.geometry.rigid import affine_inverse, compose
+from drape.geometry.rigid_fit import rigid_fit
+from drape.wanted import go_on
+
+JOINTS = 24  # a garment, by default
+FRAMES = 300  # that weights are fitted to, at most
+ROUNDS = 8  # of weights and motions
+TRACK_ROUNDS = 6
+NEAR, NEAR_RIG = 6, 3  # joints that a vertex may have: the nearest of its own, the heaviest of the rig
+NEARNESS = 0.02  # of clusters
+SMOOTH_M = 5e-3  # of a weight's error of one, in the fit
+STEADINESS = 1e-3  # of tracks
+PIVOT_SHARE = 0.02  # of a joint's distance from its middle, of that by which it moves
+
+
+@dataclass(frozen=True, eq=False)
+class Draped:
+    """A garment at ``vertices`` [m] (F, V, 3) over a clip on a rig."""
+
+    vertices: np.ndarray
+    motion: RigMotion
+
+
+@dataclass(frozen=True, eq=False)
+class Distilled:
+    """A garment with E joints of its own, in the unit of the character's file.
+
+    ``rest`` (V, 3) and ``weights`` (V, n + E) of its mesh in the bind pose, on the rig's ``joints`` (n,), nodes of the
+    skeleton with the inverse bind matrices ``binds`` (n, 3, 4), and on its own. These are at ``pivots`` (E, 3) in the
+    bind pose and hang below the ``parents`` (E,), places among ``joints``. ``still`` (E, 3, 4): where each is in its
+    parent's bind frame while nothing moves it.
+    """
+
+    rest: np.ndarray
+    weights: np.ndarray
+    joints: np.ndarray
+    binds: np.ndarray
+    parents: np.ndarray
+    pivots: np.ndarray
+    still: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """The number E of its own joints."""
+        return len(self.parents)
+
+    def above(self, motion: RigMotion) -> np.ndarray:
+        """The motions (F, n, 3, 4) of the rig's joints from the bind pose, seen from the pelvis."""
+        return _from_pelvis(motion, self.joints, self.binds)
+
+    def carried(self, motion: RigMotion) -> np.ndarray:
+        """The motions (F, E, 3, 4) of its own joints that only follow their parents."""
+        return compose(self.above(motion)[:, self.parents], self.still)
+
+    def fitted(self, draped: Draped, scale: float) -> np.ndarray:
+        """The motions (F, E, 3, 4) that bring the mesh nearest to what was ``draped``, seen from the pelvis."""
+        frames, above = seen_from_pelvis(draped, scale), self.above(draped.motion)
+        own = slice(above.shape[1], None)
+        moves = np.concatenate([above, self.carried(draped.motion)], axis=1)
+        strongest = self.weights[:, own].argmax(axis=1)
+        for joint in range(self.count):
+            rows = np.flatnonzero((strongest == joint) & (self.weights[:, own].max(axis=1) > 0.0))
+            if len(rows) >= 3:
+                moves[:, above.shape[1] + joint] = rigid_fit(self.rest[rows], frames[:, rows])
+        free = np.arange(above.shape[1], moves.shape[1])
+        more = {"rounds": TRACK_ROUNDS, "steadiness": STEADINESS}
+        return decomposition.fit_moves(self.weights, self.rest, frames, moves, free, **more)[:, own]
+
+    def placed(self, motion: RigMotion, moves: np.ndarray) -> np.ndarray:
+        """The mesh (F, V, 3) with its own joints at ``moves`` (F, E, 3, 4), seen from the pelvis."""
+        return decomposition.blended(self.weights, self.rest, np.concatenate([self.above(motion), moves], axis=1))
+
+    def error_m(self, draped: Draped, moves: np.ndarray, scale: float) -> float:
+        """The root mean square of the distances [m] from what was ``draped`` to the mesh at ``moves``."""
+        off = self.placed(draped.motion, moves) - seen_from_pelvis(draped, scale)
+        return float(scale * np.sqrt((off**2).sum(axis=-1).mean()))
+
+    def local(self, motion: RigMotion, moves: np.ndarray) -> np.ndarray:
+        """Where its own joints are in the bind frames of their parents (F, E, 3, 4) while they are at ``moves``."""
+        return compose(affine_inverse(self.above(motion)[:, self.parents]), moves)
+
+
+def distil(
+    garment: Garment,
+    clips: Sequence[Draped],
+    wearer: Wearer,
+    rig: FileRig,
+    *,
+    count: int = JOINTS,
+    poses: Sequence[Draped] = (),
+) -> Distilled:
+    """``garment`` with ``count`` joints of its own on ``wearer``, fitted to frames of ``clips``, which say where they
+    hang, and of ``poses``, which count for weights alone."""
+    hung = _on_rig(garment, clips[0].motion, wearer, rig)
+    rest, rig_weights = hung.rest, hung.weights
+    frames, above, usual = _chosen_frames([*clips, *poses], wearer.scale, hung, len(clips))
+    faces, rows = garment.surface.faces.astype(np.int64), slice(None, None, 3)
+    cluster, _ = decomposition.rigid_clusters(rest, frames[rows], count, nearness=NEARNESS)
+    moves = [rigid_fit(rest[cluster == one], frames[:, cluster == one]) for one in range(count)]
+    moves = np.concatenate([above, np.stack(moves, axis=1)], axis=1)
+    candidates = _candidates(rest, faces, cluster, rig_weights)
+    smooth = smoothing_matrix(faces, len(rest))
+    stiffness, free = (SMOOTH_M / wearer.scale) ** 2, np.arange(above.shape[1], moves.shape[1])
+    weights = np.pad(rig_weights, ((0, 0), (0, count)))
+    for _ in range(ROUNDS):
+        go_on()
+        weights = decomposition.fit_weights(
+            rest, frames, moves, candidates, most=HEAVIEST, past=weights, pull=smooth @ weights, stiffness=stiffness
+        )
+        moves = decomposition.fit_moves(weights, rest, frames, moves, free)
+    parents, pivots, still = _hung(rest, weights[:, free], above[:usual], moves[:usual, free])
+    return replace(hung, weights=weights, parents=parents, pivots=pivots, still=still)
+
+
+def _on_rig(garment: Garment, motion: RigMotion, wearer: Wearer, rig: FileRig) -> Distilled:
+    """The garment without joints of its own, its mesh in the bind pose in the unit of the world."""
+    weights, skeleton = garment_weights(garment, wearer, rig), rig.skeleton
+    at = garment.drawn_at_rest() / wearer.scale
+    bones, kept = heaviest(weights, np.zeros(len(at), dtype=bool))
+    used = np.unique(bones[kept > 0.0])
+    unit = np.cbrt(np.abs(np.linalg.det(motion.blends[0, used, :3, :3]))).mean()  # of the world, per one of the skin's
+    joints, binds = skeleton.joints[used], skeleton.binds[used, :3, :] / [unit, unit, unit, 1.0]
+    dense = np.zeros((len(bones), len(used)))
+    np.add.at(dense, (np.arange(len(bones))[:, None], np.searchsorted(used, bones) % len(used)), kept)
+    blend = np.tensordot(dense, compose(motion.world[0, joints, :3, :], binds), axes=1)
+    rest = np.linalg.solve(blend[:, :, :3], (at - blend[:, :, 3])[..., None])[..., 0]
+    none = np.zeros((0, 3, 4))
+    return Distilled(rest, dense, joints, binds, np.zeros(0, dtype=np.int64), none[..., 3], none)
+
+
+def _chosen_frames(
+    clips: Sequence[Draped], scale: float, hung: Distilled, first: int
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Some frames (F, V, 3) of all ``clips``, evenly, and motions (F, n, 3, 4) of the rig, seen from the pelvis; how
+    many of them are of the ``first`` clips."""
+    step = max(1.0, sum(len(one.vertices) for one in clips) / FRAMES)
+    frames, above = [], []
+    for one in clips:
+        rows = np.arange(0.0, len(one.vertices), step).astype(int)
+        part = Draped(one.vertices[rows], one.motion.part(rows))
+        frames.append(seen_from_pelvis(part, scale))
+        above.append(hung.above(part.motion))
+    return np.concatenate(frames), np.concatenate(above), sum(map(len, frames[:first]))
+
+
+def seen_from_pelvis(draped: Draped, scale: float) -> np.ndarray:
+    """The vertices (F, V, 3) of ``draped`` in the frame of the pelvis's node, in the unit of the file."""
+    at = pelvis_places(draped.motion)
+    return (draped.vertices / scale - at[:, None, :, 3]) @ at[:, :, :3]
+
+
+def to_world(motion: RigMotion, seen: np.ndarray, scale: float) -> np.ndarray:
+    """The inverse of ``seen_from_pelvis``: points (F, V, 3) in the world [m]."""
+    at = pelvis_places(motion)
+    return scale * (seen @ at[:, :, :3].swapaxes(-1, -2) + at[:, None, :, 3])
+
+
+def pelvis_places(motion: RigMotion) -> np.ndarray:
+    """Place and rotation (F, 3, 4) of the pelvis's node, without its scale."""
+    at = motion.world[1:, motion.pelvis, :3, :].copy()
+    at[:, :, :3] /= np.linalg.norm(at[:, :, :3], axis=1, keepdims=True)
+    return at
+
+
+def _from_pelvis(motion: RigMotion, joints: np.ndarray, binds: np.ndarray) -> np.ndarray:
+    """The motions (F, n, 3, 4) of ``joints`` from the bind pose, seen from the pelvis."""
+    return compose(compose(affine_inverse(pelvis_places(motion))[:, None], motion.world[1:, joints, :3, :]), binds)
+
+
+def _candidates(rest: np.ndarray, faces: np.ndarray, cluster: np.ndarray, rig_weights: np.ndarray) -> np.ndarray:
+    """The joints (V, C) that a vertex may have: some of the rig, then those of clusters near along the cloth."""
+    count, bones = cluster.max() + 1, rig_weights.shape[1]
+    middles = [rest[cluster == one].mean(axis=0) for one in range(count)]
+    away = np.stack([np.linalg.norm(rest - middle, axis=1) for middle in middles])
+    seeds = np.where(cluster == np.arange(count)[:, None], away, np.inf).argmin(axis=1)
+    along = dijkstra(edge_graph(rest, faces), directed=False, indices=seeds)
+    nearest = np.where(np.isfinite(along), along, 3.0 * away).T.argsort(axis=1)[:, :NEAR]
+    return np.concatenate([rig_weights.argsort(axis=1)[:, ::-1][:, :NEAR_RIG], bones + nearest], axis=1)
+
+
+def _hung(
+    rest: np.ndarray, weights: np.ndarray, above: np.ndarray, moves: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parents (E,) of joints with ``weights`` (V, E) at ``moves`` (F, E, 3, 4): those of ``above`` (F, n, 3, 4) in
+    whose frames they move least. And their pivots (E, 3), and where they are in these frames while still (E, 3, 4)."""
+    inverse, parents, pivots, stills = affine_inverse(above), [], [], []
+    for joint in range(moves.shape[1]):
+        share = weights[:, joint]
+        share = share / max(share.sum(), 1e-12)
+        middle = share @ rest
+        reach = np.linalg.cholesky((rest - middle).T @ (share[:, None] * (rest - middle)) + 1e-12 * np.eye(3))
+        corners = np.concatenate([[middle], middle + reach.T, middle - reach.T])
+        seen = compose(inverse, moves[:, joint, None])  # (F, n, 3, 4)
+        at = seen[..., :3] @ corners.T + seen[..., 3:]
+        parent = int(((at - at.mean(axis=0)) ** 2).sum(axis=(0, 2, 3)).argmin())
+        still = rigid_fit(corners, at[:, parent].mean(axis=0).T[None])[0]
+        parents.append(parent)
+        stills.append(still)
+        pivots.append(_pivot(seen[:, parent], still, middle))
+    return np.array(parents), np.stack(pivots), np.stack(stills)
+
+
+def _pivot(moves: np.ndarray, still: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """The point (3,) that ``moves`` (F, 3, 4) bring least away from where ``still`` (3, 4) has it: the least sum of
+    |(R - R0) h + t - t0|^2 + s |h - m|^2, s so small that it only counts where the motions do not tell."""
+    off = moves - still
+    turns, ways = off[:, :, :3], off[:, :, 3]
+    square = np.einsum("fab,fac->bc", turns, turns)
+    hold = PIVOT_SHARE * max(np.trace(square), 1e-12) * np.eye(3)
+    return np.linalg.solve(square + hold, hold @ middle - np.einsum("fab,fa->b", turns, ways))

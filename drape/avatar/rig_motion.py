@@ -1,0 +1,86 @@
+"""A clip on the nodes of a character's own file: their local transforms, and where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drape.avatar.file_skeleton import FileSkeleton
+from drape.avatar.wearer import Wearer
+from drape.body.skeleton import JOINT_COUNT
+from drape.export.glb_file import Channel, GlbFile
+from drape.export.root_motion import quaternion_keys
+from drape.motion.rig_poses import carrier
+
+STILL = 1e-11  # a node that turns by less than 1e-5 rad in all frames is not animated
+
+
+@dataclass(frozen=True, eq=False)
+class RigClip:
+    """Local ``quaternions`` (F, N, 4), xyzw, of a character's nodes, and ``places`` [m] (F, 3) of its pelvis's."""
+
+    quaternions: np.ndarray
+    places: np.ndarray
+    fps: float
+
+
+@dataclass(frozen=True, eq=False)
+class RigMotion:
+    """A clip on a ``skeleton`` after the T-pose in which garments are at rest: F frames are rows 1 to F.
+
+    Local translations ``moves`` (F + 1, N, 3) and quaternions wxyz ``turns`` (F + 1, N, 4) of the nodes as float32 has
+    them, their ``world`` transforms (F + 1, N, 4, 4), the nodes (n,) that are ``animated``, the node that moves
+    (``top``), and that of the ``pelvis``. In the unit of the file.
+    """
+
+    skeleton: FileSkeleton
+    fps: float
+    moves: np.ndarray
+    turns: np.ndarray
+    world: np.ndarray
+    animated: np.ndarray
+    top: int
+    pelvis: int
+
+    @property
+    def blends(self) -> np.ndarray:
+        """From the bind pose to the world (F + 1, J, 4, 4), of each joint."""
+        return self.world[:, self.skeleton.joints] @ self.skeleton.binds
+
+    def part(self, rows: np.ndarray) -> RigMotion:
+        """The T-pose and the frames ``rows`` (n,)."""
+        rows = np.concatenate([[0], rows + 1])
+        return replace(self, moves=self.moves[rows], turns=self.turns[rows], world=self.world[rows])
+
+    def animate(self, file: GlbFile, nodes: Mapping[int, int], more: Sequence[Channel] = ()) -> None:
+        """Adds the clip to ``file``, in which the skeleton's node n is ``nodes[n]``, with ``more`` channels."""
+        channels = [(nodes[n], "rotation", quaternion_keys(self.turns[1:, n])) for n in self.animated if n in nodes]
+        if self.top in nodes:  # what no skin hangs on is not written
+            channels.append((nodes[self.top], "translation", self.moves[1:, self.top].astype(np.float32)))
+        file.animate(len(self.moves) - 1, self.fps, [*channels, *more])
+
+
+def rig_motion(clip: RigClip, wearer: Wearer, skeleton: FileSkeleton) -> RigMotion:
+    """The ``clip`` on the ``skeleton`` of the file of ``wearer``.
+
+    The node that carries legs and trunk moves, so that the pelvis's is where the clip has it.
+    """
+    rest = wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3)))
+    quaternions, places = (np.concatenate(pair) for pair in zip(rest, (clip.quaternions, clip.places), strict=True))
+    turns = quaternions[..., [3, 0, 1, 2]] / np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    still = (np.abs(np.einsum("fnq,nq->fn", turns[1:], skeleton.turns)) > 1.0 - STILL).all(axis=0)
+    turns[1:, still] = skeleton.turns[still]
+    turns = turns.astype(np.float32).astype(np.float64)
+    moves = np.tile(skeleton.moves, (len(turns), 1, 1))
+    world = skeleton.world(moves, turns)
+    top, pelvis = carrier(wearer.rig), wearer.rig.sources["pelvis"]
+    way = places / wearer.scale - world[:, pelvis, :3, 3]
+    above = skeleton.parents[top]
+    if above >= 0:
+        way = np.linalg.solve(world[:, above, :3, :3], way[..., None])[..., 0]
+    moves[:, top] = (moves[:, top] + way).astype(np.float32)
+    return RigMotion(
+        skeleton, clip.fps, moves, turns, skeleton.world(moves, turns), np.flatnonzero(~still), top, pelvis
+    )

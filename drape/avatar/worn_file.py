@@ -1,0 +1,137 @@
+"""A character's own file with the garments that it wears: as a GLB with tracks of a clip, or as a VRM with springs.
+
+What the file had stays as it is: meshes, materials, humanoid, licence, clips. Garments, their joints, and capsules on
+the legs are added to it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from drape.avatar.character import tree_of
+from drape.avatar.joint_file import Jointed, add_clip, add_jointed
+from drape.avatar.joint_springs import JointSprings, Limb
+from drape.avatar.rig_motion import RigMotion
+from drape.errors import InputError
+from drape.export.glb_file import GlbFile
+from drape.files.gltf import GltfFile
+
+SPRINGS = "VRMC_springBone"
+PLAIN = {  # what VRM 0 says of a material that is glTF's own
+    "shader": "VRM_USE_GLTFSHADER", "renderQueue": 2000, "floatProperties": {}, "vectorProperties": {},
+    "textureProperties": {}, "keywordMap": {}, "tagMap": {},
+}  # fmt: skip
+
+
+def worn_glb(
+    payload: bytes, layers: Sequence[Jointed], draped: Sequence[np.ndarray], motion: RigMotion, scale: float
+) -> GlbFile:
+    """The character's file ``payload`` with garments over the clip in which they are ``draped`` [m] (F, V, 3) each."""
+    file, nodes = _opened(payload)
+    add_clip(file, layers, draped, motion, nodes, scale)
+    _complete(file)
+    return file
+
+
+def worn_vrm(payload: bytes, layers: Sequence[tuple[Jointed, JointSprings]]) -> GlbFile:
+    """The character's VRM ``payload`` with garments whose joints are springs. Refuses (``InputError``) a plain GLB."""
+    file, nodes = _opened(payload)
+    extensions = file.json.get("extensions", {})
+    if not {"VRM", "VRMC_vrm"} & extensions.keys():
+        cure = "Write a .glb, or give the character as VRM."
+        raise InputError("vrm", expected="a character in a VRM file", got="a plain GLB", cure=cure)
+    for layer, springs in layers:
+        own = add_jointed(file, layer, nodes)
+        ends = []
+        for number, node in enumerate(own):
+            way = springs.tails[number] - springs.distilled.pivots[number]
+            ends.append(
+                file.add("nodes", {"name": f"{file.json['nodes'][node]['name']}_end", "translation": way.tolist()})
+            )
+            file.json["nodes"][node]["children"] = [ends[-1]]
+        add = _add_springs_0 if "VRM" in extensions else _add_springs_1
+        add(file, springs, nodes, own, ends, layer.surface.name)
+    _complete(file)
+    return file
+
+
+def _opened(payload: bytes) -> tuple[GlbFile, dict[int, int]]:
+    """The file to go on with, and its nodes by their places in the skeleton."""
+    order, _ = tree_of(GltfFile(payload))
+    (length,) = struct.unpack_from("<I", payload, 12)
+    document = json.loads(payload[20 : 20 + length]) if payload[:4] == b"glTF" else {"buffers": []}
+    buffers = document.get("buffers", [])
+    if len(buffers) != 1 or "uri" in buffers[0]:
+        cure = "Export it as one GLB file."
+        raise InputError(
+            "character", expected="a GLB with one buffer of its own", got=f"{len(buffers)} buffers", cure=cure
+        )
+    file = GlbFile(document, payload[28 + length : 28 + length + buffers[0]["byteLength"]])
+    return file, dict(enumerate(order))
+
+
+def _complete(file: GlbFile) -> None:
+    """Tells VRM 0 of the materials that were added."""
+    vrm = file.json.get("extensions", {}).get("VRM")
+    if vrm is not None:
+        told = vrm.setdefault("materialProperties", [])
+        told += [{"name": one["name"]} | PLAIN for one in file.json["materials"][len(told) :]]
+
+
+def _add_springs_1(
+    file: GlbFile, springs: JointSprings, nodes: dict[int, int], own: Sequence[int], ends: Sequence[int], name: str
+) -> None:
+    """The springs in VRMC_springBone 1.0."""
+    file.uses(SPRINGS)
+    told = file.json["extensions"].setdefault(SPRINGS, {"specVersion": "1.0"})
+    colliders, groups, listed = (told.setdefault(key, []) for key in ("colliders", "colliderGroups", "springs"))
+    groups.append(
+        {"name": f"{name} legs", "colliders": list(range(len(colliders), len(colliders) + len(springs.limbs)))}
+    )
+    for limb in springs.limbs:
+        capsule = {"offset": limb.start.tolist(), "tail": limb.end.tolist(), "radius": limb.radius}
+        colliders.append({"node": nodes[limb.node], "shape": {"capsule": capsule}})
+    for number in np.flatnonzero(springs.sprung).tolist():
+        one = _numbers(springs, number)
+        joint = {"node": own[number], "stiffness": one["stiffness"], "gravityPower": one["gravity"]}
+        joint |= {"gravityDir": [0.0, -1.0, 0.0], "dragForce": one["drag"], "hitRadius": one["radius"]}
+        felt = {"colliderGroups": [len(groups) - 1]} if springs.felt[number].any() else {}
+        said = {"name": file.json["nodes"][own[number]]["name"], "joints": [joint, {"node": ends[number]}]}
+        listed.append(said | felt)
+
+
+def _add_springs_0(
+    file: GlbFile, springs: JointSprings, nodes: dict[int, int], own: Sequence[int], ends: Sequence[int], name: str
+) -> None:
+    """The springs in VRM 0's secondaryAnimation, whose colliders are spheres and whose z points the other way."""
+    told = file.json["extensions"]["VRM"].setdefault("secondaryAnimation", {})
+    groups, listed = told.setdefault("colliderGroups", []), told.setdefault("boneGroups", [])
+    first = len(groups)
+    groups += [{"node": nodes[limb.node], "colliders": _spheres(limb)} for limb in springs.limbs]
+    for number in np.flatnonzero(springs.sprung).tolist():
+        one = _numbers(springs, number)
+        listed.append(
+            {
+                "comment": file.json["nodes"][own[number]]["name"], "stiffiness": one["stiffness"],
+                "gravityPower": one["gravity"], "gravityDir": {"x": 0.0, "y": -1.0, "z": 0.0},
+                "dragForce": one["drag"], "center": -1, "hitRadius": one["radius"], "bones": [own[number]],
+                "colliderGroups": [first + limb for limb in np.flatnonzero(springs.felt[number]).tolist()],
+            }
+        )  # fmt: skip
+
+
+def _numbers(springs: JointSprings, number: int) -> dict[str, float]:
+    return {name: round(float(one[number]), 5) for name, one in vars(springs.numbers).items()}
+
+
+def _spheres(limb: Limb) -> list[dict[str, Any]]:
+    """Spheres along ``limb``, a radius apart at most."""
+    count = 1 + math.ceil(float(np.linalg.norm(limb.end - limb.start)) / limb.radius)
+    points = limb.start + np.linspace(0.0, 1.0, count)[:, None] * (limb.end - limb.start)
+    return [{"offset": {"x": x, "y": y, "z": -z}, "radius": limb.radius} for x, y, z in points.tolist()]

@@ -1,0 +1,125 @@
+"""Garments on a character distilled to joints, so that players show them without this program.
+
+shirt = drape.load().wear("tshirt", on="me.vrm")
+joints = drape.distil(shirt)
+Path("walking.glb").write_bytes(joints.glb("walk"))  # the character, its T-shirt, and tracks of all joints
+Path("dressed.vrm").write_bytes(joints.vrm())  # with spring bones, for motion that nobody draped
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from drape.avatar import distilled
+from drape.avatar.distilled import JOINTS, Draped
+from drape.avatar.file_skeleton import FileRig
+from drape.avatar.joint_file import Jointed
+from drape.avatar.joint_springs import JointSprings, fit_springs
+from drape.avatar.rig_motion import RigClip, RigMotion, rig_motion
+from drape.avatar.wearer import Wearer
+from drape.avatar.worn_file import worn_glb, worn_vrm
+from drape.body.pose_support import wandering
+from drape.catalog import MOTIONS_DIR
+from drape.errors import InputError
+from drape.export.glb import GARMENT_COLOURS
+from drape.export.surface import by_layer
+from drape.library import Worn
+from drape.motion.clip import MotionClip
+
+FPS = 30.0
+MOST_JOINTS = 64  # of a garment
+POSES, POSES_A_S = 100, 2.5  # of training that weights are fitted to besides clips, and how fast they follow each other
+
+Motion = str | Path | MotionClip
+
+
+def distil(worn: Worn, motions: Sequence[Motion] | None = None, *, joints: int = JOINTS) -> Joints:
+    """Distils the garments that are ``worn`` by a character, which ``Drape.wear`` got by ``on``.
+
+    ``motions``: what is draped for it, the shipped clips by default. ``joints``: of each garment, besides the rig's. It
+    takes about half a minute a garment. Raises ``InputError`` for garments on the standard body.
+    """
+    if not 1 <= joints <= MOST_JOINTS:
+        raise InputError(
+            "joints", expected=f"1 to {MOST_JOINTS}", got=str(joints), cure="24 suffice for most garments."
+        )
+    wearer, rig, _ = _character(worn)
+    asked = sorted(MOTIONS_DIR.glob("*.npz")) if motions is None else motions
+    clips = [_draped(worn, wearer, rig, motion, FPS) for motion in asked]
+    support = worn.pose_support
+    poses = []
+    if support is not None:
+        keys = wandering(support, POSES)
+        roaming = MotionClip(keys, np.zeros((len(keys), 3)), POSES_A_S, "poses")
+        poses = _draped(worn, wearer, rig, roaming, FPS)
+    layers, by_garment = [], zip(*clips, strict=True)
+    for number, (garment, own) in enumerate(zip(worn.layers, by_garment, strict=True)):
+        others = [poses[number]] if poses else []
+        made = distilled.distil(garment, own, wearer, rig, count=joints, poses=others)
+        layers.append((Jointed(garment.surface, made, GARMENT_COLOURS[number % len(GARMENT_COLOURS)]), own))
+    return Joints(worn, layers)
+
+
+class Joints:
+    """Garments of a character with joints of their own, as ``distil`` returns them."""
+
+    def __init__(self, worn: Worn, layers: Sequence[tuple[Jointed, Sequence[Draped]]]) -> None:
+        self.wearer, self._rig, self._path = _character(worn)
+        self._worn, self.layers, self._clips = worn, [one for one, _ in layers], [clips for _, clips in layers]
+
+    def glb(self, motion: Motion, *, fps: float = FPS) -> bytes:
+        """Returns the character's file with the garments over ``motion``, as a GLB."""
+        draped = self._over(motion, fps)
+        vertices = [one.vertices for one in draped]
+        made = worn_glb(self._path.read_bytes(), self.layers, vertices, draped[0].motion, self.wearer.scale)
+        return made.to_bytes()
+
+    def vrm(self) -> bytes:
+        """Returns the character's file with the garments on spring bones, as a VRM of the version that it is.
+
+        Raises ``InputError`` for a character that is a plain GLB.
+        """
+        return worn_vrm(self._path.read_bytes(), list(zip(self.layers, self.springs, strict=True))).to_bytes()
+
+    @cached_property
+    def springs(self) -> list[JointSprings]:
+        """The spring bones of each garment."""
+        made = zip(self.layers, self._clips, strict=True)
+        return [fit_springs(layer.distilled, clips, self.wearer) for layer, clips in made]
+
+    def errors_mm(self, motion: Motion, *, fps: float = FPS) -> list[dict[str, float]]:
+        """Returns how far [mm], root mean square, each garment is from its drape over ``motion``: with ``tracks``, with
+        ``springs``, and ``carried`` by the rig alone.
+        """
+        told = []
+        for layer, springs, one in zip(self.layers, self.springs, self._over(motion, fps), strict=True):
+            made, scale = layer.distilled, self.wearer.scale
+            ways = {"tracks": made.fitted(one, scale), "springs": springs.moves(one.motion)}
+            ways["carried"] = made.carried(one.motion)
+            told.append({name: 1e3 * made.error_m(one, moves, scale) for name, moves in ways.items()})
+        return told
+
+    def _over(self, motion: Motion, fps: float) -> list[Draped]:
+        return _draped(self._worn, self.wearer, self._rig, motion, fps)
+
+
+def _character(worn: Worn) -> tuple[Wearer, FileRig, Path]:
+    if worn.wearer is None or worn.character is None or worn.wearer.file is None:
+        cure = "Name the file of a character: wear(..., on=FILE)."
+        raise InputError(
+            "joints", expected="garments on a character, which has a rig", got="the standard body", cure=cure
+        )
+    return worn.wearer, worn.wearer.file, worn.character
+
+
+def _draped(worn: Worn, wearer: Wearer, rig: FileRig, motion: Motion, fps: float) -> list[Draped]:
+    """Each garment over ``motion``."""
+    clip = worn.placed(motion, fps=fps)
+    vertices = np.stack([frame.vertices for frame in worn.play(clip, fps=clip.fps, as_recorded=True)])
+    on_rig: RigMotion = rig_motion(RigClip(*wearer.to_rig(clip.poses, clip.trans), clip.fps), wearer, rig.skeleton)
+    return list(map(Draped, by_layer(worn.garments, vertices), itertools.repeat(on_rig)))

@@ -1,0 +1,18 @@
+"""Rigid motions that take points nearest to others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def rigid_fit(sources: np.ndarray, targets: np.ndarray, masses: np.ndarray | None = None) -> np.ndarray:
+    """The rotations and translations (F, 3, 4) of the smallest sum of m |R x + t - y|^2 (Kabsch 1976), for points x of
+    ``sources`` (N, 3), y of ``targets`` (F, N, 3), masses m (N,), equal ones by default."""
+    masses = np.ones(len(sources)) if masses is None else masses
+    share = masses / masses.sum()
+    middle, middles = share @ sources, np.einsum("n,fna->fa", share, targets)
+    moments = np.einsum("fna,nb->fab", targets - middles[:, None], share[:, None] * (sources - middle), optimize=True)
+    u, _, vt = np.linalg.svd(moments)
+    u[..., 2] *= np.where(np.linalg.det(u) * np.linalg.det(vt) < 0.0, -1.0, 1.0)[:, None]
+    turns = u @ vt
+    return np.concatenate([turns, (middles - turns @ middle)[..., None]], axis=-1)

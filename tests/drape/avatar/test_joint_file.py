@@ -1,0 +1,125 @@
+"""Garments with joints of their own on a character's rig: what a player shows is what was distilled."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.avatar.distilled import Distilled, Draped, distil, to_world
+from drape.avatar.file_skeleton import FileRig
+from drape.avatar.joint_file import Jointed, joints_file
+from drape.avatar.rig_motion import RigClip, RigMotion, rig_motion
+from drape.avatar.wearer import Wearer, read_wearer
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.garment.cache import Garment
+from drape.geometry.rotations import rotvec_to_matrix
+from tests.drape.avatar.test_rig_file import strange
+from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.glb_reader import Reader, khronos_complaints
+from tests.fixtures.poses import smooth_motion
+
+COLOUR = (0.2, 0.4, 0.7, 1.0)
+FRAMES, COUNT = 20, 6
+
+
+@pytest.fixture(scope="module")
+def worn(body: BodyModel) -> Wearer:
+    """Our body in an A-pose that is not its bind pose, in centimetres, facing -z, under an armature."""
+    made = character(body, arms_rad=ARMS_DOWN_RAD, scale=100.0, yaw_rad=np.pi, change=strange)
+    return read_wearer(made, name="somebody", body=body)
+
+
+@pytest.fixture(scope="module")
+def rig(worn: Wearer) -> FileRig:
+    assert worn.file is not None
+    return worn.file
+
+
+def moved(worn: Wearer, rig: FileRig, seed: int) -> tuple[RigMotion, np.ndarray, np.ndarray]:
+    poses, trans = smooth_motion(np.arange(FRAMES) / 10.0, seed=seed)
+    return rig_motion(RigClip(*worn.to_rig(poses, trans), 30.0), worn, rig.skeleton), poses, trans
+
+
+def swaying(tube: Garment, worn: Wearer, poses: np.ndarray, trans: np.ndarray, *, seed: int) -> np.ndarray:
+    """The tube on the pelvis, its two halves turning about their own tops."""
+    at, turn = tube.vertices.astype(np.float64), np.random.default_rng(seed).normal(0.0, 0.15, 3)
+    pelvis = [part[:, JOINT_NAMES.index("pelvis")] for part in worn.body.bones(poses, trans)]
+    share = np.clip(0.5 + 10.0 * at[:, :1], 0.0, 1.0)
+    found = []
+    for frame in range(FRAMES):
+        sides = []
+        for side in (-1.0, 1.0):
+            top = np.array([0.1 * side, at[:, 1].max(), 0.0])
+            sides.append((at - top) @ rotvec_to_matrix(side * turn * np.sin(0.5 * frame)).T + top)
+        one = (1.0 - share) * sides[0] + share * sides[1]
+        found.append(one @ pelvis[0][frame].T + pelvis[1][frame])
+    return np.stack(found)
+
+
+@pytest.fixture(scope="module")
+def clips(tube: Garment, worn: Wearer, rig: FileRig) -> list[Draped]:
+    """Two clips: weights are fitted to the first."""
+    found = []
+    for seed in (0, 1):
+        motion, poses, trans = moved(worn, rig, seed)
+        found.append(Draped(swaying(tube, worn, poses, trans, seed=seed), motion))
+    return found
+
+
+@pytest.fixture(scope="module")
+def made(clips: list[Draped], tube: Garment, worn: Wearer, rig: FileRig) -> Distilled:
+    return distil(tube, clips[:1], worn, rig, count=COUNT)
+
+
+def test_joints_follow_a_clip_that_the_weights_have_not_seen(
+    made: Distilled, clips: list[Draped], tube: Garment, worn: Wearer, rig: FileRig
+):
+    seen, unseen = (made.error_m(one, made.fitted(one, worn.scale), worn.scale) for one in clips)
+    assert seen < 2e-3 and unseen < 4e-3
+    few = distil(tube, clips[:1], worn, rig, count=2)
+    assert few.error_m(clips[0], few.fitted(clips[0], worn.scale), worn.scale) > 1.5 * seen
+    carried = made.error_m(clips[1], made.carried(clips[1].motion), worn.scale)
+    assert unseen < 0.3 * carried < 0.02  # what nothing fits hangs on the rig
+
+
+def test_no_vertex_has_more_joints_than_players_know(made: Distilled):
+    assert ((made.weights > 0.0).sum(axis=1) <= 4).all() and (made.weights >= 0.0).all()
+    assert_allclose(made.weights.sum(axis=1), 1.0, atol=1e-9)
+
+
+def test_a_player_shows_what_was_distilled(made: Distilled, clips: list[Draped], tube: Garment, worn: Wearer):
+    clip = clips[1]
+    file = Reader(
+        joints_file([Jointed(tube.surface, made, COLOUR)], [clip.vertices], clip.motion, worn.scale).to_bytes()
+    )
+    want = to_world(clip.motion, made.placed(clip.motion, made.fitted(clip, worn.scale)), worn.scale)
+    shown = file.skinned(FRAMES)[:, : tube.vertex_count] * worn.scale
+    assert np.abs(shown - want).max() < 1e-4  # 16 bits of weights, float32 of metres in centimetres
+    assert not any("targets" in one for one in file.json["meshes"][0]["primitives"])
+
+
+def test_without_tracks_it_hangs_on_the_rig(
+    made: Distilled, clips: list[Draped], tube: Garment, worn: Wearer, rig: FileRig
+):
+    """A player that moves the character's own joints alone shows the garment carried."""
+    clip = clips[1]
+    content = joints_file([Jointed(tube.surface, made, COLOUR)], [clip.vertices], clip.motion, worn.scale).to_bytes()
+    file = Reader(content)
+    own = [i for i, node in enumerate(file.json["nodes"]) if node["name"].startswith(f"{tube.name}_")]
+    assert len(own) == COUNT
+    channels = file.json["animations"][0]["channels"]
+    file.json["animations"][0]["channels"] = [one for one in channels if one["target"]["node"] not in own]
+    want = to_world(clip.motion, made.placed(clip.motion, made.carried(clip.motion)), worn.scale)
+    assert np.abs(file.skinned(FRAMES)[:, : tube.vertex_count] * worn.scale - want).max() < 1e-4
+
+
+def test_the_khronos_validator_has_no_complaint(
+    made: Distilled, clips: list[Draped], tube: Garment, worn: Wearer, tmp_path: Path
+):
+    layers, draped = [Jointed(tube.surface, made, COLOUR)] * 2, [clips[0].vertices] * 2
+    content = joints_file(layers, draped, clips[0].motion, worn.scale).to_bytes()
+    assert khronos_complaints(content, tmp_path) == []
