@@ -225,9 +225,9 @@ class Worn:
     def placed(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> MotionClip:
         """Returns ``motion`` as a clip of ``fps`` frames a second.
 
-        ``motion``: a shipped name, a file (``read_motion``), or a clip. The soles of the body are put on the ground, unless
-        ``as_recorded`` leaves the translations as they are. Raises ``NotFound`` for an unknown name and ``MotionError``
-        for a file that cannot be read.
+        ``motion``: a shipped name, a file (``read_motion``), or a clip. The soles of the body are put on the ground,
+        unless ``as_recorded`` leaves the translations as they are. Raises ``NotFound`` for an unknown name and
+        ``MotionError`` for a file that cannot be read.
         """
         clip = motion if isinstance(motion, MotionClip) else read_motion(find_motions([str(motion)])[0])
         if not as_recorded:

@@ -26,6 +26,7 @@ from service.http import (
     fold_messages,
     garment_routes,
     info_routes,
+    motion_routes,
     openapi,
     pages,
     problems,
@@ -40,6 +41,7 @@ from service.state import ADMITTED, State
 from service.stream import routes as stream_routes
 from service.stream.workers import Streams
 from service.uploads.jobs import Uploads
+from service.uploads.motions import MotionFiles
 from service.uploads.shared_folder import SharedFolder
 from service.watch.logs import RequestLog
 from service.watch.metrics import Metrics
@@ -53,6 +55,7 @@ ROUTERS = (
     garment_routes.router,
     avatar_routes.router,
     fit_routes.router,
+    motion_routes.router,
     upload_routes.router,
     clip_routes.router,
 )
@@ -130,6 +133,7 @@ def make_state(runtime: DrapeRuntime, access: Access, life: Lifecycle) -> State:
         runtime=runtime,
         uploads=uploads,
         shared_folder=SharedFolder(runtime, streams, uploads),
+        motion_files=MotionFiles(uploads, runtime.settings),
         streams=streams,
         sliced_thread=sliced_thread,
         access=access,

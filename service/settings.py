@@ -91,6 +91,7 @@ class Settings(BaseSettings):
     intake_wall_s: float = Field(default=300.0, gt=0.0)
     intake_cpu_s: int = Field(default=300, ge=1)
     intake_memory_mb: int = Field(default=6144, ge=256)
+    motion_s: float = Field(default=60.0, gt=0.0)
     intake_workers: int = Field(default=1, ge=1, le=16)
     intake_queue: int = Field(default=8, ge=1)
     exact_workers: int = Field(default=1, ge=1, le=256)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from service.replicas.handover import Handover
     from service.stream.workers import Streams
     from service.uploads.jobs import Uploads
+    from service.uploads.motions import MotionFiles
     from service.uploads.shared_folder import SharedFolder
     from service.watch.probes import Lifecycle
 
@@ -38,13 +39,14 @@ STREAMS_S = 2.0  # for streams to go
 
 @dataclass(eq=False)
 class State:
-    """Body, model and garments; uploads, here and elsewhere; streams and what they take along; the thread for JSON;
-    ends of clips; pictures of garments, what their folds need, meshes and motions; clips of tier exact; how many
-    clips are computed."""
+    """Body, model and garments; uploads, here and elsewhere, and files of motions; streams and what they take along;
+    the thread for JSON; ends of clips; pictures of garments, what their folds need, meshes and motions; clips of tier
+    exact; how many clips are computed."""
 
     runtime: DrapeRuntime
     uploads: Uploads
     shared_folder: SharedFolder
+    motion_files: MotionFiles
     streams: Streams
     sliced_thread: SlicedThread
     access: Access

@@ -19,7 +19,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResp
 from drape.errors import DrapeError, TooLarge
 from drape.wanted import WANTED, Unwanted
 from service.errors import PROBLEM, Busy, TooSlow, problem
-from service.guard.limits import UPLOAD_PATHS
+from service.guard.limits import STORED_PATHS
 
 if TYPE_CHECKING:
     from service.settings import Settings
@@ -185,7 +185,7 @@ class EndsWithClient:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         left, work = scope.get("extensions", {}).get(LEFT), asyncio.current_task()
-        changes = scope.get("method") in ("PATCH", "DELETE") or scope.get("path") in UPLOAD_PATHS
+        changes = scope.get("method") in ("PATCH", "DELETE") or scope.get("path") in STORED_PATHS
         if left is None or work is None or changes:
             await self.app(scope, receive, send)
             return

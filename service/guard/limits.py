@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from service.settings import Settings
     from service.watch.probes import Lifecycle
 
-UPLOAD_PATHS = ("/garments", "/avatars")
+STORED_PATHS = ("/garments", "/avatars")
+UPLOAD_PATHS = (*STORED_PATHS, "/motions")  # whose bodies are files
 JSON = "application/json"  # a body that is held until it has come
 LOOK_S = 0.5  # between two looks at whether the service ends
 

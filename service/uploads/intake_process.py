@@ -7,16 +7,16 @@ import json
 import signal
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from drape.errors import ArtifactError, DrapeError, InputError, MeshError, TooLarge
+from drape.errors import ArtifactError, DrapeError, InputError, TooLarge
 from service.compute.processes import ended, running
 from service.errors import TABLE
 from service.settings import Settings
 from service.uploads.accepted import Kind
 from service.uploads.sandbox import THINGS
 
-SHARES: dict[Kind, dict[str, float]] = {
+SHARES: dict[str, dict[str, float]] = {
     "garment": {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07},
     "avatar": {"start": 0.2, "read": 0.02, "map": 0.03, "fit": 0.5, "store": 0.2, "prepare": 0.05},
 }
@@ -30,14 +30,16 @@ async def run_sandbox(
     settings: Settings,
     begun: Callable[[str], None] = lambda stage: None,
     *,
-    kind: Kind = "garment",
+    kind: Kind | Literal["motion"] = "garment",
 ) -> dict[str, Any]:
     """The report of the intake process; raises its refusal, or one for the limit that it ran into.
 
-    ``avatar``: of a garment, what it was modelled on; of an avatar, its joints and parts as JSON.
+    ``avatar``: of a garment, what it was modelled on; of an avatar, its joints and parts as JSON; of a motion, which
+    clip.
 
     ``begun`` is called with each stage as the process begins it.
     """
+    thing = THINGS[kind]
     command = [str(file), "--out", str(out), "--body", settings.body, "--kind", kind]
     command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
     label = f"upload {file.name}"
@@ -52,14 +54,14 @@ async def run_sandbox(
     )
     try:
         async with child as (process, said), asyncio.timeout(settings.intake_wall_s):
-            report = await _report(said, begun, SHARES[kind])
+            report = await _report(said, begun, SHARES.get(kind, {}))
             await ended(process)
     except TimeoutError:
         raise TooLarge(
             label,
             expected=f"an intake within {settings.intake_wall_s:g} s",
             got="no end by then",
-            cure="Simplify the mesh.",
+            cure=thing.smaller,
         ) from None
     if report is not None and "problem" in report:
         raise _refusal(report["problem"])
@@ -70,11 +72,11 @@ async def run_sandbox(
             label,
             expected=f"an intake within {settings.intake_cpu_s} s of processor time",
             got="more",
-            cure="Simplify the mesh.",
+            cure=thing.smaller,
         )
-    raise MeshError(
+    raise thing.refusal(
         label,
-        expected=THINGS[kind],
+        expected=thing.words,
         got=f"a file on which the intake ends with status {process.returncode}",
         cure="Export it again.",
     )

@@ -87,7 +87,7 @@ class Uploads:
         self._jobs: dict[str, Job] = {}
         self._queue: asyncio.Queue[tuple[Job, Path, Accepted]] = asyncio.Queue()
         self._root = self._settings.garments_dir
-        self._staging = staging_folder(self._root)
+        self.staging = staging_folder(self._root)
         self._workers: list[asyncio.Task[None]] = []
         self._begin = asyncio.Event()
         self._begin.set()
@@ -102,7 +102,7 @@ class Uploads:
 
     def _taken_over(self) -> list[tuple[Accepted, Path]]:
         shared = self._settings.garments_look_s > 0.0
-        return list(taken_over(self._root, self._staging, shared=shared))
+        return list(taken_over(self._root, self.staging, shared=shared))
 
     def _go_on(self, uploads: Iterable[tuple[Accepted, Path]]) -> None:
         for accepted, folder in uploads:
@@ -115,9 +115,9 @@ class Uploads:
         It says that this one runs, ends uploads that others were asked to cancel, and goes on with uploads that ended
         services had accepted.
         """
-        touch(self._staging)
+        touch(self.staging)
         for job in [job for job in self._jobs.values() if not job.ended]:
-            if (self._staging / job.id / CANCEL).exists():
+            if (self.staging / job.id / CANCEL).exists():
                 await self.cancel(job)
         if self._begin.is_set():
             self._go_on(await asyncio.to_thread(self._taken_over))
@@ -132,7 +132,7 @@ class Uploads:
             worker.cancel()
         await asyncio.gather(*self._workers, return_exceptions=True)
         if not self.waiting:
-            shutil.rmtree(self._staging, ignore_errors=True)
+            shutil.rmtree(self.staging, ignore_errors=True)
 
     @property
     def waiting(self) -> int:
@@ -154,7 +154,7 @@ class Uploads:
 
     def _elsewhere(self, job_id: str) -> Job | None:
         """An upload to another service, or one of before: as the disk says it."""
-        there = elsewhere(self._root, self._staging, job_id)
+        there = elsewhere(self._root, self.staging, job_id)
         if there is not None:
             accepted, folder = there
             job = Job(job_id, accepted.name, accepted.owner, kind=accepted.kind, folder=folder)
@@ -190,7 +190,7 @@ class Uploads:
             job.work.cancel()
             await asyncio.wait([job.work])
         await self._keep(job)
-        await asyncio.to_thread(shutil.rmtree, self._staging / job.id, ignore_errors=True)
+        await asyncio.to_thread(shutil.rmtree, self.staging / job.id, ignore_errors=True)
 
     async def _keep(self, job: Job) -> None:
         """Stores what became of ``job``, where every service that has the folder finds it."""
@@ -234,10 +234,10 @@ class Uploads:
         """
         self.check_place(client)
         job = Job(uuid.uuid4().hex[:12], slug(name), client.name, kind=kind, link=self._runtime.tracing.here())
-        file = self._staging / job.id / f"{job.name}.{file_format}"
+        file = self.staging / job.id / f"{job.name}.{file_format}"
         self._jobs[job.id] = job  # at once, so that files that are being stored count
         try:
-            if not await self._stored(file, pieces):
+            if not await self.stored(file, pieces):
                 refusal, what = (MeshError, "mesh") if kind == "garment" else (BodyError, "character's")
                 expected, cure = f"the bytes of a {what} file", "Send the file as the body."
                 raise refusal("request body", expected=expected, got="nothing", cure=cure)
@@ -253,8 +253,8 @@ class Uploads:
         self._queue.put_nowait((job, file.parent, accepted))
         return job
 
-    async def _stored(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
-        """Writes ``pieces`` to ``file`` as they come; how many bytes."""
+    async def stored(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
+        """How many bytes ``pieces`` are, which are written to ``file`` as they come."""
         try:
             file.parent.mkdir(parents=True)
         except OSError as error:

@@ -1,10 +1,11 @@
 """One intake in a process with limits: ``python -m service.uploads.sandbox FILE --out DIR``; prints lines of JSON.
 
 Standard input holds the avatar of a garment, or nothing where the standard body is meant; with ``--kind avatar`` the
-``joints`` and ``parts`` that were told, as JSON, or nothing. ``{"stage": NAME}`` is a line before, for each stage as it
-begins. A mesh file of a few hundred bytes can ask for gigabytes, so strangers' files are never parsed in the serving
-process. The last line is ``{"problem": {kind, name, expected, got, cure}}``, or ``{"files": [NAME, ...]}``: the
-garments of the file, the innermost first, or the avatar.
+``joints`` and ``parts`` that were told, as JSON, or nothing; with ``--kind motion`` the name of a clip, or nothing for
+the longest. ``{"stage": NAME}`` is a line before, for each stage as it begins. A mesh file of a few hundred bytes can
+ask for gigabytes, so strangers' files are never parsed in the serving process. The last line is
+``{"problem": {kind, name, expected, got, cure}}``, or ``{"files": [NAME, ...]}``: the garments of the file, the
+innermost first, or the avatar, or the motion.
 """
 
 from __future__ import annotations
@@ -17,14 +18,30 @@ import resource
 import shutil
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
-from drape.errors import DrapeError, MeshError
+from drape.errors import DrapeError, MeshError, MotionError, TooLarge
 from service.compute.background import end_with_parent, step_back
 
 FILE_LIMIT_BYTES = 2**30
-THINGS = {"garment": "a mesh", "avatar": "a character"}  # in words
+MOST_FRAMES = 36_000  # of a motion: twenty minutes at 30 a second
 CURE = "Export it again."
 NO_STACK = os.strerror(errno.EAGAIN)  # what a library in C++ says where a thread of its own gets no memory
+
+
+class Thing(NamedTuple):
+    """A kind of file in words, the refusal of one that cannot be read, and the cure of one that is too large."""
+
+    words: str
+    refusal: type[DrapeError]
+    smaller: str
+
+
+THINGS = {
+    "garment": Thing("a mesh", MeshError, "Simplify the mesh."),
+    "avatar": Thing("a character", MeshError, "Simplify the mesh."),
+    "motion": Thing("a motion", MotionError, "Cut it, or export it at a lower rate."),
+}
 
 
 def set_limits(*, memory_mb: int, cpu_s: int) -> None:
@@ -59,6 +76,22 @@ def avatar_file(file: Path, out: Path, *, told: str | None, body: str) -> Path:
     return save_wearer(wearer, out)
 
 
+def motion_file(file: Path, out: Path, *, clip: str | None) -> Path:
+    """The file of the clip called ``clip`` in the motion ``file``, or of its longest, as ``MotionClip.save`` writes it.
+
+    Raises ``TooLarge`` for more than ``MOST_FRAMES`` frames.
+    """
+    from drape.motion.readers import read_motion
+
+    made = read_motion(file, clip=clip)
+    if made.frame_count > MOST_FRAMES:
+        expected, cure = f"at most {MOST_FRAMES} frames", THINGS["motion"].smaller
+        raise TooLarge(file.name, expected=expected, got=str(made.frame_count), cure=cure)
+    path = out / "motion.npz"
+    made.save(path)
+    return path
+
+
 def _say(stage: str) -> None:
     print(json.dumps({"stage": stage}), flush=True)
 
@@ -68,7 +101,7 @@ def main() -> int:
     parser.add_argument("file", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--body", required=True)
-    parser.add_argument("--kind", choices=("garment", "avatar"), default="garment")
+    parser.add_argument("--kind", choices=tuple(THINGS), default="garment")
     parser.add_argument("--memory-mb", type=int, required=True)
     parser.add_argument("--cpu-s", type=int, required=True)
     options = parser.parse_args()
@@ -79,17 +112,19 @@ def main() -> int:
         said = sys.stdin.buffer.read().decode() or None
         if options.kind == "avatar":
             made = [avatar_file(options.file, options.out, told=said, body=options.body).name]
+        elif options.kind == "motion":
+            made = [motion_file(options.file, options.out, clip=said).name]
         else:
             made = intake_files(options.file, options.out, avatar=said, body=options.body)
     except DrapeError as error:
         return _refuse(options.out, error)
     except Exception as error:
-        what, got = THINGS[options.kind], "one that does not"
+        thing, got = THINGS[options.kind], "one that does not"
         if isinstance(error, MemoryError) or str(error) == NO_STACK:
-            expected, cure = f"{what} that fits into {options.memory_mb} MB", "Simplify its mesh."
+            expected, cure = f"{thing.words} that fits into {options.memory_mb} MB", thing.smaller
         else:  # a fault of ours that a strange file found: whoever sent it is told of the file
-            expected, got, cure = f"{what} that can be read", f"one at which it fails: {error!r}"[:120], CURE
-        return _refuse(options.out, MeshError(options.file.name, expected=expected, got=got, cure=cure))
+            expected, got, cure = f"{thing.words} that can be read", f"one at which it fails: {error!r}"[:120], CURE
+        return _refuse(options.out, thing.refusal(options.file.name, expected=expected, got=got, cure=cure))
     print(json.dumps({"files": made}))
     return 0
 

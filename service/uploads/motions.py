@@ -1,0 +1,53 @@
+"""Motion files of strangers: each is read in a limited process (``service.uploads.sandbox``); nothing of it stays."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import shutil
+import uuid
+from collections.abc import AsyncIterator
+from typing import TYPE_CHECKING
+
+from drape.errors import MotionError
+from service.errors import Busy
+from service.uploads.intake_process import run_sandbox
+
+if TYPE_CHECKING:
+    from service.settings import Settings
+    from service.uploads.jobs import Uploads
+
+MEMORY_MB = 1024  # beside an intake's and that of a clip of tier exact
+
+
+class MotionFiles:
+    """Reads one file at a time; as many as uploads may wait. They lie in the staging folder of ``uploads``."""
+
+    def __init__(self, uploads: Uploads, settings: Settings) -> None:
+        limits = {"intake_wall_s": settings.motion_s, "intake_cpu_s": math.ceil(settings.motion_s)}
+        limits["intake_memory_mb"] = min(settings.intake_memory_mb, MEMORY_MB)
+        self._uploads, self._settings = uploads, settings.model_copy(update=limits)
+        self._turn = asyncio.Semaphore()
+        self._waiting = 0
+
+    async def read(self, name: str, pieces: AsyncIterator[bytes], clip: str | None) -> bytes:
+        """The npz (``MotionClip.save``) of the clip called ``clip`` in the file ``name`` that ``pieces`` make.
+
+        The name has a suffix of ``drape.motion.readers``. Raises what the reader refuses, ``Busy`` where too many files
+        wait, and ``TooLarge`` at the limits of memory and time.
+        """
+        if self._waiting >= self._settings.intake_queue:
+            expected = f"fewer than {self._settings.intake_queue} waiting"
+            raise Busy("motions", expected=expected, got=str(self._waiting), cure="Try again in a few seconds.")
+        self._waiting += 1
+        folder = self._uploads.staging / f"motion-{uuid.uuid4().hex[:12]}"
+        try:
+            if not await self._uploads.stored(folder / name, pieces):
+                cure = "Send the file as the body."
+                raise MotionError("request body", expected="the bytes of a motion file", got="nothing", cure=cure)
+            async with self._turn:
+                report = await run_sandbox(folder / name, clip, folder / "out", self._settings, kind="motion")
+            return await asyncio.to_thread((folder / "out" / report["files"][0]).read_bytes)
+        finally:
+            self._waiting -= 1
+            await asyncio.shield(asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True))
