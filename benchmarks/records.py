@@ -163,6 +163,12 @@ RIVALS = {
     "cpu_ms": ("processor [ms]", ".2f"), "over_rival": ("over skinning and push", ".3f"),
     "over_floor": ("over skinning", ".1f"),
 }  # fmt: skip
+INTAKES = {
+    "garment": ("file", "s"), "faces": ("faces", "d"), "garments": ("garments", "d"),
+    "read_s": ("read, wearer [s]", ".1f"), "rest_s": ("at rest [s]", ".1f"), "fit_s": ("patches, cloth [s]", ".1f"),
+    "all_s": ("all [s]", ".1f"), "drawn": ("vertices drawn", "d"), "cloth": ("of cloth", "d"),
+    "hang_ms": ("hanging [ms]", ".3f"), "frame_ms": ("frame [ms]", ".1f"), "over_dress": ("over the dress's", ".2f"),
+}  # fmt: skip
 CLIENT_FOLDS = {
     "garment": ("garment", "s"), "clip": ("clip", "s"), "tier": ("tier", "s"), "frames": ("frames", "d"),
     "frame_bytes": ("vertices [B]", "d"), "jets_bytes": ("jets [B]", "d"), "constants_mb": ("constants [MB]", ".1f"),
@@ -261,6 +267,7 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("latency_gpu", SPEED_PAGE, "latency_gpu_single", single_table),
     ("latency_gpu", SPEED_PAGE, "latency_gpu_batches", partial(_only, BATCHES, "garment", "mixed")),
     ("serving", SPEED_PAGE, "serving", serving_table),
+    ("intakes", "docs/guide/garments.md", "intakes", partial(alike, INTAKES)),
     ("client_folds", "docs/guide/web.md", "client_folds", partial(alike, CLIENT_FOLDS)),
     ("static_page", "docs/guide/web.md", "static_page", partial(alike, STATIC_PAGE)),
     ("page_lighthouse", "docs/guide/web.md", "page_lighthouse", partial(alike, PAGE)),

@@ -28,6 +28,7 @@ FAR_M = 2.0 * CLEARANCE_M  # cloth beyond needs no push, wherever it is exactly
 ROUNDS = 40
 STIFFNESS_M2 = 0.03**2  # smoothing length of the first push, squared; halves from round to round
 REST_SHARE = 0.02  # how much a vertex that is clear resists being taken along
+FEW_HEAVY = 8  # vertices that are short: as many columns take less time than a factor
 THROUGH_ROUNDS, THROUGH_M, THROUGH_STEPS = 20, 0.06, 16  # in which cloth leaves limbs that stick through it, how far
 FEW_SHARE, FEW_DEPTH_M = 0.03, 0.004  # of the cloth may be as deep in the skin in the end
 ALONG = 0.85  # cosine between the ways out of the body and of the cloth from which both are the same
@@ -79,6 +80,32 @@ class _Skin:
         self.signed[rows], self.nearest[rows] = signed, near.face
 
 
+class _Smoothing:
+    """Solves (W + s L) x = W b for the laplacian L [1/m^2] (N, N) and weights W that are ``REST_SHARE`` but where b is.
+
+    Where few weights differ, x are columns of the inverse of R = ``REST_SHARE`` + s L, whose factor serves every round
+    of one s (Woodbury): with E those columns of the identity, x = R^-1 E y and (1 + (1 - ``REST_SHARE``) E^T R^-1 E) y
+    = E^T b.
+    """
+
+    def __init__(self, laplacian: scipy.sparse.csr_matrix) -> None:
+        self._laplacian, self._of, self._factor = laplacian, -1.0, None
+
+    def solve(self, weight: np.ndarray, wanted: np.ndarray, stiffness: float) -> np.ndarray:
+        """x (N, 3) for ``weight`` (N,), b = ``wanted`` (N, 3) and s = ``stiffness`` [m^2]."""
+        heavy = np.flatnonzero(weight == 1.0)
+        if len(heavy) > FEW_HEAVY or np.delete(wanted, heavy, axis=0).any():
+            system = scipy.sparse.diags(weight) + stiffness * self._laplacian
+            return symmetric_factor(system).solve(weight[:, None] * wanted)
+        if self._factor is None or self._of != stiffness:
+            rest = REST_SHARE * scipy.sparse.identity(len(weight)) + stiffness * self._laplacian
+            self._of, self._factor = stiffness, symmetric_factor(rest)
+        ones = np.zeros((len(weight), len(heavy)))
+        ones[heavy, np.arange(len(heavy))] = 1.0
+        columns = self._factor.solve(ones)
+        return columns @ np.linalg.solve(np.eye(len(heavy)) + (1.0 - REST_SHARE) * columns[heavy], wanted[heavy])
+
+
 def clear_body(
     vertices: np.ndarray,
     faces: np.ndarray,
@@ -102,7 +129,7 @@ def clear_body(
     target, moved = CLEARANCE_M + MARGIN_M, vertices.copy()
     skin = _Skin(moved, body_vertices, body_faces)
     _check_depth(skin.signed, give_up_m)
-    laplacian = _layered_laplacian(moved, faces, skin.nearest, body_vertices, body_faces)
+    smoothing = _Smoothing(_layered_laplacian(moved, faces, skin.nearest, body_vertices, body_faces))
     lift = target + LAYER_SOFTNESS_M * np.logaddexp(0.0, (skin.signed - target) / LAYER_SOFTNESS_M) - skin.signed
     stiffness = STIFFNESS_M2
     for round_number in range(rounds):
@@ -116,8 +143,7 @@ def clear_body(
             wanted = _through(moved, faces, skin.signed, skin.direction, wanted, skin.body)
         weight = np.where(lift > 1e-5, 1.0, REST_SHARE)
         # A vertex takes its neighbours along; where it must move alone the weight lets it.
-        system = symmetric_factor(scipy.sparse.diags(weight) + stiffness * laplacian)
-        moved = moved + system.solve(weight[:, None] * wanted)
+        moved = moved + smoothing.solve(weight, wanted, stiffness)
         stiffness = max(0.6 * stiffness, 0.004**2) if round_number < rounds - 8 else 0.0
         skin.move(moved)
     _check_clear(skin, rounds, least_m, through=through)

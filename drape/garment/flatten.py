@@ -141,10 +141,13 @@ def _flatten(
 def lay_alike(
     placed: np.ndarray, before: np.ndarray, points: np.ndarray, triangles: np.ndarray, weight: np.ndarray
 ) -> np.ndarray | None:
-    """Places (n, 2) for ``points`` (n, 3) from those of ``before`` (n, 3), ``placed`` (n, 2), where nothing folds; None
-    where jets fit them clearly worse there."""
+    """Places (n, 2) for ``points`` (n, 3) from those of ``before`` (n, 3), ``placed`` (n, 2).
+
+    None where these fold, as in caches of before charts were laid flat, or where jets fit them clearly worse there.
+    """
     found = _settled(placed, points[:, :2], points, triangles)
-    return None if _misfit(found, points, weight) > WORSE * _misfit(placed, before, weight) else found
+    folds = (signed_areas(found, triangles) <= 0.0).any() or (found is placed and rims_cross(placed, triangles))
+    return None if folds or _misfit(found, points, weight) > WORSE * _misfit(placed, before, weight) else found
 
 
 def _settled(placed: np.ndarray, target: np.ndarray, surface: np.ndarray, triangles: np.ndarray) -> np.ndarray:

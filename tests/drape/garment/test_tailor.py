@@ -65,6 +65,11 @@ def test_its_charts_are_those_it_had_without_a_fold(body: BodyModel):
     assert (made.chart_patch == dress.chart_patch).all()
     assert fit["folded_charts"] == fit["folded_chart_triangles"] == 0
     assert fit["point_rmse_m"] < 1.2 * dress.manifest["fit"]["point_rmse_m"]
+    mirrored = replace(
+        dress, chart_uv=dress.chart_uv * np.array([-1.0, 1.0], dtype=np.float32)
+    )  # folded as in the oldest caches
+    anew = tailored(mirrored, body, wearer).manifest["fit"]
+    assert anew["folded_charts"] == anew["folded_chart_triangles"] == 0
 
 
 def test_a_patch_that_weighs_most_nowhere_gives_way_to_new_ones(tube: Garment, body: BodyModel):
