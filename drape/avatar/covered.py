@@ -25,6 +25,7 @@ SPACING_M = 0.02  # of the points on a face
 REACH_M = 0.1  # cloth farther away covers nothing: a wide skirt is looked into
 INSIDE_M = 0.02  # what stands out of the cloth by more at rest is over it
 DEEPER_M = 0.05
+TUCKED_M = 0.08  # a top that stands out of trousers by no more is worn in them
 MARGIN_M = 0.03  # from all that is bare, and from hems and openings: cloth moves by so much
 
 
@@ -38,15 +39,33 @@ class PrimitiveFaces(NamedTuple):
 
 
 def covered_faces(
-    vertices: np.ndarray, faces: np.ndarray, garments: Iterable[tuple[np.ndarray, np.ndarray]]
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    garments: Iterable[tuple[np.ndarray, np.ndarray]],
+    *,
+    out_m: float = INSIDE_M,
+    margin_m: float = MARGIN_M,
 ) -> np.ndarray:
     """Which ``faces`` (F,) of a character's ``vertices`` [m] (V, 3) lie wholly under one of ``garments``, vertices [m]
-    (Vg, 3) and faces (Fg, 3) of each, in the same pose."""
+    (Vg, 3) and faces (Fg, 3) of each, in the same pose: out of it by at most ``out_m``, and ``margin_m`` from what is
+    not under it."""
     points, owner = _spread(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
     found = np.zeros(len(faces), dtype=bool)
     for cloth, triangles in garments:
-        good = _under(points, np.asarray(cloth, dtype=np.float64), np.asarray(triangles, dtype=np.int64))
+        mesh = np.asarray(cloth, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
+        good = _under(points, *mesh, out_m, margin_m)
         found |= np.bincount(owner[~good], minlength=len(faces)) == 0
+    return found
+
+
+def tucked_faces(
+    vertices: np.ndarray, faces: np.ndarray, garments: Iterable[tuple[np.ndarray, np.ndarray]], tops: np.ndarray
+) -> np.ndarray:
+    """Which of the faces of ``tops`` (F,) lie wholly in or on ``garments`` for the lower half of a body: a top is worn
+    in trousers, so it ends where these begin."""
+    found = np.zeros(len(faces), dtype=bool)
+    if tops.any():
+        found[tops] = covered_faces(vertices, faces[tops], garments, out_m=TUCKED_M, margin_m=0.0)
     return found
 
 
@@ -78,14 +97,14 @@ def ranges_of(chosen: np.ndarray) -> np.ndarray:
     return np.stack([steps[::2], steps[1::2] - steps[::2]], axis=1)
 
 
-def _under(points: np.ndarray, cloth: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _under(points: np.ndarray, cloth: np.ndarray, faces: np.ndarray, out_m: float, margin_m: float) -> np.ndarray:
     """Which ``points`` (n,) lie under ``cloth``, off everything that does not and off its hems."""
     found = closest_point(points, cloth, faces)
     height = np.einsum("nc,nc->n", face_normals(cloth, faces)[found.face], found.point - points)
-    under = (found.distance < REACH_M) & (height > -INSIDE_M) & ~on_border(found, faces)
+    under = (found.distance < REACH_M) & (height > -out_m) & ~on_border(found, faces)
     for ends in (points[~under], cloth[boundary_vertices(faces)]):
-        if len(ends) and under.any():
-            under[under] = nearest_vertices(points[under], ends)[0] > MARGIN_M
+        if margin_m and len(ends) and under.any():
+            under[under] = nearest_vertices(points[under], ends)[0] > margin_m
     return under
 
 

@@ -46,7 +46,7 @@ def covering(
     counted, own, theirs = counted_vertices(pose), parts_of(body.weights), parts_of(pose.weights)
     umbrella = mesh_graphs.umbrella_laplacian(body.faces, len(vertices))
     square = scipy.sparse.csr_matrix(umbrella.T @ umbrella)
-    turned = [rotvec_to_matrix(_rotvecs(one))[None] for one in POSES]
+    turned = [rotvec_to_matrix(rotvecs(one))[None] for one in POSES]
     bones = [rigid.bone_transforms(one, joints[None], PARENTS) for one in turned]
     posed = [skinning.skin_points(surface[None], pose.weights, *one)[0] for one in bones]
     for _ in range(ROUNDS):
@@ -67,7 +67,7 @@ def covering(
     return vertices
 
 
-def _rotvecs(angles_deg: Mapping[str, tuple[float, float, float]]) -> np.ndarray:
+def rotvecs(angles_deg: Mapping[str, tuple[float, float, float]]) -> np.ndarray:
     """Rotation vectors [rad] (24, 3) of joints by name."""
     found = np.zeros((JOINT_COUNT, 3))
     for name, angles in angles_deg.items():

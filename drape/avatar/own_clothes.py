@@ -2,8 +2,8 @@
 
 A garment for the upper half of the body takes off tops and coats, one for the lower half trousers and skirts, and
 either one a dress; bags that stand far off the back go with a top. Clothes that are painted on the skin, or sewn to it,
-are the body's own surface. Clothes that stay on lie under our cloth, so there is a body for either half with the other
-half's clothes on.
+are the body's own surface. Trousers that stay on lie under a top of ours, so there is a body with these on; a top that
+stays on is tucked into trousers of ours.
 """
 
 from __future__ import annotations
@@ -54,12 +54,10 @@ def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
 
 
 class Layers(NamedTuple):
-    """Faces (F,) of a character: its ``body`` with what is painted on it and flat on it; ``upper`` and ``lower``
-    clothes that are no part of it. ``hollow`` clothes have no skin below, and stand for it. ``attire`` knows the things
-    that are bulky."""
+    """Faces (F,) of a character: its ``body`` with what is painted on it and flat on it; ``lower`` clothes that are no
+    part of it. ``hollow`` clothes have no skin below, and stand for it. ``attire`` knows the things that are bulky."""
 
     body: np.ndarray
-    upper: np.ndarray
     lower: np.ndarray
     hollow: np.ndarray
     attire: Attire
@@ -92,8 +90,8 @@ def layers_of(attire: Attire, pose: TPose) -> Layers:
         off = closest_point(middle, pose.vertices, pose.faces[under]).distance
         parts[number] = held._replace(bulky=bool(np.quantile(off, 0.9) > BULKY_M))
         thin[rows] = not parts[number].bulky
-    upper, lower = (clothes & attire.of_kinds(kinds) & ~attire.of_kinds(("dress",)) for kinds in (UPPER, LOWER))
-    return Layers(skin | thin, upper, lower, hollow, attire._replace(parts=tuple(parts)))
+    lower = clothes & attire.of_kinds(("trousers", "skirt"))
+    return Layers(skin | thin, lower, hollow, attire._replace(parts=tuple(parts)))
 
 
 def shrunk(pose: TPose, hollow: np.ndarray) -> TPose:
@@ -110,6 +108,11 @@ def taken_off(attire: Attire, halves: Halves) -> np.ndarray:
     kinds = (UPPER if halves.upper else ()) + (LOWER if halves.lower else ())
     off = [part.kind in kinds or (part.bulky and halves.upper) for part in attire.parts]
     return np.array(off, dtype=bool)[attire.part]
+
+
+def tucked(attire: Attire, halves: Halves) -> np.ndarray:
+    """Which faces (F,) are tops that garments on these ``halves`` leave on, and that end where these begin."""
+    return attire.of_kinds(("top",)) & (halves.lower and not halves.upper)
 
 
 def bare_faces(body: BodyModel, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray) -> np.ndarray:

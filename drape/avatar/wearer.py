@@ -43,7 +43,7 @@ FORMAT_VERSION = 1
 FIT_VERSION = 2  # raised when a change here changes the bodies that come out
 WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56))
 FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's; more for one with a deeper trunk than ours
-BARE, UPPER, LOWER = "bare", "upper", "lower"
+BARE, UPPER = "bare", "upper"
 LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # lengths of characters that drape
 
 _ARRAYS = ("vertices", "faces", "weights")
@@ -58,8 +58,8 @@ class Wearer:
     the joints. ``scale``: metres per unit of its file. ``median_mm``, ``p95_mm``: how far its trunk and limbs are from
     the body. ``vrm``: "0", "1" or "". ``found_by``, ``confidence`` and ``notes`` as in ``Mapped``. ``file``: what its
     file is asked for later; of one that was stored ``load_file_rig`` reads it where it is wanted. ``attire``: what is
-    what on its surface; it has no parts where an earlier version stored the character. ``bodies``: of one with clothes
-    of its own, ``body`` below garments for its ``UPPER`` and for its ``LOWER`` half, with its other clothes on.
+    what on its surface; it has no parts where an earlier version stored the character. ``bodies``: of one with trousers
+    of its own also the body with these on, which is ``UPPER``: below garments for its upper half.
     """
 
     name: str
@@ -84,7 +84,7 @@ class Wearer:
 
     def body_under(self, halves: Halves) -> BodyModel:
         """The body below garments that lie on these ``halves``."""
-        return self.bodies.get({(True, False): UPPER, (False, True): LOWER}.get(halves, BARE), self.body)
+        return self.bodies.get(UPPER if halves == (True, False) else BARE, self.body)
 
     @property
     def joints(self) -> dict[str, str]:
@@ -197,14 +197,11 @@ def read_wearer(
 
 
 def _bodies(pose: TPose, layers: Layers, body: BodyModel, name: str) -> tuple[TPose, dict[str, BodyModel]]:
-    """The part of a character's surface on which clothes lie, and its bodies: bare, and with clothes on either half."""
+    """The part of a character's surface on which clothes lie, and its bodies: bare, and with its trousers."""
     seen = shrunk(pose, layers.hollow).only(layers.body | layers.hollow)
     fit = fit_to(seen, body)
-    on = {BARE: layers.body, UPPER: layers.body | layers.lower, LOWER: layers.body | layers.upper}
-    wanted = {key: faces for key, faces in on.items() if key == BARE or (faces & ~layers.body).any()}
-    return seen, {
-        key: avatar_body(fit, seen, body, name=name, covered=pose.only(faces)) for key, faces in wanted.items()
-    }
+    on = {BARE: layers.body} | ({UPPER: layers.body | layers.lower} if layers.lower.any() else {})
+    return seen, {key: avatar_body(fit, seen, body, name=name, covered=pose.only(faces)) for key, faces in on.items()}
 
 
 def _depth_m(body: BodyModel) -> float:

@@ -14,10 +14,10 @@ from pydantic import Field
 
 from drape.avatar.attire import TOLD as SURE
 from drape.avatar.attire_words import Kind
-from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
+from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of, tucked_faces
 from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.mapping import TOLD
-from drape.avatar.own_clothes import Halves, bare_faces, halves_of, taken_off
+from drape.avatar.own_clothes import Halves, bare_faces, halves_of, taken_off, tucked
 from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import Wearer
 from drape.body.model import BodyModel
@@ -172,8 +172,10 @@ async def avatar_covered(
         scene = await state.scene(None, ids, client, avatar=avatar_id, size=sizes)
         wearer, halves, off = await _undressed(state, avatar_id, ids, client)
         below = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
-        bare = await state.runtime.made(bare_faces, wearer.body_under(halves), *below, off)
         cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
+        tops = tucked(wearer.attire, halves) if wearer.attire.parts else off
+        off = off | await state.runtime.made(tucked_faces, *below, cloth, tops & ~off)
+        bare = await state.runtime.made(bare_faces, wearer.body_under(halves), *below, off)
         surface = entry.path, wearer.vertices, wearer.faces
         covered, own = await state.runtime.made(covered_in_file, *surface, cloth, off)
     return CoveredFaces(

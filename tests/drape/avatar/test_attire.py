@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.measure.dressed_characters import MAKERS, Worn, dressed_character, dressed_parts
 from drape.avatar.attire import Attire, attire_of
 from drape.avatar.attire_words import KINDS, WORDS, kind_of_names
 from drape.avatar.character import character_in
@@ -17,7 +18,6 @@ from drape.errors import NotFound
 from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
 from tests.fixtures.characters import with_json
-from tests.fixtures.dressed_characters import MAKERS, Worn, dressed_character, dressed_parts
 
 RIGHT = 0.95
 
@@ -85,14 +85,14 @@ def test_what_hangs_on_a_hand_is_carried_and_on_the_head_a_hat(body: BodyModel, 
         primitive = {"attributes": {"POSITION": document["meshes"][0]["primitives"][-1]["attributes"]["POSITION"]}}
         primitive["indices"] = document["meshes"][0]["primitives"][-1]["indices"]
         document["meshes"].append({"primitives": [primitive]})
-        for joint in ("mixamorig:Head", "mixamorig:RightHand"):
+        for joint in ("head", "right_wrist"):
             (bone,) = [one for one in document["nodes"] if one["name"] == joint]
             bone.setdefault("children", []).append(len(document["nodes"]))
-            document["nodes"].append({"name": f"at {joint[10:]}", "mesh": len(document["meshes"]) - 1})
+            document["nodes"].append({"name": f"at {joint}", "mesh": len(document["meshes"]) - 1})
 
     attire, _ = told(with_json(dressed_character(body, outfits["dress"]), hang), body)
     kinds = {part.name: part.kind for part in attire.parts}
-    assert kinds["at Head"] == "hat" and kinds["at RightHand"] == "carried"
+    assert kinds["at head"] == "hat" and kinds["at right_wrist"] == "carried"
 
 
 def test_skin_has_the_colour_of_its_faces(body: BodyModel, outfits: dict[str, list[Worn]]):

@@ -7,18 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
 from drape.avatar.character import character_in
-from drape.avatar.own_clothes import Halves, bare_faces, taken_off
+from drape.avatar.covered import tucked_faces
+from drape.avatar.own_clothes import Halves, bare_faces, taken_off, tucked
 from drape.avatar.rig_file import bare_file
-from drape.avatar.wearer import LOWER, UPPER, Wearer, load_wearer, read_wearer, save_wearer
+from drape.avatar.wearer import UPPER, Wearer, load_wearer, read_wearer, save_wearer
 from drape.avatar.wears import THICKEST, legs_thickness, reach_of, why_not
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
 from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
+from drape.garment.tailor import tailored
 from drape.geometry.closest import closest_point, signed_distance
 from tests.fixtures.characters import character
-from tests.fixtures.dressed_characters import dressed_character, dressed_parts
 
 CATALOGUE = {
     "tshirt": ((True, False), False), "tank": ((True, False), False), "longsleeve": ((True, False), False),
@@ -82,9 +84,9 @@ def test_the_body_is_laid_below_the_clothes(whole: Wearer, cut_away: Wearer, bod
     assert gaps[0] < 0.003 and gaps[1] < 0.02
 
 
-def test_each_half_has_a_body_with_the_other_half_s_clothes(whole: Wearer):
+def test_a_top_lies_over_trousers_that_stay(whole: Wearer):
     """A T-shirt lies over trousers that stay: the body below it encloses them, and the bare one does not."""
-    assert set(whole.bodies) == {"bare", UPPER, LOWER}
+    assert set(whole.bodies) == {"bare", UPPER} and whole.body_under(Halves(False, True)) is whole.bodies["bare"]
     trousers = np.unique(whole.faces[taken_off(whole.attire, Halves(False, True))])
     hips = trousers[whole.vertices[trousers, 1] > whole.body.joints_template[0, 1] - 0.05]
     out = {
@@ -92,6 +94,19 @@ def test_each_half_has_a_body_with_the_other_half_s_clothes(whole: Wearer):
         for key, one in (("bare", whole.body), (UPPER, whole.body_under(Halves(True, False))))
     }
     assert (out["bare"] > 0.005).mean() > 0.3 and (out[UPPER] > 0.005).mean() < 0.02
+
+
+def test_a_top_that_stays_is_tucked_into_trousers(whole: Wearer, body: BodyModel, shelf: dict[str, Garment]):
+    """It ends at the waistband: what is left of it lies above, or is no farther below than a face is large."""
+    halves = Halves(False, True)
+    cut = tailored(shelf["trousers"], body, whole.body_under(halves))
+    tops = tucked(whole.attire, halves)
+    gone = tucked_faces(whole.vertices, whole.faces, [(cut.vertices, cut.faces)], tops)
+    middle = whole.vertices[whole.faces].mean(axis=1)[:, 1]
+    waist_m = np.quantile(cut.vertices[:, 1], 0.995)
+    assert gone.any() and not (gone & ~tops).any() and middle[gone].max() < waist_m + 0.03
+    assert (middle[tops & ~gone] > waist_m - 0.04).mean() > 0.99
+    assert not tucked(whole.attire, Halves(True, True)).any()
 
 
 def test_no_hole_is_left_where_clothes_come_off(cut_away: Wearer):
@@ -115,7 +130,7 @@ def test_bare_skin_lies_on_the_character_s_own_nodes(cut_away: Wearer):
     skin = character_in(GltfFile(bare_file(cut_away, cut_away.file, body, chosen).to_bytes()))
     expected = np.sort(body.v_template[body.faces[chosen]].mean(axis=1), axis=0)
     assert np.allclose(np.sort(cut_away.scale * skin.vertices[skin.faces].mean(axis=1), axis=0), expected, atol=1e-4)
-    assert set(skin.names) >= {"mixamorig:Hips", "mixamorig:Spine2"}
+    assert set(skin.names) >= {"pelvis", "spine3"}
 
 
 def test_a_stored_wearer_keeps_its_parts_and_bodies(whole: Wearer, body: BodyModel, tmp_path: Path):

@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
 from drape.avatar import wears
 from drape.avatar.character import character_in
 from drape.avatar.covered import DEEPER_M
@@ -35,7 +36,6 @@ from service.compute import avatars as in_service
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
-from tests.fixtures.dressed_characters import dressed_character, dressed_parts
 from tests.fixtures.glb_reader import Reader
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.serving import files_in
