@@ -14,6 +14,7 @@ from drape.catalog import find_motions
 from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
 from tests.clients.browser import Page, open_page, violations
+from tests.drape.motion.node_files import T_POSE, glb, moved
 from tests.drape.motion.people import person
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
 
@@ -182,8 +183,18 @@ def test_a_motion_of_a_file_is_played(page: Page, tmp_path: Path):
     spoiled = tmp_path / "spoiled.npz"
     spoiled.write_bytes(b"no zip at all, but long enough to look for one")
     page.choose_file("#motion-file", spoiled)
-    assert "an npz" in page.wait_for("document.querySelector('#message.bad')?.textContent")
+    assert "a readable npz file" in page.wait_for("document.querySelector('#message.bad')?.textContent")
     assert page.evaluate("document.querySelector('#clips [aria-pressed=true]').dataset.clip") == "own-1"
+
+
+def test_a_dropped_animation_is_played_and_its_clips_are_listed(page: Page, tmp_path: Path):
+    payload = glb(*moved("mixamo", T_POSE), clips=("walk", "stroll"))
+    (tmp_path / "moves.glb").write_bytes(payload)
+    page.drop(tmp_path / "moves.glb")
+    names = "Array.from(document.querySelectorAll('[data-clip^=own-]'), (chip) => chip.textContent)"
+    page.wait_for(f"{names}.slice(-2).join() === 'Walk,Stroll'")
+    page.wait_for("document.querySelector('#clips [aria-pressed=true]').textContent === 'Walk'")
+    more_frames(page)
 
 
 # A tracker that sees a person squat, for as long as it is asked.

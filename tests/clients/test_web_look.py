@@ -1,4 +1,4 @@
-"""What a page shows, in Node.js: borders of panels, weaves, looks of fabrics, poses of characters, motions of files."""
+"""What a page shows, in Node.js: borders of panels, weaves, looks of fabrics, poses of characters."""
 
 from __future__ import annotations
 
@@ -21,8 +21,6 @@ from drape.cloth.fabric_table import FABRICS
 from drape.files.looks import Material
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.skinning import skin_points
-from drape.motion.amass import read_amass
-from drape.motion.samples import reach
 from drape.wire.meshes import STEP_M, pack_mesh
 from service.http.schemas import FabricInfo
 from tests.clients.node import page_answer
@@ -161,83 +159,6 @@ def test_a_characters_joints_are_where_the_bodys_are(
     assert_allclose(np.asarray(got["ours"]), places, atol=1e-6)
     index = [JOINT_NAMES.index(joint) for joint in known]
     assert_allclose(np.asarray(got["places"]), places[:, index], atol=2e-3)  # feet are turned by their heading alone
-
-
-MOTION = """
-const { readMotion } = await import(`${WEB}/src/motion_file.js`);
-const file = new File([Buffer.from(input.file, "base64")], input.name);
-const drape = { body: async () => input.body };
-const { fps, frames, poses, trans } = await readMotion(file, drape, { betas: [] });
-console.log(JSON.stringify({ fps, frames, poses: poses.map((pose) => [...pose]), trans }));
-"""
-
-
-def told_of(path: Path, body: BodyModel, folder: Path) -> dict:
-    joints = body.rest_joints(np.zeros(body.shape_count))
-    floor = float(body.rest_vertices(np.zeros(body.shape_count))[:, 1].min())
-    document = {"file": base64.b64encode(path.read_bytes()).decode(), "name": path.name}
-    return page_answer(MOTION, document | {"body": {"joints": joints.tolist(), "floor_m": floor}}, folder)
-
-
-@pytest.mark.parametrize("packed", [False, True])
-def test_a_file_of_amass_is_read_as_python_reads_it(body: BodyModel, tmp_path: Path, packed: bool):
-    clip = reach().window(0, 3)
-    flat = np.concatenate([clip.poses.reshape(3, 72)[:, :66], np.ones((3, 90))], axis=1)  # fingers, which are left out
-    path = tmp_path / "amass.npz"
-    (np.savez_compressed if packed else np.savez)(path, poses=flat, trans=clip.trans, mocap_framerate=50.0)
-    expected = read_amass(path)
-    got = told_of(path, body, tmp_path)
-    assert got["frames"] == 3 and got["fps"] == 50.0
-    assert_allclose(rotvec_to_matrix(np.reshape(got["poses"], (3, 24, 3))), rotvec_to_matrix(expected.poses), atol=1e-6)
-    steps = np.diff(np.array(got["trans"], dtype=np.float64), axis=0)
-    assert_allclose(steps, np.diff(expected.trans, axis=0), atol=1e-5)
-
-
-BVH = """HIERARCHY
-ROOT Hips
-{{
-  OFFSET 0 0 0
-  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-{joints}}}
-MOTION
-Frames: 2
-Frame Time: 0.04
-{frames}
-"""
-
-
-def test_a_bvh_turns_the_joints_that_it_turns(body: BodyModel, tmp_path: Path):
-    names, rest = rig_names("mixamo"), body.joints_template
-    order: list[str] = []
-
-    def block(joint: int, depth: int) -> str:
-        order.append(JOINT_NAMES[joint])
-        pad, child = (
-            "  " * depth,
-            [k for k, parent in enumerate(PARENTS) if parent == joint and JOINT_NAMES[k] in names],
-        )
-        offset = " ".join(f"{100 * x:.6f}" for x in rest[joint] - rest[PARENTS[joint]])
-        inner = (
-            "".join(block(k, depth + 1) for k in child)
-            or f"{pad}  End Site\n{pad}  {{\n{pad}    OFFSET 0 -1 0\n{pad}  }}\n"
-        )
-        head = f"{pad}JOINT {names[JOINT_NAMES[joint]]}\n{pad}{{\n{pad}  OFFSET {offset}\n"
-        return f"{head}{pad}  CHANNELS 3 Zrotation Xrotation Yrotation\n{inner}{pad}}}\n"
-
-    below = "".join(block(k, 1) for k in (1, 2, 3))
-    elbow = order.index("left_elbow")
-    rows = np.zeros((2, 6 + 3 * len(order)))
-    rows[:, 1] = 97.0
-    rows[1, [0, 6 + 3 * elbow + 2]] = 10.0, 60.0  # a step to the side; the elbow bends about y
-    path = tmp_path / "bent.bvh"
-    path.write_text(BVH.format(joints=below, frames="\n".join(" ".join(f"{x:g}" for x in row) for row in rows)))
-    got = told_of(path, body, tmp_path)
-    poses = np.reshape(got["poses"], (2, 24, 3))
-    expected = np.zeros((2, 24, 3))
-    expected[1, JOINT_NAMES.index("left_elbow"), 1] = np.radians(60.0)
-    assert_allclose(poses, expected, atol=1e-4)
-    assert_allclose(got["fps"], 25.0, rtol=1e-6)
-    assert_allclose(got["trans"], [[0.0, got["trans"][0][1], 0.0], [0.1, got["trans"][0][1], 0.0]], atol=1e-3)
 
 
 COVERED = """

@@ -1,9 +1,10 @@
 // Files that are dropped anywhere, or chosen: what they are, and which of them are one thing.
 import { BESIDE_SUFFIXES, MESH_SUFFIXES } from "../lib/src/wire.js";
+import { aboutGlb, fbxHasMesh } from "./scene_file.js";
 import { element, failing } from "./words.js";
 
-const HEAD = { magic: 0x46546c67, json: 20 }; // of a GLB: its mark, where its JSON begins
 const ALONE = [".glb", ".stl", ".zip", ".vrm", ".usdz"]; // name no other files
+const MOTIONS = [".bvh", ".npz", ".vrma"];
 const MESHES = MESH_SUFFIXES.split(",");
 const BESIDE = BESIDE_SUFFIXES.split(",");
 const MOST_FILES = 1000; // as the service takes in a form
@@ -12,25 +13,19 @@ const suffixOf = (name) => /\.[^./]+$/.exec(name.toLowerCase())?.[0] ?? "";
 const folderOf = (path) => path.slice(0, path.lastIndexOf("/") + 1);
 
 // "garment", "character", "motion" or "beside", a file that a garment names; null for anything else. A GLB with a skin is a
-// character.
-async function kindOfFile(file) {
+// character; what has an animation and no mesh, a motion.
+export async function kindOfFile(file) {
   const suffix = suffixOf(file.name);
-  if (suffix === ".bvh" || suffix === ".npz") return "motion";
+  if (MOTIONS.includes(suffix)) return "motion";
   if (suffix === ".vrm") return "character";
-  if (suffix === ".glb" && (await hasSkin(file))) return "character";
+  if (suffix === ".fbx") return (await fbxHasMesh(file)) ? "garment" : "motion";
+  if (suffix === ".glb") {
+    const { skin, mesh, clips } = await aboutGlb(file);
+    if (clips.length && !mesh) return "motion";
+    if (skin) return "character";
+  }
   if (BESIDE.includes(suffix)) return "beside";
   return MESHES.includes(suffix) ? "garment" : null;
-}
-
-async function hasSkin(file) {
-  const head = new DataView(await file.slice(0, HEAD.json).arrayBuffer());
-  if (head.byteLength < HEAD.json || head.getUint32(0, true) !== HEAD.magic) return false;
-  const text = await file.slice(HEAD.json, HEAD.json + head.getUint32(12, true)).text();
-  try {
-    return (JSON.parse(text).skins ?? []).length > 0;
-  } catch {
-    return false; // the service will say what is wrong with it
-  }
 }
 
 // The things that came as parts, { file, path } of each, path within what was dropped: { kind, parts } of each thing, its own

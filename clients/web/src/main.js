@@ -14,6 +14,7 @@ import { listen, makeDrawers, makeHelp, makeSheet, turnByKeys } from "./keys.js"
 import { Measures } from "./measures.js";
 import { Motions, sampled } from "./motions.js";
 import { Outfit } from "./outfit.js";
+import { OwnMotions } from "./own_motions.js";
 import { Quality } from "./quality.js";
 import { Readouts, Triangles } from "./readouts.js";
 import { clipFile, key } from "./service.js";
@@ -99,7 +100,8 @@ const wearAgain = failing(async () => {
   if (fit?.on) await fit.show(outfit.next ?? outfit.current, true);
 });
 
-const ownClips = new Map(); // by id, the files of motions that were dropped
+const ownMotions = new OwnMotions(motions, () => drape.rest);
+const takeMotion = failing((file) => ownMotions.take(file));
 
 const CAMERA = "camera"; // the id of the motion of whoever stands before it
 const camera = new Camera({
@@ -131,11 +133,7 @@ const cameraDoor = makeDoor(takeTracker);
 
 async function loadClip(id) {
   if (id === CAMERA) return { id, ...(await camera.motion(drape, { betas: state.betas, avatar: state.avatar ?? undefined })) };
-  if (ownClips.has(id)) {
-    const { readMotion } = await import("./motion_file.js");
-    const clip = await readMotion(ownClips.get(id), drape, { betas: state.betas, avatar: state.avatar ?? undefined });
-    return { ...clip, id, sample: clipSource(clip) };
-  }
+  if (ownMotions.has(id)) return ownMotions.load(id, await drape.body(state.betas, state.avatar));
   const clip = await drape.motion(id, state.betas, state.avatar);
   return { ...clip, id, sample: clipSource(clip) };
 }
@@ -179,19 +177,8 @@ const takeCharacter = failing(async (file) => {
   say(`${file.name} is looked at: its skeleton, its skin …`);
   const id = await sendCharacter(drape, file);
   say(`${file.name} is ready.`);
+  await ownMotions.offer(file);
   await chooseCharacter(id);
-});
-
-const takeMotion = failing(async (file) => {
-  const id = `own-${ownClips.size + 1}`;
-  ownClips.set(id, file);
-  const before = motions.wanted;
-  motions.offer([...motions.clips, { id, name: file.name.replace(/\.\w+$/, "") }]);
-  await motions.choose(id);
-  if (motions.clip?.id === id) return;
-  ownClips.delete(id); // it could not be read, which was said
-  motions.offer(motions.clips.filter((clip) => clip.id !== id), before);
-  await motions.choose(before);
 });
 
 async function take({ kind, parts }) {
@@ -200,7 +187,7 @@ async function take({ kind, parts }) {
   else if (kind === "character") await takeCharacter(file);
   else if (kind === "motion") await takeMotion(file);
   else if (kind === "beside") say(`${file.name} belongs to a garment: drop it together with its mesh.`, { bad: true });
-  else say(`${file.name} is none of OBJ, GLB, PLY, STL, USD, FBX, ZIP (garments), GLB, VRM (characters), BVH, NPZ (motions).`, { bad: true });
+  else say(`${file.name} is none of OBJ, GLB, PLY, STL, USD, FBX, ZIP (garments), GLB, VRM (characters), BVH, NPZ, VRMA, GLB, FBX (motions).`, { bad: true });
 }
 
 function tellOffline(refusal) {

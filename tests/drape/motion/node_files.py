@@ -39,9 +39,17 @@ def moved(scheme: str, rest: np.ndarray, unit: float = 1.0) -> tuple[Rig, np.nda
 
 
 def glb(
-    rig: Rig, quaternions: np.ndarray, places: np.ndarray, *, extensions=None, interpolation="LINEAR", scale=1.0
+    rig: Rig,
+    quaternions: np.ndarray,
+    places: np.ndarray,
+    *,
+    extensions=None,
+    interpolation="LINEAR",
+    scale=1.0,
+    clips=("walk",),
 ) -> bytes:
-    """A GLB of the rig's nodes below an armature that has a ``scale``, and one animation of them."""
+    """A GLB of the rig's nodes below an armature that has a ``scale``, and an animation of them by each name of
+    ``clips``."""
     file = GlbFile()
     armature = file.node({"name": "Armature", "scale": [scale] * 3})
     first = armature + 1
@@ -62,7 +70,8 @@ def glb(
             {"input": times, "output": file.array(values.astype(np.float32)), "interpolation": interpolation}
         )
         channels.append({"sampler": len(samplers) - 1, "target": {"node": first + number, "path": path}})
-    file.add("animations", {"name": "walk", "channels": channels, "samplers": samplers})
+    for name in clips:
+        file.add("animations", {"name": name, "channels": channels, "samplers": samplers})
     if extensions:
         file.json["extensions"] = extensions(first)
     return file.to_bytes()
