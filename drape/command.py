@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
@@ -17,6 +17,10 @@ from drape import __version__
 from drape.errors import InputError, Unavailable, refusing
 from drape.garment.size_chart import SIZES
 from drape.wire.options import TierName
+
+if TYPE_CHECKING:
+    from drape.library import Worn
+    from drape.motion.clip import MotionClip
 
 # Commands of other rooms, by the module whose ``main`` runs them and what comes before their arguments.
 ELSEWHERE: dict[str, tuple[str, tuple[str, ...], str]] = {
@@ -54,6 +58,11 @@ def parser(complete: object = None) -> argparse.ArgumentParser:
     wear.add_argument("--tier", choices=get_args(TierName), help="the tier: how much is computed (balanced)")
     wear.add_argument("--size", choices=SIZES, help="the size of the garments (M)")
     wear.add_argument("--fabric", help="the fabric of the garments (each garment's own)")
+    wear.add_argument(
+        "--joints", type=int, metavar="N",
+        help="with --on: write the character's own file in the garments, which hang on N joints each besides its own: "
+        ".glb over the motion, .vrm with spring bones",
+    )  # fmt: skip
     wear.add_argument("--float32", action="store_true", help="write a GLB in float32, twice as large")
     wear.set_defaults(run=_wear)
 
@@ -113,8 +122,11 @@ def _wear(given: argparse.Namespace) -> int:
     from drape.export.surface import by_layer
     from drape.library import load
 
-    check_name(given.out)
     suffix = given.out.suffix.lower()
+    if given.joints is None:
+        check_name(given.out)
+    else:
+        _check_joints(given)
     opened = load()
     garments: list[Any] = list(given.garment)
     if given.modelled_on is not None:
@@ -130,6 +142,8 @@ def _wear(given: argparse.Namespace) -> int:
     options = {name: value for name in ("tier", "fabric", "size") if (value := getattr(given, name)) is not None}
     worn = opened.wear(garments, on=given.on, betas=given.betas, **options)
     clip = worn.placed(given.motion, fps=given.fps, as_recorded=given.as_recorded)
+    if given.joints is not None:
+        return _wear_on_joints(worn, clip, given)
     begun_s, frames = time.monotonic(), []
     for frame in worn.play(clip, fps=clip.fps, as_recorded=True):
         frames.append(frame.vertices)
@@ -154,6 +168,39 @@ def _wear(given: argparse.Namespace) -> int:
         write_pieces(beside, [obj_text(worn.garments, first).encode()])
     line = "{file}: {frames} frames at {fps:g} a second, {vertices} vertices, {bytes} bytes".format(**told)
     return _tell(told, given, line)
+
+
+def _check_joints(given: argparse.Namespace) -> None:
+    """Refuses what no file of joints is made of, before anything is draped."""
+    if given.out.suffix.lower() not in (".glb", ".vrm"):
+        raise InputError("--out", expected="a .glb or .vrm with --joints", got=given.out.name, cure="Rename it.")
+    if given.on is None:
+        cure = "Name the file of a character: --on me.vrm."
+        raise InputError("--joints", expected="a character, which has a rig", got="the standard body", cure=cure)
+
+
+def _wear_on_joints(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int:
+    """Writes the character in the garments that are ``worn``, on joints."""
+    from drape.catalog import MOTIONS_DIR
+    from drape.distilling import distil
+    from drape.export.clips import write_pieces
+
+    begun_s = time.monotonic()
+    made = distil(worn, [*sorted(MOTIONS_DIR.glob("*.npz")), clip], joints=given.joints)
+    content = made.vrm() if given.out.suffix.lower() == ".vrm" else made.glb(clip, fps=clip.fps)
+    write_pieces(given.out, [content])
+    told = {"file": str(given.out), "bytes": len(content), "joints": given.joints, "frames": clip.frame_count}
+    errors = made.errors_mm(clip, fps=clip.fps)
+    told["garments"] = [
+        {"name": surface.name} | {name: round(value, 1) for name, value in one.items()}
+        for surface, one in zip(worn.garments, errors, strict=True)
+    ]
+    told["seconds"] = round(time.monotonic() - begun_s, 2)
+    lines = ["{file}: {joints} joints a garment, {bytes} bytes".format(**told)]
+    for one in told["garments"]:
+        line = "{name}: from its drape {tracks} mm with tracks, {springs} mm on springs, {carried} mm without either"
+        lines.append(line.format(**one))
+    return _tell(told, given, "\n".join(lines))
 
 
 def _garments(given: argparse.Namespace) -> int:

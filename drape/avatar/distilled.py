@@ -32,6 +32,7 @@ TRACK_ROUNDS = 6
 NEAR, NEAR_RIG = 6, 3  # joints that a vertex may have: the nearest of its own, the heaviest of the rig
 NEARNESS = 0.02  # of clusters
 SMOOTH_M = 5e-3  # of a weight's error of one, in the fit
+ENOUGH = 2500  # vertices that tracks are fitted to, at least
 STEADINESS = 1e-3  # of tracks
 PIVOT_SHARE = 0.02  # of a joint's distance from its middle, of that by which it moves
 
@@ -77,17 +78,19 @@ class Distilled:
 
     def fitted(self, draped: Draped, scale: float) -> np.ndarray:
         """The motions (F, E, 3, 4) that bring the mesh nearest to what was ``draped``, seen from the pelvis."""
-        frames, above = seen_from_pelvis(draped, scale), self.above(draped.motion)
+        some = slice(None, None, max(1, len(self.rest) // ENOUGH))
+        rest, weights, above = self.rest[some], self.weights[some], self.above(draped.motion)
+        frames = seen_from_pelvis(Draped(draped.vertices[:, some], draped.motion), scale)
         own = slice(above.shape[1], None)
         moves = np.concatenate([above, self.carried(draped.motion)], axis=1)
-        strongest = self.weights[:, own].argmax(axis=1)
+        strongest = weights[:, own].argmax(axis=1)
         for joint in range(self.count):
-            rows = np.flatnonzero((strongest == joint) & (self.weights[:, own].max(axis=1) > 0.0))
+            rows = np.flatnonzero((strongest == joint) & (weights[:, own].max(axis=1) > 0.0))
             if len(rows) >= 3:
-                moves[:, above.shape[1] + joint] = rigid_fit(self.rest[rows], frames[:, rows])
+                moves[:, above.shape[1] + joint] = rigid_fit(rest[rows], frames[:, rows])
         free = np.arange(above.shape[1], moves.shape[1])
         more = {"rounds": TRACK_ROUNDS, "steadiness": STEADINESS}
-        return decomposition.fit_moves(self.weights, self.rest, frames, moves, free, **more)[:, own]
+        return decomposition.fit_moves(weights, rest, frames, moves, free, **more)[:, own]
 
     def placed(self, motion: RigMotion, moves: np.ndarray) -> np.ndarray:
         """The mesh (F, V, 3) with its own joints at ``moves`` (F, E, 3, 4), seen from the pelvis."""
@@ -117,12 +120,12 @@ def distil(
     hung = _on_rig(garment, clips[0].motion, wearer, rig)
     rest, rig_weights = hung.rest, hung.weights
     frames, above, usual = _chosen_frames([*clips, *poses], wearer.scale, hung, len(clips))
-    faces, rows = garment.surface.faces.astype(np.int64), slice(None, None, 3)
-    cluster, _ = decomposition.rigid_clusters(rest, frames[rows], count, nearness=NEARNESS)
+    faces, some = garment.surface.faces.astype(np.int64), slice(None, None, 4)
+    cluster, _ = decomposition.rigid_clusters(rest, frames[some], count, nearness=NEARNESS)
     moves = [rigid_fit(rest[cluster == one], frames[:, cluster == one]) for one in range(count)]
     moves = np.concatenate([above, np.stack(moves, axis=1)], axis=1)
     candidates = _candidates(rest, faces, cluster, rig_weights)
-    smooth = smoothing_matrix(faces, len(rest))
+    smooth, few = smoothing_matrix(faces, len(rest)), slice(None, None, max(1, len(rest) // ENOUGH))
     stiffness, free = (SMOOTH_M / wearer.scale) ** 2, np.arange(above.shape[1], moves.shape[1])
     weights = np.pad(rig_weights, ((0, 0), (0, count)))
     for _ in range(ROUNDS):
@@ -130,7 +133,7 @@ def distil(
         weights = decomposition.fit_weights(
             rest, frames, moves, candidates, most=HEAVIEST, past=weights, pull=smooth @ weights, stiffness=stiffness
         )
-        moves = decomposition.fit_moves(weights, rest, frames, moves, free)
+        moves = decomposition.fit_moves(weights[few], rest[few], frames[:, few], moves, free)
     parents, pivots, still = _hung(rest, weights[:, free], above[:usual], moves[:usual, free])
     return replace(hung, weights=weights, parents=parents, pivots=pivots, still=still)
 

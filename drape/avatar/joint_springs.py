@@ -2,7 +2,8 @@
 
 Each joint turns about its pivot; its tail is where the middle of its cloth is, or beyond. The numbers of a spring are
 those of many with which its tail, by the law of ``drape.motion.spring_bones``, comes nearest to where tracks put it.
-A joint that does no better than if it only followed the rig is none. Legs are capsules.
+A joint that does no better than if it only followed the rig is none, unless its cloth stands off the legs, which are
+capsules.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ DRAG = (0.1, 0.4, 0.7, 1.0)
 BETTER = 0.97  # of a joint's error without a spring
 SHORTEST_M = 0.05  # of a spring
 WIDEST_M = 0.03  # of a tail's own radius
+STANDS_OFF_M = 0.01  # from the limbs: such cloth is sprung in any case, so that limbs push it
 LIMBS = tuple(
     (f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))
 )
@@ -70,7 +72,9 @@ def fit_springs(distilled: Distilled, clips: Sequence[Draped], wearer: Wearer) -
     hips = min(_limb_line(limb, skeleton.world[0, limb.node])[0][1] for limb in limbs[::2])
     felt = np.repeat(rest[0, :, 1:2] < hips, len(limbs), axis=1)
     aims = [_aims(distilled, ends, one, unit) for one in clips]
-    radius = _radii(aims, limbs, felt, clips, unit)
+    room = _room(aims, limbs, clips)
+    felt &= room[:, None] > 0.0  # cloth that lies on a limb goes with it
+    radius = np.where(felt.any(axis=1), np.clip(room, 0.0, WIDEST_M / unit), 0.0)
     stiffness, gravity, drag = np.array(list(itertools.product(STIFFNESS, GRAVITY, DRAG))).T[..., None]
     costs, stiff = np.zeros((len(drag), distilled.count)), np.zeros(distilled.count)
     for one, aim in zip(clips, aims, strict=True):
@@ -83,7 +87,7 @@ def fit_springs(distilled: Distilled, clips: Sequence[Draped], wearer: Wearer) -
             costs[part] += ((found - aim[:, None]) ** 2).sum(axis=(0, 3))
         stiff += ((still - aim) ** 2).sum(axis=(0, 2))
     best = costs.argmin(axis=0)
-    sprung = (costs.min(axis=0) < BETTER**2 * stiff) | felt.any(axis=1)
+    sprung = (costs.min(axis=0) < BETTER**2 * stiff) | (radius * unit > STANDS_OFF_M)
     numbers = Springs(stiffness[best, 0], gravity[best, 0], drag[best, 0], radius)
     return JointSprings(distilled, ends, sprung, numbers, limbs, felt)
 
@@ -133,17 +137,14 @@ def _aims(distilled: Distilled, ends: np.ndarray, draped: Draped, unit: float) -
     return _moved(compose(pelvis_places(draped.motion)[:, None], seen), ends)
 
 
-def _radii(
-    aims: Sequence[np.ndarray], limbs: Sequence[Limb], felt: np.ndarray, clips: Sequence[Draped], unit: float
-) -> np.ndarray:
-    """The tails' own radii (E,): as near as the tracks bring them to a limb, one time in twenty."""
+def _room(aims: Sequence[np.ndarray], limbs: Sequence[Limb], clips: Sequence[Draped]) -> np.ndarray:
+    """How near the tails (E,) come to a limb by the tracks, one time in twenty; below zero inside."""
     room = []
     for aim, one in zip(aims, clips, strict=True):
         lines = [_limb_line(limb, one.motion.world[1:, limb.node][:, None]) for limb in limbs]
         offs = [nearest_off(aim, a, b)[1] - limb.radius for limb, (a, b) in zip(limbs, lines, strict=True)]
         room.append(np.min(offs, axis=0))
-    near = np.quantile(np.concatenate(room), 0.05, axis=0)
-    return np.where(felt.any(axis=1), np.clip(near, 0.0, WIDEST_M / unit), 0.0)
+    return np.quantile(np.concatenate(room), 0.05, axis=0)
 
 
 def _limb_line(limb: Limb, world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

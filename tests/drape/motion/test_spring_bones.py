@@ -53,7 +53,7 @@ def test_it_stays_out_of_a_capsule_that_it_feels():
     heads, rest = still(0.0, -0.4, 0.0)
     line = np.tile(np.array([[[0.0, -0.4, -0.5]]]), (FRAMES, 1, 1))
     line[:, 0, 0] = np.linspace(-0.3, 0.1, FRAMES)  # a leg that comes from the side
-    ends = line + [0.0, 0.0, 1.0]
+    ends = line + np.array([0.0, 0.0, 1.0])
     for felt in (True, False):
         capsules = Capsules(line, ends, np.array([0.1]), np.array([[felt]]))
         found = tails(springs(radius=0.02), heads, rest, 30.0, capsules)
