@@ -277,18 +277,13 @@ def _check_joints(weights: scipy.sparse.csr_matrix, label: str) -> None:
 def _vrm_bones(file: GltfFile, place: dict[int, int]) -> tuple[dict[str, int], str]:
     """VRM's bones -> places of nodes, and the version of VRM."""
     extensions = file.document.extensions
+    version = "1" if extensions.vrmc_vrm is not None else "0" if extensions.vrm is not None else ""
     try:
-        if extensions.vrmc_vrm is not None:
-            bones = extensions.vrmc_vrm.humanoid.human_bones
-            return {bone[:60]: place[held.node] for bone, held in bones.items()}, "1"
-        if extensions.vrm is not None:
-            named = extensions.vrm.humanoid.human_bones
-            return {held.bone[:60]: place[held.node] for held in named if held.node >= 0}, "0"
+        return {bone[:60]: place[node] for bone, node in extensions.humanoid.items() if version}, version
     except KeyError as error:
         cure = "Export the VRM again, or send it as a plain GLB."
         expected = "bones at nodes of the file"
         raise MeshError(f"{file.label}: humanBones", expected=expected, got=f"node {error}", cure=cure) from error
-    return {}, ""
 
 
 def _welded(
