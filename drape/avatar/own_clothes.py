@@ -118,8 +118,9 @@ def tucked(attire: Attire, halves: Halves) -> np.ndarray:
 def bare_faces(
     body: BodyModel, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray, loose: np.ndarray | None = None
 ) -> np.ndarray:
-    """Which faces (Fb,) of a character's ``body`` are seen where the faces ``off`` (F,) of its surface, ``vertices``
-    [m] (V, 3) and ``faces`` (F, 3), are gone: they lay below these, and nothing lies there but ``loose`` faces (F,)."""
+    """Which faces (Fb,) of a character's bare ``body`` are seen where the faces ``off`` (F,) of its surface,
+    ``vertices`` [m] (V, 3) and ``faces`` (F, 3), are gone: they lay below these, and nothing lies there but ``loose``
+    faces (F,)."""
     middle = body.v_template[body.faces].mean(axis=1)
     if not off.any():
         return np.zeros(len(middle), dtype=bool)

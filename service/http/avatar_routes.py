@@ -20,7 +20,6 @@ from drape.avatar.mapping import TOLD
 from drape.avatar.own_clothes import bare_faces, halves_of, taken_off, tucked
 from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import Wearer
-from drape.body.model import BodyModel
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.formats import AVATAR_SUFFIXES
 from drape.garment.portrait import Sitter, portrait
@@ -169,7 +168,7 @@ async def avatar_covered(
     with state.access.using(client, "clips"), state.slot():
         worn = await _undressed(state, avatar_id, garments.split(","), size, client)
         wearer, own = worn.wearer, worn.surface
-        bare = await state.runtime.made(bare_faces, worn.below, *own, worn.off, worn.loose)
+        bare = await state.runtime.made(bare_faces, wearer.body, *own, worn.off, worn.loose)
         covered, of_file = await state.runtime.made(covered_in_file, entry.path, *own, worn.cloth, worn.off)
     return CoveredFaces(
         deeper_m=DEEPER_M,
@@ -190,11 +189,10 @@ def _runs(ranges: np.ndarray) -> list[int]:
 
 
 class _Undressed(NamedTuple):
-    """A ``wearer`` in garments whose ``cloth`` is cut for the body ``below``, and its own faces (F,) that these take
-    ``off``; ``loose`` ones end where the cloth begins."""
+    """A ``wearer`` in garments of this ``cloth``, and its own faces (F,) that these take ``off``; ``loose`` ones end
+    where the cloth begins."""
 
     wearer: Wearer
-    below: BodyModel
     cloth: list[tuple[np.ndarray, np.ndarray]]
     off: np.ndarray
     loose: np.ndarray
@@ -214,7 +212,7 @@ async def _undressed(
     halves = halves_of([one.garment for one in (await state.scene(None, garments, client)).layers], state.runtime.body)
     wearer = await state.wearer(avatar_id, client)
     none = np.zeros(len(wearer.faces), dtype=bool)
-    found = _Undressed(wearer, wearer.body_under(halves), cloth, none, none)
+    found = _Undressed(wearer, cloth, none, none)
     if not wearer.attire.parts:
         return found
     off = taken_off(wearer.attire, halves)
@@ -223,15 +221,15 @@ async def _undressed(
     return found._replace(off=off | ends, loose=tops)
 
 
-def bare_skin(stored: Path, body: BodyModel, wearer: Wearer, off: np.ndarray, loose: np.ndarray) -> bytes:
+def bare_skin(stored: Path, wearer: Wearer, off: np.ndarray, loose: np.ndarray) -> bytes:
     """The GLB of ``bare_faces`` of ``wearer``, which is ``stored``; refuses (``NotFound``) where there are none."""
     surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
-    chosen = bare_faces(body, *surface, off, loose)
+    chosen = bare_faces(wearer.body, *surface, off, loose)
     if not chosen.any():
         raise NotFound(
             "bare", expected="skin that comes to light", got="none", cure="Ask only where covered tells of it."
         )
-    return bare_file(wearer, load_file_rig(stored), body, chosen).to_bytes()
+    return bare_file(wearer, load_file_rig(stored), chosen).to_bytes()
 
 
 @router.get(
@@ -249,7 +247,7 @@ async def avatar_bare(
     state.check_slot()
     with state.access.using(client, "clips"), state.slot():
         worn = await _undressed(state, avatar_id, garments.split(","), size, client)
-        made = await state.runtime.made(bare_skin, entry.path, worn.below, worn.wearer, worn.off, worn.loose)
+        made = await state.runtime.made(bare_skin, entry.path, worn.wearer, worn.off, worn.loose)
     return Response(made, media_type=GLB)
 
 
