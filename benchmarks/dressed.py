@@ -41,7 +41,7 @@ from drape.live.fold_step import FoldEffort
 from drape.stages.folds import SETTLE
 
 FPS, ROUNDS = 30.0, 4  # a pose is held so long, until its folds stand
-NEAR_M = 0.15  # own clothes before the cloth by more are an arm's or the hair's
+NEAR_M = 0.05  # own clothes before the cloth by more hang before it, as a shirt over a lap
 OWN = {*UPPER, *LOWER, "carried"}
 OUTFITS = {"made_in_trousers": {"top": "tshirt", "trousers": "trousers"}, "made_in_a_dress": {"dress": "dress"}}
 COLUMNS = {

@@ -115,13 +115,16 @@ def tucked(attire: Attire, halves: Halves) -> np.ndarray:
     return attire.of_kinds(("top",)) & (halves.lower and not halves.upper)
 
 
-def bare_faces(body: BodyModel, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """Which faces (Fb,) of a character's ``body`` are seen where the faces ``off`` (F,) of its surface, ``vertices``
-    [m] (V, 3) and ``faces`` (F, 3), are gone: they lay below these, and no other skin lies there."""
+def bare_faces(
+    body: BodyModel, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray, loose: np.ndarray | None = None
+) -> np.ndarray:
+    """Which faces (Fb,) of a character's bare ``body`` are seen where the faces ``off`` (F,) of its surface,
+    ``vertices`` [m] (V, 3) and ``faces`` (F, 3), are gone: they lay below these, and nothing lies there but ``loose``
+    faces (F,)."""
     middle = body.v_template[body.faces].mean(axis=1)
     if not off.any():
         return np.zeros(len(middle), dtype=bool)
     gone = closest_point(middle, vertices, faces[off]).distance
-    left = faces[~off]
+    left = faces[~off if loose is None else ~(off | loose)]
     stays = closest_point(middle, vertices, left).distance if len(left) else np.full(len(middle), np.inf)
     return (gone < GONE_M) & (stays > np.minimum(BARE_M, gone))

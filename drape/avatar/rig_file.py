@@ -19,7 +19,6 @@ from drape.avatar.file_skeleton import FileRig, FileSkeleton
 from drape.avatar.rig_motion import RigClip, rig_motion
 from drape.avatar.rig_weights import blended, garment_weights, heaviest, undone, volume
 from drape.avatar.wearer import Wearer
-from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.export.glb import NORMAL_STEPS, Corners, Shape, add_shape, normal_steps, split_seams, vertex_normals
 from drape.export.glb_file import VERTEX_BUFFER, GlbFile
@@ -68,10 +67,10 @@ def rig_file(
     return file
 
 
-def bare_file(wearer: Wearer, rig: FileRig, body: BodyModel, chosen: np.ndarray) -> GlbFile:
-    """The file of the faces that are ``chosen`` (Fb,) of ``body``, one of ``wearer``'s, whose own file had ``rig``:
-    skin on the character's nodes, in its unit and in the mean colour of its skin."""
-    skeleton = rig.skeleton
+def bare_file(wearer: Wearer, rig: FileRig, chosen: np.ndarray) -> GlbFile:
+    """The file of the faces that are ``chosen`` (Fb,) of the body of ``wearer``, whose own file had ``rig``: skin on
+    the character's nodes, in its unit and in the mean colour of its skin."""
+    skeleton, body = rig.skeleton, wearer.body
     still = RigClip(*wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3))), 1.0)
     blends = rig_motion(still, wearer, skeleton).part(np.zeros(0, dtype=np.int64)).blends
     file = GlbFile()

@@ -180,13 +180,9 @@ def read_wearer(
     made = bodies[BARE]
     root = JOINT_NAMES.index("pelvis")
     surface = pose.vertices + made.joints_template[root] - pose.joints[root]
-    distance = 1e3 * closest_point(surface[counted_vertices(seen)], made.v_template, made.faces).distance
-    median_mm, p95_mm = float(np.median(distance)), float(np.quantile(distance, 0.95))
+    distances_mm = 1e3 * closest_point(surface[counted_vertices(seen)], made.v_template, made.faces).distance
     limit_mm = FIT_LIMIT_MM * max(1.0, _depth_m(made) / _depth_m(body))
-    if not median_mm <= limit_mm:  # none, where nothing of it is trunk or limb
-        cure = " ".join([*(f"{note}." for note in found.notes), "Send a character with a body in a T- or A-pose."])
-        got = f"{median_mm:.0f} mm"
-        raise BodyError(name, expected=f"a body that ours fits to {limit_mm:.0f} mm", got=got, cure=cure)
+    median_mm, p95_mm = _checked_fit(distances_mm, limit_mm, name, found.notes)
     made_of = json.dumps([FIT_VERSION, body.digest, dict(told or {}), dict(kinds or {})])
     digest = hashlib.sha256(made_of.encode() + payload).hexdigest()
     return Wearer(
@@ -202,6 +198,16 @@ def _bodies(pose: TPose, layers: Layers, body: BodyModel, name: str) -> tuple[TP
     fit = fit_to(seen, body)
     on = {BARE: layers.body} | ({UPPER: layers.body | layers.lower} if layers.lower.any() else {})
     return seen, {key: avatar_body(fit, seen, body, name=name, covered=pose.only(faces)) for key, faces in on.items()}
+
+
+def _checked_fit(distances_mm: np.ndarray, limit_mm: float, name: str, notes: Sequence[str]) -> tuple[float, float]:
+    """Median and 95 % of the distances [mm] of a character from its body; refuses those of another body."""
+    median_mm, p95_mm = float(np.median(distances_mm)), float(np.quantile(distances_mm, 0.95))
+    if not median_mm <= limit_mm:  # none, where nothing of it is trunk or limb
+        cure = " ".join([*(f"{note}." for note in notes), "Send a character with a body in a T- or A-pose."])
+        got = f"{median_mm:.0f} mm"
+        raise BodyError(name, expected=f"a body that ours fits to {limit_mm:.0f} mm", got=got, cure=cure)
+    return median_mm, p95_mm
 
 
 def _depth_m(body: BodyModel) -> float:

@@ -6,7 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
@@ -17,10 +17,9 @@ from drape.avatar.attire_words import Kind
 from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of, tucked_faces
 from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.mapping import TOLD
-from drape.avatar.own_clothes import Halves, bare_faces, halves_of, taken_off, tucked
+from drape.avatar.own_clothes import bare_faces, halves_of, taken_off, tucked
 from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import Wearer
-from drape.body.model import BodyModel
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.formats import AVATAR_SUFFIXES
 from drape.garment.portrait import Sitter, portrait
@@ -41,6 +40,11 @@ PIECE_BYTES = 1 << 20
 KINDS = (BINARY, "model/gltf-binary", "model/vrm")
 Garments = Annotated[
     str, Query(max_length=1000, description="The ids of the garments that it wears, separated by commas.")
+]
+
+Sizes = Annotated[
+    str | None,
+    Query(max_length=40, description="One size for all garments, or a size for each, separated by commas."),
 ]
 
 
@@ -153,81 +157,97 @@ async def avatar_covered(
     state: StateHere,
     client: ClientHere,
     garments: Garments,
-    size: Annotated[
-        str | None,
-        Query(max_length=40, description="One size for all garments, or a size for each, separated by commas."),
-    ] = None,
+    size: Sizes = None,
 ) -> CoveredFaces:
     """Returns the faces of the character that lie wholly under its garments at rest, away from their hems, and those of
     its own clothes that these replace. A client that draws the first a little deeper and leaves out the others keeps
     them from showing through the cloth.
     """
     entry = await state.avatar(avatar_id, client)
-    ids, sizes = (
-        garments.split(","),
-        size if size is None or "," not in size else [one or None for one in size.split(",")],
-    )
     state.check_slot()
     with state.access.using(client, "clips"), state.slot():
-        scene = await state.scene(None, ids, client, avatar=avatar_id, size=sizes)
-        wearer, halves, off = await _undressed(state, avatar_id, ids, client)
-        below = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
-        cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
-        tops = tucked(wearer.attire, halves) if wearer.attire.parts else off
-        off = off | await state.runtime.made(tucked_faces, *below, cloth, tops & ~off)
-        bare = await state.runtime.made(bare_faces, wearer.body_under(halves), *below, off)
-        surface = entry.path, wearer.vertices, wearer.faces
-        covered, own = await state.runtime.made(covered_in_file, *surface, cloth, off)
+        worn = await _undressed(state, avatar_id, garments.split(","), size, client)
+        wearer, own = worn.wearer, worn.surface
+        bare = await state.runtime.made(bare_faces, wearer.body, *own, worn.off, worn.loose)
+        covered, of_file = await state.runtime.made(covered_in_file, entry.path, *own, worn.cloth, worn.off)
     return CoveredFaces(
         deeper_m=DEEPER_M,
         share=round(float(covered.mean()), 4),
-        ranges=ranges_of(covered).reshape(-1).tolist(),
-        hidden=ranges_of(off).reshape(-1).tolist(),
+        ranges=_runs(ranges_of(covered)),
+        hidden=_runs(ranges_of(worn.off)),
         bare=int(bare.sum()),
         skin_colour=list(wearer.attire.skin_colour),
         primitives=[
-            CoveredPrimitive(
-                **one.primitive._asdict(),
-                ranges=one.ranges.reshape(-1).tolist(),
-                hidden=one.hidden.reshape(-1).tolist(),
-            )
-            for one in own
+            CoveredPrimitive(**one.primitive._asdict(), ranges=_runs(one.ranges), hidden=_runs(one.hidden))
+            for one in of_file
         ],
     )
 
 
+def _runs(ranges: np.ndarray) -> list[int]:
+    return ranges.reshape(-1).tolist()
+
+
+class _Undressed(NamedTuple):
+    """A ``wearer`` in garments of this ``cloth``, and its own faces (F,) that these take ``off``; ``loose`` ones end
+    where the cloth begins."""
+
+    wearer: Wearer
+    cloth: list[tuple[np.ndarray, np.ndarray]]
+    off: np.ndarray
+    loose: np.ndarray
+
+    @property
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.wearer.vertices.astype(np.float64), self.wearer.faces.astype(np.int64)
+
+
 async def _undressed(
-    state: StateHere, avatar_id: str, garments: list[str], client: ClientHere
-) -> tuple[Wearer, Halves, np.ndarray]:
-    """The wearer, the halves of it on which ``garments`` lie, and its faces (F,) that these take off."""
-    scene = await state.scene(None, garments, client)
-    halves = halves_of([layer.garment for layer in scene.layers], state.runtime.body)
+    state: StateHere, avatar_id: str, garments: list[str], size: str | None, client: ClientHere
+) -> _Undressed:
+    """The avatar in ``garments`` of this ``size``, or of a size for each."""
+    sizes = size if size is None or "," not in size else [one or None for one in size.split(",")]
+    scene = await state.scene(None, garments, client, avatar=avatar_id, size=sizes)
+    cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
+    halves = halves_of([one.garment for one in (await state.scene(None, garments, client)).layers], state.runtime.body)
     wearer = await state.wearer(avatar_id, client)
-    off = taken_off(wearer.attire, halves) if wearer.attire.parts else np.zeros(len(wearer.faces), dtype=bool)
-    return wearer, halves, off
+    none = np.zeros(len(wearer.faces), dtype=bool)
+    found = _Undressed(wearer, cloth, none, none)
+    if not wearer.attire.parts:
+        return found
+    off = taken_off(wearer.attire, halves)
+    tops = tucked(wearer.attire, halves) & ~off
+    ends = await state.runtime.made(tucked_faces, *found.surface, cloth, tops)
+    return found._replace(off=off | ends, loose=tops)
 
 
-def bare_skin(stored: Path, body: BodyModel, wearer: Wearer, off: np.ndarray) -> bytes:
-    """The GLB of the faces of ``body`` that are bare where the faces ``off`` (F,) of ``wearer`` are gone; refuses
-    (``NotFound``) where none are."""
-    chosen = bare_faces(body, wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64), off)
+def bare_skin(stored: Path, wearer: Wearer, off: np.ndarray, loose: np.ndarray) -> bytes:
+    """The GLB of ``bare_faces`` of ``wearer``, which is ``stored``; refuses (``NotFound``) where there are none."""
+    surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
+    chosen = bare_faces(wearer.body, *surface, off, loose)
     if not chosen.any():
         raise NotFound(
             "bare", expected="skin that comes to light", got="none", cure="Ask only where covered tells of it."
         )
-    return bare_file(wearer, load_file_rig(stored), body, chosen).to_bytes()
+    return bare_file(wearer, load_file_rig(stored), chosen).to_bytes()
 
 
 @router.get(
-    "/avatars/{avatar_id}/bare", response_class=Response, responses=responses(InputError, NotFound, kinds=(GLB,))
+    "/avatars/{avatar_id}/bare",
+    response_class=Response,
+    responses=responses(InputError, NotFound, TooSlow, TooLarge, kinds=(GLB,)),
 )
-async def avatar_bare(avatar_id: str, state: StateHere, client: ClientHere, garments: Garments) -> Response:
+async def avatar_bare(
+    avatar_id: str, state: StateHere, client: ClientHere, garments: Garments, size: Sizes = None
+) -> Response:
     """Returns the skin that is bare where the garments take off clothes of the character and nothing was modelled
     below: a GLB on the character's own nodes, to be drawn beside it.
     """
     entry = await state.avatar(avatar_id, client)
-    wearer, halves, off = await _undressed(state, avatar_id, garments.split(","), client)
-    made = await state.runtime.made(bare_skin, entry.path, wearer.body_under(halves), wearer, off)
+    state.check_slot()
+    with state.access.using(client, "clips"), state.slot():
+        worn = await _undressed(state, avatar_id, garments.split(","), size, client)
+        made = await state.runtime.made(bare_skin, entry.path, worn.wearer, worn.off, worn.loose)
     return Response(made, media_type=GLB)
 
 

@@ -252,7 +252,7 @@ def test_bare_skin_moves_with_the_character(body: BodyModel, rng: np.random.Gene
     off = taken_off(wearer.attire, Halves(True, False))
     chosen = bare_faces(wearer.body, wearer.vertices, wearer.faces, off)
     assert wearer.file is not None
-    bare = bare_file(wearer, wearer.file, wearer.body, chosen).to_bytes()
+    bare = bare_file(wearer, wearer.file, chosen).to_bytes()
     pose, root = rng.normal(scale=0.3, size=(1, 24, 3)).astype(np.float32), [0.3, 1.1, -0.2]
     avatar = {"joints": wearer.joints, "rest_joints": wearer.body.joints_template.tolist(), "scale": wearer.scale}
     document = {"file": base64.b64encode(payload).decode(), "bare": base64.b64encode(bare).decode(), "avatar": avatar}

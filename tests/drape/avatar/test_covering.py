@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.avatar.covering import MARGIN_M, POSES, SQUAT, _rotvecs, covering
+from drape.avatar.covering import MARGIN_M, POSES, SQUAT, covering, rotvecs
 from drape.avatar.parts import PARTS, beside, counted_vertices, parts_of
 from drape.avatar.t_pose import TPose
 from drape.body.model import BodyModel
@@ -30,7 +30,7 @@ def test_a_skin_that_is_short_comes_out_in_every_pose(body: BodyModel, pose: TPo
     found = covering(short, body.weights, body.joints_template, pose, body.v_template, body)
     counted = counted_vertices(pose)
     for angles in (POSES[0], SQUAT):
-        turned = _rotvecs(angles)[None]
+        turned = rotvecs(angles)[None]
         seen = body.posed_vertices(turned)[0]
         skin = skin_points(found[None], body.weights, *body.bones(turned))[0]
         outside = signed_distance(seen[counted], skin, body.faces)
@@ -53,7 +53,7 @@ def test_a_piece_of_the_trunk_that_stays_where_the_thigh_goes_is_held(body: Body
     weights[piece] = np.eye(len(weights[0]))[0]
     stiff = replace(pose, weights=weights)
     found = covering(body.v_template, body.weights, body.joints_template, stiff, body.v_template, body)
-    bones = body.bones(_rotvecs(SQUAT)[None])
+    bones = body.bones(rotvecs(SQUAT)[None])
     seen = skin_points(body.v_template[None], weights, *bones)[0]
     before, after = (
         np.quantile(signed_distance(seen[piece], skin_points(skin[None], body.weights, *bones)[0], body.faces), 0.9)
@@ -71,4 +71,4 @@ def test_parts_that_join_are_beside_each_other():
 
 
 def test_angles_are_told_in_degrees():
-    assert_allclose(_rotvecs({"left_knee": (90.0, 0.0, 0.0)})[4], [np.pi / 2, 0.0, 0.0])
+    assert_allclose(rotvecs({"left_knee": (90.0, 0.0, 0.0)})[4], [np.pi / 2, 0.0, 0.0])

@@ -112,7 +112,7 @@ def test_a_top_that_stays_is_tucked_into_trousers(whole: Wearer, body: BodyModel
 def test_no_hole_is_left_where_clothes_come_off(cut_away: Wearer):
     """Whatever of the body lay below the clothes has skin of its own near, or is among the bare faces."""
     halves = Halves(True, True)
-    body, off = cut_away.body_under(halves), taken_off(cut_away.attire, halves)
+    body, off = cut_away.body, taken_off(cut_away.attire, halves)
     bare = bare_faces(body, cut_away.vertices, cut_away.faces, off)
     middle = body.v_template[body.faces].mean(axis=1)
     below = closest_point(middle, cut_away.vertices, cut_away.faces[off]).distance < 0.05
@@ -124,10 +124,10 @@ def test_no_hole_is_left_where_clothes_come_off(cut_away: Wearer):
 def test_bare_skin_lies_on_the_character_s_own_nodes(cut_away: Wearer):
     """Skinned by the nodes of its file, which stand in T-pose, it is the body that was laid below."""
     halves = Halves(True, True)
-    body, off = cut_away.body_under(halves), taken_off(cut_away.attire, halves)
+    body, off = cut_away.body, taken_off(cut_away.attire, halves)
     chosen = bare_faces(body, cut_away.vertices, cut_away.faces, off)
     assert cut_away.file is not None
-    skin = character_in(GltfFile(bare_file(cut_away, cut_away.file, body, chosen).to_bytes()))
+    skin = character_in(GltfFile(bare_file(cut_away, cut_away.file, chosen).to_bytes()))
     expected = np.sort(body.v_template[body.faces[chosen]].mean(axis=1), axis=0)
     assert np.allclose(np.sort(cut_away.scale * skin.vertices[skin.faces].mean(axis=1), axis=0), expected, atol=1e-4)
     assert set(skin.names) >= {"pelvis", "spine3"}

@@ -7,6 +7,9 @@ const TICKET_S = 30; // for which a ticket is used again; the service takes it f
 const queried = (fields) => new URLSearchParams(Object.entries(fields).filter(([, value]) => value !== null && value !== undefined));
 const shapeOf = (betas, avatar) => (avatar === null ? `betas=${betas.join(",")}` : `avatar=${encodeURIComponent(avatar)}`);
 
+const wornOf = (garments, sizes) =>
+  queried({ garments: garments.join(","), size: sizes.some(Boolean) ? sizes.map((one) => one ?? "").join(",") : null });
+
 export class Rest {
   // base: the service's address. key: its text, or a function that says it. ticket: a function that promises a fresh
   // ticket, for pages that must not have the key. fetch: asks in place of the page's own.
@@ -108,13 +111,12 @@ export class Rest {
 
   // Faces of an avatar that lie under garments; sizes: of each, null for the usual one.
   covered(id, garments, sizes = []) {
-    const size = sizes.some(Boolean) ? sizes.map((one) => one ?? "").join(",") : null;
-    return this.json(`/avatars/${encodeURIComponent(id)}/covered?${queried({ garments: garments.join(","), size })}`);
+    return this.json(`/avatars/${encodeURIComponent(id)}/covered?${wornOf(garments, sizes)}`);
   }
 
   // Skin of an avatar that is bare where garments take off clothes of its own: a GLB on its nodes.
-  bare(id, garments) {
-    return this.#bytes(`/avatars/${encodeURIComponent(id)}/bare?${queried({ garments: garments.join(",") })}`, "model/gltf-binary");
+  bare(id, garments, sizes = []) {
+    return this.#bytes(`/avatars/${encodeURIComponent(id)}/bare?${wornOf(garments, sizes)}`, "model/gltf-binary");
   }
 
   // Sends a character, the bytes of a GLB or VRM; the answer is the job.

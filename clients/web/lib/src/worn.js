@@ -169,8 +169,9 @@ export class Worn extends Group {
       throw new DrapeError({ ...words, cure: "wear() takes avatar." });
     }
     const ids = layers.map(({ id }) => id);
-    const covered = await drape.rest.covered(options.avatar, ids, ids.map((id) => this.wearing.sizeOf(id)));
-    now.bare = covered.bare ? await drape.rest.bare(options.avatar, ids) : null;
+    const asked = [options.avatar, ids, ids.map((id) => this.wearing.sizeOf(id))];
+    const covered = await drape.rest.covered(...asked);
+    now.bare = covered.bare ? await drape.rest.bare(...asked) : null;
     now.covered = covered;
     if (this.covering === now && this.mesh.visible) this.#cover();
   }
