@@ -20,6 +20,7 @@ import numpy as np
 import drape
 from benchmarks.avatars import characters
 from benchmarks.harness import Benchmark, Option, Run, inputs
+from drape.avatar.distilled import JOINTS
 from drape.catalog import find_motions
 from drape.distilling import Joints, Motion
 from drape.files.data import data_folder
@@ -44,7 +45,7 @@ COLUMNS = {
     ),
     Option("--unseen", (), "clips that nothing but tracks is fitted to", ("turn",), kind=str),
     Option("--avatars", (), "GLB or VRM files (the first of DRAPE_DATA/avatars)", kind=str),
-    Option("--joints", 24, "of a garment"),
+    Option("--joints", JOINTS, "of a garment"),
 )  # fmt: skip
 def main(run: Run) -> None:
     """A row for every character and garment."""

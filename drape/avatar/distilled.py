@@ -24,7 +24,7 @@ from drape.garment.skin import smoothing_matrix
 from drape.geometry.mesh_graphs import edge_graph
 from drape.wanted import go_on
 
-JOINTS = 24  # a garment, by default
+JOINTS = 32  # a garment, by default
 FRAMES = 300  # that weights are fitted to, at most
 ROUNDS = 8  # of weights and motions
 TRACK_ROUNDS = 6

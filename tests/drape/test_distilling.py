@@ -59,7 +59,7 @@ def test_both_files_hold_the_character_and_each_garment(made: Joints, me: Path, 
 
 def test_a_clip_that_nobody_draped_before_is_near_its_drape(made: Joints):
     for one in made.errors_mm(clip(1)):
-        assert one["tracks"] < 5.0 and one["tracks"] < one["carried"] < 60.0
+        assert one["tracks"] < 12.0 and one["tracks"] < one["carried"] < 60.0
         assert one["springs"] < 1.3 * one["carried"]
 
 
