@@ -51,12 +51,14 @@ class Avatar:
         clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
         return self.client.drape_outfit(self.garments, clip, trans=trans, avatar=self.id, **self.options)
 
-    def glb(self, motion: str | Motion, *, trans: np.ndarray | None = None) -> bytes:
+    def glb(self, motion: str | Motion, *, trans: np.ndarray | None = None, joints: int | None = None) -> bytes:
         """Returns a GLB of the garments over a motion, skinned to the nodes of the avatar's own file, with morph
-        targets, in the unit of that file. It is one request, so the clip may not be longer than the service takes.
+        targets or with so many ``joints`` of each garment's own, in the unit of that file. It is one request, so the
+        clip may not be longer than the service takes.
         """
         clip = self.client.motion(motion, avatar=self.id) if isinstance(motion, str) else motion
-        return self.client.drape_glb(self.garments, clip, trans=trans, rig=True, avatar=self.id, **self.options)
+        more = {"rig": True, "joints": joints, "avatar": self.id}
+        return self.client.drape_glb(self.garments, clip, trans=trans, **more, **self.options)
 
     def surface(self, motion: str | Motion, *, trans: np.ndarray | None = None) -> np.ndarray:
         """Returns the vertices (F, V, 3) [m] of the avatar's own surface over the motion."""

@@ -102,6 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--betas", help="body shape, comma-separated")
     drape.add_argument("--body", action="store_true", help="include the body in the GLB")
     drape.add_argument("--rig", action="store_true", help="with --on: the GLB on the character's own skeleton")
+    drape.add_argument("--joints", type=int, metavar="N", help="with --rig: N joints a garment, and no morph targets")
     drape.add_argument("--job", metavar="ID", help="with --tier exact: the job that was begun before with the same")
     drape.add_argument("--float32", action="store_true", help="the GLB in float32, twice as large")
     for name, field in _options().items():
@@ -225,7 +226,7 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         write_pieces(options.out, [exact])
     elif suffix == ".glb":
         garments = worn[0] if len(worn) == 1 else worn
-        more = {"body": options.body, "quantised": not options.float32, "rig": options.rig}
+        more = {"body": options.body, "quantised": not options.float32, "rig": options.rig, "joints": options.joints}
         write_pieces(options.out, [client.drape_glb(garments, clip, betas=betas, **more, **choices)])
     elif suffix == ".usda":
         layers = [exact] if options.tier == "exact" else client.drape_outfit(worn, clip, betas=betas, **choices)

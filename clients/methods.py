@@ -270,17 +270,19 @@ class Methods:
         body: bool = False,
         quantised: bool = True,
         rig: bool = False,
+        joints: int | None = None,
         **options: Any,
     ) -> Steps[bytes]:
         """Returns an animated GLB of a garment, or of several worn over each other.
 
         With ``body`` the GLB also holds the body. With ``rig`` the garments are skinned to the nodes of the
-        ``avatar``'s own file. With ``quantised`` (KHR_mesh_quantization) the GLB has half the size of float32. The
-        client writes the GLB of a clip that is too long for one request; such a GLB has neither body nor rig
-        (``InputError``).
+        ``avatar``'s own file, with morph targets or with so many ``joints`` of their own. With ``quantised``
+        (KHR_mesh_quantization) the GLB has half the size of float32. The client writes the GLB of a clip that is too
+        long for one request; such a GLB has neither body nor rig (``InputError``).
         """
         shape = Body(trans, betas, fps)
         more = {"body": body, "quantised": quantised} | ({"rig": True} if rig else {})
+        more |= {} if joints is None else {"joints": joints}
         call = draped(calls.read_bytes, garment, motion, shape, options, accept=GLB, more=more)
         assert call.clip is not None
         most = yield from self._at_once(call.clip.poses)

@@ -116,17 +116,17 @@ def _elsewhere(name: str, words: Sequence[str]) -> int:
 
 
 def _wear(given: argparse.Namespace) -> int:
-    from drape.export.clips import CACHES, check_name, clip_pieces, write_pieces
+    from drape.export.clips import CACHES, SUFFIXES, check_name, clip_pieces, write_pieces
     from drape.export.obj import obj_text
     from drape.export.root_motion import RootMotion
     from drape.export.surface import by_layer
     from drape.library import load
 
     suffix = given.out.suffix.lower()
-    if given.joints is None:
-        check_name(given.out)
-    else:
-        _check_joints(given)
+    check_name(given.out, SUFFIXES if given.joints is None else (".glb", ".vrm"))
+    if given.joints is not None and given.on is None:
+        cure = "Name the file of a character: --on me.vrm."
+        raise InputError("--joints", expected="a character, which has a rig", got="the standard body", cure=cure)
     opened = load()
     garments: list[Any] = list(given.garment)
     if given.modelled_on is not None:
@@ -170,24 +170,17 @@ def _wear(given: argparse.Namespace) -> int:
     return _tell(told, given, line)
 
 
-def _check_joints(given: argparse.Namespace) -> None:
-    """Refuses what no file of joints is made of, before anything is draped."""
-    if given.out.suffix.lower() not in (".glb", ".vrm"):
-        raise InputError("--out", expected="a .glb or .vrm with --joints", got=given.out.name, cure="Rename it.")
-    if given.on is None:
-        cure = "Name the file of a character: --on me.vrm."
-        raise InputError("--joints", expected="a character, which has a rig", got="the standard body", cure=cure)
-
-
 def _wear_on_joints(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int:
     """Writes the character in the garments that are ``worn``, on joints."""
     from drape.catalog import MOTIONS_DIR
     from drape.distilling import distil
     from drape.export.clips import write_pieces
 
-    begun_s = time.monotonic()
+    begun_s, as_vrm = time.monotonic(), given.out.suffix.lower() == ".vrm"
+    if as_vrm and worn.wearer is not None and not worn.wearer.vrm:
+        raise InputError("--out", expected="a .glb, as the character is one", got=given.out.name, cure="Rename it.")
     made = distil(worn, [*sorted(MOTIONS_DIR.glob("*.npz")), clip], joints=given.joints)
-    content = made.vrm() if given.out.suffix.lower() == ".vrm" else made.glb(clip, fps=clip.fps)
+    content = made.vrm() if as_vrm else made.glb(clip, fps=clip.fps)
     write_pieces(given.out, [content])
     told = {"file": str(given.out), "bytes": len(content), "joints": given.joints, "frames": clip.frame_count}
     errors = made.errors_mm(clip, fps=clip.fps)

@@ -46,7 +46,7 @@ def distil(worn: Worn, motions: Sequence[Motion] | None = None, *, joints: int =
     """
     if not 1 <= joints <= MOST_JOINTS:
         raise InputError(
-            "joints", expected=f"1 to {MOST_JOINTS}", got=str(joints), cure="24 suffice for most garments."
+            "joints", expected=f"1 to {MOST_JOINTS}", got=str(joints), cure="32 suffice for most garments."
         )
     wearer, rig, _ = _character(worn)
     asked = sorted(MOTIONS_DIR.glob("*.npz")) if motions is None else motions

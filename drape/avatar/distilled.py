@@ -1,6 +1,6 @@
 """A garment's drape as a few more joints below those of a character's rig, with weights of all, for any player.
 
-Frames that were draped become weights and rigid motions (``drape.geometry.skin_decomposition``). Each joint e hangs
+Frames that were draped become weights and rigid motions (``drape.avatar.skin_decomposition``). Each joint e hangs
 below the joint j of the rig that it moves with most. In its joint's frame S = (W_j B_j)^-1 T_e it hardly moves, so a
 file's own clips, which know nothing of it, still carry the garment.
 """
@@ -13,19 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
+from drape.avatar import skin_decomposition as decomposition
+from drape.avatar.affine_maps import affine_inverse, compose, rigid_fit
 from drape.avatar.file_skeleton import FileRig
 from drape.avatar.rig_motion import RigMotion
 from drape.avatar.rig_weights import HEAVIEST, garment_weights, heaviest
 from drape.avatar.wearer import Wearer
 from drape.garment.cache import Garment
 from drape.garment.skin import smoothing_matrix
-from drape.geometry import skin_decomposition as decomposition
 from drape.geometry.mesh_graphs import edge_graph
-from drape.geometry.rigid import affine_inverse, compose
-from drape.geometry.rigid_fit import rigid_fit
 from drape.wanted import go_on
 
-JOINTS = 24  # a garment, by default
+JOINTS = 32  # a garment, by default
 FRAMES = 300  # that weights are fitted to, at most
 ROUNDS = 8  # of weights and motions
 TRACK_ROUNDS = 6

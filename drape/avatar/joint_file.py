@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drape.avatar.affine_maps import compose
 from drape.avatar.distilled import Distilled, Draped
 from drape.avatar.rig_file import add_nodes
 from drape.avatar.rig_motion import RigMotion
@@ -19,7 +20,6 @@ from drape.export.glb import Shape, add_shape, split_seams, vertex_normals
 from drape.export.glb_file import VERTEX_BUFFER, Channel, GlbFile
 from drape.export.root_motion import quaternion_keys
 from drape.export.surface import Surface
-from drape.geometry.rigid import compose
 from drape.geometry.rotations import matrix_to_quaternion
 
 WEIGHT_STEPS = 65535

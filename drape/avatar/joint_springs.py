@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drape.avatar.affine_maps import affine_inverse, compose
 from drape.avatar.distilled import Distilled, Draped, pelvis_places
 from drape.avatar.rig_motion import RigMotion
 from drape.avatar.wearer import Wearer
 from drape.body.skeleton import JOINT_NAMES
-from drape.geometry.rigid import affine_inverse, compose
 from drape.motion.spring_bones import Capsules, Springs, nearest_off, tails, turned
 
 STIFFNESS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 4.0)

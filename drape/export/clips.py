@@ -23,10 +23,10 @@ SUFFIXES = (".glb", ".npy", ".pc2", ".mdd", ".usda")
 CACHES = (".pc2", ".mdd")  # points without a mesh, which comes beside
 
 
-def check_name(path: Path) -> None:
+def check_name(path: Path, suffixes: Sequence[str] = SUFFIXES) -> None:
     """Refuses (``InputError``) a file of no kind that is written, or in a folder that is not there."""
-    if path.suffix.lower() not in SUFFIXES:
-        expected = f"a name ending in {', '.join(SUFFIXES)}"
+    if path.suffix.lower() not in suffixes:
+        expected = f"a name ending in {', '.join(suffixes)}"
         raise InputError("--out", expected=expected, got=path.name, cure="Rename it.")
     if not path.absolute().parent.is_dir():
         raise InputError("--out", expected="an existing folder", got=str(path.parent), cure="Make the folder first.")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from drape.arrays import Array, namespace
 
 
@@ -45,15 +43,3 @@ def bone_transforms(local_rotations: Array, joints: Array, parents: Sequence[int
     """
     rotations, positions = forward_kinematics(local_rotations, joints, parents)
     return rotations, positions - (rotations @ joints[..., None])[..., 0]
-
-
-def compose(after: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """The affine maps (..., 3, 4) that first map by ``before`` and then by ``after``."""
-    linear = after[..., :3] @ before[..., :3]
-    return np.concatenate([linear, after[..., :3] @ before[..., 3:] + after[..., 3:]], axis=-1)
-
-
-def affine_inverse(maps: np.ndarray) -> np.ndarray:
-    """The inverses of affine ``maps`` (..., 3, 4)."""
-    linear = np.linalg.inv(maps[..., :3])
-    return np.concatenate([linear, -linear @ maps[..., 3:]], axis=-1)

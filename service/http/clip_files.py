@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from fastapi.responses import StreamingResponse
 
+from drape.avatar.distilled import Draped, distil
 from drape.avatar.file_skeleton import load_file_rig
+from drape.avatar.joint_file import Jointed, joints_file
 from drape.avatar.rig_file import Dressed, rig_file
-from drape.avatar.rig_motion import RigClip
+from drape.avatar.rig_motion import RigClip, rig_motion
 from drape.body.model import BodyModel
 from drape.export import glb
 from drape.export.glb_body import add_body
@@ -78,12 +80,24 @@ def on_rig_file(
     *,
     fps: float,
     quantised: bool,
+    joints: int | None,
 ) -> tuple[GlbFile, bytes]:
-    """The file of ``layers`` on the rig of ``wearer``, which is ``stored``, and what it begins with."""
+    """The file of ``layers`` on the rig of ``wearer``, which is ``stored``, and what it begins with; with so many
+    ``joints`` of each garment's own, or with morph targets."""
     quaternions, places = wearer.to_rig(clip.poses, clip.trans)
     # Nodes that no joint of ours moves turn as they were told.
     moves = RigClip(quaternions if turns is None else turns, places, fps)
-    file = rig_file(layers, moves, wearer, load_file_rig(stored), quantised=quantised)
+    rig = load_file_rig(stored)
+    if joints is None:
+        file = rig_file(layers, moves, wearer, rig, quantised=quantised)
+    else:
+        motion, made = rig_motion(moves, wearer, rig.skeleton), []
+        for one in layers:
+            draped = Draped(one.vertices, motion)
+            made.append(
+                Jointed(one.garment.surface, distil(one.garment, [draped], wearer, rig, count=joints), one.colour)
+            )
+        file = joints_file(made, [one.vertices for one in layers], motion, wearer.scale)
     return file, file.head()
 
 

@@ -118,7 +118,7 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
     if kind == GLB and asked.rig and asked.avatar is not None:
         wearer = await state.wearer(asked.avatar, job.client)
         stored = (await state.avatar(asked.avatar, job.client)).path
-        on_rig = partial(on_rig_file, fps=asked.fps, quantised=asked.quantised)
+        on_rig = partial(on_rig_file, fps=asked.fps, quantised=asked.quantised, joints=asked.joints)
         dressed_layers = await apart(dressed, scene, placed)
         file = await state.runtime.made(on_rig, dressed_layers, wearer, stored, job.clip, job.turns)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
@@ -233,6 +233,10 @@ def check_rig_frames(rig_poses: Sized, trans: Sized | None, most: int) -> None:
 def check_rig(asked: schemas.ClipOptions, kind: str) -> None:
     """Refuses a file on a rig where there is none, and what such a file has no place for."""
     if not asked.rig:
+        if asked.joints is not None:
+            raise InputError(
+                "joints", expected="rig: true with it", got="no rig", cure="Ask for rig, or leave joints out."
+            )
         return
     if kind != GLB:
         raise InputError("rig", expected=f"Accept: {GLB}", got=kind, cure="Ask for a GLB, or leave rig out.")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # What a clip of tier exact has none of, and what it always has.
 WITHOUT = (
     *("passes", "folds", "safe_folds", "settle", "inertia", "colliders", "hidden", "pixels_per_m"),
-    *("streamed", "keep", "past", "rig"),
+    *("streamed", "keep", "past", "rig", "joints"),
 )
 ALWAYS = {"push_out": True, "cloth_contact": True, "knob": 0.0, "geometry": "vertices", "folds_by": "server"}
 START = {"tier": "accurate", "knob": 0.0, "resolution": "fine"}  # the drape that a frame starts from

@@ -83,6 +83,14 @@ class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
         description="Whether a GLB of an avatar has the garments skinned to the nodes of the avatar's own file, with "
         "morph targets, in the unit of that file.",
     )
+    joints: int | None = Field(
+        default=None,
+        ge=1,
+        le=64,
+        strict=True,
+        description="With rig: how many joints of its own each garment gets in place of morph targets. They hang below "
+        "the rig's and are fitted to the clip, so the GLB is small and near the drape, and not the drape.",
+    )
     streamed: bool = Field(
         default=False,
         description="Whether the frames of a binary answer leave as soon as they are ready. Its size may then exceed "

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from drape.avatar.affine_maps import compose
 from drape.avatar.character import tree_of
 from drape.avatar.distilled import Draped, distil, pelvis_places, to_world
 from drape.avatar.joint_file import Jointed
@@ -21,7 +22,6 @@ from drape.body.model import BodyModel
 from drape.errors import InputError
 from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
-from drape.geometry.rigid import compose
 from drape.motion.spring_bones import Springs
 from tests.drape.avatar.test_joint_file import COLOUR, FRAMES, swaying
 from tests.fixtures.characters import character, with_json

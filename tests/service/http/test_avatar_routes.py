@@ -160,6 +160,21 @@ def test_a_glb_on_its_own_rig_is_what_a_stream_shows(api: httpx.Client, avatar: 
     assert_allclose(file.world(2)[:, names.index("bone pelvis"), :3, 3] * wearer.scale, places, atol=1e-6)
 
 
+def test_a_glb_on_joints_is_near_what_a_stream_shows_and_has_no_targets(
+    api: httpx.Client, avatar: str, runtime_of_api: DrapeRuntime
+):
+    asked = {"avatar": avatar, "poses": POSES.tolist()}
+    shown, answer = draped(api, **asked), api.post(
+        "/drape", json={"garment": "tube", "rig": True, "joints": 6, **asked}, headers={"Accept": "model/gltf-binary"}
+    )  # fmt: skip
+    assert answer.status_code == 200, answer.text
+    file = Reader(answer.content)
+    found = file.skinned(2)[:, : shown.shape[1]] * runtime_of_api.avatars.wearer(avatar).scale
+    assert np.sqrt(((found - shown) ** 2).sum(axis=-1).mean()) < 6e-3
+    assert all("targets" not in one for one in file.json["meshes"][0]["primitives"])
+    assert sum(node.get("name", "").startswith("tube_") for node in file.json["nodes"]) == 6
+
+
 @pytest.fixture(scope="module")
 def runtime_of_api(api: httpx.Client, settings: Settings, make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
     """A second service with the folder of the first, as after a new start."""
@@ -263,6 +278,7 @@ def test_a_clip_is_placed_for_its_legs(api: httpx.Client, avatar: str):
         ({"avatar": "me", "rig_poses": [[[0, 0, 0, 1]]] * 41}, "at most 40 frames"),
         ({"rig_poses": [[[0, 0, 0, 1]]]}, "a value"),
         ({"avatar": "me", "poses": POSES.tolist(), "rig": True}, "Accept: model/gltf-binary"),
+        ({"avatar": "me", "poses": POSES.tolist(), "joints": 6}, "rig: true with it"),
         ({}, "a value"),
     ],
 )

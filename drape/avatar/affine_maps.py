@@ -1,4 +1,4 @@
-"""Rigid motions that take points nearest to others."""
+"""Affine maps (..., 3, 4): one after the other, undone, and the rigid ones that take points nearest to others."""
 
 from __future__ import annotations
 
@@ -16,3 +16,15 @@ def rigid_fit(sources: np.ndarray, targets: np.ndarray, masses: np.ndarray | Non
     u[..., 2] *= np.where(np.linalg.det(u) * np.linalg.det(vt) < 0.0, -1.0, 1.0)[:, None]
     turns = u @ vt
     return np.concatenate([turns, (middles - turns @ middle)[..., None]], axis=-1)
+
+
+def compose(after: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """The affine maps (..., 3, 4) that first map by ``before`` and then by ``after``."""
+    linear = after[..., :3] @ before[..., :3]
+    return np.concatenate([linear, after[..., :3] @ before[..., 3:] + after[..., 3:]], axis=-1)
+
+
+def affine_inverse(maps: np.ndarray) -> np.ndarray:
+    """The inverses of affine ``maps`` (..., 3, 4)."""
+    linear = np.linalg.inv(maps[..., :3])
+    return np.concatenate([linear, -linear @ maps[..., 3:]], axis=-1)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drape.geometry.rigid_fit import rigid_fit
+from drape.avatar.affine_maps import rigid_fit
 
 SINGULAR = 1e-12  # of the mean square: what is added to weights' squares, so that equal bones share a vertex
 FRAMES_AT_ONCE = 16

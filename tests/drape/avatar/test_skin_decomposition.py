@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.geometry.rigid import affine_inverse, compose
-from drape.geometry.rigid_fit import rigid_fit
-from drape.geometry.rotations import rotvec_to_matrix
-from drape.geometry.skin_decomposition import (
+from drape.avatar.affine_maps import affine_inverse, compose, rigid_fit
+from drape.avatar.skin_decomposition import (
     blended,
     farthest_points,
     fit_moves,
@@ -19,6 +17,7 @@ from drape.geometry.skin_decomposition import (
     rigid_clusters,
     simplex_fit,
 )
+from drape.geometry.rotations import rotvec_to_matrix
 
 BONES, VERTICES, FRAMES = 4, 80, 12
 
