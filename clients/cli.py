@@ -88,6 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     drape.add_argument("--avatar", help="for a file: the body it was modelled on")
     drape.add_argument("--motion", required=True, help="a sample clip's name, or a file: npz, BVH, GLB, VRMA or FBX")
+    drape.add_argument("--clip", metavar="NAME", help="of a file with several animations: which (the longest)")
     drape.add_argument(
         "--out",
         required=True,
@@ -267,11 +268,14 @@ def _moving(
 def _clip(client: DrapeClient, options: argparse.Namespace, betas: np.ndarray | None, avatar: str | None) -> MotionClip:
     motion = options.motion
     if Path(motion).suffix.lower() not in MOTION_SUFFIXES:
+        if options.clip is not None:
+            cure = "Leave it out, or name a file as --motion."
+            raise InputError("--clip", expected="none with a sample clip", got=options.clip, cure=cure)
         return client.motion(motion, betas, avatar)
     if not Path(motion).is_file():
         cure = "Check the path."
         raise InputError("--motion", expected="a file or a sample clip's name", got=motion, cure=cure)
-    clip = read_motion(Path(motion))
+    clip = read_motion(Path(motion), clip=options.clip)
     return clip if options.as_recorded else client.placed(clip, betas, avatar)
 
 

@@ -32,7 +32,7 @@ def placed_on_ground(clip: MotionClip, rest_joints: np.ndarray, *, floor: float)
     rest_joints = np.asarray(rest_joints, dtype=np.float64)
     check_shape("rest_joints", rest_joints, (JOINT_COUNT, 3), error=MotionError)
     check_finite("rest_joints", rest_joints, error=MotionError)
-    scale = _leg_length(rest_joints) / _leg_length(CANONICAL_JOINTS)
+    scale = leg_length(rest_joints) / leg_length(CANONICAL_JOINTS)
     local = rotvec_to_matrix(clip.poses)
     canonical = sole_heights(local, CANONICAL_JOINTS, floor=CANONICAL_FLOOR).min(axis=(1, 2)) + clip.trans[:, 1]
     trans = scale * clip.trans - rest_joints[0]
@@ -68,6 +68,6 @@ def floor_note(poses: np.ndarray, trans: np.ndarray, rest_joints: np.ndarray, *,
     return f"feet: the lowest sole is {abs(lowest):.2f} m {where} the floor; place the clip for the body that moves"
 
 
-def _leg_length(joints: np.ndarray) -> float:
+def leg_length(joints: np.ndarray) -> float:
     hip, knee, ankle = (joints[JOINT_INDEX[f"left_{joint}"]] for joint in ("hip", "knee", "ankle"))
     return float(np.linalg.norm(hip - knee) + np.linalg.norm(knee - ankle))

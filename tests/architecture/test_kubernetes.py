@@ -11,6 +11,7 @@ import yaml
 
 from service.server import END_S
 from service.settings import Settings, check_exposed
+from service.uploads.motions import MEMORY_MB
 from service.watch.metrics import SECONDS, Metrics
 from service.watch.probes import PATHS
 from tests.architecture.repository import ROOT
@@ -76,10 +77,10 @@ def test_there_is_time_to_drain():
     assert int(wait_s) >= ready["periodSeconds"] * ready["failureThreshold"]
 
 
-def test_an_upload_and_an_exact_clip_have_room_beside_the_service():
+def test_an_upload_an_exact_clip_and_a_motion_have_room_beside_the_service():
     asked = CONTAINER["resources"]
     limits = Settings.model_fields["intake_workers"].default + Settings.model_fields["exact_workers"].default
-    held = mebibytes(asked["requests"]["memory"]) + limits * int(value("INTAKE_MEMORY_MB"))
+    held = mebibytes(asked["requests"]["memory"]) + limits * int(value("INTAKE_MEMORY_MB")) + MEMORY_MB
     assert held <= mebibytes(asked["limits"]["memory"])
     assert asked["requests"]["cpu"] == value("STREAM_THREADS")
 

@@ -16,6 +16,7 @@ from clients.client import DrapeClient
 from drape.garment.files.obj import read_obj
 from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
+from tests.drape.motion.node_files import T_POSE, glb, moved
 from tests.fixtures.exports import read_mdd, read_pc2, read_usda
 
 
@@ -44,6 +45,15 @@ def test_a_file_of_motion_becomes_vertices(live: str, tmp_path: Path):
     assert np.abs(placed - expected).max() > 0.01
     for option in (["--knob", "3"], ["--passes", "2"]):  # the model of the tests has one
         assert main([*base, *option]) == 2
+
+
+def test_a_clip_of_a_file_is_chosen(live: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    moves, out = tmp_path / "moves.glb", tmp_path / "out.npy"
+    moves.write_bytes(glb(*moved("mixamo", T_POSE), clips=("walk", "stroll")))
+    base = f"drape --url {live} --garment tube --motion {moves} --fps 5 --out {out}".split()
+    assert main([*base, "--clip", "stroll"]) == 0 and np.load(out).shape[1:] == (216, 3)
+    assert main([*base, "--clip", "run"]) == 2
+    assert "expected one of 'walk', 'stroll', got 'run'" in capsys.readouterr().err
 
 
 def test_cloth_lies_on_colliders_of_a_file(live: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -91,6 +101,7 @@ def test_what_is_there_is_listed(live: str, capsys: pytest.CaptureFixture[str]):
         ({"--garment": "cape"}, "garment: expected one of: tube"),
         ({"--motion": "swim"}, "motion: expected one of"),
         ({"--motion": "absent.bvh"}, "--motion: expected a file"),
+        ({"--clip": "stroll"}, "--clip: expected none with a sample clip"),
         ({"--out": "out.fbx"}, "--out: expected a name ending in .glb, .npy, .pc2, .mdd, .usda"),
         ({"--out": "absent/out.glb"}, "--out: expected an existing folder"),
         ({"--betas": "1,x"}, "--betas: expected comma-separated numbers"),

@@ -14,6 +14,7 @@ from drape.catalog import find_motions
 from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
 from tests.clients.browser import Page, open_page, violations
+from tests.clients.test_vmc import bridge, packets, send
 from tests.drape.motion.node_files import T_POSE, glb, moved
 from tests.drape.motion.people import person
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
@@ -231,6 +232,25 @@ def test_whoever_stands_before_the_camera_moves_the_person(page: Page, body: Bod
     page.evaluate(f"(() => {{ document.querySelector('[data-clip=\"{before}\"]').click(); return true; }})()")
     page.wait_for("document.getElementById('camera').hidden && !document.getElementById('scrub').disabled")
     assert page.evaluate(CHOSEN) == before
+
+
+def test_a_sender_of_vmc_moves_the_person_until_it_ends(page: Page, live: str):
+    """On the ports that the page knows; who has them already has a bridge."""
+    before = page.evaluate(CHOSEN)
+    press(page, "v")
+    page.wait_for("document.querySelector('#message.bad')?.textContent.includes('python -m clients.vmc')")
+    assert page.evaluate(CHOSEN) == before and page.evaluate("!document.querySelector('[data-clip=vmc]')")
+    page.errors.clear()  # the browser tells of the connection
+    with bridge("--port", "0", "--page", live) as (port, _):
+        press(page, "v")
+        page.wait_for("document.querySelector('[data-clip=vmc]')?.getAttribute('aria-pressed') === 'true'")
+        send(port, *packets(30))
+        more_frames(page, 2)
+        still = stage(page.picture())
+        send(port, *packets(200))
+        page.wait_for_picture(lambda now: differ(stage(now), still), "nothing moves")
+    page.wait_for("document.querySelector('#message.bad')?.textContent.includes('has ended')")
+    page.wait_for("document.querySelector('#clips [aria-pressed=true]').dataset.clip !== 'vmc'")
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,8 @@ def test_kinds_of_files_are_told_by_what_is_in_them(body: BodyModel, tmp_path: P
         ("me.glb", character(body), "character", []),
         ("me.glb", character(body, change=animated(lengths)), "character", longest),
         ("me.vrm", character(body, vrm="1", change=animated({"one": 1.0})), "character", ["one"]),
+        ("odd.glb", character(body, change=animated({7: 1.0})), "character", ["7"]),  # pyright: ignore[reportArgumentType]
+        ("odd.glb", character(body, change=lambda told: told.update(animations=[{}])), "character", [""]),
         ("shirt.glb", shirt, "garment", []),
         ("shirt.glb", b"", "garment", []),
         ("song.mp3", b"", None, []),

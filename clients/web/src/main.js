@@ -22,6 +22,7 @@ import { Shelf } from "./shelf.js";
 import { Sizes } from "./sizes.js";
 import { Stage } from "./stage.js";
 import { Uploads } from "./uploads.js";
+import { VMC, Vmc } from "./vmc.js";
 import { element, failing, hush, say, title } from "./words.js";
 
 const SEND_RATE = 60; // poses per second at most
@@ -117,8 +118,8 @@ const takeTracker = failing(async (files) => {
   await chooseCamera();
 });
 
-// Another motion, for a camera that does not go on.
-const leaveCamera = () => motions.choose(motions.clips.find(({ id }) => id !== CAMERA).id);
+// Another motion, for one that does not go on.
+const leaveCamera = () => motions.choose(motions.clips.find(({ id }) => ![CAMERA, VMC].includes(id)).id);
 
 // The camera, or the choice of a tracker where there is none; one that does not start leaves the motion that was.
 async function chooseCamera() {
@@ -131,8 +132,15 @@ async function chooseCamera() {
 
 const cameraDoor = makeDoor(takeTracker);
 
+const vmc = new Vmc(motions, () => leaveCamera());
+const chooseVmc = () => {
+  cameraDoor.close();
+  return vmc.choose();
+};
+
 async function loadClip(id) {
   if (id === CAMERA) return { id, ...(await camera.motion(drape, { betas: state.betas, avatar: state.avatar ?? undefined })) };
+  if (id === VMC) return vmc.load(await drape.body(state.betas, state.avatar));
   if (ownMotions.has(id)) return ownMotions.load(id, await drape.body(state.betas, state.avatar));
   const clip = await drape.motion(id, state.betas, state.avatar);
   return { ...clip, id, sample: clipSource(clip) };
@@ -342,10 +350,11 @@ function wireControls() {
   element("save").addEventListener("click", save);
   element("fit").addEventListener("click", showFit);
   element("camera-open").addEventListener("click", chooseCamera);
+  element("vmc").addEventListener("click", chooseVmc);
   listen({
     " ": () => motions.setPlaying(!motions.playing), "[": () => motions.step(-1), "]": () => motions.step(1),
     "1": () => quality.choose(0), "2": () => quality.choose(1), "3": () => quality.choose(2),
-    c: chooseCamera, f: showFit, s: save, d: () => readouts.toggle(), b: () => element("body").click(), 0: () => stage.fit(), "?": () => element("help").showModal(),
+    c: chooseCamera, v: chooseVmc, f: showFit, s: save, d: () => readouts.toggle(), b: () => element("body").click(), 0: () => stage.fit(), "?": () => element("help").showModal(),
   });
   turnByKeys(element("view"), stage);
 }

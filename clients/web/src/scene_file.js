@@ -11,8 +11,8 @@ export async function aboutGlb(file) {
   const text = await file.slice(HEAD.json, HEAD.json + head.getUint32(12, true)).text();
   try {
     const { skins = [], meshes = [], animations = [], accessors = [] } = JSON.parse(text);
-    const ends = ({ samplers }) => Math.max(...samplers.map(({ input }) => accessors[input].max?.[0] ?? 0));
-    const clips = animations.map((one) => ({ name: one.name ?? "", endS: ends(one) })).sort((a, b) => b.endS - a.endS);
+    const ends = ({ samplers = [] }) => Math.max(0, ...samplers.map(({ input }) => accessors[input]?.max?.[0] ?? 0));
+    const clips = animations.map((one) => ({ name: String(one.name ?? ""), endS: ends(one) })).sort((a, b) => b.endS - a.endS);
     return { skin: skins.length > 0, mesh: meshes.length > 0, clips: clips.slice(0, MOST_CLIPS).map(({ name }) => name) };
   } catch {
     return UNKNOWN;
