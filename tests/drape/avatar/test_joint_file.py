@@ -80,8 +80,8 @@ def test_joints_follow_a_clip_that_the_weights_have_not_seen(
 ):
     seen, unseen = (made.error_m(one, made.fitted(one, worn.scale), worn.scale) for one in clips)
     assert seen < 2e-3 and unseen < 4e-3
-    few = distil(tube, clips[:1], worn, rig, count=2)
-    assert few.error_m(clips[0], few.fitted(clips[0], worn.scale), worn.scale) > 1.5 * seen
+    few = distil(tube, clips[:1], worn, rig, count=1)
+    assert few.error_m(clips[0], few.fitted(clips[0], worn.scale), worn.scale) > 3.0 * seen
     carried = made.error_m(clips[1], made.carried(clips[1].motion), worn.scale)
     assert unseen < 0.3 * carried < 0.02  # what nothing fits hangs on the rig
 
