@@ -44,7 +44,7 @@ const define = {
   LOCAL_WORKER_TEXT: JSON.stringify(localWorker),
   ENGINE_TEXT: JSON.stringify(engine.toString("base64")),
 };
-const later = ["./folds.js", "./folding.js"]; // what comes when it is needed
+const later = ["./bare.js", "./folds.js", "./folding.js"]; // what comes when it is needed
 
 // Links that let scripts begin to load with the document: those that entry imports, in a build's metafile.
 function preloads({ outputs }, entry) {

@@ -228,7 +228,7 @@ def test_covered_skin_is_drawn_deeper_and_comes_back(tmp_path: Path):
 BARE = """
 globalThis.self = globalThis;
 const { readCharacter } = await import(`${WEB}/lib/src/character.js`);
-const { bareSkin } = await import(`${WEB}/lib/src/covered.js`);
+const { bareSkin } = await import(`${WEB}/lib/src/bare.js`);
 const { Vector3 } = await import(`${WEB}/node_modules/three/build/three.module.js`);
 const bytesOf = (text) => Uint8Array.from(Buffer.from(text, "base64")).buffer;
 const one = await readCharacter(bytesOf(input.file), input.avatar);

@@ -4,8 +4,8 @@
 // The covered triangles of a mesh are drawn by a second mesh beside it, with a copy of its material whose depth is that of
 // points further from the viewer. Both have an index of their own, in which what the other one draws has no area, so that
 // groups of materials stay as they are. Hidden triangles, of clothes that a garment replaces, are drawn by neither one, and
-// what was never modelled below them is skin on the character's bones.
-import { BufferAttribute, BufferGeometry, Matrix4, Mesh, PropertyBinding, Skeleton, SkinnedMesh } from "three";
+// what was never modelled below them is skin on the character's bones (bare.js).
+import { BufferAttribute, BufferGeometry, Mesh, PropertyBinding, SkinnedMesh } from "three";
 import { nearer } from "./depth.js";
 
 const drawn = new Map(); // by mesh: what is drawn in its place
@@ -25,30 +25,6 @@ export function coverSkin(object, covered) {
     }
   };
 }
-
-// Puts skin on the bones of object, a rig in a scene: bytes are a GLB, the answer of GET /avatars/{id}/bare. The result takes
-// it off.
-export async function bareSkin(object, bytes) {
-  const { GLTFLoader } = await import("three/addons/loaders/GLTFLoader.js");
-  const { scene } = await new GLTFLoader().parseAsync(bytes, "");
-  const named = new Map();
-  object.traverse((node) => !node.isMesh && !named.has(nameOf(node)) && named.set(nameOf(node), node));
-  let skin = null;
-  scene.traverse((node) => (skin = node.isSkinnedMesh ? node : skin));
-  const bones = skin.skeleton.bones.map((bone) => named.get(nameOf(bone)));
-  if (bones.some((bone) => !bone)) return () => {}; // it is another character's
-  skin.bind(new Skeleton(bones, skin.skeleton.boneInverses), new Matrix4());
-  Object.assign(skin, { castShadow: true, receiveShadow: true, frustumCulled: false });
-  skin.userData.drapeCovered = true;
-  object.add(skin);
-  return () => {
-    skin.removeFromParent();
-    skin.geometry.dispose();
-    skin.material.dispose();
-  };
-}
-
-const nameOf = (node) => node.userData.name ?? node.name;
 
 const trianglesOf = ({ index, attributes }) => Math.floor((index ?? attributes.position).count / 3);
 

@@ -2,7 +2,7 @@
 import { BufferAttribute, BufferGeometry, DynamicDrawUsage, Group, Mesh, Sphere, Vector3 } from "three";
 import { poseBones } from "./body.js";
 import { FURTHEST_M, borderDistances } from "./borders.js";
-import { bareSkin, coverSkin } from "./covered.js";
+import { coverSkin } from "./covered.js";
 import { DrapeError } from "./errors.js";
 import { clothMaterial, dye } from "./materials.js";
 import { fetchPictures, groupByMaterial, withPictures } from "./pictures.js";
@@ -157,7 +157,7 @@ export class Worn extends Group {
   }
 
   // From its first frame on, draws the skin of the avatar that lies below the garments a little deeper than it is, so that
-  // it does not stand through them, and leaves out the clothes of its own that they replace. skin: the character in the scene, an Object3D; null: as it was.
+  // it does not stand through them, without own clothes that they replace. skin: the character, an Object3D; null: as it was.
   async cover(skin) {
     this.covering?.end?.();
     const now = skin && { skin };
@@ -180,7 +180,7 @@ export class Worn extends Group {
     const { covering } = this;
     if (!covering?.covered || covering.end) return;
     const uncover = coverSkin(covering.skin, covering.covered);
-    const skin = covering.bare && bareSkin(covering.skin, covering.bare).catch(() => () => {}); // the cloth is there without
+    const skin = covering.bare && import("./bare.js").then(({ bareSkin }) => bareSkin(covering.skin, covering.bare)).catch(() => () => {});
     covering.end = () => {
       uncover();
       skin?.then((off) => off());
