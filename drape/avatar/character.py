@@ -17,7 +17,7 @@ from drape.errors import MeshError
 from drape.files.gltf import GltfFile
 from drape.files.gltf_json import EXPORT, Node
 from drape.files.gltf_json import Primitive as FilePrimitive
-from drape.files.gltf_nodes import node_matrix, tree_of
+from drape.files.gltf_nodes import node_matrix, tree_of, world_matrices
 
 MOST_JOINTS = 400
 MOST_UNITS = 1e12  # where nodes and vertices may be: far enough for any unit of length
@@ -83,10 +83,7 @@ def character_in(file: GltfFile) -> Character:
     nodes, label = file.document.nodes, file.label
     order, parents = tree_of(file)
     place = {node: number for number, node in enumerate(order)}
-    world = np.array([node_matrix(nodes[node]) for node in order]).reshape(-1, 4, 4)
-    for number, parent in enumerate(parents):
-        if parent >= 0:
-            world[number] = world[parent] @ world[number]
+    world = world_matrices(np.array([node_matrix(nodes[node]) for node in order]).reshape(-1, 4, 4), parents)
     _check_places(world, f"{label}: nodes", order)
     parts, skinned = _surface(file, place, world)
     vertices, faces, weights = _joined(list(parts.values()), len(order))

@@ -21,7 +21,8 @@ from drape.files.gltf import GltfFile
 from drape.files.gltf_json import Node
 from drape.files.gltf_nodes import node_matrix, tree_of
 from drape.files.packed import UNREADABLE, read_packed
-from drape.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
+from drape.geometry.rotations import matrix_to_quaternion
+from drape.motion.node_clip import nearest_rotations, world_transforms
 
 PART = "file"  # of a wearer's file: what begins the names of these arrays
 
@@ -48,13 +49,7 @@ class FileSkeleton:
 
     def world(self, moves: np.ndarray, turns: np.ndarray) -> np.ndarray:
         """World transforms (F, N, 4, 4) of nodes with local ``moves`` (F, N, 3) and ``turns`` (F, N, 4), wxyz."""
-        world = np.zeros((*moves.shape[:2], 4, 4))
-        world[..., :3, :3] = quaternion_to_matrix(turns) * self.scales[:, None, :]
-        world[..., :3, 3], world[..., 3, 3] = moves, 1.0
-        for node, parent in enumerate(self.parents):
-            if parent >= 0:
-                world[:, node] = world[:, parent] @ world[:, node]
-        return world
+        return world_transforms(moves, turns, self.scales, self.parents)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +142,7 @@ def _parts(node: Node, local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     turn = local[:3, :3] / scale
     if np.linalg.det(turn) < 0.0:
         scale[0], turn[:, 0] = -scale[0], -turn[:, 0]
-    u, _, vt = np.linalg.svd(turn)
-    return local[:3, 3], matrix_to_quaternion((u @ vt)[None])[0], scale
+    return local[:3, 3], matrix_to_quaternion(nearest_rotations(turn)[None])[0], scale
 
 
 def _written(node: Node, move: np.ndarray, turn: np.ndarray, scale: np.ndarray) -> dict[str, Any]:

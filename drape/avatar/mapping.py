@@ -14,6 +14,7 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MotionError, NotFound, did_you_mean
 from drape.geometry.rotations import matrix_to_quaternion
 from drape.motion.joint_names import is_whole, match_joints
+from drape.motion.node_clip import nearest_rotations
 from drape.motion.rig_poses import Rig
 
 VRM, NAMES, SHAPE, TOLD = "vrm", "names", "shape", "told"
@@ -52,7 +53,7 @@ def mapped(
             shape = joints_by_shape(character, label=label)
             found, by, confidence = shape.sources, SHAPE, shape.confidence
         sources = {**found, **sources}
-    turns = np.array([_turn(each) for each in character.world[:, :3, :3]])
+    turns = nearest_rotations(character.world[:, :3, :3])
     local, moves = turns.copy(), character.places.copy()
     for node, parent in enumerate(character.parents):
         if parent >= 0:
@@ -85,10 +86,3 @@ def _places(character: Character, told: Mapping[str, str], label: str) -> dict[s
             near, cure = ", ".join(character.names[:40]), did_you_mean(name, character.names, "Correct the name.")
             raise NotFound(f"{label}: {joint}", expected=f"a node: {near}", got=name[:60], cure=cure)
     return {joint: character.names.index(name) for joint, name in told.items()}
-
-
-def _turn(matrix: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) nearest to ``matrix``, which may scale; a mirrored one keeps two of its axes."""
-    u, _, vt = np.linalg.svd(matrix)
-    u[:, -1] *= np.sign(np.linalg.det(u @ vt))
-    return u @ vt

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -50,3 +52,12 @@ def node_matrix(node: Node) -> np.ndarray:
     placed[:3, :3] *= node.scale
     placed[:3, 3] = node.translation
     return placed
+
+
+def world_matrices(local: np.ndarray, parents: Sequence[int]) -> np.ndarray:
+    """World transforms (..., N, 4, 4) of nodes whose own are ``local`` (..., N, 4, 4), parents before children."""
+    world = np.array(local)
+    for node, parent in enumerate(parents):
+        if parent >= 0:
+            world[..., node, :, :] = world[..., parent, :, :] @ world[..., node, :, :]
+    return world

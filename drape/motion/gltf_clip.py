@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +11,7 @@ from pydantic import ValidationError
 from drape.errors import DrapeError, MotionError
 from drape.files.gltf import GltfFile
 from drape.files.gltf_json import EXPORT, FIRST_ONLY, Index, Part, Text
-from drape.files.gltf_nodes import node_matrix, tree_of
+from drape.files.gltf_nodes import node_matrix, tree_of, world_matrices
 from drape.geometry.rotations import matrix_to_quaternion, quaternion_slerp
 from drape.motion.clip import MotionClip
 from drape.motion.node_clip import MovingNodes, check_size, file_bytes, node_clip
@@ -153,18 +152,9 @@ def _moving(file: GltfFile, tracks: Tracks) -> MovingNodes:
     names = [bones.get(node, f"node {node}") for node in order] if bones else plain
     fps = (len(times) - 1) / max(times[-1] - times[0], 1e-9) if len(times) > 1 else SPARSE_RATE
     return MovingNodes(
-        names, parents, _world(parents, local), frames["translation"], frames["rotation"],
+        names, parents, world_matrices(local, parents), frames["translation"], frames["rotation"],
         np.maximum(frames["scale"], 1e-9), fps,
     )  # fmt: skip
-
-
-def _world(parents: Sequence[int], local: np.ndarray) -> np.ndarray:
-    """World transforms (J, 4, 4) of nodes with the transforms ``local``."""
-    world = local.copy()
-    for number, parent in enumerate(parents):
-        if parent >= 0:
-            world[number] = world[parent] @ world[number]
-    return world
 
 
 def _frame_times(file: GltfFile, tracks: Tracks, nodes: int) -> np.ndarray:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from drape.errors import MotionError
+from drape.files.gltf_nodes import world_matrices
 from drape.geometry.rotations import quaternion_to_matrix
 from drape.motion.clip import MotionClip
 from drape.motion.retarget import SourceSkeleton, retarget
@@ -62,14 +63,14 @@ def node_clip(moving: MovingNodes, *, name: str) -> MotionClip:
     """The clip of ``moving``, retargeted to the 24 SMPL joints; raises ``MotionError`` where these are no person's."""
     frames, count = moving.quaternions.shape[:2]
     check_size(frames, count, name)
-    turns, places = _world(moving)
-    rest_turn, rest_place = _rotations(moving.rest[:, :3, :3]), moving.rest[:, :3, 3]
+    world = world_transforms(moving.translations, moving.quaternions, moving.scales, moving.parents)
+    rest_turn, rest_place = nearest_rotations(moving.rest[:, :3, :3]), moving.rest[:, :3, 3]
     # A node above all, so that several roots are one skeleton.
     parents = (-1, *(int(parent) + 1 for parent in moving.parents))
     relative = np.empty((frames, count + 1, 3, 3))
     relative[:, 0] = np.eye(3)
-    relative[:, 1:] = turns @ np.swapaxes(rest_turn, -1, -2)
-    place = np.concatenate([np.zeros((frames, 1, 3)), places], axis=1)
+    relative[:, 1:] = nearest_rotations(world[..., :3, :3]) @ np.swapaxes(rest_turn, -1, -2)
+    place = np.concatenate([np.zeros((frames, 1, 3)), world[..., :3, 3]], axis=1)
     rest = np.concatenate([np.zeros((1, 3)), rest_place])
     above = np.maximum(parents, 0)
     ways = np.einsum("fjba,fjb->fja", relative[:, above], place - place[:, above])
@@ -80,20 +81,17 @@ def node_clip(moving: MovingNodes, *, name: str) -> MotionClip:
     return retarget(skeleton, relative, moves, fps=moving.fps, name=name, any_size=True)
 
 
-def _world(moving: MovingNodes) -> tuple[np.ndarray, np.ndarray]:
-    """World rotations (F, J, 3, 3) and places (F, J, 3) of the frames."""
-    frames, count = moving.quaternions.shape[:2]
-    linear = quaternion_to_matrix(moving.quaternions) * moving.scales[:, :, None]
-    place = np.array(moving.translations, dtype=np.float64)
-    for node, parent in enumerate(moving.parents):
-        if parent >= 0:
-            place[:, node] = place[:, parent] + np.einsum("fab,fb->fa", linear[:, parent], place[:, node])
-            linear[:, node] = linear[:, parent] @ linear[:, node]
-    return _rotations(linear.reshape(-1, 3, 3)).reshape(frames, count, 3, 3), place
+def world_transforms(moves: np.ndarray, turns: np.ndarray, scales: np.ndarray, parents: Sequence[int]) -> np.ndarray:
+    """World transforms (F, N, 4, 4) of nodes with local ``moves`` (F, N, 3), ``turns`` (F, N, 4), wxyz, and ``scales``
+    (N, 3) or (F, N, 3)."""
+    local = np.zeros((*moves.shape[:2], 4, 4))
+    local[..., :3, :3] = quaternion_to_matrix(turns) * scales[..., None, :]
+    local[..., :3, 3], local[..., 3, 3] = moves, 1.0
+    return world_matrices(local, parents)
 
 
-def _rotations(matrices: np.ndarray) -> np.ndarray:
-    """The rotations (N, 3, 3) nearest to ``matrices`` (N, 3, 3); a mirrored one keeps two of its axes."""
+def nearest_rotations(matrices: np.ndarray) -> np.ndarray:
+    """The rotations (..., 3, 3) nearest to ``matrices`` (..., 3, 3); a mirrored one keeps two of its axes."""
     u, _, vt = np.linalg.svd(matrices)
     u[..., -1] *= np.sign(np.linalg.det(u @ vt))[..., None]
     return u @ vt
