@@ -22,19 +22,21 @@ RIM_SHARE = 0.15  # of the extent: a shorter rim lets no hand through
 
 def without_caps(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Which ``faces`` (F,) of the mesh with ``points`` (N, 3) are not of a cap."""
-    label, likely = _likely_caps(points, faces)
-    keep, extent = np.ones(len(faces), dtype=bool), float(np.ptp(points[faces], axis=(0, 1)).max())
+    areas = meshes.face_areas(points, faces)
     piece = mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
+    label, likely = _likely_caps(points, faces, areas, piece)
+    keep, extent = np.ones(len(faces), dtype=bool), float(np.ptp(points[faces], axis=(0, 1)).max())
     caps: list[tuple[int, int, np.ndarray]] = []
     for number in likely:
-        rim = _rim_of_disc(points, faces[label == number])
+        own = label == number
+        rim = _rim_of_disc(points, faces[own])
         length = float(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1).sum())
-        area = float(meshes.face_areas(points, faces[label == number]).sum())
+        area = float(areas[own].sum())
         circle = length**2 / (4.0 * np.pi)
         if length > RIM_SHARE * extent and ROUND[0] * circle < area < ROUND[1] * circle:
-            caps.append((number, piece[label == number][0], rim.mean(axis=0)))
-    for number, own, middle in caps:
-        others = [other for _, whose, other in caps if whose == own]
+            caps.append((number, piece[own][0], rim.mean(axis=0)))
+    for number, home, middle in caps:
+        others = [other for _, whose, other in caps if whose == home]
         keep[label == number] = max(float(np.linalg.norm(middle - other)) for other in others) < APART * extent
     return keep
 
@@ -53,9 +55,11 @@ def smooth_parts(count: int, a: np.ndarray, b: np.ndarray, smooth: np.ndarray) -
     return csgraph.connected_components(graph, directed=False)[1]
 
 
-def _likely_caps(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _likely_caps(
+    points: np.ndarray, faces: np.ndarray, areas: np.ndarray, piece: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The smooth part (F,) of each face, and the numbers of those that are small, have a sharp edge all round, and go
-    across or back there."""
+    across or back there; ``areas`` (F,) of the faces, and the ``piece`` (F,) of each."""
     pairs = meshes.edge_pairs(faces)
     cosine = edge_cosines(pairs, meshes.face_normals(points, faces))
     a, b = pairs[1] // 3, pairs[2] // 3
@@ -66,10 +70,9 @@ def _likely_caps(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.
     rims = np.bincount(ends, minlength=count)
     bend = np.bincount(ends, np.tile(cosine[crossed], 2), minlength=count) / np.maximum(rims, 1)
     inner, size = (np.bincount(each, minlength=count) for each in (label[a][~crossed], label))
-    area, piece = meshes.face_areas(points, faces), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
-    whole = np.bincount(piece, area)[piece[np.unique(label, return_index=True)[1]]]
+    whole = np.bincount(piece, areas)[piece[np.unique(label, return_index=True)[1]]]
     closed = 3 * size == 2 * inner + rims  # no edge of it is open
-    small = np.bincount(label, area) < MOST_SHARE * whole
+    small = np.bincount(label, areas) < MOST_SHARE * whole
     return label, np.flatnonzero(closed & small & (size >= LEAST_FACES) & (bend < BENT))
 
 
