@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from drape.errors import DrapeError, MotionError
-from drape.files.gltf import GltfFile
+from drape.files.beside import file_beside
+from drape.files.gltf import FILE_BYTES, GltfFile
 from drape.files.gltf_json import EXPORT, FIRST_ONLY, Index, Part, Text
 from drape.files.gltf_nodes import node_matrix, tree_of, world_matrices
 from drape.geometry.rotations import matrix_to_quaternion, quaternion_slerp
@@ -63,7 +65,9 @@ def read_gltf_motion(path: Path, *, clip: str | None = None) -> MotionClip:
     """
     path = Path(path)
     try:
-        file = GltfFile(file_bytes(path), label=path.name, beside=lambda name: _beside(path, name))
+        file = GltfFile(
+            file_bytes(path), label=path.name, beside=partial(file_beside, path.parent, most_bytes=FILE_BYTES)
+        )
         animations = _animations(file, clip)
         tracks = max((_tracks(file, animation) for animation in animations), key=_length_s)
         return node_clip(_moving(file, tracks), name=clip or path.stem)
@@ -71,12 +75,6 @@ def read_gltf_motion(path: Path, *, clip: str | None = None) -> MotionClip:
         raise
     except DrapeError as error:
         raise MotionError(error.name, expected=error.expected, got=error.got, cure=error.cure) from error
-
-
-def _beside(path: Path, name: str) -> bytes | None:
-    """The file ``name`` in the folder of the glTF file at ``path``, if it is one there."""
-    beside = path.parent / name
-    return beside.read_bytes() if beside.parent == path.parent and beside.is_file() else None
 
 
 def _animations(file: GltfFile, clip: str | None) -> list[Animation]:

@@ -8,7 +8,6 @@ gigabyte. PLY and ASCII STL go through trimesh, after their declared counts were
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -17,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from drape.errors import MeshError, NotFound, legible
+from drape.files.beside import file_beside
 from drape.files.formats import MESH_FORMATS, listed, sniff
 from drape.files.looks import NO_LOOKS, Looks
 from drape.files.pictures import with_remade
@@ -110,7 +110,8 @@ def read_mesh(
     if len(payload) > BYTES_LIMIT:
         raise mesh_fault(name, *_too_large(len(payload)))
     kind = sniff(payload).name if kind is None else kind.lower().lstrip(".")
-    mesh = read_payload(payload, name=name, kind=kind, vertex_limit=vertex_limit, beside=partial(_beside, folder))
+    beside = partial(file_beside, folder, most_bytes=BYTES_LIMIT)
+    mesh = read_payload(payload, name=name, kind=kind, vertex_limit=vertex_limit, beside=beside)
     names = tuple(legible(one)[:MATERIAL_CHARACTERS] for one in mesh.material_names)
     looks, notes = with_remade(mesh.looks)
     return replace(mesh, material_names=names, looks=looks).noted(*notes)
@@ -128,17 +129,6 @@ def read_payload(payload: bytes, *, name: str, kind: str, vertex_limit: int, bes
     read = getattr(import_module(f"{__package__}.{module}"), function)
     more = {"beside": beside} if found.names_others else {}
     return read(payload, name=name, vertex_limit=vertex_limit, **more)
-
-
-def _beside(folder: Path | None, wanted: str) -> bytes | None:
-    """The file ``wanted`` in or below ``folder``; None where it is not there, or too large for a picture."""
-    if folder is None:
-        return None
-    path = folder / wanted.replace("\\", "/")
-    with suppress(OSError, ValueError):  # a name may be none of a file
-        if path.resolve().is_relative_to(folder.resolve()) and path.stat().st_size <= BYTES_LIMIT:
-            return path.read_bytes()
-    return None
 
 
 def _too_large(size: int) -> tuple[str, str, str]:
