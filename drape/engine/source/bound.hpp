@@ -13,6 +13,17 @@ template <class T> INLINE Vector<T> unit(Vector<T> a) {
   return scaled(T(1) / more(root(dot(a, a)), T(1e-12)), a);
 }
 
+// Adds to normal (V, 3) the area normals, twice as long, of faces (F, 3) at their corners.
+template <class T>
+INLINE void add_area_normals(const T* cloth, const int32_t* faces, int64_t face_count, T* normal) {
+  for (int64_t f = 0; f < face_count; ++f) {
+    const int32_t *own = faces + 3 * f;
+    const Vector<T> a = point(cloth, own[0]);
+    const Vector<T> area = cross(point(cloth, own[1]) - a, point(cloth, own[2]) - a);
+    for (int k = 0; k < 3; ++k) add_point(normal, own[k], area);
+  }
+}
+
 // Writes drawn (D, 3) of cloth (V, 3). The corners of OFF vertices are asked (n,); faces (F, 3) are all that touch them.
 template <class T>
 void draw(const T* cloth, int64_t vertices, const int32_t* faces, int64_t face_count, const int32_t* asked,
@@ -21,12 +32,7 @@ void draw(const T* cloth, int64_t vertices, const int32_t* faces, int64_t face_c
   T* normal = scratch.take<T>(face_count ? 3 * vertices : 0);
   if (scratch.overflowed) return;
   if (face_count) __builtin_memset(normal, 0, sizeof(T) * size_t(3 * vertices));
-  for (int64_t f = 0; f < face_count; ++f) {
-    const int32_t *own = faces + 3 * f;
-    const Vector<T> a = point(cloth, own[0]);
-    const Vector<T> area = cross(point(cloth, own[1]) - a, point(cloth, own[2]) - a);
-    for (int k = 0; k < 3; ++k) add_point(normal, own[k], area);
-  }
+  add_area_normals(cloth, faces, face_count, normal);
   for (int64_t n = 0; n < asked_count; ++n) put_point(normal, asked[n], unit(point(normal, asked[n])));
   for (int64_t d = 0; d < count; ++d) {
     const int32_t* own = corner + 3 * d;

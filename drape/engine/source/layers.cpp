@@ -3,6 +3,7 @@
 #include "layers.hpp"
 #include "parts.hpp"
 #include "quantise.hpp"
+#include "wrap.hpp"
 
 #define FOR_TYPE(T, suffix)                                                                                            \
   EXPORT int64_t drape_heights_##suffix(const T* vertices, const LaidCloth<T>* cloth, const int32_t* own,              \
@@ -32,6 +33,13 @@
     const Flushed flushed;                                                                                             \
     bound::draw(cloth, vertices, faces, face_count, asked, asked_count, corner, weight, offset, kind, count, drawn,    \
                 *scratch);                                                                                             \
+    return -scratch->overflowed;                                                                                       \
+  }                                                                                                                    \
+  EXPORT int64_t drape_wrap_##suffix(const T* fine, int64_t fine_count, const int32_t* faces, int64_t face_count,      \
+                                     const int32_t* corner, const T* weight, const T* stride, int64_t count,           \
+                                     int64_t steps, T* corners, Scratch* scratch) {                                    \
+    const Flushed flushed;                                                                                             \
+    wrapping::wrap(fine, fine_count, faces, face_count, corner, weight, stride, count, steps, corners, *scratch);      \
     return -scratch->overflowed;                                                                                       \
   }
 

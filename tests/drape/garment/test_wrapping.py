@@ -9,7 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.garment.fine import corner_weights
-from drape.garment.wrapping import Wrapping
+from drape.garment.wrapping import RELAXATION, STEPS, Wrapping
+from drape.geometry.meshes import vertex_normals
 from tests.fixtures.garments import COLUMNS, coarse_tube
 
 RADIUS_M = 0.2
@@ -41,6 +42,18 @@ def test_triangles_go_out_to_what_bulges_between_their_corners(round_cloth: np.n
     assert wrapped.shape == (count, 3)
     assert below_m(wrapped).max() < 0.15 * bulge_m
     assert np.linalg.norm(wrapped - round_cloth[:count], axis=1).max() < 1.5 * bulge_m
+
+
+def test_steps_are_those_of_the_formula_with_sparse_matrices(round_cloth: np.ndarray):
+    cloth = round_cloth + np.random.default_rng(0).normal(scale=2e-3, size=round_cloth.shape)
+    placing = corner_weights(COARSE)
+    stride = RELAXATION / (placing.T @ placing).sum(axis=1).A1
+    corners, normals = cloth[: COARSE.vertex_count].copy(), vertex_normals(cloth, COARSE.fine_faces)
+    for _ in range(STEPS):
+        below = np.maximum(np.einsum("nc,nc->n", normals, cloth - placing @ corners), 0.0)
+        corners += stride[:, None] * (placing.T @ (below[:, None] * normals))
+    assert_allclose(Wrapping(COARSE).wrap(cloth), corners, rtol=0, atol=1e-12)
+    assert_allclose(Wrapping(COARSE).wrap(cloth.astype(np.float32)), corners, rtol=0, atol=1e-6)
 
 
 def test_flat_cloth_and_hollows_stay_and_types_are_kept():

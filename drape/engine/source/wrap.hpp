@@ -1,0 +1,36 @@
+// A coarse mesh around the finer cloth that was simulated in its place: drape/garment/wrapping.py has the formulas.
+#pragma once
+#include "bound.hpp"
+
+namespace wrapping {
+
+// Writes corners (V, 3) around fine (N, 3) of faces (F, 3). The first V fine vertices are the corners' own; the others are
+// placed at corner (N - V, 3) with weight (N - V, 3). stride (V,): what a corner goes of the sum of what is missing.
+template <class T>
+void wrap(const T* fine, int64_t fine_count, const int32_t* faces, int64_t face_count, const int32_t* corner,
+          const T* weight, const T* stride, int64_t count, int64_t steps, T* corners, Scratch& scratch) {
+  T *normal = scratch.take<T>(3 * fine_count), *missing = scratch.take<T>(3 * count);
+  if (scratch.overflowed) return;
+  __builtin_memset(normal, 0, sizeof(T) * size_t(3 * fine_count));
+  bound::add_area_normals(fine, faces, face_count, normal);
+  for (int64_t n = 0; n < fine_count; ++n) put_point(normal, n, bound::unit(point(normal, n)));
+  __builtin_memcpy(corners, fine, sizeof(T) * size_t(3 * count));
+  for (int64_t step = 0; step < steps; ++step) {
+    for (int64_t v = 0; v < count; ++v) {
+      const Vector<T> up = point(normal, v);
+      put_point(missing, v, scaled(more(dot(up, point(fine, v) - point(corners, v)), T(0)), up));
+    }
+    for (int64_t n = 0; n < fine_count - count; ++n) {
+      const int32_t* own = corner + 3 * n;
+      const T* share = weight + 3 * n;
+      const Vector<T> two = mix(share[0], point(corners, own[0]), share[1], point(corners, own[1]));
+      const Vector<T> place = plus(two, share[2], point(corners, own[2])), up = point(normal, count + n);
+      const T below = dot(up, point(fine, count + n) - place);
+      if (below > 0)
+        for (int k = 0; k < 3; ++k) add_point(missing, own[k], scaled(below * share[k], up));
+    }
+    for (int64_t v = 0; v < count; ++v) put_point(corners, v, plus(point(corners, v), stride[v], point(missing, v)));
+  }
+}
+
+}  // namespace wrapping
