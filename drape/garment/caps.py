@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse
 from scipy.sparse import csgraph
 
+from drape.garment.walls import edge_cosines
 from drape.geometry import mesh_graphs, meshes
 
 SHARP = 0.5  # cosine between faces beside the edges of a rim
@@ -41,14 +42,7 @@ def without_caps(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return keep
 
 
-def edge_cosines(pairs: tuple[np.ndarray, np.ndarray, np.ndarray], normals: np.ndarray) -> np.ndarray:
-    """The cosine (E,) between the ``normals`` (F, 3) of each pair of faces (``meshes.edge_pairs``), wound alike."""
-    halves, first, second = pairs
-    wound = np.where((halves[first, :2] == halves[second, :2]).all(axis=1), -1.0, 1.0)
-    return wound * np.einsum("ec,ec->e", normals[first // 3], normals[second // 3])
-
-
-def smooth_parts(count: int, a: np.ndarray, b: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+def _smooth_parts(count: int, a: np.ndarray, b: np.ndarray, smooth: np.ndarray) -> np.ndarray:
     """For each of ``count`` faces the number of its part; faces ``a`` and ``b`` (E,) are of one part where the edge
     between them is ``smooth`` (E,)."""
     graph = scipy.sparse.coo_matrix((np.ones(smooth.sum()), (a[smooth], b[smooth])), shape=(count, count))
@@ -63,7 +57,7 @@ def _likely_caps(
     pairs = meshes.edge_pairs(faces)
     cosine = edge_cosines(pairs, meshes.face_normals(points, faces))
     a, b = pairs[1] // 3, pairs[2] // 3
-    label = smooth_parts(len(faces), a, b, cosine > SHARP)
+    label = _smooth_parts(len(faces), a, b, cosine > SHARP)
     count = int(label.max()) + 1
     crossed = label[a] != label[b]
     ends = np.concatenate([label[a][crossed], label[b][crossed]])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import igl
 import numpy as np
 import scipy.sparse
 from scipy.sparse import csgraph
@@ -17,29 +18,22 @@ from scipy.spatial import KDTree
 
 from drape.cloth.coarse_mesh import coarse_mesh
 from drape.garment.bound import BoundMesh, bind
-from drape.garment.caps import SHARP, edge_cosines, smooth_parts, without_caps
+from drape.garment.caps import without_caps
 from drape.garment.files.mesh import GarmentMesh, plain_mesh, weld
 from drape.garment.mesh_checks import without_flat_faces
 from drape.garment.rest_detail import cloth_of, rest_of
 from drape.garment.sheets import cut_branches, pieces_of, samples_to, with_used_vertices, without_copies
+from drape.garment.walls import SAME_M, outer_sides
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
 
-SAME_M = 1e-5  # a drawn vertex so near to one of the cloth is that
-PROBES_M = (0.003, 0.008, 0.015)  # below a face: a wall at up to twice the depth is nearer than the face itself
-OPPOSITE = 0.5  # cosine between the sides of a wall, whichever way they are wound
-WALLED_SHARE = 0.5  # of a piece's area that must have a second side
-EVEN = 1.6  # a wall is as thick everywhere: its upper quartile over the lower one
-RIM_M = 0.035  # the rim between two walls
 ON_M, ON_SHARE = 0.015, 0.8  # cloth that lies on other cloth with this share of its points is left out
 SMALL_M2, SMALL_SHARE, NEAR_M = 0.02, 0.05, 0.03  # a small thing near cloth: its area, that over the largest piece's
 SEWN_M, SEWN_SHARE, TRIM_SHARE = 0.004, 0.4, 0.15  # of a collar's border on its garment, and its area over that
 STIFF_M = 0.06  # parts up to this size turn as a whole
 VERTEX_LIMIT = 12_000
 THINNED_M = 0.012  # edges of thinned cloth
-SAMPLED_FACES = 4000
-
-Pairs = tuple[np.ndarray, np.ndarray, np.ndarray]  # of half-edges: ``meshes.edge_pairs``
+SIMPLIFIED = (None, 5 * VERTEX_LIMIT, 19 * VERTEX_LIMIT // 10)  # faces that quadrics leave, where edges stay
 
 
 def joined(mesh: GarmentMesh) -> GarmentMesh:
@@ -61,7 +55,9 @@ def cloth_layer(sheets: GarmentMesh, skin: np.ndarray) -> GarmentMesh:
     ``sheets`` themselves are returned where all of them is cloth.
     """
     points, faces, notes = sheets.vertices, sheets.faces, []
-    keep = _single_walls(points, faces, KDTree(skin), notes)
+    keep = outer_sides(points, faces, KDTree(skin))
+    if not keep.all():
+        notes.append(f"{int((~keep).sum())} faces are the inner side of walls with a thickness")
     keep[keep] = _bearing(points, faces[keep], notes)
     cloth = sheets if keep.all() else sheets.take_faces(keep)
     cloth = _thinned(cloth, notes)
@@ -73,84 +69,6 @@ def hung(mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh) -> BoundMesh
     distance, row = KDTree(cloth.vertices).query(places)
     row = np.where(distance <= SAME_M, row, -1)
     return bind(mesh, places, cloth.vertices, cloth.faces, row, _stiff_parts(mesh, places, row))
-
-
-def _single_walls(points: np.ndarray, faces: np.ndarray, skin: KDTree, notes: list[str]) -> np.ndarray:
-    """Which ``faces`` (F,) stay where walls have two sides: not the side at the body, nor the rim between them."""
-    keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
-    middles, normals = points[faces].mean(axis=1), meshes.face_normals(points, faces)
-    areas = meshes.face_areas(points, faces)
-    some = np.arange(0, len(faces), max(1, len(faces) // SAMPLED_FACES))  # of most garments they tell that it has none
-    walled = _other_sides(points, faces, some, middles, normals) >= 0
-    seen = np.bincount(piece[some], areas[some], minlength=len(points))
-    share = np.bincount(piece[some], walled * areas[some], minlength=len(points)) / np.maximum(seen, 1e-12)
-    asked = np.flatnonzero((share > 0.7 * WALLED_SHARE)[piece] | (seen == 0.0)[piece])
-    if not len(asked):
-        return keep
-    other = np.full(len(faces), -1)
-    other[asked] = _other_sides(points, faces, asked, middles, normals)
-    walled, height = other >= 0, skin.query(middles)[0]
-    rise = np.where(walled, height - height[np.maximum(other, 0)], 0.0)
-    gap = np.abs(np.einsum("fc,fc->f", normals, middles - middles[np.maximum(other, 0)]))
-    share = np.bincount(piece, walled * areas) / np.maximum(np.bincount(piece, areas), 1e-12)
-    for number in np.flatnonzero(share > WALLED_SHARE):
-        own = np.flatnonzero(piece == number)
-        low, high = np.quantile(gap[own][walled[own]], [0.25, 0.75])
-        if high > EVEN * low:  # folds
-            continue
-        pairs = meshes.edge_pairs(faces[own])
-        ends = pairs[1] // 3, pairs[2] // 3
-        smooth = (edge_cosines(pairs, normals[own]) > SHARP) & (walled[own][ends[0]] == walled[own][ends[1]])
-        label = smooth_parts(len(own), *ends, smooth)
-        area, lift = np.bincount(label, areas[own]), np.bincount(label, areas[own] * rise[own])
-        side = (np.bincount(label, walled[own]) > 0) & (area > 0.05 * area.sum())
-        inner, outer = side & (lift < 0.0), side & (lift >= 0.0)
-        if inner.any() and outer.any():
-            near, _ = KDTree(points[np.unique(faces[own[outer[label]]])]).query(points[faces[own]])
-            rims = ~side & (_most(label, near.max(axis=1)) < RIM_M)
-            keep[own[_beside(pairs, label, inner, outer, rims)[label]]] = False
-    if not keep.all():
-        notes.append(f"{int((~keep).sum())} faces are the inner side of walls with a thickness")
-    return keep
-
-
-def _most(label: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The largest of ``values`` (F,) for every number of ``label`` (F,)."""
-    found = np.zeros(int(label.max()) + 1)
-    np.maximum.at(found, label, values)
-    return found
-
-
-def _beside(pairs: Pairs, label: np.ndarray, inner: np.ndarray, outer: np.ndarray, rims: np.ndarray) -> np.ndarray:
-    """Which parts (n,) go: the ``inner`` ones, and ``rims`` that have at least as many edges with these as with the
-    ``outer`` ones."""
-    count = len(inner)
-    ends = label[pairs[1] // 3], label[pairs[2] // 3]
-    edges = scipy.sparse.coo_matrix((np.ones(len(ends[0])), ends), shape=(count, count)).tocsr()
-    edges, gone, stays = edges + edges.T, inner, outer
-    while True:
-        to_gone, to_stays = edges @ gone, edges @ stays
-        joins = rims & ~gone & (to_gone > 0) & (to_gone >= to_stays)
-        if not joins.any():
-            return gone
-        gone = gone | joins
-
-
-def _other_sides(
-    points: np.ndarray, faces: np.ndarray, asked: np.ndarray, middles: np.ndarray, normals: np.ndarray
-) -> np.ndarray:
-    """The face (n,) opposite to each ``asked`` one (n,) within a wall, -1 where there is none."""
-    other, own, start = np.full(len(asked), -1), normals[asked], middles[asked]
-    probes = [start + sign * depth * own for depth in PROBES_M for sign in (-1.0, 1.0)]
-    found = closest_point(np.concatenate(probes), points, faces)
-    for face, point in zip(np.split(found.face, len(probes)), np.split(found.point, len(probes)), strict=True):
-        way = point - start
-        length = np.linalg.norm(way, axis=1)
-        straight = np.abs(np.einsum("fc,fc->f", way, own)) > 0.8 * length
-        facing = np.abs(np.einsum("fc,fc->f", own, normals[face])) > OPPOSITE
-        apart = (length > SAME_M) & (face != asked) & straight & facing
-        other = np.where((other < 0) & apart, face, other)
-    return other
 
 
 def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
@@ -191,18 +109,30 @@ def _trims(points: np.ndarray, faces: np.ndarray, others: np.ndarray) -> bool:
 
 
 def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:
-    """``mesh`` with at most ``VERTEX_LIMIT`` vertices, some of its own; then without texture coordinates."""
+    """``mesh`` with at most ``VERTEX_LIMIT`` vertices; where it has more, without texture coordinates."""
     used, faces = meshes.in_use(mesh.faces)
     if len(used) <= VERTEX_LIMIT:
         return mesh
     points = mesh.vertices[used]
     area = float(meshes.face_areas(points, faces).sum())
     edge_m = max(THINNED_M, float(np.sqrt(area / (0.5 * np.sqrt(3.0) * 0.95 * VERTEX_LIMIT))))
-    plain = plain_mesh(mesh.name, points, faces)
+    thin = plain_mesh(mesh.name, points, faces)
+    for most in SIMPLIFIED:  # wrinkles and slivers may leave no edge that collapses: then shape comes before evenness
+        if most is not None:
+            points, faces, *_ = igl.qslim(points, faces.astype(np.int64), most)
+        thin = _evenly_thinned(mesh.name, points, faces.astype(np.int64), edge_m)
+        if len(thin.vertices) <= VERTEX_LIMIT:
+            break
+    notes.append(f"{len(used):,} vertices of cloth are simulated as {len(thin.vertices):,}")
+    return thin.noted(*mesh.notes)
+
+
+def _evenly_thinned(name: str, points: np.ndarray, faces: np.ndarray, edge_m: float) -> GarmentMesh:
+    """A mesh on some of ``points`` [m] (N, 3) of ``faces`` (F, 3), its edges ``edge_m`` [m] where creases let them."""
+    plain = plain_mesh(name, points, faces)
     cloth = cloth_of(points, faces, (plain.uv, plain.uv_faces), (plain.material_names, plain.face_material))
     thin = coarse_mesh(rest_of(cloth, "modelled")[0], points, faces, edge_m)
-    notes.append(f"{len(used):,} vertices of cloth are simulated as {len(thin.vertex):,}")
-    return plain_mesh(mesh.name, points[thin.vertex], thin.faces).noted(*mesh.notes)
+    return plain_mesh(name, points[thin.vertex], thin.faces)
 
 
 def _stiff_parts(mesh: GarmentMesh, places: np.ndarray, row: np.ndarray) -> np.ndarray:

@@ -1,0 +1,115 @@
+"""Cloth drawn with a thickness: of a wall with two sides the one away from the body is kept.
+
+Each face of a wall has one opposite to it. Which of the two is the outer one is told by their distances from the skin,
+noisily where cloth is folded, so a field phi over the faces smooths it:
+
+    min  sum_e w_e (phi_a - phi_b)^2 + P sum_f (phi_f + phi_o(f))^2 + S sum_f (phi_f - s_f)^2,
+
+over edges e of faces a and b whose normals have the cosine sqrt(w_e), the opposite face o(f), and s_f how much farther
+than that one f is from the skin, over their distance. phi is positive outside, negative inside, and near zero on the
+rim, which sharp edges part from both.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.spatial import KDTree
+
+from drape.geometry import mesh_graphs, meshes
+from drape.geometry.closest import closest_point
+from drape.geometry.symmetric import symmetric_factor
+
+SAME_M = 1e-5
+PROBES_M = (0.003, 0.008, 0.015)  # below a face: a wall at up to twice the depth is nearer than the face itself
+FACING = 0.5  # cosine between the sides of a wall, whichever way they are wound
+WALLED_SHARE = 0.5  # of a piece's area that must have a second side
+# A wall is as thick everywhere, by its upper quartile over the lower one, and its sides lie one over the other, by the
+# median of |s|; folds of one layer lie side by side.
+EVEN, OVER = 1.6, 0.6
+CLOSED_SHARE = 0.9  # of a piece without any border: all of it is wall
+RIM_M = 0.035  # the rim between two walls
+PAIRED, SIDED = 0.1, 0.01  # P and S of the formula
+LEAST_COSINE = 0.01  # of an edge: none parts the faces wholly
+OUTER = 0.5  # of the outer side's median phi: less is on the rim
+SAMPLED_FACES = 4000
+
+
+def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarray:
+    """Which ``faces`` (F,) of the mesh with ``points`` [m] (N, 3) stay, round a body with the points of ``skin``: not
+    the inner side of a wall, nor its rim."""
+    keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
+    middles, normals = points[faces].mean(axis=1), meshes.face_normals(points, faces)
+    areas = meshes.face_areas(points, faces)
+    some = np.arange(0, len(faces), max(1, len(faces) // SAMPLED_FACES))  # of most garments they tell that it has none
+    walled = _opposite_faces(points, faces, some, middles, normals) >= 0
+    seen = np.bincount(piece[some], areas[some], minlength=len(points))
+    share = np.bincount(piece[some], walled * areas[some], minlength=len(points)) / np.maximum(seen, 1e-12)
+    asked = np.flatnonzero((share > 0.7 * WALLED_SHARE)[piece] | (seen == 0.0)[piece])
+    if not len(asked):
+        return keep
+    other = np.full(len(faces), -1)
+    other[asked] = _opposite_faces(points, faces, asked, middles, normals)
+    walled, height = other >= 0, skin.query(middles)[0]
+    gap = np.linalg.norm(middles - middles[np.maximum(other, 0)], axis=1)
+    side = np.where(walled, (height - height[np.maximum(other, 0)]) / np.maximum(gap, SAME_M), 0.0)
+    depth = np.abs(np.einsum("fc,fc->f", normals, middles - middles[np.maximum(other, 0)]))
+    share = np.bincount(piece, walled * areas) / np.maximum(np.bincount(piece, areas), 1e-12)
+    for number in np.flatnonzero(share > WALLED_SHARE):
+        own = np.flatnonzero(piece == number)
+        low, high = np.quantile(depth[own][walled[own]], [0.25, 0.75])
+        closed = share[number] > CLOSED_SHARE and not len(meshes.boundary_edges(faces[own]))
+        if closed or (high <= EVEN * low and np.median(np.abs(side[own][walled[own]])) > OVER):
+            within = np.where(np.isin(other[own], own), np.searchsorted(own, other[own]), -1)
+            phi = _sides(faces[own], normals[own], within, side[own])
+            keep[own] = _outer(points, faces[own], walled[own], phi)
+    return keep
+
+
+def _sides(faces: np.ndarray, normals: np.ndarray, other: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """The field phi (F,) of a piece; ``other`` (F,) is the opposite face of each, or -1, and ``side`` (F,) is s."""
+    count, pairs = len(faces), meshes.edge_pairs(faces)
+    weight = np.maximum(edge_cosines(pairs, normals), LEAST_COSINE) ** 2
+    ends = pairs[1] // 3, pairs[2] // 3
+    edges = sp.coo_matrix((weight, ends), shape=(count, count)).tocsr()
+    edges = edges + edges.T
+    rows = np.flatnonzero(other >= 0)
+    opposite = sp.coo_matrix((np.ones(len(rows)), (rows, other[rows])), shape=(count, count)).tocsr()[rows]
+    both = sp.identity(count, format="csr")[rows] + opposite
+    held = SIDED * (side != 0.0) + 1e-9
+    matrix = sp.diags(np.asarray(edges.sum(axis=1)).ravel() + held) - edges + PAIRED * (both.T @ both)
+    return symmetric_factor(sp.csc_matrix(matrix)).solve(SIDED * side)
+
+
+def _outer(points: np.ndarray, faces: np.ndarray, walled: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """Which ``faces`` (F,) of a piece stay: the outer side of a wall, and what is no wall away from it."""
+    outside = walled & (phi > 0.0)
+    if not outside.any() or not (walled & (phi < 0.0)).any():
+        return np.ones(len(faces), dtype=bool)
+    outer = phi > OUTER * np.median(phi[outside])
+    near, _ = KDTree(points[np.unique(faces[outside])]).query(points[faces])
+    return outer | (~walled & (near.max(axis=1) > RIM_M))
+
+
+def edge_cosines(pairs: tuple[np.ndarray, np.ndarray, np.ndarray], normals: np.ndarray) -> np.ndarray:
+    """The cosine (E,) between the ``normals`` (F, 3) of each pair of faces (``meshes.edge_pairs``), wound alike."""
+    halves, first, second = pairs
+    wound = np.where((halves[first, :2] == halves[second, :2]).all(axis=1), -1.0, 1.0)
+    return wound * np.einsum("ec,ec->e", normals[first // 3], normals[second // 3])
+
+
+def _opposite_faces(
+    points: np.ndarray, faces: np.ndarray, asked: np.ndarray, middles: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
+    """The face (n,) opposite to each ``asked`` one (n,) within a wall, -1 where there is none."""
+    other, own, start = np.full(len(asked), -1), normals[asked], middles[asked]
+    probes = [start + sign * depth * own for depth in PROBES_M for sign in (-1.0, 1.0)]
+    found = closest_point(np.concatenate(probes), points, faces)
+    for face, point in zip(np.split(found.face, len(probes)), np.split(found.point, len(probes)), strict=True):
+        way = point - start
+        length = np.linalg.norm(way, axis=1)
+        straight = np.abs(np.einsum("fc,fc->f", way, own)) > 0.8 * length
+        facing = np.abs(np.einsum("fc,fc->f", own, normals[face])) > FACING
+        apart = (length > SAME_M) & (face != asked) & straight & facing
+        other = np.where((other < 0) & apart, face, other)
+    return other
