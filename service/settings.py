@@ -82,7 +82,7 @@ class Settings(BaseSettings):
     max_pasts: int = Field(default=32, ge=1)
     past_s: float = Field(default=120.0, gt=0.0)
     max_frames: int = Field(default=1200, ge=1)
-    max_vertices: int = Field(default=200_000, ge=3)
+    max_vertices: int = Field(default=400_000, ge=3)
     max_layers: int = Field(default=4, ge=1, le=16)
     max_answer_bytes: int = Field(default=512 * 2**20, ge=1024)
 

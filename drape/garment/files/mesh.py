@@ -22,7 +22,7 @@ from drape.files.looks import NO_LOOKS, Looks
 from drape.files.pictures import with_remade
 
 BYTES_LIMIT = 96 * 2**20
-VERTEX_LIMIT = 200_000
+VERTEX_LIMIT = 400_000
 AVATAR_VERTEX_LIMIT = 400_000
 Beside = Callable[[str], bytes | None]
 """The bytes of a file that a mesh file names, None where it is not there."""
