@@ -38,13 +38,15 @@ from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions, read_fa
 from drape.garment.mesh_checks import Unit, Up, check_arrays
 from drape.garment.modelled_on import modelled_on
 from drape.garment.outfit import garments_in, part_names, parted
+from drape.garment.panels import with_sewn_panels
 from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
 from drape.garment.rest_mesh import RestMesh, describe_rest, rest_mesh, with_unused
 from drape.garment.sewing import Sewing, sewing_beside, sewn_hinges
+from drape.garment.strays import without_strays
 from drape.garment.wearer_pictures import pictured
 
 # Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
-MOVED_VERSION = 3
+MOVED_VERSION = 4
 INTAKE_VERSION = 3  # raised when a change here changes the garments that come out
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests as they were
 
@@ -181,8 +183,11 @@ def _made(file: _File, body: BodyModel, say: Report, begins: Report, *, whole: b
     with_uv = "with uv" if len(mesh.uv) else "no uv"
     say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {with_uv}")
     check_arrays(mesh)
+    mesh = mesh if sewn is not None else without_strays(mesh)
     sheets, model, wearer = modelled_on(mesh if sewn is not None else joined(mesh), body, options, file.meaning)
     unnamed = "" if file.meaning is not None else " (none was named)"
+    if sewn is None:
+        sheets = with_sewn_panels(sheets, model.vertices)
     say(f"avatar    {model.source}; residual {model.residual_mm:.1f} mm{unnamed}")
     if sewn is not None:
         say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")

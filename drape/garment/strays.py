@@ -1,0 +1,45 @@
+"""Things in a garment's file that lie far away from it: buttons of another unit, a lamp, a forgotten copy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drape.garment.files.mesh import GarmentMesh
+from drape.geometry import mesh_graphs, meshes
+
+FAR = 2.0  # in extents of the piece with the most faces
+MOST_SHARE = 0.2  # of the faces: more is no stray
+
+
+def without_strays(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` without pieces that lie more than ``FAR`` extents away from all others; itself where there are none.
+
+    The piece with the most faces stays, and what lies near it, and what lies near that.
+    """
+    label = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
+    _, label = np.unique(label, return_inverse=True)
+    count = int(label.max()) + 1
+    if count == 1:
+        return mesh
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    corners = mesh.vertices[mesh.faces]
+    np.minimum.at(low, label, corners.min(axis=1))
+    np.maximum.at(high, label, corners.max(axis=1))
+    near = np.arange(count) == np.bincount(label).argmax()
+    reach = FAR * float((high - low)[near].max())
+    while True:
+        gap = np.maximum(low - high[near].max(axis=0), low[near].min(axis=0) - high)
+        joined = near | (gap.max(axis=1) < reach)
+        if (joined == near).all():
+            break
+        near = joined
+    keep = near[label]
+    if keep.all() or (~keep).mean() > MOST_SHARE:
+        return mesh
+    kept = mesh.take_faces(keep)
+    used, faces = meshes.in_use(kept.faces)
+    far = float(np.linalg.norm(corners[~keep].mean(axis=(0, 1)) - corners[keep].mean(axis=(0, 1))))
+    note = f"warning: what lies {far:.3g} units away is left out, {int((~keep).sum()):,} faces"
+    return replace(kept, vertices=mesh.vertices[used], faces=faces).noted(note)
