@@ -64,9 +64,9 @@ class FoldReport:
 class FoldEffort(NamedTuple):
     """The work that a frame gets.
 
-    ``steps`` of the whole cloth, and half as many sweeps over its vertices, at least one. A frame without a past gets
-    ``settle`` sweeps, and then ``settle`` times all of these. With 0 steps no energy is looked at: the folds go along
-    with the network's surface and fade, and a frame without a past has none.
+    ``steps`` of the whole cloth, and as many sweeps over its vertices. A frame without a past gets ``settle`` sweeps,
+    and then ``settle`` times all of these. With 0 steps no energy is looked at: the folds go along with the network's
+    surface and fade, and a frame without a past has none.
 
     ``cloth_contact``: whether cloth keeps apart from itself.
     ``clearance_m`` [m]: a vertex nearer to its own part of the skin is lifted; 0 lifts none.

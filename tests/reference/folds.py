@@ -44,11 +44,10 @@ def fold(
     share = pacing.fading(effort.steps, step_s)
     then = surface_frames(past.network, dressed.cloth)
     off = _to_world(frames, share * past.residual)
-    off = mended(off, dressed.cloth.faces, forgotten(past.network, network, dressed.cloth))
-    off = evened(off, past.network, network, dressed.cloth.faces)
+    off = kept(off, past.network, network, dressed.cloth)
     x = network + off
     if memory and effort.steps:
-        came = past.network + _to_world(then, past.residual)
+        came = past.network + kept(_to_world(then, past.residual), past.network, network, dressed.cloth)
         turns = carry.surface_turns(then, frames, dressed.cloth.faces, carry.CARRY_PASSES)
         x = x + solved_step(dressed, carry.carry_energy(x, came, turns, dressed.cloth, dressed.material)[1])
     way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
@@ -74,7 +73,7 @@ def fold(
             ahead = x + momentum * _limited(way, float(made.constants.reach))
             ahead = ahead + whole_step(dressed, made, around, ahead)
             x, way = ahead, ahead - x
-        for _ in range(max(effort.steps // 2, 1)):
+        for _ in range(effort.steps):
             x = sweep(x, made, around)
     if effort.clearance_m > 0.0:
         if effort.steps == 0:
@@ -100,6 +99,11 @@ def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
     edge -= (edge * normal).sum(axis=1, keepdims=True) * normal
     edge /= np.linalg.norm(edge, axis=1, keepdims=True)
     return np.stack([normal, edge, np.cross(normal, edge)], axis=1)
+
+
+def kept(off: np.ndarray, before: np.ndarray, network: np.ndarray, cloth: ClothMesh) -> np.ndarray:
+    """What is kept of residuals ``off`` [m] (V, 3) from one drape of the network to the next."""
+    return evened(mended(off, cloth.faces, forgotten(before, network, cloth)), before, network, cloth.faces)
 
 
 def longest_next(cloth: ClothMesh) -> np.ndarray:

@@ -6,8 +6,9 @@
 //
 //     E = 1/2 sum A (k_warp |p(x) - Q p(x')|^2 + k_weft |t(x) - Q t(x')|^2).
 //
-// k has the shear in it as K has, so that one step of the whole (whole.hpp), x -= K^-1 dE/dx, takes from x what is
-// stretched, at all lengths at once, and leaves the cloth where X has taken it.
+// k has the shear in it as K has, so that steps of the whole (whole.hpp), x -= K^-1 dE/dx, take from x what is
+// stretched, at all lengths at once, and leave the cloth where X has taken it. x' is without what the frame forgets
+// (residual.hpp): steps would bring that back.
 #pragma once
 #include "turns.hpp"
 #include "whole.hpp"
@@ -40,16 +41,18 @@ void carry_gradient(const T* x, const T* before, const T* turns, const Sheet<T>&
   }
 }
 
-// Moves x [m] (P, 3) in place, by the frames of the network's surface before and now.
+// Moves x [m] (P, 3) in place by so many steps, by the frames of the network's surface before and now.
 template <class T>
 void carry(T* x, const T* before, const T* then, const T* now, const Sheet<T>& sheet, const StiffnessFactor<T>& factor,
-           Scratch& scratch) {
+           int64_t steps, Scratch& scratch) {
   const int64_t mark = scratch.used, places = sheet.vertex.count, rows = factor.place.count;
   T *turns = scratch.take<T>(4 * places), *gradient = scratch.take<T>(3 * places);
   T *q = scratch.take<T>(3 * rows), *s = scratch.take<T>(3 * (rows + LANES));
   if (scratch.overflowed) return;
   surface_turns(then, now, sheet, CARRY_PASSES, turns, scratch);
-  carry_gradient(x, before, turns, sheet, gradient);
-  whole_step(x, factor, gradient, q, s);
+  for (int64_t step = 0; step < steps; ++step) {
+    carry_gradient(x, before, turns, sheet, gradient);
+    whole_step(x, factor, gradient, q, s);
+  }
   scratch.used = mark;
 }

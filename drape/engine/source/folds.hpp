@@ -43,9 +43,10 @@ template <class T> struct Laid {
 };
 
 template <class T> struct FoldSchedule {
-  T step_s, kept, momentum;       // kept: of the residual
-  int64_t rounds, steps, sweeps, turn;  // turn: negative without a past
-  bool within;                          // cloth keeps apart from itself
+  T step_s, kept, momentum;     // kept: of the residual
+  int64_t rounds, steps, turn;  // turn: negative without a past
+  Pace pace;
+  bool within;  // cloth keeps apart from itself
   T friction, clearance, untangle;
 };
 
@@ -124,7 +125,7 @@ void descend_rounds(const Laid<T>& laid, T* way, const T* network, const T* stuc
       whole_step(x, cloth.factor, gradient, q, s);
       set_way(way, x, before, places);
     }
-    for (int64_t sweep = 0; sweep < schedule.sweeps; ++sweep) descend(x, sheet, planes, network);
+    for (int64_t sweep = 0; sweep < schedule.pace.sweeps; ++sweep) descend(x, sheet, planes, network);
     if (schedule.within &&
         untangle(x, places, cloth.tangles, every, clusters, schedule.untangle, UNTANGLE_STEPS, crossed, scratch) > 0)
       ease(x, network, crossed, T(EASE / WAY_M) * schedule.untangle, sheet, scratch);
@@ -155,6 +156,7 @@ T advance(const Laid<T>& laid, const T* before, const T* network, const Surround
   const Skin<T> skin = skin_of(around.skin, cloth.graph);
   const int64_t mark = scratch.used, places = sheet.vertex.count, blocks = places / LANES;
   T *x = laid.x, *stuck = scratch.take<T>(3 * places), *way = scratch.take<T>(3 * places);
+  T* kept = scratch.take<T>(3 * places);  // where the cloth was, without what it forgets
   T *then = scratch.take<T>(FRAMES * blocks), *frames = scratch.take<T>(FRAMES * blocks);
   if (scratch.overflowed) return T(__builtin_nan(""));
   stuck_places<T>(after.grip, places, after.own, skin, stuck);
@@ -171,7 +173,12 @@ T advance(const Laid<T>& laid, const T* before, const T* network, const Surround
   }
   keep_residual(x, before, network, frames, sheet, cloth.hem, scratch);
   for (int64_t i = 0; i < 3 * places; i += LANES) put(x + i, row_at(x + i) + row_at(network + i));
-  if (schedule.turn >= 0 && schedule.rounds > 0) carry<T>(x, laid.came, then, frames, sheet, cloth.factor, scratch);
+  if (schedule.turn >= 0 && schedule.rounds > 0) {
+    for (int64_t i = 0; i < 3 * places; i += LANES) put(kept + i, row_at(laid.came + i) - row_at(before + i));
+    keep_residual(kept, before, network, frames, sheet, cloth.hem, scratch);
+    for (int64_t i = 0; i < 3 * places; i += LANES) put(kept + i, row_at(kept + i) + row_at(before + i));
+    carry<T>(x, kept, then, frames, sheet, cloth.factor, schedule.pace.carries, scratch);
+  }
   for (int64_t i = 0; i < places; i += LANES) put(laid.lifted + i, T(0));
   descend_rounds(laid, way, network, stuck, around, cloth, schedule, after, scratch);
   write_grip<T>(x, places, schedule.turn < 0 ? x : stuck, after.own, skin, after.grip);
@@ -190,7 +197,7 @@ T advance(const Laid<T>& laid, const T* before, const T* network, const Surround
 template <class T>
 FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>& past, bool follows,
                      const Surroundings<T>& around, const FoldConstants<T>& cloth, const FoldEffort<T>& effort,
-                     FoldMemory<T>& after, Scratch& scratch) {
+                     Pace pace, FoldMemory<T>& after, Scratch& scratch) {
   const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
   T* before = scratch.take<T>(3 * places);  // the network's places, which points_at reads, with room behind them
   if (scratch.overflowed) return {};
@@ -202,11 +209,10 @@ FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>&
   const Constants<T>& k = cloth.sheet.constants;  // of which each is half of the fabric's
   const double paced = momentum_of(calmness(way_m), k.warp + k.weft > STIFF_N_PER_M);
   const double momentum = !follows && rounds >= LONG_ROUNDS ? SETTLING_MOMENTUM : paced;
-  const int64_t sweeps = effort.steps > 1 ? effort.steps / 2 : 1;
   const double untangle_m = follows ? farthest_way(way_m) : WAY_M;
   const double friction = follows ? grip_left(way_m, step_s) * cloth.friction : 0;
-  const FoldSchedule<T> schedule = {T(step_s), T(kept), T(momentum), rounds, effort.steps, sweeps,
-                                    follows ? past.turn : -1, effort.cloth_contact && rounds > 0, T(friction),
+  const FoldSchedule<T> schedule = {T(step_s), T(kept), T(momentum), rounds, effort.steps,
+                                    follows ? past.turn : -1, pace, effort.cloth_contact && rounds > 0, T(friction),
                                     T(effort.clearance_m), T(untangle_m)};
   for (int64_t p = 0; p < places; ++p) {
     after.own[p] = follows ? past.own[p] : cloth.index[p];
@@ -226,16 +232,16 @@ FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>&
 // more without its past. What it leaves is nothing if that is none either: the network's drape is delivered then.
 template <class T>
 FoldOutcome fold_places(const Laid<T>& laid, const T* network, const FoldMemory<T>& past, const Surroundings<T>& around,
-                        const FoldConstants<T>& cloth, const FoldEffort<T>& effort, FoldMemory<T>& after,
+                        const FoldConstants<T>& cloth, const FoldEffort<T>& effort, Pace pace, FoldMemory<T>& after,
                         Scratch& scratch) {
   const int64_t places = cloth.sheet.vertex.count;
   const bool follows = past.step_s < INFINITE && farthest_m<T>(network, past.network, places) <= T(CUT_M);
   __builtin_memcpy(after.network.begin, network, size_t(3 * places) * sizeof(T));
   if (follows) {
-    FoldOutcome outcome = advanced(laid, network, past, true, around, cloth, effort, after, scratch);
+    FoldOutcome outcome = advanced(laid, network, past, true, around, cloth, effort, pace, after, scratch);
     if (!outcome.lost) return outcome;
   }
-  FoldOutcome outcome = advanced(laid, network, past, false, around, cloth, effort, after, scratch);
+  FoldOutcome outcome = advanced(laid, network, past, false, around, cloth, effort, pace, after, scratch);
   outcome.reset = follows || outcome.lost;
   if (!outcome.lost) return outcome;
   outcome.turn = 0;
@@ -254,7 +260,8 @@ FoldOutcome fold_one_level(const T* vertices, const FoldMemory<T>& past, const S
   T* network = scratch.take<T>(3 * places);
   if (scratch.overflowed) return {};
   placed(vertices, cloth.sheet.vertex, network);
-  FoldOutcome outcome = fold_places(laid, network, past, around, cloth, effort, after, scratch);
+  const Pace pace = {1, effort.steps};
+  FoldOutcome outcome = fold_places(laid, network, past, around, cloth, effort, pace, after, scratch);
   delivered(laid, cloth.sheet.place, folded, outcome);
   if (outcome.lost) __builtin_memcpy(folded, vertices, size_t(3 * cloth.sheet.place.count) * sizeof(T));
   return outcome;

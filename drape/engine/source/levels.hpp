@@ -15,6 +15,7 @@
 
 constexpr int NEAREST = 8;      // coarse vertices that a fine one takes from
 constexpr int APART_STEPS = 2;  // of untangling the fine cloth: four leave fewer crossings and cost time and gain
+constexpr Pace COARSE_PACE = {3, 1};  // sweeps are the fine cloth's
 constexpr int FINE_PASSES = 2;   // of turns of the coarse cloth that go over to their neighbours'
 constexpr double KEPT_S = 0.32;  // in which the share that is carried on comes down to 1/e
 constexpr double EASED_S = 0.65;  // in which what eased cloth without folds comes down to 1/e
@@ -123,7 +124,7 @@ FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const 
   placed(vertices, levels.kept, under);
   FoldEffort<T> coarsely = effort;
   if (effort.steps == 0) coarsely.clearance_m = 0;  // what no step moved is lifted on the fine cloth
-  FoldOutcome outcome = fold_places(coarse, under, past, around, levels.coarse, coarsely, after, scratch);
+  FoldOutcome outcome = fold_places(coarse, under, past, around, levels.coarse, coarsely, COARSE_PACE, after, scratch);
   if (scratch.overflowed) return outcome;
   for (int64_t i = 0; i < 3 * below; ++i) off[i] = outcome.lost ? T(0) : coarse.x[i] - under[i];
   const int64_t sweeps = effort.steps * (outcome.settled ? effort.settle : 1);

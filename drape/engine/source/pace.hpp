@@ -15,6 +15,9 @@ constexpr double STIFF_N_PER_M = 1000.0;
 // Shaken cloth creeps: the share of friction that is left where the network moves by so much a second or more.
 constexpr double SHAKEN = 0.5, SHAKEN_M_S = 0.1;
 
+// Steps by which folds of the frame before are carried into a frame, and sweeps after its steps.
+struct Pace { int64_t carries, sweeps; };
+
 // 1 where the network moves its vertices slowly, by way_m [m], 0 where fast.
 INLINE double calmness(double way_m) {
   double calm = (FAST_M - way_m) / (FAST_M - SLOW_M);
