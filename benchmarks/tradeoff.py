@@ -49,6 +49,7 @@ STARTS = {"network_0": 0, "network_all": None}  # which the optimum is looked fo
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
 TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
 DETAIL_MOST = 1.2  # of physics' detail: more is a texture that physics does not have, and gain does not see it
+AS_CHEAP = 1.05  # times of one run are no surer than that
 LIFTED = 0.4  # of what all corrections gain over none without folds: ``instant`` has it
 KNOBS = ("passes", "folds", "coarse")
 COLUMNS = {
@@ -180,10 +181,10 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
     The least, ``instant``, is the cheapest without folds that has ``LIFTED`` of what all corrections gain; the next
     one, ``fast``, the cheapest with folds. The last folds all vertices, without more than ``DETAIL_MOST``: gain does
     not see fine folds and crossings. It is the one of these that gains most. The one between it and ``fast`` is the
-    cheapest that has at least half of what the last gains over ``fast``, and half of its way to less curvature. A
-    tier's folds, and its passes under folds, are never less than those of the one below, and none is coarse above a
-    fine one. Times decide by their order only, so that the rule gives the same tiers on processors on which the rival
-    is faster or slower than here.
+    cheapest that has at least half of what the last gains over ``fast``, and half of its way to less curvature; of
+    those as cheap but for ``AS_CHEAP`` the one with the least curvature. A tier's folds, and its passes under folds,
+    are never less than those of the one below, and none is coarse above a fine one. Times are compared with each other
+    alone, so that the rule gives the same tiers on processors on which the rival is faster or slower than here.
     """
     by_order = sorted(mean, key=lambda row: row["time_ratio"])
     lifted = [row for row in by_order if row.get("folds") == 0]
@@ -195,7 +196,9 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
     last = max(fine, key=lambda row: row["gain"])
     gain, curvature = (0.5 * (least[name] + last[name]) for name in ("gain", "curvature"))
     good = [row for row in above if row["gain"] >= gain and row["curvature"] <= curvature]
-    middle = next((row for row in good if _covers(last, row)), last)
+    good = [row for row in good if _covers(last, row)] or [last]
+    cheap = [row for row in good if row["time_ratio"] <= AS_CHEAP * good[0]["time_ratio"]]
+    middle = min(cheap, key=lambda row: row["curvature"])
     enough = (1.0 - LIFTED) * lifted[0]["gain"] + LIFTED * max(row["gain"] for row in lifted)
     return [next(row for row in lifted if row["gain"] >= enough), least, middle, last]
 

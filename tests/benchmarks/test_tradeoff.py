@@ -116,6 +116,8 @@ def test_tiers_are_the_cheapest_the_nearest_and_half_way_between():
     assert [found["time_ratio"] for found in tiers_of(rough)][1:] == [0.3, 0.4, 0.5], "the last one is not too rough"
     paper = [lift, row(1, 0.3, 0.9), row(2, 0.4, 0.95) | {"curvature": 3.0}, row(2, 0.5, 0.96), row(4, 0.6, 0.97)]
     assert [found["time_ratio"] for found in tiers_of(paper)][1:] == [0.3, 0.5, 0.6], "what crumples is not cloth"
+    near = [lift, row(1, 0.3, 0.9), row(2, 0.40, 0.96), row(2, 0.41, 0.955) | {"curvature": 1.0}, row(4, 0.6, 0.97)]
+    assert [found["time_ratio"] for found in tiers_of(near)][1:] == [0.3, 0.41, 0.6], "as cheap, and less crumpled"
     lifts = [row(0, 0.1, 0.6), row(0, 0.2, 0.75, passes=1), row(0, 0.3, 0.8, passes=None), *rows[1:]]
     assert tiers_of(lifts)[0]["passes"] == 1, "two fifths of what all corrections gain"
     for few in ([lift], rows[1:]):

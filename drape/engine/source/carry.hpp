@@ -13,7 +13,7 @@
 #include "turns.hpp"
 #include "whole.hpp"
 
-constexpr int CARRY_PASSES = 3;  // of turns that go over to their neighbours'
+constexpr int CARRY_PASSES = 3;  // of turns (smooth_turns): none leave jitter
 
 // Writes dE/dx [N] (P, 3) at x, for places before [m] (P, 3) and turns (P, 4) since then.
 template <class T>

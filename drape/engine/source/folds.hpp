@@ -5,10 +5,10 @@
 //
 //     x = X + R^T r,   v = R^T u dt,
 //
-// and from one step of the whole that takes from x what is stretched beside the frame before (carry.hpp). Rounds follow:
-// steps of the whole cloth, each from x + m v with the momentum m, and sweeps of vertex block descent. v is the way of
-// the last step. It is kept from frame to frame, so that the descent has the memory of a heavy ball. The lift ends the
-// frame, and the new memory is r = R (x - X), u = R v / dt.
+// and steps of the whole take from x what is stretched beside the frame before (carry.hpp). Rounds follow: steps of the
+// whole cloth, each from x + m v with the momentum m, and sweeps of vertex block descent. v is the way of the last
+// step. It is kept from frame to frame, so that the descent has the memory of a heavy ball. The lift ends the frame,
+// and the new memory is r = R (x - X), u = R v / dt.
 #pragma once
 #include "carry.hpp"
 #include "colliders.hpp"

@@ -79,7 +79,8 @@
                                           T* gradient) {                                                               \
     gradient_at(x, cloth->sheet, planes, network, T(HOLD), gradient);                                                  \
   }                                                                                                                    \
-  EXPORT int64_t drape_law_whole_step_##suffix(T* x, const FoldConstants<T>* cloth, const T* gradient, Scratch* scratch) { \
+  EXPORT int64_t drape_law_whole_step_##suffix(T* x, const FoldConstants<T>* cloth, const T* gradient,                \
+                                               Scratch* scratch) {                                                     \
     const int64_t count = cloth->factor.place.count;                                                                   \
     T *q = scratch->take<T>(3 * count), *s = scratch->take<T>(3 * (count + LANES));                                    \
     if (scratch->overflowed) return -1;                                                                                \

@@ -6,18 +6,18 @@
 //
 //     x = (1 - share) (X + W (x_c - X_c)) + share W (x_c + Q (y - y_c))
 //
-// is where sweeps of vertex block descent begin. y and y_c are the fine and the coarse places of the frame before, Q the
-// turns of the coarse cloth since then (turns.hpp); the share comes down with the time KEPT_S. No contact is looked for
-// on the fine cloth. Its planes are those of the sample that its coarse vertex is at, blended anew. Where its coarse
-// vertex is kept apart from others, crossings come apart. The lift ends the frame.
+// is where sweeps of vertex block descent begin. y and y_c are the fine and the coarse places of the frame before, and
+// Q the turns of the coarse cloth since then (turns.hpp); the share comes down with the time KEPT_S. No contact is
+// looked for on the fine cloth. Its planes are those of the sample that its coarse vertex is at, blended anew. Where
+// its coarse vertex is kept apart from others, crossings come apart. The lift ends the frame.
 #pragma once
 #include "folds.hpp"
 
-constexpr int NEAREST = 8;      // coarse vertices that a fine one takes from
-constexpr int APART_STEPS = 2;  // of untangling the fine cloth: four leave fewer crossings and cost time and gain
+constexpr int NEAREST = 8;       // coarse vertices that a fine one takes from
+constexpr int APART_STEPS = 2;   // of untangling the fine cloth: four leave fewer crossings and cost time and gain
 constexpr Pace COARSE_PACE = {3, 1};  // sweeps are the fine cloth's
-constexpr int FINE_PASSES = 2;   // of turns of the coarse cloth that go over to their neighbours'
-constexpr double KEPT_S = 0.32;  // in which the share that is carried on comes down to 1/e
+constexpr int FINE_PASSES = 2;   // of the coarse cloth's turns: none leave jitter
+constexpr double KEPT_S = 0.32;   // in which the share that is carried on comes down to 1/e
 constexpr double EASED_S = 0.65;  // in which what eased cloth without folds comes down to 1/e
 
 // The points of a block of the fine cloth, moved as the coarse places are that went off [m] (P, 3).

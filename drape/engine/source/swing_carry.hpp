@@ -95,7 +95,9 @@ void move_vertices(const T* vertices, int64_t count, const T* still, const T* sw
   T* table = scratch.take<T>(LANES * mesh.vertex.count);
   if (scratch.overflowed) return;
   write_turns(still, swung, mesh, share, table, scratch);
-  for (int64_t v = 0; v < count; ++v)
-    put_point(out, v, carried_by(table, mesh.weight_node + SHARED * v, mesh.weight + SHARED * v, 1, point(vertices, v)));
+  for (int64_t v = 0; v < count; ++v) {
+    const int64_t first = SHARED * v;
+    put_point(out, v, carried_by(table, mesh.weight_node + first, mesh.weight + first, 1, point(vertices, v)));
+  }
   scratch.used = mark;
 }
