@@ -95,7 +95,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "grip": "numbers",
         "own": "int32s",
         "other": "int32s",
-        "added": "numbers",
+        "fine": "numbers",
         "turn": "count",
         "step_s": "number",
     },

@@ -39,12 +39,12 @@ class FoldMemory(FrameMemory):
     grip: np.ndarray
     turn: int
 
-    def arrays(self, added: np.ndarray) -> Record:
-        """Its arrays and what sweeps ``added`` as the engine reads them, without a time: where a frame left both, it
-        left that too."""
+    def arrays(self, fine: np.ndarray) -> Record:
+        """Its arrays and the ``fine`` places as the engine reads them, without a time: where a frame left both, it left
+        that too."""
         left: Record | None = vars(self).get("left")
-        if left is None or left.arrays[-1] is not added:
-            given = FoldArrays(self.network, self.residual, self.velocity, self.grip, *self.touched, added)
+        if left is None or left.arrays[-1] is not fine:
+            given = FoldArrays(self.network, self.residual, self.velocity, self.grip, *self.touched, fine)
             left = vars(self)["left"] = Record("FoldMemory", given, self.network.dtype)
         return left
 
@@ -64,9 +64,9 @@ class FoldReport:
 class FoldEffort(NamedTuple):
     """The work that a frame gets.
 
-    ``steps`` of the whole cloth, and half as many sweeps over its vertices, at least one; fast motion changes both. A
-    frame without a past gets ``settle`` sweeps, and then ``settle`` times all of these. With 0 steps no energy is
-    looked at: the folds go along with the network's surface and fade, and a frame without a past has none.
+    ``steps`` of the whole cloth, and as many sweeps over its vertices. A frame without a past gets ``settle`` sweeps,
+    and then ``settle`` times all of these. With 0 steps no energy is looked at: the folds go along with the network's
+    surface and fade, and a frame without a past has none.
 
     ``cloth_contact``: whether cloth keeps apart from itself.
     ``clearance_m`` [m]: a vertex nearer to its own part of the skin is lifted; 0 lifts none.
@@ -79,8 +79,8 @@ class FoldEffort(NamedTuple):
 
 
 class FoldArrays(NamedTuple):
-    """What a frame goes on from, or leaves, as the engine has it: the arrays of ``FoldMemory`` and what sweeps
-    ``added`` [m] (P, 3) to a fine cloth. The past is ``step_s`` [s] before; infinite where there is none."""
+    """What a frame goes on from, or leaves, as the engine has it: the arrays of ``FoldMemory`` and the ``fine`` places
+    [m] (P, 3), or none of them. The past is ``step_s`` [s] before; infinite where there is none."""
 
     network: np.ndarray
     residual: np.ndarray
@@ -88,7 +88,7 @@ class FoldArrays(NamedTuple):
     grip: np.ndarray
     own: np.ndarray
     other: np.ndarray
-    added: np.ndarray
+    fine: np.ndarray
     turn: int = 0
     step_s: float = math.inf
 
@@ -96,11 +96,11 @@ class FoldArrays(NamedTuple):
 def empty_arrays(places: int, fine_places: int, dtype: np.dtype) -> tuple[FoldArrays, Record]:
     """Room for a frame of so many places, of the coarse cloth and of the fine one, and its record."""
     points, samples = np.empty((4, places, 3), dtype), np.empty((2, places), np.int32)
-    added = np.empty((fine_places, 3), dtype) if fine_places else none_added(dtype)
+    fine = np.empty((fine_places, 3), dtype) if fine_places else no_places(dtype)
     (network, residual, velocity, grip), (own, other) = points, samples
-    arrays = FoldArrays(network, residual, velocity, grip, own, other, added)
-    record = Record.of_rows((points, samples, added[None]), 0, math.inf)
-    record.arrays[-1] = added
+    arrays = FoldArrays(network, residual, velocity, grip, own, other, fine)
+    record = Record.of_rows((points, samples, fine[None]), 0, math.inf)
+    record.arrays[-1] = fine
     return arrays, record
 
 
@@ -129,20 +129,20 @@ def fold_call(constants: FoldConstants, memory: FoldMemory | None, time_s: float
     """The call of ``fold`` for a frame at ``time_s`` [s]."""
     dtype = constants.sheet.own.dtype
     after, record = empty_arrays(len(constants.sheet.vertex), 0, dtype)
-    past = past_of(memory, time_s, none_added(dtype))
+    past = past_of(memory, time_s, no_places(dtype))
     return FoldCall("fold", constants, past, record, lambda turn: memory_of(time_s, after, turn, record))
 
 
-def past_of(memory: FoldMemory | None, time_s: float, added: np.ndarray) -> Record:
-    """What ``memory``, and what sweeps ``added``, say to a frame at ``time_s`` [s]."""
+def past_of(memory: FoldMemory | None, time_s: float, fine: np.ndarray) -> Record:
+    """What ``memory``, and the ``fine`` places, say to a frame at ``time_s`` [s]."""
     if memory is None or not memory.leads_to(time_s):
-        return no_past(added.dtype)
-    return memory.arrays(added).ending(memory.turn, step_between(memory.time_s, time_s))
+        return no_past(fine.dtype)
+    return memory.arrays(fine).ending(memory.turn, step_between(memory.time_s, time_s))
 
 
 @cache
-def none_added(dtype: np.dtype) -> np.ndarray:
-    """What sweeps added where there is no fine cloth."""
+def no_places(dtype: np.dtype) -> np.ndarray:
+    """Those of the fine cloth where there is none, or none that a frame goes on from."""
     return np.empty((0, 3), dtype)
 
 

@@ -36,6 +36,7 @@ from drape.live.fold_step import (
     framed,
     memory_of,
     no_past,
+    no_places,
     past_of,
 )
 from drape.live.sheet import sheet
@@ -45,10 +46,11 @@ from drape.live.untangle import tangles_of
 
 @dataclass(frozen=True, eq=False)
 class TwoLevelMemory:
-    """What a frame leaves: the memory of the ``coarse`` cloth, and what sweeps ``added`` [m] (P, 3) to the fine one."""
+    """What a frame leaves: the memory of the ``coarse`` cloth, and the ``fine`` places [m] (P, 3), none of them after a
+    lift."""
 
     coarse: FoldMemory
-    added: np.ndarray
+    fine: np.ndarray
 
     def at(self, time_s: float) -> TwoLevelMemory:
         """The same at another time [s]."""
@@ -179,11 +181,11 @@ def fold_two_level(
 def two_level_call(levels: Levels, memory: TwoLevelMemory | None, time_s: float) -> FoldCall:
     """The call of ``fold_two_level`` for a frame at ``time_s`` [s]."""
     dtype, places = levels.fine.sheet.own.dtype, len(levels.fine.sheet.vertex)
-    past = no_past(dtype) if memory is None else past_of(memory.coarse, time_s, memory.added)
+    past = no_past(dtype) if memory is None else past_of(memory.coarse, time_s, memory.fine)
     after, record = empty_arrays(len(levels.kept), places, dtype)
 
     def remembered(turn: int) -> TwoLevelMemory:
-        return TwoLevelMemory(memory_of(time_s, after, turn, record), after.added)
+        return TwoLevelMemory(memory_of(time_s, after, turn, record), after.fine)
 
     return FoldCall("fold_two_levels", levels, past, record, remembered)
 
@@ -198,4 +200,4 @@ def _unfolded(levels: Levels, memory: LiftMemory, frame: Frame) -> TwoLevelMemor
     call("write_grip", dtype, under, len(under), under, memory.own, skin, len(skin), graph, grip)
     touched = TouchedSamples(memory.own, np.full_like(memory.own, -1))
     coarse = FoldMemory(memory.time_s, memory.network, memory.eased, still, touched, grip, 0)
-    return TwoLevelMemory(coarse, np.zeros((len(levels.fine.parent), 3), dtype))
+    return TwoLevelMemory(coarse, no_places(dtype))

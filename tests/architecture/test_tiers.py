@@ -85,9 +85,9 @@ def test_the_default_is_stated_where_readers_look_for_it(page: str):
 
 @each(
     said=[
-        "`balanced` = 1 correction and 2 steps of folds",
-        "The default, `balanced` = 1\ncorrection and 2 steps of folds.",
-        "`accurate` = all corrections and 5 steps of folds; `fast` = no corrections and 1 step of folds",
+        "`balanced` = 1 correction and 4 steps of folds",
+        "The default, `balanced` = 1\ncorrection and 4 steps of folds.",
+        "`accurate` = all corrections and 5 steps of folds; `fast` = no corrections and 2 steps of folds",
         "`instant` = 1 correction and 0 steps of folds",
     ]
 )
@@ -97,12 +97,12 @@ def test_a_true_statement_is_read_and_kept(said: str):
 
 @each(
     said=[
-        "`balanced` = all corrections and 2 steps of folds",
+        "`balanced` = all corrections and 4 steps of folds",
         "`balanced` = no corrections and 1 step of folds",
         "`balanced` = all corrections and 1 step of folds",
         "`quick` = all corrections and 1 step of folds",
         "`instant` = no corrections and 0 steps of folds",
-        "the default `fast` = no corrections and 1 step of folds",
+        "the default `fast` = no corrections and 2 steps of folds",
     ]
 )
 def test_a_false_statement_is_seen(said: str):

@@ -61,7 +61,7 @@ def test_every_combination_is_measured_beside_the_rival_and_physics(rows):
         none, two, eight = (by_knobs[name] for name in (none, *more))
         assert none["gain"] < two["gain"] <= 1.0, "steps are nearer to physics"
         assert two["gain"] - 0.005 < eight["gain"] <= 1.0, "more of them are as near"
-        assert two["error_mm"] > 0.0
+        assert two["error_mm"] > 0.0 and two["curvature"] > 0.5
     assert by_knobs["passes 0, folds 0"]["jitter_ratio"] == 1.0
 
 
@@ -87,7 +87,7 @@ def row(n: int, ratio: float, gain: float, *, passes: int | None = 0, coarse: bo
     knobs = Knobs(passes, n, coarse)
     found = {"tier": "", "knobs": str(knobs), **asdict(knobs), "time_ratio": ratio, "gain": gain, "jitter_ratio": 1.0}
     found |= {"cpu_ms": 10.0 * ratio, "gain_p05": gain - 0.1, "error_mm": 1.0, "edge_pct": 1.0, "detail_share": 1.0}
-    return found
+    return found | {"curvature": 2.0 - gain}
 
 
 def test_means_are_over_all_that_was_measured_and_mark_the_front():
@@ -114,6 +114,10 @@ def test_tiers_are_the_cheapest_the_nearest_and_half_way_between():
     assert [found["time_ratio"] for found in tiers_of(levels)][1:] == [0.3, 0.4, 0.5], "the last one is fine"
     rough = [lift, row(1, 0.3, 0.9, coarse=True), row(2, 0.4, 0.99) | {"detail_share": 1.3}, row(2, 0.5, 0.98)]
     assert [found["time_ratio"] for found in tiers_of(rough)][1:] == [0.3, 0.4, 0.5], "the last one is not too rough"
+    paper = [lift, row(1, 0.3, 0.9), row(2, 0.4, 0.95) | {"curvature": 3.0}, row(2, 0.5, 0.96), row(4, 0.6, 0.97)]
+    assert [found["time_ratio"] for found in tiers_of(paper)][1:] == [0.3, 0.5, 0.6], "what crumples is not cloth"
+    near = [lift, row(1, 0.3, 0.9), row(2, 0.40, 0.96), row(2, 0.41, 0.955) | {"curvature": 1.0}, row(4, 0.6, 0.97)]
+    assert [found["time_ratio"] for found in tiers_of(near)][1:] == [0.3, 0.41, 0.6], "as cheap, and less crumpled"
     lifts = [row(0, 0.1, 0.6), row(0, 0.2, 0.75, passes=1), row(0, 0.3, 0.8, passes=None), *rows[1:]]
     assert tiers_of(lifts)[0]["passes"] == 1, "two fifths of what all corrections gain"
     for few in ([lift], rows[1:]):

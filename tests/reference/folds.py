@@ -20,6 +20,7 @@ from drape.live.room import FOLDED, NEAR_M, ROOM_M
 from drape.live.sheet import ALIKE
 from drape.live.skin_walks import SkinGraph, TouchedSamples
 from drape.live.whole import stiffness
+from tests.reference import carry
 from tests.reference import pace as pacing
 from tests.reference import solver as reference
 from tests.reference.skin import TURNS, follow, planes, touch
@@ -41,19 +42,22 @@ def fold(
     step_s = step_between(past.time_s, frame.time_s) if memory else FIRST_STEP_S
     frames = surface_frames(network, dressed.cloth)
     share = pacing.fading(effort.steps, step_s)
+    then = surface_frames(past.network, dressed.cloth)
     off = _to_world(frames, share * past.residual)
-    off = mended(off, dressed.cloth.faces, forgotten(past.network, network, dressed.cloth))
-    off = evened(off, past.network, network, dressed.cloth.faces)
+    off = kept(off, past.network, network, dressed.cloth)
     x = network + off
+    if memory and effort.steps:
+        came = past.network + kept(_to_world(then, past.residual), past.network, network, dressed.cloth)
+        turns = carry.surface_turns(then, frames, dressed.cloth.faces, carry.CARRY_PASSES)
+        x = x + solved_step(dressed, carry.carry_energy(x, came, turns, dressed.cloth, dressed.material)[1])
     way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
     stuck = stuck_places(past.grip, frame.skin, dressed.graph, past.touched.own)
     touched = follow(network, frame.skin, dressed.graph, past.touched)
     stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > pacing.STIFF_N_PER_M
     way_m = pacing.moved_m(past.network, network)
     friction = pacing.grip_left(way_m, step_s) * dressed.friction if memory else 0.0
-    pace = pacing.paced(effort.steps, pacing.calmness(way_m), stiff=stiff)
     long = memory is None and effort.settle >= pacing.LONG_ROUNDS
-    momentum = pacing.SETTLING_MOMENTUM if long else pace.momentum
+    momentum = pacing.SETTLING_MOMENTUM if long else pacing.momentum_of(pacing.calmness(way_m), stiff=stiff)
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = replace(made, hinges=made.creases)  # the others bend by the quadratic matrix
     for number in range(0 if effort.steps == 0 else 1 if memory else effort.settle):
@@ -65,16 +69,12 @@ def fold(
             around = kept_apart(x, around, made, dressed.cloth)
         for _ in range(0 if memory or number else effort.settle):
             x = sweep(x, made, around)
-        for _ in range(pace.steps):
+        for _ in range(effort.steps):
             ahead = x + momentum * _limited(way, float(made.constants.reach))
-            ahead = ahead + whole_step(dressed, made, around, ahead, pace.share)
+            ahead = ahead + whole_step(dressed, made, around, ahead)
             x, way = ahead, ahead - x
-        for _ in range(pace.sweeps):
-            if pace.steps:
-                x = sweep(x, made, around)
-                continue
-            ahead = sweep(x + momentum * _limited(way, float(made.constants.reach)), made, around)
-            x, way = ahead, ahead - x
+        for _ in range(effort.steps):
+            x = sweep(x, made, around)
     if effort.clearance_m > 0.0:
         if effort.steps == 0:
             here, touched = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
@@ -99,6 +99,11 @@ def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
     edge -= (edge * normal).sum(axis=1, keepdims=True) * normal
     edge /= np.linalg.norm(edge, axis=1, keepdims=True)
     return np.stack([normal, edge, np.cross(normal, edge)], axis=1)
+
+
+def kept(off: np.ndarray, before: np.ndarray, network: np.ndarray, cloth: ClothMesh) -> np.ndarray:
+    """What is kept of residuals ``off`` [m] (V, 3) from one drape of the network to the next."""
+    return evened(mended(off, cloth.faces, forgotten(before, network, cloth)), before, network, cloth.faces)
 
 
 def longest_next(cloth: ClothMesh) -> np.ndarray:
@@ -217,12 +222,16 @@ def kept_apart(x: np.ndarray, around: Around, made: Problem, cloth: ClothMesh) -
     )
 
 
-def whole_step(dressed: WornCloth, made: Problem, around: Around, x: np.ndarray, share: float) -> np.ndarray:
-    """The way [m] (V, 3) that the whole cloth takes at ``x``, a ``share`` of its answer, by a dense matrix."""
-    matrix = stiffness(dressed.cloth, dressed.material, dressed.springs_n_per_m).toarray()
+def whole_step(dressed: WornCloth, made: Problem, around: Around, x: np.ndarray) -> np.ndarray:
+    """The way [m] (V, 3) that the whole cloth takes at ``x``."""
     known = dressed.band_n_per_m + HOLD * made.contact_n_per_m
-    step = -np.linalg.solve(matrix, gradient_known(x, made, around, known))
-    return share * step * (CLAMP_M / max(float(np.linalg.norm(step, axis=1).max()), CLAMP_M))
+    return solved_step(dressed, gradient_known(x, made, around, known))
+
+
+def solved_step(dressed: WornCloth, gradient: np.ndarray) -> np.ndarray:
+    """What the whole cloth answers [m] (V, 3) to a ``gradient`` [N], by a dense matrix."""
+    step = -np.linalg.solve(stiffness(dressed.cloth, dressed.material, dressed.springs_n_per_m).toarray(), gradient)
+    return step * (CLAMP_M / max(float(np.linalg.norm(step, axis=1).max()), CLAMP_M))
 
 
 def sweep(x: np.ndarray, made: Problem, around: Around) -> np.ndarray:

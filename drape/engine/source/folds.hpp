@@ -3,12 +3,14 @@
 // The memory holds the folds as a residual r and a velocity u in local frames R of the network's surface X. The frame
 // starts from them,
 //
-//     x = X + R^T r,   v = R^T u dt.
+//     x = X + R^T r,   v = R^T u dt,
 //
-// Rounds follow: steps of the whole cloth, each from x + m v with the momentum m, and sweeps of vertex block descent. v
-// is the way of the last step. It is kept from frame to frame, so that the descent has the memory of a heavy ball. The
-// lift ends the frame, and the new memory is r = R (x - X), u = R v / dt.
+// and steps of the whole take from x what is stretched beside the frame before (carry.hpp). Rounds follow: steps of the
+// whole cloth, each from x + m v with the momentum m, and sweeps of vertex block descent. v is the way of the last
+// step. It is kept from frame to frame, so that the descent has the memory of a heavy ball. The lift ends the frame,
+// and the new memory is r = R (x - X), u = R v / dt.
 #pragma once
+#include "carry.hpp"
 #include "colliders.hpp"
 #include "lift.hpp"
 #include "numbers.hpp"
@@ -17,7 +19,6 @@
 #include "residual.hpp"
 #include "room.hpp"
 #include "untangle.hpp"
-#include "whole.hpp"
 
 constexpr double FAR_M = 0.25;  // a vertex farther from the network's drape is no fold
 constexpr double CUT_M = 0.30;  // a frame in which the network moved a vertex farther has no past
@@ -32,19 +33,20 @@ struct FoldOutcome {
   double untangle_m, lifted_share, lifted_max_m;
 };
 
-// The cloth of a frame: where its places are [m] (P, 3), with room for one number behind them, how far [m] each was
-// lifted (P,), and the planes that held it.
+// The cloth of a frame: where its places are and, if it goes on from a frame, came from [m] (P, 3), with room for one
+// number behind them, how far [m] each was lifted (P,), and the planes that held it.
 template <class T> struct Laid {
-  T *x, *lifted, *planes;
+  T *x, *came, *lifted, *planes;
   Laid(int64_t places, Scratch& scratch)
-      : x(scratch.take<T>(3 * places)), lifted(scratch.take<T>(places)),
+      : x(scratch.take<T>(3 * places)), came(scratch.take<T>(3 * places)), lifted(scratch.take<T>(places)),
         planes(scratch.take<T>(PLANES * (places / LANES))) {}
 };
 
 template <class T> struct FoldSchedule {
-  T step_s, momentum, share;
-  int64_t rounds, steps, sweeps, turn;  // turn: negative without a past
-  bool within;                          // cloth keeps apart from itself
+  T step_s, kept, momentum;     // kept: of the residual
+  int64_t rounds, steps, turn;  // turn: negative without a past
+  Pace pace;
+  bool within;  // cloth keeps apart from itself
   T friction, clearance, untangle;
 };
 
@@ -116,18 +118,14 @@ void descend_rounds(const Laid<T>& laid, T* way, const T* network, const T* stuc
     if (round == 0 && schedule.turn < 0)
       // Triangles that the network stretches are stiffer than K knows, and steps would run away: sweeps first.
       for (int64_t sweep = 0; sweep < schedule.rounds; ++sweep) descend(x, sheet, planes, network);
-    for (int64_t turn = 0; turn < schedule.steps + schedule.sweeps; ++turn) {
-      const bool is_step = turn < schedule.steps, goes_on = is_step || schedule.steps == 0;
+    for (int64_t step = 0; step < schedule.steps; ++step) {
       __builtin_memcpy(before, x, bytes);
-      if (goes_on) go_on(x, way, places, schedule.momentum, T(sheet.constants.reach));
-      if (is_step) {
-        gradient_at(x, sheet, planes, network, T(HOLD), gradient);
-        whole_step(x, cloth.factor, gradient, schedule.share, q, s);
-      } else {
-        descend(x, sheet, planes, network);
-      }
-      if (goes_on) set_way(way, x, before, places);
+      go_on(x, way, places, schedule.momentum, T(sheet.constants.reach));
+      gradient_at(x, sheet, planes, network, T(HOLD), gradient);
+      whole_step(x, cloth.factor, gradient, q, s);
+      set_way(way, x, before, places);
     }
+    for (int64_t sweep = 0; sweep < schedule.pace.sweeps; ++sweep) descend(x, sheet, planes, network);
     if (schedule.within &&
         untangle(x, places, cloth.tangles, every, clusters, schedule.untangle, UNTANGLE_STEPS, crossed, scratch) > 0)
       ease(x, network, crossed, T(EASE / WAY_M) * schedule.untangle, sheet, scratch);
@@ -139,6 +137,16 @@ void descend_rounds(const Laid<T>& laid, T* way, const T* network, const T* stuc
   scratch.used = mark;
 }
 
+// Writes where residuals [m] (P, 3) of a surface [m] (P, 3) with the frames are.
+template <class T>
+void put_folded(const T* surface, const T* frames, const T* residual, int64_t places, T* x) {
+  for (int64_t block = 0; block < places / LANES; ++block) {
+    const int64_t first = 3 * LANES * block;
+    const Points<T> off = to_world(axes_in(frames + FRAMES * block), points_in(residual + first));
+    put_points(x + first, points_in(surface + first) + off);
+  }
+}
+
 // Writes where the cloth lies, and moves after on in place. Returns how far [m] the farthest place is from the network,
 // NaN where one is.
 template <class T>
@@ -146,20 +154,31 @@ T advance(const Laid<T>& laid, const T* before, const T* network, const Surround
           const FoldConstants<T>& cloth, const FoldSchedule<T>& schedule, FoldMemory<T>& after, Scratch& scratch) {
   const Sheet<T>& sheet = cloth.sheet;
   const Skin<T> skin = skin_of(around.skin, cloth.graph);
-  const int64_t mark = scratch.used, places = sheet.vertex.count;
+  const int64_t mark = scratch.used, places = sheet.vertex.count, blocks = places / LANES;
   T *x = laid.x, *stuck = scratch.take<T>(3 * places), *way = scratch.take<T>(3 * places);
-  T* frames = scratch.take<T>(FRAMES * (places / LANES));
+  T* kept = scratch.take<T>(3 * places);  // where the cloth was, without what it forgets
+  T *then = scratch.take<T>(FRAMES * blocks), *frames = scratch.take<T>(FRAMES * blocks);
   if (scratch.overflowed) return T(__builtin_nan(""));
   stuck_places<T>(after.grip, places, after.own, skin, stuck);
   surface_frames(network, sheet, frames);
-  for (int64_t block = 0; block < places / LANES; ++block) {
+  if (schedule.turn >= 0) {
+    surface_frames(before, sheet, then);
+    put_folded<T>(before, then, after.residual, places, laid.came);
+  }
+  for (int64_t block = 0; block < blocks; ++block) {
     const int64_t first = 3 * LANES * block;
     const AxesOf<T> axes = axes_in(frames + FRAMES * block);
-    put_points(x + first, to_world(axes, points_in(after.residual + first)));
+    put_points(x + first, to_world(axes, scaled(row_of(schedule.kept), points_in(after.residual + first))));
     put_points(way + first, to_world(axes, scaled(row_of(schedule.step_s), points_in(after.velocity + first))));
   }
   keep_residual(x, before, network, frames, sheet, cloth.hem, scratch);
   for (int64_t i = 0; i < 3 * places; i += LANES) put(x + i, row_at(x + i) + row_at(network + i));
+  if (schedule.turn >= 0 && schedule.rounds > 0) {
+    for (int64_t i = 0; i < 3 * places; i += LANES) put(kept + i, row_at(laid.came + i) - row_at(before + i));
+    keep_residual(kept, before, network, frames, sheet, cloth.hem, scratch);
+    for (int64_t i = 0; i < 3 * places; i += LANES) put(kept + i, row_at(kept + i) + row_at(before + i));
+    carry<T>(x, kept, then, frames, sheet, cloth.factor, schedule.pace.carries, scratch);
+  }
   for (int64_t i = 0; i < places; i += LANES) put(laid.lifted + i, T(0));
   descend_rounds(laid, way, network, stuck, around, cloth, schedule, after, scratch);
   write_grip<T>(x, places, schedule.turn < 0 ? x : stuck, after.own, skin, after.grip);
@@ -178,7 +197,7 @@ T advance(const Laid<T>& laid, const T* before, const T* network, const Surround
 template <class T>
 FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>& past, bool follows,
                      const Surroundings<T>& around, const FoldConstants<T>& cloth, const FoldEffort<T>& effort,
-                     FoldMemory<T>& after, Scratch& scratch) {
+                     Pace pace, FoldMemory<T>& after, Scratch& scratch) {
   const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
   T* before = scratch.take<T>(3 * places);  // the network's places, which points_at reads, with room behind them
   if (scratch.overflowed) return {};
@@ -188,19 +207,19 @@ FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>&
   const double kept = effort.steps ? 1 : exponential_of(-step_s / FADE_S), still = kept == 1 ? 1 : 0;
   const double way_m = follows ? moved_m<T>(before, network, cloth.sheet.place) : 0;
   const Constants<T>& k = cloth.sheet.constants;  // of which each is half of the fabric's
-  const Pace pace = paced(effort.steps, calmness(way_m), k.warp + k.weft > STIFF_N_PER_M);
-  const double momentum = !follows && rounds >= LONG_ROUNDS ? SETTLING_MOMENTUM : pace.momentum;
+  const double paced = momentum_of(calmness(way_m), k.warp + k.weft > STIFF_N_PER_M);
+  const double momentum = !follows && rounds >= LONG_ROUNDS ? SETTLING_MOMENTUM : paced;
   const double untangle_m = follows ? farthest_way(way_m) : WAY_M;
   const double friction = follows ? grip_left(way_m, step_s) * cloth.friction : 0;
-  const FoldSchedule<T> schedule = {T(step_s), T(momentum), T(pace.share), rounds, pace.steps, pace.sweeps,
-                                    follows ? past.turn : -1, effort.cloth_contact && rounds > 0, T(friction),
+  const FoldSchedule<T> schedule = {T(step_s), T(kept), T(momentum), rounds, effort.steps,
+                                    follows ? past.turn : -1, pace, effort.cloth_contact && rounds > 0, T(friction),
                                     T(effort.clearance_m), T(untangle_m)};
   for (int64_t p = 0; p < places; ++p) {
     after.own[p] = follows ? past.own[p] : cloth.index[p];
     after.other[p] = follows ? past.other[p] : -1;
   }
   for (int64_t i = 0; i < 3 * places; ++i) {
-    after.residual[i] = follows ? T(kept) * past.residual[i] : T(0);
+    after.residual[i] = follows ? past.residual[i] : T(0);
     after.velocity[i] = follows ? T(still) * past.velocity[i] : T(0);
     after.grip[i] = follows ? past.grip[i] : T(0);
   }
@@ -213,16 +232,16 @@ FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>&
 // more without its past. What it leaves is nothing if that is none either: the network's drape is delivered then.
 template <class T>
 FoldOutcome fold_places(const Laid<T>& laid, const T* network, const FoldMemory<T>& past, const Surroundings<T>& around,
-                        const FoldConstants<T>& cloth, const FoldEffort<T>& effort, FoldMemory<T>& after,
+                        const FoldConstants<T>& cloth, const FoldEffort<T>& effort, Pace pace, FoldMemory<T>& after,
                         Scratch& scratch) {
   const int64_t places = cloth.sheet.vertex.count;
   const bool follows = past.step_s < INFINITE && farthest_m<T>(network, past.network, places) <= T(CUT_M);
   __builtin_memcpy(after.network.begin, network, size_t(3 * places) * sizeof(T));
   if (follows) {
-    FoldOutcome outcome = advanced(laid, network, past, true, around, cloth, effort, after, scratch);
+    FoldOutcome outcome = advanced(laid, network, past, true, around, cloth, effort, pace, after, scratch);
     if (!outcome.lost) return outcome;
   }
-  FoldOutcome outcome = advanced(laid, network, past, false, around, cloth, effort, after, scratch);
+  FoldOutcome outcome = advanced(laid, network, past, false, around, cloth, effort, pace, after, scratch);
   outcome.reset = follows || outcome.lost;
   if (!outcome.lost) return outcome;
   outcome.turn = 0;
@@ -241,7 +260,8 @@ FoldOutcome fold_one_level(const T* vertices, const FoldMemory<T>& past, const S
   T* network = scratch.take<T>(3 * places);
   if (scratch.overflowed) return {};
   placed(vertices, cloth.sheet.vertex, network);
-  FoldOutcome outcome = fold_places(laid, network, past, around, cloth, effort, after, scratch);
+  const Pace pace = {1, effort.steps};
+  FoldOutcome outcome = fold_places(laid, network, past, around, cloth, effort, pace, after, scratch);
   delivered(laid, cloth.sheet.place, folded, outcome);
   if (outcome.lost) __builtin_memcpy(folded, vertices, size_t(3 * cloth.sheet.place.count) * sizeof(T));
   return outcome;

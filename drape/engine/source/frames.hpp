@@ -17,6 +17,14 @@ template <class T> INLINE AxesOf<T> axes_in(const T* block) {
   return {rows3_at(block), rows3_at(block + 3 * LANES), rows3_at(block + 6 * LANES)};
 }
 
+// 1 where a row of neighbours has one, 0 where it is empty and has the place itself.
+template <class T> INLINE Row<T> real_row(const Sheet<T>& sheet, int64_t block, int64_t row) {
+  Indices places, index;
+  for (int lane = 0; lane < LANES; ++lane) places[lane] = int32_t(LANES * block) + lane;
+  __builtin_memcpy(&index, sheet.fan_other + LANES * row, sizeof index);
+  return where<T>(__builtin_convertvector(index != places, Mask<T>), row_of(T(1)), row_of(T(0)));
+}
+
 template <class T> INLINE Points<T> unit_or_none(Points<T> a) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
   Row<T> square = dot(a, a);

@@ -7,6 +7,20 @@
   EXPORT void drape_law_farthest_##suffix(const T* x, const T* y, int64_t places, T* far) {                            \
     *far = farthest_m(x, y, places);                                                                                   \
   }                                                                                                                    \
+  EXPORT int64_t drape_law_turns_##suffix(const T* before, const T* network, const FoldConstants<T>* cloth,            \
+                                          int64_t passes, T* turns, Scratch* scratch) {                                \
+    const int64_t count = FRAMES * (cloth->sheet.vertex.count / LANES);                                                \
+    T *then = scratch->take<T>(count), *now = scratch->take<T>(count);                                                 \
+    if (scratch->overflowed) return -1;                                                                                \
+    surface_frames(before, cloth->sheet, then);                                                                        \
+    surface_frames(network, cloth->sheet, now);                                                                        \
+    surface_turns(then, now, cloth->sheet, int(passes), turns, *scratch);                                              \
+    return -scratch->overflowed;                                                                                       \
+  }                                                                                                                    \
+  EXPORT void drape_law_carry_gradient_##suffix(const T* x, const T* before, const T* turns,                           \
+                                                const FoldConstants<T>* cloth, T* gradient) {                          \
+    carry_gradient(x, before, turns, cloth->sheet, gradient);                                                          \
+  }                                                                                                                    \
   EXPORT int64_t drape_law_forget_##suffix(const T* before, const T* network, const FoldConstants<T>* cloth, T* forget,\
                                            Scratch* scratch) {                                                         \
     T* frames = scratch->take<T>(FRAMES * (cloth->sheet.vertex.count / LANES));                                        \
@@ -65,12 +79,12 @@
                                           T* gradient) {                                                               \
     gradient_at(x, cloth->sheet, planes, network, T(HOLD), gradient);                                                  \
   }                                                                                                                    \
-  EXPORT int64_t drape_law_whole_step_##suffix(T* x, const FoldConstants<T>* cloth, const T* gradient, double share,   \
+  EXPORT int64_t drape_law_whole_step_##suffix(T* x, const FoldConstants<T>* cloth, const T* gradient,                \
                                                Scratch* scratch) {                                                     \
     const int64_t count = cloth->factor.place.count;                                                                   \
     T *q = scratch->take<T>(3 * count), *s = scratch->take<T>(3 * (count + LANES));                                    \
     if (scratch->overflowed) return -1;                                                                                \
-    whole_step(x, cloth->factor, gradient, T(share), q, s);                                                            \
+    whole_step(x, cloth->factor, gradient, q, s);                                                                      \
     return 0;                                                                                                          \
   }                                                                                                                    \
   EXPORT int64_t drape_law_solve_##suffix(const FoldConstants<T>* cloth, T* y, Scratch* scratch) {                     \
@@ -107,11 +121,10 @@
 FOR_TYPE(float, f32)
 FOR_TYPE(double, f64)
 
-// What folds do in motion: calmness, grip, the longest step of untangling [m]; steps, sweeps, share and momentum.
-EXPORT void drape_law_pace_f64(double way_m, double step_s, int64_t steps, int64_t stiff, double* out) {
-  const Pace pace = paced(steps, calmness(way_m), stiff);
-  const double found[] = {calmness(way_m), grip_left(way_m, step_s), farthest_way(way_m), double(pace.steps),
-                          double(pace.sweeps), pace.share, pace.momentum};
+// What folds do in motion: calmness, grip, the longest step of untangling [m], momentum.
+EXPORT void drape_law_pace_f64(double way_m, double step_s, int64_t stiff, double* out) {
+  const double calm = calmness(way_m), found[] = {calm, grip_left(way_m, step_s), farthest_way(way_m),
+                                                  momentum_of(calm, stiff)};
   __builtin_memcpy(out, found, sizeof found);
 }
 

@@ -4,17 +4,20 @@
 // fine cloth for it. So the coarse cloth, about a fifth of the vertices, takes the frame's steps (folds.hpp). Their way
 // from the network's drape is carried to all vertices by weights W, and
 //
-//     x = X + W (x_c - X_c) + share e
+//     x = (1 - share) (X + W (x_c - X_c)) + share W (x_c + Q (y - y_c))
 //
-// is where sweeps of vertex block descent begin. e is what the sweeps of the frame before added; it fades with the time
-// KEPT_S. No contact is looked for on the fine cloth. Its planes are those of the sample that its coarse vertex is at,
-// blended anew. Where its coarse vertex is kept apart from others, crossings come apart. The lift ends the frame.
+// is where sweeps of vertex block descent begin. y and y_c are the fine and the coarse places of the frame before, and
+// Q the turns of the coarse cloth since then (turns.hpp); the share comes down with the time KEPT_S. No contact is
+// looked for on the fine cloth. Its planes are those of the sample that its coarse vertex is at, blended anew. Where
+// its coarse vertex is kept apart from others, crossings come apart. The lift ends the frame.
 #pragma once
 #include "folds.hpp"
 
-constexpr int NEAREST = 8;      // coarse vertices that a fine one takes from
-constexpr int APART_STEPS = 2;  // of untangling the fine cloth: four leave fewer crossings and cost time and gain
-constexpr double KEPT_S = 0.25;  // in which what sweeps added comes down to 1/e: more lets fine folds pass each other
+constexpr int NEAREST = 8;       // coarse vertices that a fine one takes from
+constexpr int APART_STEPS = 2;   // of untangling the fine cloth: four leave fewer crossings and cost time and gain
+constexpr Pace COARSE_PACE = {3, 1};  // sweeps are the fine cloth's
+constexpr int FINE_PASSES = 2;   // of the coarse cloth's turns: none leave jitter
+constexpr double KEPT_S = 0.32;   // in which the share that is carried on comes down to 1/e
 constexpr double EASED_S = 0.65;  // in which what eased cloth without folds comes down to 1/e
 
 // The points of a block of the fine cloth, moved as the coarse places are that went off [m] (P, 3).
@@ -39,15 +42,36 @@ template <class T> int64_t close_clusters(const T* planes, const FineLevel<T>& f
   return filled;
 }
 
-// A share that is kept of what sweeps added before, how far [m] what crosses comes apart in a step, the clearance [m]
-// of the lift, and the sweeps.
+// Writes the table (P, 16) by which coarse places carry fine ones from where they came to where they are.
+template <class T>
+void write_carriers(const Laid<T>& coarse, const Sheet<T>& sheet, T* table, Scratch& scratch) {
+  const int64_t mark = scratch.used, places = sheet.vertex.count, blocks = places / LANES;
+  T *then = scratch.take<T>(FRAMES * blocks), *now = scratch.take<T>(FRAMES * blocks);
+  T* turns = scratch.take<T>(4 * places);
+  if (scratch.overflowed) return;
+  surface_frames(coarse.came, sheet, then);
+  surface_frames(coarse.x, sheet, now);
+  surface_turns(then, now, sheet, FINE_PASSES, turns, scratch);
+  for (int64_t block = 0; block < blocks; ++block) {
+    const int64_t first = 3 * LANES * block;
+    int32_t index[LANES];
+    for (int lane = 0; lane < LANES; ++lane) index[lane] = int32_t(LANES * block) + lane;
+    put_nodes(table, index, matrix_of(turns_in(turns + 4 * LANES * block)), points_in(coarse.came + first),
+              points_in(coarse.x + first), T(1));
+  }
+  scratch.used = mark;
+}
+
+// How the fine cloth is laid: the share of its start that coarse places carry on from the frame before, by their table;
+// how far [m] what crosses comes apart in a step, the clearance [m] of the lift, and the sweeps.
 template <class T> struct FineSchedule {
   T share, untangle, clearance;
   int64_t sweeps;
+  const T* table;
 };
 
 // Lays the fine cloth around the network's places [m] (P, 3). The coarse cloth lies off [m] (P, 3) the network, on the
-// samples of after. What sweeps added before is read, and that of after is written.
+// samples of after. Where the fine places [m] (P, 3) were before is read, and those of after are written.
 template <class T>
 void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* network, const T* off, const T* before,
                  const Surroundings<T>& around, const Levels<T>& levels, const FineSchedule<T>& schedule,
@@ -55,16 +79,20 @@ void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* network, c
   const FineLevel<T>& fine = levels.fine;
   const Skin<T> skin = skin_of(around.skin, levels.coarse.graph);
   const int64_t mark = scratch.used, places = fine.sheet.vertex.count;
-  T *x = laid.x, *planes = laid.planes, *start = scratch.take<T>(3 * places), *crossed = scratch.take<T>(places);
+  T *x = laid.x, *planes = laid.planes, *crossed = scratch.take<T>(places);
   int32_t* close = scratch.take<int32_t>(fine.tangles.start.count);
   if (scratch.overflowed) return;
   for (int64_t block = 0; block < places / LANES; ++block) {
-    const int64_t first = 3 * LANES * block;
-    Points<T> points = carried(points_in(network + first), off, fine, block);
-    put_points(start + first, points);
-    if (schedule.share > 0) points = plus(points, row_of(schedule.share), points_in(before + first));
-    put_points(x + first, points);
-    put(laid.lifted + LANES * block, T(0));
+    const int64_t first = LANES * block, entry = NEAREST * first;
+    Points<T> points = carried(points_in(network + 3 * first), off, fine, block);
+    if (schedule.share > 0) {
+      for (int lane = 0; lane < LANES; ++lane)
+        put_point(x, first + lane, carried_by(schedule.table, fine.near + entry + lane, fine.weight + entry + lane,
+                                              LANES, point(before, first + lane)));
+      points = plus(points, row_of(schedule.share), points_in(x + 3 * first) - points);
+    }
+    put_points(x + 3 * first, points);
+    put(laid.lifted + first, T(0));
   }
   hold_places<T>(fine.sheet, nullptr, T(0), planes);
   put_own_planes<T>(x, places, skin, after.own, fine.parent, planes);
@@ -77,12 +105,12 @@ void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* network, c
   }
   leave_colliders(x, places, around.colliders, planes, schedule.clearance);
   if (schedule.clearance > 0) lift(x, places, planes, schedule.clearance, laid.lifted);
-  for (int64_t i = 0; i < 3 * places; i += LANES) put(after.added + i, row_at(x + i) - row_at(start + i));
+  __builtin_memcpy(after.fine.begin, x, size_t(3 * places) * sizeof(T));
   scratch.used = mark;
 }
 
-// Writes the folded vertices [m] (V, 3) of two levels and the memory after them: that of the coarse cloth, and what
-// sweeps added [m] to the fine one.
+// Writes the folded vertices [m] (V, 3) of two levels and the memory after them: that of the coarse cloth, and the fine
+// places [m] (P, 3).
 template <class T>
 FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around,
                             const Levels<T>& levels, const FoldEffort<T>& effort, FoldMemory<T>& after, T* folded,
@@ -96,19 +124,23 @@ FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const 
   placed(vertices, levels.kept, under);
   FoldEffort<T> coarsely = effort;
   if (effort.steps == 0) coarsely.clearance_m = 0;  // what no step moved is lifted on the fine cloth
-  FoldOutcome outcome = fold_places(coarse, under, past, around, levels.coarse, coarsely, after, scratch);
+  FoldOutcome outcome = fold_places(coarse, under, past, around, levels.coarse, coarsely, COARSE_PACE, after, scratch);
   if (scratch.overflowed) return outcome;
   for (int64_t i = 0; i < 3 * below; ++i) off[i] = outcome.lost ? T(0) : coarse.x[i] - under[i];
   const int64_t sweeps = effort.steps * (outcome.settled ? effort.settle : 1);
-  const double share = outcome.settled ? 0 : exponential_of(-past.step_s / (effort.steps ? KEPT_S : FADE_S));
+  const bool goes_on = !outcome.settled && past.fine.count > 0;
+  const double share = goes_on ? exponential_of(-past.step_s / (effort.steps ? KEPT_S : FADE_S)) : 0;
   const double untangle_m = sweeps > 0 && effort.cloth_contact ? outcome.untangle_m : 0;
-  const FineSchedule<T> schedule = {T(share), T(untangle_m), T(effort.clearance_m), sweeps};
-  settle_fine<T>(laid, coarse, network, off, past.added, around, levels, schedule, after, scratch);
+  T* table = scratch.take<T>(LANES * below);
+  if (scratch.overflowed) return outcome;
+  if (goes_on) write_carriers(coarse, levels.coarse.sheet, table, scratch);
+  const FineSchedule<T> schedule = {T(share), T(untangle_m), T(effort.clearance_m), sweeps, table};
+  settle_fine<T>(laid, coarse, network, off, past.fine, around, levels, schedule, after, scratch);
   outcome.lost = !(farthest_m(laid.x, network, places) <= T(FAR_M));
   if (outcome.lost) {
     outcome.reset = 1;
     for (int64_t p = 0; p < places; ++p) laid.lifted[p] = 0;
-    for (int64_t i = 0; i < 3 * places; ++i) after.added[i] = 0;
+    __builtin_memcpy(after.fine.begin, network, size_t(3 * places) * sizeof(T));
   }
   delivered(laid, fine.sheet.place, folded, outcome);
   if (outcome.lost) __builtin_memcpy(folded, vertices, size_t(3 * fine.sheet.place.count) * sizeof(T));
@@ -147,7 +179,7 @@ void ease_off(const T* under, const T* before, T share, const int32_t* own, cons
   put_own_planes<T>(x, places, skin, own, nullptr, planes);
   for (int64_t step = 0; step < steps; ++step) {
     gradient_at<T>(x, cloth.sheet, planes, under, T(HOLD), gradient);
-    whole_step(x, cloth.factor, gradient, T(1), q, s);
+    whole_step(x, cloth.factor, gradient, q, s);
   }
   const bool fits = farthest_m<T>(x, under, places) <= T(FAR_M);
   for (int64_t block = 0; block < places / LANES; ++block) {

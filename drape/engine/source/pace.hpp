@@ -1,4 +1,4 @@
-// The pace of folds: what work a frame gets, by how fast the network moves the cloth and how stiff that is.
+// The pace of folds: what a frame keeps, by how fast the network moves the cloth and how stiff that is.
 #pragma once
 #include "platform.hpp"
 
@@ -10,17 +10,13 @@ constexpr double MOMENTUM = 0.9, FAST_MOMENTUM = 0.7, STIFF_MOMENTUM = 0.5;
 constexpr double SETTLING_MOMENTUM = 0.98;
 constexpr int64_t LONG_ROUNDS = 16;
 constexpr double SLOW_M = 0.01, FAST_M = 0.02;  // RMS way of the network's vertices a frame: slow, fast
-constexpr int64_t FAST_SWEEPS = 2;              // sweeps that fast motion adds
-constexpr double STIFF_SHARE = 0.5;             // what fast motion leaves of a step of the whole in stiff cloth
 // Mean membrane stiffness along warp and weft from which cloth counts as stiff: denim, satin, poplin, but no knit.
 constexpr double STIFF_N_PER_M = 1000.0;
 // Shaken cloth creeps: the share of friction that is left where the network moves by so much a second or more.
 constexpr double SHAKEN = 0.5, SHAKEN_M_S = 0.1;
 
-struct Pace {  // steps of the whole cloth, a share of each, with momentum, and sweeps over its vertices
-  int64_t steps, sweeps;
-  double share, momentum;
-};
+// Steps by which folds of the frame before are carried into a frame, and sweeps after its steps.
+struct Pace { int64_t carries, sweeps; };
 
 // 1 where the network moves its vertices slowly, by way_m [m], 0 where fast.
 INLINE double calmness(double way_m) {
@@ -34,15 +30,8 @@ INLINE double grip_left(double way_m, double step_s) {
   return 1 - (1 - SHAKEN) * (shaken < 1 ? shaken : 1);
 }
 
-// A step of the whole answers to where soft cloth was, and in fast motion that is out of date: steps fade out, and
-// sweeps take their place. Stiff cloth crumples without steps: half of each stays, with less momentum, and sweeps for
-// contact are added.
-INLINE Pace paced(int64_t steps, double calm, bool stiff) {
-  const int64_t half = steps / 2 > 1 ? steps / 2 : 1;
-  if (stiff)
-    return {steps, calm == 1 ? half : steps + FAST_SWEEPS, STIFF_SHARE + calm * (1 - STIFF_SHARE),
-            STIFF_MOMENTUM + calm * (MOMENTUM - STIFF_MOMENTUM)};
-  const double momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM);
-  if (calm == 0) return {0, steps + FAST_SWEEPS, calm, momentum};
-  return {steps, half + (calm < 1 ? FAST_SWEEPS : 0), calm, momentum};
+// Steps answer to where cloth was, and stiff cloth crumples by what fast motion brings along: it keeps less of its way.
+INLINE double momentum_of(double calm, bool stiff) {
+  const double least = stiff ? STIFF_MOMENTUM : FAST_MOMENTUM;
+  return least + calm * (MOMENTUM - least);
 }

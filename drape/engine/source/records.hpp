@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0xe7795efbb20da88cu;
+constexpr uint64_t RECORDS_HASH = 0xbac5ec47e8ed0cbbu;
 
 template <class T> struct Constants {
   double warp;
@@ -138,7 +138,7 @@ template <class T> struct FoldMemory {
   Array<T> grip;
   Array<int32_t> own;
   Array<int32_t> other;
-  Array<T> added;
+  Array<T> fine;
   int64_t turn;
   double step_s;
 };

@@ -59,15 +59,9 @@ template <class T> void mend(T* off, const Sheet<T>& sheet, T far, const T* forg
   for (int64_t block = 0; block < blocks; ++block) {
     Points<T> own = points_in(before + 3 * LANES * block), mean = {zero, zero, zero};
     Row<T> count = zero;
-    Indices places;
-    for (int lane = 0; lane < LANES; ++lane) places[lane] = int32_t(LANES * block) + lane;
     for (int64_t row = 2 * sheet.fan_start[block]; row < 2 * sheet.fan_start[block + 1]; ++row) {
-      const int32_t* other = sheet.fan_other + LANES * row;
-      Indices index;
-      __builtin_memcpy(&index, other, sizeof index);
-      // An empty row has the place itself.
-      Row<T> real = where<T>(__builtin_convertvector(index != places, Mask<T>), one, zero);
-      mean = plus(mean, real, points_at(before, other));
+      Row<T> real = real_row(sheet, block, row);
+      mean = plus(mean, real, points_at(before, sheet.fan_other + LANES * row));
       count = count + real;
     }
     mean = scaled(one / where<T>(count > zero, count, one), mean);

@@ -125,12 +125,21 @@ template <class T> INLINE Points<T> points_at(const T* x, const int32_t* index) 
   return {t.a, t.b, t.c};
 }
 
-// Four numbers of sixteen samples (S, 8) by index: point and its square from 0 on, normal and normal times point from 4.
-template <class T> INLINE FourRows<T> samples_at(const T* table, const int32_t* index, int begin) {
+// Four numbers of sixteen rows of a table by index, stride numbers from one row to the next.
+template <class T> INLINE FourRows<T> fours_at(const T* table, const int32_t* index, int stride) {
   Four<T> r[LANES];
 #pragma clang loop unroll(full)
-  for (int lane = 0; lane < LANES; ++lane) r[lane] = loaded<Four<T>>(table + 8 * (int64_t)index[lane] + begin);
+  for (int lane = 0; lane < LANES; ++lane) r[lane] = loaded<Four<T>>(table + stride * (int64_t)index[lane]);
   return turned<T>(r);
+}
+template <class T> INLINE void put_fours(T* to, FourRows<T> t) {
+#pragma clang loop unroll(full)
+  for (int lane = 0; lane < LANES; ++lane) store(to + 4 * lane, Four<T>{t.a[lane], t.b[lane], t.c[lane], t.d[lane]});
+}
+
+// Four numbers of sixteen samples (S, 8) by index: point and its square from 0 on, normal and normal times point from 4.
+template <class T> INLINE FourRows<T> samples_at(const T* table, const int32_t* index, int begin) {
+  return fours_at(table + begin, index, 8);
 }
 
 // The sum of a row's lanes: halved until four are left, then (0 + 2) + (1 + 3).

@@ -14,19 +14,11 @@
 // about the sum of r x m over the columns of R and M (Mueller, Bender, Chentanez and Macklin 2016, "A Robust Method to
 // Extract the Rotational Part of Deformations", MIG), which has a result for every M.
 #pragma once
-#include "elements.hpp"
+#include "turns.hpp"
 
-constexpr int SHARED = 8;             // nodes that move a vertex
 constexpr int ROTATION_ROUNDS = 8;    // of turning, fewer where the square of the last half turn [rad^2] was ENOUGH
 constexpr double ENOUGH = 1e-9;
 constexpr double LEAST_ALONG = 1e-3;  // of the squared sides: a smaller sum of r . m says little of a rotation
-
-template <class T> struct Matrix { Points<T> a, b, c; };  // by columns
-
-template <class T> INLINE Points<T> turned_by(Row<T> w, Points<T> q, Points<T> a) {
-  Points<T> b = scaled(w + w, cross(scaled(w, q), a));
-  return a + (b + cross(q, b));
-}
 
 // The rotation nearest to a matrix, of 1 where that is zero. Sums of r . m below least turn it less.
 template <class T> INLINE Matrix<T> rotation_of(const Matrix<T>& m, Row<T> least_) {
@@ -37,8 +29,9 @@ template <class T> INLINE Matrix<T> rotation_of(const Matrix<T>& m, Row<T> least
     Row<T> along = dot(e, m.a) + dot(f, m.b) + dot(g, m.c);
     along = most<T>(most<T>(along, -along), least_);
     Points<T> q = scaled(T(0.5) / where<T>(along > zero, along, one), turn);
-    Row<T> square = dot(q, q), w = one / root<T>(one + square);  // the unit quaternion (w, w q)
-    e = turned_by<T>(w, q, e), f = turned_by<T>(w, q, f), g = turned_by<T>(w, q, g);
+    Row<T> square = dot(q, q), w = one / root<T>(one + square);
+    const Turns<T> half = {w, scaled(w, q)};
+    e = turned_by(half, e), f = turned_by(half, f), g = turned_by(half, g);
     if (!lanes_of<T>(square > row_of(T(ENOUGH)))) break;
   }
   return {e, f, g};
@@ -88,20 +81,8 @@ void write_turns(const T* still, const T* swung, const SwingMesh<T>& mesh, T sha
       m = {plus(m.a, real, points_at(first, other)), plus(m.b, real, points_at(second, other)),
            plus(m.c, real, points_at(third, other))};
     }
-    Points<T> own = points_in(x + at);
-    Matrix<T> r = rotation_of<T>(m, T(LEAST_ALONG) * row_at(square + LANES * block));
-    r.a.x = r.a.x - one, r.b.y = r.b.y - one, r.c.z = r.c.z - one;
-    Points<T> turned = plus(mix(own.x, r.a, own.y, r.b), own.z, r.c);
-    const Points<T> columns[4] = {r.a, r.b, r.c, points_in(c + at) - own - turned};
-    for (int lane = 0; lane < LANES; ++lane) {
-      T* to = table + LANES * rows.node[LANES * block + lane];
-      for (int column = 0; column < 4; ++column) {
-        to[4 * column] = share * columns[column].x[lane];
-        to[4 * column + 1] = share * columns[column].y[lane];
-        to[4 * column + 2] = share * columns[column].z[lane];
-        to[4 * column + 3] = 0;
-      }
-    }
+    const Matrix<T> r = rotation_of<T>(m, T(LEAST_ALONG) * row_at(square + LANES * block));
+    put_nodes(table, rows.node + LANES * block, r, points_in(x + at), points_in(c + at), share);
   }
   scratch.used = mark;
 }
@@ -115,20 +96,8 @@ void move_vertices(const T* vertices, int64_t count, const T* still, const T* sw
   if (scratch.overflowed) return;
   write_turns(still, swung, mesh, share, table, scratch);
   for (int64_t v = 0; v < count; ++v) {
-    const int32_t* node = mesh.weight_node + SHARED * v;
-    const T* weight = mesh.weight + SHARED * v;
-    // Two sums, so that none waits for the one before.
-    Row<T> one = weight[0] * row_at(table + LANES * node[0]), two = weight[1] * row_at(table + LANES * node[1]);
-    for (int n = 2; n < SHARED; n += 2) {
-      one = one + weight[n] * row_at(table + LANES * node[n]);
-      two = two + weight[n + 1] * row_at(table + LANES * node[n + 1]);
-    }
-    const Row<T> m = one + two;
-    const Vector<T> p = point(vertices, v);
-    const Four<T> a = __builtin_shufflevector(m, m, 0, 1, 2, 3), b = __builtin_shufflevector(m, m, 4, 5, 6, 7);
-    const Four<T> c = __builtin_shufflevector(m, m, 8, 9, 10, 11), d = __builtin_shufflevector(m, m, 12, 13, 14, 15);
-    const Four<T> moved = a * p.x + b * p.y + (c * p.z + d);
-    put_point(out, v, p + Vector<T>{moved.x, moved.y, moved.z});
+    const int64_t first = SHARED * v;
+    put_point(out, v, carried_by(table, mesh.weight_node + first, mesh.weight + first, 1, point(vertices, v)));
   }
   scratch.used = mark;
 }

@@ -53,9 +53,9 @@ template <class T> void solve(const StiffnessFactor<T>& factor, T* y, T* s) {
   }
 }
 
-// Moves x [m] (P, 3) in place by a share of -K^-1 gradient [N] (P, 3), scaled down to CLAMP_M. Nothing moves where a
+// Moves x [m] (P, 3) in place by -K^-1 gradient [N] (P, 3), scaled down to CLAMP_M. Nothing moves where a
 // number of that is not finite. q has room for V points and one number more.
-template <class T> void whole_step(T* x, const StiffnessFactor<T>& factor, const T* gradient, T share, T* q, T* s) {
+template <class T> void whole_step(T* x, const StiffnessFactor<T>& factor, const T* gradient, T* q, T* s) {
   const int64_t count = factor.place.count;
   for (int64_t i = 0; i < count; ++i) put_point(q, i, scaled(T(-1), point(gradient, factor.place[i])));
   solve(factor, q, s);
@@ -65,8 +65,7 @@ template <class T> void whole_step(T* x, const StiffnessFactor<T>& factor, const
     if (!(own <= square)) square = own;  // NaN, once met, stays
   }
   if (!(square < T(__builtin_inf()))) return;
-  T length = root(square), clamp = T(CLAMP_M);
-  share *= clamp / (length > clamp ? length : clamp);
+  const T length = root(square), clamp = T(CLAMP_M), share = clamp / (length > clamp ? length : clamp);
   for (int64_t i = 0; i < count; ++i) {
     const int64_t place = factor.place[i];
     put_point(x, place, plus(point(x, place), share, point(q, i)));

@@ -169,11 +169,10 @@ def test_fast_motion_has_its_own_pace(way_m, material):
 
 @each(step_s=(1.0 / 60.0, 1.0 / 15.0), stiff=(False, True), way_m=(0.0, 0.001, 0.01, 0.013, 0.02, 0.1))
 def test_the_pace_is_the_readable_one(step_s, stiff, way_m):
-    for steps in (1, 2, 5, 16):
-        call("law_pace", np.float64, way_m, step_s, steps, stiff, found := np.empty(7))
-        calm, untangled_m = pacing.calmness(way_m), min(max(way_m, 0.0003), 0.002)
-        wanted = (calm, pacing.grip_left(way_m, step_s), untangled_m, *pacing.paced(steps, calm, stiff=stiff))
-        assert_allclose(found, wanted, rtol=1e-12)
+    call("law_pace", np.float64, way_m, step_s, stiff, found := np.empty(4))
+    calm, untangled_m = pacing.calmness(way_m), min(max(way_m, 0.0003), 0.002)
+    wanted = (calm, pacing.grip_left(way_m, step_s), untangled_m, pacing.momentum_of(calm, stiff=stiff))
+    assert_allclose(found, wanted, rtol=1e-12)
 
 
 def test_folds_without_steps_fade_with_the_clock_and_come_back():

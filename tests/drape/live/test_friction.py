@@ -65,7 +65,7 @@ def slid_m(angle_rad: float, friction: float) -> np.ndarray:
 
 def test_cloth_keeps_to_a_slope_that_is_less_steep_than_its_friction_and_slides_down_a_steeper_one():
     assert np.abs(slid_m(np.arctan(0.3), 0.5).sum()) < 2.0 * SLIP_M, "friction is a spring as far as that"
-    assert slid_m(np.arctan(0.8), 0.5).sum() > 10.0 * SLIP_M
+    assert slid_m(np.arctan(0.8), 0.5).sum() > 8.0 * SLIP_M
 
 
 def test_without_friction_it_slides_and_a_frame_without_a_past_has_none():
@@ -128,7 +128,7 @@ def test_a_sample_without_neighbours_takes_cloth_along_its_normal():
     assert_allclose(found, np.tile([0.0, 0.01, 0.0], (LANES, 1)), atol=1e-15)
 
 
-@each(case=((0.0, 0.0, 1e-4), (0.5, 0.022, 2.0 * SLIP_M)))
+@each(case=((0.0, 0.0, 1e-4), (0.5, 0.022, 3.0 * SLIP_M)))
 def test_skin_that_moves_on_takes_along_what_lies_on_it_by_friction_alone(case):
     friction, moved_m, within_m = case
     start, worn, skin = slope(0.0, friction)

@@ -6,15 +6,22 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
 
 from drape.body.assets import load_body
+from drape.cloth.coarse_mesh import coarse_mesh
+from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
+from drape.engine.library import LANES
 from drape.live.clock import PAUSE_S, Frame
+from drape.live.coarse_weights import NEAREST
 from drape.live.fold_step import FoldEffort
 from drape.live.two_level import LiftMemory, TwoLevel, TwoLevelMemory, fold_two_level, one_level
 from tests.drape.live.folds_setup import FAR_M
 from tests.drape.live.tank_setup import strain
 from tests.fixtures.garments import shipped
+from tests.reference import carry
+from tests.reference.folds import surface_frames
 from tests.reference.pace import FADE_S
 
 EFFORT = FoldEffort(steps=1, settle=2, cloth_contact=True)
@@ -32,7 +39,7 @@ def test_without_steps_the_drape_is_the_networks(tank: TwoLevel, still: Frame):
     """Nothing is carried and nothing added: what is lower than the clearance is lifted, the rest stays."""
     vertices, memory, report = fold_two_level(tank, None, still, FoldEffort(0, clearance_m=0.0))
     assert_allclose(vertices, still.vertices, atol=1e-6)
-    assert report.settled and not memory.added.any()
+    assert report.settled and np.array_equal(memory.fine[tank.levels.fine.sheet.place], vertices)
     lifted, _, told = fold_two_level(tank, None, still, FoldEffort(0, clearance_m=0.004))
     way = np.linalg.norm(lifted - still.vertices, axis=1)
     assert_allclose(told.lifted_max_m, way.max(), rtol=1e-3)
@@ -59,20 +66,61 @@ def test_steps_lower_the_strain_and_more_lower_it_further(tank: TwoLevel, still:
 
 def test_the_same_frames_give_the_same_bits_and_memories_are_not_written(tank: TwoLevel, still: Frame):
     first = after(tank, still, 3)
-    added = first[1][1].added.copy()
+    fine = first[1][1].fine.copy()
     again = after(tank, still, 3)
     assert_array_equal(first[-1][0], again[-1][0])
-    assert_array_equal(first[1][1].added, added)
+    assert_array_equal(first[1][1].fine, fine)
 
 
-def test_what_sweeps_added_is_kept_and_fades(tank: TwoLevel, still: Frame):
+def rows(flat: np.ndarray) -> np.ndarray:
+    """The ``NEAREST`` numbers of each place (P, 8)."""
+    return flat.reshape(-1, NEAREST, LANES).transpose(0, 2, 1).reshape(-1, NEAREST)
+
+
+def tank_below() -> tuple[np.ndarray, ClothMesh]:
+    """The vertices (C,) that the coarse cloth of the tank has, and its mesh."""
+    garment = shipped("tank")
+    rest = garment.vertices[: garment.vertex_count].astype(np.float64)
+    mesh = coarse_mesh(garment.delivered_rest(), rest, garment.faces.astype(np.int64))
+    return mesh.vertex, ClothMesh.of(mesh.rest, mesh.faces, len(mesh.vertex))
+
+
+def coarse_places(made: TwoLevel, memory: TwoLevelMemory) -> np.ndarray:
+    """Where the coarse cloth of ``memory`` lies [m] (C, 3)."""
+    place = made.levels.coarse.sheet.place
+    network, residual = (of[place].astype(np.float64) for of in (memory.coarse.network, memory.coarse.residual))
+    return network + np.einsum("vji,vj->vi", surface_frames(network, tank_below()[1]), residual)
+
+
+def carried(
+    made: TwoLevel, memory: TwoLevelMemory, network: np.ndarray, coarse: np.ndarray, share: float
+) -> np.ndarray:
+    """Where sweeps of the fine cloth begin [m] (V, 3), in float64: a ``share`` of it is carried on from ``memory`` by
+    the ``coarse`` cloth (C, 3), the rest lies about the ``network``."""
+    sheet, fine, (kept, cloth) = made.levels.coarse.sheet, made.levels.fine, tank_below()
+    came = coarse_places(made, memory)
+    then, now = (surface_frames(each, cloth) for each in (came, coarse))
+    turns = carry.surface_turns(then, now, cloth.faces, carry.FINE_PASSES)
+    near, weight = sheet.vertex[rows(fine.near)][fine.sheet.place], rows(fine.weight)[fine.sheet.place]
+    own, begun, moved = memory.fine[fine.sheet.place].astype(np.float64), network.copy(), np.zeros_like(network)
+    for node, by in zip(near.T, weight.T, strict=True):
+        moved += by[:, None] * (coarse[node] + carry.turned(turns[node], own - came[node]))
+        begun += by[:, None] * (coarse - network[kept])[node]
+    return begun + share * (moved - begun)
+
+
+def test_fine_folds_are_carried_on_by_the_coarse_cloth_and_fade(tank: TwoLevel, still: Frame):
+    """Without steps the fine cloth lies where its sweeps would begin."""
     *_, (_, memory, _) = after(tank, still, 4)
-    later = replace(still, time_s=memory.coarse.time_s + 1.0 / 30.0)
-    kept, faded, _ = fold_two_level(tank, memory, later, EFFORT._replace(steps=0, clearance_m=0.0))
-    share = np.exp(-1.0 / 30.0 / FADE_S)
-    assert_allclose(faded.added, share * memory.added, rtol=1e-3, atol=1e-6)
-    assert np.abs(memory.added).max() > 1e-4
-    assert np.abs(kept - still.vertices).max() > 1e-4
+    about = Rotation.from_rotvec([0.1, 0.3, -0.1]).as_matrix()
+    bent = still.vertices * [1.0, 1.0, 1.05] @ about.T
+    later = replace(still, vertices=bent.astype(np.float32), time_s=memory.coarse.time_s + 1.0 / 30.0)
+    kept, faded, report = fold_two_level(tank, memory, later, EFFORT._replace(steps=0, clearance_m=0.0))
+    assert not report.settled
+    lies = coarse_places(tank, faded)
+    wanted = carried(tank, memory, bent, lies, np.exp(-1.0 / 30.0 / FADE_S))
+    assert_allclose(kept, wanted, rtol=0.0, atol=2e-5)
+    assert np.abs(wanted - bent).max() > 1e-3
 
 
 def test_a_frame_after_a_pause_begins_anew(tank: TwoLevel, still: Frame):
@@ -85,10 +133,10 @@ def test_a_frame_after_a_pause_begins_anew(tank: TwoLevel, still: Frame):
 
 def test_what_is_no_fold_is_the_networks_drape(tank: TwoLevel, still: Frame):
     *_, (_, memory, _) = after(tank, still, 2)
-    later = replace(still, time_s=2.0 / 30.0)
-    far = replace(memory, added=memory.added + np.float32(2.0 * FAR_M))
+    later, place = replace(still, time_s=2.0 / 30.0), tank.levels.fine.sheet.place
+    far = replace(memory, fine=memory.fine + np.float32(2.0 * FAR_M))
     vertices, begun, report = fold_two_level(tank, far, later, EFFORT._replace(steps=0))
-    assert report.reset and not report.settled and not begun.added.any()
+    assert report.reset and not report.settled and np.array_equal(begun.fine[place], still.vertices)
     assert_array_equal(vertices, still.vertices)
     torn = replace(memory, coarse=replace(memory.coarse, residual=np.full_like(memory.coarse.residual, np.nan)))
     vertices, _, report = fold_two_level(tank, torn, later, EFFORT)

@@ -86,9 +86,9 @@ export class Folding {
     const [places, fine] = [(levels?.coarse ?? one).sheet.vertex.count, levels?.fine.sheet.vertex.count ?? 0];
     // The memory of the frame before, and the one that is made.
     this.foldMemories = [0, 1].map(() => {
-      const [network, residual, velocity, grip, added] = [places, places, places, places, fine].map((count) => this.#points(count));
+      const [network, residual, velocity, grip, laid] = [places, places, places, places, fine].map((count) => this.#points(count));
       const [own, other] = [0, 1].map(() => engine.array("int32s", places));
-      return engine.record("FoldMemory", { network, residual, velocity, grip, own, other, added, step_s: Infinity });
+      return engine.record("FoldMemory", { network, residual, velocity, grip, own, other, fine: laid, step_s: Infinity });
     });
     this.graph = engine.record("SkinGraph", (levels?.coarse ?? one).graph);
     this.under = this.#points(places); // the network's coarse places
@@ -165,6 +165,7 @@ export class Folding {
     const [past, after] = this.foldMemories;
     const sinceS = timeS - this.timeS;
     const follows = sinceS >= 0 && sinceS <= PAUSE_S;
+    engine.set(after, { fine: after.fine }); // which a lift leaves out
     engine.set(past, { step_s: follows ? Math.max(sinceS, SHORTEST_STEP_S) : Infinity });
     engine.set(this.effort, { steps, settle, cloth_contact: Number(contact), clearance_m: clearanceM });
     const [name, cloth] = this.levels ? [alone ? "lift_alone" : "fold_two_levels", this.levels] : ["fold", this.cloth];
@@ -180,14 +181,14 @@ export class Folding {
   // Makes of the memory of a lift one of folds: nothing moves, and the skin holds each place where the network has it now.
   #unfold(vertices) {
     const { engine, under } = this;
-    const [{ own, other, velocity, added, grip }] = this.foldMemories;
+    const [{ own, other, velocity, grip }] = this.foldMemories;
     const [from, to, kept] = [vertices, under, this.levels.kept].map((array) => engine.view(array));
     kept.forEach((vertex, place) => to.set(from.subarray(3 * vertex, 3 * vertex + 3), 3 * place));
     engine.view(other).fill(-1);
-    for (const array of [velocity, added]) engine.view(array).fill(0);
+    engine.view(velocity).fill(0);
     const { skin } = this.around;
     engine.call("write_grip", under, BigInt(kept.length), under, own, skin, BigInt(skin.count / 8), this.graph, grip);
-    engine.set(this.foldMemories[0], { turn: 0 });
+    engine.set(this.foldMemories[0], { turn: 0, fine: null });
     this.lifted = false;
   }
 

@@ -1,7 +1,7 @@
 // Generated from drape/engine/records.py by scripts/sync_wire.py. Do not edit.
 
 // Of the whole table, a part of which follows: fields of records in their order, with their kinds.
-export const LAYOUT = "e7795efbb20da88c";
+export const LAYOUT = "bac5ec47e8ed0cbb";
 export const RECORDS = {
   Constants: { warp: "number", cross: "number", weft: "number", shear: "number", gap: "number", slack: "number", per_edge: "number", degenerate: "number", least: "number", reach: "number" },
   Creases: { corner: "int32s", stiffness: "numbers", cosine: "numbers", sine: "numbers" },
@@ -13,7 +13,7 @@ export const RECORDS = {
   FoldConstants: { sheet: "Sheet", factor: "StiffnessFactor", graph: "SkinGraph", neighbours: "SheetNeighbours", index: "int32s", friction: "number", hem: "int32s", tangles: "Tangles" },
   FineLevel: { sheet: "Sheet", near: "int32s", weight: "numbers", parent: "int32s", tangles: "Tangles" },
   Levels: { coarse: "FoldConstants", kept: "int32s", fine: "FineLevel" },
-  FoldMemory: { network: "numbers", residual: "numbers", velocity: "numbers", grip: "numbers", own: "int32s", other: "int32s", added: "numbers", turn: "count", step_s: "number" },
+  FoldMemory: { network: "numbers", residual: "numbers", velocity: "numbers", grip: "numbers", own: "int32s", other: "int32s", fine: "numbers", turn: "count", step_s: "number" },
   FoldEffort: { steps: "count", settle: "count", cloth_contact: "count", clearance_m: "number" },
   Surroundings: { skin: "numbers", colliders: "float64s" },
   SwingRows: { moving: "count", node: "int32s", place: "int32s", start: "int32s", other: "int32s", slope: "numbers" },
