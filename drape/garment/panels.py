@@ -8,6 +8,7 @@ on other cloth is not sewn to it: it hangs there (``cloth_layer``).
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse
@@ -16,13 +17,14 @@ from scipy.spatial import KDTree
 
 from drape.garment.cloth_layer import bearing_pieces
 from drape.garment.files.mesh import GarmentMesh
-from drape.garment.sheets import cut_branches
+from drape.garment.sheets import cut_branches, pieces_of
 from drape.garment.walls import outer_sides
 from drape.geometry import mesh_graphs, meshes
 
 SEAM_M = 0.003  # between the borders of two pieces
 NEIGHBOURS = 6  # of a border's vertex that are looked at, until one is of another piece
 SEAM_SHARE = 0.05  # of a piece's border that runs along the others'
+END = 0.02  # of an edge: a vertex nearer to its end does not cut it
 
 
 def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> GarmentMesh:
@@ -39,15 +41,73 @@ def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> GarmentMesh:
     row = _seams(points, faces)
     if row is None:
         return sheets
+    piece = pieces_of(points, faces)[0]
     sewn = row[faces]
     whole = (sewn != np.roll(sewn, 1, axis=1)).all(axis=1)
-    kept = np.flatnonzero(outer)[whole]
-    joined = cut_branches(replace(sheets.take_faces(kept), faces=sewn[whole]))
-    pieces = int((row != np.arange(len(row))).sum())
-    joined = joined.noted(f"{pieces} vertices are sewn to other panels")
+    joined = replace(sheets.take_faces(np.flatnonzero(outer)[whole]), faces=sewn[whole])
+    joined = cut_branches(_with_split_borders(joined, piece[whole]))
+    joined = joined.noted(f"{int((row != np.arange(len(row))).sum())} vertices are sewn to other panels")
     if len(joined.vertices) == len(points):
         return joined
     return replace(joined, vertices=np.concatenate([points, joined.vertices]), faces=joined.faces + len(points))
+
+
+def _with_split_borders(mesh: GarmentMesh, piece: np.ndarray) -> GarmentMesh:
+    """``mesh``, faces of which are of the ``piece`` (F,), where the faces at a border have a corner for each vertex of
+    another piece's border that lies on it: a seam has no more vertices on one side than on the other."""
+    halves = meshes.half_edges(mesh.faces)
+    used, cut, uv_cut, parent = set(), [], [], []
+    uv, count = [mesh.uv], len(mesh.uv)
+    for half, found in sorted(_vertices_on_borders(mesh, halves, piece).items(), key=lambda item: -len(item[1])):
+        face, corner = divmod(half, 3)
+        if face in used:  # of a face with two such edges one is cut
+            continue
+        used.add(face)
+        start, end, top = halves[half]
+        cut += [[a, b, top] for a, b in pairwise([start, *(vertex for _, vertex in found), end])]
+        parent += [face] * (len(found) + 1)
+        if len(mesh.uv_faces):
+            first, last, above = np.roll(mesh.uv_faces[face], -corner)
+            share = np.array([along for along, _ in found])[:, None]
+            uv.append((1.0 - share) * mesh.uv[first] + share * mesh.uv[last])
+            uv_cut += [[a, b, above] for a, b in pairwise([first, *range(count, count + len(found)), last])]
+            count += len(found)
+    if not cut:
+        return mesh
+    stays = np.setdiff1d(np.arange(len(mesh.faces)), list(used))
+    taken = mesh.take_faces(np.concatenate([stays, parent]).astype(np.int64))
+    faces = np.concatenate([mesh.faces[stays], np.array(cut, dtype=mesh.faces.dtype)])
+    if not uv_cut:
+        return replace(taken, faces=faces)
+    uv_faces = np.concatenate([mesh.uv_faces[stays], np.array(uv_cut, dtype=mesh.uv_faces.dtype)])
+    return replace(taken, faces=faces, uv=np.concatenate(uv), uv_faces=uv_faces)
+
+
+def _vertices_on_borders(
+    mesh: GarmentMesh, halves: np.ndarray, piece: np.ndarray
+) -> dict[int, list[tuple[float, int]]]:
+    """For half-edges at a border the vertices of other pieces' borders on them, each with its share of the way."""
+    points = mesh.vertices
+    number = np.sort(halves[:, :2], axis=1) @ np.array([len(points), 1])
+    _, inverse, counts = np.unique(number, return_inverse=True, return_counts=True)
+    edge = np.flatnonzero(counts[inverse.reshape(-1)] == 1)
+    if not len(edge):
+        return {}
+    loose, at = np.unique(halves[edge, 0], return_index=True)
+    start, way = points[halves[edge, 0]], points[halves[edge, 1]] - points[halves[edge, 0]]
+    count = min(NEIGHBOURS, len(edge))
+    near = KDTree(start + 0.5 * way).query(points[loose], k=count)[1].reshape(len(loose), count)
+    gap, ways = points[loose][:, None] - start[near], way[near]
+    along = np.einsum("vkc,vkc->vk", gap, ways) / np.maximum(np.einsum("vkc,vkc->vk", ways, ways), 1e-18)
+    off = np.linalg.norm(gap - along[:, :, None] * ways, axis=2)
+    fits = (off < SEAM_M) & (along > END) & (along < 1.0 - END)
+    fits &= piece[edge[near] // 3] != piece[edge[at] // 3][:, None]
+    fits &= (halves[edge[near], :2] != loose[:, None, None]).all(axis=2)
+    found: dict[int, list[tuple[float, int]]] = {}
+    for v in np.flatnonzero(fits.any(axis=1)):
+        k = int(np.where(fits[v], off[v], np.inf).argmin())
+        found.setdefault(int(edge[near[v, k]]), []).append((float(along[v, k]), int(loose[v])))
+    return {half: sorted(inserted) for half, inserted in found.items()}
 
 
 def _seams(points: np.ndarray, faces: np.ndarray) -> np.ndarray | None:

@@ -60,6 +60,28 @@ def test_panels_whose_borders_run_along_each_other_are_one_cloth(thick_m: float)
     assert np.array_equal(sewn.vertices[: len(sheets.vertices)], sheets.vertices)
 
 
+def test_a_border_with_fewer_vertices_leaves_no_slit():
+    """A coarse cloth and a fine one, side by side in a plane: the triangles at the seam are cut at its vertices."""
+
+    def strip(left: float, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+        x, y = np.meshgrid(left + np.linspace(0.0, 0.5, columns), np.linspace(0.0, 0.6, rows), indexing="ij")
+        at = np.arange(columns * rows).reshape(columns, rows)
+        a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
+        faces = np.concatenate([np.stack(one, axis=-1).reshape(-1, 3) for one in ((a, b, c), (a, c, d))])
+        return np.stack([x, y, np.full_like(x, 0.3)], axis=-1).reshape(-1, 3), faces
+
+    (coarse, own), (fine, others) = strip(-0.5, 6, 7), strip(0.0, 6, 19)
+    uv = np.concatenate([coarse, fine])[:, :2]
+    faces = np.concatenate([own, others + len(coarse)])
+    mesh = replace(plain_mesh("two", np.concatenate([coarse, fine]), faces), uv=uv, uv_faces=faces)
+    sewn = with_sewn_panels(mesh, SKIN)
+    loop = meshes.boundary_loops(sewn.faces)
+    assert len(loop) == 1
+    assert float(meshes.face_areas(sewn.vertices, sewn.faces).sum()) == pytest.approx(0.6)
+    placed = np.column_stack([sewn.uv, np.full(len(sewn.uv), 0.3)])
+    assert placed[sewn.uv_faces] == pytest.approx(sewn.vertices[sewn.faces])
+
+
 def test_pieces_without_a_seam_and_single_ones_stay_as_they_are():
     assert with_sewn_panels(CLOTH, SKIN) is CLOTH
     apart = plain_mesh(
