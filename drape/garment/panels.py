@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 
 from drape.garment.cloth_layer import bearing_pieces
 from drape.garment.files.mesh import GarmentMesh
+from drape.garment.mesh_checks import without_flat_faces
 from drape.garment.sheets import cut_branches, pieces_of
 from drape.garment.walls import outer_sides
 from drape.geometry import mesh_graphs, meshes
@@ -45,7 +46,7 @@ def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> GarmentMesh:
     sewn = row[faces]
     whole = (sewn != np.roll(sewn, 1, axis=1)).all(axis=1)
     joined = replace(sheets.take_faces(np.flatnonzero(outer)[whole]), faces=sewn[whole])
-    joined = cut_branches(_with_split_borders(joined, piece[whole]))
+    joined = cut_branches(without_flat_faces(_with_split_borders(joined, piece[whole])))
     joined = joined.noted(f"{int((row != np.arange(len(row))).sum())} vertices are sewn to other panels")
     if len(joined.vertices) == len(points):
         return joined

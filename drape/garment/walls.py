@@ -24,9 +24,9 @@ SAME_M = 1e-5
 PROBES_M = (0.003, 0.008, 0.015)  # below a face: a wall at up to twice the depth is nearer than the face itself
 FACING = 0.5  # cosine between the sides of a wall, whichever way they are wound
 WALLED_SHARE = 0.5  # of a piece's area that must have a second side
-# A wall is as thick everywhere, by its upper quartile over the lower one, and its sides lie one over the other, by the
-# median of |s|; folds of one layer lie side by side.
-EVEN, OVER = 1.6, 0.6
+# Most of a wall is as thin as its thin parts, by the median over the lower quartile, whatever lies beyond it elsewhere; and
+# its sides lie one over the other, by the median of |s|. Folds of one layer lie side by side.
+EVEN, OVER = 1.6, 0.5
 CLOSED_SHARE = 0.9  # of a piece without any border: all of it is wall
 RIM_M = 0.035  # the rim between two walls
 PAIRED, SIDED = 0.1, 0.01  # P and S of the formula
@@ -57,7 +57,7 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
     share = np.bincount(piece, walled * areas) / np.maximum(np.bincount(piece, areas), 1e-12)
     for number in np.flatnonzero(share > WALLED_SHARE):
         own = np.flatnonzero(piece == number)
-        low, high = np.quantile(depth[own][walled[own]], [0.25, 0.75])
+        low, high = np.quantile(depth[own][walled[own]], [0.25, 0.5])
         closed = share[number] > CLOSED_SHARE and not len(meshes.boundary_edges(faces[own]))
         if closed or (high <= EVEN * low and np.median(np.abs(side[own][walled[own]])) > OVER):
             within = np.where(np.isin(other[own], own), np.searchsorted(own, other[own]), -1)
