@@ -24,8 +24,8 @@ SAME_M = 1e-5
 PROBES_M = (0.003, 0.008, 0.015)  # below a face: a wall at up to twice the depth is nearer than the face itself
 FACING = 0.5  # cosine between the sides of a wall, whichever way they are wound
 WALLED_SHARE = 0.5  # of a piece's area that must have a second side
-# Most of a wall is as thin as its thin parts, by the median over the lower quartile, whatever lies beyond it elsewhere; and
-# its sides lie one over the other, by the median of |s|. Folds of one layer lie side by side.
+# Most of a wall is as thin as its thin parts, by the median over the lower quartile, whatever lies beyond it elsewhere.
+# Its sides lie one over the other, by the median of |s|; folds of one layer lie side by side.
 EVEN, OVER = 1.6, 0.5
 CLOSED_SHARE = 0.9  # of a piece without any border: all of it is wall
 RIM_M = 0.035  # the rim between two walls
