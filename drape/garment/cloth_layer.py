@@ -22,7 +22,7 @@ from drape.garment.caps import without_caps
 from drape.garment.files.mesh import GarmentMesh, plain_mesh, weld
 from drape.garment.mesh_checks import without_flat_faces
 from drape.garment.rest_detail import cloth_of, rest_of
-from drape.garment.sheets import cut_branches, pieces_of, samples_to, with_used_vertices, without_copies
+from drape.garment.sheets import agreeing, cut_branches, pieces_of, samples_to, with_used_vertices, without_copies
 from drape.garment.walls import SAME_M, outer_sides
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
@@ -33,7 +33,7 @@ SEWN_M, SEWN_SHARE, TRIM_SHARE = 0.004, 0.4, 0.15  # of a collar's border on its
 STIFF_M = 0.06  # parts up to this size turn as a whole
 VERTEX_LIMIT = 12_000
 THINNED_M = 0.012  # edges of thinned cloth
-SIMPLIFIED = (None, 5 * VERTEX_LIMIT, 19 * VERTEX_LIMIT // 10)  # faces that quadrics leave, where edges stay
+SIMPLIFIED = (5 * VERTEX_LIMIT, 19 * VERTEX_LIMIT // 10)  # faces that quadrics leave, where edges stay
 
 
 def joined(mesh: GarmentMesh) -> GarmentMesh:
@@ -116,13 +116,14 @@ def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:
     points = mesh.vertices[used]
     area = float(meshes.face_areas(points, faces).sum())
     edge_m = max(THINNED_M, float(np.sqrt(area / (0.5 * np.sqrt(3.0) * 0.95 * VERTEX_LIMIT))))
-    thin = plain_mesh(mesh.name, points, faces)
+    thin = _evenly_thinned(mesh.name, points, faces, edge_m)
     for most in SIMPLIFIED:  # wrinkles and slivers may leave no edge that collapses: then shape comes before evenness
-        if most is not None:
-            points, faces, *_ = igl.qslim(points, faces.astype(np.int64), most)
-        thin = _evenly_thinned(mesh.name, points, faces.astype(np.int64), edge_m)
         if len(thin.vertices) <= VERTEX_LIMIT:
             break
+        wound, _ = agreeing(plain_mesh(mesh.name, points, faces))  # quadrics are asked of what is wound alike
+        fewer, corners, *_ = igl.qslim(wound.vertices, wound.faces.astype(np.int64), most)
+        if len(corners):
+            thin = _evenly_thinned(mesh.name, fewer, corners.astype(np.int64), edge_m)
     notes.append(f"{len(used):,} vertices of cloth are simulated as {len(thin.vertices):,}")
     return thin.noted(*mesh.notes)
 

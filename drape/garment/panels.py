@@ -25,7 +25,7 @@ from drape.geometry import mesh_graphs, meshes
 SEAM_M = 0.003  # between the borders of two pieces
 NEIGHBOURS = 6  # of a border's vertex that are looked at, until one is of another piece
 SEAM_SHARE = 0.05  # of a piece's border that runs along the others'
-END = 0.02  # of an edge: a vertex nearer to its end does not cut it
+END = 0.05  # of an edge: a vertex nearer to its end, or to the one before, does not cut it
 
 
 def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> GarmentMesh:
@@ -108,7 +108,16 @@ def _vertices_on_borders(
     for v in np.flatnonzero(fits.any(axis=1)):
         k = int(np.where(fits[v], off[v], np.inf).argmin())
         found.setdefault(int(edge[near[v, k]]), []).append((float(along[v, k]), int(loose[v])))
-    return {half: sorted(inserted) for half, inserted in found.items()}
+    return {half: _apart(sorted(inserted)) for half, inserted in found.items()}
+
+
+def _apart(found: list[tuple[float, int]]) -> list[tuple[float, int]]:
+    """Those of ``found`` that are an ``END`` behind the one before."""
+    kept = found[:1]
+    for along, vertex in found[1:]:
+        if along > kept[-1][0] + END:
+            kept.append((along, vertex))
+    return kept
 
 
 def _seams(points: np.ndarray, faces: np.ndarray) -> np.ndarray | None:

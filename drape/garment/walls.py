@@ -24,12 +24,14 @@ SAME_M = 1e-5
 PROBES_M = (0.003, 0.008, 0.015)  # below a face: a wall at up to twice the depth is nearer than the face itself
 FACING = 0.5  # cosine between the sides of a wall, whichever way they are wound
 WALLED_SHARE = 0.5  # of a piece's area that must have a second side
+OWN_SHARE = 0.5  # of that, what must have it in the same piece: of two sheets one lies on the other
 # Most of a wall is as thin as its thin parts, by the median over the lower quartile, whatever lies beyond it elsewhere.
 # Its sides lie one over the other, by the median of |s|; folds of one layer lie side by side.
 EVEN, OVER = 1.6, 0.5
 CLOSED_SHARE = 0.9  # of a piece without any border: all of it is wall
 RIM_M = 0.035  # the rim between two walls
-PAIRED, SIDED = 0.1, 0.01  # P and S of the formula
+# P and S of the formula: S once for s, whose noise goes far, and once with the signs found, for which rims stand out.
+PAIRED, SIDED = 0.1, (0.01, 0.5)
 LEAST_COSINE = 0.01  # of an edge: none parts the faces wholly
 OUTER = 0.5  # of the outer side's median phi: less is on the rim
 SAMPLED_FACES = 4000
@@ -59,8 +61,9 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
         own = np.flatnonzero(piece == number)
         low, high = np.quantile(depth[own][walled[own]], [0.25, 0.5])
         closed = share[number] > CLOSED_SHARE and not len(meshes.boundary_edges(faces[own]))
-        if closed or (high <= EVEN * low and np.median(np.abs(side[own][walled[own]])) > OVER):
-            within = np.where(np.isin(other[own], own), np.searchsorted(own, other[own]), -1)
+        within = np.where(np.isin(other[own], own), np.searchsorted(own, other[own]), -1)
+        alone = (areas[own] * (within >= 0)).sum() > OWN_SHARE * (areas[own] * walled[own]).sum()
+        if alone and (closed or (high <= EVEN * low and np.median(np.abs(side[own][walled[own]])) > OVER)):
             phi = _sides(faces[own], normals[own], within, side[own])
             keep[own] = _outer(points, faces[own], walled[own], phi)
     return keep
@@ -76,9 +79,13 @@ def _sides(faces: np.ndarray, normals: np.ndarray, other: np.ndarray, side: np.n
     rows = np.flatnonzero(other >= 0)
     opposite = sp.coo_matrix((np.ones(len(rows)), (rows, other[rows])), shape=(count, count)).tocsr()[rows]
     both = sp.identity(count, format="csr")[rows] + opposite
-    held = SIDED * (side != 0.0) + 1e-9
-    matrix = sp.diags(np.asarray(edges.sum(axis=1)).ravel() + held) - edges + PAIRED * (both.T @ both)
-    return symmetric_factor(sp.csc_matrix(matrix)).solve(SIDED * side)
+    matrix = sp.diags(np.asarray(edges.sum(axis=1)).ravel() + 1e-9) - edges + PAIRED * (both.T @ both)
+    seen, phi = side != 0.0, side
+    for share in SIDED:
+        phi = symmetric_factor(sp.csc_matrix(matrix + sp.diags(share * seen))).solve(
+            share * np.sign(phi) * np.abs(side)
+        )
+    return phi
 
 
 def _outer(points: np.ndarray, faces: np.ndarray, walled: np.ndarray, phi: np.ndarray) -> np.ndarray:
