@@ -167,12 +167,20 @@ def _placed(texture: Any) -> tuple[Any | None, Any | None]:
 
 
 def _value(shader: Any, name: str, usual: Any = None) -> Any:
-    """What the input ``name`` is, through the inputs that it is connected to."""
+    """What the input ``name`` is, through the inputs that it is connected to; ``usual`` where it is not there, or is no
+    number or vector of numbers where that is one."""
     found = shader.GetInput(name)
     for attribute in found.GetValueProducingAttributes() if found else ():
         value = attribute.Get()
-        return usual if value is None else value
+        return usual if value is None or (usual is not None and not _is_like(value, usual)) else value
     return usual
+
+
+def _is_like(value: Any, usual: Any) -> bool:
+    try:
+        return np.asarray(value, dtype=float).shape == np.shape(usual)
+    except (TypeError, ValueError):
+        return False
 
 
 def _placing(transform: Any | None) -> dict[str, Any]:

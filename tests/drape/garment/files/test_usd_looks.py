@@ -145,6 +145,14 @@ def test_each_face_has_the_colours_and_numbers_of_its_material():
     assert_allclose(mesh.uv.max(axis=0), 1.0, err_msg="the coordinates that its reader names")
 
 
+def test_what_is_no_number_counts_as_not_there():
+    broken = usda().replace("float inputs:metallic = 0.7", 'string inputs:metallic = "much"')
+    mesh = read(broken.replace("float inputs:opacity = 0.4", "float2 inputs:opacity = (0.4, 0.2)"))
+    trim = mesh.looks.material(mesh.material_names.index("Trim"))
+    assert trim is not None
+    assert (trim.metallic, trim.base_colour[3], trim.alpha_mode) == (0.0, 1.0, "OPAQUE")
+
+
 def test_roughness_in_a_channel_becomes_the_picture_of_gltf():
     for channel, grey in (("r", 90), ("g", 150)):
         mesh = read(usda(rough=f"</Looks/Cloth/R.outputs:{channel}>"))
