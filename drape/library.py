@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from drape.avatar.own_clothes import halves_of
-from drape.avatar.own_garments import OwnGarments, cut_for, dressed_in, halves_on, own_garments
+from drape.avatar.own_garments import OwnGarments, body_of, dressed_in, halves_on, own_garments
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.body.model import BodyModel
@@ -33,6 +33,7 @@ from drape.errors import InputError
 from drape.folders import ASSETS
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment
+from drape.garment.tailor import tailored
 from drape.graph.layer_feed import check_layers
 from drape.inference.engine import Engine
 from drape.motion.clip import MotionClip
@@ -155,9 +156,9 @@ class Drape:
             entries = (*map(_own_entry, below), *entries, *map(_own_entry, over))
             body = wearer.body_under(halves_on(wearer, [one.garment for one in entries], self.body))
             stages = self._stages_of(body)
-            entries = tuple(
-                replace(one, garment=cut_for(one.garment, wearer, self.body, body), worn=stages) for one in entries
-            )
+            made_for = [body_of(one.garment, wearer, self.body) for one in entries]
+            cut = [tailored(one.garment, own, body) for one, own in zip(entries, made_for, strict=True)]
+            entries = tuple(replace(one, garment=own, worn=stages) for one, own in zip(entries, cut, strict=True))
         if len(entries) > 1:
             check_layers([entry.garment for entry in entries])
         scene: Scene = entries[0] if len(entries) == 1 else Outfit(entries)

@@ -25,7 +25,6 @@ from drape.garment.cache import Garment
 from drape.garment.files.gltf_looks import gltf_looks
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake import intake_mesh
-from drape.garment.tailor import tailored
 
 VERSION = 1  # raised when a change here changes the garments that come out
 KINDS = ("trousers", "skirt", "top", "dress", "outer")  # the innermost first
@@ -97,12 +96,10 @@ def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], l
     return lower, [garment for garment in left if garment not in lower]
 
 
-def cut_for(garment: Garment, wearer: Wearer, standard: BodyModel, body: BodyModel) -> Garment:
-    """``garment``, of the ``standard`` body or of ``wearer``, for ``body``, one of those of ``wearer``."""
-    if garment.body_digest == body.digest:
-        return garment
-    made_for = next((one for one in wearer.bodies.values() if one.digest == garment.body_digest), standard)
-    return tailored(garment, made_for, body)
+def body_of(garment: Garment, wearer: Wearer, standard: BodyModel) -> BodyModel:
+    """The body that ``garment`` was made for: one of those of ``wearer``, or the ``standard`` one."""
+    bodies = (wearer.body, *wearer.bodies.values())
+    return next((one for one in bodies if one.digest == garment.body_digest), standard)
 
 
 def _halves(kinds: Sequence[str]) -> Halves:

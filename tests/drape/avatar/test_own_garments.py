@@ -15,7 +15,7 @@ from drape.avatar.own_clothes import Halves
 from drape.avatar.own_garments import (
     OWN,
     OwnGarments,
-    cut_for,
+    body_of,
     dressed_in,
     halves_on,
     own_faces,
@@ -27,6 +27,7 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.catalog import find_garments, open_garment
 from drape.garment.cache import Garment
+from drape.garment.tailor import tailored
 from drape.geometry.closest import closest_point, signed_distance
 
 SPINE = np.eye(len(JOINT_NAMES))[JOINT_NAMES.index("spine3")]
@@ -131,11 +132,12 @@ def test_they_are_cut_for_the_body_below_them(
     """A top over trousers that stay on lies on another body than one over bare legs."""
     top = own.garments[1]
     bare, over = (wearer.body_under(Halves(True, lower)) for lower in (True, False))
-    assert cut_for(top, wearer, body, bare) is top
-    moved = cut_for(top, wearer, body, over)
+    assert body_of(top, wearer, body) is bare
+    assert body_of(shelf["tank"], wearer, body) is body
+    assert tailored(top, bare, bare) is top
+    moved = tailored(top, bare, over)
     assert moved.body_digest == over.digest != bare.digest
     assert np.abs(moved.vertices - top.vertices).max() < 0.05
-    assert cut_for(shelf["tank"], wearer, body, bare).body_digest == bare.digest
 
 
 def test_a_program_drapes_them(file: bytes, tmp_path: Path):
