@@ -21,6 +21,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from drape.avatar.own_clothes import halves_of
+from drape.avatar.own_garments import OwnGarments, body_of, dressed_in, halves_on, own_garments
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.body.model import BodyModel
@@ -96,6 +97,7 @@ class Drape:
     def __init__(self, runtime: Runtime) -> None:
         self._runtime = runtime
         self._characters: dict[Path, Wearer] = {}
+        self._own: dict[Path, OwnGarments] = {}
         self._stages: dict[str, BodyStages] = {}  # by the digest of a body
 
     @property
@@ -120,9 +122,10 @@ class Drape:
 
     def wear(
         self,
-        garments: str | Path | Garment | Sequence[str | Path | Garment],
+        garments: str | Path | Garment | Sequence[str | Path | Garment] = (),
         *,
         on: str | Path | None = None,
+        alive: bool = False,
         betas: Sequence[float] | None = None,
         size: SizeChoice = None,
         **options: Any,
@@ -131,7 +134,8 @@ class Drape:
 
         ``garments``: one garment, or several worn over each other, the innermost first. Each is a shipped name, a file
         (a mesh of one garment or several, or a stored garment), or a ``Garment`` that ``drape.intake`` made. ``on``:
-        the GLB or VRM file of a character that wears them in place of the body. ``betas``: its shape coefficients.
+        the GLB or VRM file of a character that wears them in place of the body. ``alive``: its own clothes are draped
+        as well, but for those that ``garments`` replace; it takes seconds. ``betas``: its shape coefficients.
         ``size``: "S", "M", "L" or "XL" of all garments, or a list with one of each and None where a garment comes in
         one; a size takes seconds. ``options`` are the fields of ``DrapeOptions``, such as ``tier``, ``fabric``,
         ``hidden`` and ``colliders``.
@@ -141,17 +145,20 @@ class Drape:
         asked = [garments] if isinstance(garments, (str, Path, Garment)) else list(garments)
         wearer = None if on is None else self._character(Path(on))
         entries = tuple(entry for one in asked for entry in self._entries(one))
-        if not entries:
+        own = self._own_garments(Path(on)) if alive and on is not None else ()
+        if not entries and not own:
             raise InputError("garments", expected="one or more", got="none", cure="Name a garment.")
         if size is not None:
             entries = Sizes(self.body, GARMENTS_DIR, entries).wear(Outfit(entries), size).layers
         body = self.body
         if wearer is not None:
-            body = wearer.body_under(halves_of([one.garment for one in entries], self.body))
+            below, over = dressed_in(own, halves_of([one.garment for one in entries], self.body))
+            entries = (*map(_own_entry, below), *entries, *map(_own_entry, over))
+            body = wearer.body_under(halves_on(wearer, [one.garment for one in entries], self.body))
             stages = self._stages_of(body)
-            entries = tuple(
-                replace(one, garment=tailored(one.garment, self.body, body), worn=stages) for one in entries
-            )
+            made_for = [body_of(one.garment, wearer, self.body) for one in entries]
+            cut = [tailored(one.garment, own, body) for one, own in zip(entries, made_for, strict=True)]
+            entries = tuple(replace(one, garment=own, worn=stages) for one, own in zip(entries, cut, strict=True))
         if len(entries) > 1:
             check_layers([entry.garment for entry in entries])
         scene: Scene = entries[0] if len(entries) == 1 else Outfit(entries)
@@ -173,6 +180,11 @@ class Drape:
                 ) from error
             self._characters[path] = read_wearer(payload, name=wearer_name(path.stem), body=self.body)
         return self._characters[path]
+
+    def _own_garments(self, path: Path) -> tuple[Garment, ...]:
+        if path not in self._own:
+            self._own[path] = own_garments(path.read_bytes(), self._character(path))
+        return self._own[path].garments
 
     def _entries(self, asked: str | Path | Garment) -> list[Entry]:
         if isinstance(asked, Garment):
@@ -264,6 +276,10 @@ class Worn:
     def restart(self) -> None:
         """Forgets the frames so far: the next ``pose`` begins from cloth at rest."""
         self._memories = {}
+
+
+def _own_entry(garment: Garment) -> Entry:
+    return Entry(garment.name, garment, "user")
 
 
 def _frames(batch: Batch, part: PoseInput) -> Iterator[Frame]:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 from fastapi import Depends, Request
 from starlette.requests import HTTPConnection
 
+from drape.avatar.own_garments import MARK
+from drape.errors import InputError
 from service.errors import Busy, Draining
 from service.guard.keys import Client
 
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from service.guard.access import Access
     from service.http.continuations import Continuations
     from service.http.kept import Kept
+    from service.http.schemas import ClipOptions, OpenRequest
     from service.replicas.handover import Handover
     from service.stream.workers import Streams
     from service.uploads.jobs import Uploads
@@ -61,7 +64,15 @@ class State:
 
     async def garment(self, garment_id: str, client: Client) -> Entry:
         """The garment, if ``client`` may know of it: see ``Registry.get`` and ``SharedFolder.found``."""
+        await self._woken([garment_id], client)
         return await self.shared_folder.found(lambda: self.runtime.garments.get(garment_id, client.name))
+
+    async def _woken(self, ids: Sequence[str], client: Client) -> str | None:
+        """The avatar that came in one of the garments ``ids``, whose own are read from the disk then."""
+        name = next((one.partition(MARK)[0] for one in ids if MARK in one), None)
+        if name is not None:
+            await asyncio.to_thread(self.runtime.avatars.own, (await self.avatar(name, client)).id)
+        return name
 
     async def avatar(self, avatar_id: str, client: Client) -> AvatarEntry:
         """The avatar, if ``client`` may know of it: see ``Avatars.get`` and ``SharedFolder.found``."""
@@ -75,15 +86,29 @@ class State:
         *,
         avatar: str | None = None,
         size: SizeChoice = None,
+        alive: bool = False,
     ) -> Scene:
-        """The scene that is worn, in a ``size`` and cut for the ``avatar`` where there is one: see ``Registry.scene``,
-        ``SharedFolder.found``, ``Sizes.wear`` and ``Avatars.dress``."""
+        """The scene that is worn, in a ``size`` and cut for the ``avatar`` where there is one, which wears its own
+        clothes too where these are ``alive``: see ``Registry.scene``, ``SharedFolder.found``, ``Sizes.wear``,
+        ``Avatars.with_own`` and ``Avatars.dress``. What an avatar came in is worn by that without saying so."""
         registry, avatars = self.runtime.garments, self.runtime.avatars
         worn_by = None if avatar is None else (await self.avatar(avatar, client)).id
-        scene = await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
-        if size is not None:
-            scene = await asyncio.to_thread(self.runtime.sizes.wear, scene, size)
+        owner = await self._woken([one for one in (garment, *(garments or ())) if one is not None], client)
+        worn_by, scene = worn_by or owner, None
+        if alive and worn_by is None:
+            raise InputError("alive", expected="an avatar", got="none", cure="Name the avatar, or leave alive out.")
+        if not alive or garment or garments:
+            scene = await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
+            scene = scene if size is None else await asyncio.to_thread(self.runtime.sizes.wear, scene, size)
+        if scene is None or (alive and worn_by is not None):
+            assert worn_by is not None
+            scene = await asyncio.to_thread(avatars.with_own, worn_by, scene)
         return scene if worn_by is None else await asyncio.to_thread(avatars.dress, worn_by, scene)
+
+    async def worn(self, asked: ClipOptions | OpenRequest, client: Client) -> Scene:
+        """The ``scene`` of a request."""
+        choices = {"avatar": asked.avatar, "size": asked.size, "alive": asked.alive}
+        return await self.scene(asked.garment, asked.garments, client, **choices)
 
     async def wearer(self, avatar: str, client: Client) -> Wearer:
         """The wearer of an avatar that ``client`` may know of; read from the disk where it wears nothing yet."""

@@ -19,7 +19,7 @@ SHARES = np.array([[1 / 3, 1 / 3, 1 / 3], [0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.2
 def face_colours(file: GltfFile, primitives: tuple[Primitive, ...]) -> np.ndarray:
     """The mean colours (T, 3), sRGB in [0, 1], of the triangles of ``primitives`` one after the other; a material that
     says nothing, and what is cut out of a picture, is light grey."""
-    held = [_held(file, primitive) for primitive in primitives]
+    held = [texture_of(file, primitive) for primitive in primitives]
     used = sorted({material for _, material in held if material is not None})
     looks, _ = gltf_looks(file, list(used))
     looks = kept_pictures(looks, [_small(picture) for picture in looks.pictures])
@@ -38,7 +38,7 @@ def face_colours(file: GltfFile, primitives: tuple[Primitive, ...]) -> np.ndarra
     return np.mean([paint(every, np.tile(share, (count, 1)))[0] for share in SHARES], axis=0)
 
 
-def _held(file: GltfFile, primitive: Primitive) -> tuple[np.ndarray, int | None]:
+def texture_of(file: GltfFile, primitive: Primitive) -> tuple[np.ndarray, int | None]:
     """The texture coordinates (F, 3, 2) of a primitive's triangles, zero where it has none, and its material."""
     mesh = file.item("meshes", file.document.nodes[primitive.node].mesh)
     told = mesh.primitives[primitive.primitive]

@@ -27,6 +27,7 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.errors import InputError, refusing
+from drape.files.pictures import with_remade
 from drape.garment import avatars
 from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
 from drape.garment.clearance import CLEARANCE_M
@@ -143,6 +144,18 @@ def intake_outfit(
         for garment in made:
             say(f"stored    {save_garment(garment, folder)}")
     return made
+
+
+HERE = {"unit": "m", "up": "y", "facing": "z", "trans": [0.0, 0.0, 0.0]}  # of a mesh that lies on its body already
+
+
+def intake_mesh(mesh: GarmentMesh, body: BodyModel, *, digest: str) -> Garment:
+    """Makes one garment of a ``mesh`` that lies on ``body`` in T-pose, in metres; raises what ``intake`` does."""
+    looks, notes = with_remade(mesh.looks)
+    named = replace(mesh, name=garment_name(mesh.name), looks=looks).noted(*notes)
+    file = _File(named, b"", HERE, None, digest, DEFAULT_OPTIONS.completed_by(None))
+    (garment,) = _made(file, body, lambda line: None, lambda stage: None, whole=True)
+    return garment
 
 
 class _File(NamedTuple):

@@ -36,7 +36,9 @@ def tailored_digest(garment: Garment, wearer: BodyModel) -> str:
 
 
 def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
-    """``garment``, which was made for ``body``, for ``wearer``, a body of the same topology."""
+    """``garment``, which was made for ``body``, for ``wearer``, a body of the same topology; itself on its own body."""
+    if body.digest == wearer.digest:
+        return garment
     faces, standing = garment.fine_faces.astype(np.int64), garment.vertices.astype(np.float64)
     source = Avatar(body.v_template, body.faces, 0.0, body.name)
     moved = to_standard(standing, faces, source, wearer).vertices

@@ -11,23 +11,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-from pydantic import BaseModel, Field
-
-from drape.avatar.attire_words import Kind
 from drape.avatar.own_clothes import Halves
+from drape.avatar.own_garments import MARK, OWN, body_of, dressed_in
 from drape.avatar.wearer import Wearer, load_wearer
 from drape.avatar.wears import Reach, reach_of, why_not
 from drape.body.model import BodyModel
-from drape.errors import ArtifactError, NotFound, did_you_mean
+from drape.errors import ArtifactError, InputError, NotFound, TooLarge, did_you_mean
+from drape.garment.cache import Garment, load_garment
 from drape.garment.tailor import tailored, tailored_digest
 from drape.stages.body_stages import BodyStages
 from drape.stages.scene import Entry, Outfit, Scene
 from drape.stages.stage import Make, call_here
 from drape.wanted import go_on
 from service.compute import garment_files
+from service.compute.avatar_facts import AvatarFacts, AvatarInfo, facts_of, own_id
+from service.compute.garments import check_garment
 from service.compute.records import read_record
 
 if TYPE_CHECKING:
@@ -39,62 +39,11 @@ log = logging.getLogger("drape.service")
 MOST_WORN = 4
 
 
-class AvatarPart(BaseModel):
-    """One part of a character."""
+class OwnFiles(NamedTuple):
+    """Caches of the garments that a character came in, and why others of its clothes are none."""
 
-    name: str
-    kind: Kind = Field(description="What it is.")
-    faces: int = Field(description="The number of its triangles.")
-    sure: float = Field(description="How sure the kind is, 0 to 1; 1 where a client told it.")
-    bulky: bool = Field(default=False, description="Whether it is a thing that comes off with what a top replaces.")
-
-
-class AvatarFacts(BaseModel):
-    """The facts of an avatar that clients are told."""
-
-    name: str
-    digest: str
-    joints: dict[str, str] = Field(description="The node of the character's skeleton for each of SMPL's joints.")
-    found_by: Literal["vrm", "names", "shape", "told"] = Field(
-        default="names",
-        description="How the joints were found: by VRM's bones, by the names of nodes, by their "
-        "places, or told by PATCH.",
-    )
-    confidence: float = Field(
-        default=1.0, description="Of joints found by their places: how much these are like a person's, 0 to 1."
-    )
-    notes: list[str] = Field(default=[], description="Sentences on what looks wrong with the character.")
-    nodes: list[str] = Field(
-        description="The names of all nodes of its file, parents first. The rotations of "
-        "``rig_poses`` come in this order."
-    )
-    fit: dict[str, float] = Field(
-        description="The distances [mm] of its trunk and limbs from the body that stands for it."
-    )
-    height_m: float
-    rest_joints: list[list[float]] = Field(
-        description="The joints at rest [m] of the body that stands for it, as in BodyDocument."
-    )
-    floor_m: float = Field(description="The height of its soles [m].")
-    scale: float = Field(description="How many metres a unit of its file is.")
-    vrm: str | None = Field(description="The version of VRM, if the file is one.")
-    vertices: int = Field(description="The number of vertices of its own surface.")
-    parts: list[AvatarPart] = Field(
-        default=[], description="What is what on the character: skin, hair, clothes, things that it carries."
-    )
-
-
-class AvatarInfo(AvatarFacts):
-    """A user's character that wears garments."""
-
-    id: str
-
-
-class AvatarWears(AvatarInfo):
-    """A user's character, and what it can wear."""
-
-    wears: dict[str, bool] = Field(description="Whether it can wear each garment, by the garments' ids.")
-    wears_why: dict[str, str] = Field(description="Why it cannot wear a garment.")
+    made: Sequence[Path]
+    stiff: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -121,6 +70,10 @@ class AvatarEntry:
         """What clients are told of it, an ``AvatarInfo`` as JSON: thousands of nodes are written once."""
         return AvatarInfo(id=self.id, **self.told.model_dump()).model_dump_json().encode()
 
+    def own_files(self) -> list[Path]:
+        """The caches of the garments that it came in."""
+        return sorted(self.path.parent.glob(f"{self.id}{MARK}*.npz"))
+
     def seen_by(self, viewer: str | None) -> bool:
         """Whether the key ``viewer`` may know of it."""
         return self.owner is None or self.owner == viewer
@@ -133,7 +86,7 @@ class Avatars:
         self, body: BodyModel, settings: Settings, stages_on: Callable[[BodyModel], BodyStages], make: Make = call_here
     ) -> None:
         self._body, self._stages_on, self._make = body, stages_on, make
-        self._root = settings.garments_dir / FOLDER
+        self._root, self._settings = settings.garments_dir / FOLDER, settings
         self._entries: dict[str, AvatarEntry] = {}
         self._worn: OrderedDict[str, _Dressed] = OrderedDict()
         self._reaches: dict[str, Reach] = {}
@@ -182,26 +135,35 @@ class Avatars:
             raise NotFound("avatar", expected=f"one of: {known}", got=name[:120], cure=cure)
         return entry
 
-    def add(self, made: Path, source: Path, owner: str | None) -> AvatarEntry:
-        """Puts the avatar stored at ``made``, read from the user's file ``source``, in service; both files move."""
+    def add(self, made: Path, source: Path, owner: str | None, own: OwnFiles | None = None) -> AvatarEntry:
+        """Puts the avatar stored at ``made``, read from the user's file ``source``, in service, with its ``own``
+        clothes where these are garments; the files move."""
         wearer = load_wearer(made, self._body)
         name = wearer.name
         if owner is not None:
             name = f"{name}-{hashlib.sha256(f'{owner} {wearer.digest}'.encode()).hexdigest()[:8]}"
         elif (taken := self._entries.get(name)) is not None and taken.told.digest != wearer.digest:
             name = f"{name}-{wearer.digest[:8]}"
-        return self._stored(name, made, source, owner, wearer)
+        return self._stored(name, made, source, owner, wearer, own)
 
-    def replaced(self, entry: AvatarEntry, made: Path) -> AvatarEntry:
+    def replaced(self, entry: AvatarEntry, made: Path, own: OwnFiles | None = None) -> AvatarEntry:
         """``entry`` as the file ``made`` has it, whose joints were corrected."""
         wearer = load_wearer(made, self._body)
         self._undress(entry.id)
-        return self._stored(entry.id, made, entry.source, entry.owner, wearer)
+        return self._stored(entry.id, made, entry.source, entry.owner, wearer, own)
 
-    def _stored(self, name: str, made: Path, source: Path, owner: str | None, wearer: Wearer) -> AvatarEntry:
+    def _stored(
+        self, name: str, made: Path, source: Path, owner: str | None, wearer: Wearer, own: OwnFiles | None
+    ) -> AvatarEntry:
         folder = garment_files.folder_of(self._root, owner)
         folder.mkdir(parents=True, exist_ok=True)
-        entry = AvatarEntry(name, folder / f"{name}.npz", folder / f"{name}.glb", _facts(wearer), owner)
+        garments = [] if own is None else [self._own(path, wearer) for path in own.made]
+        told = facts_of(wearer, name, None if own is None else garments, {} if own is None else own.stiff)
+        entry = AvatarEntry(name, folder / f"{name}.npz", folder / f"{name}.glb", told, owner)
+        for path in entry.own_files():
+            path.unlink(missing_ok=True)
+        for path, garment in zip([] if own is None else own.made, garments, strict=True):
+            path.replace(folder / f"{own_id(name, garment)}.npz")
         made.replace(entry.path)
         if source != entry.source:
             source.replace(entry.source)
@@ -213,7 +175,7 @@ class Avatars:
     def remove(self, entry: AvatarEntry) -> None:
         """Takes ``entry`` off the disk and out of service."""
         self._entries.pop(entry.id, None)
-        for path in (entry.path.with_suffix(".json"), entry.path, entry.source):
+        for path in (entry.path.with_suffix(".json"), entry.path, entry.source, *entry.own_files()):
             path.unlink(missing_ok=True)
         self._undress(entry.id)
 
@@ -246,14 +208,57 @@ class Avatars:
             self._entries.pop(entry.id, None)
             raise NotFound(error.name, expected=error.expected, got=error.got, cure=error.cure) from error
 
+    def _own(self, path: Path, wearer: Wearer) -> Garment:
+        """The checked garment of the cache ``path``, which ``wearer`` came in."""
+        garment = load_garment(path)
+        check_garment(garment, body_of(garment, wearer, self._body), max_vertices=self._settings.max_vertices)
+        return garment
+
+    def own(self, name: str) -> tuple[Entry, ...]:
+        """The garments that the avatar ``name`` came in, the innermost first; from any thread."""
+        entry, dressed = self._entries.get(name) or self.get(name), self._dressed(name)
+        return dressed.own_garments([one.garment for one in entry.told.alive or ()], self._own_entry(entry))
+
+    def _own_entry(self, entry: AvatarEntry) -> Callable[[str], Entry]:
+        def read(garment_id: str) -> Entry:
+            path = entry.path.with_name(f"{garment_id}.npz")
+            return Entry(garment_id, self._own(path, self.wearer(entry.id)), "user", path, entry.owner)
+
+        return read
+
+    def own_garment(self, garment_id: str, viewer: str | None) -> Entry | None:
+        """The garment ``garment_id`` that an avatar came in, if ``viewer`` may know of that."""
+        name, mark, _ = garment_id.partition(MARK)
+        entry = self._entries.get(name) if mark else None
+        if entry is None or not entry.seen_by(viewer):
+            return None
+        return next((one for one in self.own(name) if one.id == garment_id), None)
+
+    def with_own(self, name: str, scene: Scene | None) -> Scene:
+        """``scene`` with the garments that the avatar ``name`` came in, but for those that ``scene`` replaces."""
+        layers: tuple[Entry, ...] = () if scene is None else scene.layers
+        own = {one.garment.digest: one for one in self.own(name) if one not in layers}
+        sides = dressed_in([one.garment for one in own.values()], self._halves(layers))
+        below, over = ([own[one.digest] for one in side] for side in sides)
+        worn = [*below, *layers, *over]
+        limit = self._settings.max_layers
+        if len(worn) > limit:
+            cure = "Name fewer garments, or leave alive out."
+            raise TooLarge("garments", expected=f"at most {limit} layers", got=str(len(worn)), cure=cure)
+        if not worn:
+            cure = "Send the character with alive=true; GET /avatars/ID tells in `stiff` what is no cloth."
+            raise NotFound("alive", expected="clothes of its own that are cloth", got="none", cure=cure)
+        return Outfit(tuple(worn)) if len(worn) > 1 or isinstance(scene, Outfit) else worn[0]
+
     def dress(self, name: str, scene: Scene) -> Scene:
         """The garments of ``scene`` cut for the avatar ``name``; seconds for each that it never wore."""
         dressed = self._dressed(name)
-        reaches = [self._reach(layer) for layer in scene.layers]
-        halves = Halves(*(any(which) for which in zip(*(reach.halves for reach in reaches), strict=True)))
-        for layer, reach in zip(scene.layers, reaches, strict=True):
-            if (refusal := why_not(dressed.wearer.body, reach, garment=layer.id)) is not None:
+        for layer in scene.layers:
+            if OWN in layer.garment.manifest:
+                check_own(layer, name)
+            elif (refusal := why_not(dressed.wearer.body, self._reach(layer), garment=layer.id)) is not None:
                 raise refusal
+        halves = self._halves(scene.layers)
         layers = tuple(dressed.cut(layer, halves) for layer in scene.layers)
         return Outfit(layers) if isinstance(scene, Outfit) else layers[0]
 
@@ -264,11 +269,26 @@ class Avatars:
         found = {entry.id: why_not(body, self._reach(entry), garment=entry.id) for entry in entries}
         return {key: None if refusal is None else str(refusal) for key, refusal in found.items()}
 
+    def _halves(self, layers: Sequence[Entry]) -> Halves:
+        found = [self._reach(layer).halves for layer in layers]
+        return Halves(any(one.upper for one in found), any(one.lower for one in found))
+
     def _reach(self, entry: Entry) -> Reach:
         digest = entry.garment.digest
         if digest not in self._reaches:
-            self._reaches[digest] = reach_of(entry.garment, self._body)
+            body = self._body
+            if OWN in entry.garment.manifest:
+                body = self.wearer(entry.id.partition(MARK)[0]).body
+            self._reaches[digest] = reach_of(entry.garment, body)
         return self._reaches[digest]
+
+
+def check_own(layer: Entry, name: str) -> None:
+    """Refuses a garment that another avatar than ``name`` came in."""
+    owner = layer.id.partition(MARK)[0]
+    if owner != name:
+        cure = "Upload it as a garment to wear it on others."
+        raise InputError("avatar", expected=f"{owner}, who came in {layer.id}", got=name, cure=cure)
 
 
 class _Dressed:
@@ -280,7 +300,14 @@ class _Dressed:
         self.wearer, self._stages_on, self._standard, self._make = wearer, stages_on, standard, make
         self.stages: dict[str, BodyStages] = {wearer.body.digest: stages_on(wearer.body)}
         self._cut: dict[str, Entry] = {}
+        self._own: tuple[Entry, ...] | None = None
         self._one = threading.Lock()
+
+    def own_garments(self, ids: Sequence[str], read: Callable[[str], Entry]) -> tuple[Entry, ...]:
+        """The garments ``ids`` that it came in, which ``read`` reads the first time."""
+        if self._own is None:
+            self._own = tuple(map(read, ids))
+        return self._own
 
     def cut(self, entry: Entry, halves: Halves) -> Entry:
         """``entry`` for this avatar, among garments that lie on these ``halves``."""
@@ -291,27 +318,8 @@ class _Dressed:
             if body.digest not in self.stages:
                 self.stages[body.digest] = self._stages_on(body)
             if digest not in self._cut:
-                garment = self._make(tailored, entry.garment, self._standard, body)
+                made_for = body_of(entry.garment, self.wearer, self._standard)
+                same = made_for.digest == body.digest
+                garment = entry.garment if same else self._make(tailored, entry.garment, made_for, body)
                 self._cut[digest] = replace(entry, garment=garment, worn=self.stages[body.digest])
             return self._cut[digest]
-
-
-def _facts(wearer: Wearer) -> AvatarFacts:
-    """The facts of ``wearer`` that clients are told."""
-    return AvatarFacts(
-        name=wearer.name,
-        digest=wearer.digest,
-        joints=wearer.joints,
-        found_by=wearer.found_by,  # pyright: ignore[reportArgumentType]
-        confidence=round(wearer.confidence, 3),
-        notes=list(wearer.notes),
-        nodes=list(wearer.nodes),
-        fit={"median_mm": round(wearer.median_mm, 2), "p95_mm": round(wearer.p95_mm, 2)},
-        height_m=round(wearer.height_m, 4),
-        rest_joints=np.round(wearer.body.joints_template, 6).tolist(),
-        floor_m=round(wearer.body.floor_m(), 6),
-        scale=wearer.scale,
-        vrm=wearer.vrm or None,
-        vertices=len(wearer.vertices),
-        parts=[AvatarPart(**part._asdict()) for part in wearer.attire.parts],
-    )

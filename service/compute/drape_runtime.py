@@ -79,6 +79,7 @@ class DrapeRuntime(Runtime):
         self.garments = Registry(settings, self.worn, make, read)
         self.sizes = Sizes(self.body, settings.shipped_garments_dir, self.garments.entries(), make)
         self.avatars = Avatars(self.body, settings, self.stages_on, make)
+        self.garments.others = self.avatars.own_garment
         self.motions = Motions(settings.motions_dir)
         if at_once or self.engine.bound:
             self.warm_up()

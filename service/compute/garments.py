@@ -52,6 +52,8 @@ class Registry:
         self._settings, self._worn, self._make = settings, worn, make
         self._entries: dict[str, Entry] = {}
         self.refused: list[str] = []
+        self.others: Callable[[str, str | None], Entry | None] = lambda name, viewer: None
+        """Garments that are worn by one avatar alone and in no list, by id and who asks."""
         for path in _shipped(settings):
             self.add(take(path), "shipped")
         for path in garment_files.stored(settings.garments_dir):
@@ -70,7 +72,7 @@ class Registry:
 
     def get(self, name: str, viewer: str | None = None) -> Entry:
         """The garment with the id ``name``; refuses an unknown one, and one that ``viewer`` may not know of."""
-        entry = self._entries.get(name)
+        entry = self._entries.get(name) or self.others(name, viewer)
         if entry is None or not entry.seen_by(viewer):
             ids = sorted(entry.id for entry in self.visible(viewer))
             known = ", ".join(ids[:20]) or "none yet"

@@ -18,12 +18,13 @@ from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of, tucked_fa
 from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.mapping import TOLD
 from drape.avatar.own_clothes import bare_faces, halves_of, taken_off, tucked
+from drape.avatar.own_garments import MARK, own_faces
 from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import Wearer
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.formats import AVATAR_SUFFIXES
 from drape.garment.portrait import Sitter, portrait
-from service.compute.avatars import AvatarInfo, AvatarWears
+from service.compute.avatar_facts import AvatarInfo, AvatarWears
 from service.errors import Full, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, PNG, json_answer
@@ -46,6 +47,8 @@ Sizes = Annotated[
     str | None,
     Query(max_length=40, description="One size for all garments, or a size for each, separated by commas."),
 ]
+
+Alive = Annotated[bool, Query(description="Whether it also wears its own clothes as cloth.")]
 
 
 class AvatarChange(schemas.Request):
@@ -71,17 +74,19 @@ async def add_avatar(
     state: StateHere,
     client: ClientHere,
     name: Annotated[str | None, Query(max_length=120, description="The name of the file or of the avatar.")] = None,
+    alive: Annotated[bool, Query(description="Whether its own clothes become garments, which takes seconds.")] = False,
 ) -> schemas.JobInfo:
     """Uploads a character with a skeleton and a skin. The body of the request is the raw bytes of a GLB or VRM file.
     The answer is a job: once it is done, its ``avatar`` is the id.
     """
-    check_query(request.query_params, ("name",))
+    check_query(request.query_params, ("name", "alive"))
     state.uploads.check_place(client)  # before anything is read
     stem, dot, suffix = (name or "").rpartition(".")
     stem = stem if f"{dot}{suffix.lower()}" in AVATAR_SUFFIXES else name or ""
     if not stem:
         raise InputError("name", expected="the avatar's name", got="nothing", cure="Give ?name=me.vrm.")
-    job = await state.uploads.submit(stem, "glb", request.stream(), None, client, kind="avatar")
+    told = json.dumps({"alive": True}) if alive else None
+    job = await state.uploads.submit(stem, "glb", request.stream(), told, client, kind="avatar")
     response.headers["Location"] = f"/jobs/{job.id}"
     return job_info(job)
 
@@ -126,7 +131,8 @@ async def change_avatar(
         raise InputError("avatar", expected="joints or parts", got="neither", cure='Send {"parts": {"NAME": "hair"}}.')
     kept = entry.told.joints if asked.joints or entry.told.found_by == TOLD else {}
     parts = {part.name: part.kind for part in entry.told.parts if part.sure == SURE}
-    told = json.dumps({"joints": {**kept, **asked.joints}, "parts": {**parts, **asked.parts}})
+    alive = entry.told.alive is not None
+    told = json.dumps({"joints": {**kept, **asked.joints}, "parts": {**parts, **asked.parts}, "alive": alive})
     pieces = _pieces(entry.source)
     job = await state.uploads.submit(entry.told.name, "glb", pieces, told, client, kind="avatar", replaces=entry.id)
     response.headers["Location"] = f"/jobs/{job.id}"
@@ -156,8 +162,9 @@ async def avatar_covered(
     avatar_id: str,
     state: StateHere,
     client: ClientHere,
-    garments: Garments,
+    garments: Garments = "",
     size: Sizes = None,
+    alive: Alive = False,
 ) -> CoveredFaces:
     """Returns the faces of the character that lie wholly under its garments at rest, away from their hems, and those of
     its own clothes that these replace. A client that draws the first a little deeper and leaves out the others keeps
@@ -166,7 +173,7 @@ async def avatar_covered(
     entry = await state.avatar(avatar_id, client)
     state.check_slot()
     with state.access.using(client, "clips"), state.slot():
-        worn = await _undressed(state, avatar_id, garments.split(","), size, client)
+        worn = await _undressed(state, avatar_id, garments, size, alive, client)
         wearer, own = worn.wearer, worn.surface
         bare = await state.runtime.made(bare_faces, wearer.body, *own, worn.off, worn.loose)
         covered, of_file = await state.runtime.made(covered_in_file, entry.path, *own, worn.cloth, worn.off)
@@ -203,19 +210,22 @@ class _Undressed(NamedTuple):
 
 
 async def _undressed(
-    state: StateHere, avatar_id: str, garments: list[str], size: str | None, client: ClientHere
+    state: StateHere, avatar_id: str, garments: str, size: str | None, alive: bool, client: ClientHere
 ) -> _Undressed:
-    """The avatar in ``garments`` of this ``size``, or of a size for each."""
+    """The avatar in ``garments`` of this ``size``, or of a size for each, and in its own where these are ``alive``."""
     sizes = size if size is None or "," not in size else [one or None for one in size.split(",")]
-    scene = await state.scene(None, garments, client, avatar=avatar_id, size=sizes)
+    named = garments.split(",") if garments else []
+    scene = await state.scene(None, named, client, avatar=avatar_id, size=sizes, alive=alive)
     cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
-    halves = halves_of([one.garment for one in (await state.scene(None, garments, client)).layers], state.runtime.body)
     wearer = await state.wearer(avatar_id, client)
     none = np.zeros(len(wearer.faces), dtype=bool)
     found = _Undressed(wearer, cloth, none, none)
     if not wearer.attire.parts:
         return found
-    off = taken_off(wearer.attire, halves)
+    own = own_faces(wearer, [worn.garment for worn in scene.layers])
+    ours = [(await state.garment(name, client)).garment for name in named if MARK not in name]
+    halves = halves_of(ours, state.runtime.body)
+    off = taken_off(wearer.attire, halves) | own
     tops = tucked(wearer.attire, halves) & ~off
     ends = await state.runtime.made(tucked_faces, *found.surface, cloth, tops)
     return found._replace(off=off | ends, loose=tops)
@@ -238,7 +248,12 @@ def bare_skin(stored: Path, wearer: Wearer, off: np.ndarray, loose: np.ndarray) 
     responses=responses(InputError, NotFound, TooSlow, TooLarge, kinds=(GLB,)),
 )
 async def avatar_bare(
-    avatar_id: str, state: StateHere, client: ClientHere, garments: Garments, size: Sizes = None
+    avatar_id: str,
+    state: StateHere,
+    client: ClientHere,
+    garments: Garments = "",
+    size: Sizes = None,
+    alive: Alive = False,
 ) -> Response:
     """Returns the skin that is bare where the garments take off clothes of the character and nothing was modelled
     below: a GLB on the character's own nodes, to be drawn beside it.
@@ -246,7 +261,7 @@ async def avatar_bare(
     entry = await state.avatar(avatar_id, client)
     state.check_slot()
     with state.access.using(client, "clips"), state.slot():
-        worn = await _undressed(state, avatar_id, garments.split(","), size, client)
+        worn = await _undressed(state, avatar_id, garments, size, alive, client)
         made = await state.runtime.made(bare_skin, entry.path, worn.wearer, worn.off, worn.loose)
     return Response(made, media_type=GLB)
 

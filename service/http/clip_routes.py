@@ -67,7 +67,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
         return Response(job.model_dump_json(), status_code=202, media_type=JSON, headers=where)
     kind = choose(request.headers.get("accept"), _offered(asked))
     check_rig(asked, kind)
-    scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar, size=asked.size)
+    scene = await state.worn(asked, client)
     plan = state.runtime.plan(scene, asked, messages=asked.geometry == "jets")
     if asked.past is not None:
         clip = state.continuations.get(asked.past, client.name).followed_by(plan, clip, asked.fps)

@@ -51,7 +51,7 @@ def check_exact(asked: schemas.ClipOptions) -> None:
 async def submitted(asked: schemas.ClipOptions, clip: PoseInput, state: State, client: Client) -> ExactJob:
     """The job of the ``clip`` that is ``asked`` for, checked and on disk."""
     check_exact(asked)
-    scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar, size=asked.size)
+    scene = await state.worn(asked, client)
     state.runtime.plan(scene, asked.model_copy(update=START))  # refused now rather than in the job
     (entry,) = scene.layers
     state.exact.check_place(len(clip.poses), entry.fine.vertex_count)
@@ -65,7 +65,7 @@ async def _read(message: bytes, state: State, client: Client) -> ClipJob:
     """What ``message`` asks for; refuses (``NotFound``) a garment or an avatar that is gone."""
     text, poses, trans = unpack_clip(message)
     asked = schemas.ClipOptions.model_validate_json(text)
-    scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar, size=asked.size)
+    scene = await state.worn(asked, client)
     betas = shape_array(asked.betas, state.runtime.on(scene).body)
     assert trans is not None
     clip = PoseInput(poses, trans, betas, np.arange(len(poses)) / asked.fps)

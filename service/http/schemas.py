@@ -72,6 +72,11 @@ class OnAvatar(BaseModel):
         default=None,
         description="The id of an avatar (POST /avatars) that wears the garments. Left out: the standard body.",
     )
+    alive: bool = Field(
+        default=False,
+        description="Whether the avatar also wears its own clothes as cloth (`alive` of GET /avatars/{id}), but for "
+        "those that the garments replace. Then no garment needs to be named.",
+    )
 
 
 class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):

@@ -78,7 +78,7 @@ async def read_opening(text: str, state: State, client: Client) -> Opening:
     """What ``text`` asks for, with all that its frames need made."""
     asked = validated(OpenRequest, document_of(text.encode()))
     runtime = state.runtime
-    scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar, size=asked.size)
+    scene = await state.worn(asked, client)
     plan = runtime.plan(scene, asked, messages=True)
     betas = shape_array(asked.betas, runtime.on(scene).body)
     steps = runtime.steps(plan)

@@ -18,7 +18,7 @@ from service.uploads.sandbox import THINGS
 
 SHARES: dict[str, dict[str, float]] = {
     "garment": {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07},
-    "avatar": {"start": 0.2, "read": 0.02, "map": 0.03, "fit": 0.5, "store": 0.2, "prepare": 0.05},
+    "avatar": {"start": 0.2, "read": 0.02, "map": 0.03, "fit": 0.3, "cloth": 0.3, "store": 0.1, "prepare": 0.05},
 }
 """Stages of an upload, those of the intake between a process's start and the garment's constants, and their shares."""
 
@@ -34,8 +34,8 @@ async def run_sandbox(
 ) -> dict[str, Any]:
     """The report of the intake process; raises its refusal, or one for the limit that it ran into.
 
-    ``avatar``: of a garment, what it was modelled on; of an avatar, its joints and parts as JSON; of a motion, which
-    clip.
+    ``avatar``: of a garment, what it was modelled on; of an avatar, its joints and parts and whether its clothes are
+    alive, as JSON; of a motion, which clip.
 
     ``begun`` is called with each stage as the process begins it.
     """

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from drape.errors import BodyError, DrapeError, MeshError, NotFound, Unavailable
 from service import errors
 from service.compute.avatars import FOLDER as AVATARS
+from service.compute.avatars import OwnFiles
 from service.compute.garment_files import OWNED, folder_of, sizes
 from service.compute.garments import slug
 from service.guard.keys import ANYONE, Client
@@ -327,20 +328,23 @@ class Uploads:
         report = await run_sandbox(file, accepted.avatar, out, self._settings, begun, kind=accepted.kind)
         begun("prepare")
         if accepted.kind == "avatar":
-            (name,) = report["files"]
-            return (await self._publish_avatar(out / str(name), file, accepted, client),)
+            return (await self._publish_avatar(out, report, file, accepted, client),)
         files = [out / str(name) for name in report["files"]]
         self._check_room(client, sum(one.stat().st_size for one in files), len(files))
         return tuple([await self._publish(one, client) for one in files])
 
-    async def _publish_avatar(self, made: Path, file: Path, accepted: Accepted, client: Client) -> str:
-        """The id of the avatar whose wearer is stored at ``made``, with the user's ``file``, now in service."""
-        avatars = self._runtime.avatars
-        self._check_room(client, made.stat().st_size + file.stat().st_size)
+    async def _publish_avatar(
+        self, out: Path, report: dict[str, Any], file: Path, accepted: Accepted, client: Client
+    ) -> str:
+        """The id of the avatar whose wearer, and the garments that it came in, are those of the ``report``, in ``out``,
+        with the user's ``file``, now in service."""
+        avatars, (made, *own) = self._runtime.avatars, [out / str(name) for name in report["files"]]
+        self._check_room(client, sum(one.stat().st_size for one in (made, file, *own)))
+        clothes = OwnFiles(own, report["stiff"]) if "stiff" in report else None
         if accepted.replaces is not None:
             entry = avatars.get(accepted.replaces, client.name)
-            return (await asyncio.to_thread(avatars.replaced, entry, made)).id
-        return (await asyncio.to_thread(avatars.add, made, file, client.name)).id
+            return (await asyncio.to_thread(avatars.replaced, entry, made, clothes)).id
+        return (await asyncio.to_thread(avatars.add, made, file, client.name, clothes)).id
 
     async def _publish(self, made: Path, client: Client) -> str:
         """The id of the garment whose cache ``made`` is: checked, on disk in the folder of ``client``, in service.

@@ -1,11 +1,12 @@
 """One intake in a process with limits: ``python -m service.uploads.sandbox FILE --out DIR``; prints lines of JSON.
 
 Standard input holds the avatar of a garment, or nothing where the standard body is meant; with ``--kind avatar`` the
-``joints`` and ``parts`` that were told, as JSON, or nothing; with ``--kind motion`` the name of a clip, or nothing for
-the longest. ``{"stage": NAME}`` is a line before, for each stage as it begins. A mesh file of a few hundred bytes can
-ask for gigabytes, so strangers' files are never parsed in the serving process. The last line is
-``{"problem": {kind, name, expected, got, cure}}``, or ``{"files": [NAME, ...]}``: the garments of the file, the
-innermost first, or the avatar, or the motion.
+``joints`` and ``parts`` that were told, and whether its clothes are ``alive``, as JSON, or nothing; with ``--kind
+motion`` the name of a clip, or nothing for the longest. ``{"stage": NAME}`` is a line before, for each stage as it
+begins. A mesh file of a few hundred bytes can ask for gigabytes, so strangers' files are never parsed in the serving
+process. The last line is ``{"problem": {kind, name, expected, got, cure}}``, or ``{"files": [NAME, ...]}``: the
+garments of the file, the innermost first, or the motion, or the avatar and then the garments that it came in, with
+``stiff``: why others of its clothes are none.
 """
 
 from __future__ import annotations
@@ -62,18 +63,25 @@ def intake_files(file: Path, out: Path, *, avatar: str | None, body: str) -> lis
     return [garment.file_name() for garment in made]
 
 
-def avatar_file(file: Path, out: Path, *, told: str | None, body: str) -> Path:
-    """The file of the wearer that the character in ``file`` becomes."""
+def avatar_files(file: Path, out: Path, *, told: str | None, body: str) -> tuple[list[str], dict[str, str] | None]:
+    """The names of the file of the wearer that the character in ``file`` becomes, and of those of its own clothes; why
+    others of these are no cloth, None where nobody asked for them."""
+    from drape.avatar.own_garments import own_garments
     from drape.avatar.wearer import read_wearer, save_wearer, wearer_name
     from drape.body.assets import load_body
+    from drape.garment.cache import save_garment
 
-    said = json.loads(told) if told else {}
+    said, payload = json.loads(told) if told else {}, file.read_bytes()
     wearer = read_wearer(
-        file.read_bytes(), name=wearer_name(file.stem), body=load_body(body), told=said.get("joints"),
+        payload, name=wearer_name(file.stem), body=load_body(body), told=said.get("joints"),
         kinds=said.get("parts"), begun=_say,
     )  # fmt: skip
+    if said.get("alive"):
+        _say("cloth")
+    own = own_garments(payload, wearer) if said.get("alive") else None
     _say("store")
-    return save_wearer(wearer, out)
+    made = [save_wearer(wearer, out), *(save_garment(one, out) for one in (() if own is None else own.garments))]
+    return [path.name for path in made], None if own is None else own.stiff
 
 
 def motion_file(file: Path, out: Path, *, clip: str | None) -> Path:
@@ -110,8 +118,9 @@ def main() -> int:
     set_limits(memory_mb=options.memory_mb, cpu_s=options.cpu_s)
     try:
         said = sys.stdin.buffer.read().decode() or None
+        stiff = None
         if options.kind == "avatar":
-            made = [avatar_file(options.file, options.out, told=said, body=options.body).name]
+            made, stiff = avatar_files(options.file, options.out, told=said, body=options.body)
         elif options.kind == "motion":
             made = [motion_file(options.file, options.out, clip=said).name]
         else:
@@ -125,7 +134,7 @@ def main() -> int:
         else:  # a fault of ours that a strange file found: whoever sent it is told of the file
             expected, got, cure = f"{thing.words} that can be read", f"one at which it fails: {error!r}"[:120], CURE
         return _refuse(options.out, thing.refusal(options.file.name, expected=expected, got=got, cure=cure))
-    print(json.dumps({"files": made}))
+    print(json.dumps({"files": made} | ({} if stiff is None else {"stiff": stiff})))
     return 0
 
 

@@ -1,0 +1,162 @@
+"""The clothes that a character came in as garments that drape on it: its own cloth, alive.
+
+All that it wears of one kind is one garment, taken in as any mesh file (``drape.garment.intake``) on the body that
+lies below it; so nobody is looked for in it. What is no cloth stays on the skin, and says why: what is painted on the
+skin or sewn to it, a few faces, what one bone moves as armour, and whatever an intake refuses.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drape.avatar.face_colours import texture_of
+from drape.avatar.own_clothes import LOWER, UPPER, Halves, halves_of, layers_of, taken_off
+from drape.avatar.t_pose import TPose
+from drape.avatar.wearer import Wearer
+from drape.avatar.wears import reach_of, why_not
+from drape.body.model import BodyModel
+from drape.errors import DrapeError
+from drape.files.gltf import GltfFile
+from drape.garment.cache import Garment
+from drape.garment.files.gltf_looks import gltf_looks
+from drape.garment.files.mesh import GarmentMesh, plain_mesh
+from drape.garment.intake import intake_mesh
+
+VERSION = 1  # raised when a change here changes the garments that come out
+KINDS = ("trousers", "skirt", "top", "dress", "outer")  # the innermost first
+LEAST_FACES = 40
+PAINTED_SHARE = 0.5  # of a part's faces that are the skin's own mesh
+STIFF = 0.99  # of a vertex's weights at the bone that moves all of a part
+OWN = "own"  # in a garment's manifest: its kind and the parts that it was
+MARK = "~"  # between a character and the kind, in the name of a garment
+
+
+@dataclass(frozen=True, eq=False)
+class OwnGarments:
+    """``garments`` that a character came in, the innermost first, and why other ``clothes`` of its stay on its skin, by
+    the names of its parts."""
+
+    garments: tuple[Garment, ...]
+    stiff: dict[str, str]
+
+
+def own_garments(payload: bytes, wearer: Wearer, *, begun: Callable[[str], None] | None = None) -> OwnGarments:
+    """The clothes of the character in the file ``payload``, of which ``wearer`` was made, as garments on its body.
+
+    ``begun`` gets the kind of each as its intake begins. A garment's ``body_digest`` is that of the body of ``wearer``
+    on which it lies. Raises ``MeshError`` for another file.
+    """
+    file = GltfFile(payload, label=wearer.name)
+    stiff = _stiff(wearer)
+    parts = wearer.attire.parts
+    loose = {number for number, part in enumerate(parts) if part.kind in KINDS and part.name not in stiff}
+    kinds = [kind for kind in KINDS if any(parts[number].kind == kind for number in loose)]
+    body, made = wearer.body_under(_halves(kinds)), []
+    for kind in kinds:
+        if begun is not None:
+            begun(kind)
+        numbers = sorted(number for number in loose if parts[number].kind == kind)
+        try:
+            made.append(_garment(file, wearer, body, kind, numbers))
+        except DrapeError as error:
+            why = f"No cloth can be made of it: expected {error.expected}, got {error.got}."
+            stiff |= {parts[number].name: why for number in numbers}
+    return OwnGarments(tuple(made), stiff)
+
+
+def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
+    """Which faces (F,) of ``wearer`` those of ``garments`` are that it came in: they are drawn as cloth."""
+    numbers = [number for garment in garments for number in garment.manifest.get(OWN, {}).get("parts", ())]
+    return np.isin(wearer.attire.part, numbers)
+
+
+def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) -> Halves:
+    """``halves_of`` garments of which some lie on the ``standard`` body, and others are the character's own."""
+    own = [garment for garment in garments if OWN in garment.manifest]
+    found = halves_of([garment for garment in garments if OWN not in garment.manifest], standard)
+    return Halves(*(a or b for a, b in zip(found, halves_of(own, wearer.body), strict=True)))
+
+
+def replaced_faces(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) -> np.ndarray:
+    """Which faces (F,) of ``wearer`` are not drawn while it wears ``garments``: what those of ours take off, and what
+    those of its own are."""
+    ours = [garment for garment in garments if OWN not in garment.manifest]
+    return taken_off(wearer.attire, halves_of(ours, standard)) | own_faces(wearer, garments)
+
+
+def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:
+    """Those of a character's ``own`` garments that others on these ``halves`` leave on: below these, and over them."""
+    off = (UPPER if halves.upper else ()) + (LOWER if halves.lower else ())
+    left = [garment for garment in own if garment.manifest[OWN]["kind"] not in off]
+    lower = [garment for garment in left if garment.manifest[OWN]["kind"] in LOWER]
+    return lower, [garment for garment in left if garment not in lower]
+
+
+def body_of(garment: Garment, wearer: Wearer, standard: BodyModel) -> BodyModel:
+    """The body that ``garment`` was made for: one of those of ``wearer``, or the ``standard`` one."""
+    bodies = (wearer.body, *wearer.bodies.values())
+    return next((one for one in bodies if one.digest == garment.body_digest), standard)
+
+
+def _halves(kinds: Sequence[str]) -> Halves:
+    return Halves(any(kind in UPPER for kind in kinds), any(kind in LOWER for kind in kinds))
+
+
+def _stiff(wearer: Wearer) -> dict[str, str]:
+    """Why clothes stay on the skin, by the names of parts, as far as it is seen before an intake."""
+    pose = TPose(wearer.vertices, wearer.faces, wearer.weights, np.zeros((0, 3)), wearer.scale, wearer.height_m)
+    painted = layers_of(wearer.attire, pose).body
+    found = {}
+    for number, part in enumerate(wearer.attire.parts):
+        rows = np.flatnonzero(wearer.attire.part == number)
+        if part.kind not in KINDS or not len(rows):
+            continue
+        weights = wearer.weights[np.unique(wearer.faces[rows])]
+        if len(rows) < LEAST_FACES:
+            found[part.name] = f"It has {len(rows)} faces, too few to fold."
+        elif painted[rows].mean() > PAINTED_SHARE:
+            found[part.name] = "It is painted on the skin, or one mesh with it."
+        elif (weights > STIFF).all(axis=0).any():
+            found[part.name] = "One bone moves all of it, as armour."
+    return found
+
+
+def _garment(file: GltfFile, wearer: Wearer, body: BodyModel, kind: str, numbers: Sequence[int]) -> Garment:
+    mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", np.flatnonzero(np.isin(wearer.attire.part, numbers)))
+    made_of = f"own {VERSION} {kind} {numbers} {wearer.digest} {body.digest}"
+    made = intake_mesh(mesh, body, digest=hashlib.sha256(made_of.encode()).hexdigest())
+    refusal = why_not(body, reach_of(made, body), garment=kind)
+    if refusal is not None:
+        raise refusal
+    about = {"kind": kind, "parts": [int(number) for number in numbers]}
+    called = f"{wearer.name}{MARK}{kind}"
+    drawn = None if made.drawn is None else replace(made.drawn, name=called)
+    return replace(made, name=called, drawn=drawn, manifest=made.manifest | {OWN: about})
+
+
+def _mesh(file: GltfFile, wearer: Wearer, name: str, rows: np.ndarray) -> GarmentMesh:
+    """The faces ``rows`` of ``wearer`` with their materials, pictures and texture coordinates."""
+    assert wearer.file is not None
+    used, faces = np.unique(wearer.faces[rows], return_inverse=True)
+    held = [texture_of(file, primitive) for primitive in wearer.file.primitives]
+    triangle = wearer.file.triangle[rows]
+    material = np.repeat([-1 if one is None else one for _, one in held], [len(uv) for uv, _ in held])[triangle]
+    there, face_material = np.unique(material, return_inverse=True)
+    materials = [None if one < 0 else int(one) for one in there]
+    looks, notes = gltf_looks(file, materials)
+    told = [{} if one is None else file.item("materials", one, "primitives.material") for one in materials]
+    names = [one.get("name") for one in told]
+    corners = np.concatenate([uv for uv, _ in held])[triangle].reshape(-1, 2)
+    mesh = plain_mesh(name, wearer.vertices[used], faces.reshape(-1, 3))
+    return replace(
+        mesh,
+        uv=np.column_stack([corners[:, 0], 1.0 - corners[:, 1]]),  # glTF's origin is at the upper left
+        uv_faces=np.arange(len(corners)).reshape(-1, 3),
+        material_names=tuple(one if isinstance(one, str) else f"material {i}" for i, one in enumerate(names)),
+        face_material=face_material.reshape(-1),
+        looks=looks,
+    ).noted(*notes)

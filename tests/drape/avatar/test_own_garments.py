@@ -1,0 +1,153 @@
+"""A character's own clothes as garments: what becomes cloth, what stays on the skin and why, on made characters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drape
+from benchmarks.measure.dressed_characters import Worn, dressed_character, dressed_parts
+from drape.avatar.attire_words import CLOTHES
+from drape.avatar.own_clothes import Halves
+from drape.avatar.own_garments import (
+    OWN,
+    OwnGarments,
+    body_of,
+    dressed_in,
+    halves_on,
+    own_faces,
+    own_garments,
+    replaced_faces,
+)
+from drape.avatar.wearer import Wearer, read_wearer
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.catalog import find_garments, open_garment
+from drape.garment.cache import Garment
+from drape.garment.tailor import tailored
+from drape.geometry.closest import closest_point, signed_distance
+
+SPINE = np.eye(len(JOINT_NAMES))[JOINT_NAMES.index("spine3")]
+
+
+@pytest.fixture(scope="module")
+def shelf(body: BodyModel) -> dict[str, Garment]:
+    return {name: open_garment(find_garments([name])[0], body) for name in ("tshirt", "tank", "shorts")}
+
+
+@pytest.fixture(scope="module")
+def file(body: BodyModel, shelf: dict[str, Garment]) -> bytes:
+    """Our body in a tank top and shorts of its own, with a breastplate and an apron of twelve faces."""
+    parts = dressed_parts(body, {"top": shelf["tank"], "trousers": shelf["shorts"]})
+    bag = parts[-1]
+    plate = Worn("skirt", bag.vertices * [0.5, 0.5, 0.5] + [0.0, 0.6, 0.2], bag.faces, bag.weights)
+    few = Worn("dress", shelf["shorts"].vertices.astype(float), shelf["shorts"].faces[:12].astype(int), bag.weights[:1])
+    few = few._replace(weights=np.tile(SPINE, (len(few.vertices), 1)))
+    return dressed_character(body, [*parts, plate, few])
+
+
+@pytest.fixture(scope="module")
+def wearer(file: bytes, body: BodyModel) -> Wearer:
+    return read_wearer(file, name="me", body=body)
+
+
+@pytest.fixture(scope="module")
+def own(file: bytes, wearer: Wearer) -> OwnGarments:
+    return own_garments(file, wearer)
+
+
+def test_own_clothes_are_garments_where_they_were(own: OwnGarments, wearer: Wearer):
+    """One for each kind, on the character's own body, clear of it and not moved but off the skin."""
+    assert [one.name for one in own.garments] == ["me~trousers", "me~top"]
+    for garment in own.garments:
+        kind = garment.manifest[OWN]["kind"]
+        assert garment.body_digest in {one.digest for one in wearer.bodies.values()}
+        rows = wearer.attire.of_kinds((kind,))
+        assert (own_faces(wearer, [garment]) == rows).all()
+        assert len(garment.surface.faces) == rows.sum()
+        points = garment.vertices[: garment.vertex_count].astype(np.float64)
+        off_mm = 1e3 * closest_point(points, wearer.vertices, wearer.faces[rows]).distance
+        assert np.median(off_mm) < 3.0 and np.quantile(off_mm, 0.95) < 12.0
+        assert signed_distance(points, wearer.body.v_template, wearer.body.faces).min() > -0.001
+
+
+def test_they_keep_their_materials(own: OwnGarments):
+    for garment, blue in zip(own.garments, (0.1, 0.6), strict=True):
+        (look,) = garment.looks.materials
+        assert look is not None
+        assert look.base_colour[2] == pytest.approx(blue, abs=0.01)
+        assert garment.surface.material_names[0].startswith("N00_")
+
+
+def test_what_is_no_cloth_stays_on_the_skin_and_says_why(own: OwnGarments, wearer: Wearer):
+    told = {part.kind: own.stiff[part.name] for part in wearer.attire.parts if part.name in own.stiff}
+    assert told == {
+        "skirt": "One bone moves all of it, as armour.",
+        "dress": "It has 12 faces, too few to fold.",
+    }
+
+
+def test_clothes_of_the_skins_own_mesh_are_painted_on_it(wearer: Wearer, file: bytes):
+    """A face of skin that is called a top is sewn to the rest of the skin."""
+    skin = next(number for number, part in enumerate(wearer.attire.parts) if part.kind == "skin")
+    part = wearer.attire.part.copy()
+    chest = wearer.vertices[wearer.faces].mean(axis=1)[:, 1] > wearer.body.joints_template[SPINE.argmax(), 1]
+    part[(part == skin) & chest] = len(wearer.attire.parts)
+    painted = wearer.attire.parts[skin]._replace(kind="outer", name="painted")
+    others = [one._replace(kind="shoes" if one.kind in CLOTHES else one.kind) for one in wearer.attire.parts]
+    attire = wearer.attire._replace(parts=(*others, painted), part=part)
+    found = own_garments(file, replace(wearer, attire=attire))
+    assert found.stiff["painted"] == "It is painted on the skin, or one mesh with it."
+
+
+def test_cloth_deep_in_the_body_is_told_to_be_none(body: BodyModel, shelf: dict[str, Garment]):
+    parts = dressed_parts(body, {"top": shelf["tank"]}, rucksack=False)
+    sunk = parts[-1]._replace(vertices=parts[-1].vertices * [0.2, 1.0, 0.2])
+    payload = dressed_character(body, [*parts[:-1], sunk])
+    found = own_garments(payload, read_wearer(payload, name="sunk", body=body))
+    assert not found.garments
+    (why,) = found.stiff.values()
+    assert why.startswith("No cloth can be made of it: expected ")
+
+
+def test_ours_replace_what_they_take_off(own: OwnGarments, wearer: Wearer, body: BodyModel, shelf: dict[str, Garment]):
+    trousers, top = own.garments
+    assert dressed_in(own.garments, Halves(False, False)) == ([trousers], [top])
+    assert dressed_in(own.garments, Halves(True, False)) == ([trousers], [])
+    assert dressed_in(own.garments, Halves(False, True)) == ([], [top])
+    worn = [trousers, shelf["tshirt"]]
+    assert halves_on(wearer, worn, body) == (True, True)
+    hidden = replaced_faces(wearer, worn, body)
+    kinds = {wearer.attire.parts[number].kind for number in np.unique(wearer.attire.part[hidden])}
+    assert kinds == {"top", "trousers", "carried", "dress"}
+    assert not replaced_faces(wearer, [top], body)[wearer.attire.of_kinds(("trousers", "carried"))].any()
+
+
+def test_they_are_cut_for_the_body_below_them(
+    own: OwnGarments, wearer: Wearer, body: BodyModel, shelf: dict[str, Garment]
+):
+    """A top over trousers that stay on lies on another body than one over bare legs."""
+    top = own.garments[1]
+    bare, over = (wearer.body_under(Halves(True, lower)) for lower in (True, False))
+    assert body_of(top, wearer, body) is bare
+    assert body_of(shelf["tank"], wearer, body) is body
+    assert tailored(top, bare, bare) is top
+    moved = tailored(top, bare, over)
+    assert moved.body_digest == over.digest != bare.digest
+    assert np.abs(moved.vertices - top.vertices).max() < 0.05
+
+
+def test_a_program_drapes_them(file: bytes, tmp_path: Path):
+    path = tmp_path / "me.glb"
+    path.write_bytes(file)
+    library = drape.load()
+    worn = library.wear(on=path, alive=True)
+    assert [one.name for one in worn.garments] == ["me~trousers", "me~top"]
+    frame = worn.pose(np.zeros((24, 3)), time_s=0.0)
+    assert np.isfinite(frame.vertices).all()
+    assert len(frame.vertices) == sum(one.vertex_count for one in worn.garments)
+    over = library.wear("tshirt", on=path, alive=True)
+    assert [one.name for one in over.garments] == ["me~trousers", "tshirt"]

@@ -1,0 +1,99 @@
+"""The avatars in service: whose they are, what other services did with them, what they wear."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from drape.avatar import wears
+from drape.avatar.own_clothes import Halves
+from drape.avatar.wearer import Wearer, read_wearer, save_wearer
+from drape.avatar.wears import Reach
+from drape.body.model import BodyModel
+from drape.errors import BodyError
+from service.compute import avatars as in_service
+from service.compute.drape_runtime import DrapeRuntime
+from tests.fixtures.characters import character
+
+
+@pytest.fixture(scope="module")
+def wearers(body: BodyModel) -> list[Wearer]:
+    """Two wearers of one name."""
+    one = read_wearer(character(body), name="twin", body=body)
+    return [one, replace(one, digest=one.digest[::-1])]
+
+
+def add(avatars: in_service.Avatars, wearer: Wearer, folder: Path, owner: str | None) -> in_service.AvatarEntry:
+    file = folder / "sent.glb"
+    file.write_bytes(b"")
+    made = save_wearer(wearer, folder)
+    entry = avatars.add(made, file, owner)
+    assert not made.exists() and not file.exists()
+    return entry
+
+
+def test_two_of_one_name_have_two_ids_and_one_of_a_key_is_its_own(
+    make_runtime: Callable[..., DrapeRuntime], wearers: list[Wearer], tmp_path: Path
+):
+    avatars = make_runtime().avatars
+    one, other = (add(avatars, wearer, tmp_path, None) for wearer in wearers)
+    own = add(avatars, wearers[0], tmp_path, "alice")
+    assert one.id == "twin" and other.id == f"twin-{wearers[1].digest[:8]}" and own.id.startswith("twin-")
+    assert avatars.visible("alice") == [one, other, own] and avatars.visible("bob") == [one, other]
+    for entry in (one, other, own):
+        avatars.remove(entry)
+    assert not avatars.visible("alice") and not [path for path in own.path.parent.iterdir() if path.is_file()]
+
+
+def test_what_is_done_with_avatars_in_one_service_the_other_takes_over(
+    make_runtime: Callable[..., DrapeRuntime], wearers: list[Wearer], tmp_path: Path
+):
+    runtime = make_runtime()
+    here = runtime.avatars
+    there = in_service.Avatars(runtime.body, runtime.settings, runtime.stages_on)
+    entry = add(here, wearers[0], tmp_path, "alice")
+    assert not there.visible("alice")
+    there.follow()
+    assert there.get(entry.id, "alice") == entry
+    tube = runtime.garments.get("tube")
+    before = there.dress(entry.id, tube)
+    there.follow()
+    assert there.dress(entry.id, tube) is before, "nothing changed"
+    here.replaced(entry, save_wearer(replace(wearers[0], median_mm=3.0), tmp_path))
+    there.follow()
+    assert there.get(entry.id, "alice").told.fit["median_mm"] == 3.0 and there.wearer(entry.id).median_mm == 3.0
+    assert not there.worn or there.dress(entry.id, tube) is not before
+    there.remove(there.get(entry.id, "alice"))
+    here.follow()
+    assert not here.visible("alice") and not here.worn
+
+
+def test_few_avatars_are_kept_dressed(
+    make_runtime: Callable[..., DrapeRuntime], wearers: list[Wearer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    runtime = make_runtime()
+    monkeypatch.setattr(in_service, "MOST_WORN", 1)
+    for wearer in wearers:
+        entry = add(runtime.avatars, wearer, tmp_path, None)
+        runtime.avatars.dress(entry.id, runtime.garments.get("tube"))
+    assert len(runtime.avatars.worn) == 1
+
+
+def test_what_an_avatar_cannot_wear_is_told_before_and_in_the_same_words(
+    make_runtime: Callable[..., DrapeRuntime], wearers: list[Wearer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    runtime = make_runtime()
+    entry, tube = add(runtime.avatars, wearers[0], tmp_path, None), runtime.garments.get("tube")
+    assert runtime.avatars.wears(entry.id, [tube]) == {"tube": None}
+    monkeypatch.setattr(in_service, "reach_of", lambda garment, body: Reach(Halves(False, True), True))
+    monkeypatch.setattr(wears, "THICKEST", 0.01)
+    avatars = runtime.avatars
+    avatars._reaches.clear()
+    why = avatars.wears(entry.id, [tube])["tube"]
+    assert why is not None and "times as thick as long" in why
+    with pytest.raises(BodyError) as refused:
+        avatars.dress(entry.id, tube)
+    assert str(refused.value) == why
