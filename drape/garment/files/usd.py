@@ -76,9 +76,9 @@ def _parts(stage: Any, name: str, vertex_limit: int) -> Iterator[_Part]:
         mesh = geometry.Mesh(prim)
         if mesh.ComputeVisibility(time) == geometry.Tokens.invisible or mesh.ComputePurpose() not in SHOWN:
             continue
-        points = np.asarray(mesh.GetPointsAttr().Get(time) or [], dtype=np.float64).reshape(-1, 3)
-        sides = np.asarray(mesh.GetFaceVertexCountsAttr().Get(time) or [], dtype=np.int64)
-        corners = np.asarray(mesh.GetFaceVertexIndicesAttr().Get(time) or [], dtype=np.int64)
+        points = _numbers(mesh.GetPointsAttr().Get(time)).reshape(-1, 3)
+        sides = _numbers(mesh.GetFaceVertexCountsAttr().Get(time), np.int64)
+        corners = _numbers(mesh.GetFaceVertexIndicesAttr().Get(time), np.int64)
         total += len(points)
         check_count(name, max(total, len(corners) // 8), vertex_limit)
         if (sides < 3).any() or sides.sum() != len(corners):
@@ -98,6 +98,14 @@ def _parts(stage: Any, name: str, vertex_limit: int) -> Iterator[_Part]:
         yield _Part(placed_points, corners[fan], uv, materials, face_material, int((sides > 3).sum()))
 
 
+def _numbers(value: Any, dtype: type = np.float64) -> np.ndarray:
+    """An array of ``value``; none in it where a file says there what is no array of numbers."""
+    try:
+        return np.asarray([] if value is None else value, dtype=dtype)
+    except (TypeError, ValueError):
+        return np.zeros(0, dtype=dtype)
+
+
 def _materials(prim: Any, time: Any, count: int) -> tuple[tuple[Any, ...], np.ndarray]:
     """The materials that are bound to ``prim`` and to subsets of its faces, and which of them each polygon has."""
     api = import_module("pxr.UsdShade").MaterialBindingAPI
@@ -105,7 +113,7 @@ def _materials(prim: Any, time: Any, count: int) -> tuple[tuple[Any, ...], np.nd
     materials, number = [own.GetPrim() if own else None], np.zeros(count, dtype=np.int64)
     for subset in api(prim).GetMaterialBindSubsets():
         bound = api(subset.GetPrim()).ComputeBoundMaterial()[0]
-        rows = np.asarray(subset.GetIndicesAttr().Get(time) or [], dtype=np.int64)
+        rows = _numbers(subset.GetIndicesAttr().Get(time), np.int64)
         number[rows[(rows >= 0) & (rows < count)]] = len(materials)
         materials.append(bound.GetPrim() if bound else None)
     used = np.unique(number)
@@ -120,7 +128,7 @@ def _uv(
     for one in sorted(primvars.GetPrimvars(), key=lambda one: one.GetPrimvarName() != wanted):
         if "texCoord2" not in str(one.GetTypeName()) and one.GetPrimvarName() not in ("st", "UVMap", "map1", wanted):
             continue
-        values = np.asarray(one.ComputeFlattened(time) or [], dtype=np.float64)
+        values = _numbers(one.ComputeFlattened(time))
         by_corner = values if len(values) == len(corners) else values[corners] if len(values) == point_count else None
         if by_corner is not None and by_corner.ndim == 2 and by_corner.shape[1] == 2:
             return by_corner[fan.reshape(-1)]

@@ -88,6 +88,11 @@ def test_texture_coordinates_come_by_corner(values: str, interpolation: str):
     assert_allclose(found.uv[found.uv_faces], found.vertices[found.faces][:, :, :2])
 
 
+def test_coordinates_of_a_type_that_nobody_knows_count_as_none():
+    unknown = "  tEXCoord2f[] primvars:st = [(0, 0)]\n"
+    assert not len(read(text(mesh(more=unknown))).uv_faces)
+
+
 def test_only_what_is_drawn_counts_and_materials_keep_their_names():
     hidden = mesh("Hidden", '  token visibility = "invisible"') + mesh("Proxy", '  uniform token purpose = "proxy"')
     bound = '  rel material:binding = </Denim>\n  prepend apiSchemas = ["MaterialBindingAPI"]'
