@@ -146,6 +146,9 @@ class Drape:
         wearer = None if on is None else self._character(Path(on))
         entries = tuple(entry for one in asked for entry in self._entries(one))
         own = self._own_garments(Path(on)) if alive and on is not None else ()
+        if alive and not entries and not own and on is not None:
+            stiff = "; ".join(f"{name}: {why}" for name, why in self._own[Path(on)].stiff.items())
+            raise InputError("alive", expected="clothes that are cloth", got=stiff or "none", cure="Name a garment.")
         if not entries and not own:
             raise InputError("garments", expected="one or more", got="none", cure="Name a garment.")
         if size is not None:

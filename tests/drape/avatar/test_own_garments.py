@@ -26,6 +26,7 @@ from drape.avatar.wearer import Wearer, read_wearer
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.catalog import find_garments, open_garment
+from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.tailor import tailored
 from drape.geometry.closest import closest_point, signed_distance
@@ -151,3 +152,12 @@ def test_a_program_drapes_them(file: bytes, tmp_path: Path):
     assert len(frame.vertices) == sum(one.vertex_count for one in worn.garments)
     over = library.wear("tshirt", on=path, alive=True)
     assert [one.name for one in over.garments] == ["me~trousers", "tshirt"]
+
+
+def test_a_character_without_cloth_says_why(body: BodyModel, tmp_path: Path):
+    path = tmp_path / "me.glb"
+    parts = dressed_parts(body, {})
+    bag = parts[-1]
+    path.write_bytes(dressed_character(body, [*parts, Worn("skirt", bag.vertices, bag.faces, bag.weights)]))
+    with pytest.raises(InputError, match="One bone moves all of it"):
+        drape.load().wear(on=path, alive=True)
