@@ -121,7 +121,7 @@ def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:
         if len(thin.vertices) <= VERTEX_LIMIT:
             break
         wound, _ = agreeing(plain_mesh(mesh.name, points, faces))  # quadrics are asked of what is wound alike
-        fewer, corners, *_ = igl.qslim(wound.vertices, wound.faces.astype(np.int64), most)
+        fewer, corners = map(np.asarray, igl.qslim(wound.vertices, wound.faces.astype(np.int64), most)[:2])
         if len(corners):
             thin = _evenly_thinned(mesh.name, fewer, corners.astype(np.int64), edge_m)
     notes.append(f"{len(used):,} vertices of cloth are simulated as {len(thin.vertices):,}")

@@ -78,7 +78,7 @@ def _sides(faces: np.ndarray, normals: np.ndarray, other: np.ndarray, side: np.n
     edges = edges + edges.T
     rows = np.flatnonzero(other >= 0)
     opposite = sp.coo_matrix((np.ones(len(rows)), (rows, other[rows])), shape=(count, count)).tocsr()[rows]
-    both = sp.identity(count, format="csr")[rows] + opposite
+    both = sp.csr_matrix(sp.identity(count))[rows] + opposite
     matrix = sp.diags(np.asarray(edges.sum(axis=1)).ravel() + 1e-9) - edges + PAIRED * (both.T @ both)
     seen, phi = side != 0.0, side
     for share in SIDED:

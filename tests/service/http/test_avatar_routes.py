@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import httpx
 import numpy as np
@@ -22,8 +22,10 @@ from tests.fixtures.streams import PROTOCOLS
 
 
 @pytest.fixture(scope="module")
-def avatar(api: httpx.Client, body: BodyModel) -> str:
-    return me_sent(api, body)
+def avatar(api: httpx.Client, body: BodyModel) -> Iterator[str]:
+    found = me_sent(api, body)
+    yield found
+    api.delete(f"/avatars/{found}")
 
 
 @pytest.fixture(scope="module")

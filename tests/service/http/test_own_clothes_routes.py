@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 
 import httpx
 import numpy as np
@@ -25,19 +26,22 @@ N_TOP = "N00_007_01_Tops_01_CLOTH (Instance)"
 
 
 @pytest.fixture(scope="module")
-def avatar(api: httpx.Client, body: BodyModel) -> str:
-    return me_sent(api, body)
+def avatar(api: httpx.Client, body: BodyModel) -> Iterator[str]:
+    found = me_sent(api, body)
+    yield found
+    api.delete(f"/avatars/{found}")
 
 
 @pytest.fixture(scope="module")
-def dressed(api: httpx.Client, body: BodyModel) -> str:
+def dressed(api: httpx.Client, body: BodyModel) -> Iterator[str]:
     """Our body in a tank top and shorts of its own, without skin below, with a rucksack, sent with its clothes alive:
     its id in the service."""
     garments = {kind: open_garment(find_garments([name])[0], body) for kind, name in OWN.items()}
     payload = dressed_character(body, dressed_parts(body, garments, cut_away=True))
     job = sent(api, payload, "doll.glb", alive=True)
     assert job["state"] == "done", job["problem"]
-    return job["avatar"]
+    yield job["avatar"]
+    api.delete(f"/avatars/{job['avatar']}")
 
 
 def test_own_clothes_come_off_and_the_skin_below_is_there(api: httpx.Client, dressed: str, avatar: str):
