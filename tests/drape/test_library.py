@@ -49,10 +49,10 @@ def test_layers_come_one_after_the_other_and_hidden_ones_do_not(opened: drape.Dr
 
 
 def test_sizes_are_of_all_or_of_each_garment(opened: drape.Drape):
-    medium, large = (opened.wear(["shorts", "tank"], size=[None, size]).garments for size in ("M", "XL"))
+    medium, large = (opened.wear(["shorts", "tank"], size=[None, size]).layers for size in ("M", "XL"))
     assert medium[0].digest == large[0].digest
     assert np.ptp(large[1].vertices[:, 0]) > 1.02 * np.ptp(medium[1].vertices[:, 0])
-    assert opened.wear(["shorts", "tank"], size="M").garments[1].digest == medium[1].digest
+    assert opened.wear(["shorts", "tank"], size="M").layers[1].digest == medium[1].digest
     with pytest.raises(drape.DrapeError, match="size: expected one for all, or 2"):
         opened.wear(["shorts", "tank"], size=["M"])
 

@@ -31,8 +31,9 @@ def shelf(body: BodyModel) -> dict[str, Garment]:
 @pytest.fixture(scope="module")
 def outfits(body: BodyModel, shelf: dict[str, Garment]) -> dict[str, list[Worn]]:
     """A character in each of some clothes, by what these are."""
-    worn = {"trousers": ("tshirt", "trousers"), "skirt": ("tshirt", "skirt"), "dress": ("dress",)}
-    kinds = {"tshirt": "top"}
+    worn: dict[str, tuple[str, ...]] = {"trousers": ("tshirt", "trousers"), "skirt": ("tshirt", "skirt")}
+    worn |= {"dress": ("dress",)}
+    kinds: dict[str, str] = {"tshirt": "top"}
     return {
         name: dressed_parts(body, {kinds.get(one, one): shelf[one] for one in of}, cut_away=name == "trousers")
         for name, of in worn.items()
