@@ -120,7 +120,8 @@ class LightStream:
         if not data:
             raise RuntimeError("the service closed a stream")
         self._protocol.receive_data(data)
-        seconds, rest = STAMP.unpack(told[0][2])
+        # The system begins to note times a moment after it is asked: of the first bytes it may know none.
+        seconds, rest = STAMP.unpack(told[0][2]) if told else divmod(time.time_ns(), 10**9)
         return self._protocol.events_received(), 10**9 * seconds + rest
 
     def _answer(self) -> Any:

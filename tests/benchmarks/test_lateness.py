@@ -12,7 +12,7 @@ import httpx
 import numpy as np
 import pytest
 
-from benchmarks.lateness import LightStream, Queued, flow, medians, neighbour
+from benchmarks.lateness import SO_TIMESTAMPNS, LightStream, Queued, flow, medians, neighbour
 from benchmarks.serving import Server
 from tests.fixtures.serving import live, live_settings, make_settings, settings, tiny_folder
 
@@ -63,3 +63,12 @@ def test_neighbours_ask_until_they_are_told_to_end(live: str, name: str):
 def test_a_stream_that_is_refused_says_why(live: str):
     with pytest.raises(RuntimeError, match="nobody"):
         LightStream(live, {"garment": "nobody"})
+
+
+def test_bytes_whose_time_the_system_did_not_note_came_when_they_are_read(live: str):
+    stream = LightStream(live, OPENING)
+    with contextlib.closing(stream.socket):
+        stream.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 0)
+        before_ns = time.time_ns()
+        stream.send(1, np.zeros((24, 3)), 0.0, Queued(os.getpid()))
+        assert before_ns < stream._read()[1] <= time.time_ns()
