@@ -6,10 +6,7 @@ Hands and legs go through them, so they are no cloth that could be worn.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse
-from scipy.sparse import csgraph
 
-from drape.garment.walls import edge_cosines
 from drape.geometry import mesh_graphs, meshes
 
 SHARP = 0.5  # cosine between faces beside the edges of a rim
@@ -42,22 +39,16 @@ def without_caps(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return keep
 
 
-def _smooth_parts(count: int, a: np.ndarray, b: np.ndarray, smooth: np.ndarray) -> np.ndarray:
-    """For each of ``count`` faces the number of its part; faces ``a`` and ``b`` (E,) are of one part where the edge
-    between them is ``smooth`` (E,)."""
-    graph = scipy.sparse.coo_matrix((np.ones(smooth.sum()), (a[smooth], b[smooth])), shape=(count, count))
-    return csgraph.connected_components(graph, directed=False)[1]
-
-
 def _likely_caps(
     points: np.ndarray, faces: np.ndarray, areas: np.ndarray, piece: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The smooth part (F,) of each face, and the numbers of those that are small, have a sharp edge all round, and go
     across or back there; ``areas`` (F,) of the faces, and the ``piece`` (F,) of each."""
     pairs = meshes.edge_pairs(faces)
-    cosine = edge_cosines(pairs, meshes.face_normals(points, faces))
+    cosine = meshes.edge_cosines(pairs, meshes.face_normals(points, faces))
     a, b = pairs[1] // 3, pairs[2] // 3
-    label = _smooth_parts(len(faces), a, b, cosine > SHARP)
+    smooth = cosine > SHARP
+    label = mesh_graphs.joined_parts(len(faces), a[smooth], b[smooth])
     count = int(label.max()) + 1
     crossed = label[a] != label[b]
     ends = np.concatenate([label[a][crossed], label[b][crossed]])

@@ -12,8 +12,6 @@ from dataclasses import replace
 
 import igl
 import numpy as np
-import scipy.sparse
-from scipy.sparse import csgraph
 from scipy.spatial import KDTree
 
 from drape.cloth.coarse_mesh import coarse_mesh
@@ -117,13 +115,14 @@ def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:
     area = float(meshes.face_areas(points, faces).sum())
     edge_m = max(THINNED_M, float(np.sqrt(area / (0.5 * np.sqrt(3.0) * 0.95 * VERTEX_LIMIT))))
     thin = _evenly_thinned(mesh.name, points, faces, edge_m)
-    for most in SIMPLIFIED:  # wrinkles and slivers may leave no edge that collapses: then shape comes before evenness
-        if len(thin.vertices) <= VERTEX_LIMIT:
-            break
+    if len(thin.vertices) > VERTEX_LIMIT:  # wrinkles and slivers leave no edge that collapses: shape before evenness
         wound, _ = agreeing(plain_mesh(mesh.name, points, faces))  # quadrics are asked of what is wound alike
-        fewer, corners = map(np.asarray, igl.qslim(wound.vertices, wound.faces.astype(np.int64), most)[:2])
-        if len(corners):
-            thin = _evenly_thinned(mesh.name, fewer, corners.astype(np.int64), edge_m)
+        for most in SIMPLIFIED:
+            fewer, corners = map(np.asarray, igl.qslim(wound.vertices, wound.faces.astype(np.int64), most)[:2])
+            if len(corners):
+                thin = _evenly_thinned(mesh.name, fewer, corners.astype(np.int64), edge_m)
+            if len(thin.vertices) <= VERTEX_LIMIT:
+                break
     notes.append(f"{len(used):,} vertices of cloth are simulated as {len(thin.vertices):,}")
     return thin.noted(*mesh.notes)
 
@@ -140,9 +139,8 @@ def _stiff_parts(mesh: GarmentMesh, places: np.ndarray, row: np.ndarray) -> np.n
     """The number (D,) of the stiff part that a vertex belongs to, -1 for what bends."""
     label = mesh_graphs.connected_components(mesh.faces, len(places))
     _, first, at = np.unique(places, axis=0, return_index=True, return_inverse=True)
-    pairs = np.stack([label, label[first[at.reshape(-1)]]], axis=1)  # what a seam of the texture parts is one
-    graph = scipy.sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(places),) * 2)
-    label = csgraph.connected_components(graph, directed=False)[1][label]
+    # What a seam of the texture parts is one.
+    label = mesh_graphs.joined_parts(len(places), label, label[first[at.reshape(-1)]])[label]
     count = int(label.max()) + 1
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(low, label, places)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import coo_matrix, csgraph
 
 from drape.arrays import check_finite
 from drape.errors import MeshError
@@ -256,8 +255,7 @@ def consistent_turn(faces: np.ndarray) -> np.ndarray:
     a, b = first // 3, second // 3
     shift = np.where(clash, count, 0)
     rows, columns = np.concatenate([a, a + count]), np.concatenate([b + shift, b + count - shift])
-    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(2 * count, 2 * count))
-    label = csgraph.connected_components(graph, directed=False)[1]
+    label = mesh_graphs.joined_parts(2 * count, rows, columns)
     onesided = label[:count] == label[count:]
     if onesided.any():
         raise MeshError(

@@ -11,8 +11,6 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import scipy.sparse
-from scipy.sparse import csgraph
 from scipy.spatial import KDTree
 
 from drape.garment.cloth_layer import bearing_pieces
@@ -35,14 +33,13 @@ def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> GarmentMesh:
     Vertices stay in their places and their order; those that become one follow them.
     """
     points = sheets.vertices
-    if len(np.unique(mesh_graphs.connected_components(sheets.faces, len(points))[sheets.faces[:, 0]])) == 1:
+    if len(pieces_of(points, sheets.faces)[1]) == 1:
         return sheets
     outer = outer_sides(points, sheets.faces, KDTree(skin))
     faces = sheets.faces[outer]
-    row = _seams(points, faces)
+    piece, row = _seams(points, faces)
     if row is None:
         return sheets
-    piece = pieces_of(points, faces)[0]
     sewn = row[faces]
     whole = (sewn != np.roll(sewn, 1, axis=1)).all(axis=1)
     joined = replace(sheets.take_faces(np.flatnonzero(outer)[whole]), faces=sewn[whole])
@@ -89,9 +86,8 @@ def _vertices_on_borders(
 ) -> dict[int, list[tuple[float, int]]]:
     """For half-edges at a border the vertices of other pieces' borders on them, each with its share of the way."""
     points = mesh.vertices
-    number = np.sort(halves[:, :2], axis=1) @ np.array([len(points), 1])
-    _, inverse, counts = np.unique(number, return_inverse=True, return_counts=True)
-    edge = np.flatnonzero(counts[inverse.reshape(-1)] == 1)
+    number, counts = meshes.edges_of_halves(halves)
+    edge = np.flatnonzero(counts[number] == 1)
     if not len(edge):
         return {}
     loose, at = np.unique(halves[edge, 0], return_index=True)
@@ -120,16 +116,16 @@ def _apart(found: list[tuple[float, int]]) -> list[tuple[float, int]]:
     return kept
 
 
-def _seams(points: np.ndarray, faces: np.ndarray) -> np.ndarray | None:
-    """The row (N,) that each vertex has after sewing; None where nothing is sewn."""
+def _seams(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """The piece (F,) of each face, and the row (N,) that each vertex has after sewing; None where nothing is sewn."""
     piece, area, bears = bearing_pieces(points, faces)
     if bears.sum() < 2:
-        return None
+        return piece, None
     borders = [np.unique(meshes.boundary_edges(faces[piece == number])) for number in np.flatnonzero(bears)]
     own = np.concatenate(borders)
     whose = np.repeat(np.flatnonzero(bears), [len(border) for border in borders])
     if not len(own):
-        return None
+        return piece, None
     count = min(NEIGHBOURS, len(own))
     distance, near = KDTree(points[own]).query(points[own], k=count, distance_upper_bound=SEAM_M)
     distance, near = distance.reshape(len(own), count), near.reshape(len(own), count)
@@ -139,10 +135,7 @@ def _seams(points: np.ndarray, faces: np.ndarray) -> np.ndarray | None:
     share = np.bincount(whose, mate >= 0, minlength=len(area)) / np.maximum(np.bincount(whose, minlength=len(area)), 1)
     mutual &= (share[whose] > SEAM_SHARE) & (share[whose[mate]] > SEAM_SHARE)
     if not mutual.any():
-        return None
-    ends = own[mutual], own[mate[mutual]]
-    graph = scipy.sparse.coo_matrix((np.ones(mutual.sum()), ends), shape=(len(points),) * 2)
-    number, label = csgraph.connected_components(graph, directed=False)
-    first = np.full(number, len(points))
-    np.minimum.at(first, label, np.arange(len(points)))
-    return first[label]
+        return piece, None
+    label = mesh_graphs.joined_parts(len(points), own[mutual], own[mate[mutual]])
+    _, first = np.unique(label, return_index=True)
+    return piece, first[label]

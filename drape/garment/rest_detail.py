@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import scipy.sparse
 from scipy.sparse import csgraph
 
 from drape.cloth import rest_state
@@ -137,8 +136,7 @@ def creases(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
     if not sharp.any():
         return angle, sharp
     first, second = meshes.hinges(faces)[sharp, :2].T
-    graph = scipy.sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(len(vertices),) * 2)
-    line = csgraph.connected_components(graph, directed=False)[1]
+    line = mesh_graphs.joined_parts(len(vertices), first, second)
     low, high = np.full((len(vertices), 3), np.inf), np.full((len(vertices), 3), -np.inf)
     for end in (first, second):
         np.minimum.at(low, line[end], vertices[end])

@@ -36,26 +36,17 @@ def without_copies(mesh: GarmentMesh) -> GarmentMesh:
     if not len(pairs):
         return mesh
     count = len(mesh.vertices)
-    graph = scipy.sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(count, count))
-    number, label = csgraph.connected_components(graph, directed=False)
-    first = np.full(number, count)
-    np.minimum.at(first, label, np.arange(count))
+    label = mesh_graphs.joined_parts(count, *pairs.T)
+    _, first = np.unique(label, return_index=True)
     return replace(mesh, vertices=mesh.vertices[first], faces=label[mesh.faces]).noted(
-        f"{count} vertices welded into {number}"
+        f"{count} vertices welded into {len(first)}"
     )
 
 
 def branch_edges(faces: np.ndarray) -> int:
     """How many edges have more than two faces."""
-    _, counts = _edge_numbers(meshes.half_edges(faces))
+    _, counts = meshes.edges_of_halves(meshes.half_edges(faces))
     return int((counts > 2).sum())
-
-
-def _edge_numbers(halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The number (3 F,) of every half-edge's edge, and how many faces (E,) each edge has."""
-    low, high = halves[:, :2].min(axis=1), halves[:, :2].max(axis=1)
-    _, inverse, counts = np.unique(low * (int(halves.max()) + 1) + high, return_inverse=True, return_counts=True)
-    return inverse.reshape(-1), counts
 
 
 def cut_branches(mesh: GarmentMesh) -> GarmentMesh:
@@ -70,7 +61,7 @@ def cut_branches(mesh: GarmentMesh) -> GarmentMesh:
         return mesh
     while branch_edges(cut.faces):
         halves, first, second = _joined(cut.vertices, cut.faces)
-        inverse, counts = _edge_numbers(halves)
+        inverse, counts = meshes.edges_of_halves(halves)
         crowded = np.flatnonzero(counts[inverse] > 2)
         kept = np.zeros(len(halves), dtype=bool)
         _, at = np.unique(inverse[first], return_index=True)  # the first pair of an edge bends least
@@ -89,8 +80,8 @@ def _split(mesh: GarmentMesh, halves: np.ndarray, first: np.ndarray, second: np.
     same = halves[first, 0] == halves[second, 0]  # neighbours that disagree in orientation
     ends = np.concatenate([first, following[first]])
     others = np.concatenate([np.where(same, second, following[second]), np.where(same, following[second], second)])
-    graph = scipy.sparse.coo_matrix((np.ones(len(ends), dtype=np.int8), (ends, others)), shape=(len(halves),) * 2)
-    count, label = csgraph.connected_components(graph, directed=False)
+    label = mesh_graphs.joined_parts(len(halves), ends, others)
+    count = int(label.max(initial=-1)) + 1
     vertex = np.zeros(count, dtype=np.int64)
     vertex[label] = halves[:, 0]
     order = np.argsort(vertex, kind="stable")  # vertices keep their order where they can
@@ -136,7 +127,7 @@ def agreeing(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
 def _joined(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the half-edges (3 F, 3), and the index arrays of the two half-edges of each edge that stay together."""
     halves, first, second = meshes.edge_pairs(faces)
-    inverse, counts = _edge_numbers(halves)
+    inverse, counts = meshes.edges_of_halves(halves)
     plain = counts[inverse[first]] == 2
     clash = plain & (halves[first, 0] == halves[second, 0])
     if clash.sum() < FEW_CLASHES * len(first):  # where all else agrees, two sheets were glued along their ends
@@ -149,7 +140,7 @@ def _joined(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
     crowded = crowded[np.argsort(inverse[crowded], kind="stable")]
     groups = [group for group in np.split(crowded, np.flatnonzero(np.diff(inverse[crowded])) + 1) if len(group)]
     bends = [_bends(vertices, halves, group) for group in groups]
-    patch = _patches(len(faces), first[plain] // 3, second[plain] // 3)
+    patch = mesh_graphs.joined_parts(len(faces), first[plain] // 3, second[plain] // 3)
     # Along a line on which three patches meet the same two go on everywhere, or the sheet would be slit.
     mean = _means_of_pairs([(patch[group // 3], bend) for group, bend in zip(groups, bends, strict=True)])
     for group, bend in zip(groups, bends, strict=True):
@@ -160,12 +151,6 @@ def _joined(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nda
         kept.append(_smoothest(group, cost + DISAGREEING * (start[:, None] == start)))
     pairs = np.concatenate(kept)
     return halves, pairs[:, 0], pairs[:, 1]
-
-
-def _patches(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The patch (F,) of every face: what hangs together by edges of two faces."""
-    graph = scipy.sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count))
-    return csgraph.connected_components(graph, directed=False)[1]
 
 
 def _pair(a: int, b: int) -> tuple[int, int]:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from drape.garment.files.mesh import GarmentMesh
-from drape.geometry import mesh_graphs, meshes
+from drape.garment.sheets import pieces_of, with_used_vertices
 
 FAR = 2.0  # in extents of the piece with the most faces
 MOST_SHARE = 0.2  # of the faces: more is no stray
@@ -18,9 +16,8 @@ def without_strays(mesh: GarmentMesh) -> GarmentMesh:
 
     The piece with the most faces stays, and what lies near it, and what lies near that.
     """
-    label = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
-    _, label = np.unique(label, return_inverse=True)
-    count = int(label.max()) + 1
+    label, areas = pieces_of(mesh.vertices, mesh.faces)
+    count = len(areas)
     if count == 1:
         return mesh
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
@@ -38,8 +35,6 @@ def without_strays(mesh: GarmentMesh) -> GarmentMesh:
     keep = near[label]
     if keep.all() or (~keep).mean() > MOST_SHARE:
         return mesh
-    kept = mesh.take_faces(keep)
-    used, faces = meshes.in_use(kept.faces)
     far = float(np.linalg.norm(corners[~keep].mean(axis=(0, 1)) - corners[keep].mean(axis=(0, 1))))
     note = f"warning: what lies {far:.3g} units away is left out, {int((~keep).sum()):,} faces"
-    return replace(kept, vertices=mesh.vertices[used], faces=faces).noted(note)
+    return with_used_vertices(mesh.take_faces(keep)).noted(note)

@@ -20,7 +20,7 @@ from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
 from drape.geometry.symmetric import symmetric_factor
 
-SAME_M = 1e-5
+SAME_M = 1e-5  # places so near to each other are one
 PROBES_M = (0.003, 0.008, 0.015)  # below a face: a wall at up to twice the depth is nearer than the face itself
 FACING = 0.5  # cosine between the sides of a wall, whichever way they are wound
 WALLED_SHARE = 0.5  # of a piece's area that must have a second side
@@ -72,19 +72,16 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
 def _sides(faces: np.ndarray, normals: np.ndarray, other: np.ndarray, side: np.ndarray) -> np.ndarray:
     """The field phi (F,) of a piece; ``other`` (F,) is the opposite face of each, or -1, and ``side`` (F,) is s."""
     count, pairs = len(faces), meshes.edge_pairs(faces)
-    weight = np.maximum(edge_cosines(pairs, normals), LEAST_COSINE) ** 2
-    ends = pairs[1] // 3, pairs[2] // 3
-    edges = sp.coo_matrix((weight, ends), shape=(count, count)).tocsr()
-    edges = edges + edges.T
+    weight = np.maximum(meshes.edge_cosines(pairs, normals), LEAST_COSINE) ** 2
+    edges = mesh_graphs.edge_matrix(np.stack([pairs[1] // 3, pairs[2] // 3], axis=1), weight, count)
     rows = np.flatnonzero(other >= 0)
     opposite = sp.coo_matrix((np.ones(len(rows)), (rows, other[rows])), shape=(count, count)).tocsr()[rows]
     both = sp.csr_matrix(sp.identity(count))[rows] + opposite
-    matrix = sp.diags(np.asarray(edges.sum(axis=1)).ravel() + 1e-9) - edges + PAIRED * (both.T @ both)
+    matrix = mesh_graphs.weighted_laplacian(edges) + 1e-9 * sp.identity(count) + PAIRED * (both.T @ both)
     seen, phi = side != 0.0, side
     for share in SIDED:
-        phi = symmetric_factor(sp.csc_matrix(matrix + sp.diags(share * seen))).solve(
-            share * np.sign(phi) * np.abs(side)
-        )
+        factor = symmetric_factor(sp.csc_matrix(matrix + sp.diags(share * seen)))
+        phi = factor.solve(share * np.sign(phi) * np.abs(side))
     return phi
 
 
@@ -96,13 +93,6 @@ def _outer(points: np.ndarray, faces: np.ndarray, walled: np.ndarray, phi: np.nd
     outer = phi > OUTER * np.median(phi[outside])
     near, _ = KDTree(points[np.unique(faces[outside])]).query(points[faces])
     return outer | (~walled & (near.max(axis=1) > RIM_M))
-
-
-def edge_cosines(pairs: tuple[np.ndarray, np.ndarray, np.ndarray], normals: np.ndarray) -> np.ndarray:
-    """The cosine (E,) between the ``normals`` (F, 3) of each pair of faces (``meshes.edge_pairs``), wound alike."""
-    halves, first, second = pairs
-    wound = np.where((halves[first, :2] == halves[second, :2]).all(axis=1), -1.0, 1.0)
-    return wound * np.einsum("ec,ec->e", normals[first // 3], normals[second // 3])
 
 
 def _opposite_faces(

@@ -14,6 +14,12 @@ def connected_components(faces: np.ndarray, vertex_count: int) -> np.ndarray:
     return csgraph.connected_components(adjacency(faces, vertex_count), directed=False)[1].astype(np.int64)
 
 
+def joined_parts(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The number (``count``,) of the part that each thing is in, where things ``a`` and ``b`` (n,) belong together."""
+    graph = scipy.sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
+    return csgraph.connected_components(graph, directed=False)[1]
+
+
 def adjacency(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
     """Symmetric matrix (V, V) with one at every edge."""
     edges = meshes.unique_edges(faces)

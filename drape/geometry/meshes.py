@@ -61,6 +61,12 @@ def _edge_keys(ends: np.ndarray) -> tuple[np.ndarray, int]:
     return ends.min(axis=1) * base + ends.max(axis=1), base
 
 
+def edges_of_halves(halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The number (n,) of every half-edge's edge, whose ends come first, and how many ``halves`` each edge (E,) has."""
+    _, inverse, counts = np.unique(_edge_keys(halves[:, :2])[0], return_inverse=True, return_counts=True)
+    return inverse.reshape(-1), counts
+
+
 def boundary_edges(faces: np.ndarray) -> np.ndarray:
     """The edges (B, 2) of ``unique_edges`` that one face alone has: the surface ends there."""
     edges, uses = edge_uses(faces)
@@ -79,6 +85,13 @@ def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     order = np.lexsort((ends[:, 1], ends[:, 0]))
     same = (ends[order[1:]] == ends[order[:-1]]).all(axis=1)
     return halves, order[:-1][same], order[1:][same]
+
+
+def edge_cosines(pairs: tuple[np.ndarray, np.ndarray, np.ndarray], normals: np.ndarray) -> np.ndarray:
+    """The cosine (E,) between the ``normals`` (F, 3) of each pair of faces (``edge_pairs``), wound alike."""
+    halves, first, second = pairs
+    wound = np.where((halves[first, :2] == halves[second, :2]).all(axis=1), -1.0, 1.0)
+    return wound * np.einsum("ec,ec->e", normals[first // 3], normals[second // 3])
 
 
 def hinges(faces: np.ndarray) -> np.ndarray:
@@ -100,8 +113,8 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
     neighbouring faces disagree in orientation a boundary falls into open chains.
     """
     halves = half_edges(faces)[:, :2]
-    _, inverse, counts = np.unique(_edge_keys(halves)[0], return_inverse=True, return_counts=True)
-    border = halves[counts[inverse.reshape(-1)] == 1]
+    number, counts = edges_of_halves(halves)
+    border = halves[counts[number] == 1]
     following: dict[int, list[int]] = {}
     for start, end in border.tolist():
         following.setdefault(start, []).append(end)
