@@ -159,9 +159,8 @@ class Drape:
             entries = (*map(_own_entry, below), *entries, *map(_own_entry, over))
             body = wearer.body_under(halves_on(wearer, [one.garment for one in entries], self.body))
             stages = self._stages_of(body)
-            made_for = [body_of(one.garment, wearer, self.body) for one in entries]
-            cut = [tailored(one.garment, own, body) for one, own in zip(entries, made_for, strict=True)]
-            entries = tuple(replace(one, garment=own, worn=stages) for one, own in zip(entries, cut, strict=True))
+            cut = [tailored(one.garment, body_of(one.garment, wearer, self.body), body) for one in entries]
+            entries = tuple(replace(one, garment=its, worn=stages) for one, its in zip(entries, cut, strict=True))
         if len(entries) > 1:
             check_layers([entry.garment for entry in entries])
         scene: Scene = entries[0] if len(entries) == 1 else Outfit(entries)

@@ -100,9 +100,9 @@ class State:
         if not alive or garment or garments:
             scene = await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
             scene = scene if size is None else await asyncio.to_thread(self.runtime.sizes.wear, scene, size)
-        if scene is None or (alive and worn_by is not None):
-            assert worn_by is not None
+        if worn_by is not None and alive:
             scene = await asyncio.to_thread(avatars.with_own, worn_by, scene)
+        assert scene is not None
         return scene if worn_by is None else await asyncio.to_thread(avatars.dress, worn_by, scene)
 
     async def worn(self, asked: ClipOptions | OpenRequest, client: Client) -> Scene:

@@ -81,11 +81,10 @@ def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) 
     return Halves(*(a or b for a, b in zip(found, halves_of(own, wearer.body), strict=True)))
 
 
-def replaced_faces(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) -> np.ndarray:
-    """Which faces (F,) of ``wearer`` are not drawn while it wears ``garments``: what those of ours take off, and what
-    those of its own are."""
-    ours = [garment for garment in garments if OWN not in garment.manifest]
-    return taken_off(wearer.attire, halves_of(ours, standard)) | own_faces(wearer, garments)
+def replaced_faces(wearer: Wearer, garments: Sequence[Garment], halves: Halves) -> np.ndarray:
+    """Which faces (F,) of ``wearer`` are not drawn while it wears ``garments``: what those of ours, on these
+    ``halves``, take off, and what those of its own are."""
+    return taken_off(wearer.attire, halves) | own_faces(wearer, garments)
 
 
 def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import AsyncIterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import Field
 
 from drape.avatar.attire import TOLD as SURE
@@ -17,8 +18,8 @@ from drape.avatar.attire_words import Kind
 from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of, tucked_faces
 from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.mapping import TOLD
-from drape.avatar.own_clothes import bare_faces, halves_of, taken_off, tucked
-from drape.avatar.own_garments import MARK, own_faces
+from drape.avatar.own_clothes import bare_faces, halves_of, tucked
+from drape.avatar.own_garments import MARK, replaced_faces
 from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import Wearer
 from drape.errors import BodyError, InputError, NotFound, TooLarge
@@ -39,16 +40,23 @@ from service.state import ClientHere, StateHere
 router = APIRouter()
 PIECE_BYTES = 1 << 20
 KINDS = (BINARY, "model/gltf-binary", "model/vrm")
-Garments = Annotated[
-    str, Query(max_length=1000, description="The ids of the garments that it wears, separated by commas.")
-]
 
-Sizes = Annotated[
-    str | None,
-    Query(max_length=40, description="One size for all garments, or a size for each, separated by commas."),
-]
 
-Alive = Annotated[bool, Query(description="Whether it also wears its own clothes as cloth.")]
+@dataclass(frozen=True)
+class Clothes:
+    """What a character is asked about in."""
+
+    garments: Annotated[
+        str, Query(max_length=1000, description="The ids of the garments that it wears, separated by commas.")
+    ] = ""
+    size: Annotated[
+        str | None,
+        Query(max_length=40, description="One size for all garments, or a size for each, separated by commas."),
+    ] = None
+    alive: Annotated[bool, Query(description="Whether it also wears its own clothes as cloth.")] = False
+
+
+ClothesHere = Annotated[Clothes, Depends()]
 
 
 class AvatarChange(schemas.Request):
@@ -158,14 +166,7 @@ async def avatar_mesh(avatar_id: str, state: StateHere, client: ClientHere) -> R
 
 
 @router.get("/avatars/{avatar_id}/covered", responses=responses(InputError, NotFound, TooSlow, TooLarge))
-async def avatar_covered(
-    avatar_id: str,
-    state: StateHere,
-    client: ClientHere,
-    garments: Garments = "",
-    size: Sizes = None,
-    alive: Alive = False,
-) -> CoveredFaces:
+async def avatar_covered(avatar_id: str, state: StateHere, client: ClientHere, clothes: ClothesHere) -> CoveredFaces:
     """Returns the faces of the character that lie wholly under its garments at rest, away from their hems, and those of
     its own clothes that these replace. A client that draws the first a little deeper and leaves out the others keeps
     them from showing through the cloth.
@@ -173,7 +174,7 @@ async def avatar_covered(
     entry = await state.avatar(avatar_id, client)
     state.check_slot()
     with state.access.using(client, "clips"), state.slot():
-        worn = await _undressed(state, avatar_id, garments, size, alive, client)
+        worn = await _undressed(state, avatar_id, clothes, client)
         wearer, own = worn.wearer, worn.surface
         bare = await state.runtime.made(bare_faces, wearer.body, *own, worn.off, worn.loose)
         covered, of_file = await state.runtime.made(covered_in_file, entry.path, *own, worn.cloth, worn.off)
@@ -209,23 +210,20 @@ class _Undressed(NamedTuple):
         return self.wearer.vertices.astype(np.float64), self.wearer.faces.astype(np.int64)
 
 
-async def _undressed(
-    state: StateHere, avatar_id: str, garments: str, size: str | None, alive: bool, client: ClientHere
-) -> _Undressed:
-    """The avatar in ``garments`` of this ``size``, or of a size for each, and in its own where these are ``alive``."""
+async def _undressed(state: StateHere, avatar_id: str, clothes: Clothes, client: ClientHere) -> _Undressed:
+    """The avatar in these ``clothes``."""
+    size, named = clothes.size, clothes.garments.split(",") if clothes.garments else []
     sizes = size if size is None or "," not in size else [one or None for one in size.split(",")]
-    named = garments.split(",") if garments else []
-    scene = await state.scene(None, named, client, avatar=avatar_id, size=sizes, alive=alive)
+    scene = await state.scene(None, named, client, avatar=avatar_id, size=sizes, alive=clothes.alive)
     cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
     wearer = await state.wearer(avatar_id, client)
     none = np.zeros(len(wearer.faces), dtype=bool)
     found = _Undressed(wearer, cloth, none, none)
     if not wearer.attire.parts:
         return found
-    own = own_faces(wearer, [worn.garment for worn in scene.layers])
     ours = [(await state.garment(name, client)).garment for name in named if MARK not in name]
     halves = halves_of(ours, state.runtime.body)
-    off = taken_off(wearer.attire, halves) | own
+    off = replaced_faces(wearer, [worn.garment for worn in scene.layers], halves)
     tops = tucked(wearer.attire, halves) & ~off
     ends = await state.runtime.made(tucked_faces, *found.surface, cloth, tops)
     return found._replace(off=off | ends, loose=tops)
@@ -247,21 +245,14 @@ def bare_skin(stored: Path, wearer: Wearer, off: np.ndarray, loose: np.ndarray) 
     response_class=Response,
     responses=responses(InputError, NotFound, TooSlow, TooLarge, kinds=(GLB,)),
 )
-async def avatar_bare(
-    avatar_id: str,
-    state: StateHere,
-    client: ClientHere,
-    garments: Garments = "",
-    size: Sizes = None,
-    alive: Alive = False,
-) -> Response:
+async def avatar_bare(avatar_id: str, state: StateHere, client: ClientHere, clothes: ClothesHere) -> Response:
     """Returns the skin that is bare where the garments take off clothes of the character and nothing was modelled
     below: a GLB on the character's own nodes, to be drawn beside it.
     """
     entry = await state.avatar(avatar_id, client)
     state.check_slot()
     with state.access.using(client, "clips"), state.slot():
-        worn = await _undressed(state, avatar_id, garments, size, alive, client)
+        worn = await _undressed(state, avatar_id, clothes, client)
         made = await state.runtime.made(bare_skin, entry.path, worn.wearer, worn.off, worn.loose)
     return Response(made, media_type=GLB)
 

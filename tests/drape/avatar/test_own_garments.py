@@ -11,7 +11,7 @@ import pytest
 import drape
 from benchmarks.measure.dressed_characters import Worn, dressed_character, dressed_parts
 from drape.avatar.attire_words import CLOTHES
-from drape.avatar.own_clothes import Halves
+from drape.avatar.own_clothes import Halves, halves_of
 from drape.avatar.own_garments import (
     OWN,
     OwnGarments,
@@ -121,10 +121,12 @@ def test_ours_replace_what_they_take_off(own: OwnGarments, wearer: Wearer, body:
     assert dressed_in(own.garments, Halves(False, True)) == ([], [top])
     worn = [trousers, shelf["tshirt"]]
     assert halves_on(wearer, worn, body) == (True, True)
-    hidden = replaced_faces(wearer, worn, body)
+    hidden = replaced_faces(wearer, worn, halves_of([shelf["tshirt"]], body))
     kinds = {wearer.attire.parts[number].kind for number in np.unique(wearer.attire.part[hidden])}
     assert kinds == {"top", "trousers", "carried", "dress"}
-    assert not replaced_faces(wearer, [top], body)[wearer.attire.of_kinds(("trousers", "carried"))].any()
+    assert not replaced_faces(wearer, [top], Halves(False, False))[
+        wearer.attire.of_kinds(("trousers", "carried"))
+    ].any()
 
 
 def test_they_are_cut_for_the_body_below_them(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
 
 import httpx
 import numpy as np
@@ -12,30 +11,15 @@ from numpy.testing import assert_allclose
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from drape.body.model import BodyModel
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from drape.motion.rig_poses import poses_to_rig
 from drape.wire import messages as wire
 from drape.wire.clips import pack_clip
 from drape.wire.rig_poses import RigPose, pack_rig_pose
 from service.compute.drape_runtime import DrapeRuntime
-from service.settings import Settings
-from tests.fixtures.avatar_calls import NUMBERS, POSES, draped, me_sent, posed, stream_of
+from tests.fixtures.avatar_calls import NUMBERS, POSES, draped, posed, stream_of
 from tests.fixtures.glb_reader import Reader
 from tests.fixtures.streams import PROTOCOLS
-
-
-@pytest.fixture(scope="module")
-def avatar(api: httpx.Client, body: BodyModel) -> Iterator[str]:
-    found = me_sent(api, body)
-    yield found
-    api.delete(f"/avatars/{found}")
-
-
-@pytest.fixture(scope="module")
-def runtime_of_api(api: httpx.Client, settings: Settings, make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
-    """A second service with the folder of the first, as after a new start."""
-    return make_runtime(garments_dir=settings.garments_dir)
 
 
 def test_poses_of_its_own_rig_do_as_ours(api: httpx.Client, avatar: str, runtime_of_api: DrapeRuntime):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
 
 import httpx
 import numpy as np
@@ -16,22 +15,9 @@ from drape.geometry.closest import signed_distance
 from service.compute import avatars as in_service
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from tests.fixtures.avatar_calls import BETAS, POSES, draped, ended, me_sent, posed, sent, stream_of
+from tests.fixtures.avatar_calls import BETAS, POSES, draped, ended, posed, sent, stream_of
 from tests.fixtures.serving import files_in
 from tests.fixtures.streams import PROTOCOLS
-
-
-@pytest.fixture(scope="module")
-def avatar(api: httpx.Client, body: BodyModel) -> Iterator[str]:
-    found = me_sent(api, body)
-    yield found
-    api.delete(f"/avatars/{found}")
-
-
-@pytest.fixture(scope="module")
-def runtime_of_api(api: httpx.Client, settings: Settings, make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
-    """A second service with the folder of the first, as after a new start."""
-    return make_runtime(garments_dir=settings.garments_dir)
 
 
 def test_an_avatar_is_told_of(api: httpx.Client, avatar: str):

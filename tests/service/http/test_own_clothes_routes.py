@@ -16,20 +16,13 @@ from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
 from drape.files.gltf import GltfFile
 from service.settings import Settings
-from tests.fixtures.avatar_calls import NUMBERS, POSES, ended, me_sent, sent, stream_of
+from tests.fixtures.avatar_calls import NUMBERS, POSES, ended, sent, stream_of
 from tests.fixtures.glb_reader import Reader
 from tests.fixtures.serving import files_in
 from tests.fixtures.streams import PROTOCOLS
 
 OWN = {"top": "tank", "trousers": "shorts"}
 N_TOP = "N00_007_01_Tops_01_CLOTH (Instance)"
-
-
-@pytest.fixture(scope="module")
-def avatar(api: httpx.Client, body: BodyModel) -> Iterator[str]:
-    found = me_sent(api, body)
-    yield found
-    api.delete(f"/avatars/{found}")
 
 
 @pytest.fixture(scope="module")
