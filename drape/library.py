@@ -12,17 +12,31 @@ The frames equal the service's to the bit, because the same stages compute them.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
-from drape.avatar.own_clothes import halves_of
-from drape.avatar.own_garments import OwnGarments, body_of, dressed_in, halves_on, own_garments
+from drape.avatar.file_skeleton import FileRig
+from drape.avatar.own_clothes import NEITHER, Halves, halves_of
+from drape.avatar.own_garments import (
+    OwnGarments,
+    body_of,
+    dressed_in,
+    halves_on,
+    own_faces,
+    own_garments,
+    undressed,
+)
+from drape.avatar.rig_file import Dressed
+from drape.avatar.rig_motion import RigClip
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
+from drape.avatar.worn_file import undressed_file, worn_on_rig
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.body.model import BodyModel
 from drape.body.pose_support import PoseSupport
@@ -30,6 +44,8 @@ from drape.catalog import GARMENTS_DIR, MOTIONS_DIR, find_garments, find_motions
 from drape.cloth.fabric_table import FABRICS
 from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
+from drape.export.glb import GARMENT_COLOURS
+from drape.export.surface import by_layer
 from drape.folders import ASSETS
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment
@@ -145,17 +161,21 @@ class Drape:
         asked = [garments] if isinstance(garments, (str, Path, Garment)) else list(garments)
         wearer = None if on is None else self._character(Path(on))
         entries = tuple(entry for one in asked for entry in self._entries(one))
+        if alive and on is None:
+            cure = "Name the file of a character: on=FILE."
+            raise InputError("alive", expected="a character", got="the standard body", cure=cure)
         own = self._own_garments(Path(on)) if alive and on is not None else ()
-        if alive and not entries and not own and on is not None:
+        if not entries and not own and on is not None and alive:
             stiff = "; ".join(f"{name}: {why}" for name, why in self._own[Path(on)].stiff.items())
             raise InputError("alive", expected="clothes that are cloth", got=stiff or "none", cure="Name a garment.")
         if not entries and not own:
             raise InputError("garments", expected="one or more", got="none", cure="Name a garment.")
         if size is not None:
             entries = Sizes(self.body, GARMENTS_DIR, entries).wear(Outfit(entries), size).layers
-        body = self.body
+        body, halves = self.body, NEITHER
         if wearer is not None:
-            below, over = dressed_in(own, halves_of([one.garment for one in entries], self.body))
+            halves = halves_of([one.garment for one in entries], self.body)
+            below, over = dressed_in(own, halves)
             entries = (*map(_own_entry, below), *entries, *map(_own_entry, over))
             body = wearer.body_under(halves_on(wearer, [one.garment for one in entries], self.body))
             stages = self._stages_of(body)
@@ -165,7 +185,8 @@ class Drape:
             check_layers([entry.garment for entry in entries])
         scene: Scene = entries[0] if len(entries) == 1 else Outfit(entries)
         shape = shape_array(betas, body)
-        return Worn(self._runtime, scene, _checked(options), body, shape, wearer, None if on is None else Path(on))
+        character = None if on is None else Path(on)
+        return Worn(self._runtime, scene, _checked(options), body, shape, wearer, character, halves)
 
     def _stages_of(self, body: BodyModel) -> BodyStages:
         if body.digest not in self._stages:
@@ -209,8 +230,9 @@ class Worn:
         betas: np.ndarray,
         wearer: Wearer | None = None,
         character: Path | None = None,
+        halves: Halves = NEITHER,
     ) -> None:
-        self._runtime, self._betas = runtime, betas
+        self._runtime, self._betas, self._halves = runtime, betas, halves
         self.body, self.wearer, self.character = body, wearer, character
         self._plan: Plan = runtime.plan(scene, options)
         runtime.ready(self._plan)
@@ -225,6 +247,39 @@ class Worn:
     def layers(self) -> list[Garment]:
         """The visible garments with all that intake knows of them."""
         return [entry.garment for entry in self._plan.shown.layers]
+
+    @cached_property
+    def character_file(self) -> bytes:
+        """The file of the character without the faces that the garments replace, and with skin where it is bare then.
+
+        Raises ``InputError`` for garments on the standard body.
+        """
+        wearer, rig = self.on_rig()
+        assert self.character is not None
+        cloth = [(one.vertices, one.faces) for one in self.layers]
+        left = undressed(wearer, own_faces(wearer, self.layers), cloth, self._halves)
+        return undressed_file(self.character.read_bytes(), wearer, rig, left)
+
+    def glb(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> bytes:
+        """Returns the character's file in the garments over ``motion``, which ``placed`` describes, with a morph target
+        for each frame: as it is draped, in 16 bytes a vertex and frame. ``drape.distil`` makes smaller ones.
+
+        Raises ``InputError`` for garments on the standard body.
+        """
+        wearer, rig = self.on_rig()
+        clip = self.placed(motion, fps=fps, as_recorded=as_recorded)
+        vertices = np.stack([frame.vertices for frame in self.play(clip, fps=clip.fps, as_recorded=True)])
+        layers = map(Dressed, self.layers, by_layer(self.garments, vertices), itertools.cycle(GARMENT_COLOURS))
+        on_rig = RigClip(*wearer.to_rig(clip.poses, clip.trans), clip.fps)
+        return worn_on_rig(self.character_file, list(layers), on_rig, wearer, rig).to_bytes()
+
+    def on_rig(self) -> tuple[Wearer, FileRig]:
+        """Returns the character and the rig of its file; raises ``InputError`` for garments on the standard body."""
+        if self.wearer is None or self.wearer.file is None:
+            cure = "Name the file of a character: wear(..., on=FILE)."
+            expected, got = "garments on a character, which has a rig", "the standard body"
+            raise InputError("character", expected=expected, got=got, cure=cure)
+        return self.wearer, self.wearer.file
 
     @property
     def pose_support(self) -> PoseSupport | None:
