@@ -22,10 +22,12 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from drape.avatar.covered import covered_faces
 from drape.avatar.file_skeleton import FileRig
 from drape.avatar.own_clothes import NEITHER, Halves, halves_of
 from drape.avatar.own_garments import (
     OwnGarments,
+    Undressed,
     body_of,
     dressed_in,
     halves_on,
@@ -67,6 +69,7 @@ from drape.wire.options import DrapeOptions, Inertia, TierName
 MODEL = "onefit"
 CHUNK_FRAMES = 8  # computed together; numbers do not depend on it
 MOST_FRAMES = 1 << 20
+UNSEEN_M = 0.15  # below cloth, and so far from its hems, nobody sees a face of a file: players draw none of them deeper
 
 
 @dataclass(frozen=True)
@@ -250,7 +253,8 @@ class Worn:
 
     @cached_property
     def character_file(self) -> bytes:
-        """The file of the character without the faces that the garments replace, and with skin where it is bare then.
+        """The file of the character without the faces that the garments replace and those that lie deep below them, and
+        with skin where it is bare then.
 
         Raises ``InputError`` for garments on the standard body.
         """
@@ -258,6 +262,9 @@ class Worn:
         assert self.character is not None
         cloth = [(one.vertices, one.faces) for one in self.layers]
         left = undressed(wearer, own_faces(wearer, self.layers), cloth, self._halves)
+        own = covered_faces(wearer.vertices, wearer.faces, cloth, margin_m=UNSEEN_M)
+        skin = covered_faces(wearer.body.v_template, wearer.body.faces, cloth, margin_m=UNSEEN_M)
+        left = Undressed(left.off | own, left.bare & ~skin)
         return undressed_file(self.character.read_bytes(), wearer, rig, left)
 
     def glb(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> bytes:
