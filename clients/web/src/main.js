@@ -182,9 +182,10 @@ async function changeWearer(about) {
 const chooseCharacter = failing(async (id) => {
   if (fit.on) await fit.show(outfit.current, false);
   state.avatar = id;
-  measures.listCharacters(await drape.avatars(), id);
+  const avatars = await drape.avatars();
+  measures.listCharacters(avatars, id);
   if (id !== null) say("The garments are cut for the character …", { by: "cut" });
-  const about = id === null ? null : await drape.rest.avatar(id);
+  const about = avatars.find((one) => one.id === id) ?? null;
   ownClothes.offer(about, true);
   shelf.undress(ownClothes.option().alive ? 0 : 1);
   await changeWearer(about);
