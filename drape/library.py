@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -188,8 +188,8 @@ class Drape:
             check_layers([entry.garment for entry in entries])
         scene: Scene = entries[0] if len(entries) == 1 else Outfit(entries)
         shape = shape_array(betas, body)
-        character = None if on is None else Path(on)
-        return Worn(self._runtime, scene, _checked(options), body, shape, wearer, character, halves)
+        worn_by = None if wearer is None or on is None else WornBy(wearer, Path(on), halves)
+        return Worn(self._runtime, scene, _checked(options), body, shape, worn_by)
 
     def _stages_of(self, body: BodyModel) -> BodyStages:
         if body.digest not in self._stages:
@@ -221,6 +221,14 @@ class Drape:
         return [Entry(garment.name, garment, "user") for garment in found]
 
 
+class WornBy(NamedTuple):
+    """A character that wears garments: its ``file``, and on which ``halves`` of its body those of ours lie."""
+
+    wearer: Wearer
+    file: Path
+    halves: Halves
+
+
 class Worn:
     """Garments on a body, as ``Drape.wear`` returns them. ``play`` drapes a clip, ``pose`` one pose after the other."""
 
@@ -231,12 +239,9 @@ class Worn:
         options: DrapeOptions,
         body: BodyModel,
         betas: np.ndarray,
-        wearer: Wearer | None = None,
-        character: Path | None = None,
-        halves: Halves = NEITHER,
+        worn_by: WornBy | None = None,
     ) -> None:
-        self._runtime, self._betas, self._halves = runtime, betas, halves
-        self.body, self.wearer, self.character = body, wearer, character
+        self._runtime, self._betas, self._worn_by, self.body = runtime, betas, worn_by, body
         self._plan: Plan = runtime.plan(scene, options)
         runtime.ready(self._plan)
         self._memories: Memories = {}
@@ -245,6 +250,11 @@ class Worn:
     def garments(self) -> list[Garment | BoundMesh]:
         """The visible garments, the innermost first. Each has its ``faces`` (F, 3) and its ``vertex_count``."""
         return [garment.surface for garment in self.layers]
+
+    @property
+    def wearer(self) -> Wearer | None:
+        """The character that wears them; None for the standard body."""
+        return None if self._worn_by is None else self._worn_by.wearer
 
     @property
     def layers(self) -> list[Garment]:
@@ -259,13 +269,13 @@ class Worn:
         Raises ``InputError`` for garments on the standard body.
         """
         wearer, rig = self.on_rig()
-        assert self.character is not None
+        assert self._worn_by is not None
         cloth = [(one.vertices, one.faces) for one in self.layers]
-        left = undressed(wearer, own_faces(wearer, self.layers), cloth, self._halves)
+        left = undressed(wearer, own_faces(wearer, self.layers), cloth, self._worn_by.halves)
         own = covered_faces(wearer.vertices, wearer.faces, cloth, margin_m=UNSEEN_M)
         skin = covered_faces(wearer.body.v_template, wearer.body.faces, cloth, margin_m=UNSEEN_M)
         left = Undressed(left.off | own, left.bare & ~skin)
-        return undressed_file(self.character.read_bytes(), wearer, rig, left)
+        return undressed_file(self._worn_by.file.read_bytes(), wearer, rig, left)
 
     def glb(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> bytes:
         """Returns the character's file in the garments over ``motion``, which ``placed`` describes, with a morph target
