@@ -384,7 +384,7 @@ def test_own_clothes_are_named_by_the_answer_and_lists_of_options_go_with_them(t
     opened = {"garments": [{"id": "me~trousers"}, {"id": "shirt"}, {"id": "me~outer"}]}
     told = answer_of(OWN, {"named": ["shirt"], "options": options, "opened": opened}, tmp_path)
     first, second = told["asked"]
-    assert first == {"garments": ["shirt"], "size": ["L"], "avatar": "me", "alive": True}
+    assert first == {"garment": "shirt", "size": ["L"], "avatar": "me", "alive": True, "tier": "fast"}
     garments, each = ["me~trousers", "shirt", "me~outer"], {"size": [None, "L", None]}
     whole = {"garments": garments, "avatar": "me", "tier": "fast", **each}
     assert second == whole | {"fabric": [None, "denim", None]}

@@ -77,7 +77,7 @@ export class Drape {
 
   // The id of the character in the bytes of a GLB or VRM, which wear() takes as its option avatar. Takes seconds. alive:
   // whether its own clothes become garments, for the option alive of wear().
-  async avatar(bytes, name = "avatar", { alive = false } = {}) {
+  async avatar(bytes, name = "avatar", { alive } = {}) {
     let job = await this.rest.sendAvatar(bytes, name, alive);
     while (job.state === "queued" || job.state === "running") {
       await new Promise((resolve) => setTimeout(resolve, POLL_MS));

@@ -9,7 +9,8 @@ export class Wearing {
   // drape: the service's Drape; garments: ids, the innermost first; options: those of a drape.
   constructor(drape, garments, options) {
     this.drape = drape;
-    this.garments = this.named = garments; // with an avatar's own clothes, once these are known
+    this.garments = garments; // with an avatar's own clothes, once these are known
+    this.spread = (changed) => changed; // options by layer, to these
     this.options = options;
     this.auto = options.folds_by === "auto"; // the client folds where it can, and keeps up with it
     this.pace = new Pace(); // of the folds that are made here
@@ -45,7 +46,7 @@ export class Wearing {
   // Fetches the meshes and opens the stream; rejects with the service's refusal.
   async open(makeWorker) {
     try {
-      await this.#nameOwn();
+      if (this.options.alive) this.spread = await (await import("./own_clothes.js")).nameOwn(this, (others) => this.#reopen(others));
       await this.#prepareFolds();
       return await this.#openAs(makeWorker);
     } catch (error) {
@@ -56,26 +57,6 @@ export class Wearing {
       this.#leaveFolds();
       return this.#openAs(makeWorker);
     }
-  }
-
-  // Which of an avatar's own clothes are worn the service says; from then on they are named.
-  async #nameOwn() {
-    const { alive, avatar, size } = this.options;
-    if (!alive) return;
-    await this.#ask({ ...(this.named.length ? { garments: this.named, size } : {}), avatar, alive });
-    const { garments, garment } = this.stream.opened;
-    this.garments = garments?.map(({ id }) => id) ?? [garment];
-    this.options = this.#spread(this.options);
-  }
-
-  // Options as all that is worn takes them: own clothes have no size and no fabric of a list.
-  #spread({ alive, ...options }) {
-    if (this.garments === this.named) return options;
-    const each = (of) => this.garments.map((id) => (this.named.includes(id) ? (of(this.named.indexOf(id)) ?? null) : null));
-    const { fabric, size } = options;
-    if (Array.isArray(fabric)) options.fabric = each((at) => fabric[at]);
-    if (size) options.size = each((at) => (Array.isArray(size) ? size[at] : size));
-    return options;
   }
 
   // What the client needs to fold, where it is to; where it cannot and need not, the server does.
@@ -154,21 +135,18 @@ export class Wearing {
     return this;
   }
 
-  #reopen() {
-    const worn = this.garments.length === 1 ? { garment: this.garments[0] } : { garments: this.garments };
-    return this.#ask({ ...worn, ...this.options, ...this.#folded() });
-  }
-
-  #ask(opening) {
+  #reopen(others) {
+    const [one, ...more] = this.garments;
+    const worn = more.length ? { garments: this.garments } : { garment: one }; // none beside own clothes
     return new Promise((resolve, reject) => {
       this.asked.push({ resolve, reject });
-      this.stream.open(opening);
+      this.stream.open({ ...worn, ...this.options, ...this.#folded(), ...others });
     });
   }
 
   // Drapes it otherwise from now on, by options of a drape. What the service refuses changes nothing, and rejects.
   async set(changed) {
-    const [options, before] = [this.#spread(changed), this.options];
+    const [options, before] = [this.spread(changed), this.options];
     if ("size" in options && JSON.stringify(options.size) !== JSON.stringify(before.size)) {
       const words = { name: "size", expected: "that in which it is worn", got: JSON.stringify(options.size), kind: "InputError" };
       throw new DrapeError({ ...words, cure: "Another size is cut anew: wear() it." });
