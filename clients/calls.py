@@ -34,7 +34,7 @@ BINARY, GLB = "application/octet-stream", "model/gltf-binary"
 DEFAULT_URL = "http://127.0.0.1:8000"
 DEFAULT_FPS = 30.0
 DRAPE = "/drape"
-WORN = ("avatar", "size")  # options that say who wears what, beside those of a drape
+WORN = ("avatar", "alive", "size")  # options that say who wears what, beside those of a drape
 STREAMED: Options = {"streamed": True}  # so that the answer may be of any length
 
 
@@ -134,12 +134,12 @@ def _says_itself(entry: Any) -> bool:
     return isinstance(entry, dict) or entry == "standard"
 
 
-def upload_avatar(path: Path, name: str | None) -> Call[dict[str, Any]]:
-    """Sends a character; the answer is the job."""
+def upload_avatar(path: Path, name: str | None, alive: bool) -> Call[dict[str, Any]]:
+    """Sends a character, whose own clothes become garments where they are to be ``alive``; the answer is the job."""
     if path.suffix.lower() not in AVATAR_SUFFIXES:
         expected, got = f"one of {', '.join(AVATAR_SUFFIXES)}", path.suffix or "no suffix"
         raise InputError(path.name, expected=expected, got=got, cure="Export the character so.")
-    params = {"name": (name or path.stem) + path.suffix.lower()}
+    params = {"name": (name or path.stem) + path.suffix.lower()} | ({"alive": "true"} if alive else {})
     headers = {"Content-Type": BINARY}
     return Call("POST", "/avatars", httpx.Response.json, params=params, content=_content(path), headers=headers)
 
@@ -208,10 +208,10 @@ def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
 
 
 def worn(garment: str | Sequence[str], options: Options = MappingProxyType({})) -> dict[str, Any]:
-    """The fields of a request that name one garment, or several worn over each other, and of ``options`` the avatar
-    that wears them and the size."""
-    named = {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)}
-    return named | {name: options[name] for name in WORN if options.get(name) is not None}
+    """The fields of a request that name one garment, or several worn over each other, or none, and of ``options`` the
+    avatar that wears them, also its own clothes where these are ``alive``, and the size."""
+    named = {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)} if garment else {}
+    return named | {name: options[name] for name in WORN if options.get(name) not in (None, False)}
 
 
 def sized(garments: Sequence[str], size: Size) -> list[tuple[str, str | None]]:

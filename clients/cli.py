@@ -76,14 +76,15 @@ def _parser() -> argparse.ArgumentParser:
 
     avatars = commands.add_parser("avatars", parents=[shared], help="characters that wear garments: list, add, remove")
     avatars.add_argument("--add", type=Path, metavar="FILE", help="take a character in, GLB or VRM")
+    avatars.add_argument("--alive", action="store_true", help="with --add: make garments of its own clothes")
     avatars.add_argument("--remove", metavar="ID", help="remove one")
     avatars.set_defaults(run=_avatars)
 
     drape = commands.add_parser("drape", parents=[shared], help="drape a garment over a clip")
     drape.add_argument(
         "--garment",
-        required=True,
         nargs="+",
+        default=[],
         help="a garment's id, or a file to take in first; several are worn over each other, the innermost first",
     )
     drape.add_argument("--avatar", help="for a file: the body it was modelled on")
@@ -99,6 +100,7 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--as-recorded", action="store_true", help="for a file: leave its translations as they are")
     drape.add_argument("--fps", type=float, default=30.0, help="frames per second of the result (30)")
     drape.add_argument("--on", metavar="AVATAR", help="the character that wears it: an id, or a GLB or VRM file")
+    drape.add_argument("--alive", action="store_true", help="with --on: in its own clothes too, to .glb or .npy")
     drape.add_argument("--size", nargs="+", metavar="SIZE", help="S, M, L or XL: for all, or by layer")
     drape.add_argument("--betas", help="body shape, comma-separated")
     drape.add_argument("--body", action="store_true", help="include the body in the GLB")
@@ -159,7 +161,7 @@ def _upload(client: DrapeClient, options: argparse.Namespace) -> None:
 
 def _avatars(client: DrapeClient, options: argparse.Namespace) -> None:
     if options.add is not None:
-        print(client.upload_avatar(options.add, progress=_progress()))
+        print(client.upload_avatar(options.add, alive=options.alive, progress=_progress()))
     elif options.remove is not None:
         client.remove_avatar(options.remove)
     else:
@@ -204,10 +206,15 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
     check_name(options.out)
     suffix = options.out.suffix.lower()
     betas = _numbers(options.betas)
-    avatar = None if options.on is None else client.avatar(options.on).id
+    if not options.garment and not options.alive:
+        raise InputError("--garment", expected="one or more", got="none", cure="Name a garment, or --alive.")
+    if options.alive and (suffix not in (".glb", ".npy") or options.tier == "exact"):
+        cure = "Name its clothes as garments for others: GET /avatars/ID tells them."
+        raise InputError("--alive", expected="a .glb or .npy, and no tier exact", got=options.out.name, cure=cure)
+    avatar = None if options.on is None else client.avatar(options.on, alive=options.alive).id
     clip = _clip(client, options, betas, avatar).resampled(options.fps)
     choices: dict[str, Any] = {name: getattr(options, name) for name in _options()}
-    choices |= {"avatar": avatar, "size": options.size}
+    choices |= {"avatar": avatar, "alive": options.alive, "size": options.size}
     for name in ("fabric", "size"):  # one is for all layers
         if choices[name] is not None and len(choices[name]) == 1:
             (choices[name],) = choices[name]

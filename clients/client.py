@@ -99,10 +99,12 @@ class DrapeClient:
         """Closes the connections."""
         self._http.close()
 
-    def avatar(self, source: str | Path) -> Avatar:
-        """Returns the avatar with the id ``source``. If ``source`` is a GLB or VRM file, it is uploaded first."""
+    def avatar(self, source: str | Path, *, alive: bool = False) -> Avatar:
+        """Returns the avatar with the id ``source``. If ``source`` is a GLB or VRM file, it is uploaded first, with
+        its own clothes as garments where these are to be ``alive``.
+        """
         is_file = Path(source).suffix.lower() in AVATAR_SUFFIXES
-        return Avatar(self, self.upload_avatar(source) if is_file else str(source))
+        return Avatar(self, self.upload_avatar(source, alive=alive) if is_file else str(source))
 
     def _run(self, steps: Call[Answer] | Steps[Answer]) -> Answer:
         if isinstance(steps, Call):

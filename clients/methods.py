@@ -164,14 +164,16 @@ class Methods:
         path: str | Path,
         *,
         name: str | None = None,
+        alive: bool = False,
         wait_s: float = 600.0,
         progress: Progress = lambda job: None,
     ) -> Steps[str]:
         """Uploads a character as GLB or VRM, waits for its job, and returns the id of the new avatar.
 
-        A drape takes the id as ``avatar``. ``progress`` is that of ``upload_garment``.
+        A drape takes the id as ``avatar``. ``alive``: its own clothes become garments, for the option ``alive`` of a
+        drape. ``progress`` is that of ``upload_garment``.
         """
-        return (yield from made(calls.upload_avatar(Path(path), name), "avatar", wait_s, progress))
+        return (yield from made(calls.upload_avatar(Path(path), name, alive), "avatar", wait_s, progress))
 
     def posed_avatar(self, avatar: str, motion: Motion, *, trans: np.ndarray | None = None) -> Steps[np.ndarray]:
         """Returns the vertices (F, V, 3) [m], float32, of an avatar's own surface in the world."""

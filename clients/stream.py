@@ -139,6 +139,7 @@ class DrapeStream:
         *,
         betas: Sequence[float] | np.ndarray | None = None,
         avatar: str | None = None,
+        alive: bool = False,
         size: Size = None,
         **options: Any,
     ) -> dict[str, Any]:
@@ -149,7 +150,7 @@ class DrapeStream:
         """
         shape = None if betas is None else [float(beta) for beta in betas]
         about = {"betas": shape, "moves": True, "same": True, **options_document(options)}
-        self._request = {"type": "open", **worn(garment, {"avatar": avatar, "size": size}), **about}
+        self._request = {"type": "open", **worn(garment, {"avatar": avatar, "alive": alive, "size": size}), **about}
         self._unanswered.clear()
         self._held.clear()
         self._still = None

@@ -34,15 +34,30 @@ SHELLS = ("bash", "zsh", "tcsh")
 BAR_WIDTH = 30
 
 
+class _Mixed(argparse.ArgumentParser):
+    """A parser whose arguments may stand anywhere between its options, also a list of them that may be empty."""
+
+    _inside = False
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        if self._inside:
+            return super().parse_known_args(args, namespace)
+        self._inside = True
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._inside = False
+
+
 def parser(complete: object = None) -> argparse.ArgumentParser:
     """The parser of all commands. ``complete`` is how a shell completes arguments that are files, in words of shtab."""
     whole = argparse.ArgumentParser(prog="drape", description=__doc__.partition(": ")[2] if __doc__ else None)
     whole.add_argument("--version", action="version", version=f"drape {__version__}")
-    commands = whole.add_subparsers(metavar="command")
+    commands = whole.add_subparsers(metavar="command", parser_class=_Mixed)
 
     wear = commands.add_parser("wear", help="drape garments over a motion and write a file")
     paths = [
-        wear.add_argument("garment", nargs="+", help="the names or files of the garments, the innermost first"),
+        wear.add_argument("garment", nargs="*", help="the names or files of the garments, the innermost first"),
         wear.add_argument("motion", help="the name of a shipped clip, or a file: npz, BVH, GLB, VRMA or FBX"),
         wear.add_argument("--out", type=Path, required=True, help="the file to write: .glb, .usda, .pc2, .mdd or .npy"),
         wear.add_argument(
@@ -58,6 +73,13 @@ def parser(complete: object = None) -> argparse.ArgumentParser:
     wear.add_argument("--tier", choices=get_args(TierName), help="the tier: how much is computed (balanced)")
     wear.add_argument("--size", choices=SIZES, help="the size of the garments (M)")
     wear.add_argument("--fabric", help="the fabric of the garments (each garment's own)")
+    wear.add_argument(
+        "--alive", action="store_true", help="with --on: drape the clothes that the character came in, too"
+    )
+    wear.add_argument(
+        "--rig", action="store_true",
+        help="with --on: write the character's own file in the garments, exactly as they are draped: .glb",
+    )  # fmt: skip
     wear.add_argument(
         "--joints", type=int, metavar="N",
         help="with --on: write the character's own file in the garments, which hang on N joints each besides its own: "
@@ -123,10 +145,11 @@ def _wear(given: argparse.Namespace) -> int:
     from drape.library import load
 
     suffix = given.out.suffix.lower()
-    check_name(given.out, SUFFIXES if given.joints is None else (".glb", ".vrm"))
-    if given.joints is not None and given.on is None:
-        cure = "Name the file of a character: --on me.vrm."
-        raise InputError("--joints", expected="a character, which has a rig", got="the standard body", cure=cure)
+    check_name(given.out, (".glb", ".vrm") if given.joints is not None else (".glb",) if given.rig else SUFFIXES)
+    for name, asked in (("--joints", given.joints is not None), ("--rig", given.rig), ("--alive", given.alive)):
+        if asked and given.on is None:
+            cure = "Name the file of a character: --on me.vrm."
+            raise InputError(name, expected="a character, which has a rig", got="the standard body", cure=cure)
     opened = load()
     garments: list[Any] = list(given.garment)
     if given.modelled_on is not None:
@@ -140,10 +163,12 @@ def _wear(given: argparse.Namespace) -> int:
             )
         ]
     options = {name: value for name in ("tier", "fabric", "size") if (value := getattr(given, name)) is not None}
-    worn = opened.wear(garments, on=given.on, betas=given.betas, **options)
+    worn = opened.wear(garments, on=given.on, alive=given.alive, betas=given.betas, **options)
     clip = worn.placed(given.motion, fps=given.fps, as_recorded=given.as_recorded)
     if given.joints is not None:
         return _wear_on_joints(worn, clip, given)
+    if given.rig:
+        return _wear_on_rig(worn, clip, given)
     begun_s, frames = time.monotonic(), []
     for frame in worn.play(clip, fps=clip.fps, as_recorded=True):
         frames.append(frame.vertices)
@@ -168,6 +193,18 @@ def _wear(given: argparse.Namespace) -> int:
         write_pieces(beside, [obj_text(worn.garments, first).encode()])
     line = "{file}: {frames} frames at {fps:g} a second, {vertices} vertices, {bytes} bytes".format(**told)
     return _tell(told, given, line)
+
+
+def _wear_on_rig(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int:
+    """Writes the character in the garments that are ``worn``, as they are draped."""
+    from drape.export.clips import write_pieces
+
+    begun_s, content = time.monotonic(), worn.glb(clip, fps=clip.fps, as_recorded=True)
+    write_pieces(given.out, [content])
+    told = {"file": str(given.out), "bytes": len(content), "frames": clip.frame_count}
+    told |= {"garments": [one.name for one in worn.garments], "seconds": round(time.monotonic() - begun_s, 2)}
+    names = ", ".join(told["garments"])
+    return _tell(told, given, f"{given.out}: {names} over {clip.frame_count} frames, {len(content)} bytes")
 
 
 def _wear_on_joints(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int:

@@ -48,7 +48,7 @@ def distil(worn: Worn, motions: Sequence[Motion] | None = None, *, joints: int =
         raise InputError(
             "joints", expected=f"1 to {MOST_JOINTS}", got=str(joints), cure="32 suffice for most garments."
         )
-    wearer, rig, _ = _character(worn)
+    wearer, rig = worn.on_rig()
     asked = sorted(MOTIONS_DIR.glob("*.npz")) if motions is None else motions
     clips = [_draped(worn, wearer, rig, motion, FPS) for motion in asked]
     support = worn.pose_support
@@ -69,14 +69,14 @@ class Joints:
     """Garments of a character with joints of their own, as ``distil`` returns them."""
 
     def __init__(self, worn: Worn, layers: Sequence[tuple[Jointed, Sequence[Draped]]]) -> None:
-        self.wearer, self._rig, self._path = _character(worn)
+        self.wearer, self._rig = worn.on_rig()
         self._worn, self.layers, self._clips = worn, [one for one, _ in layers], [clips for _, clips in layers]
 
     def glb(self, motion: Motion, *, fps: float = FPS) -> bytes:
         """Returns the character's file with the garments over ``motion``, as a GLB."""
         draped = self._over(motion, fps)
         vertices = [one.vertices for one in draped]
-        made = worn_glb(self._path.read_bytes(), self.layers, vertices, draped[0].motion, self.wearer.scale)
+        made = worn_glb(self._worn.character_file, self.layers, vertices, draped[0].motion, self.wearer.scale)
         return made.to_bytes()
 
     def vrm(self) -> bytes:
@@ -84,7 +84,7 @@ class Joints:
 
         Raises ``InputError`` for a character that is a plain GLB.
         """
-        return worn_vrm(self._path.read_bytes(), list(zip(self.layers, self.springs, strict=True))).to_bytes()
+        return worn_vrm(self._worn.character_file, list(zip(self.layers, self.springs, strict=True))).to_bytes()
 
     @cached_property
     def springs(self) -> list[JointSprings]:
@@ -106,15 +106,6 @@ class Joints:
 
     def _over(self, motion: Motion, fps: float) -> list[Draped]:
         return _draped(self._worn, self.wearer, self._rig, motion, fps)
-
-
-def _character(worn: Worn) -> tuple[Wearer, FileRig, Path]:
-    if worn.wearer is None or worn.character is None or worn.wearer.file is None:
-        cure = "Name the file of a character: wear(..., on=FILE)."
-        raise InputError(
-            "joints", expected="garments on a character, which has a rig", got="the standard body", cure=cure
-        )
-    return worn.wearer, worn.wearer.file, worn.character
 
 
 def _draped(worn: Worn, wearer: Wearer, rig: FileRig, motion: Motion, fps: float) -> list[Draped]:

@@ -12,17 +12,33 @@ The frames equal the service's to the bit, because the same stages compute them.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
 
-from drape.avatar.own_clothes import halves_of
-from drape.avatar.own_garments import OwnGarments, body_of, dressed_in, halves_on, own_garments
+from drape.avatar.covered import covered_faces
+from drape.avatar.file_skeleton import FileRig
+from drape.avatar.own_clothes import NEITHER, Halves, halves_of
+from drape.avatar.own_garments import (
+    OwnGarments,
+    Undressed,
+    body_of,
+    dressed_in,
+    halves_on,
+    own_faces,
+    own_garments,
+    undressed,
+)
+from drape.avatar.rig_file import Dressed
+from drape.avatar.rig_motion import RigClip
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
+from drape.avatar.worn_file import undressed_file, worn_on_rig
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.body.model import BodyModel
 from drape.body.pose_support import PoseSupport
@@ -30,6 +46,8 @@ from drape.catalog import GARMENTS_DIR, MOTIONS_DIR, find_garments, find_motions
 from drape.cloth.fabric_table import FABRICS
 from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
+from drape.export.glb import GARMENT_COLOURS
+from drape.export.surface import by_layer
 from drape.folders import ASSETS
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment
@@ -51,6 +69,7 @@ from drape.wire.options import DrapeOptions, Inertia, TierName
 MODEL = "onefit"
 CHUNK_FRAMES = 8  # computed together; numbers do not depend on it
 MOST_FRAMES = 1 << 20
+UNSEEN_M = 0.15  # below cloth, and so far from its hems, nobody sees a face of a file: players draw none of them deeper
 
 
 @dataclass(frozen=True)
@@ -145,17 +164,21 @@ class Drape:
         asked = [garments] if isinstance(garments, (str, Path, Garment)) else list(garments)
         wearer = None if on is None else self._character(Path(on))
         entries = tuple(entry for one in asked for entry in self._entries(one))
+        if alive and on is None:
+            cure = "Name the file of a character: on=FILE."
+            raise InputError("alive", expected="a character", got="the standard body", cure=cure)
         own = self._own_garments(Path(on)) if alive and on is not None else ()
-        if alive and not entries and not own and on is not None:
+        if not entries and not own and on is not None and alive:
             stiff = "; ".join(f"{name}: {why}" for name, why in self._own[Path(on)].stiff.items())
             raise InputError("alive", expected="clothes that are cloth", got=stiff or "none", cure="Name a garment.")
         if not entries and not own:
             raise InputError("garments", expected="one or more", got="none", cure="Name a garment.")
         if size is not None:
             entries = Sizes(self.body, GARMENTS_DIR, entries).wear(Outfit(entries), size).layers
-        body = self.body
+        body, halves = self.body, NEITHER
         if wearer is not None:
-            below, over = dressed_in(own, halves_of([one.garment for one in entries], self.body))
+            halves = halves_of([one.garment for one in entries], self.body)
+            below, over = dressed_in(own, halves)
             entries = (*map(_own_entry, below), *entries, *map(_own_entry, over))
             body = wearer.body_under(halves_on(wearer, [one.garment for one in entries], self.body))
             stages = self._stages_of(body)
@@ -165,7 +188,8 @@ class Drape:
             check_layers([entry.garment for entry in entries])
         scene: Scene = entries[0] if len(entries) == 1 else Outfit(entries)
         shape = shape_array(betas, body)
-        return Worn(self._runtime, scene, _checked(options), body, shape, wearer, None if on is None else Path(on))
+        worn_by = None if wearer is None or on is None else WornBy(wearer, Path(on), halves)
+        return Worn(self._runtime, scene, _checked(options), body, shape, worn_by)
 
     def _stages_of(self, body: BodyModel) -> BodyStages:
         if body.digest not in self._stages:
@@ -197,6 +221,14 @@ class Drape:
         return [Entry(garment.name, garment, "user") for garment in found]
 
 
+class WornBy(NamedTuple):
+    """A character that wears garments: its ``file``, and on which ``halves`` of its body those of ours lie."""
+
+    wearer: Wearer
+    file: Path
+    halves: Halves
+
+
 class Worn:
     """Garments on a body, as ``Drape.wear`` returns them. ``play`` drapes a clip, ``pose`` one pose after the other."""
 
@@ -207,11 +239,9 @@ class Worn:
         options: DrapeOptions,
         body: BodyModel,
         betas: np.ndarray,
-        wearer: Wearer | None = None,
-        character: Path | None = None,
+        worn_by: WornBy | None = None,
     ) -> None:
-        self._runtime, self._betas = runtime, betas
-        self.body, self.wearer, self.character = body, wearer, character
+        self._runtime, self._betas, self._worn_by, self.body = runtime, betas, worn_by, body
         self._plan: Plan = runtime.plan(scene, options)
         runtime.ready(self._plan)
         self._memories: Memories = {}
@@ -222,9 +252,51 @@ class Worn:
         return [garment.surface for garment in self.layers]
 
     @property
+    def wearer(self) -> Wearer | None:
+        """The character that wears them; None for the standard body."""
+        return None if self._worn_by is None else self._worn_by.wearer
+
+    @property
     def layers(self) -> list[Garment]:
         """The visible garments with all that intake knows of them."""
         return [entry.garment for entry in self._plan.shown.layers]
+
+    @cached_property
+    def character_file(self) -> bytes:
+        """The file of the character without the faces that the garments replace and those that lie deep below them, and
+        with skin where it is bare then.
+
+        Raises ``InputError`` for garments on the standard body.
+        """
+        wearer, rig = self.on_rig()
+        assert self._worn_by is not None
+        cloth = [(one.vertices, one.faces) for one in self.layers]
+        left = undressed(wearer, own_faces(wearer, self.layers), cloth, self._worn_by.halves)
+        own = covered_faces(wearer.vertices, wearer.faces, cloth, margin_m=UNSEEN_M)
+        skin = covered_faces(wearer.body.v_template, wearer.body.faces, cloth, margin_m=UNSEEN_M)
+        left = Undressed(left.off | own, left.bare & ~skin)
+        return undressed_file(self._worn_by.file.read_bytes(), wearer, rig, left)
+
+    def glb(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> bytes:
+        """Returns the character's file in the garments over ``motion``, which ``placed`` describes, with a morph target
+        for each frame: as it is draped, in 16 bytes a vertex and frame. ``drape.distil`` makes smaller ones.
+
+        Raises ``InputError`` for garments on the standard body.
+        """
+        wearer, rig = self.on_rig()
+        clip = self.placed(motion, fps=fps, as_recorded=as_recorded)
+        vertices = np.stack([frame.vertices for frame in self.play(clip, fps=clip.fps, as_recorded=True)])
+        layers = map(Dressed, self.layers, by_layer(self.garments, vertices), itertools.cycle(GARMENT_COLOURS))
+        on_rig = RigClip(*wearer.to_rig(clip.poses, clip.trans), clip.fps)
+        return worn_on_rig(self.character_file, list(layers), on_rig, wearer, rig).to_bytes()
+
+    def on_rig(self) -> tuple[Wearer, FileRig]:
+        """Returns the character and the rig of its file; raises ``InputError`` for garments on the standard body."""
+        if self.wearer is None or self.wearer.file is None:
+            cure = "Name the file of a character: wear(..., on=FILE)."
+            expected, got = "garments on a character, which has a rig", "the standard body"
+            raise InputError("character", expected=expected, got=got, cure=cure)
+        return self.wearer, self.wearer.file
 
     @property
     def pose_support(self) -> PoseSupport | None:

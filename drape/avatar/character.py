@@ -179,7 +179,7 @@ def _bones_above(file: GltfFile, joints: set[int], place: dict[int, int]) -> dic
 
 def _on_bone(file: GltfFile, primitive: FilePrimitive, world: np.ndarray, joint: int, nodes: int) -> Part:
     """One primitive without a skin whose node has the transform ``world`` (4, 4) and moves with ``joint``."""
-    points, faces = _triangles(file, primitive)
+    points, faces = triangles_of(file, primitive)
     placed = points @ world[:3, :3].T + world[:3, 3]
     rows = np.arange(len(points)), np.full(len(points), joint)
     return placed, faces, scipy.sparse.csr_matrix((np.ones(len(points)), rows), (len(points), nodes))
@@ -209,7 +209,7 @@ def skin_of(file: GltfFile, index: Any) -> tuple[list[int], np.ndarray]:
 def _primitive(file: GltfFile, primitive: FilePrimitive, rows: np.ndarray, moves: np.ndarray, nodes: int) -> Part:
     """One primitive, its vertices where ``moves`` (J, 4, 4) of the joints put them."""
     held = primitive.attributes
-    points, faces = _triangles(file, primitive)
+    points, faces = triangles_of(file, primitive)
     count = len(points)
     sets = [k for k in range(4) if f"JOINTS_{k}" in held and f"WEIGHTS_{k}" in held]
     read = [file.array(held[f"{kind}_{k}"]) for kind in ("JOINTS", "WEIGHTS") for k in sets]
@@ -229,7 +229,7 @@ def _primitive(file: GltfFile, primitive: FilePrimitive, rows: np.ndarray, moves
     return placed, faces, scipy.sparse.csr_matrix(over_joints @ onto)
 
 
-def _triangles(file: GltfFile, primitive: FilePrimitive) -> tuple[np.ndarray, np.ndarray]:
+def triangles_of(file: GltfFile, primitive: FilePrimitive) -> tuple[np.ndarray, np.ndarray]:
     """The points (V, 3) of a primitive as they stand in the file, and its faces (F, 3)."""
     points = file.array(primitive.attributes.get("POSITION")).astype(np.float64)
     faces = np.arange(len(points))[:, None] if primitive.indices is None else file.array(primitive.indices)

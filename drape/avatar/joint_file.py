@@ -13,7 +13,6 @@ import numpy as np
 
 from drape.avatar.affine_maps import compose
 from drape.avatar.distilled import Distilled, Draped
-from drape.avatar.rig_file import add_nodes
 from drape.avatar.rig_motion import RigMotion
 from drape.avatar.rig_weights import HEAVIEST
 from drape.export.glb import Shape, add_shape, split_seams, vertex_normals
@@ -32,13 +31,6 @@ class Jointed:
     surface: Surface
     distilled: Distilled
     colour: tuple[float, float, float, float]
-
-
-def joints_file(layers: Sequence[Jointed], draped: Sequence[np.ndarray], motion: RigMotion, scale: float) -> GlbFile:
-    """The garments alone on the nodes of the rig, over the clip in which they are ``draped`` [m] (F, V, 3) each."""
-    file = GlbFile()
-    add_clip(file, layers, draped, motion, add_nodes(file, motion.skeleton), scale)
-    return file
 
 
 def add_clip(

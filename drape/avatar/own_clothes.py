@@ -40,6 +40,9 @@ class Halves(NamedTuple):
     lower: bool
 
 
+NEITHER = Halves(False, False)
+
+
 def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
     """The halves of the standard ``body`` on which ``garments`` lie, by the bones of the skin next to them."""
     bones = BONES[body.weights.argmax(axis=1)]

@@ -10,11 +10,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from drape.avatar.covered import tucked_faces
 from drape.avatar.face_colours import texture_of
-from drape.avatar.own_clothes import LOWER, UPPER, Halves, halves_of, layers_of, taken_off
+from drape.avatar.own_clothes import LOWER, UPPER, Halves, bare_faces, halves_of, layers_of, taken_off, tucked
 from drape.avatar.t_pose import TPose
 from drape.avatar.wearer import Wearer
 from drape.avatar.wears import reach_of, why_not
@@ -26,7 +28,7 @@ from drape.garment.files.gltf_looks import gltf_looks
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake import intake_mesh
 
-VERSION = 1  # raised when a change here changes the garments that come out
+VERSION = 2  # raised when a change here changes the garments that come out
 KINDS = ("trousers", "skirt", "top", "dress", "outer")  # the innermost first
 LEAST_FACES = 40
 PAINTED_SHARE = 0.5  # of a part's faces that are the skin's own mesh
@@ -81,10 +83,27 @@ def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) 
     return Halves(*(a or b for a, b in zip(found, halves_of(own, wearer.body), strict=True)))
 
 
-def replaced_faces(wearer: Wearer, garments: Sequence[Garment], halves: Halves) -> np.ndarray:
-    """Which faces (F,) of ``wearer`` are not drawn while it wears ``garments``: what those of ours, on these
-    ``halves``, take off, and what those of its own are."""
-    return taken_off(wearer.attire, halves) | own_faces(wearer, garments)
+class Undressed(NamedTuple):
+    """Faces of a character that are not drawn in its garments, ``off`` (F,), and which faces of its bare body are seen
+    there, ``bare`` (Fb,)."""
+
+    off: np.ndarray
+    bare: np.ndarray
+
+
+def undressed(
+    wearer: Wearer, own: np.ndarray, cloth: Sequence[tuple[np.ndarray, np.ndarray]], halves: Halves
+) -> Undressed:
+    """What garments leave of ``wearer``, whose ``cloth`` is vertices [m] (V, 3) and faces (F, 3) of each: without what
+    those of ours take off, which lie on these ``halves``, and without its ``own`` faces (F,) that are drawn as cloth;
+    tops that stay on are worn in trousers of ours."""
+    if not wearer.attire.parts:
+        return Undressed(np.zeros(len(wearer.faces), dtype=bool), np.zeros(len(wearer.body.faces), dtype=bool))
+    surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
+    off = taken_off(wearer.attire, halves) | own
+    tops = tucked(wearer.attire, halves) & ~off
+    off |= tucked_faces(*surface, cloth, tops)
+    return Undressed(off, bare_faces(wearer.body, *surface, off, tops))
 
 
 def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:
@@ -150,11 +169,12 @@ def _mesh(file: GltfFile, wearer: Wearer, name: str, rows: np.ndarray) -> Garmen
     told = [{} if one is None else file.item("materials", one, "primitives.material") for one in materials]
     names = [one.get("name") for one in told]
     corners = np.concatenate([uv for uv, _ in held])[triangle].reshape(-1, 2)
+    uv, uv_faces = np.unique(corners, axis=0, return_inverse=True)  # corners that meet are one: files split the others
     mesh = plain_mesh(name, wearer.vertices[used], faces.reshape(-1, 3))
     return replace(
         mesh,
-        uv=np.column_stack([corners[:, 0], 1.0 - corners[:, 1]]),  # glTF's origin is at the upper left
-        uv_faces=np.arange(len(corners)).reshape(-1, 3),
+        uv=np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]),  # glTF's origin is at the upper left
+        uv_faces=uv_faces.reshape(-1, 3),
         material_names=tuple(one if isinstance(one, str) else f"material {i}" for i, one in enumerate(names)),
         face_material=face_material.reshape(-1),
         looks=looks,

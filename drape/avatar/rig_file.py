@@ -39,22 +39,24 @@ class Dressed:
     colour: tuple[float, float, float, float]
 
 
-def rig_file(
+def add_dressed(
+    file: GlbFile,
+    nodes: dict[int, int],
     layers: Sequence[Dressed],
     clip: RigClip,
     wearer: Wearer,
     rig: FileRig,
     *,
     quantised: bool = True,
-) -> GlbFile:
-    """The file of garments on ``wearer``, whose own file had ``rig``, in its unit.
+) -> None:
+    """Adds garments on ``wearer``, whose own file had ``rig``, to ``file`` in its unit, and the ``clip``; the
+    skeleton's node n is ``nodes[n]``.
 
     ``quantised``: normals have 8 bits (KHR_mesh_quantization).
     """
     skeleton = rig.skeleton
-    motion, file = rig_motion(clip, wearer, skeleton), GlbFile()
+    motion = rig_motion(clip, wearer, skeleton)
     blends = motion.blends
-    nodes = add_nodes(file, skeleton)
     skin = _add_skin(file, skeleton, nodes)
     for layer in layers:
         weights = garment_weights(layer.garment, wearer, rig)
@@ -64,17 +66,22 @@ def rig_file(
         whole = Shape(shape, {"skin": skin})
         add_shape(file, surface, corners, whole, len(layer.vertices), clip.fps, layer.colour)
     motion.animate(file, nodes)
-    return file
 
 
 def bare_file(wearer: Wearer, rig: FileRig, chosen: np.ndarray) -> GlbFile:
-    """The file of the faces that are ``chosen`` (Fb,) of the body of ``wearer``, whose own file had ``rig``: skin on
-    the character's nodes, in its unit and in the mean colour of its skin."""
+    """The file of ``add_bare`` alone."""
+    file = GlbFile()
+    add_bare(file, add_nodes(file, rig.skeleton), wearer, rig, chosen)
+    return file
+
+
+def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig, chosen: np.ndarray) -> None:
+    """Adds the faces that are ``chosen`` (Fb,) of the body of ``wearer``, whose own file had ``rig``: skin on the
+    character's nodes, as ``add_dressed`` has them, in its unit and in the mean colour of its skin."""
     skeleton, body = rig.skeleton, wearer.body
     still = RigClip(*wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3))), 1.0)
     blends = rig_motion(still, wearer, skeleton).part(np.zeros(0, dtype=np.int64)).blends
-    file = GlbFile()
-    skin = _add_skin(file, skeleton, add_nodes(file, skeleton))
+    skin = _add_skin(file, skeleton, nodes)
     used, faces = np.unique(body.faces[chosen], return_inverse=True)
     none = np.zeros((0, 2)), np.zeros((0, 3), dtype=np.int64), (), np.zeros(0, dtype=np.int64)
     surface = MeshSurface(BARE, len(used), faces.reshape(-1, 3), *none)
@@ -83,7 +90,6 @@ def bare_file(wearer: Wearer, rig: FileRig, chosen: np.ndarray) -> GlbFile:
     shape = _shape(file, corners, surface.faces, at, weights, blends, quantised=False)
     red, green, blue = (value**2.2 for value in wearer.attire.skin_colour)  # glTF's colours are linear
     add_shape(file, surface, corners, Shape(shape, {"skin": skin}), 0, 1.0, (red, green, blue, 1.0))
-    return file
 
 
 def _onto_joints(wearer: Wearer, skeleton: FileSkeleton) -> scipy.sparse.csr_matrix:

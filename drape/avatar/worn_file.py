@@ -6,6 +6,7 @@ the legs are added to it.
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 import struct
@@ -14,13 +15,20 @@ from typing import Any
 
 import numpy as np
 
-from drape.avatar.character import tree_of
+from drape.avatar.character import tree_of, triangles_of
+from drape.avatar.file_skeleton import FileRig
 from drape.avatar.joint_file import Jointed, add_clip, add_jointed
 from drape.avatar.joint_springs import JointSprings, Limb
-from drape.avatar.rig_motion import RigMotion
+from drape.avatar.own_garments import Undressed
+from drape.avatar.rig_file import Dressed, add_bare, add_dressed
+from drape.avatar.rig_motion import RigClip, RigMotion
+from drape.avatar.wearer import Wearer
 from drape.errors import InputError
-from drape.export.glb_file import GlbFile
+from drape.export.glb import flat_indices
+from drape.export.glb_file import INDEX_BUFFER, VERTEX_BUFFER, GlbFile
 from drape.files.gltf import GltfFile
+from drape.files.gltf_compressed import DRACO
+from drape.files.gltf_json import Primitive
 
 SPRINGS = "VRMC_springBone"
 PLAIN = {  # what VRM 0 says of a material that is glTF's own
@@ -59,6 +67,56 @@ def worn_vrm(payload: bytes, layers: Sequence[tuple[Jointed, JointSprings]]) -> 
         add(file, springs, nodes, own, ends, layer.surface.name)
     _complete(file)
     return file
+
+
+def worn_on_rig(payload: bytes, layers: Sequence[Dressed], clip: RigClip, wearer: Wearer, rig: FileRig) -> GlbFile:
+    """The character's file ``payload``, which has ``rig``, with garments that have a morph target for each frame of
+    ``clip``."""
+    file, nodes = _opened(payload)
+    add_dressed(file, nodes, layers, clip, wearer, rig)
+    _complete(file)
+    return file
+
+
+def undressed_file(payload: bytes, wearer: Wearer, rig: FileRig, left: Undressed) -> bytes:
+    """The file ``payload`` of ``wearer``, which has ``rig``, without the faces that are ``off`` by ``left``, and with
+    skin where it is ``bare``. What they were made of stays: blend shapes and the like still find their meshes."""
+    file, nodes = _opened(payload)
+    read, gone = GltfFile(payload), np.zeros(sum(one.triangles for one in rig.primitives), dtype=bool)
+    gone[rig.triangle[left.off]] = True
+    ends, own = np.cumsum([one.triangles for one in rig.primitives])[:-1], dict[int, dict[str, Any]]()
+    for one, off in zip(rig.primitives, np.split(gone, ends), strict=True):
+        if off.any():
+            mesh = own[one.node] if one.node in own else _own_mesh(file, one.node)
+            own[one.node] = mesh
+            held = read.item("meshes", read.document.nodes[one.node].mesh).primitives[one.primitive]
+            _without(file, read, held, mesh["primitives"][one.primitive], off)
+    if left.bare.any():
+        add_bare(file, nodes, wearer, rig, left.bare)
+    _complete(file)
+    return file.to_bytes()
+
+
+def _own_mesh(file: GlbFile, node: int) -> dict[str, Any]:
+    """The mesh of ``node`` in ``file``; a copy of one that other nodes have too."""
+    nodes = file.json["nodes"]
+    number = nodes[node]["mesh"]
+    if sum(one.get("mesh") == number for one in nodes) > 1:
+        number = nodes[node]["mesh"] = file.add("meshes", copy.deepcopy(file.json["meshes"][number]))
+    return file.json["meshes"][number]
+
+
+def _without(file: GlbFile, read: GltfFile, primitive: Primitive, held: dict[str, Any], off: np.ndarray) -> None:
+    """Takes the triangles that are ``off`` (F,) out of a ``primitive``, which is ``held`` in ``file``; of one without
+    others a triangle without area stays, for no primitive may be empty."""
+    points, faces = triangles_of(read, primitive)
+    if held.get("extensions", {}).pop(DRACO, None) is not None:  # what is packed has triangles of its own
+        for name, number in primitive.attributes.items():
+            rows = read.array(number)
+            rows = rows.astype(np.float32) if rows.dtype == np.float64 else rows
+            held["attributes"][name] = file.array(rows, target=VERTEX_BUFFER, bounds=name == "POSITION")
+    kept = np.zeros((1, 3), dtype=np.int64) if off.all() else faces[~off]
+    held["indices"] = file.array(flat_indices(kept, len(points)), target=INDEX_BUFFER)
 
 
 def _opened(payload: bytes) -> tuple[GlbFile, dict[int, int]]:

@@ -87,14 +87,14 @@ class GlbFile:
 
     def quantised(self) -> None:
         """Declares in the file that vertices are in steps."""
-        self.uses(QUANTIZATION)
-        self.json["extensionsRequired"] = [QUANTIZATION]
+        self.uses(QUANTIZATION, "extensionsUsed", "extensionsRequired")
 
-    def uses(self, extension: str) -> None:
-        """Declares that there is something of an ``extension``."""
-        used = self.json.setdefault("extensionsUsed", [])
-        if extension not in used:
-            used.append(extension)
+    def uses(self, extension: str, *lists: str) -> None:
+        """Declares that there is something of an ``extension``, in ``lists`` of the file."""
+        for one in lists or ("extensionsUsed",):
+            used = self.json.setdefault(one, [])
+            if extension not in used:
+                used.append(extension)
 
     def quantised_rows(self, arrays: np.ndarray, *, bounds: bool = False) -> list[int]:
         """The normalized accessors of ``arrays`` (N, V, 3), int8 or int16, in one view; a row has four numbers."""

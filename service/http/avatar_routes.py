@@ -7,7 +7,7 @@ import json
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Depends, Query, Request, Response
@@ -15,16 +15,15 @@ from pydantic import Field
 
 from drape.avatar.attire import TOLD as SURE
 from drape.avatar.attire_words import Kind
-from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of, tucked_faces
+from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
 from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.mapping import TOLD
-from drape.avatar.own_clothes import bare_faces, halves_of, tucked
-from drape.avatar.own_garments import MARK, replaced_faces
 from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import Wearer
 from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.files.formats import AVATAR_SUFFIXES
 from drape.garment.portrait import Sitter, portrait
+from drape.stages.scene import Scene
 from service.compute.avatar_facts import AvatarInfo, AvatarWears
 from service.errors import Full, TooSlow
 from service.http import schemas
@@ -34,6 +33,7 @@ from service.http.garment_routes import LEAST, MOST, USUAL
 from service.http.json_body import document_of, json_text, validated
 from service.http.openapi import BYTES, KNOWN, body_schema, responses
 from service.http.problems import check_query
+from service.http.undressing import undressed_avatar
 from service.http.upload_routes import job_info
 from service.state import ClientHere, StateHere
 
@@ -174,16 +174,17 @@ async def avatar_covered(avatar_id: str, state: StateHere, client: ClientHere, c
     entry = await state.avatar(avatar_id, client)
     state.check_slot()
     with state.access.using(client, "clips"), state.slot():
-        worn = await _undressed(state, avatar_id, clothes, client)
-        wearer, own = worn.wearer, worn.surface
-        bare = await state.runtime.made(bare_faces, wearer.body, *own, worn.off, worn.loose)
-        covered, of_file = await state.runtime.made(covered_in_file, entry.path, *own, worn.cloth, worn.off)
+        scene = await _scene(state, avatar_id, clothes, client)
+        wearer, left = await undressed_avatar(avatar_id, scene, state, client)
+        surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
+        cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
+        covered, of_file = await state.runtime.made(covered_in_file, entry.path, *surface, cloth, left.off)
     return CoveredFaces(
         deeper_m=DEEPER_M,
         share=round(float(covered.mean()), 4),
         ranges=_runs(ranges_of(covered)),
-        hidden=_runs(ranges_of(worn.off)),
-        bare=int(bare.sum()),
+        hidden=_runs(ranges_of(left.off)),
+        bare=int(left.bare.sum()),
         skin_colour=list(wearer.attire.skin_colour),
         primitives=[
             CoveredPrimitive(**one.primitive._asdict(), ranges=_runs(one.ranges), hidden=_runs(one.hidden))
@@ -196,47 +197,15 @@ def _runs(ranges: np.ndarray) -> list[int]:
     return ranges.reshape(-1).tolist()
 
 
-class _Undressed(NamedTuple):
-    """A ``wearer`` in garments of this ``cloth``, and its own faces (F,) that these take ``off``; ``loose`` ones end
-    where the cloth begins."""
-
-    wearer: Wearer
-    cloth: list[tuple[np.ndarray, np.ndarray]]
-    off: np.ndarray
-    loose: np.ndarray
-
-    @property
-    def surface(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.wearer.vertices.astype(np.float64), self.wearer.faces.astype(np.int64)
-
-
-async def _undressed(state: StateHere, avatar_id: str, clothes: Clothes, client: ClientHere) -> _Undressed:
-    """The avatar in these ``clothes``."""
+async def _scene(state: StateHere, avatar_id: str, clothes: Clothes, client: ClientHere) -> Scene:
+    """The avatar's garments in these ``clothes``."""
     size, named = clothes.size, clothes.garments.split(",") if clothes.garments else []
     sizes = size if size is None or "," not in size else [one or None for one in size.split(",")]
-    scene = await state.scene(None, named, client, avatar=avatar_id, size=sizes, alive=clothes.alive)
-    cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
-    wearer = await state.wearer(avatar_id, client)
-    none = np.zeros(len(wearer.faces), dtype=bool)
-    found = _Undressed(wearer, cloth, none, none)
-    if not wearer.attire.parts:
-        return found
-    ours = [(await state.garment(name, client)).garment for name in named if MARK not in name]
-    halves = halves_of(ours, state.runtime.body)
-    off = replaced_faces(wearer, [worn.garment for worn in scene.layers], halves)
-    tops = tucked(wearer.attire, halves) & ~off
-    ends = await state.runtime.made(tucked_faces, *found.surface, cloth, tops)
-    return found._replace(off=off | ends, loose=tops)
+    return await state.scene(None, named, client, avatar=avatar_id, size=sizes, alive=clothes.alive)
 
 
-def bare_skin(stored: Path, wearer: Wearer, off: np.ndarray, loose: np.ndarray) -> bytes:
-    """The GLB of ``bare_faces`` of ``wearer``, which is ``stored``; refuses (``NotFound``) where there are none."""
-    surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
-    chosen = bare_faces(wearer.body, *surface, off, loose)
-    if not chosen.any():
-        raise NotFound(
-            "bare", expected="skin that comes to light", got="none", cure="Ask only where covered tells of it."
-        )
+def bare_skin(stored: Path, wearer: Wearer, chosen: np.ndarray) -> bytes:
+    """The GLB of the faces that are ``chosen`` (Fb,) of the body of ``wearer``, which is ``stored``."""
     return bare_file(wearer, load_file_rig(stored), chosen).to_bytes()
 
 
@@ -252,8 +221,12 @@ async def avatar_bare(avatar_id: str, state: StateHere, client: ClientHere, clot
     entry = await state.avatar(avatar_id, client)
     state.check_slot()
     with state.access.using(client, "clips"), state.slot():
-        worn = await _undressed(state, avatar_id, clothes, client)
-        made = await state.runtime.made(bare_skin, entry.path, worn.wearer, worn.off, worn.loose)
+        scene = await _scene(state, avatar_id, clothes, client)
+        wearer, left = await undressed_avatar(avatar_id, scene, state, client)
+        if not left.bare.any():
+            cure = "Ask only where covered tells of it."
+            raise NotFound("bare", expected="skin that comes to light", got="none", cure=cure)
+        made = await state.runtime.made(bare_skin, entry.path, wearer, left.bare)
     return Response(made, media_type=GLB)
 
 

@@ -10,8 +10,8 @@ from fastapi.responses import StreamingResponse
 
 from drape.avatar.distilled import Draped, distil
 from drape.avatar.file_skeleton import load_file_rig
-from drape.avatar.joint_file import Jointed, joints_file
-from drape.avatar.rig_file import Dressed, rig_file
+from drape.avatar.joint_file import Jointed, add_clip
+from drape.avatar.rig_file import Dressed, add_bare, add_dressed, add_nodes
 from drape.avatar.rig_motion import RigClip, rig_motion
 from drape.body.model import BodyModel
 from drape.export import glb
@@ -77,19 +77,21 @@ def on_rig_file(
     stored: Path,
     clip: PoseInput,
     turns: np.ndarray | None,
+    bare: np.ndarray,
     *,
     fps: float,
     quantised: bool,
     joints: int | None,
 ) -> tuple[GlbFile, bytes]:
     """The file of ``layers`` on the rig of ``wearer``, which is ``stored``, and what it begins with; with so many
-    ``joints`` of each garment's own, or with morph targets."""
+    ``joints`` of each garment's own, or with morph targets. It has the skin that is ``bare`` (Fb,) then."""
     quaternions, places = wearer.to_rig(clip.poses, clip.trans)
     # Nodes that no joint of ours moves turn as they were told.
     moves = RigClip(quaternions if turns is None else turns, places, fps)
-    rig = load_file_rig(stored)
+    rig, file = load_file_rig(stored), GlbFile()
+    nodes = add_nodes(file, rig.skeleton)
     if joints is None:
-        file = rig_file(layers, moves, wearer, rig, quantised=quantised)
+        add_dressed(file, nodes, layers, moves, wearer, rig, quantised=quantised)
     else:
         motion, made = rig_motion(moves, wearer, rig.skeleton), []
         for one in layers:
@@ -97,7 +99,9 @@ def on_rig_file(
             made.append(
                 Jointed(one.garment.surface, distil(one.garment, [draped], wearer, rig, count=joints), one.colour)
             )
-        file = joints_file(made, [one.vertices for one in layers], motion, wearer.scale)
+        add_clip(file, made, [one.vertices for one in layers], motion, nodes, wearer.scale)
+    if bare.any():
+        add_bare(file, nodes, wearer, rig, bare)
     return file, file.head()
 
 

@@ -29,6 +29,7 @@ from service.http.clip_files import body_file, dressed, export_answer, garment_f
 from service.http.clip_jobs import ClipJob, floor_headers, jets_response, plan_headers, quality_headers, streamed_answer
 from service.http.json_body import check_marks, clip_marks, content_type, document_of, json_text, parsed, validated
 from service.http.openapi import clip_schema, responses
+from service.http.undressing import undressed_avatar
 from service.state import ClientHere, State, StateHere
 
 if TYPE_CHECKING:
@@ -116,11 +117,11 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
     scene, asked = job.plan.shown, job.asked
     apart, placed = state.runtime.threads.apart, await _of_array(draped.vertices, draped.placed, asked.origin)
     if kind == GLB and asked.rig and asked.avatar is not None:
-        wearer = await state.wearer(asked.avatar, job.client)
+        wearer, left = await undressed_avatar(asked.avatar, scene, state, job.client)
         stored = (await state.avatar(asked.avatar, job.client)).path
         on_rig = partial(on_rig_file, fps=asked.fps, quantised=asked.quantised, joints=asked.joints)
         dressed_layers = await apart(dressed, scene, placed)
-        file = await state.runtime.made(on_rig, dressed_layers, wearer, stored, job.clip, job.turns)
+        file = await state.runtime.made(on_rig, dressed_layers, wearer, stored, job.clip, job.turns, left.bare)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind == GLB:
         file = await apart(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)

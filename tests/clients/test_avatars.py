@@ -11,9 +11,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
+from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
 from clients.cli import main
 from clients.client import DrapeClient
 from drape.body.model import BodyModel
+from drape.catalog import find_garments, open_garment
 from drape.errors import InputError, NotFound, Unavailable
 from tests.clients.node import answer_of
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
@@ -101,6 +103,26 @@ def test_other_files_and_unknown_ones_are_refused(client: DrapeClient, tmp_path:
         client.upload_avatar(tmp_path / "me.vrm")
     with pytest.raises(NotFound, match="avatar"):
         client.avatar("nobody").wear("tube").play("walk")
+
+
+@pytest.mark.long
+def test_own_clothes_are_worn_by_a_program_and_by_the_command(
+    live: str, client: DrapeClient, body: BodyModel, tmp_path: Path
+):
+    """A tank top of its own, and a tube of ours that takes its place."""
+    payload = dressed_character(body, dressed_parts(body, {"top": open_garment(find_garments(["tank"])[0], body)}))
+    (tmp_path / "doll.glb").write_bytes(payload)
+    doll = client.avatar(tmp_path / "doll.glb", alive=True)
+    clip = client.motion("walk", avatar=doll.id).poses[:2]
+    (own,), (tube,) = (doll.wear(*named, alive=True, folds=0).play(clip) for named in ((), ("tube",)))
+    assert own.shape[1] == len(client.mesh(f"{doll.id}~top")["vertices"]) != tube.shape[1]
+    out = tmp_path / "out.npy"
+    words = ["drape", "--url", live, "--on", doll.id, "--motion", "walk", "--fps", "5", "--folds", "0"]
+    assert main([*words, "--alive", "--out", str(out)]) == 0
+    assert np.load(out).shape[1] == own.shape[1]
+    assert main([*words, "--out", str(out)]) == 2, "nothing to wear"
+    assert main([*words, "--alive", "--out", str(out.with_suffix(".pc2"))]) == 2
+    client.remove_avatar(doll.id)
 
 
 @pytest.mark.long

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.measure.dressed_characters import Worn, dressed_character, dressed_parts
 from drape.body.model import BodyModel
-from drape.catalog import find_motions
+from drape.catalog import find_garments, find_motions, open_garment
 from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
 from tests.clients.browser import Page, open_page, violations
@@ -18,6 +19,7 @@ from tests.clients.test_vmc import bridge, packets, send
 from tests.drape.motion.node_files import T_POSE, glb, moved
 from tests.drape.motion.people import person
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.patience import PATIENT_S
 
 pytestmark = pytest.mark.browser
 
@@ -312,6 +314,37 @@ def test_a_character_wears_it_in_its_own_skin(page: Page, body: BodyModel, tmp_p
     assert page.evaluate("document.getElementById('body-controls').hidden"), "it has its own shape"
     page.evaluate("(() => { document.querySelector('[data-character=\"\"]').click(); return true; })()")
     page.wait_for("!document.getElementById('body-controls').hidden")
+    more_frames(page)
+
+
+@pytest.mark.long
+def test_own_clothes_of_a_character_move_and_stay_and_say_why(page: Page, body: BodyModel, tmp_path: Path):
+    """A doll in a top that is cloth, with a breastplate that is none: it comes in its own clothes alone."""
+    parts = dressed_parts(body, {"top": open_garment(find_garments(["tank"])[0], body)})
+    plate = Worn("skirt", parts[-1].vertices * 0.5 + [0.0, 0.6, 0.2], parts[-1].faces, parts[-1].weights)
+    file = tmp_path / "doll.glb"
+    file.write_bytes(dressed_character(body, [*parts, plate]))
+    own = "document.getElementById('own-clothes')"
+    assert page.evaluate(f"{own}.hidden"), "our body has none"
+    page.drop(file)
+    page.wait_for(f"!{own}.hidden", seconds=10 * PATIENT_S)
+    asked = "performance.getEntriesByType('resource').map(({ name }) => decodeURIComponent(name))"
+    page.wait_for(f"{asked}.some((name) => name.includes('/covered?garments=doll~top'))", seconds=4 * PATIENT_S)
+    more_frames(page)
+    assert page.evaluate(
+        "[document.getElementById('alive').checked, document.querySelectorAll('#worn li').length]"
+    ) == [
+        True,
+        0,
+    ]
+    assert page.evaluate("document.getElementById('alive-words').textContent") == "Top of Doll."
+    assert "One bone moves all of it, as armour." in page.evaluate("document.getElementById('stiff').textContent")
+    page.wait_for_picture(lambda now: share(stage(now), "b") > 0.02, "its own top in its own colour")
+    click(page, "alive")
+    page.wait_for("document.querySelector('#worn li')?.dataset.garment === 'tube'", seconds=4 * PATIENT_S)
+    more_frames(page)
+    page.evaluate("(() => { document.querySelector('[data-character=\"\"]').click(); return true; })()")
+    page.wait_for(f"{own}.hidden")
     more_frames(page)
 
 

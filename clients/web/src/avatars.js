@@ -11,18 +11,19 @@ async function store() {
 
 const fresh = new Map(); // by id, of this visit
 
-// The id of a character's file when garments can be cut for it; seconds.
+// The id of a character's file when garments can be cut for it, and made of its own clothes; seconds.
 export async function sendCharacter(drape, file) {
   const bytes = await file.arrayBuffer();
-  const id = await drape.avatar(bytes, file.name);
+  const id = await drape.avatar(bytes, file.name, { alive: true });
   fresh.set(id, bytes);
   await (await store())?.put(address(id), new Response(bytes)).catch(() => {}); // full: it lasts for this visit
   return id;
 }
 
-// The character as an object that poses itself, or as nothing but its joints where this browser does not have its file.
-export async function findCharacter(drape, id) {
-  const avatar = await drape.rest.avatar(id);
+// The character that the service tells avatar of, as an object that poses itself, or as nothing but its joints where this
+// browser does not have its file.
+export async function findCharacter(avatar) {
+  const { id } = avatar;
   const kept = fresh.get(id) ?? (await (await (await store())?.match(address(id)))?.arrayBuffer());
   if (kept) return readCharacter(kept, avatar);
   return { object: null, rest: avatar.rest_joints, pose: null };

@@ -23,7 +23,7 @@ export class Fabrics {
       const dot = make("button", { type: "button", className: "dot", title: name, "aria-label": name, "data-colour": colour });
       dot.style.setProperty("--dot", colour);
       dot.addEventListener("click", () => {
-        shelf.setColour(shelf.selected, colour);
+        if (shelf.worn.length) shelf.setColour(shelf.selected, colour);
         this.draw();
       });
       return dot;

@@ -14,6 +14,7 @@ import { listen, makeDrawers, makeHelp, makeSheet, turnByKeys } from "./keys.js"
 import { Measures } from "./measures.js";
 import { Motions, sampled } from "./motions.js";
 import { Outfit } from "./outfit.js";
+import { OwnClothes } from "./own_clothes.js";
 import { OwnMotions } from "./own_motions.js";
 import { Quality } from "./quality.js";
 import { Readouts, Triangles } from "./readouts.js";
@@ -39,14 +40,20 @@ const triangles = new Triangles();
 const quality = new Quality({ onChange: () => wearAgain(), onFolds: () => wearAgain() });
 const shelf = new Shelf({
   onChange: () => wearAgain(),
-  onColour(layer, colour) {
-    outfit?.colour(layer, colour);
+  onColour(id, colour) {
+    outfit?.colour(id, colour);
     fabrics.draw();
   },
   onSelect: () => drawGarment(),
   async picture(garment, size) {
     await moving; // cloth comes first
     return drape.rest.picture(`/garments/${encodeURIComponent(garment.id)}/preview.png?size=${size}&alone=true`);
+  },
+});
+const ownClothes = new OwnClothes({
+  onChange(on) {
+    shelf.undress(on ? 0 : 1);
+    wearAgain();
   },
 });
 const fabrics = new Fabrics(shelf, { onFabric: () => wearAgain() });
@@ -83,11 +90,11 @@ function options() {
 function meshed() {
   const { resolution } = readouts.options();
   const jets = element("jets").checked ? { geometry: "jets" } : {};
-  return { ...(resolution ? { resolution } : {}), ...jets, ...quality.folds, ...sizes.option(), ...(state.avatar === null ? {} : { avatar: state.avatar }) };
+  return { ...(resolution ? { resolution } : {}), ...jets, ...quality.folds, ...sizes.option(), ...ownClothes.option(), ...(state.avatar === null ? {} : { avatar: state.avatar }) };
 }
 
 const wearAgain = failing(async () => {
-  if (!shelf.worn.length) return;
+  if (shelf.worn.length < shelf.least) return;
   if (shelf.worn.length > 1 && element("push").checked) say("The outfit is being made ready …", { by: "stream" });
   fit?.wash(); // what is worn gets its own look before it changes
   try {
@@ -156,17 +163,18 @@ async function changeShape(betas) {
 let coming = null;
 const wearerOf = ({ avatar = null, betas = [] }) => JSON.stringify([avatar, avatar === null ? betas : []]);
 
-async function bringWearer() {
+// about: what the service tells of the avatar.
+async function bringWearer(about) {
   const { avatar, betas } = state;
-  const made = avatar === null ? await figure.makeBody(await drape.rest.bodyFile(drape.health.body, betas)) : await findCharacter(drape, avatar);
+  const made = avatar === null ? await figure.makeBody(await drape.rest.bodyFile(drape.health.body, betas)) : await findCharacter(about);
   if (made.object) await stage.ready(made.object);
   if (wearerOf(state) !== wearerOf({ avatar, betas })) return; // changed meanwhile
   sizes.draw(); // another body may take another
   coming = { for: wearerOf(state), figure: made };
 }
 
-async function changeWearer() {
-  await bringWearer();
+async function changeWearer(about) {
+  await bringWearer(about);
   await Promise.all([motions.wanted && motions.choose(motions.wanted), wearAgain()]);
 }
 
@@ -174,15 +182,19 @@ async function changeWearer() {
 const chooseCharacter = failing(async (id) => {
   if (fit.on) await fit.show(outfit.current, false);
   state.avatar = id;
-  measures.listCharacters(await drape.avatars(), id);
+  const avatars = await drape.avatars();
+  measures.listCharacters(avatars, id);
   if (id !== null) say("The garments are cut for the character …", { by: "cut" });
-  await changeWearer();
+  const about = avatars.find((one) => one.id === id) ?? null;
+  ownClothes.offer(about, true);
+  shelf.undress(ownClothes.option().alive ? 0 : 1);
+  await changeWearer(about);
   hush("cut");
   if ((coming?.figure ?? figure).object === null) say("This browser does not have the character's file: drop it again to see it.");
 });
 
 const takeCharacter = failing(async (file) => {
-  say(`${file.name} is looked at: its skeleton, its skin …`);
+  say(`${file.name} is looked at: its skeleton, its skin, its clothes …`);
   const id = await sendCharacter(drape, file);
   say(`${file.name} is ready.`);
   await ownMotions.offer(file);
@@ -254,17 +266,17 @@ const uploads = new Uploads({
 
 const save = failing(async () => {
   const { clip } = motions;
-  if (!clip?.frames || !shelf.worn.length) throw new Error("Choose a garment and a motion first; what the camera sees is not kept.");
+  if (!clip?.frames || shelf.worn.length < shelf.least) throw new Error("Choose a garment and a motion first; what the camera sees is not kept.");
   element("save").disabled = true;
   say("The service writes the file …");
   try {
     const garments = shelf.worn.map(({ id }) => id);
-    const worn = garments.length === 1 ? { garment: garments[0] } : { garments };
+    const worn = garments.length === 1 ? { garment: garments[0] } : garments.length ? { garments } : {};
     const { geometry, folds_by, ...meshes } = meshed();
     const asked = { ...worn, ...options(), ...meshes, ...sampled(clip), body: true };
     const link = document.createElement("a");
     link.href = URL.createObjectURL(await clipFile(drape.rest, asked));
-    link.download = `${garments.join("-")}-${clip.id}.glb`;
+    link.download = `${garments.join("-") || state.avatar}-${clip.id}.glb`;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
     say(`Saved ${link.download}.`);

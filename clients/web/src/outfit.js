@@ -31,8 +31,7 @@ export class Outfit {
     this.asked = asked;
     let made;
     try {
-      const colours = layers.map(({ colour }) => colour);
-      made = await this.drape.wear(ids, { ...options, ...meshed, colours, plain: this.stage.plain });
+      made = await this.drape.wear(ids, { ...options, ...meshed, plain: this.stage.plain });
     } catch (error) {
       if (turn !== this.turn) return false;
       this.asked = "";
@@ -44,7 +43,7 @@ export class Outfit {
     }
     this.next?.dispose();
     this.next = made;
-    layers.forEach(({ colour }, layer) => made.colour(layer, colour)); // it may have been dyed meanwhile
+    for (const { id, colour } of layers) dye(made, id, colour); // it may have been dyed meanwhile, and own clothes lie between
     made.setPlain(this.stage.plain);
     made.addEventListener("frame", () => this.#shown(made));
     made.addEventListener("folds", (event) => made === (this.next ?? this.current) && this.onFolds(event));
@@ -79,14 +78,19 @@ export class Outfit {
     return (this.next ?? this.current)?.set({});
   }
 
-  colour(layer, colour) {
-    for (const worn of [this.current, this.next]) worn?.colour(layer, colour);
+  colour(id, colour) {
+    for (const worn of [this.current, this.next]) if (worn) dye(worn, id, colour);
     this.stage.dirty = true;
   }
 
   setPlain() {
     for (const worn of [this.current, this.next]) worn?.setPlain(true);
   }
+}
+
+function dye(worn, id, colour) {
+  const layer = worn.wearing.layers.findIndex((one) => one.id === id);
+  if (layer >= 0) worn.colour(layer, colour);
 }
 
 // Options that were named before and are not now are left to the service.

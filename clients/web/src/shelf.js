@@ -5,7 +5,7 @@ export const DYES = ["#55606f", "#dad5cb", "#9a5544", "#6d7f8a"]; // slate, bone
 const PREVIEW_PX = 256;
 
 export class Shelf {
-  // onChange(): other garments or another order; onColour(layer, colour); onSelect(): another layer is looked at.
+  // onChange(): other garments or another order; onColour(id, colour); onSelect(): another layer is looked at.
   // picture(garment): promises the address of its preview.
   constructor({ onChange, onColour, onSelect, picture }) {
     Object.assign(this, { onChange, onColour, onSelect, picture });
@@ -13,6 +13,7 @@ export class Shelf {
     this.worn = []; // { id, colour, fabric, size }: null, its own, and M
     this.selected = 0;
     this.limit = 1;
+    this.least = 1; // none has to be worn beside a character's own clothes
   }
 
   // garments: the service's list; ids: what is worn of it, the innermost first; limit: layers that the service takes.
@@ -52,9 +53,20 @@ export class Shelf {
   }
 
   takeOff(layer) {
-    if (this.worn.length === 1) return;
+    if (this.worn.length === this.least) return;
     this.worn.splice(layer, 1);
-    this.#changed(Math.min(this.selected, this.worn.length - 1));
+    this.#changed(Math.max(0, Math.min(this.selected, this.worn.length - 1)));
+  }
+
+  // Takes all off (0), or puts on what was worn before where nothing is (1).
+  undress(least) {
+    if (least === this.least) return;
+    this.least = least;
+    if (least === 0) [this.before, this.worn] = [this.worn, []];
+    else if (!this.worn.length) this.worn = this.before;
+    this.selected = Math.max(0, this.worn.length - 1);
+    this.#draw();
+    this.onSelect();
   }
 
   // Wears the selected layer further out (1) or further in (-1).
@@ -75,7 +87,7 @@ export class Shelf {
     this.worn[layer].colour = colour;
     const dot = element(layer ? `colour-${layer}` : "colour");
     if (dot.value !== colour) dot.value = colour;
-    this.onColour(layer, colour);
+    this.onColour(this.worn[layer].id, colour);
   }
 
   #changed(selected) {
@@ -125,7 +137,7 @@ export class Shelf {
       element("tab-fabric").click();
     });
     const off = make("button", { type: "button", className: "off", id: `remove${suffix}`, textContent: "×", "aria-label": `Take ${name} off` });
-    off.disabled = this.worn.length === 1;
+    off.disabled = this.worn.length === this.least;
     off.addEventListener("click", () => this.takeOff(layer));
     return make("li", { className: "chip", "data-garment": id, children: [dot, pick, off] });
   }

@@ -35,6 +35,9 @@ export function make(tag, { children = [], ...properties } = {}) {
   return made;
 }
 
+// "top", "top and skirt", "top, skirt and coat".
+export const listed = (names) => [names.slice(0, -1).join(", "), ...names.slice(-1)].filter(Boolean).join(" and ");
+
 export const title = (name) => {
   const words = name.replaceAll("_", " ").trim();
   return words === "tshirt" ? "T-shirt" : words.charAt(0).toUpperCase() + words.slice(1);

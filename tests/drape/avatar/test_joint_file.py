@@ -10,11 +10,13 @@ from numpy.testing import assert_allclose
 
 from drape.avatar.distilled import Distilled, Draped, distil, to_world
 from drape.avatar.file_skeleton import FileRig
-from drape.avatar.joint_file import Jointed, joints_file
+from drape.avatar.joint_file import Jointed, add_clip
+from drape.avatar.rig_file import add_nodes
 from drape.avatar.rig_motion import RigClip, RigMotion, rig_motion
 from drape.avatar.wearer import Wearer, read_wearer
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
+from drape.export.glb_file import GlbFile
 from drape.garment.cache import Garment
 from drape.geometry.rotations import rotvec_to_matrix
 from tests.drape.avatar.test_rig_file import strange
@@ -86,6 +88,14 @@ def test_joints_follow_a_clip_that_the_weights_have_not_seen(
     assert unseen < 0.3 * carried < 0.02  # what nothing fits hangs on the rig
 
 
+def written(layers: list[Jointed], clip: Draped, worn: Wearer) -> bytes:
+    """The garments on the nodes of the rig, all where ``clip`` has them."""
+    file = GlbFile()
+    nodes = add_nodes(file, clip.motion.skeleton)
+    add_clip(file, layers, [clip.vertices] * len(layers), clip.motion, nodes, worn.scale)
+    return file.to_bytes()
+
+
 def test_no_vertex_has_more_joints_than_players_know(made: Distilled):
     assert ((made.weights > 0.0).sum(axis=1) <= 4).all() and (made.weights >= 0.0).all()
     assert_allclose(made.weights.sum(axis=1), 1.0, atol=1e-9)
@@ -93,9 +103,7 @@ def test_no_vertex_has_more_joints_than_players_know(made: Distilled):
 
 def test_a_player_shows_what_was_distilled(made: Distilled, clips: list[Draped], tube: Garment, worn: Wearer):
     clip = clips[1]
-    file = Reader(
-        joints_file([Jointed(tube.surface, made, COLOUR)], [clip.vertices], clip.motion, worn.scale).to_bytes()
-    )
+    file = Reader(written([Jointed(tube.surface, made, COLOUR)], clip, worn))
     want = to_world(clip.motion, made.placed(clip.motion, made.fitted(clip, worn.scale)), worn.scale)
     shown = file.skinned(FRAMES)[:, : tube.vertex_count] * worn.scale
     assert np.abs(shown - want).max() < 1e-4  # 16 bits of weights, float32 of metres in centimetres
@@ -107,8 +115,7 @@ def test_without_tracks_it_hangs_on_the_rig(
 ):
     """A player that moves the character's own joints alone shows the garment carried."""
     clip = clips[1]
-    content = joints_file([Jointed(tube.surface, made, COLOUR)], [clip.vertices], clip.motion, worn.scale).to_bytes()
-    file = Reader(content)
+    file = Reader(written([Jointed(tube.surface, made, COLOUR)], clip, worn))
     own = [i for i, node in enumerate(file.json["nodes"]) if node["name"].startswith(f"{tube.name}_")]
     assert len(own) == COUNT
     channels = file.json["animations"][0]["channels"]
@@ -120,6 +127,5 @@ def test_without_tracks_it_hangs_on_the_rig(
 def test_the_khronos_validator_has_no_complaint(
     made: Distilled, clips: list[Draped], tube: Garment, worn: Wearer, tmp_path: Path
 ):
-    layers, draped = [Jointed(tube.surface, made, COLOUR)] * 2, [clips[0].vertices] * 2
-    content = joints_file(layers, draped, clips[0].motion, worn.scale).to_bytes()
+    content = written([Jointed(tube.surface, made, COLOUR)] * 2, clips[0], worn)
     assert khronos_complaints(content, tmp_path) == []

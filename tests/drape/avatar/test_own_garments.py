@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import drape
-from benchmarks.measure.dressed_characters import Worn, dressed_character, dressed_parts
+from benchmarks.measure.dressed_characters import MAKERS, Worn, dressed_character, dressed_parts
 from drape.avatar.attire_words import CLOTHES
 from drape.avatar.own_clothes import Halves, halves_of
 from drape.avatar.own_garments import (
@@ -20,16 +20,18 @@ from drape.avatar.own_garments import (
     halves_on,
     own_faces,
     own_garments,
-    replaced_faces,
+    undressed,
 )
 from drape.avatar.wearer import Wearer, read_wearer
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.catalog import find_garments, open_garment
+from drape.command import main
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.tailor import tailored
 from drape.geometry.closest import closest_point, signed_distance
+from tests.fixtures.glb_reader import Reader
 
 SPINE = np.eye(len(JOINT_NAMES))[JOINT_NAMES.index("spine3")]
 
@@ -121,12 +123,15 @@ def test_ours_replace_what_they_take_off(own: OwnGarments, wearer: Wearer, body:
     assert dressed_in(own.garments, Halves(False, True)) == ([], [top])
     worn = [trousers, shelf["tshirt"]]
     assert halves_on(wearer, worn, body) == (True, True)
-    hidden = replaced_faces(wearer, worn, halves_of([shelf["tshirt"]], body))
-    kinds = {wearer.attire.parts[number].kind for number in np.unique(wearer.attire.part[hidden])}
-    assert kinds == {"top", "trousers", "carried", "dress"}
-    assert not replaced_faces(wearer, [top], Halves(False, False))[
-        wearer.attire.of_kinds(("trousers", "carried"))
-    ].any()
+    cloth = [(one.vertices, one.faces) for one in worn]
+    left = undressed(wearer, own_faces(wearer, worn), cloth, halves_of([shelf["tshirt"]], body))
+    assert kinds_of(wearer, left.off) == {"top", "trousers", "carried", "dress"}
+    only_top = undressed(wearer, own_faces(wearer, [top]), cloth, Halves(False, False))
+    assert kinds_of(wearer, only_top.off) == {"top"}
+
+
+def kinds_of(wearer: Wearer, faces: np.ndarray) -> set[str]:
+    return {wearer.attire.parts[number].kind for number in np.unique(wearer.attire.part[faces])}
 
 
 def test_they_are_cut_for_the_body_below_them(
@@ -154,6 +159,47 @@ def test_a_program_drapes_them(file: bytes, tmp_path: Path):
     assert len(frame.vertices) == sum(one.vertex_count for one in worn.garments)
     over = library.wear("tshirt", on=path, alive=True)
     assert [one.name for one in over.garments] == ["me~trousers", "tshirt"]
+
+
+def test_its_file_has_its_clothes_as_cloth_alone(file: bytes, wearer: Wearer, tmp_path: Path):
+    """By the command: over a clip at rest, cloth lies where the file's own faces were, and these are gone."""
+    (tmp_path / "me.glb").write_bytes(file)
+    np.savez(tmp_path / "stop.npz", poses=np.zeros((2, 24, 3)), trans=np.zeros((2, 3)), mocap_framerate=30.0, up="y")
+    words = [
+        "wear",
+        "--on",
+        str(tmp_path / "me.glb"),
+        str(tmp_path / "stop.npz"),
+        "--alive",
+        "--as-recorded",
+        "--tier",
+        "instant",
+    ]
+    assert main([*words, "--rig", "--out", str(tmp_path / "out.glb")]) == 0
+    made = Reader((tmp_path / "out.glb").read_bytes())
+    own, *garments = made.json["meshes"]
+    assert [one["name"] for one in garments] == ["bare skin", "me~trousers", "me~top"]
+    drawn = {
+        made.json["materials"][one["material"]]["name"]: made.array(one["indices"]).size // 3
+        for one in own["primitives"]
+    }
+    parts = {part.kind: part.faces for part in wearer.attire.parts}
+    assert [drawn[MAKERS["vroid"][kind]] for kind in ("top", "trousers")] == [1, 1], "one without area"
+    assert [drawn[MAKERS["vroid"][kind]] for kind in ("hair", "shoes", "skirt")] == [
+        parts[kind] for kind in ("hair", "shoes", "skirt")
+    ]
+    assert 0 < drawn[MAKERS["vroid"]["skin"]] < parts["skin"], "what lies deep below cloth is gone too"
+    for number, kind in ((2, "trousers"), (3, "top")):
+        rows = wearer.attire.of_kinds((kind,))
+        off = closest_point(made.skinned(2, mesh=number)[0] * wearer.scale, wearer.vertices, wearer.faces[rows])
+        assert np.median(off.distance) < 0.01
+
+
+def test_own_clothes_need_a_character():
+    with pytest.raises(InputError, match="a character"):
+        drape.load().wear("tank", alive=True)
+    with pytest.raises(InputError, match="garments on a character"):
+        drape.load().wear("tank", tier="instant").glb("walk")
 
 
 def test_a_character_without_cloth_says_why(body: BodyModel, tmp_path: Path):

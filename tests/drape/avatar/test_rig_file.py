@@ -11,12 +11,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.avatar.file_skeleton import FileRig, load_file_rig
-from drape.avatar.rig_file import Dressed, rig_file
+from drape.avatar.rig_file import Dressed, add_dressed, add_nodes
 from drape.avatar.rig_motion import RigClip
 from drape.avatar.wearer import Wearer, read_wearer, save_wearer
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import BodyError
+from drape.export.glb_file import GlbFile
 from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
 from drape.geometry.rotations import rotvec_to_matrix
@@ -81,7 +82,9 @@ def moves(worn: Wearer) -> RigClip:
 
 
 def written(draped: np.ndarray, tube: Garment, moves: RigClip, worn: Wearer, read: FileRig, **more: bool) -> bytes:
-    return rig_file([Dressed(tube, draped, COLOUR)], moves, worn, read, **more).to_bytes()
+    file = GlbFile()
+    add_dressed(file, add_nodes(file, read.skeleton), [Dressed(tube, draped, COLOUR)], moves, worn, read, **more)
+    return file.to_bytes()
 
 
 @pytest.mark.parametrize("quantised", [True, False])

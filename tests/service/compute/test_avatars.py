@@ -8,12 +8,17 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
 from drape.avatar import wears
 from drape.avatar.own_clothes import Halves
+from drape.avatar.own_garments import own_garments
 from drape.avatar.wearer import Wearer, read_wearer, save_wearer
 from drape.avatar.wears import Reach
 from drape.body.model import BodyModel
-from drape.errors import BodyError
+from drape.catalog import find_garments, open_garment
+from drape.errors import BodyError, TooLarge
+from drape.garment.cache import save_garment
+from drape.stages.scene import Entry
 from service.compute import avatars as in_service
 from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.characters import character
@@ -97,3 +102,24 @@ def test_what_an_avatar_cannot_wear_is_told_before_and_in_the_same_words(
     with pytest.raises(BodyError) as refused:
         avatars.dress(entry.id, tube)
     assert str(refused.value) == why
+
+
+def test_own_clothes_count_among_the_layers(make_runtime: Callable[..., DrapeRuntime], body: BodyModel, tmp_path: Path):
+    """A character in a top of its own wears that, and shorts of ours with it only where two are draped."""
+    tank, shorts = (open_garment(find_garments([name])[0], body) for name in ("tank", "shorts"))
+    payload = dressed_character(body, dressed_parts(body, {"top": tank}, rucksack=False))
+    wearer = read_wearer(payload, name="doll", body=body)
+    own = own_garments(payload, wearer)
+    scene = Entry("shorts", shorts, "shipped")
+    for limit in (1, 2):
+        avatars = make_runtime(max_layers=limit).avatars
+        (tmp_path / "sent.glb").write_bytes(payload)
+        files = in_service.OwnFiles([save_garment(one, tmp_path) for one in own.garments], own.stiff)
+        entry = avatars.add(save_wearer(wearer, tmp_path), tmp_path / "sent.glb", None, files)
+        assert [one.id for one in avatars.with_own(entry.id, None).layers] == ["doll~top"]
+        if limit == 2:
+            assert [one.id for one in avatars.with_own(entry.id, scene).layers] == ["shorts", "doll~top"]
+            return
+        with pytest.raises(TooLarge, match="at most 1 layers, got 2"):
+            avatars.with_own(entry.id, scene)
+        avatars.remove(entry)

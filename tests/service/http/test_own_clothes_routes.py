@@ -91,7 +91,11 @@ def test_it_is_draped_in_them_and_in_what_replaces_them(api: httpx.Client, dress
     alone = api.post("/drape", json={"garment": "doll~top", "poses": POSES.tolist()}, headers=NUMBERS)
     assert alone.status_code == 200 and "X-Drape-Garments" not in alone.headers
     rig = api.post("/drape", json=asked | {"rig": True}, headers={"Accept": "model/gltf-binary"})
-    assert [mesh["name"] for mesh in Reader(rig.content).json["meshes"]] == ["doll~trousers", "doll~top"]
+    made = Reader(rig.content)
+    assert [mesh["name"] for mesh in made.json["meshes"]] == ["doll~trousers", "doll~top", "bare skin"]
+    bare = made.array(made.json["meshes"][2]["primitives"][0]["indices"]).size // 3
+    covered = api.get(f"/avatars/{dressed}/covered", params={"alive": True}).json()
+    assert bare == covered["bare"] > 500
 
 
 def test_a_stream_shows_them(api: httpx.Client, dressed: str):

@@ -75,9 +75,10 @@ export class Drape {
     return this.rest.avatars();
   }
 
-  // The id of the character in the bytes of a GLB or VRM, which wear() takes as its option avatar. Takes seconds.
-  async avatar(bytes, name = "avatar") {
-    let job = await this.rest.sendAvatar(bytes, name);
+  // The id of the character in the bytes of a GLB or VRM, which wear() takes as its option avatar. Takes seconds. alive:
+  // whether its own clothes become garments, for the option alive of wear().
+  async avatar(bytes, name = "avatar", { alive } = {}) {
+    let job = await this.rest.sendAvatar(bytes, name, alive);
     while (job.state === "queued" || job.state === "running") {
       await new Promise((resolve) => setTimeout(resolve, POLL_MS));
       job = await this.rest.job(job.id);
@@ -90,7 +91,7 @@ export class Drape {
   // The garment, or several over each other, the innermost first, as soon as the service has opened its stream.
   async wear(garments, options = {}) {
     const names = Array.isArray(garments) ? garments : [garments];
-    if (!names.length || names.some((name) => typeof name !== "string")) {
+    if ((!names.length && !options.alive) || names.some((name) => typeof name !== "string")) {
       const words = { name: "garments", expected: "the id of one, or a list of ids", got: JSON.stringify(garments) ?? "nothing" };
       throw new DrapeError({ ...words, cure: "garments() lists them.", kind: "InputError" });
     }

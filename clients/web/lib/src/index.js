@@ -15,7 +15,7 @@ export class Drape extends Core {
     const looks = this.#looksOf([garments].flat());
     try {
       const [wearing, figure] = await Promise.all([opening, body ? this.#figure(options.betas) : null, looks()]);
-      return await new Worn(wearing, { colours, figure, looks: (fabric) => looks(wearing.layers, fabric), plain, covers }).dress();
+      return await new Worn(wearing, { colours, figure, looks: (fabric) => looks(wearing, fabric), plain, covers }).dress();
     } catch (error) {
       opening.then((wearing) => wearing.close(), () => {}); // its own failure is the error already
       throw error;
@@ -29,16 +29,16 @@ export class Drape extends Core {
     return this.fabricsKept;
   }
 
-  // A function that promises how layers of garments look, in the option fabric of a drape or, where that leaves it open, in
-  // their own. What it asks is asked once, with its first call.
-  #looksOf(garments) {
-    let own;
-    return async (layers = [], fabric = null) => {
-      own ??= Promise.all(garments.map((id) => this.rest.garment(id)));
-      const [fabrics, told] = await Promise.all([this.fabrics(), own]);
+  // A function that promises how what is worn looks, in the option fabric of a drape or, where that leaves it open, in its
+  // own. What it asks is asked once: of these garments with its first call.
+  #looksOf(named) {
+    const asked = new Map();
+    const told = (id) => asked.get(id) ?? asked.set(id, this.rest.garment(id)).get(id);
+    return async ({ garments, layers } = { garments: named, layers: [] }, fabric = null) => {
+      const [fabrics, ...own] = await Promise.all([this.fabrics(), ...garments.map(told)]);
       return layers.map(({ id }) => {
         const at = garments.indexOf(id);
-        const made = (Array.isArray(fabric) ? fabric[at] : fabric) ?? told[at].fabric;
+        const made = (Array.isArray(fabric) ? fabric[at] : fabric) ?? own[at].fabric;
         return fabricLook(typeof made === "string" ? fabrics.find((one) => one.id === made) : made);
       });
     };

@@ -4,12 +4,12 @@ import { dye } from "./materials.js";
 
 const SLOTS = { base_colour: ["map"], normal: ["normalMap"], metallic_roughness: ["roughnessMap", "metalnessMap"] };
 
-// What a garment's materials need: { materials, runs, bitmaps }; null where none has a picture. A picture that does not come
-// is left out.
+// What a garment's materials need: { materials, runs, bitmaps }; null where none has a picture and it is dyed. A picture that
+// does not come is left out.
 export async function fetchPictures(rest, id, resolution) {
   const { materials, runs } = await rest.garmentLooks(id, { resolution });
   const numbers = [...new Set(materials.flatMap((one) => Object.values(one?.pictures ?? {})))];
-  if (!numbers.length) return null;
+  if (!numbers.length && !id.includes("~")) return null; // what a character came in keeps its colours
   const bitmap = async (number) => createImageBitmap(await rest.garmentTexture(id, number), { colorSpaceConversion: "none" });
   const fetched = await Promise.all(numbers.map((number) => bitmap(number).catch(() => null)));
   return { materials, runs, bitmaps: new Map(numbers.map((number, i) => [number, fetched[i]])) };

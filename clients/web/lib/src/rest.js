@@ -120,9 +120,9 @@ export class Rest {
   }
 
   // Sends a character, the bytes of a GLB or VRM; the answer is the job.
-  sendAvatar(bytes, name) {
+  sendAvatar(bytes, name, alive = false) {
     const headers = { "Content-Type": "application/octet-stream" };
-    return this.json(`/avatars?name=${encodeURIComponent(name)}`, { method: "POST", body: bytes, headers });
+    return this.json(`/avatars?${new URLSearchParams({ name, alive })}`, { method: "POST", body: bytes, headers });
   }
 
   job(id) {

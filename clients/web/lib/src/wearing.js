@@ -9,7 +9,8 @@ export class Wearing {
   // drape: the service's Drape; garments: ids, the innermost first; options: those of a drape.
   constructor(drape, garments, options) {
     this.drape = drape;
-    this.garments = garments;
+    this.garments = garments; // with an avatar's own clothes, once these are known
+    this.spread = (changed) => changed; // options by layer, to these
     this.options = options;
     this.auto = options.folds_by === "auto"; // the client folds where it can, and keeps up with it
     this.pace = new Pace(); // of the folds that are made here
@@ -45,6 +46,7 @@ export class Wearing {
   // Fetches the meshes and opens the stream; rejects with the service's refusal.
   async open(makeWorker) {
     try {
+      if (this.options.alive) this.spread = await (await import("./own_clothes.js")).nameOwn(this, (others) => this.#reopen(others));
       await this.#prepareFolds();
       return await this.#openAs(makeWorker);
     } catch (error) {
@@ -133,17 +135,18 @@ export class Wearing {
     return this;
   }
 
-  #reopen() {
-    const worn = this.garments.length === 1 ? { garment: this.garments[0] } : { garments: this.garments };
+  #reopen(others) {
+    const [one, ...more] = this.garments;
+    const worn = more.length ? { garments: this.garments } : { garment: one }; // none beside own clothes
     return new Promise((resolve, reject) => {
       this.asked.push({ resolve, reject });
-      this.stream.open({ ...worn, ...this.options, ...this.#folded() });
+      this.stream.open({ ...worn, ...this.options, ...this.#folded(), ...others });
     });
   }
 
   // Drapes it otherwise from now on, by options of a drape. What the service refuses changes nothing, and rejects.
-  async set(options) {
-    const before = this.options;
+  async set(changed) {
+    const [options, before] = [this.spread(changed), this.options];
     if ("size" in options && JSON.stringify(options.size) !== JSON.stringify(before.size)) {
       const words = { name: "size", expected: "that in which it is worn", got: JSON.stringify(options.size), kind: "InputError" };
       throw new DrapeError({ ...words, cure: "Another size is cut anew: wear() it." });

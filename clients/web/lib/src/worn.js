@@ -201,7 +201,7 @@ export class Worn extends Group {
 
   async set(options) {
     await this.wearing.set(options);
-    if ("fabric" in options) await this.dress(options.fabric);
+    if ("fabric" in options) await this.dress();
   }
 
   // Ends its stream and frees what it holds.

@@ -48,6 +48,8 @@ export interface DrapeOptions {
 export interface WearOptions extends DrapeOptions {
   /** The id of a character that wears it: see `Drape.avatar`. */
   avatar?: string;
+  /** Whether that also wears its own clothes as cloth, but for those that the garments replace; none needs to be named. */
+  alive?: boolean;
   geometry?: "vertices" | "jets";
   /** Who makes the folds. "client": here, of jets, and refused where that cannot be; "auto": here where it can be. */
   folds_by?: "server" | "client" | "auto";
@@ -217,6 +219,10 @@ export interface AvatarInfo {
   scale: number;
   rest_joints: [number, number, number][];
   floor_m: number;
+  /** Its own clothes as garments, the innermost first; null where it was sent without `alive`. */
+  alive: { garment: string; kind: string; parts: string[] }[] | null;
+  /** Why other clothes stay on its skin, by the names of its parts. */
+  stiff: Record<string, string>;
 }
 
 export class Drape {
@@ -229,7 +235,7 @@ export class Drape {
   body(betas?: number[], avatar?: string | null): Promise<BodyInfo>;
   avatars(): Promise<AvatarInfo[]>;
   /** Sends a character, the bytes of a GLB or VRM, and gives its id when garments can be cut for it; takes seconds. */
-  avatar(bytes: ArrayBuffer | Blob | Uint8Array<ArrayBuffer>, name?: string): Promise<string>;
+  avatar(bytes: ArrayBuffer | Blob | Uint8Array<ArrayBuffer>, name?: string, choice?: { alive?: boolean }): Promise<string>;
   wear(garments: string | string[], options?: WearOptions): Promise<Wearing>;
   close(): void;
 }

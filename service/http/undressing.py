@@ -1,0 +1,24 @@
+"""What the garments of a request take off a character."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from drape.avatar.own_clothes import halves_of
+from drape.avatar.own_garments import MARK, Undressed, own_faces, undressed
+
+if TYPE_CHECKING:
+    from drape.avatar.wearer import Wearer
+    from drape.stages.scene import Scene
+    from service.guard.keys import Client
+    from service.state import State
+
+
+async def undressed_avatar(avatar_id: str, scene: Scene, state: State, client: Client) -> tuple[Wearer, Undressed]:
+    """The avatar, and what the garments of ``scene``, which it wears, leave of it."""
+    wearer = await state.wearer(avatar_id, client)
+    ours = [(await state.garment(one.id, client)).garment for one in scene.layers if MARK not in one.id]
+    worn = [one.garment for one in scene.layers]
+    cloth = [(one.vertices, one.faces) for one in worn]
+    halves = halves_of(ours, state.runtime.body)
+    return wearer, await state.runtime.made(undressed, wearer, own_faces(wearer, worn), cloth, halves)
