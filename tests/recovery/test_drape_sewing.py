@@ -17,7 +17,7 @@ from drape.errors import InputError
 from drape.garment.contours import lost_parts
 from recovery.drape.pipeline import hanging
 from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, moved_clear, place_panels, scaled
-from recovery.drape.relax import Distance
+from drape.cloth.relaxation import Distance
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle, to_rest, topmost_opening
 from recovery.drape.sewing import SEWING_GAP_M, Sewn, in_numpy, sew
