@@ -32,8 +32,8 @@ class Relaxation:
     """Cloth of vertices x (V, 3) whose triangles ``faces`` (F, 3) have flat rest corners ``rest`` [m] (F, 3, 2).
 
     ``threads`` (S, 2) are pairs of vertices that can be pulled together. ``distance`` is the body, ``gap_m`` what cloth
-    keeps from it, all of it or each vertex (V,). At the vertices ``creases`` it folds without resistance. ``inertia``, of
-    all or each vertex (V,), holds them where they are.
+    keeps from it, all of it or each vertex (V,). At the vertices ``creases`` it folds without resistance.
+    ``inertia``, of all or each vertex (V,), holds them where they are.
     """
 
     def __init__(
