@@ -26,48 +26,15 @@ from drape.garment.rest_pose import (
     surface_weights,
 )
 from drape.garment.skin import trunk_and_arm_kernels
-from drape.garment.wearer_fields import SLAB_M, Bones, bones_of, cloth_points
 from drape.geometry import mesh_graphs
 from drape.geometry.rotations import matrix_to_rotvec
 from drape.geometry.skinning import skin_points
 from drape.geometry.symmetric import symmetric_factor
 
-POINT_COUNT = 4000  # on the cloth
-OUTER_M, OUTER = 0.35, 0.77  # how far out from an arm lies what covers it, within 40 degrees
-INNER_M, INNER_SHARE, BESIDE_M = 0.5, 0.7, 0.025  # how far to the trunk nothing lies, and of that way; this near to it
-OPEN_COUNT, SLEEVED_SHARE = 4, 0.34  # points of the arms that are covered and open, and how many of these in sleeves
 STEP_RAD, STEPS, LAST_STEPS = 0.17, 15, 50  # the most that a joint turns at once, and steps of the cloth then
 HOLDING = [JOINT_NAMES.index(name) for name in ("spine3", "neck", "head")]
 SHARE_STIFFNESS_M2 = 0.01  # of a share's change along an edge, beside squares of ways that shares make
 LEAST_M2 = 1e-4
-
-
-def covers_arms(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin: np.ndarray) -> bool:
-    """Whether cloth [m] (V, 3), (F, 3) lies out from the arms of a body with ``joints`` (24, 3) and ``skin`` (N, 3),
-    and not between them and the trunk."""
-    bones = bones_of(joints, skin)
-    points = cloth_points(vertices, faces, POINT_COUNT)[0]
-    arms = [number for number, part in enumerate(bones.part) if part.endswith("arm")]
-    covered = np.array([_covered(points, bones, number) for number in arms])
-    is_open, sleeved = (covered == [True, False]).all(axis=1).sum(), covered.all(axis=1).sum()
-    return bool(is_open >= OPEN_COUNT and sleeved <= SLEEVED_SHARE * is_open)
-
-
-def _covered(points: np.ndarray, bones: Bones, number: int) -> tuple[bool, bool]:
-    """Whether cloth at ``points`` [m] (N, 3) lies out from a point on an arm's bone, and between it and the trunk."""
-    at, axis = bones.at[number], bones.frames[number, 2]
-    inward = bones.joints[0] - at
-    inward -= (inward @ axis) * axis
-    inward /= np.linalg.norm(inward)
-    reach = min(INNER_M, INNER_SHARE * abs(at[0] - bones.joints[0, 0]) / max(abs(inward[0]), 1e-3))
-    way = points - at
-    along, inside = way @ axis, way @ inward
-    away = np.linalg.norm(way - along[:, None] * axis, axis=1)
-    beside = np.sqrt(np.maximum(away**2 - inside**2, 0.0))
-    near = np.abs(along) < 0.5 * SLAB_M
-    outside = near & (inside < -OUTER * away) & (away < OUTER_M)
-    between = near & (inside > 0.0) & (inside < reach) & (beside < BESIDE_M)
-    return bool(outside.any()), bool(between.any())
 
 
 def spread(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> MovedGarment:

@@ -15,11 +15,13 @@ from drape.garment.clearance import CLEARANCE_M, Cleared, clear_body
 from drape.garment.cloth_layer import cloth_layer, hung, joined
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions
-from drape.garment.mantles import covers_arms, spread
+from drape.garment.mantles import spread
 from drape.garment.mesh_checks import check_mesh, check_surface, place
 from drape.garment.rest_detail import subdivided_like
 from drape.garment.rest_pose import MovedGarment, bone_motions, refine, to_standard
 from drape.garment.sheets import with_used_vertices
+from drape.garment.sleeves import covers_arms
+from drape.garment.wearer_fields import DENSE_COUNT, bones_of, cloth_points
 from drape.geometry import meshes
 from drape.geometry.closest import nearest_vertices, signed_distance
 
@@ -82,7 +84,7 @@ def rest_mesh(
     if carriers:
         moved = _carried(compact, avatar, body, carriers)
         compact = compact.noted(f"warning: carried by the bones {', '.join(carriers)}, as no cloth is")
-    elif covers_arms(compact.vertices, compact.faces, body.regressor @ avatar.vertices, avatar.vertices):
+    elif _is_mantle(compact, avatar, body):
         moved = spread(compact.vertices, compact.faces, avatar, body)
         compact = compact.noted("it covers arms without sleeves: it hangs from them as they go up and down")
     else:
@@ -134,6 +136,11 @@ def _carried(mesh: GarmentMesh, avatar: Avatar, body: BodyModel, carriers: tuple
         inside = [(signed_distance(one, body.v_template, body.faces) < 0.0).mean() for one in tried]
         moved[own] = tried[int(np.argmax(np.array(inside) <= min(inside) + INSIDE_SHARE))]
     return MovedGarment(moved, np.zeros(len(moved)))
+
+
+def _is_mantle(mesh: GarmentMesh, avatar: Avatar, body: BodyModel) -> bool:
+    points, _ = cloth_points(mesh.vertices, mesh.faces, DENSE_COUNT)
+    return covers_arms(points, bones_of(body.regressor @ avatar.vertices, avatar.vertices))
 
 
 def _of_mantle(moved: MovedGarment, faces: np.ndarray, face_count: int) -> dict[str, np.ndarray]:

@@ -27,6 +27,7 @@ from drape.garment.wearer_fields import CELL_M, KNOWN, Field, enclosed, known_fi
 from drape.garment.wearer_judge import (
     BAND_M,
     BAND_WEIGHT,
+    HANGING_OVER_ARMS,
     ODD_EMPTY,
     ODD_ORIGIN,
     ODD_PIERCED,
@@ -164,12 +165,16 @@ def _guesses(cloth: SearchedCloth, fields: Sequence[Field], readings: Sequence[R
 
 
 def _places(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> list[_Guess]:
-    """The best heights of each known body in a reading, by distances alone."""
+    """The best heights of each known body in a reading, by distances alone; and of one whose arms the cloth covers by
+    what does not hang from them."""
     points = reading.apply(cloth.few)
     low, high = points.min(axis=0), points.max(axis=0)
     middle = 0.5 * (low + high)
     weight = np.where(points[:, 1] > high[1] - BAND_M, BAND_WEIGHT, 1.0).astype(np.float32)
+    wall = 1.0 - np.abs(cloth.few_normals @ reading.turn[1])
+    lying = (weight * np.where(weight == 1.0, 1.0 - HANGING_OVER_ARMS * wall, 1.0) / weight.sum()).astype(np.float32)
     weight /= weight.sum()
+    usual = reading.unit != "free" and not reading.oddness
     extra = reading.oddness + cloth.smallness(reading)
     found = []
     for number, field in enumerate(fields):
@@ -183,6 +188,13 @@ def _places(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> 
         for rise in np.argsort(best)[:PLACES]:
             move = start + CELL_M * np.array([0, rises[rise], DEPTH_CELLS[cost[rise].argmin()]])
             found.append(_Guess(reading, number, move, float(best[rise]) + extra + KNOWN[number][3] + ODD_ORIGIN, ""))
+        if usual:
+            cost = field.costs(points + start, rises, DEPTH_CELLS, lying)
+            rise, depth = np.unravel_index(cost.argmin(), cost.shape)
+            move = start + CELL_M * np.array([0, rises[rise], DEPTH_CELLS[depth]])
+            if cloth.covers(reading, field.bones, move=move):
+                odd = extra + KNOWN[number][3] + ODD_ORIGIN
+                found.append(_Guess(reading, number, move, float(cost[rise, depth]) + odd, ""))
         for origin, height in (("root", 0.0), ("floor", field.floor_m)):
             move = np.array([0.0, height, 0.0])
             if field.floor_m - 0.1 < low[1] + height and high[1] + height < field.top_m + 0.2:
