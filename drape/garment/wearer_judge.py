@@ -56,6 +56,7 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     over_arms = top < BAND_LIMIT_M and cloth.covers(reading, bones)
     cost *= 1.0 - (HANGING_OVER_ARMS if over_arms else HANGING) * wall * hanging
     among = float(cost[~hanging].sum()) + open_share + odd + uneven
+    among += ODD_ORIGIN if over_arms and not origin else 0.0  # such cloth tells little else of who is in it
     energy = float(cost.sum()) + open_share + odd + INSIDE_COST * float(inside.mean())
     fault = _inside_fault(inside, parts) or _other_fault(energy, distance, inside, pierced, open_share, top)
     return Wearer(
