@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csgraph
 
 from drape.body.skeleton import JOINT_NAMES
-from drape.garment.wearer_fields import SLAB_M, Bones, bones_of, enclosed
+from drape.garment.wearer_fields import BONES, SLAB_M, Bones, bones_of, enclosed
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import nearest_vertices
 
@@ -22,7 +22,9 @@ LOOSE_M = 0.03  # a button this near to a sleeve is a part of it
 SHOULDER = 3
 OUTER_M, OUTER = 0.35, 0.77  # how far out from an arm lies what covers it, within 40 degrees
 INNER_M, INNER_SHARE, BESIDE_M = 0.5, 0.7, 0.025  # how far to the trunk nothing lies, and of that way; this near to it
-OPEN_COUNT, SLEEVED_SHARE = 4, 0.34  # points of the arms that are covered and open, and how many of these in sleeves
+# Points of the arms that are covered and open, those of upper arms among them, and how many of these in sleeves.
+OPEN_COUNT, UPPER_COUNT, SLEEVED_SHARE = 4, 2, 0.34
+UPPER_POINTS = sum(count for name, count, _, start, _ in BONES if name.endswith("arm") and start.endswith("shoulder"))
 
 
 def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin: np.ndarray) -> np.ndarray:
@@ -69,8 +71,9 @@ def covers_arms(points: np.ndarray, bones: Bones) -> bool:
     not between them and the trunk."""
     arms = [number for number, part in enumerate(bones.part) if part.endswith("arm")]
     covered = np.array([_covered(points, bones, number) for number in arms])
-    is_open, sleeved = (covered == [True, False]).all(axis=1).sum(), covered.all(axis=1).sum()
-    return bool(is_open >= OPEN_COUNT and sleeved <= SLEEVED_SHARE * is_open)
+    is_open, sleeved = (covered == [True, False]).all(axis=1), covered.all(axis=1).sum()
+    upper = is_open[:UPPER_POINTS].sum()
+    return bool(is_open.sum() >= OPEN_COUNT and upper >= UPPER_COUNT and sleeved <= SLEEVED_SHARE * is_open.sum())
 
 
 def _covered(points: np.ndarray, bones: Bones, number: int) -> tuple[bool, bool]:

@@ -18,6 +18,7 @@ from drape.garment.sleeves import covers_arms
 from drape.garment.wearer_fields import bones_of, cloth_points
 from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
+from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import shirt
 from tests.fixtures.mantles import Sheet, cape, poncho, standing
 
@@ -88,3 +89,10 @@ def test_shares_are_those_of_each_arm_and_do_not_see_how_the_body_turns(rng):
     found = shares_of(BODY.bones(mixed)[0])[0]
     assert_allclose(found, np.eye(len(DIRECTIONS))[:2], rtol=0, atol=1e-9)
     assert_allclose(shares_of(BODY.bones(rng.normal(size=(5, 24, 3)))[0]).sum(axis=-1), 1.0, rtol=0, atol=1e-9)
+
+
+def test_a_tube_round_hips_and_hands_is_no_cape():
+    """It covers hands that hang in it, and no upper arm."""
+    unit, faces = tube(48, 14, radius_m=1.0, height_m=1.0)
+    hanging = standing(BODY, 85.0)
+    assert not covers((unit * [0.45, 0.35, 0.25] - [0.0, 0.35, 0.0], faces), hanging)
