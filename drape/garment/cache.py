@@ -31,7 +31,7 @@ from drape.files.packed import UNREADABLE, packed, read_packed
 from drape.folders import ASSETS, RUNS
 from drape.garment.bound import ARRAYS as BOUND_ARRAYS
 from drape.garment.bound import BoundMesh, Drawer
-from drape.garment.skin import bind_to_body
+from drape.garment.skin import BodyBinding, bind_to_body
 from drape.geometry import jets, meshes
 
 FORMAT_VERSION = 1  # of what a garment is; digests cover it
@@ -101,7 +101,8 @@ class Garment(Atlas):
     They are None in files of older versions; ``rest_state`` returns one for every garment. ``fabric``: the name of a
     fabric, or its numbers as ``drape.cloth.fabric_table.fabric`` takes them. ``looks`` are of the materials.
     ``drawn``: the mesh of the file, where the cloth is another: it hangs on the delivered vertices, which then are some
-    of its own. Cloth that was thinned has no material of it, and no look.
+    of its own. Cloth that was thinned has no material of it, and no look. Of a mantle, which covers arms and has no
+    sleeves: ``arm_share`` (N,) as ``skin.bind_to_body`` takes it, and ``arm_ways`` [m] (N, K, 3) of ``mantle_shapes``.
     """
 
     name: str
@@ -122,6 +123,8 @@ class Garment(Atlas):
     fabric: str | Mapping[str, Any] = DEFAULT_FABRIC
     looks: Looks = NO_LOOKS
     drawn: BoundMesh | None = None
+    arm_share: np.ndarray | None = None
+    arm_ways: np.ndarray | None = None
 
     @property
     def carriers(self) -> tuple[str, ...]:
@@ -154,9 +157,12 @@ class Garment(Atlas):
     def skin_weights(self, body: BodyModel) -> np.ndarray:
         """Bone weights (N, 24) of plain skinning on ``body``, that which the garment was made for; found once."""
         if "_skin_weights" not in self.__dict__:
-            binding = bind_to_body(self.vertices, self.fine_faces, body)
-            self.__dict__["_skin_weights"] = binding.weights.astype(np.float32)
+            self.__dict__["_skin_weights"] = self.binding(body).weights.astype(np.float32)
         return self.__dict__["_skin_weights"]
+
+    def binding(self, body: BodyModel) -> BodyBinding:
+        """Bone weights and shape movement of all vertices on ``body``, that which the garment was made for."""
+        return bind_to_body(self.vertices, self.fine_faces, body, arm=self.arm_share)
 
     def rest_state(self) -> RestState:
         """The cloth of ``fine_faces`` without stress; where none is stored, that which ``rest_detail.rest_of`` finds.

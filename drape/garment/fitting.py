@@ -14,6 +14,7 @@ from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.garment import charts, features, skin
 from drape.garment.cache import Atlas, Garment
 from drape.garment.files.mesh import GarmentMesh
+from drape.garment.mantle_shapes import ways_to
 from drape.garment.partition import partition, patch_count_for, vertex_graph
 from drape.garment.unfold import fit_planes, folded_charts, folded_triangles, without_folds
 from drape.geometry import jets, meshes
@@ -63,10 +64,12 @@ class RestGarment:
         return vertex_graph(self.vertices, self.faces)
 
 
-def rest_garment(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> RestGarment:
+def rest_garment(
+    vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, arm: np.ndarray | None = None
+) -> RestGarment:
     """The rest garment of ``vertices`` (N, 3) [m] on ``body`` in T-pose."""
     vertices = np.asarray(vertices, dtype=np.float64)
-    return RestGarment(vertices, faces, skin.bind_to_body(vertices, faces, body), body)
+    return RestGarment(vertices, faces, skin.bind_to_body(vertices, faces, body, arm=arm), body)
 
 
 def patch_fields(
@@ -197,13 +200,16 @@ def fit_garment(
     count: int | None = None,
     share: float = 1.0,
     like: Atlas | None = None,
+    arm: np.ndarray | None = None,
+    shapes: np.ndarray | None = None,
 ) -> Garment:
     """The garment of ``mesh`` at rest on ``body``: patches and charts, the fit's error in the manifest.
 
     ``vertices`` [m] (N, 3) are those of ``mesh`` at rest and then those that subdivision added, ``fine_faces`` (G, 3)
-    its triangles. ``count``, ``share`` and ``like`` as in ``patch_fields``.
+    its triangles. ``count``, ``share`` and ``like`` as in ``patch_fields``, ``arm`` as in ``bind_to_body``;
+    ``shapes`` [m] (K, N, 3) are those of a mantle.
     """
-    rest = rest_garment(vertices, fine_faces, body)
+    rest = rest_garment(vertices, fine_faces, body, arm=arm)
     fields = patch_fields(rest, count=count, share=share, unfold=True, like=like)
     garment = Garment(
         name=mesh.name,
@@ -221,6 +227,8 @@ def fit_garment(
         fabric=DEFAULT_FABRIC,
         drawn=None,
         looks=mesh.looks,
+        arm_share=None if arm is None else arm.astype(np.float32),
+        arm_ways=None if shapes is None else ways_to(shapes, rest.vertices, rest.binding, body).astype(np.float32),
         **fields,
     )
     figures = fit_error(rest, fields) | {"patch_count": garment.patch_count, "area_m2": float(rest.areas.sum())}

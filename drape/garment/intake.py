@@ -47,7 +47,7 @@ from drape.garment.strays import without_strays
 from drape.garment.wearer_pictures import pictured
 
 # Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
-MOVED_VERSION = 4
+MOVED_VERSION = 5
 INTAKE_VERSION = 3  # raised when a change here changes the garments that come out
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests as they were
 
@@ -235,8 +235,9 @@ def _fitted(rest: RestMesh, name: str, body: BodyModel, digest: str, manifest: d
         manifest["carried_by"] = list(rest.carriers)
     compact = replace(rest.mesh, name=garment_name(name))
     fitted = fit_garment(
-        compact, rest.vertices, rest.fine_faces, body, digest=digest, manifest=manifest, share=file.options.patches
-    )
+        compact, rest.vertices, rest.fine_faces, body, digest=digest, manifest=manifest, share=file.options.patches,
+        arm=rest.arm, shapes=rest.shapes,
+    )  # fmt: skip
     garment = with_rest_state(with_unused(fitted, rest.faces, rest.kept), rest, file.options, file.sewn)
     return replace(garment, drawn=rest.drawn)
 
@@ -300,7 +301,7 @@ def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, se
     modelled = subdivided_like(compact.vertices, compact.faces, len(faces))[row]
     on_corners = corner_uv(compact.uv, compact.uv_faces, len(faces))
     doubled = doubled_faces(compact.material_names, compact.face_material, len(faces))
-    points = garment.vertices.astype(np.float64)
+    points = garment.vertices.astype(np.float64) if rest.lay is None else rest.lay[row]
     hinges = None
     if sewn is not None and on_corners is not None:
         on_corners = replace(on_corners, grain_along_v=True)

@@ -15,15 +15,20 @@ from drape.garment.clearance import CLEARANCE_M, Cleared, clear_body
 from drape.garment.cloth_layer import cloth_layer, hung, joined
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions
+from drape.garment.mantles import spread
 from drape.garment.mesh_checks import check_mesh, check_surface, place
+from drape.garment.rest_detail import subdivided_like
 from drape.garment.rest_pose import MovedGarment, bone_motions, refine, to_standard
 from drape.garment.sheets import with_used_vertices
+from drape.garment.sleeves import covers_arms
+from drape.garment.wearer_fields import DENSE_COUNT, bones_of, cloth_points
 from drape.geometry import meshes
 from drape.geometry.closest import nearest_vertices, signed_distance
 
 FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 4_000, 40_000
 CARRIED_SCALES, INSIDE_SHARE = 1.0 + 0.02 * np.arange(11), 0.005  # of a hat, and how much of it may be in the skin
 FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
+_MANTLE_ARRAYS = ("arm_share", "arm_ways")
 _VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual")
 
 
@@ -35,7 +40,8 @@ class RestMesh:
     ``faces``: the delivered faces. ``vertices`` [m] (N, 3): those of ``mesh`` at rest, then those that subdivision
     added; ``fine_faces`` its triangles. ``loose`` (N,) in [0, 1]: how much each vertex hangs as a skirt does.
     ``resized``: the garment was moved from another body. ``figures``: what the intake prints. ``drawn``: the delivered
-    mesh, hung on ``mesh``, where that is another. ``carriers``: the bones that carry it, where it is no cloth.
+    mesh, hung on ``mesh``, where that is another. ``carriers``: the bones that carry it, where it is no cloth. Of a
+    mantle the ``arm``'s shares (N,), where its cloth ``lay`` [m] (N, 3) without strain, and its ``shapes`` (K, N, 3).
     """
 
     mesh: GarmentMesh
@@ -48,6 +54,9 @@ class RestMesh:
     figures: dict[str, float]
     drawn: BoundMesh | None = None
     carriers: tuple[str, ...] = ()
+    arm: np.ndarray | None = None
+    lay: np.ndarray | None = None
+    shapes: np.ndarray | None = None
 
 
 def rest_mesh(
@@ -75,6 +84,9 @@ def rest_mesh(
     if carriers:
         moved = _carried(compact, avatar, body, carriers)
         compact = compact.noted(f"warning: carried by the bones {', '.join(carriers)}, as no cloth is")
+    elif _is_mantle(compact, avatar, body):
+        moved = spread(compact.vertices, compact.faces, avatar, body)
+        compact = compact.noted("it covers arms without sleeves: it hangs from them as they go up and down")
     else:
         moved = to_standard(compact.vertices, compact.faces, avatar, body)
     fine, fine_faces, origin = refine(
@@ -108,6 +120,7 @@ def rest_mesh(
         figures,
         drawn,
         carriers,
+        **_of_mantle(moved, compact.faces, len(fine_faces)),
     )
 
 
@@ -123,6 +136,22 @@ def _carried(mesh: GarmentMesh, avatar: Avatar, body: BodyModel, carriers: tuple
         inside = [(signed_distance(one, body.v_template, body.faces) < 0.0).mean() for one in tried]
         moved[own] = tried[int(np.argmax(np.array(inside) <= min(inside) + INSIDE_SHARE))]
     return MovedGarment(moved, np.zeros(len(moved)))
+
+
+def _is_mantle(mesh: GarmentMesh, avatar: Avatar, body: BodyModel) -> bool:
+    points, _ = cloth_points(mesh.vertices, mesh.faces, DENSE_COUNT)
+    return covers_arms(points, bones_of(body.regressor @ avatar.vertices, avatar.vertices))
+
+
+def _of_mantle(moved: MovedGarment, faces: np.ndarray, face_count: int) -> dict[str, np.ndarray]:
+    """The fields of a ``RestMesh`` of a mantle alone, whose ``faces`` are subdivided into ``face_count``."""
+    if moved.arm is None or moved.lay is None or moved.shapes is None:
+        return {}
+    arm, coarse = moved.arm, faces
+    while len(coarse) < face_count:
+        arm, coarse, _ = meshes.subdivide(arm, coarse)
+    lay, *shapes = (subdivided_like(each, faces, face_count) for each in (moved.lay, *moved.shapes))
+    return {"arm": arm, "lay": lay, "shapes": np.stack(shapes)}
 
 
 def edge_strain(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> dict[str, float]:
@@ -157,7 +186,8 @@ def with_unused(garment: Garment, faces: np.ndarray, kept: np.ndarray) -> Garmen
     place = np.empty(len(garment.vertices), dtype=np.int64)
     place[row[::-1]] = np.arange(len(row))[::-1]
     place[garment.faces.reshape(-1)] = faces.reshape(-1)  # a face's vertex is the delivered one, not a copy of it
-    arrays = {name: getattr(garment, name)[row] for name in _VERTEX_ARRAYS}
+    named = [name for name in (*_VERTEX_ARRAYS, *_MANTLE_ARRAYS) if getattr(garment, name) is not None]
+    arrays = {name: getattr(garment, name)[row] for name in named}
     fine_faces = place[garment.fine_faces].astype(np.int32)
     return replace(garment, vertex_count=len(kept), faces=faces.astype(np.int32), fine_faces=fine_faces, **arrays)
 

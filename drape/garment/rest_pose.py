@@ -22,6 +22,7 @@ import scipy.sparse
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.avatars import Avatar
+from drape.garment.skin import ARMS
 from drape.garment.sleeves import SHOULDER, sleeve_of
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point, nearest_vertices
@@ -36,10 +37,6 @@ LEGS = {
     side: [JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot")]
     for side in ("left", "right")
 }
-ARMS = {
-    side: [JOINT_NAMES.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist", "hand")]
-    for side in ("left", "right")
-}
 TROUSERS_CROTCH_M = 0.08  # trousers hang at most this far below the body's crotch before their legs part
 SKIRT_SHARE = 0.2  # of a piece of cloth below the crotch that must lie at each leg for it to be a skirt
 HIP_BAND_M = 0.10
@@ -48,10 +45,17 @@ PN_LIMIT = 0.15  # a subdivision vertex leaves its edge by at most this share of
 
 @dataclass(frozen=True, eq=False)
 class MovedGarment:
-    """Garment vertices [m] (V, 3) on the standard body in T-pose, and how ``loose`` each is, (V,) in [0, 1]."""
+    """Garment vertices [m] (V, 3) on the standard body in T-pose, and how ``loose`` each is, (V,) in [0, 1].
+
+    Of a mantle the ``arm``'s shares (V,), where it ``lay`` [m] (V, 3) on the standard body in its wearer's pose, and
+    its ``shapes`` [m] (K, V, 3) over arms along ``mantle_shapes.DIRECTIONS``.
+    """
 
     vertices: np.ndarray
     loose: np.ndarray
+    arm: np.ndarray | None = None
+    lay: np.ndarray | None = None
+    shapes: np.ndarray | None = None
 
 
 def bone_motions(source: np.ndarray, target: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -78,20 +82,35 @@ def to_standard(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: B
     skirt = skirt_blend(vertices, faces, avatar, body)
     if not avatar.moved:
         return MovedGarment(vertices.copy(), skirt)
-    weights = body.weights
-    rotations, translations = bone_motions(avatar.vertices, body.v_template, weights)
-    skinned = np.einsum("vj,jab,vb->va", weights, rotations, avatar.vertices, optimize=True) + weights @ translations
     sleeve = sleeve_of(vertices, faces, body.regressor @ avatar.vertices, avatar.vertices)
     skirt = np.where(sleeve == 0, skirt, 0.0)  # a cuff that hangs below the crotch is no skirt
     averaging = own_skin_weights(vertices, sleeve, avatar, body)
-    garment_weights = smoother(vertices, faces, WEIGHT_SMOOTHING_M)(averaging @ weights)
-    displacement = smoother(vertices, faces, SHAPE_SMOOTHING_M)(averaging @ (body.v_template - skinned))
-    garment_weights = garment_weights / garment_weights.sum(axis=1, keepdims=True)
-    moved = np.einsum("vj,jab,vb->va", garment_weights, rotations, vertices, optimize=True)
-    moved += garment_weights @ translations + displacement
+    moved = moved_with_skin(vertices, faces, averaging, avatar, body, body.v_template)
     if skirt.any():
         moved += skirt[:, None] * (_shape_only(vertices, avatar, body) - moved)
     return MovedGarment(moved, skirt)
+
+
+def moved_with_skin(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    averaging: scipy.sparse.csr_matrix,
+    avatar: Avatar,
+    body: BodyModel,
+    skin: np.ndarray,
+) -> np.ndarray:
+    """The garment (V, 3), (F, 3), moved as the skin near it goes from ``avatar`` to ``skin`` [m] (body V, 3).
+
+    ``averaging`` (V, body V) tells that skin.
+    """
+    weights = body.weights
+    rotations, translations = bone_motions(avatar.vertices, skin, weights)
+    skinned = np.einsum("vj,jab,vb->va", weights, rotations, avatar.vertices, optimize=True) + weights @ translations
+    garment_weights = smoother(vertices, faces, WEIGHT_SMOOTHING_M)(averaging @ weights)
+    displacement = smoother(vertices, faces, SHAPE_SMOOTHING_M)(averaging @ (skin - skinned))
+    garment_weights = garment_weights / garment_weights.sum(axis=1, keepdims=True)
+    moved = np.einsum("vj,jab,vb->va", garment_weights, rotations, vertices, optimize=True)
+    return moved + garment_weights @ translations + displacement
 
 
 def own_skin_weights(

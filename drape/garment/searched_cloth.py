@@ -10,7 +10,8 @@ from drape.garment.contours import Contour, open_contours, pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.inside import tube_ends
 from drape.garment.mesh_checks import AREA_MINIMUM, consistent_turn
-from drape.garment.wearer_fields import cloth_points, unthreaded
+from drape.garment.sleeves import covers_arms
+from drape.garment.wearer_fields import DENSE_COUNT, Bones, cloth_points, unthreaded
 from drape.garment.wearer_reading import Reading
 from drape.geometry import mesh_graphs, meshes
 
@@ -27,7 +28,9 @@ class SearchedCloth:
     def __init__(self, mesh: GarmentMesh) -> None:
         self.mesh = mesh
         self.area = float(meshes.face_areas(mesh.vertices, mesh.faces).sum())
-        self.few = cloth_points(mesh.vertices, mesh.faces, COARSE_COUNT)[0]
+        self.few, face = cloth_points(mesh.vertices, mesh.faces, COARSE_COUNT)
+        self.few_normals = meshes.face_normals(mesh.vertices, mesh.faces)[face]
+        self.many = cloth_points(mesh.vertices, mesh.faces, DENSE_COUNT)[0]
         self.points, face = cloth_points(mesh.vertices, mesh.faces, FINE_COUNT)
         wound = np.where(consistent_turn(mesh.faces), -1.0, 1.0)[face]
         self.normals = wound[:, None] * meshes.face_normals(mesh.vertices, mesh.faces)[face]
@@ -53,6 +56,10 @@ class SearchedCloth:
     def empty(self, reading: Reading, joints: np.ndarray) -> int:
         """The number of long openings that no bone goes through."""
         return unthreaded(reading.apply(self.loops.reshape(-1, 3)).reshape(self.loops.shape), joints)
+
+    def covers(self, reading: Reading, bones: Bones, *, move: np.ndarray | float = 0.0) -> bool:
+        """Whether it covers the arms of a body and has no sleeves, moved by ``move`` [m] (3,)."""
+        return covers_arms(reading.apply(self.many) + move, bones)
 
     def smallness(self, reading: Reading) -> float:
         return SMALL * max(0.0, float(np.log(SMALL_M2 / (self.area * reading.scale**2))))

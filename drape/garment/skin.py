@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse
 
 from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
 from drape.geometry import mesh_graphs
 from drape.geometry.closest import nearest_vertices
 
@@ -21,6 +22,10 @@ KERNEL_GROWTH = 0.5
 NEIGHBOURS = 96
 SAMPLE_SPACING_M = 0.012
 SMOOTHING_PASSES = 12
+ARMS = {
+    side: [JOINT_NAMES.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist", "hand")]
+    for side in ("left", "right")
+}
 
 
 @dataclass(frozen=True)
@@ -31,9 +36,18 @@ class BodyBinding:
     shapedirs: np.ndarray
 
 
-def bind_to_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> BodyBinding:
-    """Weights and shape movement of garment ``vertices`` (N, 3) [m] at rest on ``body`` in T-pose."""
-    kernel = body_kernel(vertices, body)
+def bind_to_body(
+    vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, arm: np.ndarray | None = None
+) -> BodyBinding:
+    """Weights and shape movement of garment ``vertices`` (N, 3) [m] at rest on ``body`` in T-pose.
+
+    ``arm`` (N,) in [0, 1]: how much of each vertex goes with the arm of its side, where that is known.
+    """
+    if arm is None:
+        kernel = body_kernel(vertices, body)
+    else:
+        trunk, arms = trunk_and_arm_kernels(vertices, body)
+        kernel = scipy.sparse.diags(1.0 - arm) @ trunk + scipy.sparse.diags(arm) @ arms
     smooth = smoothing_matrix(faces, len(vertices))
     weights = kernel @ body.weights
     shape = kernel @ body.shapedirs.reshape(body.vertex_count, -1)
@@ -45,9 +59,22 @@ def bind_to_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> Bo
     return BodyBinding(weights, shape.reshape(len(vertices), 3, -1))
 
 
-def body_kernel(vertices: np.ndarray, body: BodyModel) -> scipy.sparse.csr_matrix:
-    """Sparse rows (N, body vertices) that sum to one: the Gaussian neighbourhood on the body."""
+def trunk_and_arm_kernels(
+    vertices: np.ndarray, body: BodyModel
+) -> tuple[scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
+    """``body_kernel`` of the skin without arms, and that of the arm on the side of each vertex."""
+    arms = [body.weights[:, bones].sum(axis=1) > 0.5 for bones in ARMS.values()]
+    left, right = (body_kernel(vertices, body, arm) for arm in arms)
+    on_left = (vertices[:, 0] > 0.0).astype(np.float64)
+    own = scipy.sparse.diags(on_left) @ left + scipy.sparse.diags(1.0 - on_left) @ right
+    return body_kernel(vertices, body, ~(arms[0] | arms[1])), own
+
+
+def body_kernel(vertices: np.ndarray, body: BodyModel, counts: np.ndarray | None = None) -> scipy.sparse.csr_matrix:
+    """Sparse rows (N, body vertices) that sum to one: the Gaussian neighbourhood on the body, of the skin that
+    ``counts`` (body V,), if given."""
     points = thinned_vertices(body)
+    points = points if counts is None else points[counts[points]]
     distance, index = nearest_vertices(vertices, body.v_template[points], NEIGHBOURS)
     nearest = distance[:, :1]
     width = KERNEL_BASE_M + KERNEL_GROWTH * nearest

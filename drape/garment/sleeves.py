@@ -1,6 +1,7 @@
 """Which cloth is a sleeve: that near an arm which goes round it, and what hangs together with it up to the shoulder.
 
 The side of a skirt that a hand hangs by is near the arm, but does not go round it and is far away along the cloth.
+Capes and ponchos cover arms without going round them.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import numpy as np
 from scipy.sparse import csgraph
 
 from drape.body.skeleton import JOINT_NAMES
-from drape.garment.wearer_fields import bones_of, enclosed
+from drape.garment.wearer_fields import BONES, SLAB_M, Bones, bones_of, enclosed
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import nearest_vertices
 
@@ -19,6 +20,11 @@ CUFF_M = 0.03  # the end of what is seen of a sleeve, from which it is followed 
 ARMHOLE_M = 0.1  # the last part of the way to the shoulder, where cloth is the arm's and the trunk's
 LOOSE_M = 0.03  # a button this near to a sleeve is a part of it
 SHOULDER = 3
+OUTER_M, OUTER = 0.35, 0.77  # how far out from an arm lies what covers it, within 40 degrees
+INNER_M, INNER_SHARE, BESIDE_M = 0.5, 0.7, 0.025  # how far to the trunk nothing lies, and of that way; this near to it
+# Points of the arms that are covered and open, those of upper arms among them, and how many of these in sleeves.
+OPEN_COUNT, UPPER_COUNT, SLEEVED_SHARE = 4, 2, 0.34
+UPPER_POINTS = sum(count for name, count, _, start, _ in BONES if name.endswith("arm") and start.endswith("shoulder"))
 
 
 def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin: np.ndarray) -> np.ndarray:
@@ -58,3 +64,31 @@ def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin:
         away, near = nearest_vertices(vertices, vertices[cloth])
         found = np.where(loose & (away < LOOSE_M), found[cloth[near]], found)
     return found
+
+
+def covers_arms(points: np.ndarray, bones: Bones) -> bool:
+    """Whether cloth at ``points`` [m] (N, 3), 2 cm from each other or nearer, lies out from the arms of ``bones``, and
+    not between them and the trunk."""
+    arms = [number for number, part in enumerate(bones.part) if part.endswith("arm")]
+    covered = np.array([_covered(points, bones, number) for number in arms])
+    is_open, sleeved = (covered == [True, False]).all(axis=1), covered.all(axis=1).sum()
+    upper = is_open[:UPPER_POINTS].sum()
+    return bool(is_open.sum() >= OPEN_COUNT and upper >= UPPER_COUNT and sleeved <= SLEEVED_SHARE * is_open.sum())
+
+
+def _covered(points: np.ndarray, bones: Bones, number: int) -> tuple[bool, bool]:
+    """Whether cloth at ``points`` [m] (N, 3) lies out from a point on an arm's bone, and between it and the trunk."""
+    at, axis = bones.at[number], bones.frames[number, 2]
+    inward = bones.joints[0] - at
+    inward -= (inward @ axis) * axis
+    inward /= np.linalg.norm(inward)
+    reach = min(INNER_M, INNER_SHARE * abs(at[0] - bones.joints[0, 0]) / max(abs(inward[0]), 1e-3))
+    way = points - at
+    along = way @ axis
+    near = np.abs(along) < 0.5 * SLAB_M
+    way, along = way[near], along[near]
+    inside, away = way @ inward, np.linalg.norm(way - along[:, None] * axis, axis=1)
+    beside = np.sqrt(np.maximum(away**2 - inside**2, 0.0))
+    outside = (inside < -OUTER * away) & (away < OUTER_M)
+    between = (inside > 0.0) & (inside < reach) & (beside < BESIDE_M)
+    return bool(outside.any()), bool(between.any())

@@ -52,7 +52,7 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
     )  # fmt: skip
     made = fit_garment(
         mesh, cleared, faces, wearer, digest=tailored_digest(garment, wearer), manifest=dict(garment.manifest),
-        count=garment.patch_count, like=garment,
+        count=garment.patch_count, like=garment, arm=garment.arm_share,
     )  # fmt: skip
     rest = garment.rest_state()
     edges = stretched(rest.edges, standing, cleared, faces)
@@ -63,6 +63,7 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
         rest_angle=rest.hinge_angle.astype(np.float32),
         rest_stiffening=rest.stiffening.astype(np.float32),
         drawn=garment.drawn,
+        arm_ways=garment.arm_ways,
     )
 
 

@@ -64,6 +64,7 @@ BONES = (
 )
 CROWN = 1.3  # the head above its joint, over the way from the neck to that
 SLAB_M = 0.06  # cloth this far along a bone from one of its points lies round it
+DENSE_COUNT = 4000  # points on the cloth, for what a line between limbs and trunk meets
 BIN_COUNT = 12  # directions round a bone; a point of cloth covers its own and both neighbours
 
 

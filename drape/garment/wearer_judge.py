@@ -13,7 +13,8 @@ from drape.garment.wearer_fields import SHAPES, Bones, bones_of, enclosed, joint
 from drape.garment.wearer_reading import Reading, Wearer
 
 BAND_M, BAND_WEIGHT = 0.15, 2.0  # from the top: there a garment hangs on its body
-HANGING = 0.3  # off the cost of walls of cloth that hang below it, away from the skin, as those of capes
+# Off the cost of walls of cloth that hang below it, away from the skin: those of skirts, and of capes over arms.
+HANGING, HANGING_OVER_ARMS = 0.3, 0.9
 SHAPE_COST = 0.01  # of a squared beta beside the nearest known shape's
 UPRIGHT = [JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")]
 TURNED_COST = 0.3  # of a squared radian of all these together: who wears a garment stands straight
@@ -51,10 +52,12 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     cost = point_cost(distance) * weight / weight.sum()
     wall = 1.0 - np.abs(cloth.normals @ reading.turn[1])
     hanging = ~band & (distance > 0.0)
-    cost *= 1.0 - HANGING * wall * hanging
-    among = float(cost[~hanging].sum()) + open_share + odd + uneven
-    energy = float(cost.sum()) + open_share + odd + INSIDE_COST * float(inside.mean())
     top = float(np.median(np.abs(lying)))
+    over_arms = top < BAND_LIMIT_M and cloth.covers(reading, bones)
+    cost *= 1.0 - (HANGING_OVER_ARMS if over_arms else HANGING) * wall * hanging
+    among = float(cost[~hanging].sum()) + open_share + odd + uneven
+    among += ODD_ORIGIN if over_arms and not origin else 0.0  # such cloth tells little else of who is in it
+    energy = float(cost.sum()) + open_share + odd + INSIDE_COST * float(inside.mean())
     fault = _inside_fault(inside, parts) or _other_fault(energy, distance, inside, pierced, open_share, top)
     return Wearer(
         reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin,

@@ -27,6 +27,7 @@ from drape.garment.wearer_fields import CELL_M, KNOWN, Field, enclosed, known_fi
 from drape.garment.wearer_judge import (
     BAND_M,
     BAND_WEIGHT,
+    HANGING_OVER_ARMS,
     ODD_EMPTY,
     ODD_ORIGIN,
     ODD_PIERCED,
@@ -141,6 +142,7 @@ class _Guess:
 def _guesses(cloth: SearchedCloth, fields: Sequence[Field], readings: Sequence[Reading]) -> list[_Guess]:
     """Places of the known bodies in every reading, the best of them judged by what they enclose too, best first."""
     places = {reading: _places(cloth, fields, reading) for reading in readings}
+    places = {reading: _over_arms(cloth, fields, reading) + found for reading, found in places.items()}
     places = {reading: found for reading, found in places.items() if found}
 
     def judged(guesses: list[_Guess]) -> list[_Guess]:
@@ -167,17 +169,14 @@ def _places(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> 
     """The best heights of each known body in a reading, by distances alone."""
     points = reading.apply(cloth.few)
     low, high = points.min(axis=0), points.max(axis=0)
-    middle = 0.5 * (low + high)
     weight = np.where(points[:, 1] > high[1] - BAND_M, BAND_WEIGHT, 1.0).astype(np.float32)
     weight /= weight.sum()
     extra = reading.oddness + cloth.smallness(reading)
     found = []
     for number, field in enumerate(fields):
-        start = np.array([-middle[0], field.floor_m - 0.06 - low[1], -middle[2]])
-        room = field.top_m + 0.2 - (high[1] + start[1])
-        if room < -0.5:
+        start, rises = _rises(field, low, high)
+        if not len(rises):
             continue
-        rises = np.arange(0, max(room, 0.0) / CELL_M + 1, RISE_CELLS).astype(np.int32)
         cost = field.costs(points + start, rises, DEPTH_CELLS, weight)
         best = cost.min(axis=1)
         for rise in np.argsort(best)[:PLACES]:
@@ -189,6 +188,37 @@ def _places(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> 
                 cost = float(field.costs(points + move, AT_ONCE, AT_ONCE, weight)[0, 0])
                 found.append(_Guess(reading, number, move, cost + extra + KNOWN[number][3], origin))
     return sorted(found, key=lambda one: one.energy)
+
+
+def _over_arms(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> list[_Guess]:
+    """The best place of a body whose arms the cloth covers without sleeves, by what does not hang from them: at most
+    one, in a reading that is usual."""
+    points, found = reading.apply(cloth.few), []
+    low, high = points.min(axis=0), points.max(axis=0)
+    wall = 1.0 - np.abs(cloth.few_normals @ reading.turn[1])
+    weight = np.where(points[:, 1] > high[1] - BAND_M, BAND_WEIGHT, 1.0 - HANGING_OVER_ARMS * wall)
+    weight = (weight / len(weight)).astype(np.float32)
+    for number, field in enumerate(fields if reading.unit != "free" and not reading.oddness else ()):
+        start, rises = _rises(field, low, high)
+        if not len(rises):
+            continue
+        cost = field.costs(points + start, rises, DEPTH_CELLS, weight)
+        rise, depth = np.unravel_index(cost.argmin(), cost.shape)
+        move = start + CELL_M * np.array([0, rises[rise], DEPTH_CELLS[depth]])
+        if cloth.covers(reading, field.bones, move=move):
+            energy = float(cost[rise, depth]) + cloth.smallness(reading) + KNOWN[number][3] + ODD_ORIGIN
+            found.append(_Guess(reading, number, move, energy, ""))
+    return sorted(found, key=lambda one: one.energy)[:1]
+
+
+def _rises(field: Field, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where cloth between the corners ``low`` and ``high`` [m] (3,) begins to rise along a body, as a move (3,), and
+    the cells (R,) by which it rises; none where it is too high for the body."""
+    middle = 0.5 * (low + high)
+    start = np.array([-middle[0], field.floor_m - 0.06 - low[1], -middle[2]])
+    room = field.top_m + 0.2 - (high[1] + start[1])
+    count = max(room, 0.0) / CELL_M + 1 if room >= -0.5 else 0
+    return start, np.arange(0, count, RISE_CELLS).astype(np.int32)
 
 
 def _fitted(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) -> list[Wearer]:

@@ -11,13 +11,13 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import fabric
+from drape.cloth.relaxation import principal_stretches
 from drape.errors import NotFound
 from drape.geometry import meshes
 from recovery.catalogue.closing import on_finer_mesh, sew_design
 from recovery.catalogue.fall import SETTLING, Fall
 from recovery.catalogue.garments import CATALOGUE
 from recovery.drape.pipeline import stretch_figures
-from recovery.drape.relax import principal_stretches
 from recovery.drape.sewing import in_numpy
 from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.measurements import BodyMeasurements

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from drape.cloth.relaxation import Distance
 from drape.errors import InputError
 from drape.geometry import closest
 from recovery.drape.placement import moved_clear
-from recovery.drape.relax import Distance
 from recovery.drape.sewing import SEWING_GAP_M, Sewn, sew
 from recovery.pattern.design import Design
 from recovery.pattern.mesh import PatternMesh

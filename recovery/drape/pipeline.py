@@ -12,12 +12,12 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.cloth.material import DEFAULT_MATERIAL, Material, OrthotropicMaterial, material
+from drape.cloth.relaxation import principal_stretches
 from drape.errors import InputError
 from drape.geometry import meshes
 from recovery import progress
 from recovery.drape.placement import Axes, Placed, place_panels, scaled
 from recovery.drape.posing import to_pose
-from recovery.drape.relax import principal_stretches
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
 from recovery.drape.sewing import Sewn, in_numpy, sew

@@ -14,9 +14,9 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
+from drape.cloth.relaxation import Distance
 from drape.errors import InputError
 from drape.geometry.meshes import boundary_loops
-from recovery.drape.relax import Distance
 from recovery.drape.sleeves import limb_openings, round_spread_arms
 from recovery.pattern.measurements import measure
 from recovery.pattern.mesh import PatternMesh

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from drape.cloth.relaxation import Distance, Relaxation, principal_stretches
 from drape.errors import InputError
 from recovery import progress
-from recovery.drape.relax import Distance, Relaxation, principal_stretches
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.sdf import SignedDistance
 

@@ -13,11 +13,11 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.cloth.material import FABRICS, MEASURED
+from drape.cloth.relaxation import Distance
 from drape.errors import InputError
 from drape.garment.contours import lost_parts
 from recovery.drape.pipeline import hanging
 from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, moved_clear, place_panels, scaled
-from recovery.drape.relax import Distance
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle, to_rest, topmost_opening
 from recovery.drape.sewing import SEWING_GAP_M, Sewn, in_numpy, sew

@@ -17,11 +17,12 @@ from drape.garment.modelled_on import modelled_on
 from drape.garment.registration import posed_by, unpack
 from drape.garment.told_reading import ToldReading, told_reading
 from drape.garment.unnamed_avatar import on_standard, worn_by
-from drape.garment.wearer_fields import bones_of, enclosed, known_parameters, thin_body, unthreaded
+from drape.garment.wearer_fields import SHAPES, bones_of, enclosed, known_parameters, thin_body, unthreaded
 from drape.garment.wearer_reading import Reading
 from drape.garment.wearer_search import find_wearers, the_wearer
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import shirt
+from tests.fixtures.mantles import cape, poncho, standing
 
 BODY = load_body()
 FACES = shirt(BODY, BODY.v_template)[1]
@@ -182,3 +183,22 @@ def test_what_is_told_in_part_has_the_usual_rest():
     assert told_reading({"unit": 0.01}) == (ToldReading(("cm", 0.01)), None)
     assert told_reading({"up": "-z"})[0].turned == Reading("m", 1.0, "-z", "-y")
     assert told_reading("standard") == (ToldReading(), "standard")
+
+
+MANTLES = {
+    "cape": (50.0, 100.0, lambda body: cape(body, 50.0, length_m=1.05, open_deg=10.0)),
+    "poncho": (0.0, 1.0, lambda body: poncho(body, width_m=0.62, front_m=0.6, back_m=0.6)),
+}
+
+
+@pytest.mark.parametrize("kind", MANTLES)
+def test_cloth_that_hangs_from_arms_tells_its_unit_and_facing(kind: str):
+    """A cape in centimetres is no hat in millimetres, a woman's poncho no scarf of half its size."""
+    down_deg, per_m, made = MANTLES[kind]
+    betas = np.array(SHAPES["woman"])
+    woman = replace(BODY, v_template=BODY.rest_vertices(betas))
+    vertices, faces = made(woman)
+    skin = standing(woman, down_deg)
+    found = the_wearer(plain_mesh(kind, per_m * (vertices - [0.0, skin[:, 1].min(), 0.0]), faces), BODY)
+    assert (found.reading.scale, found.reading.up, found.reading.front) == (1.0 / per_m, "+y", "+z")
+    assert abs(found.arms_deg - down_deg) < 12.0

@@ -12,10 +12,10 @@ from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse
-from scipy.sparse.linalg import splu
 
 from drape.errors import MeshError
 from drape.geometry import meshes
+from drape.geometry.symmetric import symmetric_factor
 
 Distance = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # points (N, 3) -> distance [m] (N,), gradient (N, 3)
 
@@ -33,6 +33,7 @@ class Relaxation:
 
     ``threads`` (S, 2) are pairs of vertices that can be pulled together. ``distance`` is the body, ``gap_m`` what cloth
     keeps from it, all of it or each vertex (V,). At the vertices ``creases`` it folds without resistance.
+    ``inertia``, of all or each vertex (V,), holds them where they are.
     """
 
     def __init__(
@@ -44,15 +45,16 @@ class Relaxation:
         gap_m: float | np.ndarray,
         threads: np.ndarray | None = None,
         creases: np.ndarray | None = None,
+        inertia: float | np.ndarray = INERTIA_WEIGHT,
     ) -> None:
         self._creases = np.zeros(0, dtype=np.int64) if creases is None else creases
-        self.faces, self.distance, self.gap_m = faces, distance, gap_m
+        self.faces, self.distance, self.gap_m, self.inertia = faces, distance, gap_m, inertia
         self.count = count = int(faces.max()) + 1
         self._gradient, self._area = shape_gradients(rest)
         weights = self._area[:, None, None] * np.einsum("fic,fjc->fij", self._gradient, self._gradient)
         rows, columns = np.repeat(faces, 3, axis=1).reshape(-1), np.tile(faces, (1, 3)).reshape(-1)
         membrane = scipy.sparse.csr_matrix((weights.reshape(-1), (rows, columns)), shape=(count, count))
-        self._constant = membrane + self._bending(membrane) + INERTIA_WEIGHT * scipy.sparse.identity(count)
+        self._constant = membrane + self._bending(membrane) + scipy.sparse.diags(np.broadcast_to(inertia, count))
         self.threads = np.zeros((0, 2), dtype=np.int64) if threads is None else threads
         ends = np.arange(len(self.threads))
         values = np.ones(len(ends))
@@ -83,7 +85,7 @@ class Relaxation:
         distance, normal = self.distance(x)
         touching = distance < self.gap_m
         goal = x + np.where(touching, self.gap_m - distance, 0.0)[:, None] * normal
-        right = self._gather @ self._wanted(x).reshape(-1, 3) + INERTIA_WEIGHT * x
+        right = self._inward(x)
         right += CONTACT_WEIGHT * touching[:, None] * goal
         if lengths_m is not None:
             thread = self._difference @ x
@@ -91,21 +93,26 @@ class Relaxation:
             share = np.minimum(1.0, lengths_m / np.maximum(length, 1e-12))
             right += THREAD_WEIGHT * (self._difference.T @ (share[:, None] * thread))
         system = self._constant + CONTACT_WEIGHT * scipy.sparse.diags(touching.astype(np.float64))
-        factor = splu(
-            system.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-        move = factor.solve(right) - x
-        size = np.linalg.norm(move, axis=1, keepdims=True)
-        return x + move * np.minimum(1.0, LONGEST_MOVE_M / np.maximum(size, 1e-12))
+        return moved(x, symmetric_factor(system).solve(right))
 
     def thread_lengths(self, x: np.ndarray) -> np.ndarray:
         """Lengths [m] (S,) of the threads at ``x``."""
         return np.linalg.norm(self._difference @ x, axis=1)
 
+    def _inward(self, x: np.ndarray) -> np.ndarray:
+        """Right side (V, 3) of the cloth alone, which is neither pulled nor in contact."""
+        return self._gather @ self._wanted(x).reshape(-1, 3) + np.reshape(self.inertia, (-1, 1)) * x
+
     def _wanted(self, x: np.ndarray) -> np.ndarray:
         """Right side (F, 3 corners, 3) of triangles turned to where they are and not stretched."""
         f = np.einsum("fcx,fcp->fxp", x[self.faces], self._gradient)
         return self._area[:, None, None] * np.einsum("fxp,fcp->fcx", nearest_isometry(f), self._gradient)
+
+
+def moved(x: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """``x`` [m] (V, 3), moved to ``goal`` (V, 3), but no vertex by more than ``LONGEST_MOVE_M``."""
+    size = np.linalg.norm(goal - x, axis=1, keepdims=True)
+    return x + (goal - x) * np.minimum(1.0, LONGEST_MOVE_M / np.maximum(size, 1e-12))
 
 
 def shape_gradients(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from drape.cloth.relaxation import LONGEST_MOVE_M, Relaxation, nearest_isometry, principal_stretches
 from drape.errors import MeshError
-from recovery.drape.relax import LONGEST_MOVE_M, Relaxation, nearest_isometry, principal_stretches
 from recovery.drape.sewing import in_numpy
 from recovery.sim.sdf import Plane
 from tests.recovery.sim_setup import strip

@@ -1,0 +1,49 @@
+"""Mantles: cloth that covers arms lies as it does over arms that point so (``drape.garment.mantle_shapes``)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.garment.cache import Garment
+from drape.garment.mantle_shapes import worn
+from drape.garment.skin import BodyBinding
+from drape.stages.batch import Batch, changed
+from drape.stages.plan import Plan
+from drape.stages.stage import KeptConstants, Stage, StageSetup
+
+
+class Mantles(Stage):
+    """Lays mantles over the arms in place of the network, which has learned nothing of such cloth."""
+
+    name = "mantles"
+
+    def __init__(self, setup: StageSetup) -> None:
+        super().__init__(setup)
+        self._bindings = KeptConstants[BodyBinding]()
+
+    def wanted(self, plan: Plan) -> bool:
+        worn_ones = any(entry.garment.arm_ways is not None for entry in plan.scene.layers)
+        return worn_ones and plan.options.geometry == "vertices"
+
+    def needs(self, plan: Plan) -> frozenset[str]:
+        return frozenset({"vertices"})
+
+    def remove(self, garment: Garment) -> None:
+        self._bindings.forget(garment.digest)
+
+    def run(self, batch: Batch) -> Batch:
+        layers = list(batch.layers)
+        for i, entry in enumerate(batch.plan.draped):
+            if entry.garment.arm_ways is not None:
+                layers[i] = changed(layers[i], vertices=self._laid(batch, entry.garment))
+        return changed(batch, layers=tuple(layers))
+
+    def _laid(self, batch: Batch, garment: Garment) -> np.ndarray:
+        """The vertices [m] (F, V, 3) of a mantle relative to the roots, float32."""
+        assert garment.arm_ways is not None
+        binding = self._bindings.get((garment.digest,), lambda: garment.binding(self.body))
+        count, rest = garment.vertex_count, garment.vertices.astype(np.float64)
+        frames = [
+            worn(rest, garment.arm_ways, binding, self.body, one.poses, one.betas)[:, :count] for one in batch.inputs
+        ]
+        return np.concatenate(frames).astype(np.float32)
