@@ -13,11 +13,19 @@
 // a and b the sides of the node's coarse triangles in X and in c, N and n its normals there. It is found by turning
 // about the sum of r x m over the columns of R and M (Mueller, Bender, Chentanez and Macklin 2016, "A Robust Method to
 // Extract the Rotational Part of Deformations", MIG), which has a result for every M.
+//
+// Nodes that go where their neighbours do not crumple the cloth between them. So each first goes over to
+//
+//     c <- mean of c + R (X - mean of X)
+//
+// a few times, means over the node and its neighbours, with R of as wide a surrounding. What many nodes do together
+// stays as it is.
 #pragma once
 #include "turns.hpp"
 
 constexpr int ROTATION_ROUNDS = 8;    // of turning, fewer where the square of the last half turn [rad^2] was ENOUGH
 constexpr double ENOUGH = 1e-9;
+constexpr int MEANS = 3;  // none leave a walking skirt half again as much curvature, six no less
 constexpr double LEAST_ALONG = 1e-3;  // of the squared sides: a smaller sum of r . m says little of a rotation
 
 // The rotation nearest to a matrix, of 1 where that is zero. Sums of r . m below least turn it less.
@@ -37,53 +45,128 @@ template <class T> INLINE Matrix<T> rotation_of(const Matrix<T>& m, Row<T> least
   return {e, f, g};
 }
 
-// Writes a share of R - 1 and of c - X - (R - 1) X of every node to table, sixteen numbers each: four columns of four.
-template <class T>
-void write_turns(const T* still, const T* swung, const SwingMesh<T>& mesh, T share, T* table, Scratch& scratch) {
-  const SwingRows<T>& rows = mesh.rows;
-  const int64_t mark = scratch.used, places = rows.node.count, blocks = rows.start.count - 1;
-  T *x = scratch.take<T>(3 * places), *c = scratch.take<T>(3 * places), *square = scratch.take<T>(places);
-  T *first = scratch.take<T>(3 * places), *second = scratch.take<T>(3 * places), *third = scratch.take<T>(3 * places);
-  if (scratch.overflowed) return;
-  const Row<T> zero = row_of(T(0)), one = row_of(T(1));
-  for (int64_t p = 0; p < places; ++p) {
-    put_point(x, p, point(still, rows.node[p]));
-    put_point(c, p, point(swung, rows.node[p]));
+// The nodes of a swing mesh at their places, still x and swung c [m] (P, 3).
+template <class T> struct Nodes { T *x, *c; };
+
+// 1 where a row of triangles has one, 0 where it is empty: it has the place itself, and no area.
+template <class T> INLINE Row<T> real_triangle(const SwingRows<T>& rows, int64_t row) {
+  const Row<T> area = row_at(rows.slope + 5 * LANES * row + 4 * LANES);
+  return where<T>(area > row_of(T(0)), row_of(T(1)), row_of(T(0)));
+}
+
+// Three columns (3, P, 3) of a matrix at every place.
+template <class T> struct Matrices {
+  T *a, *b, *c;
+  Matrices(int64_t places, Scratch& scratch)
+      : a(scratch.take<T>(3 * places)), b(scratch.take<T>(3 * places)), c(scratch.take<T>(3 * places)) {}
+  INLINE_MEMBER Matrix<T> in(int64_t at) const { return {points_in(a + at), points_in(b + at), points_in(c + at)}; }
+  INLINE_MEMBER Matrix<T> at(const int32_t* index) const {
+    return {points_at(a, index), points_at(b, index), points_at(c, index)};
   }
-  for (int64_t block = 0; block < blocks; ++block) {
+  INLINE_MEMBER void set(int64_t at, const Matrix<T>& m) const {
+    put_points(a + at, m.a), put_points(b + at, m.b), put_points(c + at, m.c);
+  }
+};
+
+// Writes M of each node's own triangles, and the squares [m^2] (P,) of their sides.
+template <class T>
+void write_sides(const Nodes<T>& nodes, const SwingRows<T>& rows, const Matrices<T>& found, T* square) {
+  const Row<T> zero = row_of(T(0)), one = row_of(T(1));
+  for (int64_t block = 0; block < rows.start.count - 1; ++block) {
     const int64_t at = 3 * LANES * block;
-    const Points<T> own = points_in(x + at), moved = points_in(c + at), none = {zero, zero, zero};
+    const Points<T> own = points_in(nodes.x + at), moved = points_in(nodes.c + at), none = {zero, zero, zero};
     Points<T> before = none, after = none;
     Matrix<T> m = {none, none, none};
     Row<T> sides = zero;
     for (int64_t row = rows.start[block]; row < rows.start[block + 1]; ++row) {
       const int32_t* other = rows.other + 2 * LANES * row;
-      Points<T> a = points_at(x, other) - own, b = points_at(c, other) - moved;
-      Points<T> p = points_at(x, other + LANES) - own, q = points_at(c, other + LANES) - moved;
+      Points<T> a = points_at(nodes.x, other) - own, b = points_at(nodes.c, other) - moved;
+      Points<T> p = points_at(nodes.x, other + LANES) - own, q = points_at(nodes.c, other + LANES) - moved;
       m = {m.a + mix(a.x, b, p.x, q), m.b + mix(a.y, b, p.y, q), m.c + mix(a.z, b, p.z, q)};
       before = before + cross(a, p), after = after + cross(b, q);
       sides = sides + dot(a, a) + dot(p, p);
     }
     Row<T> length = root<T>(dot(before, before) * dot(after, after));
     after = scaled(where<T>(length > zero, T(0.5) * sides / where<T>(length > zero, length, one), zero), after);
-    put_points(first + at, plus(m.a, before.x, after));
-    put_points(second + at, plus(m.b, before.y, after));
-    put_points(third + at, plus(m.c, before.z, after));
+    found.set(at, {plus(m.a, before.x, after), plus(m.b, before.y, after), plus(m.c, before.z, after)});
     put(square + LANES * block, sides);
   }
-  for (int64_t block = 0; block < blocks; ++block) {
-    const int64_t at = 3 * LANES * block;
-    Matrix<T> m = {points_in(first + at), points_in(second + at), points_in(third + at)};
-    for (int64_t row = 2 * rows.start[block]; row < 2 * rows.start[block + 1]; ++row) {
-      // An empty row has the place itself, and no area.
-      Row<T> real = where<T>(row_at(rows.slope + 5 * LANES * (row / 2) + 4 * LANES) > zero, one, zero);
-      const int32_t* other = rows.other + LANES * row;
-      m = {plus(m.a, real, points_at(first, other)), plus(m.b, real, points_at(second, other)),
-           plus(m.c, real, points_at(third, other))};
+}
+
+// Writes R of every node, of M over the nodes that are so many rings away at most.
+template <class T>
+void write_turns(const Nodes<T>& nodes, const SwingRows<T>& rows, int rings, const Matrices<T>& turns,
+                 Scratch& scratch) {
+  const int64_t mark = scratch.used, places = rows.node.count;
+  T* square = scratch.take<T>(places);
+  Matrices<T> before = turns, sums(places, scratch);
+  if (scratch.overflowed) return;
+  write_sides(nodes, rows, before, square);
+  for (int ring = 0; ring < rings; ++ring) {
+    for (int64_t block = 0; block < rows.start.count - 1; ++block) {
+      Matrix<T> m = before.in(3 * LANES * block);
+      for (int64_t row = 2 * rows.start[block]; row < 2 * rows.start[block + 1]; ++row) {
+        const Row<T> real = real_triangle(rows, row / 2);
+        const Matrix<T> other = before.at(rows.other + LANES * row);
+        m = {plus(m.a, real, other.a), plus(m.b, real, other.b), plus(m.c, real, other.c)};
+      }
+      sums.set(3 * LANES * block, m);
     }
-    const Matrix<T> r = rotation_of<T>(m, T(LEAST_ALONG) * row_at(square + LANES * block));
-    put_nodes(table, rows.node + LANES * block, r, points_in(x + at), points_in(c + at), share);
+    const Matrices<T> spare = before;
+    before = sums, sums = spare;
   }
+  for (int64_t block = 0; block < rows.start.count - 1; ++block) {
+    const int64_t at = 3 * LANES * block;
+    turns.set(at, rotation_of<T>(before.in(at), T(LEAST_ALONG) * row_at(square + LANES * block)));
+  }
+  scratch.used = mark;
+}
+
+// Lets the nodes that may move go over to the mean around them and their turned way from that in still cloth.
+template <class T>
+void smooth_nodes(const Nodes<T>& nodes, const SwingRows<T>& rows, const Matrices<T>& turns, Scratch& scratch) {
+  const int64_t mark = scratch.used, places = rows.node.count;
+  T* mean = scratch.take<T>(3 * places);
+  if (scratch.overflowed) return;
+  for (int pass = 0; pass < MEANS; ++pass) {
+    for (int64_t block = 0; block < rows.moving; ++block) {
+      const int64_t at = 3 * LANES * block;
+      Points<T> still = points_in(nodes.x + at), swung = points_in(nodes.c + at), off = still;
+      Row<T> count = row_of(T(1));
+      for (int64_t row = rows.start[block]; row < rows.start[block + 1]; ++row) {
+        const int32_t* other = rows.other + 2 * LANES * row;
+        const Row<T> real = real_triangle(rows, row);
+        still = plus(still, real, points_at(nodes.x, other) + points_at(nodes.x, other + LANES));
+        swung = plus(swung, real, points_at(nodes.c, other) + points_at(nodes.c, other + LANES));
+        count = count + real + real;
+      }
+      const Row<T> per = row_of(T(1)) / count;
+      off = off - scaled(per, still);
+      const Matrix<T> r = turns.in(at);
+      put_points(mean + at, scaled(per, swung) + plus(mix(off.x, r.a, off.y, r.b), off.z, r.c));
+    }
+    __builtin_memcpy(nodes.c, mean, size_t(3 * LANES * rows.moving) * sizeof(T));
+  }
+  scratch.used = mark;
+}
+
+// Writes a share of R - 1 and of c - X - (R - 1) X of every node to table, sixteen numbers each: four columns of four.
+template <class T>
+void write_nodes(const T* still, const T* swung, const SwingMesh<T>& mesh, T share, T* table, Scratch& scratch) {
+  const SwingRows<T>& rows = mesh.rows;
+  const int64_t mark = scratch.used, places = rows.node.count;
+  const Nodes<T> nodes = {scratch.take<T>(3 * places), scratch.take<T>(3 * places)};
+  const Matrices<T> turns(places, scratch);
+  if (scratch.overflowed) return;
+  for (int64_t p = 0; p < places; ++p) {
+    put_point(nodes.x, p, point(still, rows.node[p]));
+    put_point(nodes.c, p, point(swung, rows.node[p]));
+  }
+  write_turns(nodes, rows, MEANS + 1, turns, scratch);
+  smooth_nodes(nodes, rows, turns, scratch);
+  write_turns(nodes, rows, 1, turns, scratch);
+  for (int64_t at = 0; at < 3 * places; at += 3 * LANES)
+    put_nodes(table, rows.node + at / 3, turns.in(at), points_in(nodes.x + at), points_in(nodes.c + at), share);
   scratch.used = mark;
 }
 
@@ -94,7 +177,7 @@ void move_vertices(const T* vertices, int64_t count, const T* still, const T* sw
   const int64_t mark = scratch.used;
   T* table = scratch.take<T>(LANES * mesh.vertex.count);
   if (scratch.overflowed) return;
-  write_turns(still, swung, mesh, share, table, scratch);
+  write_nodes(still, swung, mesh, share, table, scratch);
   for (int64_t v = 0; v < count; ++v) {
     const int64_t first = SHARED * v;
     put_point(out, v, carried_by(table, mesh.weight_node + first, mesh.weight + first, 1, point(vertices, v)));

@@ -134,7 +134,7 @@ def test_a_strip_that_comes_down_lies_on_the_floor_and_rests_there():
     assert np.linalg.norm(memory.swung - before, axis=1).max() < 0.02
     assert_array_equal(memory.speed, 0.0)
     lengths = np.linalg.norm(np.diff(x.reshape(31, -1, 3)[:, 4], axis=0), axis=1)
-    assert lengths.sum() > 0.9 * LENGTH_M, "it lies there at its length"
+    assert lengths.sum() > 0.85 * LENGTH_M, "it lies there at its length, but for its rounded bends"
 
 
 def test_nothing_passes_through_a_thin_plate_however_fast():

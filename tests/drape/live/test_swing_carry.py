@@ -44,6 +44,24 @@ def test_folds_keep_their_area_where_cloth_tilts():
     assert plain < 0.9 * before
 
 
+def test_nodes_that_part_leave_the_cloth_between_them_smooth(rng):
+    rest, mesh = hanging()
+    still = rest[mesh.vertex]
+    noise = 0.01 * rng.normal(size=still.shape)
+    noise[np.setdiff1d(np.arange(len(still)), mesh.order)] = 0.0
+    way = carried(rest, still, still + noise)[mesh.vertex[mesh.order]] - still[mesh.order]
+    assert 0.0 < np.sqrt((way**2).mean()) < 0.005
+
+
+def test_what_hangs_from_does_not_move(rng):
+    rest, mesh = hanging()
+    still = rest[mesh.vertex]
+    swung = still.copy()
+    swung[mesh.order] += 0.05
+    held = rest[:, 1] > -1e-9
+    assert_allclose(carried(rest, still, swung)[held], rest[held], atol=1e-3)
+
+
 def test_a_share_of_nothing_moves_nothing(rng):
     rest, mesh = hanging()
     still = rest[mesh.vertex]
