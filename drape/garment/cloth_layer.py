@@ -20,7 +20,15 @@ from drape.garment.caps import without_caps
 from drape.garment.files.mesh import GarmentMesh, plain_mesh, weld
 from drape.garment.mesh_checks import without_flat_faces
 from drape.garment.rest_detail import cloth_of, rest_of
-from drape.garment.sheets import agreeing, cut_branches, pieces_of, samples_to, with_used_vertices, without_copies
+from drape.garment.sheets import (
+    agreeing,
+    cut_branches,
+    pieces_of,
+    samples_to,
+    with_used_vertices,
+    without_copies,
+    without_cracks,
+)
 from drape.garment.walls import SAME_M, outer_sides
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
@@ -38,7 +46,7 @@ def joined(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` as sheets: copies of a vertex are one, faces without area, drawn twice or closing the end of a tube are
     left out, and edges have two faces at most. Where that changes it, the vertices of the sheets follow those of
     ``mesh``."""
-    sheets = cut_branches(without_flat_faces(without_copies(weld(mesh))))
+    sheets = cut_branches(without_flat_faces(without_cracks(without_copies(weld(mesh)))))
     if not (keep := without_caps(sheets.vertices, sheets.faces)).all():
         sheets = with_used_vertices(sheets.take_faces(keep)).noted(f"{int((~keep).sum())} faces close ends of tubes")
     if sheets is mesh:
