@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from drape.cloth.coarse_mesh import coarse_mesh
+from drape.errors import MeshError
 from drape.garment.bound import BoundMesh, bind
 from drape.garment.caps import without_caps
 from drape.garment.files.mesh import GarmentMesh, plain_mesh, weld
@@ -124,13 +125,21 @@ def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:
     edge_m = max(THINNED_M, float(np.sqrt(area / (0.5 * np.sqrt(3.0) * 0.95 * VERTEX_LIMIT))))
     thin = _evenly_thinned(mesh.name, points, faces, edge_m)
     if len(thin.vertices) > VERTEX_LIMIT:  # wrinkles and slivers leave no edge that collapses: shape before evenness
-        wound, _ = agreeing(plain_mesh(mesh.name, points, faces))  # quadrics are asked of what is wound alike
+        # Quadrics are asked of what is wound alike, and refused where sheets touch at a vertex.
+        wound, _ = agreeing(cut_branches(plain_mesh(mesh.name, points, faces)))
         for most in SIMPLIFIED:
             fewer, corners = map(np.asarray, igl.qslim(wound.vertices, wound.faces.astype(np.int64), most)[:2])
             if len(corners):
                 thin = _evenly_thinned(mesh.name, fewer, corners.astype(np.int64), edge_m)
             if len(thin.vertices) <= VERTEX_LIMIT:
                 break
+    if len(thin.vertices) > VERTEX_LIMIT:
+        raise MeshError(
+            "garment",
+            expected=f"cloth that {VERTEX_LIMIT:,} vertices can have the shape of",
+            got=f"{len(used):,} vertices, of which {len(thin.vertices):,} cannot be left out",
+            cure="Simplify the mesh, and weld the vertices of its pieces.",
+        )
     notes.append(f"{len(used):,} vertices of cloth are simulated as {len(thin.vertices):,}")
     return thin.noted(*mesh.notes)
 
