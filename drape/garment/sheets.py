@@ -47,7 +47,11 @@ def without_cracks(mesh: GarmentMesh) -> GarmentMesh:
     np.minimum.at(reach, border, CRACK_EDGES * meshes.edge_lengths(mesh.vertices, border)[:, None])
     own = np.unique(border)
     pairs = own[KDTree(mesh.vertices[own]).query_pairs(float(reach.max()), output_type="ndarray")]
-    return _welded(mesh, pairs[meshes.edge_lengths(mesh.vertices, pairs) < reach[pairs].min(axis=1)])
+    pairs = pairs[meshes.edge_lengths(mesh.vertices, pairs) < reach[pairs].min(axis=1)]
+    # Where whole edges meet; hems of two garments that touch in a point stay apart.
+    label = mesh_graphs.joined_parts(len(mesh.vertices), *pairs.T)
+    ends, counts = np.unique(np.sort(label[border], axis=1), axis=0, return_counts=True)
+    return _welded(mesh, pairs[np.isin(label[pairs[:, 0]], ends[counts > 1])])
 
 
 def _welded(mesh: GarmentMesh, pairs: np.ndarray) -> GarmentMesh:
