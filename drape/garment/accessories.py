@@ -10,15 +10,19 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.contours import open_contours
 from drape.garment.files.mesh import GarmentMesh
+from drape.garment.sheets import pieces_of
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
 
-# By the bone that carries: the bones whose skin all of the piece must be nearest to.
+# By the bone that carries: the bones whose skin all of the piece must be nearest to. The shank is the knee's, and a
+# heel may be nearer to it.
 CARRIERS = {
     "head": ("head",),
-    **{f"{side}_ankle": (f"{side}_ankle", f"{side}_foot") for side in ("left", "right")},
+    **{f"{side}_ankle": (f"{side}_ankle", f"{side}_foot", f"{side}_knee") for side in ("left", "right")},
     **{f"{side}_wrist": (f"{side}_wrist", f"{side}_hand") for side in ("left", "right")},
 }
+SHANK = ("left_knee", "right_knee")
+SOLID_SHARE = 0.4  # of the area of what bones carry: the rest are insoles, laces and the like
 WHOLLY = 0.97  # of the piece
 # Area over that of the skin below: gloves and socks have one to one and a half; shoes have a sole and inner walls.
 THICK = 1.8
@@ -27,10 +31,16 @@ NECK_M = 0.05  # an opening that reaches as far below the head's joint is round 
 
 
 def carriers_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[str, ...]:
-    """The bones that carry the pieces of ``mesh`` [m] on ``body`` with the skin (V, 3); none where one is cloth."""
-    label = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
-    found = [accessory_of(mesh.take_faces(label == number), skin, body) for number in np.unique(label)]
-    return tuple(dict.fromkeys(bone for bone in found if bone)) if all(found) else ()
+    """The bones that carry the pieces of ``mesh`` [m] on ``body`` with the skin (V, 3); none where it is cloth."""
+    label, area = pieces_of(mesh.vertices, mesh.faces)
+    bones, solid = [], 0.0
+    for number in range(len(area)):
+        bone, cloth = _carried_by(mesh.take_faces(label == number), skin, body)
+        if bone is None:
+            return ()
+        bones.append(bone)
+        solid += 0.0 if cloth else float(area[number])
+    return tuple(dict.fromkeys(bones)) if solid > SOLID_SHARE * float(area.sum()) else ()
 
 
 def carried_rows(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, bones: Sequence[str]) -> np.ndarray:
@@ -44,9 +54,16 @@ def carried_rows(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, bo
 
 
 def accessory_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> str | None:
-    """The bone that carries ``mesh`` [m], one piece, on ``body`` with the ``skin`` (V, 3) [m], or None for cloth.
+    """The bone that carries ``mesh`` [m], one piece, on ``body`` with the ``skin`` (V, 3) [m], or None for cloth."""
+    bone, cloth = _carried_by(mesh, skin, body)
+    return None if cloth else bone
 
-    Pieces at one foot or hand are cloth, as socks and gloves, unless their walls are double or stand off the skin.
+
+def _carried_by(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[str | None, bool]:
+    """The bone at whose skin all of a piece lies, None where there is none, and whether the piece is cloth.
+
+    At a foot or hand it is cloth, as socks and gloves, unless its walls are double or stand off the skin. What goes up
+    the shank must stand off and be a solid without an opening, as a shoe with a heel is.
     """
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     areas = meshes.face_areas(mesh.vertices, mesh.faces)
@@ -59,10 +76,13 @@ def accessory_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> str | 
         if carrier == "head":
             floor = (body.regressor @ skin)[own[0], 1] - NECK_M
             low = [one.points[:, 1].min() for one in open_contours(mesh.vertices, mesh.faces)]
-            return None if min(low, default=np.inf) < floor else carrier
+            return carrier, min(low, default=np.inf) < floor
         limb = body.faces[np.isin(body.weights.argmax(axis=1), own)[body.faces].all(axis=1)]
         covered = np.isin(limb, body.faces[nearest.face]).any(axis=1)
         share = areas.sum() / meshes.face_areas(skin, limb[covered]).sum()
         far = float(np.median(np.repeat(nearest.distance, np.ceil(1e4 * areas / areas.sum()).astype(int))))
-        return carrier if share > THICK or far > STANDS_OFF_M else None
-    return None
+        shank = np.isin(bone, [JOINT_NAMES.index(name) for name in SHANK])
+        if areas[shank].sum() < (1.0 - WHOLLY) * areas.sum():
+            return carrier, share <= THICK and far <= STANDS_OFF_M
+        return carrier, far <= STANDS_OFF_M or len(meshes.boundary_edges(mesh.faces)) > 0
+    return None, True

@@ -15,12 +15,21 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from drape.cloth.coarse_mesh import coarse_mesh
+from drape.errors import MeshError
 from drape.garment.bound import BoundMesh, bind
 from drape.garment.caps import without_caps
 from drape.garment.files.mesh import GarmentMesh, plain_mesh, weld
 from drape.garment.mesh_checks import without_flat_faces
 from drape.garment.rest_detail import cloth_of, rest_of
-from drape.garment.sheets import agreeing, cut_branches, pieces_of, samples_to, with_used_vertices, without_copies
+from drape.garment.sheets import (
+    agreeing,
+    cut_branches,
+    pieces_of,
+    samples_to,
+    with_used_vertices,
+    without_copies,
+    without_cracks,
+)
 from drape.garment.walls import SAME_M, outer_sides
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
@@ -38,7 +47,7 @@ def joined(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` as sheets: copies of a vertex are one, faces without area, drawn twice or closing the end of a tube are
     left out, and edges have two faces at most. Where that changes it, the vertices of the sheets follow those of
     ``mesh``."""
-    sheets = cut_branches(without_flat_faces(without_copies(weld(mesh))))
+    sheets = cut_branches(without_flat_faces(without_cracks(without_copies(weld(mesh)))))
     if not (keep := without_caps(sheets.vertices, sheets.faces)).all():
         sheets = with_used_vertices(sheets.take_faces(keep)).noted(f"{int((~keep).sum())} faces close ends of tubes")
     if sheets is mesh:
@@ -116,13 +125,21 @@ def _thinned(mesh: GarmentMesh, notes: list[str]) -> GarmentMesh:
     edge_m = max(THINNED_M, float(np.sqrt(area / (0.5 * np.sqrt(3.0) * 0.95 * VERTEX_LIMIT))))
     thin = _evenly_thinned(mesh.name, points, faces, edge_m)
     if len(thin.vertices) > VERTEX_LIMIT:  # wrinkles and slivers leave no edge that collapses: shape before evenness
-        wound, _ = agreeing(plain_mesh(mesh.name, points, faces))  # quadrics are asked of what is wound alike
+        # Quadrics are asked of what is wound alike, and refused where sheets touch at a vertex.
+        wound, _ = agreeing(cut_branches(plain_mesh(mesh.name, points, faces)))
         for most in SIMPLIFIED:
             fewer, corners = map(np.asarray, igl.qslim(wound.vertices, wound.faces.astype(np.int64), most)[:2])
             if len(corners):
                 thin = _evenly_thinned(mesh.name, fewer, corners.astype(np.int64), edge_m)
             if len(thin.vertices) <= VERTEX_LIMIT:
                 break
+    if len(thin.vertices) > VERTEX_LIMIT:
+        raise MeshError(
+            "garment",
+            expected=f"cloth that {VERTEX_LIMIT:,} vertices can have the shape of",
+            got=f"{len(used):,} vertices, of which {len(thin.vertices):,} cannot be left out",
+            cure="Simplify the mesh, and weld the vertices of its pieces.",
+        )
     notes.append(f"{len(used):,} vertices of cloth are simulated as {len(thin.vertices):,}")
     return thin.noted(*mesh.notes)
 

@@ -249,6 +249,7 @@ class _Fit(NamedTuple):
 def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray, wanted: dict[str, int] | None) -> Cuffs:
     """Middles [m] (3,) of the openings that lie nearer to a limb than to the trunk at the start, with the bone.
 
+    Arms and feet may be elsewhere than at the start; thighs are not, so what lies beside one is a pocket.
     Each limb has one at most, the first of ``contours``, and none if the garment's kind has none there.
     """
     betas, pose, trans = unpack(body, parameters)
@@ -268,7 +269,8 @@ def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray, wan
             break
         near, a, b, part = min(limbs)
         inner = min(float(np.linalg.norm(_perpendicular(contour.centre, *bone))) for bone in pairwise(trunk))
-        if near < inner:
+        beside = JOINT_NAMES[a].endswith("hip") and near > contour.length_m / (2.0 * np.pi)
+        if near < inner and not beside:
             found.append((contour.centre, a, b))
             taken.add(part)
     return found

@@ -29,6 +29,7 @@ from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.errors import InputError, refusing
 from drape.files.pictures import with_remade
 from drape.garment import avatars
+from drape.garment.accessories import carriers_of
 from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
 from drape.garment.clearance import CLEARANCE_M
 from drape.garment.cloth_layer import joined
@@ -43,6 +44,7 @@ from drape.garment.panels import with_sewn_panels
 from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
 from drape.garment.rest_mesh import RestMesh, describe_rest, rest_mesh, with_unused
 from drape.garment.sewing import Sewing, sewing_beside, sewn_hinges
+from drape.garment.sheets import with_used_vertices
 from drape.garment.strays import without_strays
 from drape.garment.wearer_pictures import pictured
 
@@ -199,7 +201,8 @@ def _made(file: _File, body: BodyModel, say: Report, begins: Report, *, whole: b
     mesh = mesh if sewn is not None else without_strays(mesh)
     sheets, model, wearer = modelled_on(mesh if sewn is not None else joined(mesh), body, options, file.meaning)
     unnamed = "" if file.meaning is not None else " (none was named)"
-    if sewn is None:
+    whole_sheets = sewn is not None or bool(carriers_of(with_used_vertices(sheets), model.vertices, body))
+    if not whole_sheets:
         sheets = with_sewn_panels(sheets, model.vertices)
     say(f"avatar    {model.source}; residual {model.residual_mm:.1f} mm{unnamed}")
     if sewn is not None:
@@ -207,7 +210,7 @@ def _made(file: _File, body: BodyModel, say: Report, begins: Report, *, whole: b
     started = time.perf_counter()
     begins("rest")
     told: dict[str, Any] = {} if wearer is None else {"wearer": pictured(wearer, mesh)}
-    label = np.zeros(len(sheets.faces), dtype=int) if sewn is not None else garments_in(sheets, model.vertices, body)
+    label = np.zeros(len(sheets.faces), dtype=int) if whole_sheets else garments_in(sheets, model.vertices, body)
     layers = int(label.max(initial=0)) + 1
     if layers > 1:
         told |= {"layers": layers}

@@ -80,7 +80,7 @@ def rest_mesh(
     checked = check_mesh(cloth if whole else with_used_vertices(cloth), avatar, placed=True)
     drawn = None if whole else hung(mesh, sheets.vertices[: len(mesh.vertices)], checked)
     compact, kept = without_unused(checked)
-    carriers = () if sewn else carriers_of(compact, avatar.vertices, body)
+    carriers = () if sewn else carriers_of(with_used_vertices(sheets), avatar.vertices, body)
     if carriers:
         moved = _carried(compact, avatar, body, carriers)
         compact = compact.noted(f"warning: carried by the bones {', '.join(carriers)}, as no cloth is")

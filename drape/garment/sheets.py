@@ -19,6 +19,8 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import closest, mesh_graphs, meshes
 
 COPY_SHARE = 1e-6  # of the extent: vertices nearer than this are one, written with other digits
+# Vertices on borders are one where they are nearer than this share of the extent, and than that of the edges there.
+CRACK_SHARE, CRACK_EDGES = 1e-3, 0.25
 CRUMB_SHARE = 0.02  # of the area of all: smaller pieces are crumbs
 LAYER_SHARE = 0.03  # of the root of the area: a sheet within it, 2 to 4 cm, lies on the garment
 LAYER_PART = 0.8  # of a sheet's samples that do
@@ -32,15 +34,35 @@ SAMPLES = 400
 def without_copies(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` with vertices that are nearly at one place made one."""
     reach = COPY_SHARE * float(np.ptp(mesh.vertices, axis=0).max())
-    pairs = KDTree(mesh.vertices).query_pairs(reach, output_type="ndarray")
+    return _welded(mesh, KDTree(mesh.vertices).query_pairs(reach, output_type="ndarray"))
+
+
+def without_cracks(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` with vertices of borders that run along each other, much nearer than its edges are long, made one.
+
+    Panels that were rounded each by itself, as by a compressed file, have cracks between them.
+    """
+    border = meshes.boundary_edges(mesh.faces)
+    reach = np.full(len(mesh.vertices), CRACK_SHARE * float(np.ptp(mesh.vertices, axis=0).max()))
+    np.minimum.at(reach, border, CRACK_EDGES * meshes.edge_lengths(mesh.vertices, border)[:, None])
+    own = np.unique(border)
+    pairs = own[KDTree(mesh.vertices[own]).query_pairs(float(reach.max()), output_type="ndarray")]
+    pairs = pairs[meshes.edge_lengths(mesh.vertices, pairs) < reach[pairs].min(axis=1)]
+    # Where whole edges meet; hems of two garments that touch in a point stay apart.
+    label = mesh_graphs.joined_parts(len(mesh.vertices), *pairs.T)
+    ends, counts = np.unique(np.sort(label[border], axis=1), axis=0, return_counts=True)
+    return _welded(mesh, pairs[np.isin(label[pairs[:, 0]], ends[counts > 1])])
+
+
+def _welded(mesh: GarmentMesh, pairs: np.ndarray) -> GarmentMesh:
+    """``mesh`` with the two vertices of each of the ``pairs`` (P, 2) made one."""
     if not len(pairs):
         return mesh
     count = len(mesh.vertices)
     label = mesh_graphs.joined_parts(count, *pairs.T)
     _, first = np.unique(label, return_index=True)
-    return replace(mesh, vertices=mesh.vertices[first], faces=label[mesh.faces]).noted(
-        f"{count} vertices welded into {len(first)}"
-    )
+    welded = replace(mesh, vertices=mesh.vertices[first], faces=label[mesh.faces])
+    return welded.noted(f"{count} vertices welded into {len(first)}")
 
 
 def branch_edges(faces: np.ndarray) -> int:

@@ -7,7 +7,7 @@ import pytest
 
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
-from drape.garment.accessories import accessory_of
+from drape.garment.accessories import accessory_of, carriers_of
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.geometry import meshes
 
@@ -32,6 +32,7 @@ def of(*names: str) -> np.ndarray:
 
 
 HAT = of("head") & (BODY.v_template[:, 1] > BODY.joints_template[JOINT_NAMES.index("head"), 1] + 0.1)
+ANKLE_M = float(BODY.joints_template[JOINT_NAMES.index("left_ankle"), 1])
 FOOT, HAND = of("left_ankle", "left_foot"), of("right_wrist", "right_hand")
 
 
@@ -58,3 +59,27 @@ def test_an_opening_round_the_neck_makes_a_hood():
     low = over(hood, 0.01)
     stretched = np.where(low.vertices[:, 1:2] < neck + 0.06, low.vertices - [0.0, 0.08, 0.0], low.vertices)
     assert accessory_of(plain_mesh("hood", stretched, low.faces), BODY.v_template, BODY) is None
+
+
+def test_a_shoe_with_a_heel_is_carried_with_its_insole_and_a_stocking_is_not():
+    """High heels were draped as cloth, since their heels are nearer to the shank."""
+    leg = of("left_ankle", "left_foot") | (of("left_knee") & (BODY.v_template[:, 1] < ANKLE_M + 0.15))
+    upper, insole = over(leg, 0.02), over(FOOT, 0.004)
+    closed = closed_at_rims(upper)
+    shoe = plain_mesh(
+        "shoe",
+        np.concatenate([closed.vertices, insole.vertices]),
+        np.concatenate([closed.faces, insole.faces + len(closed.vertices)]),
+    )
+    assert carriers_of(shoe, BODY.v_template, BODY) == ("left_ankle",)
+    assert carriers_of(upper, BODY.v_template, BODY) == ()
+
+
+def closed_at_rims(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` with its openings closed by fans of faces."""
+    vertices, faces = [mesh.vertices], [mesh.faces]
+    for number, loop in enumerate(meshes.boundary_loops(mesh.faces)):
+        vertices.append(mesh.vertices[loop].mean(axis=0)[None])
+        middle = np.full(len(loop), len(mesh.vertices) + number)
+        faces.append(np.stack([loop, np.roll(loop, -1), middle], axis=1))
+    return plain_mesh(mesh.name, np.concatenate(vertices), np.concatenate(faces))
