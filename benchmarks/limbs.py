@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.harness import Benchmark, Option, Run, inputs
+from benchmarks.measure.depth import depth_mm
 from benchmarks.tables import Row
 from drape.body.skeleton import JOINT_NAMES
 from drape.catalog import find_garments, find_motions, open_outfit
@@ -29,7 +30,6 @@ from drape.garment.cache import Garment
 from drape.garment.contours import TRUNK, Contour, bone_chains, encircles, open_contours, part_round
 from drape.garment.fine import fine_garment
 from drape.geometry import meshes
-from drape.geometry.closest import signed_distance
 from drape.library import Drape, load
 
 LIMBS = {
@@ -209,11 +209,12 @@ def outfit_rows(drape: Drape, garments: list[Garment], options: argparse.Namespa
         for number, frame in enumerate(worn.play(clip, as_recorded=True)):
             if number % step == 0:
                 deep = number // step % max(1, options.frames // DEPTHS) == 0
-                skin = skins[number // step] if deep else None
+                skin = skins[number // step]
                 parts = np.split(frame.vertices.astype(np.float64), ends)
                 for one, found, vertices, told in zip(cloth, held, parts, measured, strict=True):
                     inside = share_inside(vertices, joints[number], found) if found else np.nan
-                    told.append((inside, area_over_rest(vertices, one), depth_mm(vertices, skin, drape.body.faces)))
+                    depth = depth_mm(vertices, skin, drape.body.faces) if deep else np.nan
+                    told.append((inside, area_over_rest(vertices, one), depth))
         for row, told in zip(shared, measured, strict=True):
             inside, area, depth = np.array(told).T
             figures = {"area": float(area.mean()), "depth_mm": float(np.nanmax(depth)), "frames": len(told)}
@@ -228,13 +229,6 @@ def area_over_rest(vertices: np.ndarray, garment: Garment) -> float:
     faces = garment.faces.astype(np.int64)
     rest = meshes.face_areas(garment.vertices.astype(np.float64), faces)
     return float(meshes.face_areas(vertices, faces).sum() / rest.sum())
-
-
-def depth_mm(vertices: np.ndarray, skin: np.ndarray | None, faces: np.ndarray) -> float:
-    """How deep [mm] the deepest of ``vertices`` [m] (V, 3) is in the ``skin`` [m] (B, 3); NaN without one."""
-    if skin is None:
-        return float("nan")
-    return 1e3 * max(0.0, -float(signed_distance(vertices, skin, faces).min()))
 
 
 if __name__ == "__main__":

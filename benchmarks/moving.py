@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import Benchmark, Option, Run, inputs
+from benchmarks.measure.depth import depth_mm
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.moving import Looks
 from benchmarks.measure.sheet import Picture, draw_sheet
@@ -35,7 +36,6 @@ from drape.body.assets import load_body
 from drape.cloth.metrics import third_difference_square
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
-from drape.geometry.closest import signed_distance
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
@@ -94,12 +94,12 @@ def moving_row(looks: Looks, vertices: np.ndarray, skin: Skin, stills: dict[int,
     seen = np.arange(min(2 * EVERY, len(vertices) - 1), len(vertices), EVERY)
     crossings = intersection_count(vertices[seen], looks.faces) * 1e4 / len(looks.faces)
     body = skin.clip.body
-    depths = [-float(signed_distance(vertices[i], skin.vertices[i].astype(float), body.faces).min()) for i in seen]
+    depths = [depth_mm(vertices[i], skin.vertices[i].astype(float), body.faces) for i in seen]
     return {name: float(np.mean([one[name] for one in shares])) for name in SHARES} | {
         "pop": looks.pop(vertices[-30:]),
         "crossings": float(crossings.mean()),
         "crossings_worst": float(crossings.max()),
-        "depth_mm": 1e3 * max(0.0, *depths),
+        "depth_mm": max(depths),
         "strain_pct": looks.strain_pct(vertices[seen]),
         "jitter": float(np.sqrt(third_difference_square(vertices))) / skin.third,
     }
