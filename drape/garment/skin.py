@@ -67,7 +67,7 @@ def trunk_and_arm_kernels(
     left, right = (body_kernel(vertices, body, arm) for arm in arms)
     on_left = (vertices[:, 0] > 0.0).astype(np.float64)
     own = scipy.sparse.diags(on_left) @ left + scipy.sparse.diags(1.0 - on_left) @ right
-    return body_kernel(vertices, body, ~(arms[0] | arms[1])), own
+    return body_kernel(vertices, body, ~(arms[0] | arms[1])), scipy.sparse.csr_matrix(own)
 
 
 def body_kernel(vertices: np.ndarray, body: BodyModel, counts: np.ndarray | None = None) -> scipy.sparse.csr_matrix:

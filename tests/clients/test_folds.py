@@ -11,7 +11,7 @@ from service.settings import Settings
 from tests.fixtures.garments import ship
 
 FRAMES, FIRST = 12, 10
-FIRST_MM, MOST_MM = 0.1, 1.0  # folds remember what is rounding: that of the network's numbers, and that of jets
+FIRST_MM, MOST_MM = 0.2, 1.0  # folds remember what is rounding: of the network, of swing's turns and of jets
 
 
 @pytest.fixture(scope="module")
