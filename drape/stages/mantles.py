@@ -41,9 +41,13 @@ class Mantles(Stage):
     def _laid(self, batch: Batch, garment: Garment) -> np.ndarray:
         """The vertices [m] (F, V, 3) of a mantle relative to the roots, float32."""
         assert garment.arm_ways is not None
-        binding = self._bindings.get((garment.digest,), lambda: garment.binding(self.body))
-        count, rest = garment.vertex_count, garment.vertices.astype(np.float64)
-        frames = [
-            worn(rest, garment.arm_ways, binding, self.body, one.poses, one.betas)[:, :count] for one in batch.inputs
-        ]
+        count = garment.vertex_count
+        binding = self._bindings.get((garment.digest,), lambda: self._delivered(garment))
+        rest, ways = garment.vertices[:count].astype(np.float64), garment.arm_ways[:count]
+        frames = [worn(rest, ways, binding, self.body, one.poses, one.betas) for one in batch.inputs]
         return np.concatenate(frames).astype(np.float32)
+
+    def _delivered(self, garment: Garment) -> BodyBinding:
+        """The binding of the vertices that leave this stage."""
+        whole, count = garment.binding(self.body), garment.vertex_count
+        return BodyBinding(whole.weights[:count], whole.shapedirs[:count])
