@@ -1,8 +1,9 @@
 // Folds on two levels: steps of a coarse cloth, and sweeps that settle the fine one around it.
 //
 // What is costly in a frame is contact: with the skin, and of cloth with itself. Folds of a few centimetres need no
-// fine cloth for it. So the coarse cloth, about a fifth of the vertices, takes the frame's steps (folds.hpp). Their way
-// from the network's drape is carried to all vertices by weights W, and
+// fine cloth for it. So the coarse cloth, about a fifth of the vertices, takes the frame's steps (folds.hpp) and two
+// more: a step of it costs a third of a sweep, and a circle skirt with four crosses itself. Their way from the
+// network's drape is carried to all vertices by weights W, and
 //
 //     x = (1 - share) (X + W (x_c - X_c)) + share W (x_c + Q (y - y_c))
 //
@@ -17,7 +18,8 @@ constexpr int NEAREST = 8;       // coarse vertices that a fine one takes from
 constexpr int APART_STEPS = 2;   // of untangling the fine cloth: four leave fewer crossings and cost time and gain
 constexpr Pace COARSE_PACE = {3, 1};  // sweeps are the fine cloth's
 constexpr int FINE_PASSES = 2;   // of the coarse cloth's turns: none leave jitter
-constexpr double KEPT_S = 0.32;   // in which the share that is carried on comes down to 1/e
+constexpr int64_t MORE_STEPS = 2;  // of the coarse cloth, which the fine one's sweeps are fewer by
+constexpr double KEPT_S = 0.6;    // in which the share that is carried on comes down to 1/e
 constexpr double EASED_S = 0.65;  // in which what eased cloth without folds comes down to 1/e
 
 // The points of a block of the fine cloth, moved as the coarse places are that went off [m] (P, 3).
@@ -124,6 +126,7 @@ FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const 
   placed(vertices, levels.kept, under);
   FoldEffort<T> coarsely = effort;
   if (effort.steps == 0) coarsely.clearance_m = 0;  // what no step moved is lifted on the fine cloth
+  else coarsely.steps += MORE_STEPS;
   FoldOutcome outcome = fold_places(coarse, under, past, around, levels.coarse, coarsely, COARSE_PACE, after, scratch);
   if (scratch.overflowed) return outcome;
   for (int64_t i = 0; i < 3 * below; ++i) off[i] = outcome.lost ? T(0) : coarse.x[i] - under[i];
