@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
 
@@ -95,3 +96,12 @@ def glb_bytes(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray | None = N
     binary += b"\0" * (-len(binary) % 4)
     chunks = struct.pack("<I", len(text)) + b"JSON" + text + struct.pack("<I", len(binary)) + b"BIN\0" + binary
     return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+
+
+def as_gltf(payload: bytes, *, inside: bool) -> tuple[bytes, bytes]:
+    """A GLB as a glTF and its binary, which is a data address where it is to be ``inside``."""
+    length = int.from_bytes(payload[12:16], "little")
+    document, binary = json.loads(payload[20 : 20 + length]), payload[28 + length :]
+    address = "data:application/octet-stream;base64," + base64.b64encode(binary).decode()
+    document["buffers"][0]["uri"] = address if inside else "the%20coat.bin"
+    return json.dumps(document).encode(), binary
