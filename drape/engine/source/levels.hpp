@@ -19,7 +19,7 @@ constexpr int APART_STEPS = 2;   // of untangling the fine cloth: four leave few
 constexpr Pace COARSE_PACE = {3, 1};  // sweeps are the fine cloth's
 constexpr int FINE_PASSES = 2;   // of the coarse cloth's turns: none leave jitter
 constexpr int64_t MORE_STEPS = 2;  // of the coarse cloth, which the fine one's sweeps are fewer by
-constexpr double KEPT_S = 0.6;    // in which the share that is carried on comes down to 1/e
+constexpr double KEPT_S = 1.5;    // in which the share that is carried on comes down to 1/e
 constexpr double EASED_S = 0.65;  // in which what eased cloth without folds comes down to 1/e
 
 // The points of a block of the fine cloth, moved as the coarse places are that went off [m] (P, 3).
