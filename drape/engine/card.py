@@ -51,7 +51,7 @@ class Card:
     where the card tells a fault."""
 
     def __init__(self, library: Path = LIBRARY) -> None:
-        self._calls = ctypes.CDLL(str(library))
+        self._calls, self._taken = ctypes.CDLL(str(library)), list[int]()
         self._calls.card_fault.restype = ctypes.c_char_p
         name = ctypes.create_string_buffer(128)
         self._do("card_name", name, ctypes.c_int64(127))
@@ -60,7 +60,18 @@ class Card:
     def take(self, size: int) -> int:
         address = ctypes.c_uint64()
         self._do("card_take", ctypes.byref(address), ctypes.c_int64(max(size, 1)))
+        self._taken.append(address.value)
         return address.value
+
+    def return_all_but(self, kept: int) -> None:
+        """Gives back what was taken after the first ``kept`` pieces."""
+        while len(self._taken) > kept:
+            self._do("card_return", ctypes.c_uint64(self._taken.pop()))
+
+    @property
+    def pieces(self) -> int:
+        """How many pieces are taken."""
+        return len(self._taken)
 
     def write(self, address: int, numbers: np.ndarray) -> None:
         self._do("card_write", ctypes.c_uint64(address), ctypes.c_void_p(address_of(numbers)), _bytes(numbers))
@@ -165,7 +176,7 @@ def build_card(library: Path = LIBRARY, *, architectures: Sequence[int] = ARCHIT
     memory. Raises ``FileNotFoundError`` without ``nvcc``."""
     nvcc = shutil.which("nvcc")
     if nvcc is None:
-        raise FileNotFoundError("nvcc: expected CUDA's compiler on PATH, got none; install CUDA 12.4 or later")
+        raise FileNotFoundError("nvcc: expected CUDA's compiler on PATH, got none; install CUDA 12.8 or later")
     library.parent.mkdir(parents=True, exist_ok=True)
     codes = [f"-gencode=arch=compute_{one},code=sm_{one}" for one in architectures]
     command = [nvcc, "-std=c++20", "-O3", "-shared", "-Xcompiler=-fPIC", "-Xptxas=-v", *codes]

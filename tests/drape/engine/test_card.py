@@ -126,6 +126,22 @@ def test_a_frame_of_the_card_is_the_engines(runtime: DrapeRuntime, monkeypatch: 
     assert beside.off_m <= WITHIN_M
 
 
+@each(effort=(FoldEffort(2, settle=2, cloth_contact=True), FoldEffort(0)))
+def test_a_rough_frame_among_colliders_is_the_engines(tank, still, rng, monkeypatch, effort):  # noqa: F811
+    """A box before the chest, and cloth that crosses itself in hundreds of places."""
+    middle = still.vertices.mean(axis=0) + np.array([0.0, 0.1, 0.1])
+    box = np.concatenate([middle, np.eye(3).reshape(-1), [0.3, 0.05, 0.05], [0.0]])[None]
+    rough = (still.vertices + 0.01 * rng.normal(size=still.vertices.shape)).astype(np.float32)
+    beside, memory = Beside(), None
+    monkeypatch.setattr(fold_step, "call_with_scratch", beside)
+    for number in range(3):
+        frame = replace(still, vertices=rough, time_s=number / FPS, colliders=box)
+        vertices, memory, _ = tank.fold(memory, frame, effort)
+    free, _, _ = tank.fold(None, replace(still, vertices=rough), effort)
+    assert beside.frames == 4 and beside.off_m <= WITHIN_M
+    assert np.abs(vertices - free).max() > 0.005
+
+
 def test_threads_that_race_give_other_numbers(tank: TwoLevel, still: Frame):  # noqa: F811
     """With one colour for all blocks the two orders differ: the emulation sees what a card would do wrong."""
     levels = for_card(tank.levels)
