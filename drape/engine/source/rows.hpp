@@ -51,7 +51,7 @@ INLINE int lane_of(int k) { return k; }
 INLINE bool holds(int) { return true; }
 template <class R> INLINE auto number_in(R row, int k) { return row[k]; }
 template <class R, class N> INLINE void set_number(R& row, int k, N number) { row[k] = number; }
-template <class R, class N> INLINE void add_number(R& row, int k, N number) { row[k] += number; }
+template <class R, class N> INLINE void add_product(R& row, int k, N a, N b) { row[k] += a * b; }
 
 // As many numbers one after the other as a thread holds.
 template <class T> INLINE Row<T> several_at(const T* from) { return row_at(from); }

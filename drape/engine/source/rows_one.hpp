@@ -21,7 +21,7 @@ INLINE int lane_of(int) { return lane(); }
 INLINE bool holds(int lane_) { return lane_ == lane(); }
 template <class N> INLINE N number_in(N row, int) { return row; }
 template <class N> INLINE void set_number(N& row, int, N number) { row = number; }
-template <class N> INLINE void add_number(N& row, int, N number) { row += number; }
+template <class N> INLINE void add_product(N& row, int, N a, N b) { row += a * b; }
 
 template <class T> INLINE T where(Mask<T> mask, T then, T other) { return mask ? then : other; }
 template <class T> INLINE Mask<T> differ(Indices a, Indices b) { return a != b; }

@@ -81,19 +81,19 @@ INLINE void add_crease(Model<T>& model, const T* x, const Creases<T>& creases, i
   fold_gradient(h, cosine, sine, k, by);
   Vector<T> force = by[member % 4];
   Points<T>& g = model.gradient;
-  add_number(g.x, lane, stiffness * force.x);
-  add_number(g.y, lane, stiffness * force.y);
-  add_number(g.z, lane, stiffness * force.z);
+  add_product(g.x, lane, stiffness, force.x);
+  add_product(g.y, lane, stiffness, force.y);
+  add_product(g.z, lane, stiffness, force.z);
   if (!CURVATURE) return;
   angle_gradient(h, k, by);
   Vector<T> turn = by[member % 4], b = scaled(stiffness, turn);
   Symmetric<Row<T>>& s = model.hessian;
-  add_number(s.xx, lane, b.x * turn.x);
-  add_number(s.xy, lane, b.x * turn.y);
-  add_number(s.xz, lane, b.x * turn.z);
-  add_number(s.yy, lane, b.y * turn.y);
-  add_number(s.yz, lane, b.y * turn.z);
-  add_number(s.zz, lane, b.z * turn.z);
+  add_product(s.xx, lane, b.x, turn.x);
+  add_product(s.xy, lane, b.x, turn.y);
+  add_product(s.xz, lane, b.x, turn.z);
+  add_product(s.yy, lane, b.y, turn.y);
+  add_product(s.yz, lane, b.y, turn.z);
+  add_product(s.zz, lane, b.z, turn.z);
 }
 
 // Gradient and Hessian of a block's vertices.

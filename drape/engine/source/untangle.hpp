@@ -178,19 +178,29 @@ INLINE bool may_cross(const T* own, int i, int32_t p, const T* other, int j, int
          is_parted(own, i, other, j);
 }
 
+// Whether a pair comes before another one where a processor finds them: by both clusters, then by both lanes.
+INLINE bool comes_before(Pair a, Pair b) {
+  const int32_t own[4] = {a.first / LANES, a.second / LANES, a.first, a.second};
+  const int32_t other[4] = {b.first / LANES, b.second / LANES, b.first, b.second};
+  for (int n = 0; n < 3; ++n)
+    if (own[n] != other[n]) return own[n] < other[n];
+  return own[3] < other[3];
+}
+
 template <class T>
 DEVICE int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* chosen, int64_t count, Pair* pairs,
                         Scratch& scratch) {
   if (count == 0) return 0;
   const int64_t mark = scratch.used;
   T *rows = scratch.take<T>(TRIANGLE_ROWS * count), *cones = scratch.take<T>(4 * count);
+  Pair* unsorted = scratch.take<Pair>(MOST_PAIRS);
   if (scratch.overflowed) return 0;
   for (int64_t n : each_block(count))
     lay_triangles(x, tangles.corner + 3 * LANES * chosen[n], rows + TRIANGLE_ROWS * n);
   const Boxes<T> boxes = boxes_around(rows, count, TRIANGLE_ROWS, LOW, HIGH, scratch);
   if (scratch.overflowed) return 0;
   write_cones(rows, count, TRIANGLE_ROWS, NORMAL, CONE, cones);
-  const int64_t filled = collect(LANES * count, pairs, MOST_PAIRS, [&](int64_t e, Pair* to, int64_t room) {
+  const int64_t filled = collect(LANES * count, unsorted, MOST_PAIRS, [&](int64_t e, Pair* to, int64_t room) {
     const int64_t a = e / LANES;
     const int i = int(e % LANES);
     const T* own = rows + TRIANGLE_ROWS * a;
@@ -207,6 +217,11 @@ DEVICE int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* ch
     });
     return found;
   });
+  for (int64_t n : each(filled)) {
+    int64_t before = 0;
+    for (int64_t m = 0; m < filled; ++m) before += comes_before(unsorted[m], unsorted[n]);
+    pairs[before] = unsorted[n];
+  }
   scratch.used = mark;
   return filled;
 }

@@ -107,14 +107,14 @@ class Beside:
 
 @each(
     case=(
-        ("fast", ["tshirt"], "fold_two_levels"),
+        ("fast", ["shirt"], "fold_two_levels"),
         ("balanced", ["tshirt", "trousers"], "fold_two_levels"),
         ("accurate", ["tank"], "fold"),
         ("instant", ["dress"], "lift_alone"),
     )
 )
 def test_a_frame_of_the_card_is_the_engines(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch, case: Any):
-    """A walk, whose first frames settle; cloth that touches itself, the skin and the layer below."""
+    """A walk, whose first frames settle; cloth with creases, and that touches itself, the skin and the layer below."""
     tier, names, name = case
     plan = plan_of(runtime, [shipped(one) for one in names], tier=tier, fabric="jersey", motion=0.0)
     beside = Beside()
