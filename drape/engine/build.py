@@ -30,7 +30,14 @@ LINKED = ["-shared", "-nostdlib++", "-s"]
 # Addresses, and what C++ leaves undefined, are checked; gcc's libasan and libubsan, preloaded, tell what is wrong.
 SANITIZED = ["-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address", "-fsanitize=undefined"]
 UNITS = ("folds", "frame", "layers", "network", "physics", "push", "setup", "swing")
-TESTED = (*UNITS, "laws_folds", "laws_physics", "laws_skinning", "laws_swing")  # of the library that only tests load
+TESTED = (
+    *UNITS,
+    "emulation",
+    "laws_folds",
+    "laws_physics",
+    "laws_skinning",
+    "laws_swing",
+)  # of the library that only tests load
 
 
 class Target(NamedTuple):

@@ -43,6 +43,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "crease_start": "int32s",
         "crease_lane": "int32s",
         "crease_member": "int32s",
+        "colour_start": "int32s",
     },
     "SkinGraph": {"neighbour": "int32s", "reach_m2": "numbers", "rest": "numbers"},
     "SheetNeighbours": {
@@ -55,6 +56,10 @@ RECORDS: dict[str, dict[str, str]] = {
         "bound": "bytes",
     },
     "Tangles": dict.fromkeys(("corner", "across", "start", "beside"), "int32s"),
+    # What a card alone reads; empty where a processor computes.
+    "PanelLevels": dict.fromkeys(
+        ("row_start", "row_panel", "row", "column_start", "column", "panel", "left_start", "left"), "int32s"
+    ),
     "StiffnessFactor": {
         "place": "int32s",
         "column": "int32s",
@@ -64,6 +69,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "entry": "int32s",
         "value": "numbers",
         "inverse": "numbers",
+        "levels": "PanelLevels",
     },
     "FoldConstants": {
         "sheet": "Sheet",

@@ -41,7 +41,8 @@ class Sheet(NamedTuple):
     of Q, contact's stiffness and the waistband's [N/m].
 
     Block b has the entries ``crease_start[b]`` to ``crease_start[b + 1]`` of ``crease_lane`` and ``crease_member``,
-    4 h + c where that lane is corner c of hinge h of the ``creases``.
+    4 h + c where that lane is corner c of hinge h of the ``creases``. Blocks of a colour begin at ``colour_start``
+    (C + 1,).
     """
 
     constants: KernelConstants
@@ -58,6 +59,7 @@ class Sheet(NamedTuple):
     crease_start: np.ndarray
     crease_lane: np.ndarray
     crease_member: np.ndarray
+    colour_start: np.ndarray
 
 
 def sheet(
@@ -99,6 +101,7 @@ def sheet(
         crease_start=crease_start,
         crease_lane=crease_lane,
         crease_member=crease_member,
+        colour_start=np.append(0, np.cumsum(-(-np.diff(made.colour_start) // LANES))).astype(np.int32),
     )
 
 

@@ -17,11 +17,11 @@ constexpr int CARRY_PASSES = 3;  // of turns (smooth_turns): none leave jitter
 
 // Writes dE/dx [N] (P, 3) at x, for places before [m] (P, 3) and turns (P, 4) since then.
 template <class T>
-void carry_gradient(const T* x, const T* before, const T* turns, const Sheet<T>& sheet, T* gradient) {
+DEVICE void carry_gradient(const T* x, const T* before, const T* turns, const Sheet<T>& sheet, T* gradient) {
   const Fabric<T> k(sheet.constants);
   const T warp = T(2) * k.warp + T(4) * k.shear, weft = T(2) * k.weft + T(4) * k.shear;
   const Row<T> one = row_of(T(1));
-  for (int64_t block = 0; block < sheet.fan_start.count - 1; ++block) {
+  for (int64_t block : each_block(sheet.fan_start.count - 1)) {
     const Points<T> own = points_in(x + 3 * LANES * block), old = points_in(before + 3 * LANES * block);
     const Turns<T> turn = turns_in(turns + 4 * LANES * block);
     Points<T> g = {};
@@ -43,11 +43,11 @@ void carry_gradient(const T* x, const T* before, const T* turns, const Sheet<T>&
 
 // Moves x [m] (P, 3) in place by so many steps, by the frames of the network's surface before and now.
 template <class T>
-void carry(T* x, const T* before, const T* then, const T* now, const Sheet<T>& sheet, const StiffnessFactor<T>& factor,
-           int64_t steps, Scratch& scratch) {
+DEVICE void carry(T* x, const T* before, const T* then, const T* now, const Sheet<T>& sheet,
+                  const StiffnessFactor<T>& factor, int64_t steps, Scratch& scratch) {
   const int64_t mark = scratch.used, places = sheet.vertex.count, rows = factor.place.count;
   T *turns = scratch.take<T>(4 * places), *gradient = scratch.take<T>(3 * places);
-  T *q = scratch.take<T>(3 * rows), *s = scratch.take<T>(3 * (rows + LANES));
+  T *q = scratch.take<T>(3 * rows), *s = scratch.take<T>(solve_room(factor));
   if (scratch.overflowed) return;
   surface_turns(then, now, sheet, CARRY_PASSES, turns, scratch);
   for (int64_t step = 0; step < steps; ++step) {

@@ -20,22 +20,39 @@ INLINE int64_t whole_blocks(int64_t count) { return (count + LANES - 1) / LANES;
 
 // The least and the largest of a row's lanes; NaN where the first lane is one.
 template <class T> INLINE T least_lane(Row<T> a) {
-  T found = a[0];
-  for (int lane = 1; lane < LANES; ++lane) found = less<T>(a[lane], found);
+  T found = number_in(a, 0);
+  for (int k = 1; k < WIDTH; ++k) found = less<T>(number_in(a, k), found);
   return found;
 }
 template <class T> INLINE T most_lane(Row<T> a) {
-  T found = a[0];
-  for (int lane = 1; lane < LANES; ++lane) found = more<T>(a[lane], found);
+  T found = number_in(a, 0);
+  for (int k = 1; k < WIDTH; ++k) found = more<T>(number_in(a, k), found);
   return found;
 }
+
+// The same of sixteen numbers in memory.
+#ifdef ONE_LANE
+template <class T> INLINE T least_in(const T* row) {
+  T found = row[0];
+  for (int lane = 1; lane < LANES; ++lane) found = less<T>(row[lane], found);
+  return found;
+}
+template <class T> INLINE T most_in(const T* row) {
+  T found = row[0];
+  for (int lane = 1; lane < LANES; ++lane) found = more<T>(row[lane], found);
+  return found;
+}
+#else
+template <class T> INLINE T least_in(const T* row) { return least_lane<T>(row_at(row)); }
+template <class T> INLINE T most_in(const T* row) { return most_lane<T>(row_at(row)); }
+#endif
 
 template <class T> INLINE void enclose(const T* low, const T* high, T* boxes, int64_t c) {
   T* to = boxes + BOX_ROWS * (c / LANES) + c % LANES;
 #pragma clang loop unroll(full)
   for (int axis = 0; axis < 3; ++axis) {
-    to[LANES * axis] = least_lane<T>(row_at(low + LANES * axis));
-    to[LANES * (3 + axis)] = most_lane<T>(row_at(high + LANES * axis));
+    to[LANES * axis] = least_in(low + LANES * axis);
+    to[LANES * (3 + axis)] = most_in(high + LANES * axis);
   }
 }
 
@@ -43,7 +60,7 @@ template <class T> INLINE void enclose(const T* low, const T* high, T* boxes, in
 template <class T> INLINE T* no_boxes(int64_t blocks, Scratch& scratch) {
   T* boxes = scratch.take<T>(BOX_ROWS * blocks);
   if (scratch.overflowed) return boxes;
-  for (int64_t block = 0; block < blocks; ++block)
+  for (int64_t block : each_block(blocks))
     for (int row = 0; row < 6; ++row)
       put(boxes + BOX_ROWS * block + LANES * row, T(row < 3 ? __builtin_inf() : -__builtin_inf()));
   return boxes;
@@ -51,16 +68,18 @@ template <class T> INLINE T* no_boxes(int64_t blocks, Scratch& scratch) {
 
 // The boxes [m] around count clusters, which have size numbers of rows each, and those around groups of them. Three
 // rows from low on have the least coordinates of a cluster's members, three from high on the most.
-template <class T> Boxes<T> boxes_around(const T* rows, int64_t count, int size, int low, int high, Scratch& scratch) {
+template <class T>
+DEVICE Boxes<T> boxes_around(const T* rows, int64_t count, int size, int low, int high, Scratch& scratch) {
   const int64_t groups = whole_blocks(count), blocks = whole_blocks(groups);
   Boxes<T> boxes = {no_boxes<T>(groups, scratch), no_boxes<T>(blocks, scratch), count, blocks};
   if (scratch.overflowed) return boxes;
-  for (int64_t c = 0; c < count; ++c) enclose(rows + size * c + low, rows + size * c + high, boxes.of, c);
-  for (int64_t g = 0; g < groups; ++g)
+  for (int64_t c : each(count)) enclose(rows + size * c + low, rows + size * c + high, boxes.of, c);
+  for (int64_t g : each(groups))
     enclose(boxes.of + BOX_ROWS * g, boxes.of + BOX_ROWS * g + POINT_ROWS, boxes.groups, g);
   return boxes;
 }
 
+#ifndef ONE_LANE
 // The lanes of sixteen boxes within the root of reach [m^2] of the box from low to high.
 template <class T> INLINE uint32_t hits(Vector<T> low, Vector<T> high, const T* boxes, T reach) {
   Points<T> lowest = rows3_at(boxes), highest = rows3_at(boxes + 3 * LANES);
@@ -89,19 +108,49 @@ template <class T> INLINE int64_t find_close(int64_t a, const Boxes<T>& boxes, T
   }
   return filled;
 }
+#endif
+
+template <class T> INLINE Points<T> unit_normal(Points<T> n) {
+  return scaled(row_of(T(1)) / root<T>(most<T>(dot(n, n), row_of(T(TINY)))), n);
+}
+
+// The unit normals of a cluster.
+#ifdef ONE_LANE
+template <class T> struct NormalsOf {
+  T rows[3 * LANES];
+  INLINE_MEMBER explicit NormalsOf(const T* from) {
+    for (int lane = 0; lane < LANES; ++lane) put_lane3(rows, lane, unit_normal<T>(lane3(from, lane)));
+  }
+  INLINE_MEMBER Vector<T> sum() const { return sums_in(rows); }
+  INLINE_MEMBER T least_along(Vector<T> axis) const {
+    T found = dot(axis, lane3(rows, 0));
+    for (int lane = 1; lane < LANES; ++lane) found = less<T>(dot(axis, lane3(rows, lane)), found);
+    return found;
+  }
+};
+#else
+template <class T> struct NormalsOf {
+  Points<T> n;
+  INLINE_MEMBER explicit NormalsOf(const T* from) : n(unit_normal<T>(rows3_at(from))) {}
+  INLINE_MEMBER Vector<T> sum() const { return sums<T>(n); }
+  INLINE_MEMBER T least_along(Vector<T> axis) const {
+    return least_lane<T>(axis.x * n.x + axis.y * n.y + axis.z * n.z);
+  }
+};
+#endif
 
 // Writes the axis of each cluster's normals to cones (C, 4), and the cosine of the angle up to which the axes of two
 // such clusters count as one, above 1 where none does. Clusters have size numbers of rows each, the normals, of any
 // length, in three rows from first on. The cone's angle is less than a right one; its cosine, and cosine and sine of
 // twice it, are given.
 struct ConeAngle { double cosine, cosine_twice, sine_twice; };
-template <class T> void write_cones(const T* rows, int64_t count, int size, int first, ConeAngle angle, T* cones) {
-  for (int64_t c = 0; c < count; ++c) {
-    Points<T> n = rows3_at(rows + size * c + first);
-    n = scaled(row_of(T(1)) / root<T>(most<T>(dot(n, n), row_of(T(TINY)))), n);
-    Vector<T> axis = sums<T>(n);
+template <class T>
+DEVICE void write_cones(const T* rows, int64_t count, int size, int first, ConeAngle angle, T* cones) {
+  for (int64_t c : each(count)) {
+    const NormalsOf<T> normals(rows + size * c + first);
+    Vector<T> axis = normals.sum();
     axis = scaled(T(1) / more<T>(root(dot(axis, axis)), T(TINY)), axis);
-    const T cosine = less<T>(least_lane<T>(axis.x * n.x + axis.y * n.y + axis.z * n.z), T(1));
+    const T cosine = less<T>(normals.least_along(axis), T(1));
     // cos 2 (angle - a), a the largest angle of a normal to the axis
     const T sine = root(more<T>(T(1) - cosine * cosine, T(0)));
     const T limit =

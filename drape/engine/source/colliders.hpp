@@ -81,8 +81,8 @@ INLINE Out entered(const double* collider, Vector<double> start, Vector<double> 
 // 4): a normal n, zero where there is none, and n . x of its points. came [m] (N, 3) is where the nodes were, and first
 // says that they were nowhere; touched (N,) are their samples of the skin (S, 8). Returns how many are behind a plane.
 template <class T>
-int64_t write_node_planes(const T* c, const T* came, int64_t nodes, bool first, const Array<double>& colliders,
-                          const T* skin, const int32_t* touched, T* planes) {
+DEVICE int64_t write_node_planes(const T* c, const T* came, int64_t nodes, bool first, const Array<double>& colliders,
+                                 const T* skin, const int32_t* touched, T* planes) {
   int64_t inside = 0;
   for (int64_t i = 0; i < nodes; ++i) {
     T* own = planes + 8 * i;
@@ -121,10 +121,14 @@ int64_t write_node_planes(const T* c, const T* came, int64_t nodes, bool first, 
 }
 
 // Whether the box around x comes near a collider.
-template <class T> bool is_near_collider(const T* x, int64_t places, const double* collider) {
+template <class T> DEVICE bool is_near_collider(const T* x, int64_t places, const double* collider) {
   for (int axis = 0; axis < 3; ++axis) {
     double low = INFINITE, high = -INFINITE, half = collider[RADIUS] + NEAR_M;
-    for (int64_t i = axis; i < 3 * places; i += 3) low = smaller(double(x[i]), low), high = larger(double(x[i]), high);
+    for (int64_t v : each(places)) {
+      const double own = double(x[3 * v + axis]);
+      low = smaller(own, low), high = larger(own, high);
+    }
+    low = -most_of_all(-low), high = most_of_all(high);
     for (int n = 0; n < 3; ++n) half += absolute(collider[AXES + 3 * n + axis]) * collider[HALF + n];
     if (low > collider[axis] + half || high < collider[axis] - half) return false;
   }
@@ -138,10 +142,11 @@ template <class T> INLINE double sunk(Vector<double> at, const T* own, const dou
 }
 
 // Writes the tangent planes of colliders near x [m] (P, 3) to those of other parts.
-template <class T> void put_collider_planes(const T* x, int64_t places, const Array<double>& colliders, T* planes) {
+template <class T>
+DEVICE void put_collider_planes(const T* x, int64_t places, const Array<double>& colliders, T* planes) {
   for (const double* collider = colliders.begin; collider < colliders.begin + colliders.count; collider += COLLIDER) {
     if (!is_near_collider(x, places, collider)) continue;
-    for (int64_t v = 0; v < places; ++v) {
+    for (int64_t v : each(places)) {
       T* own = planes + PLANES * (v / LANES) + v % LANES;
       const Vector<double> at = in_doubles(point(x, v));
       Out found = outside_of(collider, at);
@@ -159,10 +164,10 @@ template <class T> void put_collider_planes(const T* x, int64_t places, const Ar
 // Moves x [m] (P, 3) in place out of colliders, up to the clearance [m]; wherever the skin is where there are no
 // planes.
 template <class T>
-void leave_colliders(T* x, int64_t places, const Array<double>& colliders, const T* planes, T clearance) {
+DEVICE void leave_colliders(T* x, int64_t places, const Array<double>& colliders, const T* planes, T clearance) {
   for (const double* collider = colliders.begin; collider < colliders.begin + colliders.count; collider += COLLIDER) {
     if (!is_near_collider(x, places, collider)) continue;
-    for (int64_t v = 0; v < places; ++v) {
+    for (int64_t v : each(places)) {
       const Vector<double> at = in_doubles(point(x, v));
       const Out found = outside_of(collider, at);
       if (!(found.distance < double(clearance))) continue;

@@ -16,7 +16,7 @@
 // The constants in a kernel's own type, as numbers.
 template <class T> struct Fabric {
   T warp, cross, weft, shear, gap, slack, per_edge, degenerate, least, reach;
-  explicit Fabric(const Constants<T>& k)
+  INLINE_MEMBER explicit Fabric(const Constants<T>& k)
       : warp(T(k.warp)), cross(T(k.cross)), weft(T(k.weft)), shear(T(k.shear)), gap(T(k.gap)), slack(T(k.slack)),
         per_edge(T(k.per_edge)), degenerate(T(k.degenerate)), least(T(k.least)), reach(T(k.reach)) {}
 };

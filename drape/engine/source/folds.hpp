@@ -37,7 +37,7 @@ struct FoldOutcome {
 // number behind them, how far [m] each was lifted (P,), and the planes that held it.
 template <class T> struct Laid {
   T *x, *came, *lifted, *planes;
-  Laid(int64_t places, Scratch& scratch)
+  INLINE_MEMBER Laid(int64_t places, Scratch& scratch)
       : x(scratch.take<T>(3 * places)), came(scratch.take<T>(3 * places)), lifted(scratch.take<T>(places)),
         planes(scratch.take<T>(PLANES * (places / LANES))) {}
 };
@@ -53,64 +53,71 @@ template <class T> struct FoldSchedule {
 // Writes the vertices [m] (V, 3) from what is at the place (V,) of each, and tells the share of them that were lifted
 // by more than MOVED_M, and the most of any.
 template <class T>
-void delivered(const Laid<T>& laid, const Array<int32_t>& place, T* vertices, FoldOutcome& outcome) {
+DEVICE void delivered(const Laid<T>& laid, const Array<int32_t>& place, T* vertices, FoldOutcome& outcome) {
   int64_t count = 0;
   T farthest = 0;
-  for (int64_t v = 0; v < place.count; ++v) {
+  for (int64_t v : each(place.count)) {
     put_point(vertices, v, point(laid.x, place[v]));
     const T own = laid.lifted[place[v]];
     count += own > T(MOVED_M);
     farthest = more<T>(own, farthest);
   }
-  outcome.lifted_share = double(count) / double(place.count);
-  outcome.lifted_max_m = double(farthest);
+  outcome.lifted_share = double(sum_of_all(count)) / double(place.count);
+  outcome.lifted_max_m = double(most_of_all(farthest));
 }
 
 // Writes the stiffness and slack that hold each place: those of the waistband and of the leash; where the skin has
 // taken it, and friction times contact's stiffness. There is no plane yet.
-template <class T> void hold_places(const Sheet<T>& sheet, const T* stuck, T friction, T* planes) {
-  for (int64_t block = 0; block < sheet.fan_start.count - 1; ++block, planes += PLANES) {
+template <class T> DEVICE void hold_places(const Sheet<T>& sheet, const T* stuck, T friction, T* planes) {
+  for (int64_t block : each_block(sheet.fan_start.count - 1)) {
     const T* own = sheet.own + OWN * block;
-    for (int row = 0; row < PLANES; row += LANES) put(planes + row, T(0));
-    put(planes + HELD_ROW, row_at(own + LEASH));
-    put(planes + SLACK_ROW, T(sheet.constants.slack));
+    T* to = planes + PLANES * block;
+    for (int row = 0; row < PLANES; row += LANES) put(to + row, T(0));
+    put(to + HELD_ROW, row_at(own + LEASH));
+    put(to + SLACK_ROW, T(sheet.constants.slack));
     if (!stuck) continue;
-    put3(planes + STUCK, points_in(stuck + 3 * LANES * block));
-    put(planes + FRICTION_ROW, friction * row_at(own + CONTACT));
+    put3(to + STUCK, points_in(stuck + 3 * LANES * block));
+    put(to + FRICTION_ROW, friction * row_at(own + CONTACT));
   }
 }
 
 // Moves x by a share momentum of its way, of which no more than the reach counts.
-template <class T> void go_on(T* x, const T* way, int64_t places, T momentum, T reach) {
-  for (int64_t first = 0; first < 3 * places; first += 3 * LANES) {
+template <class T> DEVICE void go_on(T* x, const T* way, int64_t places, T momentum, T reach) {
+  for (int64_t block : each_block(places / LANES)) {
+    const int64_t first = 3 * LANES * block;
     Points<T> u = points_in(way + first);
     Row<T> share = momentum * reach / root<T>(most<T>(dot(u, u), row_of(reach * reach)));
     put_points(x + first, plus(points_in(x + first), share, u));
   }
 }
 
-template <class T> void set_way(T* way, const T* x, const T* before, int64_t places) {
-  for (int64_t i = 0; i < 3 * places; i += LANES) put(way + i, row_at(x + i) - row_at(before + i));
+template <class T> DEVICE void add_to(T* x, const T* other, int64_t places) {
+  for (int64_t block : each_block(3 * places / LANES))
+    put(x + LANES * block, row_at(x + LANES * block) + row_at(other + LANES * block));
+}
+
+template <class T> DEVICE void set_way(T* way, const T* x, const T* before, int64_t places) {
+  for (int64_t block : each_block(3 * places / LANES))
+    put(way + LANES * block, row_at(x + LANES * block) - row_at(before + LANES * block));
 }
 
 // Moves x by the rounds of a schedule and the lift, and writes the way of the last step. The samples of after are moved
 // on. planes are left as they held the cloth.
 template <class T>
-void descend_rounds(const Laid<T>& laid, T* way, const T* network, const T* stuck, const Surroundings<T>& around,
-                    const FoldConstants<T>& cloth, const FoldSchedule<T>& schedule, FoldMemory<T>& after,
-                    Scratch& scratch) {
+DEVICE void descend_rounds(const Laid<T>& laid, T* way, const T* network, const T* stuck, const Surroundings<T>& around,
+                           const FoldConstants<T>& cloth, const FoldSchedule<T>& schedule, FoldMemory<T>& after,
+                           Scratch& scratch) {
   const Sheet<T>& sheet = cloth.sheet;
   const Skin<T> skin = skin_of(around.skin, cloth.graph);
   const int64_t mark = scratch.used, places = sheet.vertex.count, clusters = cloth.tangles.start.count - 1;
   const int64_t rows = cloth.factor.place.count;
   T *x = laid.x, *planes = laid.planes, *gradient = scratch.take<T>(3 * places), *before = scratch.take<T>(3 * places);
-  T *crossed = scratch.take<T>(places), *q = scratch.take<T>(3 * rows), *s = scratch.take<T>(3 * (rows + LANES));
+  T *crossed = scratch.take<T>(places), *q = scratch.take<T>(3 * rows), *s = scratch.take<T>(solve_room(cloth.factor));
   int32_t *every = scratch.take<int32_t>(clusters), *own = after.own.begin, *other = after.other.begin;
   if (scratch.overflowed) return;
-  for (int64_t c = 0; c < clusters; ++c) every[c] = int32_t(c);
+  for (int64_t c : each(clusters)) every[c] = int32_t(c);
   follow(network, places, skin, own);
   hold_places(sheet, stuck, schedule.friction, planes);
-  const size_t bytes = size_t(3 * places) * sizeof(T);
   for (int64_t round = 0; round < schedule.rounds; ++round) {
     touch(x, places, skin, sheet.vertex.begin, own, other, schedule.turn, planes, scratch);
     put_collider_planes(x, places, around.colliders, planes);
@@ -119,7 +126,7 @@ void descend_rounds(const Laid<T>& laid, T* way, const T* network, const T* stuc
       // Triangles that the network stretches are stiffer than K knows, and steps would run away: sweeps first.
       for (int64_t sweep = 0; sweep < schedule.rounds; ++sweep) descend(x, sheet, planes, network);
     for (int64_t step = 0; step < schedule.steps; ++step) {
-      __builtin_memcpy(before, x, bytes);
+      copy(before, x, 3 * places);
       go_on(x, way, places, schedule.momentum, T(sheet.constants.reach));
       gradient_at(x, sheet, planes, network, T(HOLD), gradient);
       whole_step(x, cloth.factor, gradient, q, s);
@@ -139,8 +146,8 @@ void descend_rounds(const Laid<T>& laid, T* way, const T* network, const T* stuc
 
 // Writes where residuals [m] (P, 3) of a surface [m] (P, 3) with the frames are.
 template <class T>
-void put_folded(const T* surface, const T* frames, const T* residual, int64_t places, T* x) {
-  for (int64_t block = 0; block < places / LANES; ++block) {
+DEVICE void put_folded(const T* surface, const T* frames, const T* residual, int64_t places, T* x) {
+  for (int64_t block : each_block(places / LANES)) {
     const int64_t first = 3 * LANES * block;
     const Points<T> off = to_world(axes_in(frames + FRAMES * block), points_in(residual + first));
     put_points(x + first, points_in(surface + first) + off);
@@ -150,8 +157,9 @@ void put_folded(const T* surface, const T* frames, const T* residual, int64_t pl
 // Writes where the cloth lies, and moves after on in place. Returns how far [m] the farthest place is from the network,
 // NaN where one is.
 template <class T>
-T advance(const Laid<T>& laid, const T* before, const T* network, const Surroundings<T>& around,
-          const FoldConstants<T>& cloth, const FoldSchedule<T>& schedule, FoldMemory<T>& after, Scratch& scratch) {
+DEVICE T advance(const Laid<T>& laid, const T* before, const T* network, const Surroundings<T>& around,
+                 const FoldConstants<T>& cloth, const FoldSchedule<T>& schedule, FoldMemory<T>& after,
+                 Scratch& scratch) {
   const Sheet<T>& sheet = cloth.sheet;
   const Skin<T> skin = skin_of(around.skin, cloth.graph);
   const int64_t mark = scratch.used, places = sheet.vertex.count, blocks = places / LANES;
@@ -165,25 +173,25 @@ T advance(const Laid<T>& laid, const T* before, const T* network, const Surround
     surface_frames(before, sheet, then);
     put_folded<T>(before, then, after.residual, places, laid.came);
   }
-  for (int64_t block = 0; block < blocks; ++block) {
+  for (int64_t block : each_block(blocks)) {
     const int64_t first = 3 * LANES * block;
     const AxesOf<T> axes = axes_in(frames + FRAMES * block);
     put_points(x + first, to_world(axes, scaled(row_of(schedule.kept), points_in(after.residual + first))));
     put_points(way + first, to_world(axes, scaled(row_of(schedule.step_s), points_in(after.velocity + first))));
   }
   keep_residual(x, before, network, frames, sheet, cloth.hem, scratch);
-  for (int64_t i = 0; i < 3 * places; i += LANES) put(x + i, row_at(x + i) + row_at(network + i));
+  add_to(x, network, places);
   if (schedule.turn >= 0 && schedule.rounds > 0) {
-    for (int64_t i = 0; i < 3 * places; i += LANES) put(kept + i, row_at(laid.came + i) - row_at(before + i));
+    set_way(kept, laid.came, before, places);
     keep_residual(kept, before, network, frames, sheet, cloth.hem, scratch);
-    for (int64_t i = 0; i < 3 * places; i += LANES) put(kept + i, row_at(kept + i) + row_at(before + i));
+    add_to(kept, before, places);
     carry<T>(x, kept, then, frames, sheet, cloth.factor, schedule.pace.carries, scratch);
   }
-  for (int64_t i = 0; i < places; i += LANES) put(laid.lifted + i, T(0));
+  for (int64_t block : each_block(blocks)) put(laid.lifted + LANES * block, T(0));
   descend_rounds(laid, way, network, stuck, around, cloth, schedule, after, scratch);
   write_grip<T>(x, places, schedule.turn < 0 ? x : stuck, after.own, skin, after.grip);
   const Row<T> per_s = row_of(T(1) / schedule.step_s);
-  for (int64_t block = 0; block < places / LANES; ++block) {
+  for (int64_t block : each_block(places / LANES)) {
     const int64_t first = 3 * LANES * block;
     const AxesOf<T> axes = axes_in(frames + FRAMES * block);
     put_points(after.residual + first, to_frame(axes, points_in(x + first) - points_in(network + first)));
@@ -195,13 +203,13 @@ T advance(const Laid<T>& laid, const T* before, const T* network, const Surround
 
 // The frame after past, or one without a past. Writes where the cloth lies, and the arrays of after.
 template <class T>
-FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>& past, bool follows,
-                     const Surroundings<T>& around, const FoldConstants<T>& cloth, const FoldEffort<T>& effort,
-                     Pace pace, FoldMemory<T>& after, Scratch& scratch) {
+DEVICE FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>& past, bool follows,
+                            const Surroundings<T>& around, const FoldConstants<T>& cloth, const FoldEffort<T>& effort,
+                            Pace pace, FoldMemory<T>& after, Scratch& scratch) {
   const int64_t mark = scratch.used, places = cloth.sheet.vertex.count;
   T* before = scratch.take<T>(3 * places);  // the network's places, which points_at reads, with room behind them
   if (scratch.overflowed) return {};
-  __builtin_memcpy(before, follows ? past.network.begin : network, size_t(3 * places) * sizeof(T));
+  copy<T>(before, follows ? past.network.begin : network, 3 * places);
   const double step_s = follows ? past.step_s : FIRST_STEP_S;
   const int64_t rounds = effort.steps == 0 ? 0 : follows ? 1 : effort.settle;
   const double kept = effort.steps ? 1 : exponential_of(-step_s / FADE_S), still = kept == 1 ? 1 : 0;
@@ -214,11 +222,11 @@ FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>&
   const FoldSchedule<T> schedule = {T(step_s), T(kept), T(momentum), rounds, effort.steps,
                                     follows ? past.turn : -1, pace, effort.cloth_contact && rounds > 0, T(friction),
                                     T(effort.clearance_m), T(untangle_m)};
-  for (int64_t p = 0; p < places; ++p) {
+  for (int64_t p : each(places)) {
     after.own[p] = follows ? past.own[p] : cloth.index[p];
     after.other[p] = follows ? past.other[p] : -1;
   }
-  for (int64_t i = 0; i < 3 * places; ++i) {
+  for (int64_t i : each(3 * places)) {
     after.residual[i] = follows ? past.residual[i] : T(0);
     after.velocity[i] = follows ? T(still) * past.velocity[i] : T(0);
     after.grip[i] = follows ? past.grip[i] : T(0);
@@ -231,12 +239,12 @@ FoldOutcome advanced(const Laid<T>& laid, const T* network, const FoldMemory<T>&
 // Lays the cloth of a frame around the network's places [m] (P, 3). A frame whose result is no fold is computed once
 // more without its past. What it leaves is nothing if that is none either: the network's drape is delivered then.
 template <class T>
-FoldOutcome fold_places(const Laid<T>& laid, const T* network, const FoldMemory<T>& past, const Surroundings<T>& around,
-                        const FoldConstants<T>& cloth, const FoldEffort<T>& effort, Pace pace, FoldMemory<T>& after,
-                        Scratch& scratch) {
+DEVICE FoldOutcome fold_places(const Laid<T>& laid, const T* network, const FoldMemory<T>& past,
+                               const Surroundings<T>& around, const FoldConstants<T>& cloth,
+                               const FoldEffort<T>& effort, Pace pace, FoldMemory<T>& after, Scratch& scratch) {
   const int64_t places = cloth.sheet.vertex.count;
   const bool follows = past.step_s < INFINITE && farthest_m<T>(network, past.network, places) <= T(CUT_M);
-  __builtin_memcpy(after.network.begin, network, size_t(3 * places) * sizeof(T));
+  copy<T>(after.network, network, 3 * places);
   if (follows) {
     FoldOutcome outcome = advanced(laid, network, past, true, around, cloth, effort, pace, after, scratch);
     if (!outcome.lost) return outcome;
@@ -245,16 +253,16 @@ FoldOutcome fold_places(const Laid<T>& laid, const T* network, const FoldMemory<
   outcome.reset = follows || outcome.lost;
   if (!outcome.lost) return outcome;
   outcome.turn = 0;
-  for (int64_t p = 0; p < places; ++p) after.own[p] = cloth.index[p], after.other[p] = -1, laid.lifted[p] = 0;
-  for (int64_t i = 0; i < 3 * places; ++i) after.residual[i] = after.velocity[i] = after.grip[i] = 0;
+  for (int64_t p : each(places)) after.own[p] = cloth.index[p], after.other[p] = -1, laid.lifted[p] = 0;
+  for (int64_t i : each(3 * places)) after.residual[i] = after.velocity[i] = after.grip[i] = 0;
   return outcome;
 }
 
 // Writes the folded vertices [m] (V, 3) of one level and the memory after them.
 template <class T>
-FoldOutcome fold_one_level(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around,
-                           const FoldConstants<T>& cloth, const FoldEffort<T>& effort, FoldMemory<T>& after, T* folded,
-                           Scratch& scratch) {
+DEVICE FoldOutcome fold_one_level(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around,
+                                  const FoldConstants<T>& cloth, const FoldEffort<T>& effort, FoldMemory<T>& after,
+                                  T* folded, Scratch& scratch) {
   const int64_t places = cloth.sheet.vertex.count;
   const Laid<T> laid(places, scratch);
   T* network = scratch.take<T>(3 * places);
@@ -263,6 +271,6 @@ FoldOutcome fold_one_level(const T* vertices, const FoldMemory<T>& past, const S
   const Pace pace = {1, effort.steps};
   FoldOutcome outcome = fold_places(laid, network, past, around, cloth, effort, pace, after, scratch);
   delivered(laid, cloth.sheet.place, folded, outcome);
-  if (outcome.lost) __builtin_memcpy(folded, vertices, size_t(3 * cloth.sheet.place.count) * sizeof(T));
+  if (outcome.lost) copy(folded, vertices, 3 * cloth.sheet.place.count);
   return outcome;
 }

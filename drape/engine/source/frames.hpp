@@ -19,10 +19,8 @@ template <class T> INLINE AxesOf<T> axes_in(const T* block) {
 
 // 1 where a row of neighbours has one, 0 where it is empty and has the place itself.
 template <class T> INLINE Row<T> real_row(const Sheet<T>& sheet, int64_t block, int64_t row) {
-  Indices places, index;
-  for (int lane = 0; lane < LANES; ++lane) places[lane] = int32_t(LANES * block) + lane;
-  __builtin_memcpy(&index, sheet.fan_other + LANES * row, sizeof index);
-  return where<T>(__builtin_convertvector(index != places, Mask<T>), row_of(T(1)), row_of(T(0)));
+  const Indices places = indices_from(LANES * block), index = indices_at(sheet.fan_other + LANES * row);
+  return where<T>(differ<T>(index, places), row_of(T(1)), row_of(T(0)));
 }
 
 template <class T> INLINE Points<T> unit_or_none(Points<T> a) {
@@ -35,9 +33,9 @@ template <class T> INLINE Points<T> unit_or_none(Points<T> a) {
 // of the triangles around each vertex over their area at rest. The edge is the first one of the vertex's first
 // triangle, laid into the tangent plane; a sheet puts that triangle first whose edge is longest at rest. A vertex
 // without an area or an edge gets a frame of zeros.
-template <class T> void surface_frames(const T* surface, const Sheet<T>& sheet, T* frames) {
+template <class T> DEVICE void surface_frames(const T* surface, const Sheet<T>& sheet, T* frames) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
-  for (int64_t block = 0; block < sheet.fan_start.count - 1; ++block) {
+  for (int64_t block : each_block(sheet.fan_start.count - 1)) {
     Points<T> own = points_in(surface + 3 * LANES * block), normal = {zero, zero, zero}, edge = normal;
     Row<T> twice = zero, rest = zero;
     for (int64_t row = sheet.fan_start[block]; row < sheet.fan_start[block + 1]; ++row) {

@@ -15,9 +15,12 @@ struct Grid {
 
 struct Cells { int64_t first[3], last[3]; };  // along each axis the first cell, and the one behind the last
 
+#ifdef ONE_LANE
+#include "grid_one.hpp"
+#else
 // The grid of the first three numbers of points [m] (N, width), cells of 1 / per_m. It is empty if a coordinate is not
 // finite, or if points lie WIDEST_M apart.
-template <class T> Grid grid_of(const T* points, int64_t n, int width, double per_m, Scratch& scratch) {
+template <class T> DEVICE Grid grid_of(const T* points, int64_t n, int width, double per_m, Scratch& scratch) {
   Grid grid = {};
   T low[3], high[3];
   bool finite = n > 0;
@@ -57,6 +60,8 @@ template <class T> Grid grid_of(const T* points, int64_t n, int width, double pe
   for (int64_t s = 0; s < n; ++s) grid.member[start[cell[s] + 1]++] = int32_t(s);
   return grid;
 }
+
+#endif
 
 // The cells that the box from low to high [m] meets.
 INLINE Cells cells_within(const Grid& grid, Vector<double> low, Vector<double> high) {

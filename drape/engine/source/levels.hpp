@@ -29,24 +29,30 @@ template <class T> INLINE Points<T> carried(Points<T> points, const T* off, cons
   return points;
 }
 
-// Writes the clusters of the fine cloth's tangles with a triangle whose first corner's coarse place is kept apart by
-// its planes. Returns their number.
-template <class T> int64_t close_clusters(const T* planes, const FineLevel<T>& fine, int32_t* found) {
-  int64_t filled = 0;
-  for (int64_t c = 0; c < fine.tangles.start.count - 1; ++c) {
-    bool close = false;
-    for (int lane = 0; lane < LANES; ++lane) {
-      const int64_t v = fine.parent[fine.tangles.corner[3 * LANES * c + lane]];
-      close |= planes[PLANES * (v / LANES) + APART_ROW + v % LANES] > 0;
-    }
-    if (close) found[filled++] = int32_t(c);
+// Whether a triangle of a cluster of the fine cloth's tangles has a first corner whose coarse place is kept apart by
+// its planes.
+template <class T> INLINE bool is_close(const T* planes, const FineLevel<T>& fine, int64_t c) {
+  bool close = false;
+  for (int lane = 0; lane < LANES; ++lane) {
+    const int64_t v = fine.parent[fine.tangles.corner[3 * LANES * c + lane]];
+    close |= planes[PLANES * (v / LANES) + APART_ROW + v % LANES] > 0;
   }
-  return filled;
+  return close;
+}
+
+// Writes the clusters that are. Returns their number.
+template <class T> DEVICE int64_t close_clusters(const T* planes, const FineLevel<T>& fine, int32_t* found) {
+  const int64_t count = fine.tangles.start.count - 1;
+  return collect(count, found, count, [&](int64_t c, int32_t* to, int64_t room) {
+    const bool close = is_close(planes, fine, c);
+    if (close && room > 0) *to = int32_t(c);
+    return int64_t(close);
+  });
 }
 
 // Writes the table (P, 16) by which coarse places carry fine ones from where they came to where they are.
 template <class T>
-void write_carriers(const Laid<T>& coarse, const Sheet<T>& sheet, T* table, Scratch& scratch) {
+DEVICE void write_carriers(const Laid<T>& coarse, const Sheet<T>& sheet, T* table, Scratch& scratch) {
   const int64_t mark = scratch.used, places = sheet.vertex.count, blocks = places / LANES;
   T *then = scratch.take<T>(FRAMES * blocks), *now = scratch.take<T>(FRAMES * blocks);
   T* turns = scratch.take<T>(4 * places);
@@ -54,10 +60,10 @@ void write_carriers(const Laid<T>& coarse, const Sheet<T>& sheet, T* table, Scra
   surface_frames(coarse.came, sheet, then);
   surface_frames(coarse.x, sheet, now);
   surface_turns(then, now, sheet, FINE_PASSES, turns, scratch);
-  for (int64_t block = 0; block < blocks; ++block) {
+  for (int64_t block : each_block(blocks)) {
     const int64_t first = 3 * LANES * block;
-    int32_t index[LANES];
-    for (int lane = 0; lane < LANES; ++lane) index[lane] = int32_t(LANES * block) + lane;
+    int32_t index[WIDTH];
+    for (int k = 0; k < WIDTH; ++k) index[k] = int32_t(LANES * block) + lane_of(k);
     put_nodes(table, index, matrix_of(turns_in(turns + 4 * LANES * block)), points_in(coarse.came + first),
               points_in(coarse.x + first), T(1));
   }
@@ -75,22 +81,24 @@ template <class T> struct FineSchedule {
 // Lays the fine cloth around the network's places [m] (P, 3). The coarse cloth lies off [m] (P, 3) the network, on the
 // samples of after. Where the fine places [m] (P, 3) were before is read, and those of after are written.
 template <class T>
-void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* network, const T* off, const T* before,
-                 const Surroundings<T>& around, const Levels<T>& levels, const FineSchedule<T>& schedule,
-                 FoldMemory<T>& after, Scratch& scratch) {
+DEVICE void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* network, const T* off, const T* before,
+                        const Surroundings<T>& around, const Levels<T>& levels, const FineSchedule<T>& schedule,
+                        FoldMemory<T>& after, Scratch& scratch) {
   const FineLevel<T>& fine = levels.fine;
   const Skin<T> skin = skin_of(around.skin, levels.coarse.graph);
   const int64_t mark = scratch.used, places = fine.sheet.vertex.count;
   T *x = laid.x, *planes = laid.planes, *crossed = scratch.take<T>(places);
   int32_t* close = scratch.take<int32_t>(fine.tangles.start.count);
   if (scratch.overflowed) return;
-  for (int64_t block = 0; block < places / LANES; ++block) {
+  for (int64_t block : each_block(places / LANES)) {
     const int64_t first = LANES * block, entry = NEAREST * first;
     Points<T> points = carried(points_in(network + 3 * first), off, fine, block);
     if (schedule.share > 0) {
-      for (int lane = 0; lane < LANES; ++lane)
+      for (int k = 0; k < WIDTH; ++k) {
+        const int lane = lane_of(k);
         put_point(x, first + lane, carried_by(schedule.table, fine.near + entry + lane, fine.weight + entry + lane,
                                               LANES, point(before, first + lane)));
+      }
       points = plus(points, row_of(schedule.share), points_in(x + 3 * first) - points);
     }
     put_points(x + 3 * first, points);
@@ -107,16 +115,16 @@ void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* network, c
   }
   leave_colliders(x, places, around.colliders, planes, schedule.clearance);
   if (schedule.clearance > 0) lift(x, places, planes, schedule.clearance, laid.lifted);
-  __builtin_memcpy(after.fine.begin, x, size_t(3 * places) * sizeof(T));
+  copy<T>(after.fine, x, 3 * places);
   scratch.used = mark;
 }
 
 // Writes the folded vertices [m] (V, 3) of two levels and the memory after them: that of the coarse cloth, and the fine
 // places [m] (P, 3).
 template <class T>
-FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around,
-                            const Levels<T>& levels, const FoldEffort<T>& effort, FoldMemory<T>& after, T* folded,
-                            Scratch& scratch) {
+DEVICE FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around,
+                                   const Levels<T>& levels, const FoldEffort<T>& effort, FoldMemory<T>& after,
+                                   T* folded, Scratch& scratch) {
   const FineLevel<T>& fine = levels.fine;
   const int64_t places = fine.sheet.vertex.count, below = levels.coarse.sheet.vertex.count;
   const Laid<T> laid(places, scratch), coarse(below, scratch);
@@ -129,7 +137,7 @@ FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const 
   else coarsely.steps += MORE_STEPS;
   FoldOutcome outcome = fold_places(coarse, under, past, around, levels.coarse, coarsely, COARSE_PACE, after, scratch);
   if (scratch.overflowed) return outcome;
-  for (int64_t i = 0; i < 3 * below; ++i) off[i] = outcome.lost ? T(0) : coarse.x[i] - under[i];
+  for (int64_t i : each(3 * below)) off[i] = outcome.lost ? T(0) : coarse.x[i] - under[i];
   const int64_t sweeps = effort.steps * (outcome.settled ? effort.settle : 1);
   const bool goes_on = !outcome.settled && past.fine.count > 0;
   const double share = goes_on ? exponential_of(-past.step_s / (effort.steps ? KEPT_S : FADE_S)) : 0;
@@ -142,11 +150,11 @@ FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const 
   outcome.lost = !(farthest_m(laid.x, network, places) <= T(FAR_M));
   if (outcome.lost) {
     outcome.reset = 1;
-    for (int64_t p = 0; p < places; ++p) laid.lifted[p] = 0;
-    __builtin_memcpy(after.fine.begin, network, size_t(3 * places) * sizeof(T));
+    for (int64_t p : each(places)) laid.lifted[p] = 0;
+    copy<T>(after.fine, network, 3 * places);
   }
   delivered(laid, fine.sheet.place, folded, outcome);
-  if (outcome.lost) __builtin_memcpy(folded, vertices, size_t(3 * fine.sheet.place.count) * sizeof(T));
+  if (outcome.lost) copy(folded, vertices, 3 * fine.sheet.place.count);
   return outcome;
 }
 
@@ -163,15 +171,15 @@ FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past, const 
 // room for one number behind it: in the world's axes to off, in those of the surface to eased. It begins with a share
 // of what it was eased before, if anything. What is no fold is left out.
 template <class T>
-void ease_off(const T* under, const T* before, T share, const int32_t* own, const Skin<T>& skin,
-              const FoldConstants<T>& cloth, int64_t steps, T* eased, T* off, Scratch& scratch) {
+DEVICE void ease_off(const T* under, const T* before, T share, const int32_t* own, const Skin<T>& skin,
+                     const FoldConstants<T>& cloth, int64_t steps, T* eased, T* off, Scratch& scratch) {
   const int64_t mark = scratch.used, places = cloth.sheet.vertex.count, count = cloth.factor.place.count;
   T *x = scratch.take<T>(3 * places), *gradient = scratch.take<T>(3 * places);
   T *frames = scratch.take<T>(FRAMES * (places / LANES)), *planes = scratch.take<T>(PLANES * (places / LANES));
-  T *q = scratch.take<T>(3 * count), *s = scratch.take<T>(3 * (count + LANES));
+  T *q = scratch.take<T>(3 * count), *s = scratch.take<T>(solve_room(cloth.factor));
   if (scratch.overflowed) return;
   surface_frames(under, cloth.sheet, frames);
-  for (int64_t block = 0; block < places / LANES; ++block) {
+  for (int64_t block : each_block(places / LANES)) {
     const int64_t first = 3 * LANES * block;
     const AxesOf<T> axes = axes_in(frames + FRAMES * block);
     Points<T> points = points_in(under + first);
@@ -185,7 +193,7 @@ void ease_off(const T* under, const T* before, T share, const int32_t* own, cons
     whole_step(x, cloth.factor, gradient, q, s);
   }
   const bool fits = farthest_m<T>(x, under, places) <= T(FAR_M);
-  for (int64_t block = 0; block < places / LANES; ++block) {
+  for (int64_t block : each_block(places / LANES)) {
     const int64_t first = 3 * LANES * block;
     Points<T> way = fits ? points_in(x + first) - points_in(under + first) : Points<T>{};
     put_points(off + first, way);
@@ -197,15 +205,15 @@ void ease_off(const T* under, const T* before, T share, const int32_t* own, cons
 // Lifts the fine cloth up to the clearance [m] over the skin and out of the colliders; own (C,) are the samples below
 // the coarse places.
 template <class T>
-void lift_off(const Laid<T>& laid, const int32_t* own, const Skin<T>& skin, const Array<double>& colliders,
-              const FineLevel<T>& fine, T clearance) {
+DEVICE void lift_off(const Laid<T>& laid, const int32_t* own, const Skin<T>& skin, const Array<double>& colliders,
+                     const FineLevel<T>& fine, T clearance) {
   const int64_t places = fine.sheet.vertex.count;
-  for (int64_t i = 0; i < places; i += LANES) put(laid.lifted + i, T(0));
+  for (int64_t block : each_block(places / LANES)) put(laid.lifted + LANES * block, T(0));
   if (colliders.count == 0) {
     if (clearance > 0) lift_off_skin(laid.x, places, skin, own, fine.parent.begin, clearance, laid.lifted);
     return;
   }
-  for (int64_t i = 0; i < PLANES * (places / LANES); i += LANES) put(laid.planes + i, T(0));
+  for (int64_t block : each_block(PLANES / LANES * (places / LANES))) put(laid.planes + LANES * block, T(0));
   put_own_planes(laid.x, places, skin, own, fine.parent.begin, laid.planes);
   put_collider_planes(laid.x, places, colliders, laid.planes);
   leave_colliders(laid.x, places, colliders, laid.planes, clearance);
@@ -214,9 +222,9 @@ void lift_off(const Laid<T>& laid, const int32_t* own, const Skin<T>& skin, cons
 
 // Writes the eased and lifted vertices [m] (V, 3), and the memory after them.
 template <class T>
-FoldOutcome lift_alone(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around,
-                       const Levels<T>& levels, const FoldEffort<T>& effort, FoldMemory<T>& after, T* lifted_vertices,
-                       Scratch& scratch) {
+DEVICE FoldOutcome lift_alone(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around,
+                              const Levels<T>& levels, const FoldEffort<T>& effort, FoldMemory<T>& after,
+                              T* lifted_vertices, Scratch& scratch) {
   const FoldConstants<T>& coarse = levels.coarse;
   const FineLevel<T>& fine = levels.fine;
   const Skin<T> skin = skin_of(around.skin, coarse.graph);
@@ -226,15 +234,15 @@ FoldOutcome lift_alone(const T* vertices, const FoldMemory<T>& past, const Surro
   if (scratch.overflowed) return {};
   placed(vertices, fine.sheet.vertex, x);
   placed(vertices, levels.kept, under);
-  __builtin_memcpy(after.network.begin, under, size_t(3 * below) * sizeof(T));
+  copy<T>(after.network, under, 3 * below);
   const bool follows = past.step_s < INFINITE && farthest_m<T>(under, past.network, below) <= T(CUT_M);
-  for (int64_t p = 0; p < below; ++p) after.own[p] = follows ? past.own[p] : coarse.index[p];
+  for (int64_t p : each(below)) after.own[p] = follows ? past.own[p] : coarse.index[p];
   follow(under, below, skin, after.own.begin);
   const double share = follows ? exponential_of(-past.step_s / EASED_S) : 0;
   ease_off<T>(under, follows ? past.residual.begin : nullptr, T(share), after.own, skin, coarse,
               follows ? 1 : effort.settle, after.residual, off, scratch);
   if (scratch.overflowed) return {};
-  for (int64_t block = 0; block < places / LANES; ++block)
+  for (int64_t block : each_block(places / LANES))
     put_points(x + 3 * LANES * block, carried(points_in(x + 3 * LANES * block), off, fine, block));
   lift_off<T>(laid, after.own, skin, around.colliders, fine, T(effort.clearance_m));
   FoldOutcome outcome = {!follows, 0, 0, 0, 0, 0, 0};

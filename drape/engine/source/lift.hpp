@@ -32,10 +32,11 @@ template <class T> INLINE void put_lifted(T* x, T* way, Points<T> before, Points
 }
 
 // Moves x [m] (P, 3) in place up to the clearance [m] over planes, and writes how far each vertex went to way [m] (P,).
-template <class T> void lift(T* x, int64_t places, const T* planes, T clearance, T* way) {
-  for (int64_t first = 0; first < places; first += LANES, planes += PLANES) {
+template <class T> DEVICE void lift(T* x, int64_t places, const T* planes, T clearance, T* way) {
+  for (int64_t block : each_block(places / LANES)) {
+    const int64_t first = LANES * block;
     Points<T> before = points_in(x + 3 * first);
-    const T *own = planes + OWN_PLANE, *other = planes + OTHER_PLANE;
+    const T *own = planes + PLANES * block + OWN_PLANE, *other = planes + PLANES * block + OTHER_PLANE;
     Points<T> after = above<T>(before, rows3_at(other), rows3_at(other + 3 * LANES), clearance, T(OTHER_SHARE));
     after = above<T>(after, rows3_at(own), rows3_at(own + 3 * LANES), clearance, T(1));
     put_lifted(x + 3 * first, way + first, before, after);
@@ -44,10 +45,11 @@ template <class T> void lift(T* x, int64_t places, const T* planes, T clearance,
 
 // The same over the own planes of each place's samples (own_planes), none of which is kept.
 template <class T>
-void lift_off_skin(T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent, T clearance,
-                   T* way) {
+DEVICE void lift_off_skin(T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent,
+                          T clearance, T* way) {
   Walks walks;
-  for (int64_t first = 0; first < places; first += LANES) {
+  for (int64_t block : each_block(places / LANES)) {
+    const int64_t first = LANES * block;
     Points<T> before = points_in(x + 3 * first);
     Planes<T> below = own_planes(before, own, parent + first, walks, skin);
     put_lifted(x + 3 * first, way + first, before, above<T>(before, below.foot, below.unit, clearance, T(1)));

@@ -3,28 +3,30 @@
 #include "clusters.hpp"
 
 // The vertices [m] (V, 3) at their places (P, 3).
-template <class T> void placed(const T* vertices, const Array<int32_t>& vertex, T* places) {
-  for (int64_t p = 0; p < vertex.count; ++p) put_point(places, p, point(vertices, vertex[p]));
+template <class T> DEVICE void placed(const T* vertices, const Array<int32_t>& vertex, T* places) {
+  for (int64_t p : each(vertex.count)) put_point(places, p, point(vertices, vertex[p]));
 }
 
 // The largest distance [m] between a place of x (P, 3) and that of y, NaN where one is.
-template <class T> T farthest_m(const T* x, const T* y, int64_t places) {
+template <class T> DEVICE T farthest_m(const T* x, const T* y, int64_t places) {
   Row<T> worst = row_of(T(0)), total = worst;
-  for (int64_t first = 0; first < places; first += LANES) {
-    Points<T> way = points_in(x + 3 * first) - points_in(y + 3 * first);
+  for (int64_t block : each_block((places + LANES - 1) / LANES)) {
+    const int64_t first = 3 * LANES * block;
+    Points<T> way = points_in(x + first) - points_in(y + first);
     Row<T> square = dot(way, way);
     worst = most<T>(square, worst);
     total = total + square;
   }
-  return lanes_of<T>(total != total) ? T(__builtin_nan("")) : root(most_lane<T>(worst));
+  const bool none = most_of_all(int(lanes_of<T>(total != total)));
+  return none ? T(__builtin_nan("")) : root(most_of_all(most_lane<T>(worst)));
 }
 
 // RMS way [m] of the vertices at the place (V,) of each, from before to network [m] (P, 3).
-template <class T> double moved_m(const T* before, const T* network, const Array<int32_t>& place) {
+template <class T> DEVICE double moved_m(const T* before, const T* network, const Array<int32_t>& place) {
   double total = 0;
-  for (int64_t v = 0; v < place.count; ++v) {
+  for (int64_t v : each(place.count)) {
     const Vector<T> way = point(network, place[v]) - point(before, place[v]);
     total += double(dot(way, way));
   }
-  return root(total / double(place.count));
+  return root(sum_of_all(total) / double(place.count));
 }

@@ -7,8 +7,20 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#if defined(__CUDACC__)  // which has a function of its own for what Clang has built in
+#define INLINE static __device__ __forceinline__
+#define INLINE_MEMBER __device__ __forceinline__
+#define DEVICE static __device__ __noinline__
+#define __builtin_sqrtf sqrtf
+#define __builtin_sqrt sqrt
+#define __builtin_floor floor
+#define __builtin_fabs fabs
+#define __builtin_memcpy memcpy
+#else
 #define INLINE static inline __attribute__((always_inline))
 #define INLINE_MEMBER inline __attribute__((always_inline))
+#define DEVICE  // code of a card, too
+#endif
 #if defined(_WIN32)
 #define EXPORT extern "C" __attribute__((dllexport))
 #else

@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0xbac5ec47e8ed0cbbu;
+constexpr uint64_t RECORDS_HASH = 0x5620deca632ce6d4u;
 
 template <class T> struct Constants {
   double warp;
@@ -41,8 +41,9 @@ template <class T> struct Sheet {
   Array<int32_t> crease_start;
   Array<int32_t> crease_lane;
   Array<int32_t> crease_member;
+  Array<int32_t> colour_start;
 };
-static_assert(sizeof(Sheet<float>) == 336, "Sheet");
+static_assert(sizeof(Sheet<float>) == 352, "Sheet");
 
 template <class T> struct SkinGraph {
   Array<int32_t> neighbour;
@@ -70,6 +71,18 @@ template <class T> struct Tangles {
 };
 static_assert(sizeof(Tangles<float>) == 64, "Tangles");
 
+template <class T> struct PanelLevels {
+  Array<int32_t> row_start;
+  Array<int32_t> row_panel;
+  Array<int32_t> row;
+  Array<int32_t> column_start;
+  Array<int32_t> column;
+  Array<int32_t> panel;
+  Array<int32_t> left_start;
+  Array<int32_t> left;
+};
+static_assert(sizeof(PanelLevels<float>) == 128, "PanelLevels");
+
 template <class T> struct StiffnessFactor {
   Array<int32_t> place;
   Array<int32_t> column;
@@ -79,8 +92,9 @@ template <class T> struct StiffnessFactor {
   Array<int32_t> entry;
   Array<T> value;
   Array<T> inverse;
+  PanelLevels<T> levels;
 };
-static_assert(sizeof(StiffnessFactor<float>) == 128, "StiffnessFactor");
+static_assert(sizeof(StiffnessFactor<float>) == 256, "StiffnessFactor");
 
 template <class T> struct FoldConstants {
   Sheet<T> sheet;
@@ -92,14 +106,14 @@ template <class T> struct FoldConstants {
   Array<int32_t> hem;
   Tangles<T> tangles;
 };
-static_assert(sizeof(FoldConstants<float>) == 728, "FoldConstants");
+static_assert(sizeof(FoldConstants<float>) == 872, "FoldConstants");
 
 template <class T> struct LaidCloth {
   Sheet<T> sheet;
   SkinGraph<T> graph;
   Array<int32_t> index;
 };
-static_assert(sizeof(LaidCloth<float>) == 400, "LaidCloth");
+static_assert(sizeof(LaidCloth<float>) == 416, "LaidCloth");
 
 template <class T> struct FineLevel {
   Sheet<T> sheet;
@@ -108,14 +122,14 @@ template <class T> struct FineLevel {
   Array<int32_t> parent;
   Tangles<T> tangles;
 };
-static_assert(sizeof(FineLevel<float>) == 448, "FineLevel");
+static_assert(sizeof(FineLevel<float>) == 464, "FineLevel");
 
 template <class T> struct Levels {
   FoldConstants<T> coarse;
   Array<int32_t> kept;
   FineLevel<T> fine;
 };
-static_assert(sizeof(Levels<float>) == 1192, "Levels");
+static_assert(sizeof(Levels<float>) == 1352, "Levels");
 
 template <class T> struct Surroundings {
   Array<T> skin;

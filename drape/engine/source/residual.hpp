@@ -30,9 +30,9 @@ constexpr double EASE = 0.5;  // the share of its way to the mean where cloth cr
 
 // Writes f (P,): none where nothing moved.
 template <class T>
-void write_forget(const T* before, const T* network, const T* frames, const Sheet<T>& sheet, T* forget) {
+DEVICE void write_forget(const T* before, const T* network, const T* frames, const Sheet<T>& sheet, T* forget) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
-  for (int64_t block = 0; block < sheet.fan_start.count - 1; ++block) {
+  for (int64_t block : each_block(sheet.fan_start.count - 1)) {
     const int64_t row = sheet.fan_start[block], first = 3 * LANES * block;
     Row<T> f = zero;
     if (row < sheet.fan_start[block + 1]) {
@@ -52,29 +52,29 @@ void write_forget(const T* before, const T* network, const T* frames, const Shee
 // Moves each of the vectors off (P, 3) by its share forget (P,) of the way to its neighbours' mean, and all of the way
 // where that is longer than far. The frames of a surface that folds over turn about from one frame to the next, and a
 // residual turns with them. before is scratch of the size of off, and one number.
-template <class T> void mend(T* off, const Sheet<T>& sheet, T far, const T* forget, T* before) {
+template <class T> DEVICE void mend(T* off, const Sheet<T>& sheet, T far, const T* forget, T* before) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
-  const int64_t blocks = sheet.fan_start.count - 1;
-  __builtin_memcpy(before, off, size_t(3 * LANES * blocks) * sizeof(T));
-  for (int64_t block = 0; block < blocks; ++block) {
+  const int64_t count = sheet.fan_start.count - 1;
+  copy(before, off, 3 * LANES * count);
+  for (int64_t block : each_block(count)) {
     Points<T> own = points_in(before + 3 * LANES * block), mean = {zero, zero, zero};
-    Row<T> count = zero;
+    Row<T> all = zero;
     for (int64_t row = 2 * sheet.fan_start[block]; row < 2 * sheet.fan_start[block + 1]; ++row) {
       Row<T> real = real_row(sheet, block, row);
       mean = plus(mean, real, points_at(before, sheet.fan_other + LANES * row));
-      count = count + real;
+      all = all + real;
     }
-    mean = scaled(one / where<T>(count > zero, count, one), mean);
+    mean = scaled(one / where<T>(all > zero, all, one), mean);
     Points<T> way = mean - own;
     Row<T> share = where<T>(dot(way, way) > row_of(far * far), one, row_at(forget + LANES * block));
-    put_points(off + 3 * LANES * block, plus(own, where<T>(count > zero, share, zero), way));
+    put_points(off + 3 * LANES * block, plus(own, where<T>(all > zero, share, zero), way));
   }
 }
 
 // Moves off of every border vertex towards the mean of its neighbours' along the hem (H, 3).
-template <class T> void even_hem(T* off, const T* before, const T* network, const Array<int32_t>& hem, T* even) {
+template <class T> DEVICE void even_hem(T* off, const T* before, const T* network, const Array<int32_t>& hem, T* even) {
   const int64_t count = hem.count / 3;
-  for (int64_t e = 0; e < count; ++e) {
+  for (int64_t e : each(count)) {
     const int32_t last = hem[3 * e], v = hem[3 * e + 1], after = hem[3 * e + 2];
     const Vector<T> edge = point(network, after) - point(network, v);
     const Vector<T> turn = edge - (point(before, after) - point(before, v));
@@ -82,14 +82,14 @@ template <class T> void even_hem(T* off, const T* before, const T* network, cons
     const Vector<T> own = point(off, v), mean = scaled(T(0.5), point(off, last) + point(off, after));
     put_point(even, e, plus(own, s / (T(1) + s), mean - own));
   }
-  for (int64_t e = 0; e < count; ++e) put_point(off, hem[3 * e + 1], point(even, e));
+  for (int64_t e : each(count)) put_point(off, hem[3 * e + 1], point(even, e));
 }
 
 // Mends, forgets and evens the residuals off [m] (P, 3), world, in place. before and network [m] (P, 3) are the
 // network's drapes of the frame before and of this one, frames those of the latter.
 template <class T>
-void keep_residual(T* off, const T* before, const T* network, const T* frames, const Sheet<T>& sheet,
-                   const Array<int32_t>& hem, Scratch& scratch) {
+DEVICE void keep_residual(T* off, const T* before, const T* network, const T* frames, const Sheet<T>& sheet,
+                          const Array<int32_t>& hem, Scratch& scratch) {
   const int64_t mark = scratch.used, places = sheet.vertex.count;
   T *forget = scratch.take<T>(places), *copy = scratch.take<T>(3 * places + 1), *even = scratch.take<T>(hem.count);
   if (scratch.overflowed) return;
@@ -102,16 +102,16 @@ void keep_residual(T* off, const T* before, const T* network, const T* frames, c
 // Moves the residuals of x [m] (P, 3) by a share of the way to their neighbours' mean, in place, where crossed (P,) is
 // above zero.
 template <class T>
-void ease(T* x, const T* network, const T* crossed, T share, const Sheet<T>& sheet, Scratch& scratch) {
+DEVICE void ease(T* x, const T* network, const T* crossed, T share, const Sheet<T>& sheet, Scratch& scratch) {
   const int64_t mark = scratch.used, places = sheet.vertex.count;
   T *forget = scratch.take<T>(places), *off = scratch.take<T>(3 * places + 1), *copy = scratch.take<T>(3 * places + 1);
   if (scratch.overflowed) return;
-  for (int64_t v = 0; v < places; ++v) {
+  for (int64_t v : each(places)) {
     forget[v] = crossed[v] > 0 ? share : T(0);
     put_point(off, v, point(x, v) - point(network, v));
   }
   mend(off, sheet, T(__builtin_inf()), forget, copy);
-  for (int64_t v = 0; v < places; ++v)
+  for (int64_t v : each(places))
     if (crossed[v] > 0) put_point(x, v, point(network, v) + point(off, v));
   scratch.used = mark;
 }

@@ -25,6 +25,13 @@ constexpr double KEPT = 0.5, KEPT_M = 0.0085;
 constexpr int BOUND_STEPS = 254;  // of an upper bound of a pair's square, up to that of ROOM_M
 constexpr double BOUND_M2 = ROOM_M * ROOM_M / BOUND_STEPS;
 
+template <class T> INLINE bool is_near(const SheetNeighbours<T>& n, int32_t v, int32_t u, T far) {
+  bool hit = false;
+  for (int64_t i = n.start[v]; i < n.start[v + 1]; ++i) hit |= n.vertex[i] == u && far >= T(n.square[i]);
+  return hit;
+}
+
+#ifndef ONE_LANE
 // For every lane of the clusters the square [m^2] of the distance to the nearest one, and which lane that is.
 template <class T> struct NearestLanes {
   T* square;
@@ -53,17 +60,11 @@ template <class T> INLINE Row<T> least_squares(const T* a, const T* b, const uin
   return found;
 }
 
-template <class T> INLINE bool is_near(const SheetNeighbours<T>& n, int32_t v, int32_t u, T far) {
-  bool hit = false;
-  for (int64_t i = n.start[v]; i < n.start[v + 1]; ++i) hit |= n.vertex[i] == u && far >= T(n.square[i]);
-  return hit;
-}
-
 // Lowers found to the distances of all pairs of the clusters a and b that count; listed: whether some of them may be of
 // one sheet.
 template <class T>
-void count_pairs(const T* rows, const SheetNeighbours<T>& n, int64_t a, int64_t b, Row<T> least_, bool listed,
-                 NearestLanes<T>& found) {
+DEVICE void count_pairs(const T* rows, const SheetNeighbours<T>& n, int64_t a, int64_t b, Row<T> least_, bool listed,
+                        NearestLanes<T>& found) {
   const T *own = rows + POINT_ROWS * a, *others = rows + POINT_ROWS * b;
   for (uint32_t lanes = lanes_of<T>(least_ < row_of(found.most)); lanes; lanes &= lanes - 1) {
     const int j = first_lane(lanes);
@@ -85,7 +86,7 @@ void count_pairs(const T* rows, const SheetNeighbours<T>& n, int64_t a, int64_t 
 // that one to nearest (V,); reach [m], ROOM_M at most, and -1 where none is within that. Every pair of clusters whose
 // boxes come near each other is tested once. Hardly any has vertices that count.
 template <class T>
-void rooms(const T* points, const SheetNeighbours<T>& n, T reach, T* room, int32_t* nearest, Scratch& scratch) {
+DEVICE void rooms(const T* points, const SheetNeighbours<T>& n, T reach, T* room, int32_t* nearest, Scratch& scratch) {
   const int64_t mark = scratch.used, count = n.clusters.count / LANES;
   T* rows = scratch.take<T>(POINT_ROWS * count);
   int32_t *table = scratch.take<int32_t>(count), *found = scratch.take<int32_t>(count);
@@ -120,6 +121,51 @@ void rooms(const T* points, const SheetNeighbours<T>& n, T reach, T* room, int32
   scratch.used = mark;
 }
 
+#else
+#include "boxes_one.hpp"
+
+// The list's entry of the bound of a pair of clusters, -1 where none is listed.
+template <class T> INLINE int64_t listed(const SheetNeighbours<T>& n, int64_t a, int64_t b) {
+  int64_t found = -1;
+  for (int64_t i = n.other_start[a]; i < n.other_start[a + 1]; ++i) found = n.other[i] == b ? i : found;
+  return found;
+}
+
+template <class T>
+DEVICE void rooms(const T* points, const SheetNeighbours<T>& n, T reach, T* room, int32_t* nearest, Scratch& scratch) {
+  const int64_t mark = scratch.used, count = n.clusters.count / LANES;
+  T* rows = scratch.take<T>(POINT_ROWS * count);
+  if (scratch.overflowed) return;
+  for (int64_t e : each(LANES * count))
+    put_lane3(rows + POINT_ROWS * (e / LANES), int(e % LANES), point(points, n.clusters[e]));
+  const Boxes<T> boxes = boxes_around(rows, count, POINT_ROWS, 0, 0, scratch);
+  if (scratch.overflowed) return;
+  for (int64_t e : each(LANES * count)) {
+    const int64_t a = e / LANES, i = e % LANES;
+    const int32_t v = n.clusters[e];
+    const Vector<T> here = lane3(rows + POINT_ROWS * a, int(i));
+    T square = reach * reach;
+    int32_t which = -1;
+    see_near(here, here, boxes, 0, square, [&](int64_t b) {
+      const int64_t entry = a <= b ? listed(n, a, b) : listed(n, b, a);
+      const uint8_t* bound = entry < 0 ? nullptr : n.bound + LANES * LANES * entry;
+      for (int j = 0; j < LANES; ++j) {
+        const Vector<T> way = lane3(rows + POINT_ROWS * b, j) - here;
+        const T far = dot(way, way);
+        if (!(far < square)) continue;
+        if (bound && !(far < T(BOUND_M2) * T(bound[a <= b ? LANES * i + j : LANES * j + i]))) continue;
+        const int32_t u = n.clusters[LANES * b + j];
+        if (bound && (a <= b ? is_near(n, v, u, far) : is_near(n, u, v, far))) continue;
+        square = far, which = u;
+      }
+    });
+    room[v] = which < 0 ? reach : root(square);
+    nearest[v] = which;
+  }
+  scratch.used = mark;
+}
+#endif
+
 template <class T> INLINE Vector<T> shorter(Vector<T> way, Vector<T> other) {
   return dot(way, way) < dot(other, other) ? way : other;
 }
@@ -140,16 +186,18 @@ template <class T> INLINE Vector<T> from_triangles(const T* x, const Sheet<T>& s
 
 // Writes the planes that keep x [m] (P, 3) apart to those of other parts, with a 1 in APART_ROW.
 template <class T>
-void keep_apart(const T* x, const Sheet<T>& sheet, const SheetNeighbours<T>& neighbours, T* planes, Scratch& scratch) {
+DEVICE void keep_apart(const T* x, const Sheet<T>& sheet, const SheetNeighbours<T>& neighbours, T* planes,
+                       Scratch& scratch) {
   const Fabric<T> k(sheet.constants);
   const int64_t mark = scratch.used, count = sheet.place.count;
   const T reach = less<T>(T(SPACING) / k.per_edge, T(ROOM_M)), kept = less<T>(T(KEPT) / k.per_edge, T(KEPT_M));
   T *points = scratch.take<T>(3 * count), *room = scratch.take<T>(count);
   int32_t* nearest = scratch.take<int32_t>(count);
   if (scratch.overflowed) return;
-  for (int64_t v = 0; v < count; ++v) put_point(points, v, point(x, sheet.place[v]));
+  for (int64_t v : each(count)) put_point(points, v, point(x, sheet.place[v]));
   rooms(points, neighbours, reach, room, nearest, scratch);
-  for (int64_t v = 0; v < count && !scratch.overflowed; ++v) {
+  if (scratch.overflowed) return;
+  for (int64_t v : each(count)) {
     if (nearest[v] < 0) continue;
     const Vector<T> here = point(points, v), way = from_triangles(x, sheet, sheet.place[nearest[v]], here);
     const T far = root(dot(way, way));

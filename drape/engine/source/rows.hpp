@@ -4,10 +4,15 @@
 // a row gives the same bits on every processor with fused products. Comparisons are false where a number is NaN.
 // Points (P, 3) lie in memory as x, y, z, x, y, z; `points_at` and `put_points` turn sixteen of them into three rows and
 // back within registers, which takes less time than a processor's own gathers.
+// A card has the same rows in another way, one number a thread (rows_one.hpp).
 #pragma once
+#ifdef ONE_LANE
+#include "rows_one.hpp"
+#else
+#include "threads.hpp"
 #include "vectors.hpp"
 
-constexpr int LANES = 16;
+constexpr int LANES = 16, WIDTH = LANES;  // of a block, and those of it that a thread holds
 
 template <class T> using Row = T __attribute__((ext_vector_type(16)));
 template <class T> using Points = Vector<Row<T>>;  // the coordinates of sixteen points
@@ -41,6 +46,26 @@ template <class T> INLINE Row<T> root(Row<T> a) { return __builtin_elementwise_s
 INLINE float root(float a) { return __builtin_sqrtf(a); }
 INLINE double root(double a) { return __builtin_sqrt(a); }
 
+// The numbers of a row, and the lanes that they are of: a thread holds number k of WIDTH, that of lane_of(k).
+INLINE int lane_of(int k) { return k; }
+INLINE bool holds(int) { return true; }
+template <class R> INLINE auto number_in(R row, int k) { return row[k]; }
+template <class R, class N> INLINE void set_number(R& row, int k, N number) { row[k] = number; }
+template <class R, class N> INLINE void add_product(R& row, int k, N a, N b) { row[k] += a * b; }
+
+// As many numbers one after the other as a thread holds.
+template <class T> INLINE Row<T> several_at(const T* from) { return row_at(from); }
+
+// Rows of indices: in memory, as a thread holds them (WIDTH of them), and one after the other from first on.
+INLINE Indices indices_at(const int32_t* from) { return loaded<Indices>(from); }
+INLINE Indices indices_in(const int32_t* held) { return loaded<Indices>(held); }
+INLINE Indices indices_from(int64_t first) {
+  Indices found;
+  for (int lane = 0; lane < LANES; ++lane) found[lane] = int32_t(first) + lane;
+  return found;
+}
+template <class T> INLINE Mask<T> differ(Indices a, Indices b) { return __builtin_convertvector(a != b, Mask<T>); }
+
 // The bits of the lanes that a mask holds for:  while (bits) { int lane = first_lane(bits); bits &= bits - 1; ... }
 template <class T> INLINE uint32_t lanes_of(Mask<T> mask) {
   typedef bool Bits __attribute__((ext_vector_type(16)));
@@ -52,24 +77,6 @@ template <class T> INLINE uint32_t lanes_of(Mask<T> mask) {
 INLINE int first_lane(uint32_t bits) { return __builtin_ctz(bits); }
 INLINE uint32_t lanes_from(uint32_t bits, int lane) { return lane <= 0 ? bits : lane >= 32 ? 0 : (bits >> lane) << lane; }
 INLINE uint32_t lanes_before(int64_t lane) { return lane >= LANES ? 0xFFFFu : (1u << lane) - 1u; }
-
-// Three rows in memory, one after the other.
-template <class T> INLINE Points<T> rows3_at(const T* from) {
-  return {row_at(from), row_at(from + LANES), row_at(from + 2 * LANES)};
-}
-template <class T> INLINE void put3(T* to, Points<T> a) {
-  put(to, a.x);
-  put(to + LANES, a.y);
-  put(to + 2 * LANES, a.z);
-}
-template <class T> INLINE Vector<T> lane3(const T* from, int lane) {
-  return {from[lane], from[LANES + lane], from[2 * LANES + lane]};
-}
-template <class T> INLINE void put_lane3(T* to, int lane, Vector<T> a) {
-  to[lane] = a.x;
-  to[LANES + lane] = a.y;
-  to[2 * LANES + lane] = a.z;
-}
 
 // Sixteen points that lie behind each other.
 template <class T> INLINE Points<T> points_in(const T* from) {
@@ -137,9 +144,26 @@ template <class T> INLINE void put_fours(T* to, FourRows<T> t) {
   for (int lane = 0; lane < LANES; ++lane) store(to + 4 * lane, Four<T>{t.a[lane], t.b[lane], t.c[lane], t.d[lane]});
 }
 
-// Four numbers of sixteen samples (S, 8) by index: point and its square from 0 on, normal and normal times point from 4.
-template <class T> INLINE FourRows<T> samples_at(const T* table, const int32_t* index, int begin) {
-  return fours_at(table + begin, index, 8);
+// The same by indices that a thread holds, and of sixteen rows of four one after the other.
+template <class T> INLINE Points<T> points_of(const T* x, const int32_t* held) { return points_at(x, held); }
+template <class T> INLINE FourRows<T> fours_of(const T* table, const int32_t* held, int stride) {
+  return fours_at(table, held, stride);
+}
+template <class T> INLINE FourRows<T> own_fours(const T* table) {
+  int32_t index[LANES];
+  for (int lane = 0; lane < LANES; ++lane) index[lane] = lane;
+  return fours_at(table, index, 4);
+}
+
+// Four columns of four numbers, all of which a thread holds; their weighted sum, and where they move a point.
+template <class T> using Moves = Row<T>;
+template <class T> INLINE Moves<T> moves_at(const T* from) { return row_at(from); }
+template <class T> INLINE Moves<T> joined(Moves<T> a, T s, Moves<T> b) { return a + s * b; }
+template <class T> INLINE Vector<T> moved(Moves<T> m, Vector<T> p) {
+  const Four<T> a = __builtin_shufflevector(m, m, 0, 1, 2, 3), b = __builtin_shufflevector(m, m, 4, 5, 6, 7);
+  const Four<T> c = __builtin_shufflevector(m, m, 8, 9, 10, 11), d = __builtin_shufflevector(m, m, 12, 13, 14, 15);
+  const Four<T> found = a * p.x + b * p.y + (c * p.z + d);
+  return {found.x, found.y, found.z};
 }
 
 // The sum of a row's lanes: halved until four are left, then (0 + 2) + (1 + 3).
@@ -168,6 +192,33 @@ INLINE Row<double> times_two_to(Row<double> a, Row<double> power) {
   Row<double> factor;
   __builtin_memcpy(&factor, &bits, sizeof factor);
   return a * factor;
+}
+#endif
+
+// Three rows in memory, one after the other.
+template <class T> INLINE Points<T> rows3_at(const T* from) {
+  return {row_at(from), row_at(from + LANES), row_at(from + 2 * LANES)};
+}
+template <class T> INLINE void put3(T* to, Points<T> a) {
+  put(to, a.x);
+  put(to + LANES, a.y);
+  put(to + 2 * LANES, a.z);
+}
+template <class T> INLINE Vector<T> lane3(const T* from, int lane) {
+  return {from[lane], from[LANES + lane], from[2 * LANES + lane]};
+}
+template <class T> INLINE void put_lane3(T* to, int lane, Vector<T> a) {
+  to[lane] = a.x;
+  to[LANES + lane] = a.y;
+  to[2 * LANES + lane] = a.z;
+}
+
+// Four numbers of sixteen samples (S, 8) by index: point and its square from 0 on, normal and normal times point from 4.
+template <class T> INLINE FourRows<T> samples_at(const T* table, const int32_t* index, int begin) {
+  return fours_at(table + begin, index, 8);
+}
+template <class T> INLINE FourRows<T> samples_of(const T* table, const int32_t* held, int begin) {
+  return fours_of(table + begin, held, 8);
 }
 
 // e to each number, to 3e-8 of it or the type's rounding; below -80 that of -80, above 80 that of 80.

@@ -52,16 +52,16 @@ template <class T> INLINE Skin<T> skin_of(const Array<T>& samples, const SkinGra
   return skin_of(samples.begin, samples.count / 8, graph);
 }
 
-// Sixteen walks at once: in each lane a place and the sample that it is at, whose neighbours are near, a row each.
-struct Walks { int32_t vertex[LANES], sample[LANES], near[NEIGHBOURS * LANES]; };
+// The walks of a row at once: in each lane a place and the sample that it is at, whose neighbours are near, a row each.
+struct Walks { int32_t vertex[WIDTH], sample[WIDTH], near[NEIGHBOURS * WIDTH]; };
 
 INLINE void look_around(Walks& walks, const int32_t* neighbour) {
-  for (int lane = 0; lane < LANES; ++lane)
-    for (int n = 0; n < NEIGHBOURS; ++n) walks.near[LANES * n + lane] = neighbour[NEIGHBOURS * walks.sample[lane] + n];
+  for (int k = 0; k < WIDTH; ++k)
+    for (int n = 0; n < NEIGHBOURS; ++n) walks.near[WIDTH * n + k] = neighbour[NEIGHBOURS * walks.sample[k] + n];
 }
 
-template <class T> INLINE Row<T> squares_to(Points<T> points, const T* samples, const int32_t* index) {
-  FourRows<T> s = samples_at(samples, index, 0);
+template <class T> INLINE Row<T> squares_to(Points<T> points, const T* samples, const int32_t* held) {
+  FourRows<T> s = samples_of(samples, held, 0);
   Points<T> way = Points<T>{s.a, s.b, s.c} - points;
   return dot(way, way);
 }
@@ -78,15 +78,15 @@ template <class T> INLINE void walk(Points<T> points, Walks& walks, const Skin<T
     Mask<T> which = (Mask<T>)(-1);
 #pragma clang loop unroll(disable)
     for (int n = 0; n < NEIGHBOURS; ++n) {
-      Row<T> other = squares_to<T>(points, skin.samples, walks.near + LANES * n);
+      Row<T> other = squares_to<T>(points, skin.samples, walks.near + WIDTH * n);
       which = square > other ? (Mask<T>)(n) : which;
       square = least<T>(square, other);
     }
     uint32_t moved = lanes_of<T>(which >= 0);
     if (!moved) break;
     for (; moved; moved &= moved - 1) {
-      int lane = first_lane(moved);
-      walks.sample[lane] = walks.near[LANES * which[lane] + lane];
+      int k = first_lane(moved);
+      walks.sample[k] = walks.near[WIDTH * number_in(which, k) + k];
     }
   }
 }
@@ -107,22 +107,23 @@ template <class T> INLINE int32_t walked(Vector<T> point, const Skin<T>& skin, i
 }
 
 // Moves the samples own (P,) on to the ones nearest to the points x [m] (P, 3); P is a multiple of LANES.
-template <class T> void follow(const T* x, int64_t places, const Skin<T>& skin, int32_t* own) {
+template <class T> DEVICE void follow(const T* x, int64_t places, const Skin<T>& skin, int32_t* own) {
   Walks walks;
-  for (int64_t first = 0; first < places; first += LANES) {
-    const int64_t lanes = places - first < LANES ? places - first : LANES;
+  for (int64_t block : each_block((places + LANES - 1) / LANES)) {
+    const int64_t first = LANES * block, lanes = places - first < LANES ? places - first : LANES;
     Points<T> points;
     if (lanes == LANES) {
       points = points_in(x + 3 * first);
     } else {  // nodes of swing do not fill their last row: it repeats the last one
-      for (int lane = 0; lane < LANES; ++lane) {
-        Vector<T> p = point(x, first + (lane < lanes ? lane : lanes - 1));
-        points.x[lane] = p.x, points.y[lane] = p.y, points.z[lane] = p.z;
+      for (int k = 0; k < WIDTH; ++k) {
+        Vector<T> p = point(x, first + less<int64_t>(lane_of(k), lanes - 1));
+        set_number(points.x, k, p.x), set_number(points.y, k, p.y), set_number(points.z, k, p.z);
       }
     }
-    for (int lane = 0; lane < LANES; ++lane) walks.sample[lane] = own[first + (lane < lanes ? lane : lanes - 1)];
+    for (int k = 0; k < WIDTH; ++k) walks.sample[k] = own[first + less<int64_t>(lane_of(k), lanes - 1)];
     walk(points, walks, skin, skin.count);
-    for (int64_t lane = 0; lane < lanes; ++lane) own[first + lane] = walks.sample[lane];
+    for (int k = 0; k < WIDTH; ++k)
+      if (lane_of(k) < lanes) own[first + lane_of(k)] = walks.sample[k];
   }
 }
 
@@ -133,26 +134,23 @@ template <class T> INLINE Planes<T> planes_below(Points<T> points, Walks& walks,
   look_around(walks, skin.neighbour);
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
   Row<T> reach;
-  for (int lane = 0; lane < LANES; ++lane) reach[lane] = skin.reach_m2[walks.sample[lane]];
+  for (int k = 0; k < WIDTH; ++k) set_number(reach, k, skin.reach_m2[walks.sample[k]]);
   Row<T> per_m2 = one / reach, total = one;
-  FourRows<T> s = samples_at(skin.samples, walks.sample, 0), n = samples_at(skin.samples, walks.sample, 4);
+  FourRows<T> s = samples_of(skin.samples, walks.sample, 0), n = samples_of(skin.samples, walks.sample, 4);
   Points<T> where_ = {s.a, s.b, s.c}, normal = {n.a, n.b, n.c};
   Row<T> product = n.d;
   Row<T> own_square = dot(where_ - points, where_ - points);
   Row<T> height = dot(normal, points) - product;
   Row<T> aside = (own_square - height * height) * per_m2;
-  Indices own;
-  __builtin_memcpy(&own, walks.sample, sizeof own);
+  const Indices own = indices_in(walks.sample);
 #pragma clang loop unroll(disable)
   for (int k = 0; k < NEIGHBOURS; ++k) {
-    const int32_t* near = walks.near + LANES * k;
-    FourRows<T> p = samples_at(skin.samples, near, 0), q = samples_at(skin.samples, near, 4);
+    const int32_t* near = walks.near + WIDTH * k;
+    FourRows<T> p = samples_of(skin.samples, near, 0), q = samples_of(skin.samples, near, 4);
     Points<T> place = {p.a, p.b, p.c}, way = place - points;
     Row<T> share = least<T>(most<T>(one - (dot(way, way) - own_square) * per_m2, zero), one);
-    Indices other;
-    __builtin_memcpy(&other, near, sizeof other);
     // A sample may be its own neighbour, which counts once.
-    Row<T> weight = where<T>(__builtin_convertvector(other != own, Mask<T>), share * share, zero);
+    Row<T> weight = where<T>(differ<T>(indices_in(near), own), share * share, zero);
     total += weight;
     product = product + weight * q.d;
     where_ = plus(where_, weight, place);
@@ -177,11 +175,11 @@ template <class T> INLINE bool is_other(const Skin<T>& skin, int32_t own, int32_
 }
 
 // The points of the samples in the order of a grid: three rows of all, each with room for LANES more.
-template <class T> const T* in_cells(const Skin<T>& skin, const Grid& grid, Scratch& scratch) {
+template <class T> DEVICE const T* in_cells(const Skin<T>& skin, const Grid& grid, Scratch& scratch) {
   const int64_t size = skin.count + LANES;
   T* laid = scratch.take<T>(3 * size);
   if (scratch.overflowed) return laid;
-  for (int64_t entry = 0; entry < size; ++entry) {
+  for (int64_t entry : each(size)) {
     const bool there = entry < skin.count && grid.cells > 0;
     Vector<T> p = there ? skin.point_of(grid.member[entry]) : Vector<T>{};
     laid[entry] = p.x, laid[size + entry] = p.y, laid[2 * size + entry] = p.z;
@@ -203,16 +201,16 @@ INLINE NearSamples near_samples(Vector<T> at, const Skin<T>& skin, int32_t own, 
   for (int64_t i = cells.first[0]; i < cells.last[0]; ++i)
     for (int64_t j = cells.first[1]; j < cells.last[1]; ++j) {
       const Run run = column(grid, i, j, cells);
-      for (int64_t entry = run.begin; entry < run.end; entry += LANES) {
-        Row<T> x = row_at(laid + entry) - at.x, y = row_at(laid + size + entry) - at.y;
-        Row<T> z = row_at(laid + 2 * size + entry) - at.z;
+      for (int64_t entry = run.begin; entry < run.end; entry += WIDTH) {
+        Row<T> x = several_at(laid + entry) - at.x, y = several_at(laid + size + entry) - at.y;
+        Row<T> z = several_at(laid + 2 * size + entry) - at.z;
         Row<T> far = x * x + y * y + z * z;
         T most_ = nearest > beside ? nearest : beside;
         uint32_t near = lanes_of<T>(row_of(most_) > far) & lanes_before(run.end - entry);
         for (; near; near &= near - 1) {
-          const int lane = first_lane(near);
-          const int32_t s = grid.member[entry + lane];
-          const T square = far[lane];
+          const int k = first_lane(near);
+          const int32_t s = grid.member[entry + k];
+          const T square = number_in(far, k);
           if (!(square < (nearest > beside ? nearest : beside))) continue;
           if (is_other(skin, own, s)) {
             if (square < nearest) found.other = s, nearest = square;
@@ -225,7 +223,7 @@ INLINE NearSamples near_samples(Vector<T> at, const Skin<T>& skin, int32_t own, 
   return found;
 }
 
-// Few vertices are near another part: their planes wait until there are as many as lanes.
+// Few vertices are near another part: their planes wait until there are as many as a thread holds lanes.
 template <class T> struct LatePlanes {
   const T* x;
   T* planes;
@@ -233,23 +231,23 @@ template <class T> struct LatePlanes {
   Walks walks;
   int waiting;
   INLINE_MEMBER void write() {
-    Planes<T> found = planes_below(points_at(x, walks.vertex), walks, skin);
-    for (int lane = 0; lane < waiting; ++lane) {
-      const int64_t v = walks.vertex[lane];
+    Planes<T> found = planes_below(points_of(x, walks.vertex), walks, skin);
+    for (int k = 0; k < waiting; ++k) {
+      const int64_t v = walks.vertex[k];
       T* to = planes + PLANES * (v / LANES) + OTHER_PLANE + v % LANES;
-      to[0] = found.foot.x[lane], to[LANES] = found.foot.y[lane], to[2 * LANES] = found.foot.z[lane];
-      to[3 * LANES] = found.unit.x[lane], to[4 * LANES] = found.unit.y[lane], to[5 * LANES] = found.unit.z[lane];
+      to[0] = number_in(found.foot.x, k), to[LANES] = number_in(found.foot.y, k);
+      to[2 * LANES] = number_in(found.foot.z, k), to[3 * LANES] = number_in(found.unit.x, k);
+      to[4 * LANES] = number_in(found.unit.y, k), to[5 * LANES] = number_in(found.unit.z, k);
     }
     waiting = 0;
   }
   INLINE_MEMBER void add(int64_t v, int32_t sample) {
     walks.vertex[waiting] = int32_t(v), walks.sample[waiting] = sample;
-    if (++waiting == LANES) write();
+    if (++waiting == WIDTH) write();
   }
   INLINE_MEMBER void finish() {
     if (waiting == 0) return;
-    for (int lane = waiting; lane < LANES; ++lane)
-      walks.vertex[lane] = walks.vertex[0], walks.sample[lane] = walks.sample[0];
+    for (int k = waiting; k < WIDTH; ++k) walks.vertex[k] = walks.vertex[0], walks.sample[k] = walks.sample[0];
     write();
   }
 };
@@ -258,8 +256,8 @@ template <class T> struct LatePlanes {
 // whose number is turn modulo TURNS, for all of them where turn is negative. A plane is the foot of x on it and its
 // normal; where no other part is near the second normal is zero.
 template <class T>
-void touch(const T* x, int64_t places, const Skin<T>& skin, const int32_t* vertex, int32_t* own, int32_t* other,
-           int64_t turn, T* planes, Scratch& scratch) {
+DEVICE void touch(const T* x, int64_t places, const Skin<T>& skin, const int32_t* vertex, int32_t* own, int32_t* other,
+                  int64_t turn, T* planes, Scratch& scratch) {
   const int64_t mark = scratch.used;
   const Grid grid = grid_of(skin.samples, skin.count, 8, PER_CELL, scratch);
   const T* laid = in_cells(skin, grid, scratch);
@@ -267,28 +265,29 @@ void touch(const T* x, int64_t places, const Skin<T>& skin, const int32_t* verte
   const Row<T> zero = row_of(T(0));
   Walks walks;
   LatePlanes<T> late = {x, planes, skin, {}, 0};
-  for (int64_t first = 0; first < places; first += LANES) {
-    T* block = planes + PLANES * (first / LANES);
-    __builtin_memcpy(walks.sample, own + first, sizeof walks.sample);
+  for (int64_t block : each_block(places / LANES)) {
+    const int64_t first = LANES * block;
+    T* to = planes + PLANES * block;
+    for (int k = 0; k < WIDTH; ++k) walks.sample[k] = own[first + lane_of(k)];
     Points<T> points = points_in(x + 3 * first);
     walk(points, walks, skin, WALK_STEPS);
     Planes<T> below = planes_below(points, walks, skin);
-    put3(block + OWN_PLANE, below.foot);
-    put3(block + OWN_PLANE + 3 * LANES, below.unit);
-    for (int row = OTHER_PLANE; row < HELD_ROW; row += LANES) put(block + row, zero);
-    put(block + APART_ROW, zero);
-    for (int lane = 0; lane < LANES; ++lane) {
-      const int64_t v = first + lane;
+    put3(to + OWN_PLANE, below.foot);
+    put3(to + OWN_PLANE + 3 * LANES, below.unit);
+    for (int row = OTHER_PLANE; row < HELD_ROW; row += LANES) put(to + row, zero);
+    put(to + APART_ROW, zero);
+    for (int k = 0; k < WIDTH; ++k) {
+      const int64_t v = first + lane_of(k);
       const Vector<T> at = point(x, v);
       int32_t found = other[v];
       if (turn < 0 || vertex[v] % TURNS == turn) {
-        const NearSamples near = near_samples(at, skin, walks.sample[lane], grid, laid);
+        const NearSamples near = near_samples(at, skin, walks.sample[k], grid, laid);
         found = near.other;
-        if (near.same != walks.sample[lane]) own[v] = near.same;
+        if (near.same != walks.sample[k]) own[v] = near.same;
       } else if (found >= 0) {
         found = walked(at, skin, found, WALK_STEPS);
         const bool far = square_to(at, skin, found) >= T(REACH_M * REACH_M);
-        if (far || !is_other(skin, walks.sample[lane], found)) found = -1;
+        if (far || !is_other(skin, walks.sample[k], found)) found = -1;
       }
       other[v] = found;
       if (found >= 0) late.add(v, found);
@@ -302,7 +301,7 @@ void touch(const T* x, int64_t places, const Skin<T>& skin, const int32_t* verte
 template <class T>
 INLINE Planes<T> own_planes(Points<T> points, const int32_t* own, const int32_t* parent, Walks& walks,
                             const Skin<T>& skin) {
-  for (int lane = 0; lane < LANES; ++lane) walks.sample[lane] = own[parent ? parent[lane] : lane];
+  for (int k = 0; k < WIDTH; ++k) walks.sample[k] = own[parent ? parent[lane_of(k)] : lane_of(k)];
   walk(points, walks, skin, 1);
   return planes_below(points, walks, skin);
 }
@@ -310,25 +309,26 @@ INLINE Planes<T> own_planes(Points<T> points, const int32_t* own, const int32_t*
 // Writes the planes below x [m] (P, 3), one step on from the samples own (C,) of what each place has in parent (P,);
 // of its own place where there is no parent.
 template <class T>
-void put_own_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent,
-                    T* planes) {
+DEVICE void put_own_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent,
+                           T* planes) {
   Walks walks;
-  for (int64_t first = 0; first < places; first += LANES) {
+  for (int64_t block : each_block(places / LANES)) {
+    const int64_t first = LANES * block;
     const int32_t *from = parent ? own : own + first, *of = parent ? parent + first : nullptr;
     Planes<T> below = own_planes(points_in(x + 3 * first), from, of, walks, skin);
-    T* block = planes + PLANES * (first / LANES);
-    put3(block + OWN_PLANE, below.foot);
-    put3(block + OWN_PLANE + 3 * LANES, below.unit);
+    T* to = planes + PLANES * block;
+    put3(to + OWN_PLANE, below.foot);
+    put3(to + OWN_PLANE + 3 * LANES, below.unit);
   }
 }
 
 // Writes the planes below x [m] (P, 3) of other parts, of the samples other (C,) of what each place has in parent (P,);
 // of a sample -1 none.
 template <class T>
-void put_other_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* other, const int32_t* parent,
-                      T* planes) {
+DEVICE void put_other_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* other,
+                             const int32_t* parent, T* planes) {
   LatePlanes<T> late = {x, planes, skin, {}, 0};
-  for (int64_t v = 0; v < places; ++v)
+  for (int64_t v : each(places))
     if (other[parent[v]] >= 0) late.add(v, other[parent[v]]);
   late.finish();
 }
@@ -340,10 +340,10 @@ template <class T> struct SkinFrames {
   AxesOf<T> axes;
 };
 template <class T> INLINE SkinFrames<T> skin_frames(const Skin<T>& skin, const int32_t* own) {
-  int32_t near[LANES];
-  for (int lane = 0; lane < LANES; ++lane) near[lane] = skin.neighbour[NEIGHBOURS * own[lane]];
+  int32_t near[WIDTH];
+  for (int k = 0; k < WIDTH; ++k) near[k] = skin.neighbour[NEIGHBOURS * own[lane_of(k)]];
   FourRows<T> s = samples_at(skin.samples, own, 0), q = samples_at(skin.samples, own, 4);
-  FourRows<T> t = samples_at(skin.samples, near, 0);
+  FourRows<T> t = samples_of(skin.samples, near, 0);
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
   Points<T> at = {s.a, s.b, s.c}, n = {q.a, q.b, q.c}, way = Points<T>{t.a, t.b, t.c} - at;
   Points<T> e = plus(way, -dot(way, n), n);
@@ -354,8 +354,10 @@ template <class T> INLINE SkinFrames<T> skin_frames(const Skin<T>& skin, const i
 
 // Writes where the posed skin has taken what sticks to it to stuck [m] (P, 3); grip [m] (P, 3) has the places in the
 // frames of the samples own (P,).
-template <class T> void stuck_places(const T* grip, int64_t places, const int32_t* own, const Skin<T>& skin, T* stuck) {
-  for (int64_t first = 0; first < places; first += LANES) {
+template <class T>
+DEVICE void stuck_places(const T* grip, int64_t places, const int32_t* own, const Skin<T>& skin, T* stuck) {
+  for (int64_t block : each_block(places / LANES)) {
+    const int64_t first = LANES * block;
     SkinFrames<T> frame = skin_frames(skin, own + first);
     put_points(stuck + 3 * first, frame.at + to_world(frame.axes, points_in(grip + 3 * first)));
   }
@@ -364,9 +366,10 @@ template <class T> void stuck_places(const T* grip, int64_t places, const int32_
 // Writes the places that stuck [m] (P, 3) has after x [m] (P, 3) has moved to grip, in the frames of the samples own. A
 // place comes along below x, and is left behind by no more than SLIP_M.
 template <class T>
-void write_grip(const T* x, int64_t places, const T* stuck, const int32_t* own, const Skin<T>& skin, T* grip) {
+DEVICE void write_grip(const T* x, int64_t places, const T* stuck, const int32_t* own, const Skin<T>& skin, T* grip) {
   const Row<T> one = row_of(T(1)), slip_m = row_of(T(SLIP_M));
-  for (int64_t first = 0; first < places; first += LANES) {
+  for (int64_t block : each_block(places / LANES)) {
+    const int64_t first = LANES * block;
     SkinFrames<T> frame = skin_frames(skin, own + first);
     Points<T> points = points_in(x + 3 * first), n = frame.axes.n;
     Points<T> slip = points - points_in(stuck + 3 * first);

@@ -81,19 +81,19 @@ INLINE void add_crease(Model<T>& model, const T* x, const Creases<T>& creases, i
   fold_gradient(h, cosine, sine, k, by);
   Vector<T> force = by[member % 4];
   Points<T>& g = model.gradient;
-  g.x[lane] += stiffness * force.x;
-  g.y[lane] += stiffness * force.y;
-  g.z[lane] += stiffness * force.z;
+  add_product(g.x, lane, stiffness, force.x);
+  add_product(g.y, lane, stiffness, force.y);
+  add_product(g.z, lane, stiffness, force.z);
   if (!CURVATURE) return;
   angle_gradient(h, k, by);
   Vector<T> turn = by[member % 4], b = scaled(stiffness, turn);
   Symmetric<Row<T>>& s = model.hessian;
-  s.xx[lane] += b.x * turn.x;
-  s.xy[lane] += b.x * turn.y;
-  s.xz[lane] += b.x * turn.z;
-  s.yy[lane] += b.y * turn.y;
-  s.yz[lane] += b.y * turn.z;
-  s.zz[lane] += b.z * turn.z;
+  add_product(s.xx, lane, b.x, turn.x);
+  add_product(s.xy, lane, b.x, turn.y);
+  add_product(s.xz, lane, b.x, turn.z);
+  add_product(s.yy, lane, b.y, turn.y);
+  add_product(s.yz, lane, b.y, turn.z);
+  add_product(s.zz, lane, b.z, turn.z);
 }
 
 // Gradient and Hessian of a block's vertices.
@@ -128,27 +128,40 @@ INLINE Model<T> model_of(const T* x, int64_t block, const Sheet<T>& sheet, const
     g = plus(g, row_at(sheet.bend_value + LANES * row), points_at(x, sheet.bend_other + LANES * row) - own);
   model = {g, h};
   for (int64_t entry = sheet.crease_start[block]; entry < sheet.crease_start[block + 1]; ++entry)
-    add_crease<CURVATURE>(model, x, sheet.creases, sheet.crease_lane[entry], sheet.crease_member[entry], k);
+    if (holds(sheet.crease_lane[entry]))
+      add_crease<CURVATURE>(model, x, sheet.creases, sheet.crease_lane[entry], sheet.crease_member[entry], k);
   return model;
 }
 
+// Blocks of one colour share no element: a card moves them at once, and a processor one after the other.
+#ifdef ONE_LANE
+template <class T> INLINE int64_t colours_of(const Sheet<T>& sheet) { return sheet.colour_start.count - 1; }
+template <class T> INLINE int64_t colour_start(const Sheet<T>& sheet, int64_t n) { return sheet.colour_start[n]; }
+#else
+template <class T> INLINE int64_t colours_of(const Sheet<T>&) { return 1; }
+template <class T> INLINE int64_t colour_start(const Sheet<T>& sheet, int64_t n) {
+  return n ? sheet.fan_start.count - 1 : 0;
+}
+#endif
+
 // One sweep over x [m] (P, 3), in place, held by planes and to the places of the network [m] (P, 3). Behind the last
 // point of x there is room for one number.
-template <class T> void descend(T* x, const Sheet<T>& sheet, const T* planes, const T* network) {
+template <class T> DEVICE void descend(T* x, const Sheet<T>& sheet, const T* planes, const T* network) {
   const Fabric<T> k(sheet.constants);
-  for (int64_t block = 0; block < sheet.fan_start.count - 1; ++block) {
-    Model<T> model = model_of<true>(x, block, sheet, planes, network, T(0), k);
-    Points<T> step = solved(model.hessian, model.gradient);
-    Row<T> share = k.reach / root<T>(most<T>(dot(step, step), row_of(k.reach * k.reach)));
-    put_points(x + 3 * LANES * block, plus(points_in(x + 3 * LANES * block), -share, step));
-  }
+  for (int64_t colour = 0; colour < colours_of(sheet); ++colour)
+    for (int64_t block : each_block(colour_start(sheet, colour), colour_start(sheet, colour + 1))) {
+      Model<T> model = model_of<true>(x, block, sheet, planes, network, T(0), k);
+      Points<T> step = solved(model.hessian, model.gradient);
+      Row<T> share = k.reach / root<T>(most<T>(dot(step, step), row_of(k.reach * k.reach)));
+      put_points(x + 3 * LANES * block, plus(points_in(x + 3 * LANES * block), -share, step));
+    }
 }
 
 // The gradient [N] (P, 3) at x that a step of the whole starts from; hold: the share of contact's stiffness that it
 // allows leash and friction.
 template <class T>
-void gradient_at(const T* x, const Sheet<T>& sheet, const T* planes, const T* network, T hold, T* gradient) {
+DEVICE void gradient_at(const T* x, const Sheet<T>& sheet, const T* planes, const T* network, T hold, T* gradient) {
   const Fabric<T> k(sheet.constants);
-  for (int64_t block = 0; block < sheet.fan_start.count - 1; ++block)
+  for (int64_t block : each_block(sheet.fan_start.count - 1))
     put_points(gradient + 3 * LANES * block, model_of<false>(x, block, sheet, planes, network, hold, k).gradient);
 }

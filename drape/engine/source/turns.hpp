@@ -33,9 +33,8 @@ template <class T> INLINE Turns<T> turns_at(const T* turns, const int32_t* index
   return {t.a, {t.b, t.c, t.d}};
 }
 template <class T> INLINE Turns<T> turns_in(const T* turns) {
-  int32_t index[LANES];
-  for (int lane = 0; lane < LANES; ++lane) index[lane] = lane;
-  return turns_at(turns, index);
+  FourRows<T> t = own_fours(turns);
+  return {t.a, {t.b, t.c, t.d}};
 }
 template <class T> INLINE void put_turns(T* turns, Turns<T> q) { put_fours(turns, {q.w, q.v.x, q.v.y, q.v.z}); }
 
@@ -65,13 +64,13 @@ template <class T> INLINE Turns<T> turns_between(const AxesOf<T>& then, const Ax
 
 // Lets each of the turns (P, 4) go over to the mean of its own and its neighbours', each of which counts once for every
 // triangle that they share, so many times.
-template <class T> void smooth_turns(T* turns, const Sheet<T>& sheet, int passes, Scratch& scratch) {
-  const int64_t mark = scratch.used, blocks = sheet.fan_start.count - 1;
-  T* before = scratch.take<T>(4 * LANES * blocks);
+template <class T> DEVICE void smooth_turns(T* turns, const Sheet<T>& sheet, int passes, Scratch& scratch) {
+  const int64_t mark = scratch.used, count = sheet.fan_start.count - 1;
+  T* before = scratch.take<T>(4 * LANES * count);
   if (scratch.overflowed) return;
   for (int pass = 0; pass < passes; ++pass) {
-    __builtin_memcpy(before, turns, size_t(4 * LANES * blocks) * sizeof(T));
-    for (int64_t block = 0; block < blocks; ++block) {
+    copy(before, turns, 4 * LANES * count);
+    for (int64_t block : each_block(count)) {
       Turns<T> own = turns_in(before + 4 * LANES * block), sum = own;
       for (int64_t row = 2 * sheet.fan_start[block]; row < 2 * sheet.fan_start[block + 1]; ++row)
         sum = joined<T>(sum, own, real_row(sheet, block, row), turns_at(before, sheet.fan_other + LANES * row));
@@ -83,8 +82,8 @@ template <class T> void smooth_turns(T* turns, const Sheet<T>& sheet, int passes
 
 // Writes the turns (P, 4) from a surface with the frames then to one with the frames now, and lets them go over.
 template <class T>
-void surface_turns(const T* then, const T* now, const Sheet<T>& sheet, int passes, T* turns, Scratch& scratch) {
-  for (int64_t block = 0; block < sheet.fan_start.count - 1; ++block)
+DEVICE void surface_turns(const T* then, const T* now, const Sheet<T>& sheet, int passes, T* turns, Scratch& scratch) {
+  for (int64_t block : each_block(sheet.fan_start.count - 1))
     put_turns(turns + 4 * LANES * block, turns_between(axes_in(then + FRAMES * block), axes_in(now + FRAMES * block)));
   smooth_turns(turns, sheet, passes, scratch);
 }
@@ -96,7 +95,7 @@ template <class T> INLINE Matrix<T> matrix_of(Turns<T> q) {
   return {turned_by<T>(q, {one, zero, zero}), turned_by<T>(q, {zero, one, zero}), turned_by<T>(q, {zero, zero, one})};
 }
 
-// Writes what sixteen nodes carry along to their rows of a table (N, 16) by index: a share of Q - 1 and of
+// Writes what the nodes held carry along to their rows of a table (N, 16) by index: a share of Q - 1 and of
 // c - c' - (Q - 1) c', four columns of four, for turns Q and nodes that came from c' to c.
 template <class T>
 INLINE void put_nodes(T* table, const int32_t* index, Matrix<T> q, Points<T> from, Points<T> to, T share) {
@@ -104,12 +103,12 @@ INLINE void put_nodes(T* table, const int32_t* index, Matrix<T> q, Points<T> fro
   q.a.x = q.a.x - one, q.b.y = q.b.y - one, q.c.z = q.c.z - one;
   const Points<T> turned = plus(mix(from.x, q.a, from.y, q.b), from.z, q.c);
   const Points<T> columns[4] = {q.a, q.b, q.c, to - from - turned};
-  for (int lane = 0; lane < LANES; ++lane) {
-    T* row = table + LANES * (int64_t)index[lane];
+  for (int k = 0; k < WIDTH; ++k) {
+    T* row = table + LANES * (int64_t)index[k];
     for (int column = 0; column < 4; ++column) {
-      row[4 * column] = share * columns[column].x[lane];
-      row[4 * column + 1] = share * columns[column].y[lane];
-      row[4 * column + 2] = share * columns[column].z[lane];
+      row[4 * column] = share * number_in(columns[column].x, k);
+      row[4 * column + 1] = share * number_in(columns[column].y, k);
+      row[4 * column + 2] = share * number_in(columns[column].z, k);
       row[4 * column + 3] = 0;
     }
   }
@@ -119,15 +118,11 @@ INLINE void put_nodes(T* table, const int32_t* index, Matrix<T> q, Points<T> fro
 template <class T>
 INLINE Vector<T> carried_by(const T* table, const int32_t* node, const T* weight, int stride, Vector<T> p) {
   // Two sums, so that none waits for the one before.
-  Row<T> one = weight[0] * row_at(table + LANES * node[0]);
-  Row<T> two = weight[stride] * row_at(table + LANES * node[stride]);
+  Moves<T> one = weight[0] * moves_at(table + LANES * node[0]);
+  Moves<T> two = weight[stride] * moves_at(table + LANES * node[stride]);
   for (int n = 2; n < SHARED; n += 2) {
-    one = one + weight[n * stride] * row_at(table + LANES * node[n * stride]);
-    two = two + weight[(n + 1) * stride] * row_at(table + LANES * node[(n + 1) * stride]);
+    one = joined<T>(one, weight[n * stride], moves_at(table + LANES * node[n * stride]));
+    two = joined<T>(two, weight[(n + 1) * stride], moves_at(table + LANES * node[(n + 1) * stride]));
   }
-  const Row<T> m = one + two;
-  const Four<T> a = __builtin_shufflevector(m, m, 0, 1, 2, 3), b = __builtin_shufflevector(m, m, 4, 5, 6, 7);
-  const Four<T> c = __builtin_shufflevector(m, m, 8, 9, 10, 11), d = __builtin_shufflevector(m, m, 12, 13, 14, 15);
-  const Four<T> moved = a * p.x + b * p.y + (c * p.z + d);
-  return p + Vector<T>{moved.x, moved.y, moved.z};
+  return p + moved<T>(one + two, p);
 }

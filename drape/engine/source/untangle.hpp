@@ -51,6 +51,20 @@ template <class T> INLINE void lay_triangles(const T* x, const int32_t* corner, 
   put3(to + HIGH, Points<T>{most<T>(high.x, r.x), most<T>(high.y, r.y), most<T>(high.z, r.z)});
 }
 
+// Below zero where the corners of a row of triangles are on both sides of the plane of a triangle, at a height along
+// its normal n, and their boxes overlap that one's.
+template <class T>
+INLINE Row<T> parting(Vector<T> n, T height, Vector<T> low, Vector<T> high, const Points<T> (&corner)[3],
+                      Points<T> lower, Points<T> higher) {
+  Row<T> a = heights(n, corner[0]), b = heights(n, corner[1]), c = heights(n, corner[2]);
+  Row<T> apart = most<T>(least<T>(least<T>(a, b), c) - height, height - most<T>(most<T>(a, b), c));
+  Row<T> x = most<T>(lower.x - high.x, low.x - higher.x);
+  Row<T> y = most<T>(lower.y - high.y, low.y - higher.y);
+  Row<T> z = most<T>(lower.z - high.z, low.z - higher.z);
+  return most<T>(apart, most<T>(most<T>(x, y), z));
+}
+
+#ifndef ONE_LANE
 // The triangles of a cluster whose box reaches box b.
 template <class T> INLINE uint32_t reach_box(const T* own, const T* boxes, int64_t b) {
   const T* box = boxes + BOX_ROWS * (b / LANES) + b % LANES;
@@ -64,17 +78,12 @@ template <class T> INLINE uint32_t reach_box(const T* own, const T* boxes, int64
 // The triangles of the other cluster that have corners on both sides of the plane of the own triangle i and whose box
 // overlaps that one's.
 template <class T> INLINE uint32_t have_sides(const T* own, int i, const T* other) {
-  const Vector<T> n = lane3(own + NORMAL, i), low = lane3(own + LOW, i), high = lane3(own + HIGH, i);
-  const T height = own[HEIGHT + i];
-  Row<T> a = heights(n, rows3_at(other)), b = heights(n, rows3_at(other + 3 * LANES));
-  Row<T> c = heights(n, rows3_at(other + 6 * LANES));
-  Row<T> apart = most<T>(least<T>(least<T>(a, b), c) - height, height - most<T>(most<T>(a, b), c));
-  Points<T> lower = rows3_at(other + LOW), higher = rows3_at(other + HIGH);
-  Row<T> x = most<T>(lower.x - high.x, low.x - higher.x);
-  Row<T> y = most<T>(lower.y - high.y, low.y - higher.y);
-  Row<T> z = most<T>(lower.z - high.z, low.z - higher.z);
-  return lanes_of<T>(row_of(T(0)) > most<T>(apart, most<T>(most<T>(x, y), z)));
+  const Points<T> corner[3] = {rows3_at(other), rows3_at(other + 3 * LANES), rows3_at(other + 6 * LANES)};
+  const Row<T> found = parting<T>(lane3(own + NORMAL, i), own[HEIGHT + i], lane3(own + LOW, i), lane3(own + HIGH, i),
+                                  corner, rows3_at(other + LOW), rows3_at(other + HIGH));
+  return lanes_of<T>(row_of(T(0)) > found);
 }
+#endif
 
 // Whether the plane of triangle j of the other cluster has corners of triangle i on both sides.
 template <class T> INLINE bool is_parted(const T* own, int i, const T* other, int j) {
@@ -103,11 +112,12 @@ INLINE bool share_a_corner(Threes a, Threes b) {
 
 struct Pair { int32_t first, second; };  // triangles: cluster times LANES plus lane
 
+#ifndef ONE_LANE
 // Writes the pairs of triangles of the clusters chosen (n,), in rising order, that share no corner and may cross: each
 // has corners on both sides of the other one, and their boxes overlap. Returns their number, MOST_PAIRS at most.
 template <class T>
-int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* chosen, int64_t count, Pair* pairs,
-                 Scratch& scratch) {
+DEVICE int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* chosen, int64_t count, Pair* pairs,
+                        Scratch& scratch) {
   if (count == 0) return 0;
   const int64_t mark = scratch.used, all = tangles.start.count - 1;
   T *rows = scratch.take<T>(TRIANGLE_ROWS * count), *cones = scratch.take<T>(4 * count);
@@ -148,6 +158,74 @@ int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* chosen, i
   scratch.used = mark;
   return filled;
 }
+#else
+#include "boxes_one.hpp"
+
+// Whether two clusters share a corner.
+template <class T> INLINE bool are_beside(const Tangles<T>& tangles, int32_t a, int32_t b) {
+  bool found = false;
+  for (int64_t entry = tangles.start[a]; entry < tangles.start[a + 1]; ++entry) found |= tangles.beside[entry] == b;
+  return found;
+}
+
+// Whether triangle i of the cluster own and triangle j of the other may cross.
+template <class T>
+INLINE bool may_cross(const T* own, int i, int32_t p, const T* other, int j, int32_t q, const Tangles<T>& tangles) {
+  const Points<T> corner[3] = {lane3(other, j), lane3(other + 3 * LANES, j), lane3(other + 6 * LANES, j)};
+  const T found = parting<T>(lane3(own + NORMAL, i), own[HEIGHT + i], lane3(own + LOW, i), lane3(own + HIGH, i), corner,
+                             lane3(other + LOW, j), lane3(other + HIGH, j));
+  return T(0) > found && !share_a_corner(threes(tangles.corner, p), threes(tangles.corner, q)) &&
+         is_parted(own, i, other, j);
+}
+
+// Whether a pair comes before another one where a processor finds them: by both clusters, then by both lanes.
+INLINE bool comes_before(Pair a, Pair b) {
+  const int32_t own[4] = {a.first / LANES, a.second / LANES, a.first, a.second};
+  const int32_t other[4] = {b.first / LANES, b.second / LANES, b.first, b.second};
+  for (int n = 0; n < 3; ++n)
+    if (own[n] != other[n]) return own[n] < other[n];
+  return own[3] < other[3];
+}
+
+template <class T>
+DEVICE int64_t crossing(const T* x, const Tangles<T>& tangles, const int32_t* chosen, int64_t count, Pair* pairs,
+                        Scratch& scratch) {
+  if (count == 0) return 0;
+  const int64_t mark = scratch.used;
+  T *rows = scratch.take<T>(TRIANGLE_ROWS * count), *cones = scratch.take<T>(4 * count);
+  Pair* unsorted = scratch.take<Pair>(MOST_PAIRS);
+  if (scratch.overflowed) return 0;
+  for (int64_t n : each_block(count))
+    lay_triangles(x, tangles.corner + 3 * LANES * chosen[n], rows + TRIANGLE_ROWS * n);
+  const Boxes<T> boxes = boxes_around(rows, count, TRIANGLE_ROWS, LOW, HIGH, scratch);
+  if (scratch.overflowed) return 0;
+  write_cones(rows, count, TRIANGLE_ROWS, NORMAL, CONE, cones);
+  const int64_t filled = collect(LANES * count, unsorted, MOST_PAIRS, [&](int64_t e, Pair* to, int64_t room) {
+    const int64_t a = e / LANES;
+    const int i = int(e % LANES);
+    const T* own = rows + TRIANGLE_ROWS * a;
+    int64_t found = 0;
+    see_near(lane3(own + LOW, i), lane3(own + HIGH, i), boxes, a, T(TOUCH_M2), [&](int64_t b) {
+      if (are_beside(tangles, chosen[a], chosen[b]) && in_one_cone(cones, a, b)) return;
+      const T* other = rows + TRIANGLE_ROWS * b;
+      for (int j = a == b ? i + 1 : 0; j < LANES; ++j) {
+        const int32_t p = int32_t(LANES * chosen[a] + i), q = int32_t(LANES * chosen[b] + j);
+        if (!may_cross(own, i, p, other, j, q, tangles)) continue;
+        if (found < room) to[found] = {p, q};
+        ++found;
+      }
+    });
+    return found;
+  });
+  for (int64_t n : each(filled)) {
+    int64_t before = 0;
+    for (int64_t m = 0; m < filled; ++m) before += comes_before(unsorted[m], unsorted[n]);
+    pairs[before] = unsorted[n];
+  }
+  scratch.used = mark;
+  return filled;
+}
+#endif
 
 template <class T> INLINE T turn_of(Vector<T> a, Vector<T> b, Vector<T> y, Vector<T> normal) {
   return dot(cross(b - a, y - a), normal);
@@ -164,14 +242,9 @@ template <class T> INLINE Vector<T> run_along(Vector<T> along, Vector<T> inward,
   return {found.x / length, found.y / length, found.z / length};
 }
 
-template <class T> INLINE void go(T* way, T* count, int64_t v, T sign, Vector<T> a) {
-  put_point(way, v, plus(point(way, v), sign, a));
-  count[v] += T(1);
-}
-
-// Adds the ways of the edges of the triangle edged that pass through the triangle through.
-template <class T>
-void shorten(const T* x, const Tangles<T>& tangles, int64_t edged, int64_t through, T* way, T* count) {
+// Calls go(v, sign, way) for each end of edges of the triangle edged that pass through the triangle through.
+template <class T, class Go>
+DEVICE void shorten(const T* x, const Tangles<T>& tangles, int64_t edged, int64_t through, Go go) {
   const Threes corner = threes(tangles.corner, edged), across = threes(tangles.across, edged);
   const Threes other = threes(tangles.corner, through);
   const Vector<T> a = point(x, other.of[0]), b = point(x, other.of[1]), c = point(x, other.of[2]);
@@ -194,31 +267,73 @@ void shorten(const T* x, const Tangles<T>& tangles, int64_t edged, int64_t throu
     steep = steep > 0 ? more<T>(steep, T(OBLIQUE)) : less<T>(steep, T(-OBLIQUE));
     Vector<T> shortest = plus(run, T(-2) * dot(along, run) / steep, normal);
     shortest = scaled(T(1) / root(dot(shortest, shortest) + T(SOFT)), shortest);
-    go(way, count, from, T(1), shortest);
-    go(way, count, to, T(1), shortest);
-    for (int m = 0; m < 3; ++m) go(way, count, other.of[m], T(-1), shortest);
+    go(from, T(1), shortest);
+    go(to, T(1), shortest);
+    for (int m = 0; m < 3; ++m) go(other.of[m], T(-1), shortest);
   }
 }
+
+// Adds to way (P, 3) and count (P,) the ways that all pairs give their corners, and how many these are.
+#ifdef ONE_LANE
+constexpr int MOST_WAYS = 15;  // of a triangle through another one: five for each edge
+template <class T> struct Given { int32_t place; Vector<T> way; };
+template <class T>
+DEVICE void add_ways(const T* x, const Tangles<T>& tangles, const Pair* pairs, int64_t found, T* way, T* count,
+                     Scratch& scratch) {
+  const int64_t mark = scratch.used;
+  Given<T>* given = scratch.take<Given<T>>(2 * MOST_WAYS * found);
+  int32_t* filled = scratch.take<int32_t>(2 * found);
+  if (scratch.overflowed) return;
+  for (int64_t n : each(2 * found)) {
+    const Pair pair = pairs[n / 2];
+    int32_t own = 0;
+    shorten(x, tangles, n % 2 ? pair.second : pair.first, n % 2 ? pair.first : pair.second,
+            [&](int32_t v, T sign, Vector<T> a) { given[MOST_WAYS * n + own++] = {v, scaled(sign, a)}; });
+    filled[n] = own;
+  }
+  // Every thread reads all, in one order, and adds those of its own places.
+  const int threads = thread_count();
+  for (int64_t t : each(threads))
+    for (int64_t n = 0; n < 2 * found; ++n)
+      for (int64_t i = MOST_WAYS * n; i < MOST_WAYS * n + filled[n]; ++i) {
+        const int64_t v = given[i].place;
+        if (v % threads != t) continue;
+        add_point(way, v, given[i].way);
+        count[v] += T(1);
+      }
+  scratch.used = mark;
+}
+#else
+template <class T>
+INLINE void add_ways(const T* x, const Tangles<T>& tangles, const Pair* pairs, int64_t found, T* way, T* count,
+                     Scratch&) {
+  const auto go = [&](int64_t v, T sign, Vector<T> a) {
+    put_point(way, v, plus(point(way, v), sign, a));
+    count[v] += T(1);
+  };
+  for (int64_t n = 0; n < found; ++n) {
+    shorten(x, tangles, pairs[n].first, pairs[n].second, go);
+    shorten(x, tangles, pairs[n].second, pairs[n].first, go);
+  }
+}
+#endif
 
 // Moves x [m] (P, 3) in place where triangles of the clusters chosen (n,) cross, by farthest [m] at most in each of
 // steps. Writes how many ways each place had in the last step to count (P,): more than none where cloth crossed.
 // Returns the number of pairs.
 template <class T>
-int64_t untangle(T* x, int64_t places, const Tangles<T>& tangles, const int32_t* chosen, int64_t number, T farthest,
-                 int steps, T* count, Scratch& scratch) {
+DEVICE int64_t untangle(T* x, int64_t places, const Tangles<T>& tangles, const int32_t* chosen, int64_t number,
+                        T farthest, int steps, T* count, Scratch& scratch) {
   const int64_t mark = scratch.used;
   Pair* pairs = scratch.take<Pair>(MOST_PAIRS);
   T* way = scratch.take<T>(3 * places);
   if (scratch.overflowed) return 0;
   const int64_t found = crossing(x, tangles, chosen, number, pairs, scratch);
-  for (int64_t v = 0; v < places; ++v) count[v] = 0;
+  for (int64_t v : each(places)) count[v] = 0;
   for (int step = 0; step < steps && found > 0; ++step) {
-    for (int64_t v = 0; v < places; ++v) put_point(way, v, Vector<T>{}), count[v] = 0;
-    for (int64_t n = 0; n < found; ++n) {
-      shorten(x, tangles, pairs[n].first, pairs[n].second, way, count);
-      shorten(x, tangles, pairs[n].second, pairs[n].first, way, count);
-    }
-    for (int64_t v = 0; v < places; ++v)
+    for (int64_t v : each(places)) put_point(way, v, Vector<T>{}), count[v] = 0;
+    add_ways(x, tangles, pairs, found, way, count, scratch);
+    for (int64_t v : each(places))
       if (count[v] > 0) put_point(x, v, plus(point(x, v), farthest / count[v], point(way, v)));
   }
   scratch.used = mark;

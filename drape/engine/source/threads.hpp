@@ -1,0 +1,42 @@
+// Who computes what. A loop whose turns may come in any order runs over one of these ranges: a processor takes its
+// turns one after the other, and a card gives them to threads, all of which come to its end before any goes on
+// (threads_one.hpp). Every thread runs what is around such a loop, and has the same numbers there.
+#pragma once
+#ifdef ONE_LANE
+#include "threads_one.hpp"
+#else
+#include "platform.hpp"
+
+struct Range {
+  struct Place {
+    int64_t at;
+    INLINE_MEMBER int64_t operator*() const { return at; }
+    INLINE_MEMBER void operator++() { ++at; }
+    INLINE_MEMBER bool operator!=(Place other) const { return at != other.at; }
+  };
+  int64_t first, last;
+  INLINE_MEMBER Place begin() const { return {first}; }
+  INLINE_MEMBER Place end() const { return {last > first ? last : first}; }
+};
+
+// The whole numbers below a count, and the blocks of sixteen from first to the one before last.
+INLINE Range each(int64_t count) { return {0, count}; }
+INLINE Range each_block(int64_t first, int64_t last) { return {first, last}; }
+INLINE Range each_block(int64_t count) { return {0, count}; }
+
+// What all threads have together, of what each of them has.
+template <class N> INLINE N sum_of_all(N own) { return own; }
+template <class N> INLINE N most_of_all(N own) { return own; }
+
+// Collects what visit(i, to, room) finds for the numbers below a count, in their order, and returns how much that is,
+// most at most. visit tells how many it finds, and writes as many of these as there is room for.
+template <class N, class Visit> INLINE int64_t collect(int64_t count, N* found, int64_t most, Visit visit) {
+  int64_t at = 0;
+  for (int64_t i = 0; i < count; ++i) at += visit(i, found + at, most - at);
+  return at < most ? at : most;
+}
+
+template <class N> INLINE void copy(N* to, const N* from, int64_t count) {
+  __builtin_memcpy(to, from, size_t(count) * sizeof(N));
+}
+#endif
