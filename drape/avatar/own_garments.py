@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.avatar.covered import tucked_faces
 from drape.avatar.face_colours import texture_of
+from drape.avatar.file_skeleton import FileRig
 from drape.avatar.own_clothes import LOWER, UPPER, Halves, bare_faces, halves_of, layers_of, taken_off, tucked
 from drape.avatar.t_pose import TPose
+from drape.avatar.tucked import TuckedTop, tucked_top
 from drape.avatar.wearer import Wearer
 from drape.avatar.wears import reach_of, why_not
 from drape.body.model import BodyModel
@@ -84,11 +85,17 @@ def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) 
 
 
 class Undressed(NamedTuple):
-    """Faces of a character that are not drawn in its garments, ``off`` (F,), and which faces of its bare body are seen
-    there, ``bare`` (Fb,)."""
+    """Faces of a character that are not drawn in its garments, ``off`` (F,), and what is seen there: which faces of its
+    bare body, ``bare`` (Fb,), and a top that is ``tucked`` in."""
 
     off: np.ndarray
     bare: np.ndarray
+    tucked: TuckedTop | None = None
+
+    @property
+    def added(self) -> int:
+        """How many faces are seen there."""
+        return int(self.bare.sum()) + (0 if self.tucked is None else len(self.tucked.faces))
 
 
 def undressed(
@@ -102,8 +109,11 @@ def undressed(
     surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
     off = taken_off(wearer.attire, halves) | own
     tops = tucked(wearer.attire, halves) & ~off
-    off |= tucked_faces(*surface, cloth, tops)
-    return Undressed(off, bare_faces(wearer.body, *surface, off, tops))
+    top = tucked_top(wearer, tops, cloth) if tops.any() else None
+    if top is None:
+        return Undressed(off, bare_faces(wearer.body, *surface, off, tops))
+    bare = bare_faces(wearer.body, *surface, off | (top.off & tops), tops)
+    return Undressed(off | top.off, bare & ~top.hidden, top)
 
 
 def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:
@@ -144,7 +154,10 @@ def _stiff(wearer: Wearer) -> dict[str, str]:
 
 
 def _garment(file: GltfFile, wearer: Wearer, body: BodyModel, kind: str, numbers: Sequence[int]) -> Garment:
-    mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", np.flatnonzero(np.isin(wearer.attire.part, numbers)))
+    assert wearer.file is not None
+    mesh = own_mesh(
+        file, wearer, wearer.file, f"{wearer.name}_{kind}", np.flatnonzero(np.isin(wearer.attire.part, numbers))
+    )
     made_of = f"own {VERSION} {kind} {numbers} {wearer.digest} {body.digest}"
     made = intake_mesh(mesh, body, digest=hashlib.sha256(made_of.encode()).hexdigest())
     refusal = why_not(body, reach_of(made, body), garment=kind)
@@ -156,12 +169,12 @@ def _garment(file: GltfFile, wearer: Wearer, body: BodyModel, kind: str, numbers
     return replace(made, name=called, drawn=drawn, manifest=made.manifest | {OWN: about})
 
 
-def _mesh(file: GltfFile, wearer: Wearer, name: str, rows: np.ndarray) -> GarmentMesh:
-    """The faces ``rows`` of ``wearer`` with their materials, pictures and texture coordinates."""
-    assert wearer.file is not None
+def own_mesh(file: GltfFile, wearer: Wearer, rig: FileRig, name: str, rows: np.ndarray) -> GarmentMesh:
+    """The faces ``rows`` of ``wearer``, whose ``file`` has ``rig``, with their materials, pictures and texture
+    coordinates."""
     used, faces = np.unique(wearer.faces[rows], return_inverse=True)
-    held = [texture_of(file, primitive) for primitive in wearer.file.primitives]
-    triangle = wearer.file.triangle[rows]
+    held = [texture_of(file, primitive) for primitive in rig.primitives]
+    triangle = rig.triangle[rows]
     material = np.repeat([-1 if one is None else one for _, one in held], [len(uv) for uv, _ in held])[triangle]
     there, face_material = np.unique(material, return_inverse=True)
     materials = [None if one < 0 else int(one) for one in there]

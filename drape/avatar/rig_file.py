@@ -15,18 +15,21 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 
+from drape.avatar.covered import DEEPER_M
 from drape.avatar.file_skeleton import FileRig, FileSkeleton
+from drape.avatar.own_garments import Undressed, own_mesh
 from drape.avatar.rig_motion import RigClip, rig_motion
 from drape.avatar.rig_weights import blended, garment_weights, heaviest, undone, volume
 from drape.avatar.wearer import Wearer
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.export.glb import NORMAL_STEPS, Corners, Shape, add_shape, normal_steps, split_seams, vertex_normals
 from drape.export.glb_file import VERTEX_BUFFER, GlbFile
-from drape.export.surface import MeshSurface
+from drape.export.surface import MeshSurface, Surface
+from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
 from drape.wanted import go_on
 
-BARE = "bare skin"
+BARE, TUCKED = "bare skin", "tucked top"
 LEAST_VOLUME = 0.2  # of a blend of joints, of theirs: one that is flatter cannot be undone, and gets a single joint
 
 
@@ -68,28 +71,40 @@ def add_dressed(
     motion.animate(file, nodes)
 
 
-def bare_file(wearer: Wearer, rig: FileRig, chosen: np.ndarray) -> GlbFile:
+def bare_file(wearer: Wearer, rig: FileRig, left: Undressed, payload: bytes) -> GlbFile:
     """The file of ``add_bare`` alone."""
     file = GlbFile()
-    add_bare(file, add_nodes(file, rig.skeleton), wearer, rig, chosen)
+    add_bare(file, add_nodes(file, rig.skeleton), wearer, rig, left, payload)
     return file
 
 
-def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig, chosen: np.ndarray) -> None:
-    """Adds the faces that are ``chosen`` (Fb,) of the body of ``wearer``, whose own file had ``rig``: skin on the
-    character's nodes, as ``add_dressed`` has them, in its unit and in the mean colour of its skin."""
-    skeleton, body = rig.skeleton, wearer.body
+def add_bare(
+    file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig, left: Undressed, payload: bytes
+) -> None:
+    """Adds what is seen where clothes of ``wearer``, whose own file ``payload`` has ``rig``, are not drawn, by
+    ``left``: skin in its mean colour, and a top that is tucked in. Clients draw that deeper than it is by the node's
+    ``deeper_m``. They lie on the character's nodes, as ``add_dressed`` has them, in its unit."""
+    body, top = wearer.body, left.tucked
     still = RigClip(*wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3))), 1.0)
-    blends = rig_motion(still, wearer, skeleton).part(np.zeros(0, dtype=np.int64)).blends
-    skin = _add_skin(file, skeleton, nodes)
-    used, faces = np.unique(body.faces[chosen], return_inverse=True)
-    none = np.zeros((0, 2)), np.zeros((0, 3), dtype=np.int64), (), np.zeros(0, dtype=np.int64)
-    surface = MeshSurface(BARE, len(used), faces.reshape(-1, 3), *none)
-    weights = scipy.sparse.csr_matrix(body.weights[used]) @ _onto_joints(wearer, skeleton)
-    corners, at = split_seams(surface), body.v_template[used][None] / wearer.scale
-    shape = _shape(file, corners, surface.faces, at, weights, blends, quantised=False)
+    blends = rig_motion(still, wearer, rig.skeleton).part(np.zeros(0, dtype=np.int64)).blends
+    onto, skin = _onto_joints(wearer, rig.skeleton), _add_skin(file, rig.skeleton, nodes)
     red, green, blue = (value**2.2 for value in wearer.attire.skin_colour)  # glTF's colours are linear
-    add_shape(file, surface, corners, Shape(shape, {"skin": skin}), 0, 1.0, (red, green, blue, 1.0))
+
+    def add(surface: Surface, vertices: np.ndarray, weights: np.ndarray, extras: dict[str, Any]) -> None:
+        corners, on = split_seams(surface), scipy.sparse.csr_matrix(weights) @ onto
+        parts = _shape(file, corners, surface.faces, vertices[None] / wearer.scale, on, blends, quantised=False)
+        add_shape(file, surface, corners, Shape(parts, {"skin": skin} | extras), 0, 1.0, (red, green, blue, 1.0))
+
+    if left.bare.any():
+        used, faces = np.unique(body.faces[left.bare], return_inverse=True)
+        none = np.zeros((0, 2)), np.zeros((0, 3), dtype=np.int64), (), np.zeros(0, dtype=np.int64)
+        surface = MeshSurface(BARE, len(used), faces.reshape(-1, 3), *none)
+        add(surface, body.v_template[used], body.weights[used], {})
+    if top is not None:
+        own = own_mesh(GltfFile(payload), wearer, rig, TUCKED, top.rows)
+        looks = own.uv, own.uv_faces, own.material_names, own.face_material, own.looks
+        surface = MeshSurface(TUCKED, len(top.vertices), own.faces, *looks)
+        add(surface, top.vertices, top.weights, {"extras": {"deeper_m": DEEPER_M}})
 
 
 def _onto_joints(wearer: Wearer, skeleton: FileSkeleton) -> scipy.sparse.csr_matrix:

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
 from drape.avatar.own_clothes import Halves, bare_faces, taken_off
+from drape.avatar.own_garments import Undressed
 from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import read_wearer
 from drape.body.model import BodyModel
@@ -252,7 +253,7 @@ def test_bare_skin_moves_with_the_character(body: BodyModel, rng: np.random.Gene
     off = taken_off(wearer.attire, Halves(True, False))
     chosen = bare_faces(wearer.body, wearer.vertices, wearer.faces, off)
     assert wearer.file is not None
-    bare = bare_file(wearer, wearer.file, chosen).to_bytes()
+    bare = bare_file(wearer, wearer.file, Undressed(off, chosen), b"").to_bytes()
     pose, root = rng.normal(scale=0.3, size=(1, 24, 3)).astype(np.float32), [0.3, 1.1, -0.2]
     avatar = {"joints": wearer.joints, "rest_joints": wearer.body.joints_template.tolist(), "scale": wearer.scale}
     document = {"file": base64.b64encode(payload).decode(), "bare": base64.b64encode(bare).decode(), "avatar": avatar}
