@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -47,28 +48,27 @@ class OwnGarments:
     stiff: dict[str, str]
 
 
-def own_garments(payload: bytes, wearer: Wearer, *, begun: Callable[[str], None] | None = None) -> OwnGarments:
+Made = Callable[[str], "Garment | str"]
+
+
+def own_garments(
+    payload: bytes, wearer: Wearer, *, each: Callable[[Made, list[str]], Iterable[Garment | str]] = map
+) -> OwnGarments:
     """The clothes of the character in the file ``payload``, of which ``wearer`` was made, as garments on its body.
 
-    ``begun`` gets the kind of each as its intake begins. A garment's ``body_digest`` is that of the body of ``wearer``
+    ``each``: ``map``, or one that uses other processes. A garment's ``body_digest`` is that of the body of ``wearer``
     on which it lies. Raises ``MeshError`` for another file.
     """
-    file = GltfFile(payload, label=wearer.name)
     stiff = _stiff(wearer)
     parts = wearer.attire.parts
     loose = {number for number, part in enumerate(parts) if part.kind in KINDS and part.name not in stiff}
     kinds = [kind for kind in KINDS if any(parts[number].kind == kind for number in loose)]
-    body, made = wearer.body_under(_halves(kinds)), []
-    for kind in kinds:
-        if begun is not None:
-            begun(kind)
-        numbers = sorted(number for number in loose if parts[number].kind == kind)
-        try:
-            made.append(_garment(file, wearer, body, kind, numbers))
-        except DrapeError as error:
-            why = f"No cloth can be made of it: expected {error.expected}, got {error.got}."
-            stiff |= {parts[number].name: why for number in numbers}
-    return OwnGarments(tuple(made), stiff)
+    numbers = {kind: sorted(number for number in loose if parts[number].kind == kind) for kind in kinds}
+    made = list(each(partial(_garment_or_why, payload, wearer, numbers), kinds))
+    for kind, why in zip(kinds, made, strict=True):
+        if isinstance(why, str):
+            stiff |= {parts[number].name: why for number in numbers[kind]}
+    return OwnGarments(tuple(one for one in made if not isinstance(one, str)), stiff)
 
 
 def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
@@ -151,6 +151,15 @@ def _stiff(wearer: Wearer) -> dict[str, str]:
         elif (weights > STIFF).all(axis=0).any():
             found[part.name] = "One bone moves all of it, as armour."
     return found
+
+
+def _garment_or_why(payload: bytes, wearer: Wearer, numbers: dict[str, list[int]], kind: str) -> Garment | str:
+    """The garment of the parts ``numbers`` of ``kind``, or why no cloth can be made of them."""
+    file, body = GltfFile(payload, label=wearer.name), wearer.body_under(_halves(list(numbers)))
+    try:
+        return _garment(file, wearer, body, kind, numbers[kind])
+    except DrapeError as error:
+        return f"No cloth can be made of it: expected {error.expected}, got {error.got}."
 
 
 def _garment(file: GltfFile, wearer: Wearer, body: BodyModel, kind: str, numbers: Sequence[int]) -> Garment:
