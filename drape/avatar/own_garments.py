@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.avatar.face_colours import texture_of
-from drape.avatar.file_skeleton import FileRig
 from drape.avatar.own_clothes import LOWER, UPPER, Halves, bare_faces, halves_of, layers_of, taken_off, tucked
 from drape.avatar.t_pose import TPose
 from drape.avatar.tucked import TuckedTop, tucked_top
@@ -163,10 +162,7 @@ def _garment_or_why(payload: bytes, wearer: Wearer, numbers: dict[str, list[int]
 
 
 def _garment(file: GltfFile, wearer: Wearer, body: BodyModel, kind: str, numbers: Sequence[int]) -> Garment:
-    assert wearer.file is not None
-    mesh = own_mesh(
-        file, wearer, wearer.file, f"{wearer.name}_{kind}", np.flatnonzero(np.isin(wearer.attire.part, numbers))
-    )
+    mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", np.flatnonzero(np.isin(wearer.attire.part, numbers)))
     made_of = f"own {VERSION} {kind} {numbers} {wearer.digest} {body.digest}"
     made = intake_mesh(mesh, body, digest=hashlib.sha256(made_of.encode()).hexdigest())
     refusal = why_not(body, reach_of(made, body), garment=kind)
@@ -178,12 +174,12 @@ def _garment(file: GltfFile, wearer: Wearer, body: BodyModel, kind: str, numbers
     return replace(made, name=called, drawn=drawn, manifest=made.manifest | {OWN: about})
 
 
-def own_mesh(file: GltfFile, wearer: Wearer, rig: FileRig, name: str, rows: np.ndarray) -> GarmentMesh:
-    """The faces ``rows`` of ``wearer``, whose ``file`` has ``rig``, with their materials, pictures and texture
-    coordinates."""
+def _mesh(file: GltfFile, wearer: Wearer, name: str, rows: np.ndarray) -> GarmentMesh:
+    """The faces ``rows`` of ``wearer`` with their materials, pictures and texture coordinates."""
+    assert wearer.file is not None
     used, faces = np.unique(wearer.faces[rows], return_inverse=True)
-    held = [texture_of(file, primitive) for primitive in rig.primitives]
-    triangle = rig.triangle[rows]
+    held = [texture_of(file, primitive) for primitive in wearer.file.primitives]
+    triangle = wearer.file.triangle[rows]
     material = np.repeat([-1 if one is None else one for _, one in held], [len(uv) for uv, _ in held])[triangle]
     there, face_material = np.unique(material, return_inverse=True)
     materials = [None if one < 0 else int(one) for one in there]

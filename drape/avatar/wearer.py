@@ -41,7 +41,7 @@ from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_pos
 
 FORMAT_VERSION = 1
 FIT_VERSION = 3  # raised when a change here changes the bodies that come out
-WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56))
+WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56), np.zeros((0, 3)))
 FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's; more for one with a deeper trunk than ours
 BARE, UPPER = "bare", "upper"
 LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # lengths of characters that drape
@@ -277,6 +277,7 @@ def save_wearer(wearer: Wearer, folder: Path) -> Path:
         "faces": wearer.faces.astype(np.int32),
         "weights": wearer.weights.astype(np.float32),
         "part": wearer.attire.part.astype(np.int16),
+        "colours": np.rint(255.0 * wearer.attire.colours).astype(np.uint8),
         "body_weights": body.weights,
         **_body_arrays("", body),
         "rest_rotations": rig.rest_rotations,
@@ -330,7 +331,9 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
         attire = WORN_NOTHING
         if header.get("parts"):
             parts = tuple(AttirePart(*one) for one in header["parts"])
-            attire = Attire(parts, arrays["part"].astype(np.int64), tuple(header["skin_colour"]))
+            own = arrays["part"].astype(np.int64)
+            colours = arrays.get("colours", np.full((len(own), 3), 160)) / 255.0  # older files have none
+            attire = Attire(parts, own, tuple(header["skin_colour"]), colours)
         nodes = tuple(header["nodes"])
         return Wearer(
             header["name"], header["digest"], worn, rig, nodes, *surface, *figures, attire=attire, bodies=bodies

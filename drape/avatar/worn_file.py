@@ -92,7 +92,7 @@ def undressed_file(payload: bytes, wearer: Wearer, rig: FileRig, left: Undressed
             held = read.item("meshes", read.document.nodes[one.node].mesh).primitives[one.primitive]
             _without(file, read, held, mesh["primitives"][one.primitive], off)
     if left.added:
-        add_bare(file, nodes, wearer, rig, left, payload)
+        add_bare(file, nodes, wearer, rig, left)
     _complete(file)
     return file.to_bytes()
 

@@ -26,7 +26,6 @@ from drape.files.formats import AVATAR_SUFFIXES
 from drape.garment.portrait import Sitter, portrait
 from drape.stages.scene import Scene
 from service.compute.avatar_facts import AvatarInfo, AvatarWears
-from service.compute.avatars import AvatarEntry
 from service.errors import Full, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, PNG, json_answer
@@ -206,9 +205,9 @@ async def _scene(state: StateHere, avatar_id: str, clothes: Clothes, client: Cli
     return await state.scene(None, named, client, avatar=avatar_id, size=sizes, alive=clothes.alive)
 
 
-def bare_skin(entry: AvatarEntry, wearer: Wearer, left: Undressed) -> bytes:
-    """The GLB of what is seen of ``wearer``, which is stored as ``entry``, where clothes are not drawn by ``left``."""
-    return bare_file(wearer, load_file_rig(entry.path), left, entry.source.read_bytes()).to_bytes()
+def bare_skin(stored: Path, wearer: Wearer, left: Undressed) -> bytes:
+    """The GLB of what is seen of ``wearer``, which is ``stored``, where clothes are not drawn by ``left``."""
+    return bare_file(wearer, load_file_rig(stored), left).to_bytes()
 
 
 @router.get(
@@ -228,7 +227,7 @@ async def avatar_bare(avatar_id: str, state: StateHere, client: ClientHere, clot
         if not left.added:
             cure = "Ask only where covered tells of it."
             raise NotFound("bare", expected="skin that comes to light", got="none", cure=cure)
-        made = await state.runtime.made(bare_skin, entry, wearer, left)
+        made = await state.runtime.made(bare_skin, entry.path, wearer, left)
     return Response(made, media_type=GLB)
 
 

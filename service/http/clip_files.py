@@ -25,12 +25,13 @@ from drape.garment.cache import Garment
 from service.http.answers import PC2, number_bytes
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from drape.avatar.own_garments import Undressed
     from drape.avatar.wearer import Wearer
     from drape.stages.batch import PoseInput
     from drape.stages.placing import Placed
     from drape.stages.scene import Scene
-    from service.compute.avatars import AvatarEntry
     from service.compute.threads import SlicedThread
     from service.http.schemas import ClipOptions, PosedOptions
 
@@ -74,7 +75,7 @@ def dressed(scene: Scene, placed: Placed) -> list[Dressed]:
 def on_rig_file(
     layers: list[Dressed],
     wearer: Wearer,
-    entry: AvatarEntry,
+    stored: Path,
     clip: PoseInput,
     turns: np.ndarray | None,
     left: Undressed,
@@ -83,12 +84,12 @@ def on_rig_file(
     quantised: bool,
     joints: int | None,
 ) -> tuple[GlbFile, bytes]:
-    """The file of ``layers`` on the rig of ``wearer``, which is stored as ``entry``, and what it begins with; with so
-    many ``joints`` of each garment's own, or with morph targets. It has what is seen then by ``left``."""
+    """The file of ``layers`` on the rig of ``wearer``, which is ``stored``, and what it begins with; with so many
+    ``joints`` of each garment's own, or with morph targets. It has what is seen then by ``left``."""
     quaternions, places = wearer.to_rig(clip.poses, clip.trans)
     # Nodes that no joint of ours moves turn as they were told.
     moves = RigClip(quaternions if turns is None else turns, places, fps)
-    rig, file = load_file_rig(entry.path), GlbFile()
+    rig, file = load_file_rig(stored), GlbFile()
     nodes = add_nodes(file, rig.skeleton)
     if joints is None:
         add_dressed(file, nodes, layers, moves, wearer, rig, quantised=quantised)
@@ -101,7 +102,7 @@ def on_rig_file(
             )
         add_clip(file, made, [one.vertices for one in layers], motion, nodes, wearer.scale)
     if left.added:
-        add_bare(file, nodes, wearer, rig, left, entry.source.read_bytes())
+        add_bare(file, nodes, wearer, rig, left)
     return file, file.head()
 
 

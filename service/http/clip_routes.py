@@ -118,10 +118,10 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
     apart, placed = state.runtime.threads.apart, await _of_array(draped.vertices, draped.placed, asked.origin)
     if kind == GLB and asked.rig and asked.avatar is not None:
         wearer, left = await undressed_avatar(asked.avatar, scene, state, job.client)
-        entry = await state.avatar(asked.avatar, job.client)
+        stored = (await state.avatar(asked.avatar, job.client)).path
         on_rig = partial(on_rig_file, fps=asked.fps, quantised=asked.quantised, joints=asked.joints)
         dressed_layers = await apart(dressed, scene, placed)
-        file = await state.runtime.made(on_rig, dressed_layers, wearer, entry, job.clip, job.turns, left)
+        file = await state.runtime.made(on_rig, dressed_layers, wearer, stored, job.clip, job.turns, left)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind == GLB:
         file = await apart(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)

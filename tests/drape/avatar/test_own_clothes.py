@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
+from benchmarks.measure.dressed_characters import COLOURS, dressed_character, dressed_parts
 from drape.avatar.character import character_in
 from drape.avatar.own_clothes import Halves, bare_faces, taken_off, tucked
 from drape.avatar.own_garments import Undressed, undressed
@@ -123,6 +123,24 @@ def test_a_top_that_stays_is_tucked_into_trousers(
     assert not tucked(wearer.attire, Halves(True, True)).any()
 
 
+def test_a_tucked_top_is_drawn_in_its_own_colours(cut_away: Wearer, body: BodyModel, shelf: dict[str, Garment]):
+    """Beside bare skin, on the character's own nodes, where it was drawn in."""
+    cloth = [(shelf["trousers"].vertices, shelf["trousers"].faces)]
+    none = np.zeros(len(cut_away.faces), dtype=bool)
+    left = undressed(cut_away, none, cloth, Halves(False, True))
+    assert left.tucked is not None and left.bare.any() and cut_away.file is not None
+    file = GltfFile(bare_file(cut_away, cut_away.file, left).to_bytes())
+    found = character_in(file)
+    assert found.triangle is not None and len(found.triangle) == left.added
+    drawn = cut_away.scale * found.vertices[found.faces]
+    top = left.tucked.vertices[left.tucked.faces]
+    assert np.abs(drawn[-len(top) :] - top).max() < 1e-4
+    skin, own = (file.item("meshes", number).primitives[0] for number in range(2))
+    assert "COLOR_0" not in skin.attributes
+    blue = np.array(COLOURS["top"])
+    assert np.allclose(file.array(own.attributes["COLOR_0"]), blue, atol=0.01)
+
+
 def test_a_top_that_ends_above_trousers_stays(body: BodyModel, shelf: dict[str, Garment]):
     parts = dressed_parts(body, {"top": shelf["tank"]}, rucksack=False)
     short = parts[-1].vertices * [1.0, 0.3, 1.0] + [0.0, 0.7 * parts[-1].vertices[:, 1].max(), 0.0]
@@ -151,7 +169,7 @@ def test_bare_skin_lies_on_the_character_s_own_nodes(cut_away: Wearer):
     body, off = cut_away.body, taken_off(cut_away.attire, halves)
     chosen = bare_faces(body, cut_away.vertices, cut_away.faces, off)
     assert cut_away.file is not None
-    skin = character_in(GltfFile(bare_file(cut_away, cut_away.file, Undressed(off, chosen), b"").to_bytes()))
+    skin = character_in(GltfFile(bare_file(cut_away, cut_away.file, Undressed(off, chosen)).to_bytes()))
     expected = np.sort(body.v_template[body.faces[chosen]].mean(axis=1), axis=0)
     assert np.allclose(np.sort(cut_away.scale * skin.vertices[skin.faces].mean(axis=1), axis=0), expected, atol=1e-4)
     assert set(skin.names) >= {"pelvis", "spine3"}
@@ -161,6 +179,7 @@ def test_a_stored_wearer_keeps_its_parts_and_bodies(whole: Wearer, body: BodyMod
     again = load_wearer(save_wearer(whole, tmp_path), body)
     assert again.attire.parts == whole.attire.parts and np.array_equal(again.attire.part, whole.attire.part)
     assert again.attire.skin_colour == whole.attire.skin_colour
+    assert np.allclose(again.attire.colours, whole.attire.colours, atol=0.5 / 255.0)
     for halves in (Halves(True, False), Halves(False, True), Halves(True, True)):
         one, other = whole.body_under(halves), again.body_under(halves)
         assert one.digest == other.digest and np.array_equal(one.v_template, other.v_template)
