@@ -274,7 +274,7 @@ const found = () => {
   const meshes = [];
   one.object.traverse((node) => {
     const { name, material, userData } = node;
-    if (userData.drapeCovered) meshes.push([name, /deeper by 0.05/.test(material.customProgramCacheKey())]);
+    if (userData.drapeCovered) meshes.push([name, /-0.05000/.test(material.customProgramCacheKey())]);
   });
   return meshes;
 };

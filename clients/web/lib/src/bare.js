@@ -17,7 +17,7 @@ export async function bareSkin(object, bytes) {
   if (!bones.every(Boolean)) return () => {}; // another character's
   for (const mesh of found) {
     const byM = mesh.userData.deeper_m ?? mesh.parent.userData.deeper_m; // the parent's of several materials
-    if (byM) nearer(mesh.material, (-byM).toFixed(5), `deeper by ${byM}`);
+    if (byM) nearer(mesh.material, (-byM).toFixed(5));
     mesh.bind(new Skeleton(bones, mesh.skeleton.boneInverses), new Matrix4());
     Object.assign(mesh, { castShadow: true, receiveShadow: true, frustumCulled: false });
     mesh.userData.drapeCovered = true;
