@@ -13,6 +13,7 @@ of made characters that are rightly told.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,10 +24,11 @@ from benchmarks.measure.skin_pixels import VIEWS_DEG, Camera
 from benchmarks.network import Network
 from benchmarks.scenes import Clip, Folding
 from drape.artifacts import DEFAULT_MODEL
-from drape.avatar.covered import DEEPER_M, tucked_faces
+from drape.avatar.covered import DEEPER_M
 from drape.avatar.covered import covered_faces as faces_under
 from drape.avatar.covering import POSES, rotvecs
-from drape.avatar.own_clothes import LOWER, UPPER, halves_of, taken_off, tucked
+from drape.avatar.own_clothes import LOWER, UPPER, Halves, halves_of
+from drape.avatar.own_garments import undressed
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
 from drape.avatar.wears import reach_of, why_not
 from drape.body.assets import load_body
@@ -36,6 +38,7 @@ from drape.cloth.fabric_table import fabric
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.garment.tailor import tailored
+from drape.geometry.skinning import skin_points
 from drape.live.fold_constants import fold_constants
 from drape.live.fold_step import FoldEffort
 from drape.stages.folds import SETTLE
@@ -72,17 +75,50 @@ def told_pct(wearer: Wearer, kinds: list[str]) -> float:
     return 100.0 * float((true == found).mean())
 
 
-def own_pixels_pct(surface: np.ndarray, wearer: Wearer, shown: np.ndarray, deeper: np.ndarray, cloth: np.ndarray,
-                   faces: np.ndarray) -> float:  # fmt: skip
-    """The share [%] of pixels of ``cloth`` [m] (V, 3), ``faces``, that ``shown`` (F,) faces of own clothes cover."""
-    own = np.flatnonzero(wearer.attire.of_kinds(OWN) & shown)
+class Drawn(NamedTuple):
+    """What is drawn of a character's own clothes: ``vertices`` [m] (V, 3) at rest with ``weights`` (V, 24), ``faces``
+    (F, 3), and which are drawn ``deeper`` (F,)."""
+
+    vertices: np.ndarray
+    weights: np.ndarray
+    faces: np.ndarray
+    deeper: np.ndarray
+
+    @classmethod
+    def as_it_came(cls, wearer: Wearer) -> Drawn:
+        """All of them."""
+        faces = wearer.faces[wearer.attire.of_kinds(OWN)]
+        return cls(wearer.vertices, wearer.weights, faces, np.zeros(len(faces), dtype=bool))
+
+    @classmethod
+    def in_garment(cls, wearer: Wearer, cloth: tuple[np.ndarray, np.ndarray], halves: Halves) -> Drawn:
+        """As clients draw them in a garment, ``cloth``, on these ``halves``."""
+        left = undressed(wearer, np.zeros(len(wearer.faces), dtype=bool), [cloth], halves)
+        bulky = np.array([part.bulky for part in wearer.attire.parts])[wearer.attire.part]
+        shown = wearer.attire.of_kinds(OWN) & ~left.off & ~bulky
+        deeper = faces_under(wearer.vertices, wearer.faces, [cloth])[shown]
+        found = cls(wearer.vertices, wearer.weights, wearer.faces[shown], deeper)
+        if (top := left.tucked) is None:
+            return found
+        more = top.vertices, top.weights, top.faces + len(wearer.vertices), np.ones(len(top.faces), dtype=bool)
+        return cls(*(np.concatenate(pair) for pair in zip(found, more, strict=True)))
+
+    def posed(self, wearer: Wearer, poses: np.ndarray) -> np.ndarray:
+        """Its vertices [m] (F, V, 3) in ``poses`` (F, 24, 3) [rad]."""
+        bones = wearer.body.bones(poses, np.zeros((len(poses), 3)))
+        return skin_points(np.broadcast_to(self.vertices, (len(poses), *self.vertices.shape)), self.weights, *bones)
+
+
+def own_pixels_pct(surface: np.ndarray, own: Drawn, cloth: np.ndarray, faces: np.ndarray) -> float:
+    """The share [%] of pixels of ``cloth`` [m] (V, 3), ``faces``, that ``own`` clothes cover, which are at ``surface``
+    [m] (Vo, 3)."""
     camera, seen, hit = Camera.around(np.concatenate([surface, cloth])), 0, 0
     for azimuth_deg in VIEWS_DEG:
         front = camera.see(cloth, faces, azimuth_deg)
         seen += int((front.face >= 0).sum())
-        for rows, by_m in ((own[~deeper[own]], 0.0), (own[deeper[own]], DEEPER_M)):
-            if len(rows):
-                depth = camera.see(surface, wearer.faces[rows], azimuth_deg).depth - by_m
+        for rows, by_m in ((~own.deeper, 0.0), (own.deeper, DEEPER_M)):
+            if rows.any():
+                depth = camera.see(surface, own.faces[rows], azimuth_deg).depth - by_m
                 hit += int(((front.face >= 0) & (depth > front.depth) & (depth < front.depth + NEAR_M)).sum())
     return 100.0 * hit / max(seen, 1)
 
@@ -92,26 +128,19 @@ def measured(wearer: Wearer, garment: Garment, body: BodyModel, run: Run) -> dic
     if (refusal := why_not(wearer.body, reach_of(garment, body), garment=garment.name)) is not None:
         return {"worn": f"no: {refusal.got}"}
     halves = halves_of([garment], body)
-    below, off = wearer.body_under(halves), taken_off(wearer.attire, halves)
+    below = wearer.body_under(halves)
     cut = tailored(garment, body, below)
     poses = np.concatenate([np.repeat(rotvecs(one)[None], ROUNDS, axis=0) for one in POSES])
     start = Network.asked(run.options, below, passes=0).drape(cut, poses).vertices
-    trans = np.zeros((len(poses), 3))
     skin = Clip.of("poses", FPS, poses, below).skin
     folds = Folding(fold_constants(cut, below, fabric(cut.fabric)), FoldEffort(run.options.folds, SETTLE, True), FPS)
     cloth, rows = folds.frames(start, skin), np.arange(ROUNDS - 1, len(poses), ROUNDS)
-    surface = wearer.posed(poses[rows], trans[rows])
-    off |= tucked_faces(
-        wearer.vertices, wearer.faces, [(cut.vertices, cut.faces)], tucked(wearer.attire, halves) & ~off
-    )
-    deeper = faces_under(wearer.vertices, wearer.faces, [(cut.vertices, cut.faces)])
-    nothing, every = np.zeros(len(off), dtype=bool), np.ones(len(off), dtype=bool)
-    bulky = np.array([part.bulky for part in wearer.attire.parts])[wearer.attire.part]
-    frames = list(zip(surface, cloth[rows], strict=True))
+    below_it = Drawn.as_it_came(wearer), Drawn.in_garment(wearer, (cut.vertices, cut.faces), halves)
     before, after = (
-        [own_pixels_pct(one, wearer, shown, deep, over, cut.faces) for one, over in frames]
-        for shown, deep in ((every, nothing), (~off & ~bulky, deeper))
-    )
+        [own_pixels_pct(surface, one, over, cut.faces)
+         for surface, over in zip(one.posed(wearer, poses[rows]), cloth[rows], strict=True)]
+        for one in below_it
+    )  # fmt: skip
     return {"worn": "yes", "as_it_came_pct": np.mean(before), "own_pct": np.mean(after), "worst_pct": np.max(after)}
 
 

@@ -27,7 +27,6 @@ from drape.avatar.file_skeleton import FileRig
 from drape.avatar.own_clothes import NEITHER, Halves, halves_of
 from drape.avatar.own_garments import (
     OwnGarments,
-    Undressed,
     body_of,
     dressed_in,
     halves_on,
@@ -274,7 +273,7 @@ class Worn:
         left = undressed(wearer, own_faces(wearer, self.layers), cloth, self._worn_by.halves)
         own = covered_faces(wearer.vertices, wearer.faces, cloth, margin_m=UNSEEN_M)
         skin = covered_faces(wearer.body.v_template, wearer.body.faces, cloth, margin_m=UNSEEN_M)
-        left = Undressed(left.off | own, left.bare & ~skin)
+        left = left._replace(off=left.off | own, bare=left.bare & ~skin)
         return undressed_file(self._worn_by.file.read_bytes(), wearer, rig, left)
 
     def glb(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> bytes:

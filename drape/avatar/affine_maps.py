@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from drape.motion.node_clip import nearest_rotations
+
 
 def rigid_fit(sources: np.ndarray, targets: np.ndarray, masses: np.ndarray | None = None) -> np.ndarray:
     """The rotations and translations (F, 3, 4) of the smallest sum of m |R x + t - y|^2 (Kabsch 1976), for points x of
@@ -12,9 +14,7 @@ def rigid_fit(sources: np.ndarray, targets: np.ndarray, masses: np.ndarray | Non
     share = masses / masses.sum()
     middle, middles = share @ sources, np.einsum("n,fna->fa", share, targets)
     moments = np.einsum("fna,nb->fab", targets - middles[:, None], share[:, None] * (sources - middle), optimize=True)
-    u, _, vt = np.linalg.svd(moments)
-    u[..., 2] *= np.where(np.linalg.det(u) * np.linalg.det(vt) < 0.0, -1.0, 1.0)[:, None]
-    turns = u @ vt
+    turns = nearest_rotations(moments)
     return np.concatenate([turns, (middles - turns @ middle)[..., None]], axis=-1)
 
 

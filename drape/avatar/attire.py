@@ -44,11 +44,12 @@ class AttirePart(NamedTuple):
 
 class Attire(NamedTuple):
     """``parts`` of a character, and which of them each of its faces is, ``part`` (F,); ``skin_colour``, sRGB, the mean
-    of its skin."""
+    of its skin, and the ``colours`` (F, 3) of its faces."""
 
     parts: tuple[AttirePart, ...]
     part: np.ndarray
     skin_colour: tuple[float, float, float]
+    colours: np.ndarray
 
     def of_kinds(self, kinds: tuple[str, ...] | set[str]) -> np.ndarray:
         """Which faces (F,) are of ``kinds``."""
@@ -76,7 +77,7 @@ def attire_of(
     if len(left):
         kinds[left], sure[left] = surface.by_colour(left, kinds), BY_COLOUR
     parts, part = _grouped(character, surface.primitive, kinds, sure, names)
-    found = Attire(_corrected(parts, told or {}, file.label), part, (0.0, 0.0, 0.0))
+    found = Attire(_corrected(parts, told or {}, file.label), part, (0.0, 0.0, 0.0), colours)
     bare = found.of_kinds(("skin",))
     bare = bare if bare.any() else found.of_kinds(("face",))
     rows = bare if bare.any() else np.ones(len(bare), dtype=bool)

@@ -22,16 +22,24 @@ TRUSTED_M = 0.04  # a vertex farther than this from the character keeps the stan
 SMOOTHING_PASSES = 3
 
 
-def avatar_body(fit: BodyFit, pose: TPose, body: BodyModel, *, name: str, covered: TPose | None = None) -> BodyModel:
+def avatar_body(
+    fit: BodyFit,
+    pose: TPose,
+    body: BodyModel,
+    *,
+    name: str,
+    covered: TPose | None = None,
+    over: BodyModel | None = None,
+) -> BodyModel:
     """The body of the character in ``pose``, to which ``body`` was ``fit``, with its root joint where ``body`` has it.
 
-    ``covered``: what it is brought out to, the character in other faces; ``pose`` by default. It has no shapes of its
-    own: its ``shapedirs`` are zero.
+    ``covered``: what it is brought out to, the character in other faces; ``pose`` by default. ``over``: the body that
+    it encloses too, another one of this ``fit`` and ``pose``. It has no shapes of its own: its ``shapedirs`` are zero.
     """
     joints = np.where(np.isfinite(pose.joints), pose.joints, fit.joints)
     place = body.joints_template[0] - joints[0]
-    vertices, joints = fit.vertices + place, joints + place
-    weights = _weights(fit, pose, body)
+    vertices, joints = fit.vertices + place if over is None else over.v_template, joints + place
+    weights = _weights(fit, pose, body) if over is None else over.weights
     covered = pose if covered is None else covered
     vertices = covering(vertices, weights, joints, covered, covered.vertices + place, body)
     regressor = _regressor(vertices, joints, body)

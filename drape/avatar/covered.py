@@ -25,7 +25,6 @@ SPACING_M = 0.02  # of the points on a face
 REACH_M = 0.1  # cloth farther away covers nothing: a wide skirt is looked into
 INSIDE_M = 0.02  # what stands out of the cloth by more at rest is over it
 DEEPER_M = 0.05
-TUCKED_M = 0.08  # a top that stands out of trousers by no more is worn in them
 MARGIN_M = 0.03  # from all that is bare, and from hems and openings: cloth moves by so much
 
 
@@ -55,17 +54,6 @@ def covered_faces(
         mesh = np.asarray(cloth, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
         good = _under(points, *mesh, out_m, margin_m)
         found |= np.bincount(owner[~good], minlength=len(faces)) == 0
-    return found
-
-
-def tucked_faces(
-    vertices: np.ndarray, faces: np.ndarray, garments: Iterable[tuple[np.ndarray, np.ndarray]], tops: np.ndarray
-) -> np.ndarray:
-    """Which of the faces of ``tops`` (F,) lie wholly in or on ``garments`` for the lower half of a body: a top is worn
-    in trousers, so it ends where these begin."""
-    found = np.zeros(len(faces), dtype=bool)
-    if tops.any():
-        found[tops] = covered_faces(vertices, faces[tops], garments, out_m=TUCKED_M, margin_m=0.0)
     return found
 
 

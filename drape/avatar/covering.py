@@ -49,21 +49,25 @@ def covering(
     turned = [rotvec_to_matrix(rotvecs(one))[None] for one in POSES]
     bones = [rigid.bone_transforms(one, joints[None], PARENTS) for one in turned]
     posed = [skinning.skin_points(surface[None], pose.weights, *one)[0] for one in bones]
+    around = meshes.face_table(pose.faces, len(surface))
+    theirs_out = [meshes.vertex_normals(seen, pose.faces, table=around)[counted] for seen in posed]
+    around = meshes.face_table(body.faces, len(vertices))
     for _ in range(ROUNDS):
         height = np.zeros(len(vertices))
-        for move, seen in zip(bones, posed, strict=True):
+        for move, seen, out in zip(bones, posed, theirs_out, strict=True):
             skin = skinning.skin_points(vertices[None], weights, *move)[0]
             found = closest_point(seen[counted], skin, body.faces)
             corners = body.faces[found.face]
-            facing = np.einsum("vk,vkc->vc", found.barycentric, meshes.vertex_normals(skin, body.faces)[corners])
+            normals = meshes.vertex_normals(skin, body.faces, table=around)
+            facing = np.einsum("vk,vkc->vc", found.barycentric, normals[corners])
             above = np.einsum("vc,vc->v", facing, seen[counted] - found.point)
-            agree = np.einsum("vc,vc->v", facing, meshes.vertex_normals(seen, pose.faces)[counted]) > FACING
+            agree = np.einsum("vc,vc->v", facing, out) > FACING
             joined = beside(own[corners[:, 0]], theirs[counted])
             short = np.where(agree & joined & (above > 0.0), above + MARGIN_M, 0.0)
             np.maximum.at(height, corners.reshape(-1), np.repeat(np.minimum(short, MOST_M), 3))
         trust = np.where(height > 0.0, 1.0, PLAIN)
         way = symmetric_factor(scipy.sparse.diags(trust) + SMOOTHING * square).solve(trust * height)
-        vertices = vertices + way[:, None] * meshes.vertex_normals(vertices, body.faces)
+        vertices = vertices + way[:, None] * meshes.vertex_normals(vertices, body.faces, table=around)
     return vertices
 
 

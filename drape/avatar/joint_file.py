@@ -20,6 +20,7 @@ from drape.export.glb_file import VERTEX_BUFFER, Channel, GlbFile
 from drape.export.root_motion import quaternion_keys
 from drape.export.surface import Surface
 from drape.geometry.rotations import matrix_to_quaternion
+from drape.motion.node_clip import nearest_rotations
 
 WEIGHT_STEPS = 65535
 
@@ -78,8 +79,8 @@ def node_motions(distilled: Distilled, seen: np.ndarray) -> tuple[np.ndarray, np
     """Local quaternions wxyz (F, E, 4) and translations (F, E, 3) of the nodes of joints whose motions are ``seen``
     (F, E, 3, 4) from their parents."""
     at = compose(compose(distilled.binds[distilled.parents], seen), _at(distilled.pivots))
-    u, _, vt = np.linalg.svd(at[..., :3])  # parents of a character may shear a little
-    return matrix_to_quaternion(u @ vt), at[..., 3]
+    # Parents of a character may shear a little, or be mirrored.
+    return matrix_to_quaternion(nearest_rotations(at[..., :3])), at[..., 3]
 
 
 def _scales(distilled: Distilled) -> np.ndarray:

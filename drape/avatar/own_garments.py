@@ -10,14 +10,15 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from drape.avatar.covered import tucked_faces
 from drape.avatar.face_colours import texture_of
 from drape.avatar.own_clothes import LOWER, UPPER, Halves, bare_faces, halves_of, layers_of, taken_off, tucked
 from drape.avatar.t_pose import TPose
+from drape.avatar.tucked import TuckedTop, tucked_top
 from drape.avatar.wearer import Wearer
 from drape.avatar.wears import reach_of, why_not
 from drape.body.model import BodyModel
@@ -46,28 +47,27 @@ class OwnGarments:
     stiff: dict[str, str]
 
 
-def own_garments(payload: bytes, wearer: Wearer, *, begun: Callable[[str], None] | None = None) -> OwnGarments:
+Made = Callable[[str], "Garment | str"]
+
+
+def own_garments(
+    payload: bytes, wearer: Wearer, *, each: Callable[[Made, list[str]], Iterable[Garment | str]] = map
+) -> OwnGarments:
     """The clothes of the character in the file ``payload``, of which ``wearer`` was made, as garments on its body.
 
-    ``begun`` gets the kind of each as its intake begins. A garment's ``body_digest`` is that of the body of ``wearer``
+    ``each``: ``map``, or one that uses other processes. A garment's ``body_digest`` is that of the body of ``wearer``
     on which it lies. Raises ``MeshError`` for another file.
     """
-    file = GltfFile(payload, label=wearer.name)
     stiff = _stiff(wearer)
     parts = wearer.attire.parts
     loose = {number for number, part in enumerate(parts) if part.kind in KINDS and part.name not in stiff}
     kinds = [kind for kind in KINDS if any(parts[number].kind == kind for number in loose)]
-    body, made = wearer.body_under(_halves(kinds)), []
-    for kind in kinds:
-        if begun is not None:
-            begun(kind)
-        numbers = sorted(number for number in loose if parts[number].kind == kind)
-        try:
-            made.append(_garment(file, wearer, body, kind, numbers))
-        except DrapeError as error:
-            why = f"No cloth can be made of it: expected {error.expected}, got {error.got}."
-            stiff |= {parts[number].name: why for number in numbers}
-    return OwnGarments(tuple(made), stiff)
+    numbers = {kind: sorted(number for number in loose if parts[number].kind == kind) for kind in kinds}
+    made = list(each(partial(_garment_or_why, payload, wearer, numbers), kinds))
+    for kind, why in zip(kinds, made, strict=True):
+        if isinstance(why, str):
+            stiff |= {parts[number].name: why for number in numbers[kind]}
+    return OwnGarments(tuple(one for one in made if not isinstance(one, str)), stiff)
 
 
 def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
@@ -84,11 +84,17 @@ def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) 
 
 
 class Undressed(NamedTuple):
-    """Faces of a character that are not drawn in its garments, ``off`` (F,), and which faces of its bare body are seen
-    there, ``bare`` (Fb,)."""
+    """Faces of a character that are not drawn in its garments, ``off`` (F,), and what is seen there: which faces of its
+    bare body, ``bare`` (Fb,), and a top that is ``tucked`` in."""
 
     off: np.ndarray
     bare: np.ndarray
+    tucked: TuckedTop | None = None
+
+    @property
+    def added(self) -> int:
+        """How many faces are seen there."""
+        return int(self.bare.sum()) + (0 if self.tucked is None else len(self.tucked.faces))
 
 
 def undressed(
@@ -102,8 +108,11 @@ def undressed(
     surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
     off = taken_off(wearer.attire, halves) | own
     tops = tucked(wearer.attire, halves) & ~off
-    off |= tucked_faces(*surface, cloth, tops)
-    return Undressed(off, bare_faces(wearer.body, *surface, off, tops))
+    top = tucked_top(wearer, tops, cloth) if tops.any() else None
+    if top is None:
+        return Undressed(off, bare_faces(wearer.body, *surface, off, tops))
+    bare = bare_faces(wearer.body, *surface, off | (top.off & tops), tops)
+    return Undressed(off | top.off, bare & ~top.hidden, top)
 
 
 def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:
@@ -141,6 +150,15 @@ def _stiff(wearer: Wearer) -> dict[str, str]:
         elif (weights > STIFF).all(axis=0).any():
             found[part.name] = "One bone moves all of it, as armour."
     return found
+
+
+def _garment_or_why(payload: bytes, wearer: Wearer, numbers: dict[str, list[int]], kind: str) -> Garment | str:
+    """The garment of the parts ``numbers`` of ``kind``, or why no cloth can be made of them."""
+    file, body = GltfFile(payload, label=wearer.name), wearer.body_under(_halves(list(numbers)))
+    try:
+        return _garment(file, wearer, body, kind, numbers[kind])
+    except DrapeError as error:
+        return f"No cloth can be made of it: expected {error.expected}, got {error.got}."
 
 
 def _garment(file: GltfFile, wearer: Wearer, body: BodyModel, kind: str, numbers: Sequence[int]) -> Garment:

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 
+from drape.avatar.covered import DEEPER_M
 from drape.avatar.file_skeleton import FileRig, FileSkeleton
+from drape.avatar.own_garments import Undressed
 from drape.avatar.rig_motion import RigClip, rig_motion
 from drape.avatar.rig_weights import blended, garment_weights, heaviest, undone, volume
 from drape.avatar.wearer import Wearer
@@ -26,7 +28,9 @@ from drape.export.surface import MeshSurface
 from drape.garment.cache import Garment
 from drape.wanted import go_on
 
-BARE = "bare skin"
+BARE, TUCKED = "bare skin", "tucked top"
+GAMMA = 2.2  # glTF's colours are linear
+_NO_MATERIALS = np.zeros((0, 3), dtype=np.int64), (), np.zeros(0, dtype=np.int64)
 LEAST_VOLUME = 0.2  # of a blend of joints, of theirs: one that is flatter cannot be undone, and gets a single joint
 
 
@@ -68,28 +72,44 @@ def add_dressed(
     motion.animate(file, nodes)
 
 
-def bare_file(wearer: Wearer, rig: FileRig, chosen: np.ndarray) -> GlbFile:
+def bare_file(wearer: Wearer, rig: FileRig, left: Undressed) -> GlbFile:
     """The file of ``add_bare`` alone."""
     file = GlbFile()
-    add_bare(file, add_nodes(file, rig.skeleton), wearer, rig, chosen)
+    add_bare(file, add_nodes(file, rig.skeleton), wearer, rig, left)
     return file
 
 
-def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig, chosen: np.ndarray) -> None:
-    """Adds the faces that are ``chosen`` (Fb,) of the body of ``wearer``, whose own file had ``rig``: skin on the
-    character's nodes, as ``add_dressed`` has them, in its unit and in the mean colour of its skin."""
-    skeleton, body = rig.skeleton, wearer.body
+def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig, left: Undressed) -> None:
+    """Adds what is seen where clothes of ``wearer``, whose own file had ``rig``, are not drawn, by ``left``: skin in
+    its mean colour, and a top that is tucked in, in the colours of its faces. Clients draw that deeper than it is by
+    the node's ``deeper_m``. They lie on the character's nodes, as ``add_dressed`` has them, in its unit."""
+    body, top, attire = wearer.body, left.tucked, wearer.attire
     still = RigClip(*wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3))), 1.0)
-    blends = rig_motion(still, wearer, skeleton).part(np.zeros(0, dtype=np.int64)).blends
-    skin = _add_skin(file, skeleton, nodes)
-    used, faces = np.unique(body.faces[chosen], return_inverse=True)
-    none = np.zeros((0, 2)), np.zeros((0, 3), dtype=np.int64), (), np.zeros(0, dtype=np.int64)
-    surface = MeshSurface(BARE, len(used), faces.reshape(-1, 3), *none)
-    weights = scipy.sparse.csr_matrix(body.weights[used]) @ _onto_joints(wearer, skeleton)
-    corners, at = split_seams(surface), body.v_template[used][None] / wearer.scale
-    shape = _shape(file, corners, surface.faces, at, weights, blends, quantised=False)
-    red, green, blue = (value**2.2 for value in wearer.attire.skin_colour)  # glTF's colours are linear
-    add_shape(file, surface, corners, Shape(shape, {"skin": skin}), 0, 1.0, (red, green, blue, 1.0))
+    blends = rig_motion(still, wearer, rig.skeleton).part(np.zeros(0, dtype=np.int64)).blends
+    onto, skin = _onto_joints(wearer, rig.skeleton), _add_skin(file, rig.skeleton, nodes)
+
+    def add(mesh: tuple[str, np.ndarray, np.ndarray, np.ndarray], colours: np.ndarray, told: dict[str, Any]) -> None:
+        name, vertices, faces, weights = mesh
+        surface = MeshSurface(name, len(vertices), faces, np.zeros((0, 2)), *_NO_MATERIALS)
+        corners, on = split_seams(surface), scipy.sparse.csr_matrix(weights) @ onto
+        parts = _shape(file, corners, faces, vertices[None] / wearer.scale, on, blends, quantised=False)
+        one = colours[0] if len(colours) == 1 else np.ones(3)
+        if len(colours) > 1:
+            parts[0]["COLOR_0"] = file.array(
+                (colours[corners.source] ** GAMMA).astype(np.float32), target=VERTEX_BUFFER
+            )
+        red, green, blue = (one**GAMMA).tolist()
+        add_shape(file, surface, corners, Shape(parts, {"skin": skin} | told), 0, 1.0, (red, green, blue, 1.0))
+
+    if left.bare.any():
+        used, faces = np.unique(body.faces[left.bare], return_inverse=True)
+        bare = BARE, body.v_template[used], faces.reshape(-1, 3), body.weights[used]
+        add(bare, np.array([attire.skin_colour]), {})
+    if top is not None:
+        own, count = np.repeat(attire.colours[top.rows], 3, axis=0), np.bincount(top.faces.reshape(-1))
+        sums = [np.bincount(top.faces.reshape(-1), channel) for channel in own.T]
+        colours = np.stack(sums, axis=1) / count[:, None]
+        add((TUCKED, top.vertices, top.faces, top.weights), colours, {"extras": {"deeper_m": DEEPER_M}})
 
 
 def _onto_joints(wearer: Wearer, skeleton: FileSkeleton) -> scipy.sparse.csr_matrix:

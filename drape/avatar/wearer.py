@@ -40,8 +40,8 @@ from drape.geometry.skinning import skin_points
 from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_poses
 
 FORMAT_VERSION = 1
-FIT_VERSION = 2  # raised when a change here changes the bodies that come out
-WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56))
+FIT_VERSION = 3  # raised when a change here changes the bodies that come out
+WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56), np.zeros((0, 3)))
 FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's; more for one with a deeper trunk than ours
 BARE, UPPER = "bare", "upper"
 LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # lengths of characters that drape
@@ -196,8 +196,11 @@ def _bodies(pose: TPose, layers: Layers, body: BodyModel, name: str) -> tuple[TP
     """The part of a character's surface on which clothes lie, and its bodies: bare, and with its trousers."""
     seen = shrunk(pose, layers.hollow).only(layers.body | layers.hollow)
     fit = fit_to(seen, body)
-    on = {BARE: layers.body} | ({UPPER: layers.body | layers.lower} if layers.lower.any() else {})
-    return seen, {key: avatar_body(fit, seen, body, name=name, covered=pose.only(faces)) for key, faces in on.items()}
+    bodies = {BARE: avatar_body(fit, seen, body, name=name, covered=pose.only(layers.body))}
+    if layers.lower.any():
+        lower = pose.only(layers.lower)
+        bodies[UPPER] = avatar_body(fit, seen, body, name=name, covered=lower, over=bodies[BARE])
+    return seen, bodies
 
 
 def _checked_fit(distances_mm: np.ndarray, limit_mm: float, name: str, notes: Sequence[str]) -> tuple[float, float]:
@@ -274,6 +277,7 @@ def save_wearer(wearer: Wearer, folder: Path) -> Path:
         "faces": wearer.faces.astype(np.int32),
         "weights": wearer.weights.astype(np.float32),
         "part": wearer.attire.part.astype(np.int16),
+        "colours": np.rint(255.0 * wearer.attire.colours).astype(np.uint8),
         "body_weights": body.weights,
         **_body_arrays("", body),
         "rest_rotations": rig.rest_rotations,
@@ -285,7 +289,7 @@ def save_wearer(wearer: Wearer, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / wearer.file_name()
     with whole_file(path) as file:
-        file.write(packed(arrays))
+        file.write(packed(arrays, quick=True))
     return path
 
 
@@ -327,7 +331,9 @@ def load_wearer(path: Path, body: BodyModel) -> Wearer:
         attire = WORN_NOTHING
         if header.get("parts"):
             parts = tuple(AttirePart(*one) for one in header["parts"])
-            attire = Attire(parts, arrays["part"].astype(np.int64), tuple(header["skin_colour"]))
+            own = arrays["part"].astype(np.int64)
+            colours = arrays.get("colours", np.full((len(own), 3), 160)) / 255.0  # older files have none
+            attire = Attire(parts, own, tuple(header["skin_colour"]), colours)
         nodes = tuple(header["nodes"])
         return Wearer(
             header["name"], header["digest"], worn, rig, nodes, *surface, *figures, attire=attire, bodies=bodies

@@ -80,7 +80,7 @@ def worn_on_rig(payload: bytes, layers: Sequence[Dressed], clip: RigClip, wearer
 
 def undressed_file(payload: bytes, wearer: Wearer, rig: FileRig, left: Undressed) -> bytes:
     """The file ``payload`` of ``wearer``, which has ``rig``, without the faces that are ``off`` by ``left``, and with
-    skin where it is ``bare``. What they were made of stays: blend shapes and the like still find their meshes."""
+    what is seen there. What they were made of stays: blend shapes and the like still find their meshes."""
     file, nodes = _opened(payload)
     read, gone = GltfFile(payload), np.zeros(sum(one.triangles for one in rig.primitives), dtype=bool)
     gone[rig.triangle[left.off]] = True
@@ -91,8 +91,8 @@ def undressed_file(payload: bytes, wearer: Wearer, rig: FileRig, left: Undressed
             own[one.node] = mesh
             held = read.item("meshes", read.document.nodes[one.node].mesh).primitives[one.primitive]
             _without(file, read, held, mesh["primitives"][one.primitive], off)
-    if left.bare.any():
-        add_bare(file, nodes, wearer, rig, left.bare)
+    if left.added:
+        add_bare(file, nodes, wearer, rig, left)
     _complete(file)
     return file.to_bytes()
 

@@ -1,4 +1,4 @@
-"""Arrays in one file packed by LZMA, which ``numpy.load`` reads too."""
+"""Arrays in one packed file, which ``numpy.load`` reads too."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ UNREADABLE = (
 """The exceptions that reading a damaged npz raises, or a file that is none."""
 
 
-def packed(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """The bytes of an npz of ``arrays``. The same arrays have the same bytes: members bear no time."""
+def packed(arrays: Mapping[str, np.ndarray], *, quick: bool = False) -> bytes:
+    """The bytes of an npz of ``arrays``, by LZMA; ``quick``: deflated, a fifth larger in a tenth of the time. The same
+    arrays have the same bytes: members bear no time."""
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_LZMA) as archive:
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED if quick else zipfile.ZIP_LZMA) as archive:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w") as member:
                 np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)

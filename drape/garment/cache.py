@@ -209,8 +209,8 @@ _TEXT_KINDS = {"name": str, "digest": str, "body_digest": str, "vertex_count": i
 _TEXT_FIELDS = ("name", "digest", "body_digest", "vertex_count", "material_names", "manifest", "fabric")
 
 
-def save_garment(garment: Garment, folder: Path) -> Path:
-    """Writes the cache file into ``folder`` atomically and returns its path.
+def save_garment(garment: Garment, folder: Path, *, quick: bool = False) -> Path:
+    """Writes the cache file into ``folder`` atomically and returns its path; ``quick`` as in ``packed``.
 
     Raises ``Unavailable`` where the folder cannot be made or written.
     """
@@ -237,7 +237,7 @@ def save_garment(garment: Garment, folder: Path) -> Path:
         arrays |= {f"drawn_{name}": getattr(drawn, name) for name in BOUND_ARRAYS}
         header["drawn_materials"] = drawn.material_names
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    content, path = packed(arrays), folder / garment.file_name()
+    content, path = packed(arrays, quick=quick), folder / garment.file_name()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as file:

@@ -27,6 +27,7 @@ from drape.garment.sleeves import SHOULDER, sleeve_of
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point, nearest_vertices
 from drape.geometry.symmetric import symmetric_factor
+from drape.motion.node_clip import nearest_rotations
 
 WEIGHT_SMOOTHING_M = 0.05  # along the garment; longer spreads an armpit's strain further
 SHAPE_SMOOTHING_M = 0.03  # longer keeps the avatar's bust on a body that has none, which then creases
@@ -68,9 +69,7 @@ def bone_motions(source: np.ndarray, target: np.ndarray, weights: np.ndarray) ->
     share = share / share.sum(axis=0)
     source_mean, target_mean = share.T @ source, share.T @ target
     moments = np.einsum("vj,va,vb->jab", share, target, source, optimize=True)
-    u, _, vt = np.linalg.svd(moments - target_mean[:, :, None] * source_mean[:, None, :])
-    u[..., -1] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    rotations = u @ vt
+    rotations = nearest_rotations(moments - target_mean[:, :, None] * source_mean[:, None, :])
     return rotations, target_mean - np.einsum("jab,jb->ja", rotations, source_mean)
 
 

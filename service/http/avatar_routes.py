@@ -18,6 +18,7 @@ from drape.avatar.attire_words import Kind
 from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
 from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.mapping import TOLD
+from drape.avatar.own_garments import Undressed
 from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import Wearer
 from drape.errors import BodyError, InputError, NotFound, TooLarge
@@ -184,7 +185,7 @@ async def avatar_covered(avatar_id: str, state: StateHere, client: ClientHere, c
         share=round(float(covered.mean()), 4),
         ranges=_runs(ranges_of(covered)),
         hidden=_runs(ranges_of(left.off)),
-        bare=int(left.bare.sum()),
+        bare=left.added,
         skin_colour=list(wearer.attire.skin_colour),
         primitives=[
             CoveredPrimitive(**one.primitive._asdict(), ranges=_runs(one.ranges), hidden=_runs(one.hidden))
@@ -204,9 +205,9 @@ async def _scene(state: StateHere, avatar_id: str, clothes: Clothes, client: Cli
     return await state.scene(None, named, client, avatar=avatar_id, size=sizes, alive=clothes.alive)
 
 
-def bare_skin(stored: Path, wearer: Wearer, chosen: np.ndarray) -> bytes:
-    """The GLB of the faces that are ``chosen`` (Fb,) of the body of ``wearer``, which is ``stored``."""
-    return bare_file(wearer, load_file_rig(stored), chosen).to_bytes()
+def bare_skin(stored: Path, wearer: Wearer, left: Undressed) -> bytes:
+    """The GLB of what is seen of ``wearer``, which is ``stored``, where clothes are not drawn by ``left``."""
+    return bare_file(wearer, load_file_rig(stored), left).to_bytes()
 
 
 @router.get(
@@ -223,10 +224,10 @@ async def avatar_bare(avatar_id: str, state: StateHere, client: ClientHere, clot
     with state.access.using(client, "clips"), state.slot():
         scene = await _scene(state, avatar_id, clothes, client)
         wearer, left = await undressed_avatar(avatar_id, scene, state, client)
-        if not left.bare.any():
+        if not left.added:
             cure = "Ask only where covered tells of it."
             raise NotFound("bare", expected="skin that comes to light", got="none", cure=cure)
-        made = await state.runtime.made(bare_skin, entry.path, wearer, left.bare)
+        made = await state.runtime.made(bare_skin, entry.path, wearer, left)
     return Response(made, media_type=GLB)
 
 

@@ -27,6 +27,7 @@ from service.http.answers import PC2, number_bytes
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from drape.avatar.own_garments import Undressed
     from drape.avatar.wearer import Wearer
     from drape.stages.batch import PoseInput
     from drape.stages.placing import Placed
@@ -77,14 +78,14 @@ def on_rig_file(
     stored: Path,
     clip: PoseInput,
     turns: np.ndarray | None,
-    bare: np.ndarray,
+    left: Undressed,
     *,
     fps: float,
     quantised: bool,
     joints: int | None,
 ) -> tuple[GlbFile, bytes]:
     """The file of ``layers`` on the rig of ``wearer``, which is ``stored``, and what it begins with; with so many
-    ``joints`` of each garment's own, or with morph targets. It has the skin that is ``bare`` (Fb,) then."""
+    ``joints`` of each garment's own, or with morph targets. It has what is seen then by ``left``."""
     quaternions, places = wearer.to_rig(clip.poses, clip.trans)
     # Nodes that no joint of ours moves turn as they were told.
     moves = RigClip(quaternions if turns is None else turns, places, fps)
@@ -100,8 +101,8 @@ def on_rig_file(
                 Jointed(one.garment.surface, distil(one.garment, [draped], wearer, rig, count=joints), one.colour)
             )
         add_clip(file, made, [one.vertices for one in layers], motion, nodes, wearer.scale)
-    if bare.any():
-        add_bare(file, nodes, wearer, rig, bare)
+    if left.added:
+        add_bare(file, nodes, wearer, rig, left)
     return file, file.head()
 
 

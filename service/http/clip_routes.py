@@ -121,7 +121,7 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
         stored = (await state.avatar(asked.avatar, job.client)).path
         on_rig = partial(on_rig_file, fps=asked.fps, quantised=asked.quantised, joints=asked.joints)
         dressed_layers = await apart(dressed, scene, placed)
-        file = await state.runtime.made(on_rig, dressed_layers, wearer, stored, job.clip, job.turns, left.bare)
+        file = await state.runtime.made(on_rig, dressed_layers, wearer, stored, job.clip, job.turns, left)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind == GLB:
         file = await apart(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)

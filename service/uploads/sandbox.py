@@ -18,11 +18,13 @@ import os
 import resource
 import shutil
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
 from drape.errors import DrapeError, MeshError, MotionError, TooLarge
 from service.compute.background import end_with_parent, step_back
+from service.uploads.beside import beside
 
 FILE_LIMIT_BYTES = 2**30
 MOST_FRAMES = 36_000  # of a motion: twenty minutes at 30 a second
@@ -72,16 +74,18 @@ def avatar_files(file: Path, out: Path, *, told: str | None, body: str) -> tuple
     from drape.garment.cache import save_garment
 
     said, payload = json.loads(told) if told else {}, file.read_bytes()
-    wearer = read_wearer(
-        payload, name=wearer_name(file.stem), body=load_body(body), told=said.get("joints"),
-        kinds=said.get("parts"), begun=_say,
-    )  # fmt: skip
-    if said.get("alive"):
-        _say("cloth")
-    own = own_garments(payload, wearer) if said.get("alive") else None
+    with beside() if said.get("alive") else nullcontext() as each:
+        wearer = read_wearer(
+            payload, name=wearer_name(file.stem), body=load_body(body), told=said.get("joints"),
+            kinds=said.get("parts"), begun=_say,
+        )  # fmt: skip
+        own = None
+        if each is not None:
+            _say("cloth")
+            own = own_garments(payload, wearer, each=each)
     _say("store")
-    made = [save_wearer(wearer, out), *(save_garment(one, out) for one in (() if own is None else own.garments))]
-    return [path.name for path in made], None if own is None else own.stiff
+    garments = [] if own is None else [save_garment(one, out, quick=True) for one in own.garments]
+    return [path.name for path in (save_wearer(wearer, out), *garments)], None if own is None else own.stiff
 
 
 def motion_file(file: Path, out: Path, *, clip: str | None) -> Path:

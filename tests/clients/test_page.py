@@ -9,17 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.measure.dressed_characters import Worn, dressed_character, dressed_parts
 from drape.body.model import BodyModel
-from drape.catalog import find_garments, find_motions, open_garment
+from drape.catalog import find_motions
 from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
 from tests.clients.browser import Page, open_page, violations
 from tests.clients.test_vmc import bridge, packets, send
 from tests.drape.motion.node_files import T_POSE, glb, moved
 from tests.drape.motion.people import person
-from tests.fixtures.characters import ARMS_DOWN_RAD, character
-from tests.fixtures.patience import PATIENT_S
 
 pytestmark = pytest.mark.browser
 
@@ -303,51 +300,6 @@ def test_a_size_is_chosen_and_what_the_body_takes_is_marked(page: Page):
     more_frames(page)
 
 
-@pytest.mark.long
-def test_a_character_wears_it_in_its_own_skin(page: Page, body: BodyModel, tmp_path: Path):
-    file = tmp_path / "ada.glb"
-    file.write_bytes(character(body, scheme="mixamo", scale=100.0, arms_rad=ARMS_DOWN_RAD, yaw_rad=1.0))
-    page.choose_file("#character-file", file)
-    page.wait_for("document.querySelector('#characters [aria-pressed=true]').dataset.character === 'ada'")
-    page.wait_for("!document.getElementById('message').textContent")
-    more_frames(page)
-    assert page.evaluate("document.getElementById('body-controls').hidden"), "it has its own shape"
-    page.evaluate("(() => { document.querySelector('[data-character=\"\"]').click(); return true; })()")
-    page.wait_for("!document.getElementById('body-controls').hidden")
-    more_frames(page)
-
-
-@pytest.mark.long
-def test_own_clothes_of_a_character_move_and_stay_and_say_why(page: Page, body: BodyModel, tmp_path: Path):
-    """A doll in a top that is cloth, with a breastplate that is none: it comes in its own clothes alone."""
-    parts = dressed_parts(body, {"top": open_garment(find_garments(["tank"])[0], body)})
-    plate = Worn("skirt", parts[-1].vertices * 0.5 + [0.0, 0.6, 0.2], parts[-1].faces, parts[-1].weights)
-    file = tmp_path / "doll.glb"
-    file.write_bytes(dressed_character(body, [*parts, plate]))
-    own = "document.getElementById('own-clothes')"
-    assert page.evaluate(f"{own}.hidden"), "our body has none"
-    page.drop(file)
-    page.wait_for(f"!{own}.hidden", seconds=10 * PATIENT_S)
-    asked = "performance.getEntriesByType('resource').map(({ name }) => decodeURIComponent(name))"
-    page.wait_for(f"{asked}.some((name) => name.includes('/covered?garments=doll~top'))", seconds=4 * PATIENT_S)
-    more_frames(page)
-    assert page.evaluate(
-        "[document.getElementById('alive').checked, document.querySelectorAll('#worn li').length]"
-    ) == [
-        True,
-        0,
-    ]
-    assert page.evaluate("document.getElementById('alive-words').textContent") == "Top of Doll."
-    assert "One bone moves all of it, as armour." in page.evaluate("document.getElementById('stiff').textContent")
-    page.wait_for_picture(lambda now: share(stage(now), "b") > 0.02, "its own top in its own colour")
-    click(page, "alive")
-    page.wait_for("document.querySelector('#worn li')?.dataset.garment === 'tube'", seconds=4 * PATIENT_S)
-    more_frames(page)
-    page.evaluate("(() => { document.querySelector('[data-character=\"\"]').click(); return true; })()")
-    page.wait_for(f"{own}.hidden")
-    more_frames(page)
-
-
 def test_a_refused_upload_is_told_in_words(page: Page, tmp_path: Path):
     noise = tmp_path / "noise.obj"
     noise.write_bytes(b"nothing that is a mesh\n")
@@ -411,48 +363,3 @@ def test_nobody_is_kept_out(page: Page, scheme: str, drawer: str):
 
 def test_no_console_error_so_far(page: Page):
     assert page.errors == []
-
-
-@pytest.fixture(scope="module")
-def phone(live: str, page: Page) -> Iterator[Page]:
-    page.evaluate("(() => { document.querySelector('#play[data-playing=true]')?.click(); return true; })()")  # it rests
-    with open_page("about:blank", width=390, height=844) as page:
-        page.phone(390, 844)
-        page.media(scheme="light", reduced_motion=True)
-        page.go(live + "/?garment=tube&clip=reach")
-        page.wait_for("Number(document.body?.dataset.frames) >= 2")
-        yield page
-
-
-def test_on_a_phone_nothing_lies_over_anything(phone: Page):
-    assert phone.evaluate("document.documentElement.scrollWidth") == 390
-    for change in ("", "sheet"):
-        if change:
-            click(phone, change)
-        boxes = phone.evaluate(
-            """Array.from(document.querySelectorAll("h1, #worn, #tools, #quality-bar, #play-bar, #shelf"), (one) => {
-            const { left, right, top, bottom } = one.getBoundingClientRect();
-            return [one.id || one.localName, left, right, top, bottom]; })"""
-        )
-        assert len(boxes) == 6
-        for place, (name, left, right, top, bottom) in enumerate(boxes):
-            assert left >= 0 and right <= 390 and top >= 0 and bottom <= 845, name
-            for other, *sides in boxes[place + 1 :]:
-                apart = right <= sides[0] or sides[1] <= left or bottom <= sides[2] or sides[3] <= top
-                assert apart, f"{name} over {other}"
-    click(phone, "sheet")
-
-
-def test_who_asks_for_less_motion_begins_with_a_still(phone: Page):
-    assert phone.evaluate("document.getElementById('play').getAttribute('aria-label')") == "Play"
-    assert phone.evaluate("Number(document.getElementById('scrub').value)") == 0.0
-
-
-def test_nobody_is_kept_out_on_a_phone(phone: Page):
-    assert violations(phone) == []
-    click(phone, "numbers")
-    assert violations(phone) == []
-    click(phone, "numbers-close")
-    click(phone, "help-open")
-    assert violations(phone) == []
-    assert phone.errors == []

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
 from drape.avatar.own_clothes import Halves, bare_faces, taken_off
+from drape.avatar.own_garments import Undressed, undressed
 from drape.avatar.rig_file import bare_file
 from drape.avatar.wearer import read_wearer
 from drape.body.model import BodyModel
@@ -252,7 +253,7 @@ def test_bare_skin_moves_with_the_character(body: BodyModel, rng: np.random.Gene
     off = taken_off(wearer.attire, Halves(True, False))
     chosen = bare_faces(wearer.body, wearer.vertices, wearer.faces, off)
     assert wearer.file is not None
-    bare = bare_file(wearer, wearer.file, chosen).to_bytes()
+    bare = bare_file(wearer, wearer.file, Undressed(off, chosen)).to_bytes()
     pose, root = rng.normal(scale=0.3, size=(1, 24, 3)).astype(np.float32), [0.3, 1.1, -0.2]
     avatar = {"joints": wearer.joints, "rest_joints": wearer.body.joints_template.tolist(), "scale": wearer.scale}
     document = {"file": base64.b64encode(payload).decode(), "bare": base64.b64encode(bare).decode(), "avatar": avatar}
@@ -262,6 +263,40 @@ def test_bare_skin_moves_with_the_character(body: BodyModel, rng: np.random.Gene
     expected = skin_points(wearer.body.v_template[None], wearer.body.weights, *moves)[0, used]
     apart = np.linalg.norm(np.array(got["at"]) - expected, axis=1)
     assert len(used) > 500 and np.quantile(apart, 0.99) < 5e-3 and got["gone"]  # of four joints a vertex
+
+
+TUCKED = """
+const { readCharacter } = await import(`${WEB}/lib/src/character.js`);
+const { bareSkin } = await import(`${WEB}/lib/src/bare.js`);
+const bytesOf = (text) => Uint8Array.from(Buffer.from(text, "base64")).buffer;
+const one = await readCharacter(bytesOf(input.file), input.avatar);
+const found = () => {
+  const meshes = [];
+  one.object.traverse((node) => {
+    const { name, material, userData } = node;
+    if (userData.drapeCovered) meshes.push([name, /-0.05000/.test(material.customProgramCacheKey())]);
+  });
+  return meshes;
+};
+const off = await bareSkin(one.object, bytesOf(input.bare));
+const on = found();
+off();
+console.log(JSON.stringify([on, found()]));
+"""
+
+
+def test_a_tucked_top_is_drawn_deeper_than_skin_that_is_bare(body: BodyModel, tmp_path: Path):
+    own = {kind: open_garment(find_garments([name])[0], body) for kind, name in (("top", "tank"), ("skirt", "skirt"))}
+    payload = dressed_character(body, dressed_parts(body, own, cut_away=True))
+    wearer = read_wearer(payload, name="me", body=body)
+    none, trousers = np.zeros(len(wearer.faces), dtype=bool), open_garment(find_garments(["trousers"])[0], body)
+    left = undressed(wearer, none, [(trousers.vertices, trousers.faces)], Halves(False, True))
+    assert wearer.file is not None
+    bare = bare_file(wearer, wearer.file, left).to_bytes()
+    avatar = {"joints": wearer.joints, "rest_joints": wearer.body.joints_template.tolist(), "scale": wearer.scale}
+    document = {"file": base64.b64encode(payload).decode(), "bare": base64.b64encode(bare).decode(), "avatar": avatar}
+    on, off = page_answer(TUCKED, document, tmp_path)
+    assert sorted(on) == [["bare_skin", False], ["tucked_top", True]] and off == []
 
 
 OVER = """

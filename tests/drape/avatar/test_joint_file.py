@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from drape.avatar.distilled import Distilled, Draped, distil, to_world
 from drape.avatar.file_skeleton import FileRig
-from drape.avatar.joint_file import Jointed, add_clip
+from drape.avatar.joint_file import Jointed, add_clip, node_motions
 from drape.avatar.rig_file import add_nodes
 from drape.avatar.rig_motion import RigClip, RigMotion, rig_motion
 from drape.avatar.wearer import Wearer, read_wearer
@@ -18,7 +19,7 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.export.glb_file import GlbFile
 from drape.garment.cache import Garment
-from drape.geometry.rotations import rotvec_to_matrix
+from drape.geometry.rotations import quaternion_to_matrix, rotvec_to_matrix
 from tests.drape.avatar.test_rig_file import strange
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
 from tests.fixtures.glb_reader import Reader, khronos_complaints
@@ -129,3 +130,12 @@ def test_the_khronos_validator_has_no_complaint(
 ):
     content = written([Jointed(tube.surface, made, COLOUR)] * 2, clips[0], worn)
     assert khronos_complaints(content, tmp_path) == []
+
+
+def test_joints_below_a_mirrored_node_turn_and_are_not_mirrored(made: Distilled, rng: np.random.Generator):
+    """Rigs mirror one side of a body by a scale of -1: the turn is the nearest one."""
+    mirror = np.tile(np.diag([-1.0, 1.0, 1.0, 1.0])[:3], (len(made.binds), 1, 1))
+    seen = np.concatenate([rotvec_to_matrix(rng.normal(size=(COUNT, 3))), np.zeros((COUNT, 3, 1))], axis=2)
+    turns = quaternion_to_matrix(node_motions(replace(made, binds=mirror), seen[None])[0][0])
+    assert_allclose(np.einsum("eab,eab->e", turns, mirror[0, :, :3] @ seen[:, :, :3]), 1.0, atol=1e-6)  # as a mirror's
+    assert_allclose(turns @ np.swapaxes(turns, 1, 2), np.tile(np.eye(3), (COUNT, 1, 1)), atol=1e-9)

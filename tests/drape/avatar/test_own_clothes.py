@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
+from benchmarks.measure.dressed_characters import COLOURS, dressed_character, dressed_parts
 from drape.avatar.character import character_in
-from drape.avatar.covered import tucked_faces
 from drape.avatar.own_clothes import Halves, bare_faces, taken_off, tucked
+from drape.avatar.own_garments import Undressed, undressed
 from drape.avatar.rig_file import bare_file
+from drape.avatar.tucked import BELOW_M
 from drape.avatar.wearer import UPPER, Wearer, load_wearer, read_wearer, save_wearer
 from drape.avatar.wears import THICKEST, legs_thickness, reach_of, why_not
 from drape.body.model import BodyModel
@@ -19,7 +20,7 @@ from drape.catalog import find_garments, open_garment
 from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
 from drape.garment.tailor import tailored
-from drape.geometry.closest import closest_point, signed_distance
+from drape.geometry.closest import closest_point, nearest_vertices, signed_distance
 from tests.fixtures.characters import character
 
 CATALOGUE = {
@@ -96,17 +97,58 @@ def test_a_top_lies_over_trousers_that_stay(whole: Wearer):
     assert (out["bare"] > 0.005).mean() > 0.3 and (out[UPPER] > 0.005).mean() < 0.02
 
 
-def test_a_top_that_stays_is_tucked_into_trousers(whole: Wearer, body: BodyModel, shelf: dict[str, Garment]):
-    """It ends at the waistband: what is left of it lies above, or is no farther below than a face is large."""
-    halves = Halves(False, True)
-    cut = tailored(shelf["trousers"], body, whole.body_under(halves))
-    tops = tucked(whole.attire, halves)
-    gone = tucked_faces(whole.vertices, whole.faces, [(cut.vertices, cut.faces)], tops)
-    middle = whole.vertices[whole.faces].mean(axis=1)[:, 1]
+@pytest.mark.parametrize("made", ["whole", "cut_away"])
+def test_a_top_that_stays_is_tucked_into_trousers(
+    made: str, request: pytest.FixtureRequest, body: BodyModel, shelf: dict[str, Garment]
+):
+    """It lies on the skin from the waistband on and ends below it, joins what is left of it, and hides the skin."""
+    wearer, halves = request.getfixturevalue(made), Halves(False, True)
+    cut = tailored(shelf["trousers"], body, wearer.body_under(halves))
+    left = undressed(wearer, np.zeros(len(wearer.faces), dtype=bool), [(cut.vertices, cut.faces)], halves)
+    top, tops = left.tucked, tucked(wearer.attire, halves)
+    assert top is not None and (left.off & tops)[top.rows].all()
+    off_skin = closest_point(top.vertices, wearer.body.v_template, wearer.body.faces).distance
     waist_m = np.quantile(cut.vertices[:, 1], 0.995)
-    assert gone.any() and not (gone & ~tops).any() and middle[gone].max() < waist_m + 0.03
-    assert (middle[tops & ~gone] > waist_m - 0.04).mean() > 0.99
-    assert not tucked(whole.attire, Halves(True, True)).any()
+    low = top.vertices[:, 1] < waist_m - 0.03
+    assert low.any() and off_skin[low].max() < 0.003 < off_skin.max()
+    assert waist_m - BELOW_M - 0.05 < top.vertices[:, 1].min()
+    rest = np.unique(wearer.faces[tops & ~left.off])  # where both meet, both are where the file has them
+    seam = np.intersect1d(rest, wearer.faces[top.rows])
+    assert len(seam) > 50 and nearest_vertices(wearer.vertices[seam], top.vertices)[0].max() < 1e-9
+    shown = wearer.body.v_template[np.unique(wearer.body.faces[left.bare])]
+    own = wearer.vertices[np.unique(wearer.faces[wearer.attire.of_kinds(("skin",)) & ~left.off])]
+    for skin in (shown, own):
+        trunk = (np.abs(skin[:, 0]) < 0.1) & (np.abs(skin[:, 1] - waist_m) < BELOW_M - 0.03)
+        assert not trunk.any()
+    assert not tucked(wearer.attire, Halves(True, True)).any()
+
+
+def test_a_tucked_top_is_drawn_in_its_own_colours(cut_away: Wearer, body: BodyModel, shelf: dict[str, Garment]):
+    """Beside bare skin, on the character's own nodes, where it was drawn in."""
+    cloth = [(shelf["trousers"].vertices, shelf["trousers"].faces)]
+    none = np.zeros(len(cut_away.faces), dtype=bool)
+    left = undressed(cut_away, none, cloth, Halves(False, True))
+    assert left.tucked is not None and left.bare.any() and cut_away.file is not None
+    file = GltfFile(bare_file(cut_away, cut_away.file, left).to_bytes())
+    found = character_in(file)
+    assert found.triangle is not None and len(found.triangle) == left.added
+    drawn = cut_away.scale * found.vertices[found.faces]
+    top = left.tucked.vertices[left.tucked.faces]
+    assert np.abs(drawn[-len(top) :] - top).max() < 1e-4
+    skin, own = (file.item("meshes", number).primitives[0] for number in range(2))
+    assert "COLOR_0" not in skin.attributes
+    blue = np.array(COLOURS["top"])
+    assert np.allclose(file.array(own.attributes["COLOR_0"]), blue, atol=0.01)
+
+
+def test_a_top_that_ends_above_trousers_stays(body: BodyModel, shelf: dict[str, Garment]):
+    parts = dressed_parts(body, {"top": shelf["tank"]}, rucksack=False)
+    short = parts[-1].vertices * [1.0, 0.3, 1.0] + [0.0, 0.7 * parts[-1].vertices[:, 1].max(), 0.0]
+    payload = dressed_character(body, [*parts[:-1], parts[-1]._replace(vertices=short)])
+    wearer, trousers = read_wearer(payload, name="me", body=body), shelf["trousers"]
+    none = np.zeros(len(wearer.faces), dtype=bool)
+    left = undressed(wearer, none, [(trousers.vertices, trousers.faces)], Halves(False, True))
+    assert left.tucked is None and not left.off.any()
 
 
 def test_no_hole_is_left_where_clothes_come_off(cut_away: Wearer):
@@ -127,7 +169,7 @@ def test_bare_skin_lies_on_the_character_s_own_nodes(cut_away: Wearer):
     body, off = cut_away.body, taken_off(cut_away.attire, halves)
     chosen = bare_faces(body, cut_away.vertices, cut_away.faces, off)
     assert cut_away.file is not None
-    skin = character_in(GltfFile(bare_file(cut_away, cut_away.file, chosen).to_bytes()))
+    skin = character_in(GltfFile(bare_file(cut_away, cut_away.file, Undressed(off, chosen)).to_bytes()))
     expected = np.sort(body.v_template[body.faces[chosen]].mean(axis=1), axis=0)
     assert np.allclose(np.sort(cut_away.scale * skin.vertices[skin.faces].mean(axis=1), axis=0), expected, atol=1e-4)
     assert set(skin.names) >= {"pelvis", "spine3"}
@@ -137,6 +179,7 @@ def test_a_stored_wearer_keeps_its_parts_and_bodies(whole: Wearer, body: BodyMod
     again = load_wearer(save_wearer(whole, tmp_path), body)
     assert again.attire.parts == whole.attire.parts and np.array_equal(again.attire.part, whole.attire.part)
     assert again.attire.skin_colour == whole.attire.skin_colour
+    assert np.allclose(again.attire.colours, whole.attire.colours, atol=0.5 / 255.0)
     for halves in (Halves(True, False), Halves(False, True), Halves(True, True)):
         one, other = whole.body_under(halves), again.body_under(halves)
         assert one.digest == other.digest and np.array_equal(one.v_template, other.v_template)

@@ -117,5 +117,5 @@ function deeper(material, byM) {
   const copy = material.clone();
   copy.onBeforeCompile = material.onBeforeCompile; // clone() leaves both out
   copy.customProgramCacheKey = material.customProgramCacheKey;
-  return nearer(copy, (-byM).toFixed(5), `deeper by ${byM}`);
+  return nearer(copy, (-byM).toFixed(5));
 }

@@ -3,7 +3,7 @@ const PROJECTED = "#include <project_vertex>"; // in every material of three.js,
 
 // The material with its depth that of points nearer to the viewer by so many metres; metres: an expression of GLSL, in which
 // mvPosition is the vertex as the camera has it.
-export function nearer(material, metres, name) {
+export function nearer(material, metres) {
   const { onBeforeCompile, customProgramCacheKey } = material;
   material.onBeforeCompile = function (shader, renderer) {
     onBeforeCompile.call(this, shader, renderer);
@@ -12,7 +12,7 @@ export function nearer(material, metres, name) {
       gl_Position.z = shifted.z / shifted.w * gl_Position.w;`);
   };
   material.customProgramCacheKey = function () {
-    return `${onBeforeCompile} ${customProgramCacheKey.call(this)} ${name}`;
+    return `${onBeforeCompile} ${customProgramCacheKey.call(this)} ${metres}`;
   };
   return material;
 }

@@ -104,7 +104,7 @@ export function clothMaterial(look, { colour, uvMetres = null, bordered = false,
     if (uvMetres !== null) weave(material, look, uvMetres);
   }
   if (bordered) withBorders(material, { ...look, uvMetres });
-  if (nearerM) nearer(material, `${nearerM.toFixed(5)} * smoothstep(0.0, 0.3, normalize(transformedNormal).z)`, `nearer by ${nearerM}`);
+  if (nearerM) nearer(material, `${nearerM.toFixed(5)} * smoothstep(0.0, 0.3, normalize(transformedNormal).z)`);
   return dye(material, colour);
 }
 

@@ -1,0 +1,74 @@
+"""Tops that stay on a character, worn in trousers or a skirt of ours.
+
+From ``BAND_M`` above the waistband on, a top is drawn in to the skin and moves with it; it ends ``BELOW_M`` below the
+waistband. Vertices of a user's file stay where they are, so these faces are taken off and drawn anew on the character's
+own nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.avatar.covered import MARGIN_M, covered_faces
+from drape.avatar.own_clothes import SKIN
+from drape.avatar.wearer import Wearer
+from drape.geometry import meshes
+from drape.geometry.closest import closest_point, nearest_vertices
+
+BAND_M, BELOW_M = 0.16, 0.06
+OFF_SKIN_M = 0.001  # nearer to the skin than trousers are
+
+
+class TuckedTop(NamedTuple):
+    """Faces of a character that are drawn in, ``rows`` (n,): ``vertices`` [m] (V, 3), ``faces`` (n, 3) of these, and
+    ``weights`` (V, 24). What is not drawn: the faces ``off`` (F,) of the character, whose place they take or that they
+    hide, and ``hidden`` ones (Fb,) of its bare body."""
+
+    rows: np.ndarray
+    vertices: np.ndarray
+    faces: np.ndarray
+    weights: np.ndarray
+    off: np.ndarray
+    hidden: np.ndarray
+
+
+def tucked_top(wearer: Wearer, tops: np.ndarray, cloth: Sequence[tuple[np.ndarray, np.ndarray]]) -> TuckedTop | None:
+    """The faces of ``tops`` (F,) of ``wearer`` as they are worn in ``cloth``, vertices [m] (V, 3) and faces (F, 3) of
+    each, for the lower half of the body; None where they end above it."""
+    waist, body = _waistband(cloth), wearer.body
+    used, faces = np.unique(wearer.faces[tops], return_inverse=True)
+    at, faces = wearer.vertices[used].astype(np.float64), faces.reshape(-1, 3)
+    height = _above(at, waist)
+    if not (height < 0.0).any():
+        return None
+    found = closest_point(at, body.v_template, body.faces)
+    corners = body.faces[found.face]
+    out = np.einsum("vk,vkc->vc", found.barycentric, meshes.vertex_normals(body.v_template, body.faces)[corners])
+    skin = np.einsum("vk,vkj->vj", found.barycentric, body.weights[corners])
+    share = np.clip(height / BAND_M, 0.0, 1.0)[:, None]
+    share = share * share * (3.0 - 2.0 * share)
+    weights = share * wearer.weights[used] + (1.0 - share) * skin
+    at = share * at + (1.0 - share) * (found.point + OFF_SKIN_M * out)
+    moved = height[faces].min(axis=1) < BAND_M
+    off, bare = wearer.attire.of_kinds(SKIN), np.ones(len(body.faces), dtype=bool)
+    for there, vertices, own in ((off, wearer.vertices, wearer.faces), (bare, body.v_template, body.faces)):
+        there &= _above(vertices, waist)[own].min(axis=1) < BAND_M + MARGIN_M
+        there[there] = covered_faces(vertices, own[there], [(at, faces)], margin_m=0.0)
+    off[np.flatnonzero(tops)[moved]] = True
+    drawn = moved & (height[faces].max(axis=1) > -BELOW_M)
+    left, faces = np.unique(faces[drawn], return_inverse=True)
+    return TuckedTop(np.flatnonzero(tops)[drawn], at[left], faces.reshape(-1, 3), weights[left], off, bare)
+
+
+def _waistband(cloth: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """The vertices [m] (n, 3) at the upper ends of ``cloth``."""
+    ends = [vertices[meshes.boundary_vertices(faces)] for vertices, faces in cloth]
+    return np.concatenate([end[end[:, 1] > one[0][:, 1].mean()] for end, one in zip(ends, cloth, strict=True)])
+
+
+def _above(points: np.ndarray, waist: np.ndarray) -> np.ndarray:
+    """How far [m] (n,) ``points`` (n, 3) are above the nearest of ``waist`` (m, 3)."""
+    return points[:, 1] - waist[nearest_vertices(points, waist)[1], 1] if len(waist) else np.full(len(points), np.inf)
