@@ -59,7 +59,8 @@ def joined(mesh: GarmentMesh) -> GarmentMesh:
 def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None = None) -> GarmentMesh:
     """The cloth of ``sheets`` [m] (``joined``), which lie round a body with the points ``skin`` [m] (S, 3).
 
-    ``outer`` (F,): their ``outer_sides``, where these are known. ``sheets`` themselves are returned where all of them is cloth.
+    ``outer`` (F,): their ``outer_sides``, where these are known. ``sheets`` themselves are returned where all of them
+    is cloth.
     """
     points, faces, notes = sheets.vertices, sheets.faces, []
     keep = outer_sides(points, faces, KDTree(skin)) if outer is None else outer.copy()

@@ -73,7 +73,7 @@ def rest_mesh(
     """The cloth in the delivered ``mesh``, moved from ``avatar`` to ``body`` in T-pose and pushed clear of it.
 
     ``sheets``: ``cloth_layer.joined`` of it, checked and on the avatar in metres; made here if left out. Of a mesh that
-    is ``sewn`` every face is cloth. ``outer`` (F,), of the sheets' faces, as ``outer_sides`` tells, and the ``carriers``
+    is ``sewn`` every face is cloth. The ``outer`` (F,) sides of the sheets, as ``outer_sides``, and their ``carriers``,
     as ``carriers_of``, are asked for if left out. Raises ``MeshError`` where the mesh cannot be draped.
     """
     if sheets is None:
