@@ -32,7 +32,8 @@ DEEP_M, INSIDE_COST = 0.01, 0.5  # and what the share of cloth that is deeper in
 UNEVEN, UNEVEN_MOST_M = 10.0, 0.03  # cost of a metre from the usual distance where cloth hangs, and of one in the skin
 SLEEVE_SHARE = 0.04  # of the cloth that must lie on the arms to tell their pose
 UNIT_INSIDE = 0.06  # cloth inside up to which a unit is meant
-ENERGY_LIMIT, FREE_LIMIT = 0.7, 0.42  # a body beyond has not worn it, nor one in a unit that is none
+# A body beyond has not worn it, nor one in a reading that is so odd: a unit that is none, sideways.
+ENERGY_LIMIT, RARE_LIMIT, RARE = 0.7, 0.42, 0.03
 
 
 def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float) -> Wearer:
@@ -63,7 +64,7 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     among = float(cost[~hanging].sum()) + open_share + odd + uneven
     among += ODD_ORIGIN if over_arms and not origin else 0.0  # such cloth tells little else of who is in it
     energy = float(cost.sum()) + open_share + odd + INSIDE_COST * float(inside.mean())
-    far = energy > (FREE_LIMIT if reading.unit == "free" else ENERGY_LIMIT)
+    far = energy > (RARE_LIMIT if reading.oddness > RARE else ENERGY_LIMIT)
     fault = _place_fault(empty, wrong) or _inside_fault(inside, parts)
     fault = fault or _other_fault(far, distance, inside, pierced, open_share, top)
     return Wearer(

@@ -104,6 +104,15 @@ def test_a_shirt_over_the_head_has_empty_sleeves_and_one_with_its_side_in_front_
     assert "openings" in judge(SearchedCloth(small), front, BODY, head, 0.0).fault
 
 
+def test_a_loose_dress_is_refused_in_readings_that_few_write():
+    parameters = known_parameters(BODY, "standard", 0.0, 0.0)
+    usual, free = Reading("m", 1.0, "+y", "+z"), Reading("free", 1.0, "+y", "+z")
+    one, other = (judge(SearchedCloth(tube_dress()), each, BODY, parameters, 0.0) for each in (usual, free))
+    assert 0.3 < one.energy < other.energy < 0.7
+    assert not one.fault
+    assert other.fault
+
+
 def test_dress_on_the_standard_body_is_found_in_millimetres_with_z_up():
     dress = tube_dress()
     turned = replace(dress, vertices=1000.0 * dress.vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0])
