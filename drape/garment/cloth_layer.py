@@ -56,13 +56,14 @@ def joined(mesh: GarmentMesh) -> GarmentMesh:
     return replace(sheets, vertices=vertices, faces=sheets.faces + len(mesh.vertices))
 
 
-def cloth_layer(sheets: GarmentMesh, skin: np.ndarray) -> GarmentMesh:
+def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None = None) -> GarmentMesh:
     """The cloth of ``sheets`` [m] (``joined``), which lie round a body with the points ``skin`` [m] (S, 3).
 
-    ``sheets`` themselves are returned where all of them is cloth.
+    ``outer`` (F,): their ``outer_sides``, where these are known. ``sheets`` themselves are returned where all of them
+    is cloth.
     """
     points, faces, notes = sheets.vertices, sheets.faces, []
-    keep = outer_sides(points, faces, KDTree(skin))
+    keep = outer_sides(points, faces, KDTree(skin)) if outer is None else outer.copy()
     if not keep.all():
         notes.append(f"{int((~keep).sum())} faces are the inner side of walls with a thickness")
     keep[keep] = _bearing(points, faces[keep], notes)

@@ -201,22 +201,28 @@ def _made(file: _File, body: BodyModel, say: Report, begins: Report, *, whole: b
     mesh = mesh if sewn is not None else without_strays(mesh)
     sheets, model, wearer = modelled_on(mesh if sewn is not None else joined(mesh), body, options, file.meaning)
     unnamed = "" if file.meaning is not None else " (none was named)"
-    whole_sheets = sewn is not None or bool(carriers_of(with_used_vertices(sheets), model.vertices, body))
-    if not whole_sheets:
-        sheets = with_sewn_panels(sheets, model.vertices)
+    carriers = () if sewn is not None else carriers_of(with_used_vertices(sheets), model.vertices, body)
+    alone, outer = sewn is not None or bool(carriers), None
+    if not alone:
+        sheets, outer = with_sewn_panels(sheets, model.vertices)
     say(f"avatar    {model.source}; residual {model.residual_mm:.1f} mm{unnamed}")
     if sewn is not None:
         say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")
     started = time.perf_counter()
     begins("rest")
     told: dict[str, Any] = {} if wearer is None else {"wearer": pictured(wearer, mesh)}
-    label = np.zeros(len(sheets.faces), dtype=int) if whole_sheets else garments_in(sheets, model.vertices, body)
+    label = np.zeros(len(sheets.faces), dtype=int) if alone else garments_in(sheets, model.vertices, body)
     layers = int(label.max(initial=0)) + 1
     if layers > 1:
         told |= {"layers": layers}
     parts = [(mesh, sheets)] if whole else parted(mesh, sheets, label)
     names = part_names(mesh, [one for one, _ in parts])
-    rests = [rest_mesh(one, model, body, options, sheets=cut, sewn=sewn is not None) for one, cut in parts]
+    cloth = {"sewn": sewn is not None, "carriers": carriers if len(parts) == 1 else None}
+    sides = [outer] if outer is None or len(parts) == 1 else [outer[label == number] for number in range(layers)]
+    rests = [
+        rest_mesh(one, model, body, options, sheets=cut, outer=side, **cloth)
+        for (one, cut), side in zip(parts, sides, strict=True)
+    ]
     begins("fit")
     made = []
     for number, ((part, _), rest, name) in enumerate(zip(parts, rests, names, strict=True)):

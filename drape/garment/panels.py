@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from drape.garment.cloth_layer import bearing_pieces
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.mesh_checks import without_flat_faces
-from drape.garment.sheets import cut_branches, pieces_of
+from drape.garment.sheets import cut_branches
 from drape.garment.walls import outer_sides
 from drape.geometry import mesh_graphs, meshes
 
@@ -26,28 +26,26 @@ SEAM_SHARE = 0.05  # of a piece's border that runs along the others'
 END = 0.05  # of an edge: a vertex nearer to its end, or to the one before, does not cut it
 
 
-def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> GarmentMesh:
+def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> tuple[GarmentMesh, np.ndarray]:
     """``sheets`` [m] (``cloth_layer.joined``) round a body with the points ``skin`` [m] (S, 3), without the inner sides
-    of walls, and its panels sewn; themselves where no two pieces have a seam.
+    of walls, and its panels sewn, themselves where no two pieces have a seam; and the ``outer_sides`` (F,) of that.
 
     Vertices stay in their places and their order; those that become one follow them.
     """
     points = sheets.vertices
-    if len(pieces_of(points, sheets.faces)[1]) == 1:
-        return sheets
     outer = outer_sides(points, sheets.faces, KDTree(skin))
     faces = sheets.faces[outer]
     piece, row = _seams(points, faces)
     if row is None:
-        return sheets
+        return sheets, outer
     sewn = row[faces]
     whole = (sewn != np.roll(sewn, 1, axis=1)).all(axis=1)
     joined = replace(sheets.take_faces(np.flatnonzero(outer)[whole]), faces=sewn[whole])
     joined = cut_branches(without_flat_faces(_with_split_borders(joined, piece[whole])))
     joined = joined.noted(f"{int((row != np.arange(len(row))).sum())} vertices are sewn to other panels")
-    if len(joined.vertices) == len(points):
-        return joined
-    return replace(joined, vertices=np.concatenate([points, joined.vertices]), faces=joined.faces + len(points))
+    if len(joined.vertices) != len(points):
+        joined = replace(joined, vertices=np.concatenate([points, joined.vertices]), faces=joined.faces + len(points))
+    return joined, np.ones(len(joined.faces), dtype=bool)
 
 
 def _with_split_borders(mesh: GarmentMesh, piece: np.ndarray) -> GarmentMesh:

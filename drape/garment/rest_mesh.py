@@ -67,20 +67,24 @@ def rest_mesh(
     *,
     sheets: GarmentMesh | None = None,
     sewn: bool = False,
+    outer: np.ndarray | None = None,
+    carriers: tuple[str, ...] | None = None,
 ) -> RestMesh:
     """The cloth in the delivered ``mesh``, moved from ``avatar`` to ``body`` in T-pose and pushed clear of it.
 
     ``sheets``: ``cloth_layer.joined`` of it, checked and on the avatar in metres; made here if left out. Of a mesh that
-    is ``sewn`` every face is cloth. Raises ``MeshError`` where the mesh cannot be draped.
+    is ``sewn`` every face is cloth. The ``outer`` (F,) sides of the sheets, as ``outer_sides``, and their ``carriers``,
+    as ``carriers_of``, are asked for if left out. Raises ``MeshError`` where the mesh cannot be draped.
     """
     if sheets is None:
         sheets = place(check_surface(joined(mesh)), avatar, unit=options.unit, up=options.up)
-    cloth = sheets if sewn else cloth_layer(sheets, avatar.vertices)
+    cloth = sheets if sewn else cloth_layer(sheets, avatar.vertices, outer)
     whole = cloth is sheets and len(sheets.vertices) == len(mesh.vertices)
     checked = check_mesh(cloth if whole else with_used_vertices(cloth), avatar, placed=True)
     drawn = None if whole else hung(mesh, sheets.vertices[: len(mesh.vertices)], checked)
     compact, kept = without_unused(checked)
-    carriers = () if sewn else carriers_of(with_used_vertices(sheets), avatar.vertices, body)
+    if carriers is None:
+        carriers = () if sewn else carriers_of(with_used_vertices(sheets), avatar.vertices, body)
     if carriers:
         moved = _carried(compact, avatar, body, carriers)
         compact = compact.noted(f"warning: carried by the bones {', '.join(carriers)}, as no cloth is")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from drape.garment.contours import Contour, open_contours, pierced_parts
 from drape.garment.files.mesh import GarmentMesh
@@ -18,6 +20,7 @@ from drape.geometry import mesh_graphs, meshes
 EXTENT_M = (0.12, 2.4)  # of a garment
 COARSE_COUNT, FINE_COUNT = 350, 800  # points on the cloth
 SMALL_M2, SMALL = 0.4, 0.07  # a whole outfit read as a collar costs this for every e-fold less of cloth
+LOPSIDED = 6.0  # cost of cloth that is no mirror image of itself, where it is nearer to that along another axis
 CUFF_M = 0.12  # shorter openings are holes
 LOOP_SHARE, LOOP_COUNT, LOOP_POINTS = 0.2, 6, 24  # openings over the extent, the most that count, points on each
 
@@ -61,5 +64,15 @@ class SearchedCloth:
         """Whether it covers the arms of a body and has no sleeves, moved by ``move`` [m] (3,)."""
         return covers_arms(reading.apply(self.many) + move, bones)
 
-    def smallness(self, reading: Reading) -> float:
-        return SMALL * max(0.0, float(np.log(SMALL_M2 / (self.area * reading.scale**2))))
+    @cached_property
+    def lopsided(self) -> np.ndarray:
+        """How far (3,) the cloth is from its mirror image along each axis of the file, over its extent."""
+        tree, middle = KDTree(self.many), 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
+        mirrored = [self.points + 2.0 * (middle - self.points) * axis for axis in np.eye(3)]
+        return np.array([tree.query(one)[0].mean() for one in mirrored]) / self.extent
+
+    def oddness(self, reading: Reading) -> float:
+        """What it costs that it is small, and other on the left than on the right."""
+        small = SMALL * max(0.0, float(np.log(SMALL_M2 / (self.area * reading.scale**2))))
+        across = float(np.abs(reading.turn[0]) @ self.lopsided)
+        return small + LOPSIDED * (across - float(self.lopsided.min()))

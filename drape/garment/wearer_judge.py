@@ -20,15 +20,20 @@ UPRIGHT = [JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "s
 TURNED_COST = 0.3  # of a squared radian of all these together: who wears a garment stands straight
 HEIGHT_M, HEIGHT_SPREAD_M, HEIGHT_COST = 1.73, 0.13, 0.01  # of people; the cost of one spread
 # Costs of a body whose root and soles are away from the origin, of a bone through the cloth, of cloth on one side
-# alone, and of an opening without a bone.
-ODD_ORIGIN, ODD_PIERCED, ODD_SIDE, ODD_EMPTY = 0.03, 0.1, 0.3, 0.05
+# alone, of an opening without a bone, and of cloth where none is worn (``misplaced``).
+ODD_ORIGIN, ODD_PIERCED, ODD_SIDE, ODD_EMPTY, ODD_PLACE = 0.03, 0.1, 0.3, 0.05, 0.3
+EMPTY_MOST = 1  # long openings without a bone that a garment has: a vent, a pocket, a hood's
+# Of the points on the cloth: of a piece that counts, and of it on limbs or the head alone, and above all of that.
+PIECE_SHARE, OFF_TRUNK, ABOVE = 0.2, 0.995, 0.75
+WRONG_MOST = 0.5  # of the cloth that is misplaced
 ORIGIN_M = 0.05  # a body whose root or soles are this near to the file's origin stands where bodies do
 INSIDE_LIMIT, OPEN_LIMIT, BAND_LIMIT_M = 0.12, 0.35, 0.08
 DEEP_M, INSIDE_COST = 0.01, 0.5  # and what the share of cloth that is deeper in the skin costs
 UNEVEN, UNEVEN_MOST_M = 10.0, 0.03  # cost of a metre from the usual distance where cloth hangs, and of one in the skin
 SLEEVE_SHARE = 0.04  # of the cloth that must lie on the arms to tell their pose
 UNIT_INSIDE = 0.06  # cloth inside up to which a unit is meant
-ENERGY_LIMIT = 0.7  # a body beyond has not worn it
+# A body beyond has not worn it, nor one in a reading that is so odd: a unit that is none, sideways.
+ENERGY_LIMIT, RARE_LIMIT, RARE = 0.7, 0.42, 0.03
 
 
 def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float) -> Wearer:
@@ -43,8 +48,9 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     sleeved = float(np.isin(parts, ("left arm", "right arm")).mean()) > SLEEVE_SHARE
     pierced = cloth.pierced(reading, bones.joints)
     odd, origin = _oddness(body, parameters, skin)
-    odd += reading.oddness + cloth.smallness(reading) + odd_arms + ODD_PIERCED * len(pierced)
-    odd += ODD_SIDE * one_sided(bones, nearest) + ODD_EMPTY * cloth.empty(reading, bones.joints)
+    odd += reading.oddness + cloth.oddness(reading) + odd_arms + ODD_PIERCED * len(pierced)
+    empty, wrong = cloth.empty(reading, bones.joints), misplaced(points, bones, nearest, cloth.piece)
+    odd += ODD_SIDE * one_sided(bones, nearest) + ODD_EMPTY * empty + ODD_PLACE * wrong
     lying = distance[band]
     uneven = UNEVEN * float(np.minimum(np.abs(lying - np.median(lying)), UNEVEN_MOST_M).mean())
     uneven += UNEVEN * float(np.clip(-distance, 0.0, DEEP_M).mean())
@@ -58,7 +64,9 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     among = float(cost[~hanging].sum()) + open_share + odd + uneven
     among += ODD_ORIGIN if over_arms and not origin else 0.0  # such cloth tells little else of who is in it
     energy = float(cost.sum()) + open_share + odd + INSIDE_COST * float(inside.mean())
-    fault = _inside_fault(inside, parts) or _other_fault(energy, distance, inside, pierced, open_share, top)
+    far = energy > (RARE_LIMIT if reading.oddness > RARE else ENERGY_LIMIT)
+    fault = _place_fault(empty, wrong) or _inside_fault(inside, parts)
+    fault = fault or _other_fault(far, distance, inside, pierced, open_share, top)
     return Wearer(
         reading, body, parameters, energy, float(inside.mean()), open_share, top, sleeved, fault, odd_arms, origin,
         among=among,
@@ -91,9 +99,9 @@ def _inside_fault(inside: np.ndarray, parts: np.ndarray) -> str:
 
 
 def _other_fault(
-    energy: float, distance: np.ndarray, inside: np.ndarray, pierced: tuple[str, ...], open_share: float, top_m: float
+    far: bool, distance: np.ndarray, inside: np.ndarray, pierced: tuple[str, ...], open_share: float, top_m: float
 ) -> str:
-    if energy > ENERGY_LIMIT:
+    if far:
         return f"at best it lies {1e3 * np.abs(distance).mean():.0f} mm from the skin on average"
     if pierced and inside.mean() > UNIT_INSIDE:
         return f"at best the {pierced[0].replace('_', ' ')} goes through the cloth"
@@ -102,7 +110,32 @@ def _other_fault(
     return f"at best its top hangs {1e3 * top_m:.0f} mm from the skin" if top_m > BAND_LIMIT_M else ""
 
 
+def _place_fault(empty: int, wrong: float) -> str:
+    if empty > EMPTY_MOST:
+        return f"at best {empty} of its long openings, as of sleeves and legs, have no limb in them"
+    return "at best it lies on the crown, or goes round both legs or arms as one" if wrong > WRONG_MOST else ""
+
+
 def one_sided(bones: Bones, nearest: np.ndarray) -> float:
     """How much more of the cloth lies on the limbs of one side, as a share."""
     side = np.array([part.startswith("left") - 1.0 * part.startswith("right") for part in bones.part])
     return abs(float(side[nearest].mean()))
+
+
+def misplaced(points: np.ndarray, bones: Bones, nearest: np.ndarray, piece: np.ndarray) -> float:
+    """The share of the cloth at ``points`` [m] (N, 3), of a ``piece`` each, where none is worn: one piece round limbs
+    of both sides and nothing between them, or what lies on the crown, or several pieces on the head."""
+    parts = np.array(bones.part)
+    side = np.array([part.startswith("left") - 1 * part.startswith("right") for part in parts])[nearest]
+    head, crown = parts[nearest] == "head", np.flatnonzero(parts == "head")[-1]
+    above = (points - bones.at[crown]) @ bones.frames[crown, 2] > 0.0
+    limbs, hats, lying = 0.0, [], 0.0
+    for number in np.flatnonzero(np.bincount(piece) > PIECE_SHARE * len(piece)):
+        own = piece == number
+        left, right = (side[own] > 0).mean(), (side[own] < 0).mean()
+        if left + right > OFF_TRUNK and min(left, right) > PIECE_SHARE:
+            limbs += own.mean()
+        elif head[own].mean() > OFF_TRUNK:
+            hats.append(own.mean())
+            lying += own.mean() * (above[own].mean() > ABOVE)
+    return float(limbs + (sum(hats) if len(hats) > 1 else lying))

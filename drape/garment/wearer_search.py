@@ -31,9 +31,11 @@ from drape.garment.wearer_judge import (
     ODD_EMPTY,
     ODD_ORIGIN,
     ODD_PIERCED,
+    ODD_PLACE,
     ODD_SIDE,
     UNIT_INSIDE,
     judge,
+    misplaced,
     one_sided,
 )
 from drape.garment.wearer_reading import USUAL_FRONTS, Reading, Wearer, readings_of
@@ -76,7 +78,7 @@ def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING
         return [replace(plain, sure=_held(cloth, plain))]
     found = _fitted(cloth, body, named)
     enough = [(UNIT_ENOUGH, UNIT_INSIDE), (LOOSE_ENOUGH, LOOSE_INSIDE)]
-    fits = any(one.energy < energy and one.inside < inside for one in found for energy, inside in enough)
+    fits = any(not one.fault and one.energy < e and one.inside < share for one in found for e, share in enough)
     if told.unit is None and not fits:
         sizes = [("free", extent / cloth.extent) for extent in FREE_EXTENTS_M if cloth.may_be(extent / cloth.extent)]
         free = [one for one in readings_of(sizes, told.up, told.front) if told.up or one.up in ("+y", "+z")]
@@ -149,8 +151,9 @@ def _guesses(cloth: SearchedCloth, fields: Sequence[Field], readings: Sequence[R
         found = []
         for one in guesses:
             bones = fields[one.number].bones
-            share, nearest = enclosed(one.reading.apply(cloth.points) + one.move, bones)
-            odd = ODD_SIDE * one_sided(bones, nearest)
+            points = one.reading.apply(cloth.points) + one.move
+            share, nearest = enclosed(points, bones)
+            odd = ODD_SIDE * one_sided(bones, nearest) + ODD_PLACE * misplaced(points, bones, nearest, cloth.piece)
             found.append(replace(one, energy=one.energy + 1.0 - float(share.mean()) + odd))
         return sorted(found, key=lambda one: one.energy)
 
@@ -171,7 +174,7 @@ def _places(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> 
     low, high = points.min(axis=0), points.max(axis=0)
     weight = np.where(points[:, 1] > high[1] - BAND_M, BAND_WEIGHT, 1.0).astype(np.float32)
     weight /= weight.sum()
-    extra = reading.oddness + cloth.smallness(reading)
+    extra = reading.oddness + cloth.oddness(reading)
     found = []
     for number, field in enumerate(fields):
         start, rises = _rises(field, low, high)
@@ -206,7 +209,7 @@ def _over_arms(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) 
         rise, depth = np.unravel_index(cost.argmin(), cost.shape)
         move = start + CELL_M * np.array([0, rises[rise], DEPTH_CELLS[depth]])
         if cloth.covers(reading, field.bones, move=move):
-            energy = float(cost[rise, depth]) + cloth.smallness(reading) + KNOWN[number][3] + ODD_ORIGIN
+            energy = float(cost[rise, depth]) + cloth.oddness(reading) + KNOWN[number][3] + ODD_ORIGIN
             found.append(_Guess(reading, number, move, energy, ""))
     return sorted(found, key=lambda one: one.energy)[:1]
 

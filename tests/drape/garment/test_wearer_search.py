@@ -15,9 +15,11 @@ from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.modelled_on import modelled_on
 from drape.garment.registration import posed_by, unpack
+from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.told_reading import ToldReading, told_reading
 from drape.garment.unnamed_avatar import on_standard, worn_by
 from drape.garment.wearer_fields import SHAPES, bones_of, enclosed, known_parameters, thin_body, unthreaded
+from drape.garment.wearer_judge import judge, misplaced
 from drape.garment.wearer_reading import Reading
 from drape.garment.wearer_search import find_wearers, the_wearer
 from tests.drape.cloth.cloth_shapes import tube
@@ -68,6 +70,47 @@ def test_openings_count_that_no_bone_goes_through():
     ring = np.stack([0.2 * np.cos(angle), np.full(24, 0.2), 0.2 * np.sin(angle)], axis=1)
     assert unthreaded(np.stack([ring, ring + np.array([0.6, 0.0, 0.0])]), BODY.joints_template) == 1
     assert unthreaded(np.zeros((0, 24, 3)), BODY.joints_template) == 0
+
+
+RINGS = {  # middles and radii [m] of tubes, and how much of them lies where none is worn
+    "dress": ([[0.0, -0.1, 0.0]], 0.3, 0.0),
+    "both legs in one": ([[0.0, -0.9, 0.0]], 0.3, 1.0),
+    "hat": ([[0.0, 0.62, 0.03]], 0.11, 0.0),
+    "on the crown": ([[0.0, 0.9, 0.03]], 0.11, 1.0),
+    "a pair on the head": ([[-0.05, 0.68, 0.03], [0.05, 0.68, 0.03]], 0.05, 1.0),
+    "socks": ([[-0.1, -0.95, 0.0], [0.1, -0.95, 0.0]], 0.06, 0.0),
+}
+
+
+@pytest.mark.parametrize("kind", RINGS)
+def test_cloth_that_lies_where_none_is_worn_is_told(kind: str):
+    middles, radius_m, share = RINGS[kind]
+    ring = tube(24, 6, radius_m=radius_m, height_m=0.15)[0]
+    points = np.concatenate([ring + middle for middle in middles])
+    bones = bones_of(BODY.joints_template, BODY.v_template)
+    piece = np.repeat(np.arange(len(middles)), len(ring))
+    assert misplaced(points, bones, enclosed(points, bones)[1], piece) == pytest.approx(share)
+
+
+def test_a_shirt_over_the_head_has_empty_sleeves_and_one_with_its_side_in_front_costs_more():
+    front, side = (Reading("m", 1.0, "+y", axis) for axis in ("+z", "+x"))
+    parameters = known_parameters(BODY, "standard", 0.4, 0.0)
+    worn, small = (shirt_on(parameters, Reading("free", scale, "+y", "+z"), np.zeros(3)) for scale in (1.0, 2.5))
+    cloth = SearchedCloth(worn)
+    assert cloth.oddness(side) > cloth.oddness(front) + 0.03
+    assert not judge(cloth, front, BODY, parameters, 0.0).fault
+    head = parameters.copy()
+    head[-2] -= 0.55
+    assert "openings" in judge(SearchedCloth(small), front, BODY, head, 0.0).fault
+
+
+def test_a_loose_dress_is_refused_in_readings_that_few_write():
+    parameters = known_parameters(BODY, "standard", 0.0, 0.0)
+    usual, free = Reading("m", 1.0, "+y", "+z"), Reading("free", 1.0, "+y", "+z")
+    one, other = (judge(SearchedCloth(tube_dress()), each, BODY, parameters, 0.0) for each in (usual, free))
+    assert 0.3 < one.energy < other.energy < 0.7
+    assert not one.fault
+    assert other.fault
 
 
 def test_dress_on_the_standard_body_is_found_in_millimetres_with_z_up():
