@@ -71,7 +71,7 @@ template <class T> DEVICE void whole_step(T* x, const StiffnessFactor<T>& factor
   T square = 0;
   for (int64_t i : each(count)) {
     T own = dot(point(q, i), point(q, i));
-    if (!(own <= square)) square = own;  // NaN, once met, stays
+    if (!(own <= square) && square == square) square = own;  // NaN, once met, stays
   }
   square = most_of_all(square);
   if (!(square < T(__builtin_inf()))) return;

@@ -70,13 +70,16 @@ def test_a_vertex_without_area_has_no_springs(worn):
     assert springs[3] == 0.0 and np.isfinite(springs).all()
 
 
-def pressed(depth_m: float, *, dtype: type[np.floating] = np.float64, factor: float = 1.0):
-    """How far [m] (V, 3) a step moves a sleeve without weight that is ``depth_m`` [m] too deep in planes."""
+def pressed(depth_m: float, *, dtype: type[np.floating] = np.float64, wrong: float = 1.0, at: slice = slice(0)):
+    """How far [m] (V, 3) a step moves a sleeve without weight that is ``depth_m`` [m] too deep in planes, with a number
+    that is ``wrong`` times its own ``at`` places of the factor."""
     made = constants(creased=False, dtype=dtype)
     own = made.sheet.own.reshape(-1, 4, LANES).copy()
     own[:, 0] = 0.0
     sheet = made.sheet._replace(own=own.reshape(-1))
-    changed = made.factor._replace(inverse=made.factor.inverse * dtype(factor))
+    inverse = made.factor.inverse.copy()
+    inverse[at] *= dtype(wrong)
+    changed = made.factor._replace(inverse=inverse)
     made, x = replace(made, sheet=sheet, factor=changed), empty_points(len(sheet.vertex), dtype)
     x[sheet.place] = sleeve(creased=False)[0]
     up = np.array([0.0, 0.0, 1.0], dtype)
@@ -104,6 +107,7 @@ def test_a_step_is_clamped():
     assert_allclose(np.linalg.norm(moved, axis=1).max(), CLAMP_M, rtol=1e-9)
 
 
-@pytest.mark.parametrize("factor", [np.nan, np.inf])
-def test_an_answer_that_is_no_number_moves_nothing(factor):
-    assert_array_equal(pressed(0.002, factor=factor)[0], 0.0)
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+@pytest.mark.parametrize("at", [slice(None), slice(1)])
+def test_an_answer_that_is_no_number_moves_nothing(wrong, at):
+    assert_array_equal(pressed(0.002, wrong=wrong, at=at)[0], 0.0)
