@@ -68,7 +68,7 @@ const names = ["index", "core", "three", "react", "worker", "folds", "local", "l
 const entries = names.map((name) => `lib/src/${name}.js`);
 const external = ["three", "three/*", "react"];
 await replace("lib/dist", async (folder) => {
-  await build({ ...common, define, external, splitting: true, entryPoints: entries, outdir: folder });
+  await build({ ...common, define, external, splitting: true, minifySyntax: true, entryPoints: entries, outdir: folder });
   for (const name of await readdir("lib/types")) await copyFile(`lib/types/${name}`, `${folder}/${name}`);
 });
 await replace("static/dist", async (folder) => {
