@@ -30,14 +30,8 @@ LINKED = ["-shared", "-nostdlib++", "-s"]
 # Addresses, and what C++ leaves undefined, are checked; gcc's libasan and libubsan, preloaded, tell what is wrong.
 SANITIZED = ["-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address", "-fsanitize=undefined"]
 UNITS = ("folds", "frame", "layers", "network", "physics", "push", "setup", "swing")
-TESTED = (
-    *UNITS,
-    "emulation",
-    "laws_folds",
-    "laws_physics",
-    "laws_skinning",
-    "laws_swing",
-)  # of the library that only tests load
+LAWS = ("laws_folds", "laws_physics", "laws_skinning", "laws_swing")
+TESTED = (*UNITS, "emulation", *LAWS)  # of the library that only tests load
 
 
 class Target(NamedTuple):

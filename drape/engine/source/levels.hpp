@@ -18,7 +18,7 @@ constexpr int NEAREST = 8;       // coarse vertices that a fine one takes from
 constexpr int APART_STEPS = 2;   // of untangling the fine cloth: four leave fewer crossings and cost time and gain
 constexpr Pace COARSE_PACE = {3, 1};  // sweeps are the fine cloth's
 constexpr int FINE_PASSES = 2;   // of the coarse cloth's turns: none leave jitter
-constexpr int64_t MORE_STEPS = 2;  // of the coarse cloth, which the fine one's sweeps are fewer by
+constexpr int64_t MORE_STEPS = 2;  // of the coarse cloth than sweeps of the fine one
 constexpr double KEPT_S = 1.5;    // in which the share that is carried on comes down to 1/e
 constexpr double EASED_S = 0.65;  // in which what eased cloth without folds comes down to 1/e
 

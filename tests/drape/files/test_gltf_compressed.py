@@ -14,12 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.errors import MeshError
 from drape.files import gltf_compressed
 from drape.garment.files.mesh import read_mesh
-from tests.drape.cloth.cloth_shapes import tube as tube_mesh
-from tests.drape.garment.garment_files import as_gltf, glb_bytes
-
-FACES = tube_mesh(10, 3)[1]
-VERTICES = tube_mesh(10, 3)[0].astype(np.float32).astype(np.float64)
-UV = np.random.default_rng(3).random((len(VERTICES), 2)).astype(np.float32)
+from tests.drape.garment.garment_files import FACES, UV, VERTICES, as_gltf, glb_bytes
 
 
 def meshoptimizer() -> ModuleType:

@@ -15,6 +15,10 @@ from tests.drape.cloth.cloth_shapes import tube
 
 TORSO = [JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")]
 SLEEVES = [JOINT_NAMES.index(name) for name in ("left_shoulder", "right_shoulder")]
+# The tube that small files hold.
+FACES = tube(10, 3)[1]
+VERTICES = tube(10, 3)[0].astype(np.float32).astype(np.float64)
+UV = np.random.default_rng(3).random((len(VERTICES), 2)).astype(np.float32)
 
 
 def shirt(body: BodyModel, skin: np.ndarray, *, ease_m: float = 0.02) -> tuple[np.ndarray, np.ndarray]:

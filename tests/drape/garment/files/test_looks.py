@@ -22,13 +22,9 @@ from drape.files.looks import Looks, Material, looks_of, media_type
 from drape.garment.cache import Garment, load_garment, save_garment
 from drape.garment.files import archive
 from drape.garment.files.mesh import GarmentMesh, read_mesh
-from tests.drape.cloth.cloth_shapes import tube as tube_mesh
-from tests.drape.garment.garment_files import as_gltf, glb_bytes
+from tests.drape.garment.garment_files import FACES, UV, VERTICES, as_gltf, glb_bytes
 from tests.fixtures.glb_reader import khronos_complaints
 
-FACES = tube_mesh(10, 3)[1]
-VERTICES = tube_mesh(10, 3)[0].astype(np.float32).astype(np.float64)
-UV = np.random.default_rng(3).random((len(VERTICES), 2)).astype(np.float32)
 RED = (200, 30, 20)
 GENERATED = "MESH_PRIMITIVE_GENERATED_TANGENT_SPACE"
 
