@@ -62,6 +62,11 @@
     rooms(points, *neighbours, T(reach), room, nearest, *scratch);                                                     \
     return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
+  EXPORT int64_t drape_law_fine_room_##suffix(const T* x, const T* coarse, const Levels<T>* levels, T* planes,         \
+                                              Scratch* scratch) {                                                      \
+    keep_fine_apart<T>(x, coarse, *levels, planes, *scratch);                                                          \
+    return -scratch->overflowed;                                                                                       \
+  }                                                                                                                    \
   EXPORT int64_t drape_law_crossing_##suffix(const T* x, const Tangles<T>* tangles, const int32_t* chosen,             \
                                              int64_t count, int32_t* pairs, Scratch* scratch) {                        \
     const int64_t found = crossing(x, *tangles, chosen, count, (Pair*)pairs, *scratch);                                \

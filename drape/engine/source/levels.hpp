@@ -8,14 +8,15 @@
 //     x = (1 - share) (X + W (x_c - X_c)) + share W (x_c + Q (y - y_c))
 //
 // is where sweeps of vertex block descent begin. y and y_c are the fine and the coarse places of the frame before, and
-// Q the turns of the coarse cloth since then (turns.hpp); the share comes down with the time KEPT_S. No contact is
-// looked for on the fine cloth. Its planes are those of the sample that its coarse vertex is at, blended anew. Where
-// its coarse vertex is kept apart from others, crossings come apart. The lift ends the frame.
+// Q the turns of the coarse cloth since then (turns.hpp); the share comes down with the time KEPT_S. No contact with the
+// skin is looked for on the fine cloth: its planes are those of the sample that its coarse vertex is at, blended anew.
+// Cloth beside cloth is looked at where the coarse vertex is near other cloth (fine_room.hpp). The lift ends the frame.
 #pragma once
+#include "fine_room.hpp"
 #include "folds.hpp"
 
 constexpr int NEAREST = 8;       // coarse vertices that a fine one takes from
-constexpr int APART_STEPS = 2;   // of untangling the fine cloth: four leave fewer crossings and cost time and gain
+constexpr int APART_STEPS = 4;   // of untangling the fine cloth, before its sweeps and after them
 constexpr Pace COARSE_PACE = {3, 1};  // sweeps are the fine cloth's
 constexpr int FINE_PASSES = 2;   // of the coarse cloth's turns: none leave jitter
 constexpr int64_t MORE_STEPS = 2;  // of the coarse cloth than sweeps of the fine one
@@ -27,27 +28,6 @@ template <class T> INLINE Points<T> carried(Points<T> points, const T* off, cons
   for (int64_t row = NEAREST * LANES * block; row < NEAREST * LANES * (block + 1); row += LANES)
     points = plus(points, row_at(fine.weight + row), points_at(off, fine.near + row));
   return points;
-}
-
-// Whether a triangle of a cluster of the fine cloth's tangles has a first corner whose coarse place is kept apart by
-// its planes.
-template <class T> INLINE bool is_close(const T* planes, const FineLevel<T>& fine, int64_t c) {
-  bool close = false;
-  for (int lane = 0; lane < LANES; ++lane) {
-    const int64_t v = fine.parent[fine.tangles.corner[3 * LANES * c + lane]];
-    close |= planes[PLANES * (v / LANES) + APART_ROW + v % LANES] > 0;
-  }
-  return close;
-}
-
-// Writes the clusters that are. Returns their number.
-template <class T> DEVICE int64_t close_clusters(const T* planes, const FineLevel<T>& fine, int32_t* found) {
-  const int64_t count = fine.tangles.start.count - 1;
-  return collect(count, found, count, [&](int64_t c, int32_t* to, int64_t room) {
-    const bool close = is_close(planes, fine, c);
-    if (close && room > 0) *to = int32_t(c);
-    return int64_t(close);
-  });
 }
 
 // Writes the table (P, 16) by which coarse places carry fine ones from where they came to where they are.
@@ -108,11 +88,16 @@ DEVICE void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* net
   put_own_planes<T>(x, places, skin, after.own, fine.parent, planes);
   put_other_planes<T>(x, places, skin, after.other, fine.parent, planes);
   put_collider_planes(x, places, around.colliders, planes);
-  for (int64_t sweep = 0; sweep < schedule.sweeps; ++sweep) descend(x, fine.sheet, planes, network);
-  if (schedule.untangle > 0) {
-    const int64_t found = close_clusters(coarse.planes, fine, close);
+  const int64_t found = schedule.untangle > 0 ? close_clusters(coarse.planes, fine, close) : 0;
+  const auto come_apart = [&] {
     untangle(x, places, fine.tangles, close, found, schedule.untangle, APART_STEPS, crossed, scratch);
+  };
+  if (found > 0) {
+    come_apart();
+    keep_fine_apart<T>(x, coarse.planes, levels, planes, scratch);
   }
+  for (int64_t sweep = 0; sweep < schedule.sweeps; ++sweep) descend(x, fine.sheet, planes, network);
+  if (found > 0) come_apart();
   leave_colliders(x, places, around.colliders, planes, schedule.clearance);
   if (schedule.clearance > 0) lift(x, places, planes, schedule.clearance, laid.lifted);
   copy<T>(after.fine, x, 3 * places);

@@ -184,32 +184,48 @@ template <class T> INLINE Vector<T> from_triangles(const T* x, const Sheet<T>& s
   return found;
 }
 
-// Writes the planes that keep x [m] (P, 3) apart to those of other parts, with a 1 in APART_ROW.
+// How near [m] cloth beside cloth is looked for, and how near it comes.
+template <class T> struct Spacing {
+  T reach, kept;
+  INLINE_MEMBER explicit Spacing(const Sheet<T>& sheet)
+      : reach(less<T>(T(SPACING) / T(sheet.constants.per_edge), T(ROOM_M))),
+        kept(less<T>(T(KEPT) / T(sheet.constants.per_edge), T(KEPT_M))) {}
+};
+
+// Writes the plane that keeps the place p of x [m] (P, 3) from the triangles of another one, if they are nearer than
+// kept [m] and no other part of the body holds it sooner.
+template <class T>
+INLINE void put_apart(const T* x, const Sheet<T>& sheet, int64_t p, int64_t beside, T kept, T* planes) {
+  const Vector<T> here = point(x, p), way = from_triangles(x, sheet, beside, here);
+  const T far = root(dot(way, way));
+  if (!(far > 0 && far < kept)) return;
+  T* own = planes + PLANES * (p / LANES) + OTHER_PLANE + p % LANES;
+  const Vector<T> normal = scaled(T(1) / far, way);
+  const T height = T(0.5) * (far - kept) + T(sheet.constants.gap);  // contact begins a gap over the plane
+  const Vector<T> foot = lane3(own, 0), other = lane3(own + 3 * LANES, 0);
+  if (dot(other, other) > 0 && dot(here - foot, other) < height) return;
+  put_lane3(own, 0, plus(here, -height, normal));
+  put_lane3(own + 3 * LANES, 0, normal);
+}
+
+// Writes the planes that keep x [m] (P, 3) apart to those of other parts, and a 1 to NEAR_ROW where other cloth is
+// within reach.
 template <class T>
 DEVICE void keep_apart(const T* x, const Sheet<T>& sheet, const SheetNeighbours<T>& neighbours, T* planes,
                        Scratch& scratch) {
-  const Fabric<T> k(sheet.constants);
   const int64_t mark = scratch.used, count = sheet.place.count;
-  const T reach = less<T>(T(SPACING) / k.per_edge, T(ROOM_M)), kept = less<T>(T(KEPT) / k.per_edge, T(KEPT_M));
+  const Spacing<T> spacing(sheet);
   T *points = scratch.take<T>(3 * count), *room = scratch.take<T>(count);
   int32_t* nearest = scratch.take<int32_t>(count);
   if (scratch.overflowed) return;
   for (int64_t v : each(count)) put_point(points, v, point(x, sheet.place[v]));
-  rooms(points, neighbours, reach, room, nearest, scratch);
+  rooms(points, neighbours, spacing.reach, room, nearest, scratch);
   if (scratch.overflowed) return;
   for (int64_t v : each(count)) {
     if (nearest[v] < 0) continue;
-    const Vector<T> here = point(points, v), way = from_triangles(x, sheet, sheet.place[nearest[v]], here);
-    const T far = root(dot(way, way));
-    if (!(far > 0 && far < kept)) continue;
-    T* own = planes + PLANES * (sheet.place[v] / LANES) + sheet.place[v] % LANES;
-    const Vector<T> normal = scaled(T(1) / far, way);
-    const T height = T(0.5) * (far - kept) + k.gap;  // contact begins a gap over the plane
-    const Vector<T> foot = lane3(own + OTHER_PLANE, 0), other = lane3(own + OTHER_PLANE + 3 * LANES, 0);
-    if (dot(other, other) > 0 && dot(here - foot, other) < height) continue;
-    own[APART_ROW] = T(1);
-    put_lane3(own + OTHER_PLANE, 0, plus(here, -height, normal));
-    put_lane3(own + OTHER_PLANE + 3 * LANES, 0, normal);
+    const int64_t p = sheet.place[v];
+    planes[PLANES * (p / LANES) + NEAR_ROW + p % LANES] = T(1);
+    put_apart<T>(x, sheet, p, sheet.place[nearest[v]], spacing.kept, planes);
   }
   scratch.used = mark;
 }

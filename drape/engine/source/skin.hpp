@@ -275,7 +275,7 @@ DEVICE void touch(const T* x, int64_t places, const Skin<T>& skin, const int32_t
     put3(to + OWN_PLANE, below.foot);
     put3(to + OWN_PLANE + 3 * LANES, below.unit);
     for (int row = OTHER_PLANE; row < HELD_ROW; row += LANES) put(to + row, zero);
-    put(to + APART_ROW, zero);
+    put(to + NEAR_ROW, zero);
     for (int k = 0; k < WIDTH; ++k) {
       const int64_t v = first + lane_of(k);
       const Vector<T> at = point(x, v);

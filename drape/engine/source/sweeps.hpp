@@ -19,9 +19,9 @@
 
 // The rows of a block of planes: point and normal of the own part, and of another one; stiffness and slack of the hold
 // to the network's place; where the skin has taken the vertex, and friction times contact's stiffness; above 0 where
-// the second plane keeps cloth apart from cloth.
+// other cloth is near.
 constexpr int OWN_PLANE = 0, OTHER_PLANE = 6 * LANES, HELD_ROW = 12 * LANES, SLACK_ROW = 13 * LANES;
-constexpr int STUCK = 14 * LANES, FRICTION_ROW = 17 * LANES, APART_ROW = 18 * LANES, PLANES = 19 * LANES;
+constexpr int STUCK = 14 * LANES, FRICTION_ROW = 17 * LANES, NEAR_ROW = 18 * LANES, PLANES = 19 * LANES;
 // The rows of a block of a sheet's own numbers.
 constexpr int WEIGHT = 0, BEND_DIAGONAL = LANES, CONTACT = 2 * LANES, LEASH = 3 * LANES, OWN = 4 * LANES;
 constexpr double SLIP_M = 1e-3;  // friction is a spring up to here, and slips with the force that it has then
