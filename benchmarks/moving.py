@@ -7,11 +7,12 @@ Garments are streamed through a clip by all stages of the service. In two poses 
 before are measured beside the still. ``curvature``, the first figure, is the total Gaussian curvature over the still's:
 cloth folds along lines, what is crumpled has peaks and dimples. Shares of the still's are also ``dihedral``, the RMS
 angle of hinges; ``fine`` and ``middle``, the relief of waves below 2 cm and of 2 to 8 cm; ``hem``, the third difference
-along hems; and ``area``. ``pop`` is the change of fine relief from frame to frame over that relief. Of every fifth
-frame are ``crossings`` and ``crossings_worst``, pairs of triangles of a garment that cross, for ten thousand of its
-triangles; ``depth_mm``, how deep it is in the skin at the most; and ``strain_pct``, the 99.9th percentile of edges.
-``jitter`` is the third difference in time over the skin's. ``resets`` are frames begun anew. ``ms`` is a frame's
-processor time. Rows are printed with the worst first; ``--sheet`` draws the worst clip of every garment in each tier.
+along hems; and ``area``. ``exact`` is that angle over the exact drape's, where the record has one. ``pop`` is the
+change of fine relief from frame to frame over that relief. Of every fifth frame are ``crossings`` and
+``crossings_worst``, pairs of triangles of a garment that cross, for ten thousand of its triangles; ``depth_mm``, how
+deep it is in the skin at the most; and ``strain_pct``, the 99.9th percentile of edges. ``jitter`` is the third
+difference in time over the skin's. ``resets`` are frames begun anew. ``ms`` is a frame's processor time. Rows are
+printed with the worst first; ``--sheet`` draws the worst clip of every garment in each tier.
 """
 
 from __future__ import annotations
@@ -45,9 +46,9 @@ EVERY = 5  # frames between two in which crossings and depth are counted
 SHARES = {"curvature": "curvature", "dihedral": "dihedral_deg", "fine": "fine_mm", "middle": "middle_mm",
           "hem": "hem_mm", "area": "area_m2"}  # fmt: skip
 COLUMNS = {
-    "garment": "s", "clip": "s", "tier": "s", **dict.fromkeys(SHARES, ".2f"), "area": ".3f", "pop": ".2f",
-    "crossings": ".1f", "crossings_worst": ("worst", ".0f"), "depth_mm": ".1f", "strain_pct": ".0f", "jitter": ".2f",
-    "resets": ".1f", "ms": ".2f",
+    "garment": "s", "clip": "s", "tier": "s", **dict.fromkeys(SHARES, ".2f"), "area": ".3f", "exact": ".2f",
+    "pop": ".2f", "crossings": ".1f", "crossings_worst": ("worst", ".0f"), "depth_mm": ".1f", "strain_pct": ".0f",
+    "jitter": ".2f", "resets": ".1f", "ms": ".2f",
 }  # fmt: skip
 NAMES = ("garment", "clip", "tier")
 
@@ -85,17 +86,21 @@ def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: Clip, tier: s
     return np.stack(frames), {"resets": resets, "ms": float(np.median(stream.clock.cpu_ms[1:]))}
 
 
-def moving_row(looks: Looks, vertices: np.ndarray, skin: Skin, stills: dict[int, Row]) -> Row:
-    """The measures of a garment at ``vertices`` [m] (F, V, 3), beside ``stills`` by frame."""
-    shares = []
+def moving_row(
+    looks: Looks, vertices: np.ndarray, skin: Skin, stills: dict[int, Row], exact: dict[int, Row | None]
+) -> Row:
+    """The measures of a garment at ``vertices`` [m] (F, V, 3), beside ``stills`` and ``exact`` drapes by frame."""
+    shares, angles = [], []
     for frame, still in stills.items():
         near = [figures(looks, vertices[max(0, frame - before)]) for before in BEFORE]
         shares.append({name: np.mean([one[key] for one in near]) / still[key] for name, key in SHARES.items()})
+        angles.append((exact.get(frame) or {}).get("dihedral_deg", np.nan) / still["dihedral_deg"])
     seen = np.arange(min(2 * EVERY, len(vertices) - 1), len(vertices), EVERY)
     crossings = intersection_count(vertices[seen], looks.faces) * 1e4 / len(looks.faces)
     body = skin.clip.body
     depths = [depth_mm(vertices[i], skin.vertices[i].astype(float), body.faces) for i in seen]
     return {name: float(np.mean([one[name] for one in shares])) for name in SHARES} | {
+        "exact": float(np.mean([one["dihedral"] / angle for one, angle in zip(shares, angles, strict=True)])),
         "pop": looks.pop(vertices[-30:]),
         "crossings": float(crossings.mean()),
         "crossings_worst": float(crossings.max()),
@@ -123,7 +128,8 @@ def scene_rows(
     for number, (one, own_looks, part) in enumerate(zip(garments, looks, parts, strict=True)):
         beside = {frame: own[number] for frame, own in at_rest.items()}
         row: Row = {"garment": one.name, "clip": clip.name, "tier": tier}
-        rows.append(row | moving_row(own_looks, part.astype(float), skin, beside) | told)
+        exact = {frame: stills.exact_of(one, clip, frame) for frame in beside if len(garments) == 1}
+        rows.append(row | moving_row(own_looks, part.astype(float), skin, beside, exact) | told)
         sheet.seen(rows[-1], part[max(beside)], own_looks.faces)
     return rows
 

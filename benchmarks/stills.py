@@ -2,10 +2,12 @@
 
     python -m benchmarks.stills --save
     python -m benchmarks.stills --garments $DRAPE_DATA/garments --motions $DRAPE_DATA/motions --save
+    python -m benchmarks.stills --motions walk squat --exact --save
 
-A row is a garment's still in one pose, its ``frame`` of the clip: ``accurate`` with eight steps, settled in forty
-rounds. ``curvature`` is its total Gaussian curvature [rad]. The record keeps rows that it has, so that stills do not
-move with the engine; ``--anew`` makes them again.
+A row is a garment's still in one pose, its ``frame`` of the clip. The ``settled`` one is ``accurate`` with eight steps
+in forty rounds; ``--exact`` makes the minimum of energy beside it (``drape.exact``), from there, in minutes.
+``curvature`` is its total Gaussian curvature [rad]. The record keeps rows that it has, so that stills do not move with
+the engine; ``--anew`` makes them again.
 """
 
 from __future__ import annotations
@@ -22,20 +24,24 @@ from benchmarks.scenes import FPS, Clip, read_clips
 from benchmarks.served import Stream, plan_of
 from benchmarks.tables import Row
 from drape.body.assets import load_body
+from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_outfit
+from drape.cloth.fabric_table import fabric as fabric_named
+from drape.exact.frame import Sheet, exact
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
-from drape.stages.batch import PoseInput
+from drape.stages.batch import Batch, PoseInput
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
 STEPS, ROUNDS = 8, 40
 PLACES = (0.55, 1.0)  # of a clip whose poses have a still
+SETTLED, EXACT = "settled", "exact"
 COLUMNS = {
-    "garment": "s", "clip": "s", "frame": "d", "curvature": ".1f", "dihedral_deg": ".1f", "area_m2": ".4f",
-    **{f"{band}_mm": ".3f" for band in BANDS}, "hem_mm": ".3f",
+    "garment": "s", "clip": "s", "frame": "d", "still": "s", "curvature": ".1f", "dihedral_deg": ".1f",
+    "area_m2": ".4f", **{f"{band}_mm": ".3f" for band in BANDS}, "hem_mm": ".3f",
 }  # fmt: skip
-KEY = ("garment", "digest", "clip", "frame")
+KEY = ("garment", "digest", "clip", "frame", "still")
 
 
 def posed_at(clip: Clip) -> list[int]:
@@ -73,23 +79,38 @@ class Stills:
 
     def __init__(self, drapery: DrapeRuntime, path: Path = RESULTS_DIR / "stills.json", *, anew: bool = False) -> None:
         kept = json.loads(path.read_text())["rows"] if path.is_file() and not anew else []
-        self.rows: dict[tuple[object, ...], Row] = {tuple(row[name] for name in KEY): row for row in kept}
+        self.rows: dict[tuple[object, ...], Row] = {
+            tuple(row.get(name, SETTLED) for name in KEY): {"still": SETTLED} | row for row in kept
+        }
         self._drapery = drapery
 
     def of(self, garments: list[Garment], clip: Clip, frame: int) -> list[Row]:
         """The rows of ``garments``, worn together, in the pose of a ``frame`` of ``clip``."""
-        keys = [(one.name, worn_digest(garments, one), clip.name, frame) for one in garments]
+        keys = [(one.name, worn_digest(garments, one), clip.name, frame, SETTLED) for one in garments]
         if any(key not in self.rows for key in keys):
-            stream = Stream(
-                plan_of(self._drapery, garments, resolution="fine", tier="accurate", folds=STEPS, settle=ROUNDS),
-                clip.body.shape_count,
-            )
-            world = stream.frame(input_of(clip, frame)).world()[0].astype(np.float64)
+            world = self._settled(garments, clip.body, input_of(clip, frame)).world()[0].astype(np.float64)
             fine = [fine_garment(one) for one in garments]
             parts = np.split(world, np.cumsum([one.vertex_count for one in fine])[:-1])
             for key, one, vertices in zip(keys, fine, parts, strict=True):
                 self.rows[key] = dict(zip(KEY, key, strict=True)) | figures(looks_of(one), vertices)
         return [self.rows[key] for key in keys]
+
+    def exact_of(self, garment: Garment, clip: Clip, frame: int, *, made: bool = False) -> Row | None:
+        """The row of the exact drape of ``garment`` alone; of one that there is not: none, or else it is ``made``."""
+        key = garment.name, worn_digest([garment], garment), clip.name, frame, EXACT
+        if key not in self.rows and made:
+            start, body, fine = input_of(clip, frame), clip.body, fine_garment(garment)
+            at_rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), start.betas, np.zeros(1))
+            rest, x = (self._settled([garment], body, one).vertices[0] for one in (at_rest, start))
+            sheet = Sheet.of(garment, fabric_named(garment.fabric), body, start.betas, rest)
+            lain, told = exact(sheet, start.poses[0], x)
+            left = {"crossings": told.crossings, "force_share": told.force_share}
+            self.rows[key] = dict(zip(KEY, key, strict=True)) | figures(looks_of(fine), lain.x) | left
+        return self.rows.get(key)
+
+    def _settled(self, garments: list[Garment], body: BodyModel, pose: PoseInput) -> Batch:
+        plan = plan_of(self._drapery, garments, resolution="fine", tier="accurate", folds=STEPS, settle=ROUNDS)
+        return Stream(plan, body.shape_count).frame(pose)
 
 
 def worn_digest(garments: list[Garment], one: Garment) -> str:
@@ -110,6 +131,7 @@ def outfits(names: list[str]) -> Iterator[list[Garment]]:
     *inputs(quick_garments=("tshirt",), quick_motions=("walk",)),
     Option("--frames", 120, "of a clip at most", 30),
     Option("--anew", False, "makes those that the record has as well"),
+    Option("--exact", False, "makes the exact drape of each garment that is worn alone"),
 )
 def main(run: Run) -> None:
     """Rows of every garment in two poses of every clip, and those of the record."""
@@ -120,6 +142,8 @@ def main(run: Run) -> None:
         for clip in clips:
             for frame in posed_at(clip):
                 stills.of(garments, clip, frame)
+                if options.exact and len(garments) == 1:
+                    stills.exact_of(garments[0], clip, frame, made=True)
     run.add(stills.rows.values())
 
 
