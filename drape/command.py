@@ -83,8 +83,8 @@ def parser(complete: object = None) -> argparse.ArgumentParser:
     )
     wear.add_argument(
         "--rig", action="store_true",
-        help="with --on: write the character's own file in the garments, exactly as they are draped: .glb, or its surface "
-        "and theirs: .usdz, .usdc, .usda, NAME_vat.exr",
+        help="with --on: write the character's own file in the garments, exactly as they are draped: .glb; or its "
+        "surface and theirs: .usdz, .usdc, .usda, NAME_vat.exr",
     )  # fmt: skip
     wear.add_argument(
         "--joints", type=int, metavar="N",
@@ -203,10 +203,11 @@ def _wear_frames(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int
 def _wear_on_rig(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int:
     """Writes the character in the garments that are ``worn``, as they are draped."""
     from drape.export.clips import SCENES, write_pieces, write_scene
+    from drape.scenes import scene
 
     begun_s, beside = time.monotonic(), list[Path]()
     if given.out.suffix.lower() in SCENES:
-        beside = write_scene(given.out, worn.scene(clip, fps=clip.fps, as_recorded=True), clip.fps)
+        beside = write_scene(given.out, scene(worn, clip, fps=clip.fps, as_recorded=True), clip.fps)
     else:
         write_pieces(given.out, [worn.glb(clip, fps=clip.fps, as_recorded=True)])
     size = given.out.stat().st_size

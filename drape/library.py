@@ -22,7 +22,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
-from drape.avatar.character_surface import moving_character
 from drape.avatar.covered import covered_faces
 from drape.avatar.file_skeleton import FileRig
 from drape.avatar.own_clothes import NEITHER, Halves, halves_of
@@ -36,7 +35,7 @@ from drape.avatar.own_garments import (
     undressed,
 )
 from drape.avatar.rig_file import Dressed
-from drape.avatar.rig_motion import RigClip, rig_motion
+from drape.avatar.rig_motion import RigClip
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
 from drape.avatar.worn_file import undressed_file, worn_on_rig
 from drape.body.assets import DEFAULT_BODY, load_body
@@ -46,11 +45,8 @@ from drape.catalog import GARMENTS_DIR, MOTIONS_DIR, find_garments, find_motions
 from drape.cloth.fabric_table import FABRICS
 from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
-from drape.export.clips import moving_layers
 from drape.export.glb import GARMENT_COLOURS
-from drape.export.surface import MovingGarment, by_layer
-from drape.export.usd_stage import check_usd, usd_file
-from drape.export.vat import check_vat, vat_files
+from drape.export.surface import by_layer
 from drape.folders import ASSETS
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment
@@ -288,41 +284,10 @@ class Worn:
         """
         wearer, rig = self.on_rig()
         clip = self.placed(motion, fps=fps, as_recorded=as_recorded)
-        layers = map(Dressed, self.layers, by_layer(self.garments, self._over(clip)), itertools.cycle(GARMENT_COLOURS))
+        vertices = np.stack([frame.vertices for frame in self.play(clip, fps=clip.fps, as_recorded=True)])
+        layers = map(Dressed, self.layers, by_layer(self.garments, vertices), itertools.cycle(GARMENT_COLOURS))
         on_rig = RigClip(*wearer.to_rig(clip.poses, clip.trans), clip.fps)
         return worn_on_rig(self.character_file, list(layers), on_rig, wearer, rig).to_bytes()
-
-    def scene(
-        self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False
-    ) -> list[MovingGarment]:
-        """Returns the garments over ``motion``, which ``placed`` describes, after the surface of the character that
-        wears them, if one does: as ``character_file`` has it.
-        """
-        clip = self.placed(motion, fps=fps, as_recorded=as_recorded)
-        worn = moving_layers(self.garments, self._over(clip))
-        if self.wearer is None:
-            return worn
-        wearer, rig = self.on_rig()
-        on_rig = rig_motion(RigClip(*wearer.to_rig(clip.poses, clip.trans), clip.fps), wearer, rig.skeleton)
-        return [*moving_character(self.character_file, on_rig, wearer.scale), *worn]
-
-    def usd(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> bytes:
-        """Returns the ``scene`` over ``motion`` as a .usdz with its pictures; raises ``Unavailable`` without usd-core."""
-        check_usd()
-        return usd_file(self.scene(motion, fps=fps, as_recorded=as_recorded), fps, ".usdz")
-
-    def vat(
-        self, motion: str | Path | MotionClip, *, name: str = "clip", fps: float = 30.0, as_recorded: bool = False
-    ) -> dict[str, bytes]:
-        """Returns the ``scene`` over ``motion`` as a vertex animation texture: three files by their names, which begin
-        with ``name`` (``drape.export.vat``). Raises ``Unavailable`` without OpenEXR.
-        """
-        check_vat()
-        return vat_files(self.scene(motion, fps=fps, as_recorded=as_recorded), fps, name)
-
-    def _over(self, clip: MotionClip) -> np.ndarray:
-        """The vertices [m] (F, V, 3) over ``clip``, which is placed."""
-        return np.stack([frame.vertices for frame in self.play(clip, fps=clip.fps, as_recorded=True)])
 
     def on_rig(self) -> tuple[Wearer, FileRig]:
         """Returns the character and the rig of its file; raises ``InputError`` for garments on the standard body."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse
 
 from drape.avatar.character import Primitive, listed_primitives, skin_of, skin_weights, tree_of, triangles_of
 from drape.avatar.face_colours import texture_of
@@ -18,14 +19,15 @@ from drape.files.gltf import GltfFile
 from drape.files.looks import Material
 from drape.files.pictures import with_remade
 from drape.garment.files.gltf_looks import gltf_looks
+from drape.geometry.meshes import face_areas
 from drape.wanted import go_on
 
 PLAIN = (0.8, 0.8, 0.8, 1.0)
 
 
 def moving_character(payload: bytes, motion: RigMotion, scale: float) -> list[MovingGarment]:
-    """Each primitive of the character in the file ``payload`` over ``motion``, whose skeleton is the file's or that of
-    one that it was made from; ``scale``: metres per unit."""
+    """Each primitive of the character in the file ``payload``, in the T-pose and then over ``motion``, whose skeleton
+    is the file's or that of one that it was made from; ``scale``: metres per unit."""
     file, found = GltfFile(payload), list[MovingGarment]()
     place = {node: number for number, node in enumerate(tree_of(file)[0])}
     nodes = file.document.nodes
@@ -33,15 +35,14 @@ def moving_character(payload: bytes, motion: RigMotion, scale: float) -> list[Mo
     for node, index, primitive in listed_primitives(file, drawn, set()):
         go_on()
         points, faces = triangles_of(file, primitive)
-        area = np.linalg.norm(np.cross(*(points[faces[:, k]] - points[faces[:, 0]] for k in (1, 2))), axis=1)
-        if not (area > 0.0).any():  # what was taken out as a whole
+        if not face_areas(points, faces).any():  # what was taken out as a whole
             continue
         skin = nodes[node].skin
         if skin is None:
-            moved = _along(motion.world[1:, place[node]], points)
+            moved = _along(motion.world[:, place[node]], points)
         else:
             joints, binds = skin_of(file, skin)
-            moves = motion.world[1:, [place[joint] for joint in joints]] @ binds
+            moves = motion.world[:, [place[joint] for joint in joints]] @ binds
             moved = _blended(moves, skin_weights(file, primitive, len(points), len(joints)), points)
         surface = _surface(file, node, index, faces, len(points))
         if "COLOR_0" in primitive.attributes:
@@ -54,7 +55,7 @@ def _along(places: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points @ places[:, :3, :3].swapaxes(-1, -2) + places[:, None, :3, 3]
 
 
-def _blended(moves: np.ndarray, weights: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _blended(moves: np.ndarray, weights: scipy.sparse.csr_matrix, points: np.ndarray) -> np.ndarray:
     """Points (V, 3) of ``weights`` (V, J) on joints with ``moves`` (F, J, 4, 4), in each frame."""
     frames = []
     for one in moves:

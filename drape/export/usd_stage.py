@@ -152,7 +152,7 @@ def _material(stage: Any, path: str, look: Material, pictures: dict[str, str]) -
         plain["opacityThreshold"] = kinds.Float, look.alpha_cutoff
     for name, (kind, value) in plain.items():
         shader.CreateInput(name, kind).Set(value)
-    placed = _placed(stage, path, look) if pictures else None
+    placed: Any = _placed(stage, path, look) if pictures else None
     for slot, name in pictures.items():
         read = _shader(stage, f"{path}/{slot}", "UsdUVTexture")
         read.CreateInput("file", kinds.Asset).Set(name)

@@ -1,4 +1,4 @@
-"""Clips as files: GLB with a garment's frames or a skinned body, PC2 point caches, USD and vertex animation textures."""
+"""Clips as files: GLB with a garment's frames or a skinned body, PC2, USD and vertex animation textures."""
 
 from __future__ import annotations
 
@@ -144,8 +144,8 @@ def check_package(kind: str) -> None:
 
 
 def packed_scene(layers: list[MovingGarment], point: np.ndarray, fps: float, kind: str) -> bytes:
-    """``layers``, which count from ``point`` [m] (3,), as one file of ``kind``: USDZ, or the files of a vertex animation
-    texture in a ZIP."""
+    """``layers``, which count from ``point`` [m] (3,), as one file of ``kind``: USDZ, or a ZIP of those of a vertex
+    animation texture."""
     if kind == USDZ:
         return usd_file(layers, fps, ".usdz", point=point)
     out, names = io.BytesIO(), "_".join(layer.surface.name for layer in layers)

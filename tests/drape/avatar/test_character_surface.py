@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.testing import assert_allclose
 
+from drape.avatar.below_cloth import kept_below
 from drape.avatar.character_surface import moving_character
 from drape.avatar.own_garments import Undressed
 from drape.avatar.rig_file import Dressed
@@ -14,6 +16,7 @@ from drape.avatar.rig_motion import RigClip, rig_motion
 from drape.avatar.wearer import read_wearer
 from drape.avatar.worn_file import undressed_file, worn_on_rig
 from drape.body.model import BodyModel
+from drape.export.surface import MeshSurface, MovingGarment
 from drape.garment.cache import Garment
 from tests.fixtures.characters import character
 from tests.fixtures.glb_reader import Reader
@@ -44,9 +47,9 @@ def test_it_is_where_a_player_puts_it(body: BodyModel, tube: Garment):
     cloth = np.broadcast_to(tube.vertices, (3, *tube.vertices.shape))
     reader = Reader(worn_on_rig(payload, [Dressed(tube, cloth, COLOUR)], clip, worn, rig).to_bytes())
     node = next(i for i, one in enumerate(reader.json["nodes"]) if one.get("name") == "twin")
-    assert_allclose(twin.vertices, worn.scale * _along(reader, node), atol=1e-5)
+    assert_allclose(twin.vertices[1:], worn.scale * _along(reader, node), atol=1e-5)
     del reader.json["nodes"][node]["mesh"]  # so that one node has the mesh
-    assert_allclose(skin.vertices, worn.scale * reader.skinned(3), atol=1e-5)
+    assert_allclose(skin.vertices[1:], worn.scale * reader.skinned(3), atol=1e-5)
 
 
 def _along(reader: Reader, node: int) -> np.ndarray:
@@ -66,4 +69,22 @@ def test_what_is_gone_is_left_out_and_bare_skin_is_there(body: BodyModel):
     (skin,) = moving_character(content, rig_motion(still, worn, worn.file.skeleton), worn.scale)
     used = np.unique(worn.body.faces[bare])
     assert skin.surface.faces.shape == (500, 3)
-    assert_allclose(skin.vertices[0], worn.body.v_template[used], atol=1e-4)
+    for vertices in skin.vertices:
+        assert_allclose(vertices, worn.body.v_template[used], atol=1e-4)
+
+
+def test_covered_skin_is_kept_below_the_cloth():
+    """Of a ball in a larger one that is open below, what the cloth covers at rest and no hem is near."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.2)
+    faces = ball.faces[ball.vertices[ball.faces].mean(axis=1)[:, 1] > -0.1]
+    cloth = 1.05 * ball.vertices
+    none = np.zeros((0, 2)), np.zeros((0, 3), int), (), np.zeros(0, int)
+    skin, sheet = (MeshSurface("one", len(ball.vertices), own, *none) for own in (ball.faces, faces))
+    grown = np.stack([ball.vertices, 1.1 * ball.vertices]).astype(np.float32)  # through the cloth by a centimetre
+    part = MovingGarment(skin, np.concatenate([grown[:1], grown]), COLOUR)
+    worn = MovingGarment(sheet, np.stack([cloth, cloth]).astype(np.float32), COLOUR)
+    (below,) = kept_below([part], [(cloth, faces)], [worn])
+    assert below.vertices.shape == (2, len(cloth), 3)
+    assert_allclose(below.vertices[0], ball.vertices, atol=1e-7)
+    reach, high = np.linalg.norm(below.vertices[1], axis=1), ball.vertices[:, 1]
+    assert (reach[high > 0.0] < 1.05 * 0.2).all() and (reach[high < -0.12] > 0.21).all()

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
-from pxr import Usd, UsdGeom
 
 from drape.errors import InputError, Unavailable
 from drape.export.clips import check_name, write_clip
@@ -23,7 +22,7 @@ from drape.files.looks import Looks, Material
 from drape.garment.cache import Garment
 from drape.garment.files.usd import read_usd
 from tests.drape.export.test_files import clip
-from tests.fixtures.exports import played
+from tests.fixtures.exports import Usd, UsdGeom, played
 from tests.fixtures.glb_reader import khronos_complaints
 
 BLUE = (0.1, 0.2, 0.6, 1.0)
@@ -109,7 +108,7 @@ def test_layers_become_one_with_the_materials_of_all(layers: list[MovingGarment]
 
 def test_a_texture_has_rows_for_so_many_frames(layers: list[MovingGarment], monkeypatch):
     monkeypatch.setattr("drape.export.vat.MOST_ROWS", 4)
-    with pytest.raises(InputError, match="at most 2 frames.*Cut the clip"):
+    with pytest.raises(InputError, match=r"at most 2 frames.*Cut the clip"):
         vat_files(layers, FPS, "long")
 
 
@@ -124,7 +123,7 @@ def test_a_package_that_is_missing_is_told_before_anything_is_draped(name, packa
 
 
 def test_files_lie_beside_each_other_by_their_names(tube: Garment, tmp_path: Path):
-    with pytest.raises(InputError, match="ending in _vat.exr.*a_vat.exr"):
+    with pytest.raises(InputError, match=r"ending in _vat\.exr.*a_vat\.exr"):
         check_name(tmp_path / "a.exr")
     beside = write_clip(tmp_path / "a_vat.exr", [tube], clip(tube), FPS)
     assert [one.name for one in beside] == ["a.glb", "a-remap_info.json"]

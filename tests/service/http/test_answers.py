@@ -15,7 +15,6 @@ import httpx
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from pxr import Usd, UsdGeom
 
 from clients.client import DrapeClient
 from drape.body.model import BodyModel
@@ -36,7 +35,7 @@ from service.http.answers import (
     number_pieces,
 )
 from service.http.clip_files import check_package
-from tests.fixtures.exports import played, read_pc2, read_usda
+from tests.fixtures.exports import Usd, UsdGeom, played, read_pc2, read_usda
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, outfit_url
 
