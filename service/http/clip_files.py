@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drape.avatar.covered import UNSEEN_M, covered_faces
 from drape.avatar.distilled import Draped, distil
 from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.joint_file import Jointed, add_clip
@@ -104,7 +105,9 @@ def on_rig_file(
             )
         add_clip(file, made, [one.vertices for one in layers], motion, nodes, wearer.scale)
     if left.added:
-        add_bare(file, nodes, wearer, rig, left)
+        body, cloth = wearer.body, [(one.garment.vertices, one.garment.faces) for one in layers]
+        unseen = covered_faces(body.v_template, body.faces, cloth, margin_m=UNSEEN_M)
+        add_bare(file, nodes, wearer, rig, left._replace(bare=left.bare & ~unseen))
     return file, file.head()
 
 
