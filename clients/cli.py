@@ -26,12 +26,12 @@ from clients.calls import DEFAULT_URL, sized
 from clients.client import DrapeClient
 from clients.meshes import surface_of
 from drape.errors import DrapeError, InputError
-from drape.export.clips import CACHES, check_name, npy_head, write_pieces
+from drape.export.clips import CACHES, SCENES, check_name, npy_head, write_pieces, write_scene
 from drape.export.glb import GARMENT_COLOURS
 from drape.export.mdd import mdd_frames, mdd_head
 from drape.export.obj import obj_text
 from drape.export.pc2 import pc2_head, pc2_samples
-from drape.export.usda import MovingGarment, usda_pieces
+from drape.export.surface import MovingGarment
 from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
 from drape.motion.readers import MOTION_SUFFIXES, read_motion
@@ -95,7 +95,8 @@ def _parser() -> argparse.ArgumentParser:
         required=True,
         type=Path,
         help="out.glb (animated), out.npy (vertices [m], layer after layer),\n"
-        "out.pc2 or out.mdd (point caches, and out.obj with their mesh) or out.usda (scene)",
+        "out.pc2 or out.mdd (point caches, and out.obj with their mesh), out.usda, .usdc or .usdz (scenes),\n"
+        "out_vat.exr (vertex animation texture, and out.glb and out-remap_info.json)",
     )
     drape.add_argument("--as-recorded", action="store_true", help="for a file: leave its translations as they are")
     drape.add_argument("--fps", type=float, default=30.0, help="frames per second of the result (30)")
@@ -236,9 +237,10 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         garments = worn[0] if len(worn) == 1 else worn
         more = {"body": options.body, "quantised": not options.float32, "rig": options.rig, "joints": options.joints}
         write_pieces(options.out, [client.drape_glb(garments, clip, betas=betas, **more, **choices)])
-    elif suffix == ".usda":
+    elif suffix in SCENES:
         layers = [exact] if options.tier == "exact" else client.drape_outfit(worn, clip, betas=betas, **choices)
-        write_pieces(options.out, usda_pieces(_moving(client, worn, layers, choices), clip.fps))
+        for beside in write_scene(options.out, _moving(client, worn, layers, choices), clip.fps):
+            print(f"{beside}: beside it")
     else:
         frames = client.drape_frames(worn, clip, betas=betas, **choices)
         frames = iter([[exact]]) if options.tier == "exact" else frames
@@ -269,7 +271,7 @@ def _moving(
     shown = [one for one in sized(worn, choices["size"]) if one[0] not in hidden]
     meshes = [surface_of(client.mesh(name, resolution, size)) for name, size in shown]
     colours = itertools.cycle(GARMENT_COLOURS)
-    return [MovingGarment(*parts, next(colours)[:3]) for parts in zip(meshes, layers, strict=True)]
+    return [MovingGarment(*parts, next(colours)) for parts in zip(meshes, layers, strict=True)]
 
 
 def _clip(client: DrapeClient, options: argparse.Namespace, betas: np.ndarray | None, avatar: str | None) -> MotionClip:

@@ -17,12 +17,13 @@ if TYPE_CHECKING:
     from drape.library import Drape, Frame, Worn, load
     from drape.motion.clip import MotionClip
     from drape.motion.readers import read_motion
+    from drape.scenes import usd, vat
     from drape.wire.options import DrapeOptions
 
 __version__ = "0.1.0"
 __all__ = [
     "Drape", "DrapeError", "DrapeOptions", "Frame", "Garment", "MotionClip", "Worn", "distil", "intake", "load",
-    "read_motion",
+    "read_motion", "usd", "vat",
 ]  # fmt: skip
 # They are imported when they are asked for: most modules of the core need few of these.
 _HOMES = {
@@ -33,6 +34,7 @@ _HOMES = {
     "drape.library": ("Drape", "Frame", "Worn", "load"),
     "drape.motion.clip": ("MotionClip",),
     "drape.motion.readers": ("read_motion",),
+    "drape.scenes": ("usd", "vat"),
     "drape.wire.options": ("DrapeOptions",),
 }
 

@@ -59,7 +59,12 @@ def parser(complete: object = None) -> argparse.ArgumentParser:
     paths = [
         wear.add_argument("garment", nargs="*", help="the names or files of the garments, the innermost first"),
         wear.add_argument("motion", help="the name of a shipped clip, or a file: npz, BVH, GLB, VRMA or FBX"),
-        wear.add_argument("--out", type=Path, required=True, help="the file to write: .glb, .usda, .pc2, .mdd or .npy"),
+        wear.add_argument(
+            "--out",
+            type=Path,
+            required=True,
+            help="the file to write: .glb, .usdz, .usdc, .usda, NAME_vat.exr, .pc2, .mdd or .npy",
+        ),
         wear.add_argument(
             "--on", type=Path, metavar="FILE", help="the GLB or VRM file of a character that wears the garments"
         ),
@@ -78,7 +83,8 @@ def parser(complete: object = None) -> argparse.ArgumentParser:
     )
     wear.add_argument(
         "--rig", action="store_true",
-        help="with --on: write the character's own file in the garments, exactly as they are draped: .glb",
+        help="with --on: write the character's own file in the garments, exactly as they are draped: .glb; or its "
+        "surface and theirs: .usdz, .usdc, .usda, NAME_vat.exr",
     )  # fmt: skip
     wear.add_argument(
         "--joints", type=int, metavar="N",
@@ -138,14 +144,12 @@ def _elsewhere(name: str, words: Sequence[str]) -> int:
 
 
 def _wear(given: argparse.Namespace) -> int:
-    from drape.export.clips import CACHES, SUFFIXES, check_name, clip_pieces, write_pieces
-    from drape.export.obj import obj_text
-    from drape.export.root_motion import RootMotion
-    from drape.export.surface import by_layer
+    from drape.export.clips import SCENES, SUFFIXES, check_name
     from drape.library import load
 
-    suffix = given.out.suffix.lower()
-    check_name(given.out, (".glb", ".vrm") if given.joints is not None else (".glb",) if given.rig else SUFFIXES)
+    check_name(
+        given.out, (".glb", ".vrm") if given.joints is not None else (".glb", *SCENES) if given.rig else SUFFIXES
+    )
     for name, asked in (("--joints", given.joints is not None), ("--rig", given.rig), ("--alive", given.alive)):
         if asked and given.on is None:
             cure = "Name the file of a character: --on me.vrm."
@@ -167,17 +171,21 @@ def _wear(given: argparse.Namespace) -> int:
     clip = worn.placed(given.motion, fps=given.fps, as_recorded=given.as_recorded)
     if given.joints is not None:
         return _wear_on_joints(worn, clip, given)
-    if given.rig:
-        return _wear_on_rig(worn, clip, given)
+    return _wear_on_rig(worn, clip, given) if given.rig else _wear_frames(worn, clip, given)
+
+
+def _wear_frames(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int:
+    """Writes the garments that are ``worn`` over ``clip``."""
+    from drape.export.clips import write_clip
+    from drape.export.root_motion import RootMotion
+
     begun_s, frames = time.monotonic(), []
     for frame in worn.play(clip, fps=clip.fps, as_recorded=True):
         frames.append(frame.vertices)
         _progress(len(frames), clip.frame_count, begun_s)
     vertices = np.stack(frames)
-    moved = None
-    if suffix == ".glb" and not given.float32:
-        moved = RootMotion(clip.poses[:, 0], clip.trans + worn.body.rest_joints()[0])
-    write_pieces(given.out, clip_pieces(suffix, worn.garments, vertices, clip.fps, moved))
+    moved = None if given.float32 else RootMotion(clip.poses[:, 0], clip.trans + worn.body.rest_joints()[0])
+    beside = write_clip(given.out, worn.garments, vertices, clip.fps, moved)
     told = {
         "file": str(given.out),
         "bytes": given.out.stat().st_size,
@@ -185,26 +193,28 @@ def _wear(given: argparse.Namespace) -> int:
         "fps": clip.fps,
         "vertices": int(vertices.shape[1]),
         "tier": worn.tier,
+        "beside": [str(one) for one in beside],
         "seconds": round(time.monotonic() - begun_s, 2),
     }
-    if suffix in CACHES:
-        told["mesh"] = str(beside := given.out.with_suffix(".obj"))
-        first = [layer[0] for layer in by_layer(worn.garments, vertices)]
-        write_pieces(beside, [obj_text(worn.garments, first).encode()])
     line = "{file}: {frames} frames at {fps:g} a second, {vertices} vertices, {bytes} bytes".format(**told)
     return _tell(told, given, line)
 
 
 def _wear_on_rig(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int:
     """Writes the character in the garments that are ``worn``, as they are draped."""
-    from drape.export.clips import write_pieces
+    from drape.export.clips import SCENES, write_pieces, write_scene
+    from drape.scenes import scene
 
-    begun_s, content = time.monotonic(), worn.glb(clip, fps=clip.fps, as_recorded=True)
-    write_pieces(given.out, [content])
-    told = {"file": str(given.out), "bytes": len(content), "frames": clip.frame_count}
+    begun_s, beside = time.monotonic(), list[Path]()
+    if given.out.suffix.lower() in SCENES:
+        beside = write_scene(given.out, scene(worn, clip, fps=clip.fps, as_recorded=True), clip.fps)
+    else:
+        write_pieces(given.out, [worn.glb(clip, fps=clip.fps, as_recorded=True)])
+    size = given.out.stat().st_size
+    told = {"file": str(given.out), "bytes": size, "frames": clip.frame_count, "beside": list(map(str, beside))}
     told |= {"garments": [one.name for one in worn.garments], "seconds": round(time.monotonic() - begun_s, 2)}
     names = ", ".join(told["garments"])
-    return _tell(told, given, f"{given.out}: {names} over {clip.frame_count} frames, {len(content)} bytes")
+    return _tell(told, given, f"{given.out}: {names} over {clip.frame_count} frames, {size} bytes")
 
 
 def _wear_on_joints(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int:

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
-from drape.avatar.covered import covered_faces
+from drape.avatar.covered import UNSEEN_M, covered_faces
 from drape.avatar.file_skeleton import FileRig
 from drape.avatar.own_clothes import NEITHER, Halves, halves_of
 from drape.avatar.own_garments import (
@@ -68,7 +68,6 @@ from drape.wire.options import DrapeOptions, Inertia, TierName
 MODEL = "onefit"
 CHUNK_FRAMES = 8  # computed together; numbers do not depend on it
 MOST_FRAMES = 1 << 20
-UNSEEN_M = 0.15  # below cloth, and so far from its hems, nobody sees a face of a file: players draw none of them deeper
 
 
 @dataclass(frozen=True)

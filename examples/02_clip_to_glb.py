@@ -1,10 +1,14 @@
 """Writes a walking T-shirt as an animated GLB: python examples/02_clip_to_glb.py [URL]; a service runs."""
 
-import sys
+import argparse
 
+from clients.calls import DEFAULT_URL
 from clients.client import DrapeClient
 
-with DrapeClient(*sys.argv[1:]) as client:
+asked = argparse.ArgumentParser(description=__doc__)
+asked.add_argument("url", nargs="?", default=DEFAULT_URL, help="the service")
+
+with DrapeClient(asked.parse_args().url) as client:
     clip = client.motion("walk").resampled(30.0).window(0, 30)  # or client.placed(read_motion("clip.bvh"))
     glb = client.drape_glb("tshirt", clip, body=True)
 

@@ -1,13 +1,15 @@
 """Streams poses and gets frames back: python examples/03_stream.py [URL]; a service runs."""
 
+import argparse
 import asyncio
-import sys
 
 from clients.calls import DEFAULT_URL
 from clients.client import AsyncDrapeClient
 from clients.stream import DrapeStream
 
-URL = sys.argv[1] if len(sys.argv) > 1 else DEFAULT_URL
+asked = argparse.ArgumentParser(description=__doc__)
+asked.add_argument("url", nargs="?", default=DEFAULT_URL, help="the service")
+URL = asked.parse_args().url
 
 
 async def main() -> None:

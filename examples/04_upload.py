@@ -3,13 +3,17 @@
 The file here is the service's T-shirt, cut off above the waist.
 """
 
-import sys
+import argparse
 
 import numpy as np
 
+from clients.calls import DEFAULT_URL
 from clients.client import DrapeClient
 
-with DrapeClient(*sys.argv[1:]) as client:
+asked = argparse.ArgumentParser(description=__doc__)
+asked.add_argument("url", nargs="?", default=DEFAULT_URL, help="the service")
+
+with DrapeClient(asked.parse_args().url) as client:
     mesh = client.mesh("tshirt")
     vertices, faces = np.array(mesh["vertices"]), np.array(mesh["faces"])
     faces = faces[(vertices[faces, 1] > np.quantile(vertices[:, 1], 0.35)).all(axis=1)]

@@ -1,13 +1,17 @@
 """One garment in three fabrics and three tiers: python examples/05_fabrics_and_tiers.py [URL]; a service runs."""
 
-import sys
+import argparse
 import time
 
 import numpy as np
 
+from clients.calls import DEFAULT_URL
 from clients.client import DrapeClient
 
-with DrapeClient(*sys.argv[1:]) as client:
+asked = argparse.ArgumentParser(description=__doc__)
+asked.add_argument("url", nargs="?", default=DEFAULT_URL, help="the service")
+
+with DrapeClient(asked.parse_args().url) as client:
     print("fabrics:", *[fabric["id"] for fabric in client.fabrics()])
     clip = client.motion("walk").resampled(30.0).window(0, 12)
     jersey = client.drape("tshirt", clip, fabric="jersey")

@@ -120,7 +120,9 @@ def _surface(file: GltfFile, place: dict[int, int], world: np.ndarray) -> tuple[
     """Vertices, faces and weights over nodes of each primitive of triangles that moves with a skeleton, those of
     skinned meshes first, and how many of the faces these have."""
     nodes = file.document.nodes
-    skinned = _listed(file, [node for node in place if nodes[node].skin is not None], {"JOINTS_0", "WEIGHTS_0"})
+    skinned = listed_primitives(
+        file, [node for node in place if nodes[node].skin is not None], {"JOINTS_0", "WEIGHTS_0"}
+    )
     if not skinned:
         raise MeshError(
             f"{file.label}: skin",
@@ -141,7 +143,7 @@ def _surface(file: GltfFile, place: dict[int, int], world: np.ndarray) -> tuple[
         found[Primitive(node, _name(nodes[node]), index, len(part[1]))] = part
     count = sum(one.triangles for one in found)
     above = _bones_above(file, {int(row) for rows, _ in skins.values() for row in rows}, place)
-    hung = _listed(file, list(above), set())
+    hung = listed_primitives(file, list(above), set())
     _check_size(file, [primitive for _, _, primitive in (*skinned, *hung)])
     for node, index, primitive in hung:
         part = _on_bone(file, primitive, world[place[node]], above[node], len(world))
@@ -149,7 +151,7 @@ def _surface(file: GltfFile, place: dict[int, int], world: np.ndarray) -> tuple[
     return found, count
 
 
-def _listed(file: GltfFile, nodes: list[int], attributes: set[str]) -> Listed:
+def listed_primitives(file: GltfFile, nodes: list[int], attributes: set[str]) -> Listed:
     """The primitives of triangles of meshes of ``nodes`` that have ``attributes``: node, place in the mesh, itself."""
     wanted = attributes | {"POSITION"}
     return [
@@ -208,25 +210,29 @@ def skin_of(file: GltfFile, index: Any) -> tuple[list[int], np.ndarray]:
 
 def _primitive(file: GltfFile, primitive: FilePrimitive, rows: np.ndarray, moves: np.ndarray, nodes: int) -> Part:
     """One primitive, its vertices where ``moves`` (J, 4, 4) of the joints put them."""
-    held = primitive.attributes
     points, faces = triangles_of(file, primitive)
-    count = len(points)
+    over_joints = skin_weights(file, primitive, len(points), len(rows))
+    blended = (over_joints @ moves.reshape(len(rows), 16)).reshape(len(points), 4, 4)
+    placed = np.einsum("vab,vb->va", blended[:, :3, :3], points) + blended[:, :3, 3]
+    onto = scipy.sparse.csr_matrix((np.ones(len(rows)), (np.arange(len(rows)), rows)), (len(rows), nodes))
+    return placed, faces, scipy.sparse.csr_matrix(over_joints @ onto)
+
+
+def skin_weights(file: GltfFile, primitive: FilePrimitive, count: int, joints: int) -> scipy.sparse.csr_matrix:
+    """The weights (V, J) of a primitive of ``count`` vertices on the ``joints`` of its skin; rows sum to one."""
+    held = primitive.attributes
     sets = [k for k in range(4) if f"JOINTS_{k}" in held and f"WEIGHTS_{k}" in held]
     read = [file.array(held[f"{kind}_{k}"]) for kind in ("JOINTS", "WEIGHTS") for k in sets]
     fits = all(one.shape == (count, 4) for one in read)
     joint, weight = np.split(np.concatenate(read, axis=1), 2, axis=1) if fits else np.zeros((2, 1, 1))
     weight = np.maximum(weight.astype(np.float64), 0.0)
     joint = np.where(weight > 0.0, joint, 0).astype(np.int64)
-    if not (fits and joint.min() >= 0 and joint.max() < len(rows)):
+    if not (fits and joint.min() >= 0 and joint.max() < joints):
         raise _no_fit(file)
     total = weight.sum(axis=1, keepdims=True)
     weight = np.where(total > 1e-6, weight / np.maximum(total, 1e-12), np.eye(1, weight.shape[1]))
     spread = np.repeat(np.arange(count), joint.shape[1])
-    over_joints = scipy.sparse.csr_matrix((weight.reshape(-1), (spread, joint.reshape(-1))), (count, len(rows)))
-    blended = (over_joints @ moves.reshape(len(rows), 16)).reshape(count, 4, 4)
-    placed = np.einsum("vab,vb->va", blended[:, :3, :3], points) + blended[:, :3, 3]
-    onto = scipy.sparse.csr_matrix((np.ones(len(rows)), (np.arange(len(rows)), rows)), (len(rows), nodes))
-    return placed, faces, scipy.sparse.csr_matrix(over_joints @ onto)
+    return scipy.sparse.csr_matrix((weight.reshape(-1), (spread, joint.reshape(-1))), (count, joints))
 
 
 def triangles_of(file: GltfFile, primitive: FilePrimitive) -> tuple[np.ndarray, np.ndarray]:

@@ -25,6 +25,7 @@ SPACING_M = 0.02  # of the points on a face
 REACH_M = 0.1  # cloth farther away covers nothing: a wide skirt is looked into
 INSIDE_M = 0.02  # what stands out of the cloth by more at rest is over it
 DEEPER_M = 0.05
+UNSEEN_M = 0.15  # so far from hems nobody sees a face of a file: players draw none of them deeper
 MARGIN_M = 0.03  # from all that is bare, and from hems and openings: cloth moves by so much
 
 
@@ -63,13 +64,14 @@ def covered_in_file(
     faces: np.ndarray,
     garments: Iterable[tuple[np.ndarray, np.ndarray]],
     off: np.ndarray | None = None,
+    margin_m: float = MARGIN_M,
 ) -> tuple[np.ndarray, list[PrimitiveFaces]]:
     """``covered_faces`` of the wearer that is ``stored`` with this surface, without the faces that are taken ``off``
     (F,), and which triangles of the primitives of its own file all these are; raises ``BodyError`` as
     ``load_file_rig``."""
     rig = load_file_rig(stored)
     off = np.zeros(len(faces), dtype=bool) if off is None else off
-    covered = covered_faces(vertices, faces, garments) & ~off
+    covered = covered_faces(vertices, faces, garments, margin_m=margin_m) & ~off
     ends = np.cumsum([primitive.triangles for primitive in rig.primitives])
     own = []
     for chosen in (covered, off):

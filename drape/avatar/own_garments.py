@@ -47,11 +47,19 @@ class OwnGarments:
     stiff: dict[str, str]
 
 
-Made = Callable[[str], "Garment | str"]
+class OwnCloth(NamedTuple):
+    """Clothes of one ``kind``, the parts ``numbers`` of a character, as a ``mesh``."""
+
+    kind: str
+    numbers: tuple[int, ...]
+    mesh: GarmentMesh
+
+
+Made = Callable[[OwnCloth], "Garment | str"]
 
 
 def own_garments(
-    payload: bytes, wearer: Wearer, *, each: Callable[[Made, list[str]], Iterable[Garment | str]] = map
+    payload: bytes, wearer: Wearer, *, each: Callable[[Made, list[OwnCloth]], Iterable[Garment | str]] = map
 ) -> OwnGarments:
     """The clothes of the character in the file ``payload``, of which ``wearer`` was made, as garments on its body.
 
@@ -59,14 +67,21 @@ def own_garments(
     on which it lies. Raises ``MeshError`` for another file.
     """
     stiff = _stiff(wearer)
-    parts = wearer.attire.parts
+    attire, parts = wearer.attire, wearer.attire.parts
     loose = {number for number, part in enumerate(parts) if part.kind in KINDS and part.name not in stiff}
     kinds = [kind for kind in KINDS if any(parts[number].kind == kind for number in loose)]
     numbers = {kind: sorted(number for number in loose if parts[number].kind == kind) for kind in kinds}
-    made = list(each(partial(_garment_or_why, payload, wearer, numbers), kinds))
-    for kind, why in zip(kinds, made, strict=True):
+    file, body = GltfFile(payload, label=wearer.name), wearer.body_under(_halves(kinds))
+    worn = [
+        OwnCloth(
+            kind, tuple(own), _mesh(file, wearer, f"{wearer.name}_{kind}", np.flatnonzero(np.isin(attire.part, own)))
+        )
+        for kind, own in numbers.items()
+    ]
+    made = list(each(partial(_garment_or_why, wearer.name, wearer.digest, body), worn))
+    for one, why in zip(worn, made, strict=True):
         if isinstance(why, str):
-            stiff |= {parts[number].name: why for number in numbers[kind]}
+            stiff |= {parts[number].name: why for number in one.numbers}
     return OwnGarments(tuple(one for one in made if not isinstance(one, str)), stiff)
 
 
@@ -152,24 +167,24 @@ def _stiff(wearer: Wearer) -> dict[str, str]:
     return found
 
 
-def _garment_or_why(payload: bytes, wearer: Wearer, numbers: dict[str, list[int]], kind: str) -> Garment | str:
-    """The garment of the parts ``numbers`` of ``kind``, or why no cloth can be made of them."""
-    file, body = GltfFile(payload, label=wearer.name), wearer.body_under(_halves(list(numbers)))
+def _garment_or_why(name: str, digest: str, body: BodyModel, own: OwnCloth) -> Garment | str:
+    """The garment of ``own`` clothes of the character of this ``name`` and ``digest`` on its ``body``, or why no cloth
+    can be made of them."""
     try:
-        return _garment(file, wearer, body, kind, numbers[kind])
+        return _garment(name, digest, body, own)
     except DrapeError as error:
         return f"No cloth can be made of it: expected {error.expected}, got {error.got}."
 
 
-def _garment(file: GltfFile, wearer: Wearer, body: BodyModel, kind: str, numbers: Sequence[int]) -> Garment:
-    mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", np.flatnonzero(np.isin(wearer.attire.part, numbers)))
-    made_of = f"own {VERSION} {kind} {numbers} {wearer.digest} {body.digest}"
-    made = intake_mesh(mesh, body, digest=hashlib.sha256(made_of.encode()).hexdigest())
+def _garment(name: str, digest: str, body: BodyModel, own: OwnCloth) -> Garment:
+    kind, numbers = own.kind, list(own.numbers)
+    made_of = f"own {VERSION} {kind} {numbers} {digest} {body.digest}"
+    made = intake_mesh(own.mesh, body, digest=hashlib.sha256(made_of.encode()).hexdigest())
     refusal = why_not(body, reach_of(made, body), garment=kind)
     if refusal is not None:
         raise refusal
-    about = {"kind": kind, "parts": [int(number) for number in numbers]}
-    called = f"{wearer.name}{MARK}{kind}"
+    about = {"kind": kind, "parts": numbers}
+    called = f"{name}{MARK}{kind}"
     drawn = None if made.drawn is None else replace(made.drawn, name=called)
     return replace(made, name=called, drawn=drawn, manifest=made.manifest | {OWN: about})
 

@@ -13,46 +13,95 @@ from drape.errors import InputError
 from drape.export.glb import GARMENT_COLOURS, add_garment
 from drape.export.glb_file import GlbFile
 from drape.export.mdd import mdd_frames, mdd_head
+from drape.export.obj import obj_text
 from drape.export.pc2 import pc2_head, pc2_samples
 from drape.export.root_motion import RootMotion
-from drape.export.surface import Surface, by_layer
-from drape.export.usda import MovingGarment, usda_pieces
+from drape.export.surface import MovingGarment, Surface, by_layer
+from drape.export.usd_stage import SUFFIXES as USD_SUFFIXES
+from drape.export.usd_stage import check_usd, usd_file
+from drape.export.usda import usda_pieces
+from drape.export.vat import ENDING, check_vat, vat_files
+from drape.export.vat import SUFFIX as VAT_SUFFIX
 from drape.files.atomic import whole_file
 
-SUFFIXES = (".glb", ".npy", ".pc2", ".mdd", ".usda")
+SCENES = (".usda", *USD_SUFFIXES, VAT_SUFFIX)
+SUFFIXES = (".glb", ".npy", ".pc2", ".mdd", *SCENES)
 CACHES = (".pc2", ".mdd")  # points without a mesh, which comes beside
 
 
 def check_name(path: Path, suffixes: Sequence[str] = SUFFIXES) -> None:
-    """Refuses (``InputError``) a file of no kind that is written, or in a folder that is not there."""
-    if path.suffix.lower() not in suffixes:
+    """Refuses a file of no kind that is written, or in a folder that is not there (``InputError``), and one for which a
+    package is missing (``Unavailable``)."""
+    suffix = path.suffix.lower()
+    if suffix not in suffixes:
         expected = f"a name ending in {', '.join(suffixes)}"
         raise InputError("--out", expected=expected, got=path.name, cure="Rename it.")
     if not path.absolute().parent.is_dir():
         raise InputError("--out", expected="an existing folder", got=str(path.parent), cure="Make the folder first.")
+    if suffix in USD_SUFFIXES:
+        check_usd()
+    if suffix == VAT_SUFFIX:
+        check_vat()
+        if not path.stem.endswith(ENDING):
+            cure = f"Call it {path.stem}{ENDING}{suffix}."
+            raise InputError("--out", expected=f"a name ending in {ENDING}{suffix}", got=path.name, cure=cure)
 
 
-def clip_pieces(
-    suffix: str,
+def moving_layers(surfaces: Sequence[Surface], vertices: np.ndarray) -> list[MovingGarment]:
+    """The ``surfaces`` at ``vertices`` [m] (F, V, 3), one after the other, each in its colour."""
+    colours = itertools.cycle(GARMENT_COLOURS)
+    return list(map(MovingGarment, surfaces, by_layer(surfaces, vertices), colours))
+
+
+def write_scene(path: Path, layers: Sequence[MovingGarment], fps: float) -> list[Path]:
+    """Writes ``layers`` as a file of one of ``SCENES``, as ``write_pieces`` does; returns what else lies beside it."""
+    suffix = path.suffix.lower()
+    if suffix == VAT_SUFFIX:
+        made = vat_files(layers, fps, path.stem.removesuffix(ENDING))
+        for name, content in made.items():
+            write_pieces(path.with_name(name), [content])
+        return [path.with_name(name) for name in made if name != path.name]
+    write_pieces(path, [usd_file(layers, fps, suffix)] if suffix in USD_SUFFIXES else usda_pieces(layers, fps))
+    return []
+
+
+def write_clip(
+    path: Path,
     surfaces: Sequence[Surface],
     vertices: np.ndarray,
     fps: float,
     root_motion: RootMotion | None = None,
-) -> Iterator[bytes]:
-    """The file of the ``surfaces`` at ``vertices`` [m] (F, V, 3), one after the other, in pieces.
+) -> list[Path]:
+    """Writes the ``surfaces`` at ``vertices`` [m] (F, V, 3), one after the other, as a file of one of ``SUFFIXES``;
+    returns what lies beside it: the mesh of a point cache, the other files of a texture.
 
     ``root_motion`` quantises a GLB (``drape.export.glb``).
     """
-    layers = by_layer(surfaces, vertices)
-    colours = itertools.cycle(GARMENT_COLOURS)
+    suffix = path.suffix.lower()
+    if suffix in SCENES:
+        return write_scene(path, moving_layers(surfaces, vertices), fps)
+    write_pieces(path, _clip_pieces(suffix, surfaces, vertices, fps, root_motion))
+    if suffix not in CACHES:
+        return []
+    beside = path.with_suffix(".obj")
+    first = [layer[0] for layer in by_layer(surfaces, vertices)]
+    write_pieces(beside, [obj_text(surfaces, first).encode()])
+    return [beside]
+
+
+def _clip_pieces(
+    suffix: str,
+    surfaces: Sequence[Surface],
+    vertices: np.ndarray,
+    fps: float,
+    root_motion: RootMotion | None,
+) -> Iterator[bytes]:
+    """What ``write_clip`` writes into a file of GLB, NPY, PC2 or MDD, in pieces."""
     if suffix == ".glb":
         file = GlbFile()
-        for surface, layer, colour in zip(surfaces, layers, colours, strict=False):
-            add_garment(file, surface, layer, fps, colour, root_motion=root_motion)
+        for one in moving_layers(surfaces, vertices):
+            add_garment(file, one.surface, one.vertices, fps, one.colour, root_motion=root_motion)
         return itertools.chain([file.head()], file.pieces())
-    if suffix == ".usda":
-        moving = [MovingGarment(*parts[:2], parts[2][:3]) for parts in zip(surfaces, layers, colours, strict=False)]
-        return usda_pieces(moving, fps)
     count, frames = vertices.shape[1], len(vertices)
     if suffix == ".mdd":
         return itertools.chain([mdd_head(count, frames, fps=fps)], [mdd_frames(vertices)])

@@ -48,6 +48,15 @@ class MeshSurface:
     looks: Looks = NO_LOOKS
 
 
+@dataclass(frozen=True, eq=False)
+class MovingGarment:
+    """A garment at ``vertices`` [m] (F, V, 3), in a ``colour`` of linear red, green, blue and opacity."""
+
+    surface: Surface
+    vertices: np.ndarray
+    colour: tuple[float, float, float, float]
+
+
 class Counted(Protocol):
     """What has vertices: a ``Surface``, or a garment in service."""
 

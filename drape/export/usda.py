@@ -8,23 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from drape.export.surface import Surface
+from drape.export.surface import MovingGarment
 
 ROWS_A_PIECE = 1024  # half a millisecond of the formatter, which holds the interpreter lock
 POINT_BYTES = 28  # about
-
-
-@dataclass(frozen=True, eq=False)
-class MovingGarment:
-    """A garment at ``vertices`` [m] (F, V, 3), in a colour (3,) of linear red, green and blue."""
-
-    surface: Surface
-    vertices: np.ndarray
-    colour: tuple[float, ...]
 
 
 def usda_pieces(layers: Sequence[MovingGarment], fps: float, *, point: np.ndarray | None = None) -> Iterator[bytes]:
@@ -37,7 +27,7 @@ def usda_pieces(layers: Sequence[MovingGarment], fps: float, *, point: np.ndarra
         f'def Xform "clip"\n{{\n    double3 xformOp:translate = ({x!r}, {y!r}, {z!r})\n'
         '    uniform token[] xformOpOrder = ["xformOp:translate"]\n'
     ).encode()
-    names = _identifiers([layer.surface.name for layer in layers])
+    names = identifiers([layer.surface.name for layer in layers])
     for name, layer in zip(names, layers, strict=True):
         yield from _mesh(name, layer)
     yield b"}\n"
@@ -58,7 +48,7 @@ def _mesh(name: str, layer: MovingGarment) -> Iterator[bytes]:
         yield f"            {frame}: [".encode()
         yield from _listed_rows(vertices, "(%.5f, %.5f, %.5f)")
         yield b"],\n"
-    yield f"        }}\n        color3f[] primvars:displayColor = [{_points(np.array([layer.colour]))}]\n".encode()
+    yield f"        }}\n        color3f[] primvars:displayColor = [{_points(np.array([layer.colour[:3]]))}]\n".encode()
     if surface.uv_faces.size:
         yield b"        texCoord2f[] primvars:st = ["
         yield from _listed_rows(surface.uv, "(%.6g, %.6g)")
@@ -66,7 +56,7 @@ def _mesh(name: str, layer: MovingGarment) -> Iterator[bytes]:
         yield from _listed(surface.uv_faces)
         yield b"]\n"
     yield b'        uniform token subdivisionScheme = "none"\n'
-    for number, part in enumerate(_identifiers(surface.material_names)):
+    for number, part in enumerate(identifiers(surface.material_names)):
         yield f'\n        def GeomSubset "{part}"\n        {{\n'.encode()
         yield b'            uniform token elementType = "face"\n            uniform token familyName = "materialBind"\n'
         yield b"            int[] indices = ["
@@ -91,7 +81,7 @@ def _listed(numbers: np.ndarray) -> Iterator[bytes]:
     return _listed_rows(numbers.reshape(-1, 1), "%d")
 
 
-def _identifiers(names: Sequence[str]) -> list[str]:
+def identifiers(names: Sequence[str]) -> list[str]:
     """``names`` as USD names prims: letters, digits and underscores of ASCII, each once."""
     found: list[str] = []
     for name in names:

@@ -21,6 +21,8 @@ GLB = "model/gltf-binary"
 PNG = "image/png"
 PC2 = "application/x-pc2"
 USDA = "model/vnd.usda"
+USDZ = "model/vnd.usdz+zip"
+VAT = "application/zip"
 PIECE_NUMBERS = 4096  # half a millisecond of the encoder, which holds the interpreter lock
 
 

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from drape.avatar.attire import TOLD as SURE
 from drape.avatar.attire_words import Kind
-from drape.avatar.covered import DEEPER_M, covered_in_file, ranges_of
+from drape.avatar.covered import DEEPER_M, MARGIN_M, covered_in_file, ranges_of
 from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.mapping import TOLD
 from drape.avatar.own_garments import Undressed
@@ -167,7 +167,15 @@ async def avatar_mesh(avatar_id: str, state: StateHere, client: ClientHere) -> R
 
 
 @router.get("/avatars/{avatar_id}/covered", responses=responses(InputError, NotFound, TooSlow, TooLarge))
-async def avatar_covered(avatar_id: str, state: StateHere, client: ClientHere, clothes: ClothesHere) -> CoveredFaces:
+async def avatar_covered(
+    avatar_id: str,
+    state: StateHere,
+    client: ClientHere,
+    clothes: ClothesHere,
+    margin_m: Annotated[
+        float, Query(ge=0.0, le=0.5, description="How far covered faces are from hems and from what is bare [m].")
+    ] = MARGIN_M,
+) -> CoveredFaces:
     """Returns the faces of the character that lie wholly under its garments at rest, away from their hems, and those of
     its own clothes that these replace. A client that draws the first a little deeper and leaves out the others keeps
     them from showing through the cloth.
@@ -179,7 +187,7 @@ async def avatar_covered(avatar_id: str, state: StateHere, client: ClientHere, c
         wearer, left = await undressed_avatar(avatar_id, scene, state, client)
         surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
         cloth = [(worn.garment.vertices, worn.garment.faces) for worn in scene.layers]
-        covered, of_file = await state.runtime.made(covered_in_file, entry.path, *surface, cloth, left.off)
+        covered, of_file = await state.runtime.made(covered_in_file, entry.path, *surface, cloth, left.off, margin_m)
     return CoveredFaces(
         deeper_m=DEEPER_M,
         share=round(float(covered.mean()), 4),

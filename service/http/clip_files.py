@@ -1,13 +1,16 @@
-"""Clips as files: GLB with a garment's frames or a skinned body, PC2 point caches and USD text."""
+"""Clips as files: GLB with a garment's frames or a skinned body, PC2, USD and vertex animation textures."""
 
 from __future__ import annotations
 
+import io
 import itertools
+import zipfile
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from fastapi.responses import StreamingResponse
 
+from drape.avatar.covered import UNSEEN_M, covered_faces
 from drape.avatar.distilled import Draped, distil
 from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.joint_file import Jointed, add_clip
@@ -19,10 +22,11 @@ from drape.export.glb_body import add_body
 from drape.export.glb_file import GlbFile
 from drape.export.pc2 import pc2_head
 from drape.export.root_motion import RootMotion
-from drape.export.surface import by_layer
-from drape.export.usda import MovingGarment, usda_pieces
+from drape.export.surface import MovingGarment, by_layer
+from drape.export.usd_stage import check_usd, usd_file
+from drape.export.vat import check_vat, vat_files
 from drape.garment.cache import Garment
-from service.http.answers import PC2, number_bytes
+from service.http.answers import USDZ, VAT, number_bytes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,7 +36,6 @@ if TYPE_CHECKING:
     from drape.stages.batch import PoseInput
     from drape.stages.placing import Placed
     from drape.stages.scene import Scene
-    from service.compute.threads import SlicedThread
     from service.http.schemas import ClipOptions, PosedOptions
 
 
@@ -102,7 +105,9 @@ def on_rig_file(
             )
         add_clip(file, made, [one.vertices for one in layers], motion, nodes, wearer.scale)
     if left.added:
-        add_bare(file, nodes, wearer, rig, left)
+        body, cloth = wearer.body, [(one.garment.vertices, one.garment.faces) for one in layers]
+        unseen = covered_faces(body.v_template, body.faces, cloth, margin_m=UNSEEN_M)
+        add_bare(file, nodes, wearer, rig, left._replace(bare=left.bare & ~unseen))
     return file, file.head()
 
 
@@ -116,18 +121,38 @@ def body_file(body: BodyModel, clip: PoseInput, asked: PosedOptions) -> tuple[Gl
     return file, file.head()
 
 
-def export_answer(
-    kind: str, scene: Scene, placed: Placed, fps: float, sliced_thread: SlicedThread, headers: dict[str, str]
-) -> StreamingResponse:
-    """``placed`` as a file of ``kind``, PC2 or USDA; what has roots counts from the first, where USD has an Xform."""
+def moving(scene: Scene, placed: Placed) -> tuple[list[MovingGarment], np.ndarray]:
+    """The garments of ``scene`` where they are ``placed``; what has roots counts from the first, which is the point
+    [m] (3,)."""
     vertices, point = placed.from_first()
-    headers = placed.headers | headers
-    if kind == PC2:
-        pieces = itertools.chain([pc2_head(vertices.shape[1], len(vertices))], number_bytes(vertices))
-    else:
-        layers = [
-            MovingGarment(entry.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)][:3])
-            for i, (entry, own) in enumerate(zip(scene.layers, by_layer(scene.layers, vertices), strict=True))
-        ]
-        pieces = usda_pieces(layers, fps, point=point)
-    return StreamingResponse(sliced_thread.each(pieces), media_type=kind, headers=headers)
+    layers = [
+        MovingGarment(entry.garment.surface, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)])
+        for i, (entry, own) in enumerate(zip(scene.layers, by_layer(scene.layers, vertices), strict=True))
+    ]
+    return layers, point
+
+
+def point_cache(placed: Placed) -> Iterator[bytes]:
+    """``placed`` as PC2, in pieces."""
+    vertices, _ = placed.from_first()
+    return itertools.chain([pc2_head(vertices.shape[1], len(vertices))], number_bytes(vertices))
+
+
+def check_package(kind: str) -> None:
+    """Refuses (``Unavailable``) a file of ``kind`` for which a package is missing."""
+    if kind == USDZ:
+        check_usd()
+    if kind == VAT:
+        check_vat()
+
+
+def packed_scene(layers: list[MovingGarment], point: np.ndarray, fps: float, kind: str) -> bytes:
+    """``layers``, which count from ``point`` [m] (3,), as one file of ``kind``: USDZ, or a ZIP of those of a vertex
+    animation texture."""
+    if kind == USDZ:
+        return usd_file(layers, fps, ".usdz", point=point)
+    out, names = io.BytesIO(), "_".join(layer.surface.name for layer in layers)
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, content in vat_files(layers, fps, names).items():
+            archive.writestr(name, content)
+    return out.getvalue()

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from fastapi import APIRouter, Request, Response
+from fastapi.responses import StreamingResponse
 
 from drape.avatar.wearer import rotations
 from drape.errors import BodyError, InputError, MotionError, NotFound, TooLarge
-from drape.export.usda import POINT_BYTES
+from drape.export.usda import POINT_BYTES, usda_pieces
 from drape.stages.batch import Batch, PoseInput, motion_arrays, shape_array
 from drape.stages.placing import Placed
 from drape.stages.scene import Outfit, layer_list
@@ -24,8 +25,29 @@ from service.compute.threads import BRIEF_BYTES
 from service.errors import NotAcceptable, TooSlow
 from service.guard.limits import check_answer
 from service.http import exact_clips, schemas
-from service.http.answers import BINARY, GLB, JSON, PC2, USDA, binary_answer, choose, file_answer, json_answer
-from service.http.clip_files import body_file, dressed, export_answer, garment_file, on_rig_file
+from service.http.answers import (
+    BINARY,
+    GLB,
+    JSON,
+    PC2,
+    USDA,
+    USDZ,
+    VAT,
+    binary_answer,
+    choose,
+    file_answer,
+    json_answer,
+)
+from service.http.clip_files import (
+    body_file,
+    check_package,
+    dressed,
+    garment_file,
+    moving,
+    on_rig_file,
+    packed_scene,
+    point_cache,
+)
 from service.http.clip_jobs import ClipJob, floor_headers, jets_response, plan_headers, quality_headers, streamed_answer
 from service.http.json_body import check_marks, clip_marks, content_type, document_of, json_text, parsed, validated
 from service.http.openapi import clip_schema, responses
@@ -39,6 +61,8 @@ if TYPE_CHECKING:
 router = APIRouter()
 NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON
 KINDS = (BINARY, GLB, JSON)
+FILES = (*KINDS, PC2, USDA, USDZ, VAT)
+PLACE_AND_NORMAL_BYTES = 24
 CLIP_REFUSALS = (InputError, NotFound, NotAcceptable, TooSlow, TooLarge, MotionError, BodyError)
 Asked = TypeVar("Asked", bound=schemas.PosedOptions)
 Result = TypeVar("Result")
@@ -48,12 +72,13 @@ Result = TypeVar("Result")
     "/drape",
     response_model=schemas.VerticesDocument,
     openapi_extra=clip_schema(schemas.DrapeRequest),
-    responses=responses(*CLIP_REFUSALS, kinds=(*KINDS, PC2, USDA)),
+    responses=responses(*CLIP_REFUSALS, kinds=FILES),
 )
 async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> Response:
     """Drapes a garment, or an outfit, on a moving body. Positions are in metres, in the world's axes.
 
-    The Accept header chooses the format: binary float32 (frames, vertices, 3), GLB, JSON, PC2 or USD. The vertices of
+    The Accept header chooses the format: binary float32 (frames, vertices, 3), GLB, JSON, PC2, USD (text
+    or USDZ), or a vertex animation texture as a ZIP. The vertices of
     an outfit's garments follow each other, and X-Drape-Garments says how many each has. With ``origin`` root positions
     count from each frame's root joint; the roots follow them as float64 (frames, 3). With ``geometry`` jets the answer
     is binary and holds a JETS message for each frame (docs/reference/wire.md). With ``streamed`` frames leave as soon
@@ -68,6 +93,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
         return Response(job.model_dump_json(), status_code=202, media_type=JSON, headers=where)
     kind = choose(request.headers.get("accept"), _offered(asked))
     check_rig(asked, kind)
+    check_package(kind)
     scene = await state.worn(asked, client)
     plan = state.runtime.plan(scene, asked, messages=asked.geometry == "jets")
     if asked.past is not None:
@@ -88,7 +114,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
 @router.get(
     "/jobs/{job_id}/clip",
     response_model=schemas.VerticesDocument,
-    responses=responses(NotFound, NotAcceptable, TooLarge, kinds=(*KINDS, PC2, USDA)),
+    responses=responses(NotFound, NotAcceptable, TooLarge, kinds=FILES),
 )
 async def exact_clip(job_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
     """Returns the finished clip of tier exact in any format of POST /drape. ``body``, ``origin`` and ``quantised`` are
@@ -98,7 +124,8 @@ async def exact_clip(job_id: str, request: Request, state: StateHere, client: Cl
     if found is None:
         cure = "POST /drape with tier exact."
         raise NotFound("job", expected="the id of a clip of tier exact", got=job_id[:120], cure=cure)
-    kind = choose(request.headers.get("accept"), (*KINDS, PC2, USDA))
+    kind = choose(request.headers.get("accept"), FILES)
+    check_package(kind)
     with state.access.using(client, "clips"), state.slot():
         job, draped, headers = await exact_clips.finished(found, state, client)
         check_clip_size(job, kind, state.runtime.settings)
@@ -109,7 +136,7 @@ def _offered(asked: schemas.ClipOptions) -> tuple[str, ...]:
     """The media types in which what is ``asked`` for can come."""
     if asked.geometry == "jets":
         return (BINARY,)
-    return (BINARY, PC2) if asked.streamed else (*KINDS, PC2, USDA)
+    return (BINARY, PC2) if asked.streamed else FILES
 
 
 async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str, str], state: State) -> Response:
@@ -126,8 +153,16 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
     if kind == GLB:
         file = await apart(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
-    if kind in (PC2, USDA):
-        return await apart(export_answer, kind, scene, placed, asked.fps, state.sliced_thread, headers)
+    if kind == PC2:
+        pieces = await apart(point_cache, placed)
+        return StreamingResponse(state.sliced_thread.each(pieces), media_type=kind, headers=placed.headers | headers)
+    if kind in (USDA, USDZ, VAT):
+        layers, point = await apart(moving, scene, placed)
+        headers = placed.headers | headers
+        if kind == USDA:
+            pieces = usda_pieces(layers, asked.fps, point=point)
+            return StreamingResponse(state.sliced_thread.each(pieces), media_type=kind, headers=headers)
+        return Response(await state.runtime.made(packed_scene, layers, point, asked.fps, kind), 200, headers, kind)
     worn = layer_list(scene) if isinstance(scene, Outfit) else None
     return await _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
 
@@ -264,6 +299,7 @@ def check_clip_size(job: ClipJob, kind: str, settings: Settings) -> None:
 def _check_size(kind: str, frames: int, vertices: int, settings: Settings, *, glb_bytes: int = 24) -> None:
     json_bytes = 3 * NUMBER_TEXT_BYTES
     per_vertex = {BINARY: 12, PC2: 12, GLB: glb_bytes, JSON: json_bytes, USDA: POINT_BYTES}
+    per_vertex |= {USDZ: PLACE_AND_NORMAL_BYTES, VAT: PLACE_AND_NORMAL_BYTES}
     check_answer(frames * vertices * per_vertex[kind], f"{frames} frames of {vertices} vertices", settings)
 
 

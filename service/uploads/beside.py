@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from drape.errors import TooLarge
 from service.compute.background import end_with_parent, step_back
 
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
@@ -27,11 +28,16 @@ def beside() -> Iterator[Each]:
     into, out = process.stdin, process.stdout
 
     def each(make: Callable[[Any], Any], ones: Sequence[Any]) -> list[Any]:
-        if len(ones) > 1:
+        if len(ones) < 2:
+            return [make(one) for one in ones]
+        try:
             pickle.dump((make, ones[1:]), into)
             into.flush()
-        made = [make(one) for one in ones[:1]]
-        others = pickle.load(out) if len(ones) > 1 else []
+            made = [make(one) for one in ones[:1]]
+            others = pickle.load(out)
+        except (EOFError, BrokenPipeError) as error:  # by a limit, or by the system
+            expected, got = "clothes that fit into the limits of an intake", f"a process that ended: {process.wait()}"
+            raise TooLarge("clothes", expected=expected, got=got, cure="Simplify the mesh.") from error
         if isinstance(others, Exception):
             raise others
         return made + others

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from pathlib import Path
 
 import pytest
@@ -12,10 +13,31 @@ from drape.catalog import find_garments, open_garment
 from tests.clients.browser import Page
 from tests.clients.test_page import click, more_frames, page, share, stage
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.glb_reader import Reader
 from tests.fixtures.patience import PATIENT_S
 
 __all__ = ["page"]
 pytestmark = pytest.mark.browser
+
+
+KEEP = """(() => {
+  const was = URL.createObjectURL;
+  URL.createObjectURL = (blob) => { window.savedFile = blob; return was.call(URL, blob); };
+  document.getElementById("save").click();
+  return true;
+})()"""
+READ = """new Promise((done) => {
+  const reader = new FileReader();
+  reader.onload = () => done(reader.result.split(",")[1]);
+  reader.readAsDataURL(window.savedFile);
+})"""
+
+
+def saved_by(page: Page) -> bytes:
+    """What the button Save gives."""
+    page.evaluate(KEEP)
+    page.wait_for("window.savedFile?.size > 1000", seconds=4 * PATIENT_S)
+    return base64.b64decode(page.evaluate(READ))
 
 
 @pytest.mark.long
@@ -57,6 +79,11 @@ def test_own_clothes_of_a_character_move_and_stay_and_say_why(page: Page, body: 
     assert page.evaluate("document.getElementById('alive-words').textContent") == "Top of Doll."
     assert "One bone moves all of it, as armour." in page.evaluate("document.getElementById('stiff').textContent")
     page.wait_for_picture(lambda now: share(stage(now), "b") > 0.02, "its own top in its own colour")
+    saved = Reader(saved_by(page))
+    was = Reader(file.read_bytes()).json
+    assert [mesh["name"] for mesh in saved.json["meshes"]][len(was["meshes"]) :][0] == "doll~top"
+    assert saved.json["nodes"][: len(was["nodes"])] == was["nodes"] and saved.json["animations"][0]["name"] == "drape"
+    assert len(saved.json["materials"]) > len(was["materials"]), "in its own materials"
     click(page, "alive")
     page.wait_for("document.querySelector('#worn li')?.dataset.garment === 'tube'", seconds=4 * PATIENT_S)
     more_frames(page)

@@ -54,7 +54,7 @@ def test_a_shell_completes_commands_and_options(capsys: pytest.CaptureFixture[st
     assert done.stdout.split() == ["--size"]
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".usda", ".pc2", ".mdd", ".npy"])
+@pytest.mark.parametrize("suffix", [".glb", ".usda", ".usdc", "_vat.exr", ".pc2", ".mdd", ".npy"])
 def test_a_garment_is_worn_into_a_file(suffix: str, stop: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / f"worn{suffix}"
     assert main(["wear", "tank", str(stop), "--out", str(out), "--tier", "instant", "--json"]) == 0
@@ -62,7 +62,9 @@ def test_a_garment_is_worn_into_a_file(suffix: str, stop: Path, tmp_path: Path, 
     assert told["frames"] == 3 and told["bytes"] == out.stat().st_size > 1000
     if suffix == ".npy":
         assert np.load(out).shape == (3, told["vertices"], 3)
-    assert ("mesh" in told) == (suffix in (".pc2", ".mdd")) and ("mesh" not in told or Path(told["mesh"]).is_file())
+    beside = {".pc2": ["worn.obj"], ".mdd": ["worn.obj"], "_vat.exr": ["worn-remap_info.json", "worn.glb"]}
+    assert sorted(Path(one).name for one in told["beside"]) == beside.get(suffix, [])
+    assert all(Path(one).is_file() for one in told["beside"])
 
 
 @pytest.mark.parametrize(

@@ -20,11 +20,15 @@ export async function sendCharacter(drape, file) {
   return id;
 }
 
+// The bytes of the file of the character with this id; undefined where this browser does not have it.
+export async function charactersFile(id) {
+  return fresh.get(id) ?? (await (await (await store())?.match(address(id)))?.arrayBuffer());
+}
+
 // The character that the service tells avatar of, as an object that poses itself, or as nothing but its joints where this
 // browser does not have its file.
 export async function findCharacter(avatar) {
-  const { id } = avatar;
-  const kept = fresh.get(id) ?? (await (await (await store())?.match(address(id)))?.arrayBuffer());
+  const kept = await charactersFile(avatar.id);
   if (kept) return readCharacter(kept, avatar);
   return { object: null, rest: avatar.rest_joints, pose: null };
 }

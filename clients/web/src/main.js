@@ -12,13 +12,13 @@ import { asked, clipFirst, countFrame, moving, wanted, wornFirst } from "./first
 import { Fit } from "./fit.js";
 import { listen, makeDrawers, makeHelp, makeSheet, turnByKeys } from "./keys.js";
 import { Measures } from "./measures.js";
-import { Motions, sampled } from "./motions.js";
+import { Motions } from "./motions.js";
 import { Outfit } from "./outfit.js";
 import { OwnClothes } from "./own_clothes.js";
 import { OwnMotions } from "./own_motions.js";
 import { Quality } from "./quality.js";
 import { Readouts, Triangles } from "./readouts.js";
-import { clipFile, key } from "./service.js";
+import { key } from "./service.js";
 import { Shelf } from "./shelf.js";
 import { Sizes } from "./sizes.js";
 import { Stage } from "./stage.js";
@@ -215,10 +215,16 @@ function tellOffline(refusal) {
   if (refusal) element("offline-words").textContent = refusal.message;
 }
 
-const cover = failing((worn) => worn.cover(figure.object));
+// Skin below, and own clothes that are cloth now or come off, change with the first picture of what is worn.
+const cover = failing(async (worn) => {
+  const { options } = worn.wearing;
+  const { object } = coming?.for === wearerOf(options) ? coming.figure : figure;
+  if (options.avatar && object && worn.covering?.skin !== object) await worn.cover(object);
+});
 
 function makeOutfit() {
   outfit = new Outfit(drape, stage, {
+    onOpen: cover,
     onFrame(worn) {
       const { wearing } = worn;
       triangles.draw(worn);
@@ -228,7 +234,7 @@ function makeOutfit() {
         figure.show(coming.figure);
         coming = null;
       }
-      if (wearing.options.avatar && figure.object && worn.covering?.skin !== figure.object) cover(worn);
+      cover(worn);
       const moved = wearing.stats.bytes > BYTES.SAME || !figure.posed; // else nothing has to be drawn
       if (moved) figure.pose(wearing.bodyPose, wearing.root);
       quality.take(wearing);
@@ -268,18 +274,9 @@ const save = failing(async () => {
   const { clip } = motions;
   if (!clip?.frames || shelf.worn.length < shelf.least) throw new Error("Choose a garment and a motion first; what the camera sees is not kept.");
   element("save").disabled = true;
-  say("The service writes the file …");
   try {
-    const garments = shelf.worn.map(({ id }) => id);
-    const worn = garments.length === 1 ? { garment: garments[0] } : garments.length ? { garments } : {};
-    const { geometry, folds_by, ...meshes } = meshed();
-    const asked = { ...worn, ...options(), ...meshes, ...sampled(clip), body: true };
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(await clipFile(drape.rest, asked));
-    link.download = `${garments.join("-") || state.avatar}-${clip.id}.glb`;
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
-    say(`Saved ${link.download}.`);
+    const { saveMotion } = await import("./save.js");
+    await saveMotion(drape, outfit.next ?? outfit.current, { garments: shelf.worn.map(({ id }) => id), ...options(), ...meshed() }, clip);
   } finally {
     element("save").disabled = false;
   }

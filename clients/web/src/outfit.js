@@ -2,7 +2,9 @@
 export class Outfit {
   // onFrame(worn): its vertices have moved; onState(state, refusal): what the stream does; onFolds({ tookS, allowedS }):
   // this device was too slow for folds, and the service makes them.
-  constructor(drape, stage, { onFrame, onState, onFolds }) {
+  // onOpen(worn): promises that what lies below it is ready too.
+  constructor(drape, stage, { onFrame, onState, onFolds, onOpen }) {
+    this.onOpen = onOpen;
     this.drape = drape;
     this.stage = stage;
     this.onFrame = onFrame;
@@ -51,6 +53,7 @@ export class Outfit {
       if (made === (this.next ?? this.current)) this.onState(state, error);
     });
     this.onState("open", null);
+    made.ready = this.onOpen(made);
     return true;
   }
 
@@ -58,7 +61,7 @@ export class Outfit {
     if (worn === this.next) {
       if (this.coming === worn) return;
       this.coming = worn;
-      await this.stage.ready(worn);
+      await Promise.all([this.stage.ready(worn), worn.ready]);
       if (this.coming === worn) this.coming = null;
       if (worn !== this.next) return; // another one is wanted meanwhile
       this.current?.dispose();

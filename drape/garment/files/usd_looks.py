@@ -56,7 +56,7 @@ class _Reader:
         base, channel = _source(surface, "diffuseColor")
         clear, clear_channel = _source(surface, "opacity")
         threshold = float(_value(surface, "opacityThreshold", 0.0))
-        opacity = 1.0 if clear is not None else float(_value(surface, "opacity", 1.0))
+        opacity = float(_value(surface, "opacity", 1.0) if clear is None else _scale(clear)[3])
         numbers: dict[Slot, int | None] = {
             "base_colour": None if base is None or channel != "rgb" else self.picture(base),
             "normal": None if (bumps := _source(surface, "normal")[0]) is None else self.picture(bumps),
@@ -69,9 +69,10 @@ class _Reader:
             clear = None
         see_through = clear is not None or opacity < 1.0
         textured = {"metallic_roughness"} & set(pictures)
-        colour = (1.0, 1.0, 1.0) if "base_colour" in pictures else tuple(_value(surface, "diffuseColor", (0.18,) * 3))
+        tinted = base is not None and "base_colour" in pictures
+        colour = _scale(base)[:3] if tinted else _value(surface, "diffuseColor", (0.18,) * 3)
         fields: dict[str, Any] = {
-            "base_colour": (*np.clip(np.array(colour, dtype=float), 0.0, 1.0).tolist(), opacity),
+            "base_colour": (*np.clip(np.array(tuple(colour), dtype=float), 0.0, 1.0).tolist(), opacity),
             "metallic": 1.0 if textured else float(_value(surface, "metallic", 0.0)),
             "roughness": 1.0 if textured else float(_value(surface, "roughness", 0.5)),
             "alpha_mode": "OPAQUE" if not see_through else "MASK" if threshold > 0.0 else "BLEND",
@@ -148,6 +149,11 @@ def _source(shader: Any, name: str) -> tuple[Any | None, str]:
         if source and source.GetIdAttr().Get() == "UsdUVTexture":
             return source, attribute.GetBaseName()
     return None, ""
+
+
+def _scale(texture: Any) -> tuple[float, ...]:
+    """What the texels of a UsdUVTexture are multiplied by, in [0, 1]."""
+    return tuple(np.clip(np.array(tuple(_value(texture, "scale", (1.0,) * 4)), dtype=float), 0.0, 1.0).tolist())
 
 
 def _placed(texture: Any) -> tuple[Any | None, Any | None]:

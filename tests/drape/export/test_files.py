@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.export.mdd import mdd_frames, mdd_head
 from drape.export.obj import obj_text
 from drape.export.pc2 import HEAD_BYTES, pc2_head, pc2_samples
-from drape.export.usda import POINT_BYTES, MovingGarment, usda_pieces
+from drape.export.surface import MovingGarment
+from drape.export.usda import POINT_BYTES, usda_pieces
 from drape.garment.cache import Garment
 from drape.garment.files.obj import read_obj
 from tests.fixtures.exports import read_mdd, read_pc2, read_usda
@@ -40,7 +41,7 @@ def test_an_mdd_cache_holds_the_bits_and_the_times(tube: Garment):
 def test_a_scene_holds_meshes_and_their_motion(tube: Garment):
     frames = clip(tube)
     bare = dataclasses.replace(tube, name="2 Röcke", uv=np.zeros((0, 2)), uv_faces=np.zeros((0, 3), int))
-    layers = [MovingGarment(one, frames, (0.1, 0.2, 0.3)) for one in (tube, tube, bare)]
+    layers = [MovingGarment(one, frames, (0.1, 0.2, 0.3, 1.0)) for one in (tube, tube, bare)]
     pieces = list(usda_pieces(layers, 24.0, point=np.array([1e6, 0.0, -2.5])))
     scene = read_usda(b"".join(pieces).decode())
     assert scene.head["upAxis"] == '"Y"' and scene.head["metersPerUnit"] == "1"
@@ -64,9 +65,9 @@ def test_no_piece_of_a_scene_is_long(tube: Garment):
     many = np.tile(clip(tube), (1, 40, 1))  # more points than faces name
     repeated = {name: np.tile(getattr(tube, name), (40, 1)) for name in ("faces", "uv_faces", "uv")}
     large = dataclasses.replace(tube, **repeated, face_material=np.tile(tube.face_material, 40))
-    pieces = list(usda_pieces([MovingGarment(large, many, (0.1, 0.2, 0.3))], 30.0))
+    pieces = list(usda_pieces([MovingGarment(large, many, (0.1, 0.2, 0.3, 1.0))], 30.0))
     assert max(map(len, pieces)) < 40 * 1024
-    size = sum(map(len, usda_pieces([MovingGarment(tube, many, (0.1, 0.2, 0.3))], 30.0)))
+    size = sum(map(len, usda_pieces([MovingGarment(tube, many, (0.1, 0.2, 0.3, 1.0))], 30.0)))
     assert abs(size / many[..., 0].size - POINT_BYTES) < 4
 
 

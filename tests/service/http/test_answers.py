@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import json
+import sys
 import time
+import zipfile
 from pathlib import Path
 from threading import Event
 
@@ -15,12 +18,24 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from clients.client import DrapeClient
 from drape.body.model import BodyModel
+from drape.errors import Unavailable
 from drape.export.glb_file import PIECE_BYTES, GlbFile
 from drape.stages.placing import Placed
 from service.compute import threads
 from service.compute.threads import SlicedThread
-from service.http.answers import PIECE_NUMBERS, file_answer, json_pieces, messages_answer, number_pieces
-from tests.fixtures.exports import read_pc2, read_usda
+from service.http.answers import (
+    PC2,
+    PIECE_NUMBERS,
+    USDA,
+    USDZ,
+    VAT,
+    file_answer,
+    json_pieces,
+    messages_answer,
+    number_pieces,
+)
+from service.http.clip_files import check_package
+from tests.fixtures.exports import Usd, UsdGeom, played, read_pc2, read_usda
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, outfit_url
 
@@ -268,7 +283,7 @@ def test_a_clip_counts_from_its_first_root_where_it_has_one():
     assert_array_equal(Placed(placed.vertices).from_first()[1], np.zeros(3))
 
 
-PC2, USDA, EXPORTS_BINARY = "application/x-pc2", "model/vnd.usda", "application/octet-stream"
+EXPORTS_BINARY = "application/octet-stream"
 POSES, TRANS = random_motion(3)
 
 
@@ -300,6 +315,32 @@ def test_a_scene_has_a_mesh_for_each_layer(outfit_url: str, origin: str):
     assert list(scene.meshes) == ["coat", "tube"]
     for mesh, own in zip(scene.meshes.values(), np.split(plain, 2, axis=1), strict=True):
         assert_allclose(mesh.points + scene.translate, own, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("origin", ["world", "root"])
+def test_a_scene_in_one_file_and_a_texture_have_the_frames(outfit_url: str, tmp_path: Path, origin: str):
+    plain = np.frombuffer(exports_ask(outfit_url, EXPORTS_BINARY).content, "<f4").reshape(3, 432, 3)
+    (tmp_path / "clip.usdz").write_bytes(exports_ask(outfit_url, USDZ, origin=origin).content)
+    stage = Usd.Stage.Open(str(tmp_path / "clip.usdz"))
+    assert stage.GetTimeCodesPerSecond() == 25.0 and stage.GetEndTimeCode() == 2.0
+    meshes = [UsdGeom.Mesh(stage.GetPrimAtPath(f"/clip/{name}")) for name in ("coat", "tube")]
+    place = UsdGeom.XformCache(0).GetLocalToWorldTransform(meshes[0].GetPrim()).ExtractTranslation()
+    for frame, given in enumerate(plain):
+        found = np.concatenate([np.array(mesh.GetPointsAttr().Get(frame)) for mesh in meshes])
+        assert_allclose(found + np.array(place), given, rtol=0, atol=2e-6)
+    with zipfile.ZipFile(io.BytesIO(exports_ask(outfit_url, VAT, origin=origin).content)) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    places, _, _ = played(files, "coat_tube")
+    first = np.zeros(3) if origin == "world" else np.array(place)
+    assert_allclose(places[:, :432] + first, plain, rtol=0, atol=3e-6)
+
+
+@pytest.mark.parametrize(("kind", "package"), [(USDZ, "pxr.Usd"), (VAT, "OpenEXR")])
+def test_a_kind_whose_package_is_missing_is_refused(kind: str, package: str, monkeypatch: pytest.MonkeyPatch):
+    check_package(kind)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(Unavailable, match="got none"):
+        check_package(kind)
 
 
 def test_a_scene_cannot_be_streamed_nor_jets_be_a_cache(api: httpx.Client):

@@ -27,6 +27,7 @@ from schemathesis.specs.openapi.checks import (
 from drape.body.model import BodyModel
 from service.app import create_app
 from service.errors import PROBLEM
+from service.http.clip_routes import FILES
 from service.settings import Settings
 from tests.fixtures.fuzzing import examples
 from tests.fixtures.patience import PATIENT_S
@@ -41,7 +42,7 @@ CHECKS = [
     negative_data_rejection,
 ]
 LEGAL, ILLEGAL = GenerationMode.POSITIVE, GenerationMode.NEGATIVE
-MEDIA_TYPES = (None, "*/*", "application/json", "model/gltf-binary", "application/x-pc2", "model/vnd.usda", "image/png")
+MEDIA_TYPES = (None, "*/*", "application/json", *FILES, "image/png")
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import os
 
 import pytest
 
+from drape.errors import TooLarge
 from service.uploads.beside import beside
 
 
@@ -21,6 +22,19 @@ def test_two_processes_make_what_one_would_in_its_order():
 def test_an_error_over_there_is_one_here():
     with beside() as each, pytest.raises(ValueError, match="math domain error"):
         each(math.sqrt, [4.0, -1.0])
+
+
+def test_a_process_that_is_killed_is_a_refusal():
+    with (
+        beside() as each,
+        pytest.raises(TooLarge, match=r"limits of an intake, got a process that ended: 3\. Simplify"),
+    ):
+        each(ended_there, [0, 3])
+
+
+def ended_there(status: int) -> None:
+    if status:
+        os._exit(status)
 
 
 @pytest.mark.parametrize("ones", [[], [4.0]])

@@ -109,9 +109,10 @@ export class Rest {
     return this.json(`/avatars/${encodeURIComponent(id)}`);
   }
 
-  // Faces of an avatar that lie under garments; sizes: of each, null for the usual one.
-  covered(id, garments, sizes = []) {
-    return this.json(`/avatars/${encodeURIComponent(id)}/covered?${wornOf(garments, sizes)}`);
+  // Faces of an avatar that lie under garments, marginM from hems and what is bare; sizes: of each, null for the usual one.
+  covered(id, garments, sizes = [], marginM = null) {
+    const margin = marginM === null ? "" : `&margin_m=${marginM}`;
+    return this.json(`/avatars/${encodeURIComponent(id)}/covered?${wornOf(garments, sizes)}${margin}`);
   }
 
   // Skin of an avatar that is bare where garments take off clothes of its own: a GLB on its nodes.

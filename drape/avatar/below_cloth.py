@@ -1,0 +1,46 @@
+"""A character's covered skin kept below the cloth, frame by frame, in files that have every frame of it.
+
+What clients draw deeper than it is (``drape.avatar.covered``) is there where it looks to be: by so much skin stands
+through the cloth where the body that garments lie on is not the character's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from drape.avatar.covered import DEEPER_M, covered_faces
+from drape.export.surface import MovingGarment
+from drape.geometry.closest import closest_point, on_border
+from drape.geometry.meshes import face_normals
+from drape.wanted import go_on
+
+BELOW_M = 0.002
+
+
+def kept_below(
+    parts: Sequence[MovingGarment], cloth: Sequence[tuple[np.ndarray, np.ndarray]], worn: Sequence[MovingGarment]
+) -> list[MovingGarment]:
+    """``parts`` of a character, whose first frame is the T-pose, without that one. What ``cloth`` covers there,
+    vertices [m] (V, 3) and faces (F, 3) of each garment, is at least ``BELOW_M`` below those that are ``worn``."""
+    starts = np.cumsum([0, *(one.surface.vertex_count for one in parts)])
+    faces = np.concatenate([one.surface.faces + start for one, start in zip(parts, starts, strict=False)])
+    whole = np.concatenate([one.vertices for one in parts], axis=1)
+    rows, frames = np.unique(faces[covered_faces(whole[0], faces, cloth)]), whole[1:]
+    for frame, points in enumerate(frames):
+        go_on()
+        for one in worn:
+            points[rows] = _below(points[rows], one.vertices[frame].astype(np.float64), one.surface.faces)
+    split = np.split(frames, starts[1:-1], axis=1)
+    return [replace(one, vertices=own) for one, own in zip(parts, split, strict=True)]
+
+
+def _below(points: np.ndarray, cloth: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """``points`` (n, 3), those that stand out of ``cloth`` moved below it."""
+    found = closest_point(points.astype(np.float64), cloth, faces)
+    normals = face_normals(cloth, faces)[found.face]
+    depth = np.einsum("nc,nc->n", normals, found.point - points)
+    out = (found.distance < DEEPER_M) & (depth < BELOW_M) & ~on_border(found, faces)
+    return np.where(out[:, None], found.point - BELOW_M * normals, points)

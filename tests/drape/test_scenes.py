@@ -1,0 +1,62 @@
+"""Garments and the character that wears them as scenes and textures, in a program and on the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import drape
+from drape.command import main
+from drape.motion.clip import MotionClip
+from drape.scenes import scene
+from tests.drape.test_distilling import clip, me, opened
+from tests.fixtures.exports import Usd, UsdGeom, played
+
+__all__ = ["me", "opened"]  # fixtures
+
+
+@pytest.fixture(scope="module")
+def short() -> MotionClip:
+    whole = clip(2)
+    return MotionClip(whole.poses[:3], whole.trans[:3], 30.0, "short")
+
+
+@pytest.fixture(scope="module")
+def worn(opened: drape.Drape, me: Path) -> drape.Worn:
+    return opened.wear("tank", on=me, tier="instant")
+
+
+def test_a_scene_has_the_skin_below_the_cloth_and_the_frames_of_both(
+    worn: drape.Worn, short: MotionClip, tmp_path: Path
+):
+    skin, cloth = scene(worn, short)
+    frames = np.stack([frame.vertices for frame in worn.play(short)])
+    assert_array_equal(cloth.vertices, frames)
+    (tmp_path / "me.usdz").write_bytes(drape.usd(worn, short))
+    stage = Usd.Stage.Open(str(tmp_path / "me.usdz"))
+    meshes = [UsdGeom.Mesh(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Mesh)]
+    for mesh, given in zip(meshes, (skin, cloth), strict=True):
+        assert_array_equal(np.stack([mesh.GetPointsAttr().Get(frame) for frame in range(3)]), given.vertices)
+    files = drape.vat(worn, short, name="me")
+    places, _, mesh = played(files, "me")
+    both = np.concatenate([skin.vertices, cloth.vertices], axis=1)
+    assert_allclose(places[:, : both.shape[1]], both, rtol=0, atol=1e-5)
+    assert len(mesh.json["meshes"]) == 1
+
+
+def test_without_a_character_the_garments_are_alone(opened: drape.Drape, short: MotionClip):
+    (cloth,) = scene(opened.wear("tank", tier="instant"), short)
+    assert cloth.surface.name == "tank" and cloth.vertices.shape[0] == 3
+
+
+def test_the_command_writes_the_character_too(me: Path, short: MotionClip, tmp_path: Path):
+    np.savez(tmp_path / "short.npz", poses=short.poses.reshape(3, -1), trans=short.trans, mocap_framerate=30.0)
+    words = ["wear", "tank", str(tmp_path / "short.npz"), "--on", str(me), "--tier", "instant", "--rig", "--out"]
+    assert main([*words, str(tmp_path / "me.usdc")]) == 0
+    stage = Usd.Stage.Open(str(tmp_path / "me.usdc"))
+    assert sum(prim.IsA(UsdGeom.Mesh) for prim in stage.Traverse()) == 2
+    assert main([*words, str(tmp_path / "me_vat.exr")]) == 0
+    assert {"me_vat.exr", "me.glb", "me-remap_info.json"} <= {one.name for one in tmp_path.iterdir()}
