@@ -17,6 +17,8 @@ from drape.geometry.closest import nearest_vertices
 
 EDGE_M = 0.026
 CREASE_RAD = 0.2  # of a hinge at rest
+# Share of its length by which an edge differs in two charts, and the most of the edges that seams of panels are.
+APART, SEAMS_MOST = 1e-3, 0.1
 LONGEST = 1.7  # times the mean edge that is asked for
 LINES = 4  # edges of a vertex on lines that are remembered
 
@@ -31,22 +33,25 @@ class CoarseMesh:
     rest: RestState
 
 
-def coarse_mesh(rest: RestState, vertices: np.ndarray, faces: np.ndarray, edge_m: float = EDGE_M) -> CoarseMesh:
+def coarse_mesh(
+    rest: RestState, vertices: np.ndarray, faces: np.ndarray, edge_m: float = EDGE_M, *, least: int = 0
+) -> CoarseMesh:
     """A mesh on some of ``vertices`` [m] (V, 3) for the cloth of ``faces`` (F, 3) with the state ``rest``.
 
-    Its edges are ``edge_m`` [m] long in the mean, if seams and creases leave room for that, and it has a third of the
-    vertices at most.
+    Its edges are ``edge_m`` [m] long in the mean, if seams and creases leave room for that, and it has ``least``
+    vertices or more, but a third of them at most.
     """
     count, hinges = len(vertices), meshes.hinges(faces)
-    target = min(rest.face_area.sum() / (0.5 * np.sqrt(3.0) * edge_m**2), count / 3.0)  # two triangles a vertex
+    wanted = rest.face_area.sum() / (0.5 * np.sqrt(3.0) * edge_m**2)  # two triangles a vertex
+    target = min(max(wanted, least), count / 3.0)
     edge_m = np.sqrt(rest.face_area.sum() / (0.5 * np.sqrt(3.0) * target))
     corner = np.zeros((len(faces), 3, 2))
     corner[:, 1:] = rest.edges
     creased = np.ascontiguousarray(hinges[np.abs(rest.hinge_angle) > CREASE_RAD, :2], np.int32)
     left, lines = faces.astype(np.int32, order="C"), np.full((count, LINES), -1, np.int32)
     alive = np.empty(len(faces), bool)
-    given = (left, len(left), corner, lines, count, creased, len(creased), int(target), LONGEST * edge_m, alive)
-    call_with_scratch("collapse", np.float64, *given)
+    given = (left, len(left), corner, lines, count, creased, len(creased), int(_of_panels(corner, faces)))
+    call_with_scratch("collapse", np.float64, *given, int(target), LONGEST * edge_m, alive)
     left, corner = left[alive], corner[alive]
     vertex = np.unique(left)
     small = np.searchsorted(vertex, left)
@@ -57,3 +62,12 @@ def coarse_mesh(rest: RestState, vertices: np.ndarray, faces: np.ndarray, edge_m
     on_line = (lines[ends[:, 0]] == ends[:, 1:]).any(axis=1)
     angle = np.where(on_line, rest.hinge_angle[near], 0.0)
     return CoarseMesh(vertex, small, RestState(edges, angle, rest.stiffening[near]))
+
+
+def _of_panels(corner: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether the charts of ``faces`` (F, 3), with the places ``corner`` (F, 3, 2), are those of panels, which differ
+    at seams alone; where warp is laid on a mesh they differ everywhere."""
+    ways = (np.roll(corner, -1, axis=1) - corner).reshape(-1, 2)
+    _, first, second = meshes.edge_pairs(faces)
+    apart = np.linalg.norm(ways[first] + ways[second], axis=1) > APART * np.linalg.norm(ways[first], axis=1)
+    return float(apart.mean()) < SEAMS_MOST

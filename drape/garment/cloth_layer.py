@@ -35,6 +35,8 @@ from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
 
 ON_M, ON_SHARE = 0.015, 0.8  # cloth that lies on other cloth with this share of its points is left out
+# What goes round a body so low is a belt: so far from its cloth, and of this share of the largest piece's area at most.
+BELT_HIGH_M, BELT_M, BELT_SHARE = 0.12, 0.05, 0.25
 SMALL_M2, SMALL_SHARE, NEAR_M = 0.02, 0.05, 0.03  # a small thing near cloth: its area, that over the largest piece's
 SEWN_M, SEWN_SHARE, TRIM_SHARE = 0.004, 0.4, 0.15  # of a collar's border on its garment, and its area over that
 STIFF_M = 0.06  # parts up to this size turn as a whole
@@ -99,11 +101,18 @@ def bearing_pieces(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
         _, distance, border = samples_to(points, faces[piece == number], faces[bears[piece]])
         sewn = any(_trims(points, faces[piece == number], faces[piece == other]) for other in range(number)
                    if bears[other] and area[number] < TRIM_SHARE * area[other])  # fmt: skip
-        bears[number] = ((distance < ON_M) & ~border).mean() < ON_SHARE and not sewn
+        belt = area[number] < BELT_SHARE * area[0] and _is_low_ring(points[faces[piece == number]])
+        bears[number] = ((distance < (BELT_M if belt else ON_M)) & ~border).mean() < ON_SHARE and not sewn
     for number in np.flatnonzero(small & (area > 0.1 * SMALL_M2)):
         _, distance, _ = samples_to(points, faces[piece == number], faces[bears[piece]])
         bears[number] = (distance < NEAR_M).mean() < 0.5
     return piece, area, bears
+
+
+def _is_low_ring(corners: np.ndarray) -> bool:
+    """Whether a piece with ``corners`` [m] (F, 3, 3) is low and as wide as what goes round a waist."""
+    wide, high, deep = np.ptp(corners, axis=(0, 1))
+    return bool(high < BELT_HIGH_M < min(wide, deep))
 
 
 def _trims(points: np.ndarray, faces: np.ndarray, others: np.ndarray) -> bool:

@@ -42,6 +42,7 @@ TROUSERS_CROTCH_M = 0.08  # trousers hang at most this far below the body's crot
 SKIRT_SHARE = 0.2  # of a piece of cloth below the crotch that must lie at each leg for it to be a skirt
 HIP_BAND_M = 0.10
 PN_LIMIT = 0.15  # a subdivision vertex leaves its edge by at most this share of the edge's length
+DENSE = 0.6  # of the edge that is asked for: cloth so fine may have fewer vertices
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,16 +243,18 @@ def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarra
 def refine(
     vertices: np.ndarray, faces: np.ndarray, *, at_least: int, at_most: int, edge_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Subdivides until the mesh has ``at_least`` vertices and a mean edge of ``edge_m``, but not past ``at_most``.
+    """Subdivides until the mesh has a mean edge of ``edge_m`` and ``at_least`` vertices, or half of these where edges
+    are ``DENSE`` of that, but not past ``at_most``.
 
     Returns vertices (N, 3), faces (G, 3) and the delivered vertex that each one is nearest to by descent, (N,).
     """
     origin = np.arange(len(vertices))
     while True:
         edges = meshes.unique_edges(faces)
-        long = meshes.edge_lengths(vertices, edges).mean() > edge_m
+        mean_m = meshes.edge_lengths(vertices, edges).mean()
+        wanted = at_least if mean_m > DENSE * edge_m else at_least // 2
         grown = len(vertices) + len(edges)
-        if not ((len(vertices) < at_least or long) and grown <= at_most):
+        if not ((len(vertices) < wanted or mean_m > edge_m) and grown <= at_most):
             return vertices, faces, origin
         vertices, faces, parents = subdivide_smooth(vertices, faces)
         origin = origin[parents[:, 0]]

@@ -12,6 +12,7 @@ from drape.garment.contours import Contour, open_contours, pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.inside import tube_ends
 from drape.garment.mesh_checks import AREA_MINIMUM, consistent_turn
+from drape.garment.sheets import pieces_of
 from drape.garment.sleeves import covers_arms
 from drape.garment.wearer_fields import DENSE_COUNT, Bones, cloth_points, unthreaded
 from drape.garment.wearer_reading import Reading
@@ -23,6 +24,7 @@ SMALL_M2, SMALL = 0.4, 0.07  # a whole outfit read as a collar costs this for ev
 LOPSIDED = 6.0  # cost of cloth that is no mirror image of itself, where it is nearer to that along another axis
 CUFF_M = 0.12  # shorter openings are holes
 LOOP_SHARE, LOOP_COUNT, LOOP_POINTS = 0.2, 6, 24  # openings over the extent, the most that count, points on each
+LOOP_PIECE = 0.1  # of the area: a smaller piece is a strap, a lace or a tape, and its border no opening
 
 
 class SearchedCloth:
@@ -39,7 +41,9 @@ class SearchedCloth:
         self.normals = wound[:, None] * meshes.face_normals(mesh.vertices, mesh.faces)[face]
         self.piece = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[face, 0]]
         self.extent = float(np.ptp(self.points, axis=0).max())
-        long = [one for one in open_contours(mesh.vertices, mesh.faces) if one.length_m > LOOP_SHARE * self.extent]
+        piece, area = pieces_of(mesh.vertices, mesh.faces)
+        large = mesh.faces[area[piece] > LOOP_PIECE * self.area]
+        long = [one for one in open_contours(mesh.vertices, large) if one.length_m > LOOP_SHARE * self.extent]
         picked = [one.points[np.linspace(0, len(one.points), LOOP_POINTS, endpoint=False).astype(int)] for one in long]
         self.loops = np.array(picked[:LOOP_COUNT]).reshape(-1, LOOP_POINTS, 3)
 

@@ -43,6 +43,8 @@ from drape.live.sheet import sheet
 from drape.live.skin_walks import TouchedSamples
 from drape.live.untangle import tangles_of
 
+LEAST = 700  # vertices of the coarse cloth: a sock is small, and round
+
 
 @dataclass(frozen=True, eq=False)
 class TwoLevelMemory:
@@ -143,7 +145,7 @@ def two_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -
     """The same of its coarse cloth and the fine one; takes half a second to one."""
     worn = worn_cloth(garment, body, fabric)
     vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
-    made = coarse_mesh(garment.delivered_rest(), vertices, worn.cloth.faces)
+    made = coarse_mesh(garment.delivered_rest(), vertices, worn.cloth.faces, least=LEAST)
     cloth, fabric = ClothMesh.of(made.rest, made.faces, len(made.vertex)), fabric or fabric_named(garment.fabric)
     coarse = FoldConstants.of(worn_mesh(cloth, vertices[made.vertex], body, fabric))
     fine = sheet(worn.cloth, worn.material, worn.band_n_per_m)

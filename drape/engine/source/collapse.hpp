@@ -4,7 +4,7 @@
 // SIGGRAPH). Triangles at rest are laid flat along warp and weft, so that a corner is moved in the triangle's own chart
 // by the way from u to v there. Neither lengths nor grain are lost. Seams, creases and borders are lines: along a seam
 // two charts differ, along a border there is one triangle. Vertices on a line go along it only, and where lines meet or
-// end they stay.
+// end they stay. Cloth that is no panels has no seams: a way turns as it goes from chart to chart.
 #pragma once
 #include "arrays.hpp"
 
@@ -33,6 +33,7 @@ struct Mesh {
   int32_t* fan;      // (V, MOST): triangles around each vertex
   int32_t* valence;  // (V,): their number
   int64_t vertex_count, face_count;
+  bool panels;  // whether charts are those of panels
 
   bool has(int32_t f, int32_t v) const { return faces[3 * f] == v || faces[3 * f + 1] == v || faces[3 * f + 2] == v; }
   int corner_of(int32_t f, int32_t v) const { return faces[3 * f] == v ? 0 : faces[3 * f + 1] == v ? 1 : 2; }
@@ -68,7 +69,7 @@ inline void add_line(const Mesh& mesh, int32_t u, int32_t v) {
   }
 }
 
-// Remembers borders, seams and the pairs (n, 2) that are creased.
+// Remembers borders, seams of panels and the pairs (n, 2) that are creased.
 inline void find_lines(const Mesh& mesh, const int32_t* creased, int64_t count) {
   for (int32_t f = 0; f < mesh.face_count; ++f)
     for (int k = 0; k < 3; ++k) {
@@ -79,7 +80,7 @@ inline void find_lines(const Mesh& mesh, const int32_t* creased, int64_t count) 
       for (int i = 0; i < mesh.valence[u] && i < MOST; ++i) {
         const int32_t g = mesh.around(u, i);
         if (g == f || !mesh.has(g, v)) continue;
-        same &= square(mesh.place(g, v) - mesh.place(g, u) - own) <= SEAM * SEAM * square(own);
+        same &= !mesh.panels || square(mesh.place(g, v) - mesh.place(g, u) - own) <= SEAM * SEAM * square(own);
         ++beside;
       }
       if (beside != 1 || !same) add_line(mesh, u, v);
@@ -106,6 +107,13 @@ inline bool is_disk(int32_t u, int32_t v, const Mesh& mesh) {
   return shared > 0 && common == shared;
 }
 
+// A way in a chart where an edge goes as the first, in another where it goes as the second and is as long.
+inline Way turned(Way way, Way edge, Way other) {
+  const double scale = __builtin_sqrt(square(edge) * square(other));
+  const double c = (edge.x * other.x + edge.y * other.y) / scale, s = (edge.x * other.y - edge.y * other.x) / scale;
+  return {c * way.x - s * way.y, s * way.x + c * way.y};
+}
+
 // Writes the way from u to v in the chart of each triangle around u: that of the triangle which has both and lies on
 // the same side of the lines. Whether all have one.
 inline bool write_ways(int32_t u, int32_t v, const Mesh& mesh, Way* way) {
@@ -124,7 +132,11 @@ inline bool write_ways(int32_t u, int32_t v, const Mesh& mesh, Way* way) {
         const int32_t w = mesh.faces[3 * mesh.around(u, i) + k];
         if (w == u || mesh.is_line(u, w)) continue;
         for (int j = 0; j < count && !known[i]; ++j)
-          if (known[j] && mesh.has(mesh.around(u, j), w)) way[i] = way[j], known[i] = changed = true;
+          if (const int32_t f = mesh.around(u, i), g = mesh.around(u, j); known[j] && mesh.has(g, w)) {
+            way[i] = way[j], known[i] = changed = true;
+            if (!mesh.panels)
+              way[i] = turned(way[j], mesh.place(g, w) - mesh.place(g, u), mesh.place(f, w) - mesh.place(f, u));
+          }
       }
   }
   bool all = true;

@@ -6,9 +6,10 @@
 // Tests take them from the library that is delivered.
 #ifndef FOR_TESTS
 EXPORT int64_t drape_collapse_f64(int32_t* faces, int64_t face_count, double* corner, int32_t* lines,
-                                  int64_t vertex_count, const int32_t* creased, int64_t creased_count, int64_t target,
-                                  double longest, uint8_t* alive, Scratch* scratch) {
-  const collapse::Mesh mesh = {faces, (collapse::Way*)corner, lines, nullptr, nullptr, vertex_count, face_count};
+                                  int64_t vertex_count, const int32_t* creased, int64_t creased_count, int64_t panels,
+                                  int64_t target, double longest, uint8_t* alive, Scratch* scratch) {
+  const collapse::Mesh mesh = {faces, (collapse::Way*)corner, lines, nullptr, nullptr, vertex_count, face_count,
+                               panels != 0};
   collapse::coarsened(mesh, creased, creased_count, target, longest, alive, *scratch);
   return -scratch->overflowed;
 }

@@ -7,12 +7,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
-from drape.cloth.coarse_mesh import CREASE_RAD, coarse_mesh
+from drape.cloth.coarse_mesh import CREASE_RAD, EDGE_M, coarse_mesh
 from drape.cloth.energies import ClothMesh
 from drape.cloth.rest_state import RestState, flat
 from drape.geometry import meshes
 from drape.live.coarse_weights import NEAREST, coarse_weights
-from tests.drape.cloth.cloth_shapes import grid, tube
+from tests.drape.cloth.cloth_shapes import grid, round_tube, tube
 from tests.fixtures.garments import shipped
 
 
@@ -31,6 +31,7 @@ def test_a_flat_sheet_keeps_its_outline_area_and_grain():
     want = flat(few, made.faces)
     assert_allclose(made.rest.edges, want.edges, atol=1e-9)
     assert len(meshes.boundary_loops(made.faces)) == 1
+    assert len(coarse_mesh(rest, vertices, faces, edge_m=0.03, least=240).vertex) == 240
     assert_allclose(
         meshes.face_normals(few, made.faces),
         np.broadcast_to(meshes.face_normals(vertices, faces)[:1], (len(made.faces), 3)),
@@ -79,6 +80,19 @@ def test_a_seam_between_two_charts_stays_a_line():
     turned = (side > 0).any(axis=1)
     want[turned] = want[turned] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
     assert_allclose(made.rest.edges, want, atol=1e-9)
+
+
+def test_cloth_without_panels_has_no_seams_and_keeps_its_lengths():
+    """Round a ball vertical warp turns from triangle to triangle, which is no seam: lengths are those of the ball."""
+    heights = np.linspace(-0.1, 0.1, 31)
+    vertices, faces = round_tube(0.15 * np.sqrt(1.0 - (heights / 0.13) ** 2), heights, 80)
+    made = coarse_mesh(flat(vertices, faces), vertices, faces)
+    target = made.rest.face_area.sum() / (0.5 * np.sqrt(3.0) * EDGE_M**2)
+    assert len(made.vertex) < 1.2 * min(target, len(vertices) / 3.0)
+    assert_allclose(made.rest.face_area.sum(), meshes.face_areas(vertices, faces).sum(), rtol=0.01)
+    few = vertices[made.vertex[made.faces]]
+    across = np.linalg.norm(few[:, 1:] - few[:, :1], axis=2)
+    assert_allclose(np.linalg.norm(made.rest.edges, axis=2), across, rtol=0.03)
 
 
 def test_a_crease_keeps_its_angle_and_cloth_beside_it_is_flat():

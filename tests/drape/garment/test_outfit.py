@@ -76,6 +76,12 @@ def test_what_is_sewn_and_what_is_small_is_no_layer():
     assert found == [{0}, {1, 2}]
 
 
+def test_a_belt_that_stands_off_loose_cloth_is_no_layer():
+    dress = ring(0.2, 0.6, (0.0, -0.3, 0.0))
+    assert pieces(together(dress, ring(0.235, 0.04, (0.0, 0.0, 0.0)))) == [{0, 1}]
+    assert len(pieces(together(dress, ring(0.235, 0.3, (0.0, -0.15, 0.0))))) == 2, "an apron, a skirt"
+
+
 def test_more_garments_than_layers_go_with_the_nearest():
     rings = [ring(0.25 + 0.04 * number, 0.5, (0.0, 0.0, 0.0)) for number in range(MOST + 2)]
     label = garments_in(together(*rings), SKIN, BODY)

@@ -116,11 +116,20 @@ def test_subdivision_keeps_delivered_vertices_and_rounds_facets():
 
 def test_refine_reaches_its_count_and_respects_the_limit():
     vertices, faces = SHIRT
-    fine, _, origin = refine(vertices, faces, at_least=len(vertices) + 1, at_most=40_000, edge_m=0.1)
+    fine, _, origin = refine(vertices, faces, at_least=2 * len(vertices) + 2, at_most=40_000, edge_m=0.1)
     assert len(vertices) < len(fine) <= 40_000
     assert origin.max() < len(vertices) and len(origin) == len(fine)
     same, _, _ = refine(vertices, faces, at_least=10**6, at_most=len(vertices) + 5, edge_m=0.0)
     assert len(same) == len(vertices)
+
+
+def test_small_cloth_of_fine_triangles_is_not_refined_for_its_count():
+    vertices, faces = SHIRT
+    mean_m = meshes.edge_lengths(vertices, meshes.unique_edges(faces)).mean()
+    wanted = len(vertices) + 1
+    coarse, _, _ = refine(vertices, faces, at_least=wanted, at_most=40_000, edge_m=1.1 * mean_m)
+    dense, _, _ = refine(vertices, faces, at_least=wanted, at_most=40_000, edge_m=mean_m / 0.5)
+    assert len(coarse) > 3 * len(dense) == 3 * len(vertices)
 
 
 @pytest.mark.parametrize("depth_m", [0.0, 0.01, 0.02])

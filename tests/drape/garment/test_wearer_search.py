@@ -22,7 +22,7 @@ from drape.garment.wearer_fields import SHAPES, bones_of, enclosed, known_parame
 from drape.garment.wearer_judge import judge, misplaced
 from drape.garment.wearer_reading import Reading
 from drape.garment.wearer_search import find_wearers, the_wearer
-from tests.drape.cloth.cloth_shapes import tube
+from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.drape.garment.garment_files import shirt
 from tests.fixtures.mantles import cape, poncho, standing
 
@@ -70,6 +70,14 @@ def test_openings_count_that_no_bone_goes_through():
     ring = np.stack([0.2 * np.cos(angle), np.full(24, 0.2), 0.2 * np.sin(angle)], axis=1)
     assert unthreaded(np.stack([ring, ring + np.array([0.6, 0.0, 0.0])]), BODY.joints_template) == 1
     assert unthreaded(np.zeros((0, 24, 3)), BODY.joints_template) == 0
+
+
+def test_borders_of_laces_and_tapes_are_no_openings():
+    dress, (lace, faces) = tube_dress(), grid(2, 30, cell_m=0.02)
+    count = len(dress.vertices)
+    laces = [lace + np.array([x, -0.3, 0.25]) for x in (-0.05, 0.05)]
+    both = np.concatenate([dress.faces, *(faces + count + number * len(lace) for number in range(2))])
+    assert len(SearchedCloth(plain_mesh("laced", np.concatenate([dress.vertices, *laces]), both)).loops) == 2
 
 
 RINGS = {  # middles and radii [m] of tubes, and how much of them lies where none is worn
