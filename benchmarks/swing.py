@@ -1,17 +1,19 @@
-"""How skirts fly: the hem of a circle skirt in a turn on the spot and in other clips, beside a simulator's.
+"""How skirts fly: hems in a turn on the spot, a stop, a step up, a fall and in other clips, beside a simulator's.
 
     python -m benchmarks.swing
     python -m benchmarks.swing --garments dress --motions turn
 
 In the turn on the spot (``spin``) the body goes from rest to ``--rate`` turns a second in 0.75 s, keeps that for 1.25 s
-and stops in 0.3 s. Methods: ``static``, the network's drape of every pose; ``network``, with what it has learned of
-motion; ``swing``, the nodes of ``drape.live``; ``swing_folds``, two steps of folds on that; ``simulator``, the full
-mesh with the fabric's friction on the skin, the same air and damping (``benchmarks.judge.simulator``); ``slippery``,
-the same without friction, whose cloth slips around the hips. Both simulations start at the static drape.
+and stops in 0.3 s; ``benchmarks.measure.made_clips`` has the others. Methods: ``static``, the network's drape of every
+pose; ``network``, with what it has learned of motion; ``swing``, the nodes of ``drape.live``; ``swing_folds``, two
+steps of folds on that; ``simulator``, the full mesh with the fabric's friction on the skin, the same air and damping
+(``benchmarks.judge.simulator``); ``slippery``, the same without friction, whose cloth slips around the hips. Both
+simulations start at the static drape.
 
 ``rise_mm`` is the most that the hem's mean height rises over that of the first frames, ``share`` of the simulator's.
 ``error_mm`` is the mean distance of the middles of the hem's twelve parts from the simulator's, ``jitter_ratio`` is
-over that of ``static``.
+over that of ``static``. ``period_s``, ``over`` and ``settle_s`` are the hem's after the body has come to a stand
+(``benchmarks.measure.hem.swinging``), and ``period_share`` and ``settle_share`` those of the simulator's.
 """
 
 from __future__ import annotations
@@ -24,13 +26,13 @@ from benchmarks.clock import Clock
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.judge.physics import held_by_waist
 from benchmarks.judge.simulator import Motion, Sheet, simulate
-from benchmarks.measure.hem import hem_vertices
+from benchmarks.measure.hem import hem_vertices, swinging
 from benchmarks.measure.judged import jitter_ratio
+from benchmarks.measure.made_clips import MADE, SPIN, TURNS_PER_S, made_clip
 from benchmarks.network import Network
 from benchmarks.scenes import FPS, Clip, Folding, Scene
 from benchmarks.tables import Row
 from drape.body.assets import load_body
-from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
@@ -39,23 +41,13 @@ from drape.live.fold_step import FoldEffort, Frame
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import swing
 
-SPIN, TURNS_PER_S = "spin", 1.0
 PARTS, STILL_FRAMES = 12, 10
+SHARES = {"rise_mm": "share", "period_s": "period_share", "settle_s": "settle_share"}  # of the simulator's
 COLUMNS = {
     "garment": "s", "fabric": "s", "clip": "s", "method": "s", "ms": ".2f", "rise_mm": ".1f", "share": ".2f",
-    "slippery_share": ".2f", "error_mm": ".1f", "hem_mm": ".1f", "jitter_ratio": ".2f", "at_rest_pct": ".0f",
+    "slippery_share": ".2f", "period_s": ".2f", "period_share": ".2f", "over": ".2f", "settle_s": ".2f",
+    "settle_share": ".2f", "error_mm": ".1f", "hem_mm": ".1f", "jitter_ratio": ".2f", "at_rest_pct": ".0f",
 }  # fmt: skip
-
-
-def spin(body: BodyModel, fps: float, seconds: float, turns_per_s: float) -> Clip:
-    """A body with its arms down that turns on the spot and stops."""
-    time_s = np.arange(round(seconds * fps)) / fps
-    rate = np.interp(time_s, [0.5, 1.25, 2.5, 2.8], 2.0 * np.pi * turns_per_s * np.array([0.0, 1.0, 1.0, 0.0]))
-    yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1])) / fps])
-    poses = np.zeros((len(time_s), 24, 3))
-    poses[:, 0, 1] = (yaw + np.pi) % (2.0 * np.pi) - np.pi
-    poses[:, 16, 2], poses[:, 17, 2] = -1.1, 1.1
-    return Clip.of(SPIN, fps, poses, body)
 
 
 def swung(scene: Scene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, float]:
@@ -102,6 +94,10 @@ def figures(x: np.ndarray, scene: Scene, static: np.ndarray, simulator: np.ndarr
         "hem_mm": 1e3 * float(np.linalg.norm(own - still, axis=-1).mean()),
         "jitter_ratio": jitter_ratio(moved, base),
     }
+    placed = np.concatenate([scene.clip.poses.reshape(len(x), -1), scene.clip.trans], axis=1)
+    rests = 1 + np.flatnonzero(np.diff(placed, axis=0).any(axis=1))
+    if len(rests) and rests[-1] < len(x) - 1:
+        row |= swinging(own[rests[-1] :], scene.clip.fps)
     if simulator is not None:
         row["error_mm"] = 1e3 * float(np.linalg.norm(own - hem_parts(simulator, scene), axis=-1).mean())
     return row
@@ -124,9 +120,11 @@ def measure(scene: Scene, network: Network, *, simulator: bool) -> list[Row]:
         {**scene.name, "method": name, **figures(x, scene, delivered, drapes.get("simulator")), **more.get(name, {})}
         for name, x in drapes.items()
     ]
-    rises = {row["method"]: row["rise_mm"] for row in rows}
+    beside = {row["method"]: row for row in rows}
     for row in rows if simulator else ():
-        row |= {"share": row["rise_mm"] / rises["simulator"], "slippery_share": row["rise_mm"] / rises["slippery"]}
+        row["slippery_share"] = row["rise_mm"] / beside["slippery"]["rise_mm"]
+        for name, share in SHARES.items():
+            row[share] = row[name] / beside["simulator"][name] if beside["simulator"].get(name) else np.nan
     return rows
 
 
@@ -134,7 +132,7 @@ def measure(scene: Scene, network: Network, *, simulator: bool) -> list[Row]:
     "swing",
     "How skirts fly.",
     COLUMNS,
-    *inputs(("circle_skirt",), (SPIN,)),
+    *inputs(("circle_skirt", "dress"), MADE, quick_garments=("circle_skirt",), quick_motions=(SPIN,)),
     Option("--fabrics", ("jersey",), "what garments are made of"),
     Option("--rate", TURNS_PER_S, "turns a second of the spin"),
     Option("--seconds", 4.5, "of a clip", 1.5),
@@ -144,8 +142,9 @@ def main(run: Run) -> None:
     """Rows of every garment in every fabric over every clip."""
     options, body = run.options, load_body()
     network = Network.asked(options, body, passes=0)
-    others = [name for name in options.motions if name != SPIN]
-    clips = [spin(body, FPS, options.seconds, options.rate)] if SPIN in options.motions else []
+    others = [name for name in options.motions if name not in MADE]
+    made = [name for name in MADE if name in options.motions]
+    clips = [made_clip(name, body, FPS, options.seconds, options.rate) for name in made]
     frames = round(options.seconds * FPS)
     clips += [Clip.read(path, FPS, frames, body) for path in (find_motions(others) if others else ())]
     for path in find_garments(options.garments):

@@ -141,6 +141,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "network": "numbers",
         "swung": "numbers",
         "speed": "numbers",
+        "climb": "numbers",
         "touched": "int32s",
         "colliders": "float64s",
         "origin": "float64s",

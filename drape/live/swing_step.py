@@ -46,19 +46,23 @@ class SwingConstants(Recorded):
 @dataclass(frozen=True, eq=False)
 class SwingMemory(FrameMemory, Recorded):
     """A frame as swing remembers it: the ``origin`` of its coordinates in the world [m] (3,); where the nodes
-    ``swung`` to [m] and their ``speed`` [m/s] (N, 3); the samples ``touched`` (N,) below them; since when [s] (1,) the
+    ``swung`` to [m] and their ``speed`` [m/s] (N, 3); how fast the network had them ``climb`` [m/s] (N,), no number
+    where it is not known; the samples ``touched`` (N,) below them; since when [s] (1,) the
     network has not moved; and the ``colliders`` (M, 16), from that origin."""
 
     origin: np.ndarray
     swung: np.ndarray
     speed: np.ndarray
+    climb: np.ndarray
     touched: np.ndarray
     still_since_s: np.ndarray
     colliders: np.ndarray
 
 
 _NONE = np.zeros(0, np.float32)
-NO_PAST = SwingMemory(-math.inf, _NONE, np.zeros(3), _NONE, _NONE, np.zeros(0, np.int32), np.zeros(1), np.zeros(0))
+NO_PAST = SwingMemory(
+    -math.inf, _NONE, np.zeros(3), _NONE, _NONE, _NONE, np.zeros(0, np.int32), np.zeros(1), np.zeros(0)
+)
 
 
 def swing(
@@ -84,4 +88,5 @@ def empty_memory(constants: SwingConstants, time_s: float, origin: np.ndarray, c
     dtype, count = constants.mesh.mass_kg.dtype, len(constants.mesh.vertex)
     network, swung, speed = np.empty((3, count, 3), dtype)
     here = np.ascontiguousarray(origin, np.float64)
-    return SwingMemory(time_s, network, here, swung, speed, np.empty(count, np.int32), np.empty(1), colliders)
+    climb, touched = np.empty(count, dtype), np.empty(count, np.int32)
+    return SwingMemory(time_s, network, here, swung, speed, climb, touched, np.empty(1), colliders)

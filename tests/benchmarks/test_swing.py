@@ -6,8 +6,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from benchmarks.judge.simulator import AIR_KG_M3, SLIP_M, Motion, Sheet, Skin, grip, simulate, slowed
+from benchmarks.measure.hem import SETTLED_M, swinging
+from benchmarks.measure.made_clips import FALL_M, MADE, SPIN, made_clip
 from benchmarks.scenes import FPS
-from benchmarks.swing import spin
 from drape.body.assets import load_body
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
@@ -18,11 +19,30 @@ from tests.drape.live.swing_setup import strip
 
 
 def test_the_body_turns_as_it_is_told():
-    clip = spin(load_body(), FPS, 4.5, 1.0)
+    clip = made_clip(SPIN, load_body(), FPS, 4.5)
     yaw = np.unwrap(clip.poses[:, 0, 1])
     assert_allclose(yaw[-1] / (2.0 * np.pi), 0.5 * 0.75 + 1.25 + 0.5 * 0.3, rtol=1e-2)
     assert_allclose(np.diff(yaw)[45:70] * FPS, 2.0 * np.pi, rtol=1e-6)
     assert (np.diff(yaw)[:14] == 0.0).all() and (np.diff(yaw)[-40:] == 0.0).all()
+
+
+def test_made_ways_come_to_a_stand():
+    ways = {name: made_clip(name, load_body(), 120.0, 3.0).trans for name in MADE if name != SPIN}
+    ends = {"stop": [0.0, 0.0, 1.33], "step": [0.0, 0.3, 0.3], "fall": [0.0, -FALL_M - 0.5 * 0.12 * 4.43, 0.0]}
+    for name, way in ways.items():
+        assert_allclose(way[-1], ends[name], atol=0.02)
+        assert not np.diff(way[-120:], axis=0).any() and not way[:60].any()
+
+
+def test_a_hem_that_swings_has_its_period_and_time():
+    time_s = np.arange(300) / 100.0
+    way = 0.1 * np.exp(-2.0 * time_s) * np.cos(2.0 * np.pi * time_s / 0.8)
+    told = swinging(np.ones((12, 1)) * np.array([0.0, 0.0, 1.0]) * way[:, None, None], 100.0)
+    assert_allclose(told["period_s"], 0.8, atol=0.03)
+    assert_allclose(told["over"], np.exp(-2.0 * 0.4), atol=0.05)
+    assert_allclose(told["settle_s"], np.log(0.1 / SETTLED_M) / 2.0, atol=0.2)
+    still = swinging(np.zeros((20, 12, 3)), 100.0)
+    assert still["settle_s"] == 0.0 and np.isnan(still["period_s"])
 
 
 def test_cloth_far_from_a_body_falls():
@@ -75,7 +95,7 @@ def test_friction_pulls_back_along_the_skin_with_its_share_of_the_contact():
 
 
 def test_the_skin_carries_what_lies_on_it_round_with_the_body():
-    body, clip = load_body(), spin(load_body(), FPS, 1.2, 1.0)
+    body, clip = load_body(), made_clip(SPIN, load_body(), FPS, 1.2)
     skin = Skin(Motion(body, clip.poses, clip.trans, FPS))
     near = skin.posed[28, ::500]
     yaw = clip.poses[29, 0, 1] - clip.poses[28, 0, 1]

@@ -2,7 +2,7 @@
 #pragma once
 #include "arrays.hpp"
 
-constexpr uint64_t RECORDS_HASH = 0x5620deca632ce6d4u;
+constexpr uint64_t RECORDS_HASH = 0xe75767ca87a4f71cu;
 
 template <class T> struct Constants {
   double warp;
@@ -199,13 +199,14 @@ template <class T> struct SwingMemory {
   Array<T> network;
   Array<T> swung;
   Array<T> speed;
+  Array<T> climb;
   Array<int32_t> touched;
   Array<double> colliders;
   Array<double> origin;
   double time_s;
   Array<double> still_since_s;
 };
-static_assert(sizeof(SwingMemory<float>) == 120, "SwingMemory");
+static_assert(sizeof(SwingMemory<float>) == 136, "SwingMemory");
 
 template <class T> struct Layer {
   Array<T> weight;

@@ -28,6 +28,8 @@ constexpr double STILL_S = 1.8;         // after which nothing swings
 constexpr double LOST_M = 1.0;          // a node farther from still cloth does not swing any more
 constexpr double LEAST_SWUNG_M = 1e-6;  // a node nearer to it only rounds
 constexpr double LYING_M = 0.008, STUCK_N_PER_M = 2.0;  // a node nearer to a collider lies on it, and is held there
+constexpr double GRAVITY_M_S2 = 9.81, HEAVIEST = 2.0;
+constexpr double LONGEST_STEP_S = 0.04;  // a slower frame takes several steps: longer ones damp what swings
 constexpr int SETTLE = 60;              // steps of a frame without a past whose cloth is in a collider
 constexpr double PAUSE_S = 0.25, SHORTEST_STEP_S = 1.0 / 240.0;  // a later frame has no past; closer ones count as this
 
@@ -35,7 +37,7 @@ constexpr double PAUSE_S = 0.25, SHORTEST_STEP_S = 1.0 / 240.0;  // a later fram
 enum Kind : int64_t { CUT, LOST, STILL, MOVED };
 
 template <class T> struct Schedule {
-  T step_s, damping, young;
+  T step_s, damping, young, weight;  // weight: in parts of that of cloth at rest
   bool first;
 };
 
@@ -103,7 +105,7 @@ void advance(const State<T>& before, const T* network, const Skin<T>& skin, cons
     const T* sample = skin.samples + 8 * int64_t(touched[i]);
     deep[i] = more<T>(T(GAP_M) - dot(still - point(sample, 0), point(sample + 4, 0)), T(0));
   }
-  fall_back(u, mesh, inertia, held, rhs, ROUNDS, scratch);
+  fall_back(u, mesh, inertia, held, schedule.weight, rhs, ROUNDS, scratch);
   for (int64_t i = 0; i < nodes; ++i) {
     put_point(swung, i, point(swung, i) + point(u, i));
     inertia[i] += held[i];
@@ -123,6 +125,28 @@ void advance(const State<T>& before, const T* network, const Skin<T>& skin, cons
   keep_length(swung, x, rows, schedule.young, bound, laid, beside, SWEEPS);
   for (int64_t i = 0; i < nodes; ++i) put_point(speed, i, scaled(T(1) / h, point(swung, i) - point(before.swung, i)));
   scratch.used = mark;
+}
+
+// Lets weight take hanging cloth along with a body that goes down: its speed [m/s] (N, 3) changes by as much as that of
+// still cloth, by gravity's at most, so that none is left behind in the air. Cloth without a past goes as still cloth
+// does, which goes from before to network [m] (N, 3) in step_s; climb [m/s] (N,) is how fast that went up in the frame
+// before, no number where there was none, and is replaced. Returns the weight that is left, in parts of that at rest.
+template <class T>
+T fall_along(const T* before, const T* network, T step_s, int64_t nodes, T* climb, T* speed) {
+  T gained = 0;
+  for (int64_t i = 0; i < nodes; ++i) {
+    const Vector<T> pace = scaled(T(1) / step_s, point(network, i) - point(before, i));
+    const T gain = pace.y - climb[i];
+    if (gain == gain) {
+      gained += gain;
+      speed[3 * i + 1] += less<T>(more<T>(gain, T(-GRAVITY_M_S2) * step_s), T(0));
+    } else {
+      put_point(speed, i, pace);
+    }
+    climb[i] = pace.y;
+  }
+  const T weight = T(1) + gained / (T(nodes) * T(GRAVITY_M_S2) * step_s);
+  return less<T>(more<T>(weight, T(0)), T(HEAVIEST));
 }
 
 // Whether two tables have the same numbers.
@@ -161,7 +185,8 @@ Kind go_on(const T* vertices, int64_t count, const SwingMemory<T>& past, const S
            Scratch& scratch) {
   const int64_t mark = scratch.used, nodes = cloth.mesh.vertex.count;
   const T* network = after.network;
-  T *swung = after.swung, *speed = after.speed, *start = scratch.take<T>(3 * nodes);
+  T *swung = after.swung, *speed = after.speed, *climb = after.climb, *start = scratch.take<T>(3 * nodes);
+  T *before = scratch.take<T>(3 * nodes), *pace = scratch.take<T>(3 * nodes);
   const double since_s = after.time_s - past.time_s;
   if (scratch.overflowed || !(since_s > 0 && since_s <= PAUSE_S)) return CUT;
   if (!(farthest_node_m<T>(network, past.network, nodes) <= T(CUT_M))) return CUT;
@@ -178,14 +203,26 @@ Kind go_on(const T* vertices, int64_t count, const SwingMemory<T>& past, const S
   if (!moved && still_s >= STILL_S) {
     const T* rests = colliders.count ? past.swung.begin : network;
     for (int64_t i = 0; i < 3 * nodes; ++i) swung[i] = rests[i], speed[i] = 0;
+    for (int64_t i = 0; i < nodes; ++i) climb[i] = 0;
   } else {
     const double calming = smaller(CALMER_PER_S2 * larger(still_s - CALM_S, 0), CALMEST_PER_S);
     const T step_s = T(larger(since_s, SHORTEST_STEP_S));
     follow(network, nodes, skin, after.touched.begin);
-    for (int64_t i = 0; i < nodes; ++i)
-      for (int axis = 0; axis < 3; ++axis) start[3 * i + axis] = past.swung[3 * i + axis] - T(shift[axis]);
-    advance<T>({past.network, start, past.speed}, network, skin, colliders, after.touched, cloth,
-               {step_s, T(cloth.damping_per_s + calming), T(cloth.young_n_per_m), false}, swung, speed, scratch);
+    for (int64_t i = 0; i < 3 * nodes; ++i) {
+      before[i] = past.network[i] - T(shift[i % 3]), speed[i] = past.speed[i];
+      swung[i] = past.swung[i] - past.network[i] + network[i];
+      if (i < nodes) climb[i] = past.climb[i];
+    }
+    const T weight = fall_along<T>(before, network, step_s, nodes, climb, speed);
+    const int64_t steps = colliders.count ? 1 : int64_t(1.0 + double(step_s) / LONGEST_STEP_S);
+    for (int64_t i = 0; i < 3 * nodes; ++i) before[i] = network[i] - (network[i] - before[i]) / T(steps);
+    for (int64_t step = 0; step < steps && !scratch.overflowed; ++step) {
+      // Still cloth is where it will be; nodes come from where it was a step before.
+      for (int64_t i = 0; i < 3 * nodes; ++i) start[i] = swung[i] - network[i] + before[i], pace[i] = speed[i];
+      advance<T>({before, start, pace}, network, skin, colliders, after.touched, cloth,
+                 {step_s / T(steps), T(cloth.damping_per_s + calming), T(cloth.young_n_per_m), weight, false}, swung,
+                 speed, scratch);
+    }
   }
   scratch.used = mark;
   return carry(vertices, count, network, swung, cloth.mesh, share, out, scratch);
@@ -204,7 +241,7 @@ void come_to_rest(const Skin<T>& skin, const Array<double>& colliders, const Swi
     for (int step = 0; step < SETTLE && !scratch.overflowed; ++step) {
       for (int64_t i = 0; i < 3 * nodes; ++i) start[i] = swung[i], pace[i] = speed[i];
       advance<T>({network, start, pace}, network, skin, colliders, after.touched, cloth,
-                 {T(FIRST_STEP_S), T(cloth.damping_per_s + CALMEST_PER_S), T(cloth.young_n_per_m), true}, swung, speed,
+                 {T(FIRST_STEP_S), T(cloth.damping_per_s + CALMEST_PER_S), T(cloth.young_n_per_m), T(1), true}, swung, speed,
                  scratch);
     }
     for (int64_t i = 0; i < 3 * nodes; ++i) speed[i] = 0;
@@ -227,6 +264,7 @@ bool frame(const T* vertices, int64_t count, const SwingMemory<T>& past, const S
   if (kind >= STILL) return kind == MOVED;
   for (int64_t i = 0; i < nodes; ++i) {
     after.touched[i] = cloth.index[i];
+    after.climb[i] = T(__builtin_nan(""));  // not known
     put_point(swung, i, point(network, i)), put_point(speed, i, Vector<T>{});
   }
   follow(network, nodes, skin, after.touched.begin);

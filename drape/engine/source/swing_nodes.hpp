@@ -30,22 +30,23 @@ constexpr double COMPRESSED = 0.2;
 constexpr double LEAST_STRAIN = 1e-9;  // a difference of principal strains that says nothing of their axes
 constexpr double LOOSE = 0.05;  // a loose triangle resists a step with this share of the stiffness of one that pulls
 
-// The (inertia + hold + K) u [N] of the nodes that may move.
-template <class T> void pulled(const T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hold, T* out) {
+// The (inertia + hold + weight K) u [N] of the nodes that may move.
+template <class T>
+void pulled(const T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hold, T weight, T* out) {
   for (int64_t n = 0; n < mesh.order.count; ++n) {
     const int64_t i = mesh.order[n];
     Vector<T> total = scaled(inertia[i] + hold[i], point(u, i));
     for (int64_t e = mesh.pull_start[i]; e < mesh.pull_start[i + 1]; ++e)
-      total = plus(total, mesh.pull[e], point(u, mesh.pull_node[e]));
+      total = plus(total, weight * mesh.pull[e], point(u, mesh.pull_node[e]));
     put_point(out, i, total);
   }
 }
 
-// Moves u [m] (N, 3) in place towards the solution of (inertia + hold + K) u = rhs [N] over the nodes that may move, by
-// rounds of conjugate gradients; inertia and hold [N/m] (N,).
+// Moves u [m] (N, 3) in place towards the solution of (inertia + hold + weight K) u = rhs [N] over the nodes that may
+// move, by rounds of conjugate gradients; inertia and hold [N/m] (N,).
 template <class T>
-void fall_back(T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hold, const T* rhs, int64_t rounds,
-               Scratch& scratch) {
+void fall_back(T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hold, T weight, const T* rhs,
+               int64_t rounds, Scratch& scratch) {
   const int64_t mark = scratch.used, count = mesh.order.count, nodes = mesh.vertex.count;
   T *r = scratch.take<T>(3 * nodes), *q = scratch.take<T>(3 * nodes), *p = scratch.take<T>(3 * nodes);
   T* diagonal = scratch.take<T>(nodes);
@@ -58,9 +59,9 @@ void fall_back(T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hold, 
     const int64_t i = mesh.order[n];
     diagonal[i] = inertia[i] + hold[i];
     for (int64_t e = mesh.pull_start[i]; e < mesh.pull_start[i + 1]; ++e)
-      if (mesh.pull_node[e] == i) diagonal[i] += mesh.pull[e];
+      if (mesh.pull_node[e] == i) diagonal[i] += weight * mesh.pull[e];
   }
-  pulled(u, mesh, inertia, hold, q);
+  pulled(u, mesh, inertia, hold, weight, q);
   T old = 0;
   for (int64_t n = 0; n < count; ++n) {
     const int64_t i = mesh.order[n];
@@ -74,7 +75,7 @@ void fall_back(T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hold, 
   const T eps = sizeof(T) == 4 ? T(1.1920929e-07) : T(2.220446049250313e-16);
   const T end = more<T>(eps * eps * old, T(LEAST_SQUARE));
   for (int64_t round = 0; round < rounds && old > end; ++round) {
-    pulled(p, mesh, inertia, hold, q);
+    pulled(p, mesh, inertia, hold, weight, q);
     T down = 0, next = 0;
     for (int64_t n = 0; n < count; ++n) down += dot(point(p, mesh.order[n]), point(q, mesh.order[n]));
     const T a = old / down;

@@ -121,8 +121,8 @@ def test_a_strip_that_comes_down_lies_on_the_floor_and_rests_there():
     made, memory = constants(mesh), None
     floor, down = np.stack([plane([0.0, 1.0, 0.0], FLOOR_M - LENGTH_M + 0.2)]), 0.0
     x = rest
-    for i in range(120):
-        down = min(0.4, 0.02 * i)  # its upper edge, to 0.2 m less than its length over the floor
+    for i in range(-1, 120):
+        down = min(0.4, 0.02 * max(i, 0))  # its upper edge, to 0.2 m less than its length over the floor
         here = np.stack([floor[0]])
         here[:, 1:3] += down
         x, memory = swing(made, memory, strip_frame(rest, i / 30.0, here), np.array([0.0, -down, -down]))  # and aside

@@ -27,10 +27,11 @@ def scene() -> tuple[np.ndarray, SwingConstants]:
 
 
 def pushed(made: SwingConstants, rest: np.ndarray, *, way_m: float = 0.01, fps: float = 120.0) -> SwingMemory:
-    """What is remembered of a strip after its upper edge was moved along z for a tenth of a second, and stood."""
+    """What is remembered of a strip that hung, after its upper edge was moved along z for a tenth of a second, and
+    stood."""
     memory = None
-    for i in range(int(0.1 * fps) + 1):
-        origin = np.array([0.0, 0.0, way_m * min(1.0, 10.0 * i / fps)])
+    for i in range(-1, int(0.1 * fps) + 1):
+        origin = np.array([0.0, 0.0, way_m * min(1.0, 10.0 * max(i, 0) / fps)])
         _, memory = swing(made, memory, frame(rest, i / fps), origin)
     assert memory is not None
     return memory
@@ -106,6 +107,34 @@ def test_a_body_that_glides_drags_its_cloth_and_a_share_is_a_share(scene: tuple[
     assert_allclose(half - rest, 0.5 * (behind - rest), atol=1e-6)
     held = rest[:, 1] > -1e-9
     assert_allclose(behind[held], rest[held], atol=1e-3)
+
+
+@pytest.mark.parametrize("fps", [15.0, 30.0, 60.0])
+def test_cloth_goes_down_with_a_body_that_falls(fps: float):
+    """In free fall weight takes cloth along: a strip along the fall, past which the air goes, stays where it hung."""
+    rest, mesh = hanging()
+    made, memory, far = constants(mesh), None, []
+    for i in range(-2, int(0.45 * fps) + 1):
+        x, memory = swing(made, memory, frame(rest, i / fps), np.array([0.0, -4.9 * max(i / fps, 0.0) ** 2, 0.0]))
+        far.append(float(np.linalg.norm(x - rest, axis=1).max()))
+    assert max(far) < 1e-3
+
+
+def test_a_body_that_sinks_faster_than_weight_leaves_its_cloth_behind(scene: tuple[np.ndarray, SwingConstants]):
+    rest, made = scene
+    memory, x = None, rest
+    for i in range(-2, 7):
+        x, memory = swing(made, memory, frame(rest, i / 30.0), np.array([0.0, -15.0 * max(i / 30.0, 0.0) ** 2, 0.0]))
+    risen = (x - rest)[lowest(rest), 1]
+    assert (risen > 0.2).all() and (risen < (15.0 - 4.9) * 0.04).all(), "what weight does not give"
+
+
+def test_a_body_that_is_met_in_motion_has_cloth_that_goes_with_it(scene: tuple[np.ndarray, SwingConstants]):
+    rest, made = scene
+    memory, x = None, rest
+    for i in range(4):
+        x, memory = swing(made, memory, frame(rest, i / 30.0), np.array([0.0, 0.0, 1.5 * i / 30.0]))
+    assert np.linalg.norm(x - rest, axis=1).max() < 0.05, "air and length bend it a little"
 
 
 def test_the_same_input_gives_the_same_bits(scene: tuple[np.ndarray, SwingConstants]):

@@ -102,8 +102,9 @@ export class Folding {
     const nodes = constants?.mesh.vertex.count ?? 0;
     this.swingMemories = [0, 1].map(() => {
       const [network, swung, speed] = [0, 1, 2].map(() => this.#points(nodes));
+      const climb = engine.array("numbers", nodes);
       const [touched, origin, since] = [engine.array("int32s", nodes), engine.array("float64s", 3), engine.array("float64s", 1)];
-      return engine.record("SwingMemory", { network, swung, speed, touched, origin, time_s: -Infinity, still_since_s: since });
+      return engine.record("SwingMemory", { network, swung, speed, climb, touched, origin, time_s: -Infinity, still_since_s: since });
     });
     this.swungS = -Infinity; // of the last swing
   }

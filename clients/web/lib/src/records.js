@@ -1,7 +1,7 @@
 // Generated from drape/engine/records.py by scripts/sync_wire.py. Do not edit.
 
 // Of the whole table, a part of which follows: fields of records in their order, with their kinds.
-export const LAYOUT = "5620deca632ce6d4";
+export const LAYOUT = "e75767ca87a4f71c";
 export const RECORDS = {
   Constants: { warp: "number", cross: "number", weft: "number", shear: "number", gap: "number", slack: "number", per_edge: "number", degenerate: "number", least: "number", reach: "number" },
   Creases: { corner: "int32s", stiffness: "numbers", cosine: "numbers", sine: "numbers" },
@@ -20,7 +20,7 @@ export const RECORDS = {
   SwingRows: { moving: "count", node: "int32s", place: "int32s", start: "int32s", other: "int32s", slope: "numbers" },
   SwingMesh: { vertex: "int32s", mass_kg: "numbers", area_m2: "numbers", order: "int32s", start: "int32s", other: "int32s", slope: "numbers", weight_node: "int32s", weight: "numbers", pull_start: "int32s", pull_node: "int32s", pull: "numbers", rows: "SwingRows" },
   SwingConstants: { mesh: "SwingMesh", graph: "SkinGraph", index: "int32s", young_n_per_m: "number", damping_per_s: "number", held: "numbers" },
-  SwingMemory: { network: "numbers", swung: "numbers", speed: "numbers", touched: "int32s", colliders: "float64s", origin: "float64s", time_s: "number", still_since_s: "float64s" },
+  SwingMemory: { network: "numbers", swung: "numbers", speed: "numbers", climb: "numbers", touched: "int32s", colliders: "float64s", origin: "float64s", time_s: "number", still_since_s: "float64s" },
   Layer: { weight: "numbers", bias: "numbers", slope: "number", tiles: "uint32s" },
   Weights: { mean: "numbers", inverse_deviation: "numbers", body: "Layer[]", from_body: "Layer", surroundings: "Layer", trunk: "Layer[]", heads: "Layer[]", first: "Layer[]", second: "Layer[]", basis: "numbers", basis_u: "numbers", basis_v: "numbers", logs: "numbers" },
   PatchRows: { first: "numbers", weights: "numbers", heaviest: "int32s", rotation: "numbers", centre: "numbers", scale: "numbers", slopes: "numbers", columns: "numbers", fit: "numbers", rest: "numbers", anchor: "uint32s", member: "int32s", tangent: "numbers", unit: "numbers", place: "numbers", sample: "int32s", bias: "numbers", region: "numbers", other: "bytes" },
