@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,7 +61,7 @@ def test_cloth_without_skin_below_it_stands_for_it():
     )
     boot.apply_translation([0.0, 0.0, -0.38])
     for under, hollow in (([boot], True), ([boot, leg], False)):
-        whole = trimesh.util.concatenate([cloth, *under])
+        whole: Any = trimesh.util.concatenate([cloth, *under])
         count = len(cloth.faces)
         skin = np.arange(len(whole.faces)) >= count
         none = np.zeros((len(whole.vertices), 24)), np.zeros((24, 3)), 1.0, 1.7
