@@ -28,7 +28,8 @@ UPPER, LOWER = ("top", "outer", "dress"), ("trousers", "skirt", "dress")
 SKIN = ("skin", "face", "gloves", "shoes", "underwear")
 BULKY_M = 0.05  # what stands farther off the skin is no belt: cloth does not lie over it
 INSET_M = 0.01  # cloth stands so far off a skin that was cut away below it
-LEAST_SHARE = 0.2  # of a garment's vertices at a half of the body, and of a part of the body that its own skin has
+LEAST_SHARE = 0.2  # of a garment's vertices at a half of the body
+BELOW = 0.5  # the least cosine between a cloth's normal and the way to the skin that it lies on
 BARE_M = 0.02  # skin farther from the body than this leaves it bare
 GONE_M = 0.12  # clothes that were taken off lay so near to the body
 
@@ -77,12 +78,10 @@ def layers_of(attire: Attire, pose: TPose) -> Layers:
         if clothes[rows].all() and sewn[pose.faces[rows]].any(axis=1).sum() > 0.01 * rows.sum():
             skin |= rows
     clothes &= ~skin
-    area = meshes.face_areas(pose.vertices, pose.faces)
-    own, theirs = (np.bincount(part, area * which, len(PARTS)) for which in (skin, clothes))
-    missing = own < LEAST_SHARE * theirs
     legs = np.isin([plain_part(name) for name in PARTS], ["thigh", "shin"])
     wide = attire.of_kinds(("skirt",)) | (attire.of_kinds(("dress",)) & legs[part])
-    hollow = clothes & missing[part] & ~wide & ~attire.of_kinds(("outer",))
+    hollow = clothes & ~wide & ~attire.of_kinds(("outer",))
+    hollow[hollow] = _without_skin(pose, np.flatnonzero(hollow), skin, attire.part * len(PARTS) + part)
     parts = list(attire.parts)
     under, thin = np.flatnonzero(skin | hollow), np.zeros(len(skin), dtype=bool)
     for number, held in enumerate(parts):
@@ -95,6 +94,19 @@ def layers_of(attire: Attire, pose: TPose) -> Layers:
         thin[rows] = not parts[number].bulky
     lower = clothes & attire.of_kinds(("trousers", "skirt"))
     return Layers(skin | thin, lower, hollow, attire._replace(parts=tuple(parts)))
+
+
+def _without_skin(pose: TPose, rows: np.ndarray, skin: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Which faces ``rows`` (n,) of cloth have no ``skin`` (F,) before or behind them, by ``group`` (F,): as most of its
+    area has none."""
+    if not len(rows) or not skin.any():
+        return np.ones(len(rows), dtype=bool)
+    middle, normals = pose.vertices[pose.faces[rows]].mean(axis=1), meshes.face_normals(pose.vertices, pose.faces)[rows]
+    found = closest_point(middle, pose.vertices, pose.faces[skin])
+    below = np.abs(np.einsum("nc,nc->n", normals, middle - found.point)) > BELOW * found.distance
+    gone = ~(below & (found.distance < GONE_M))
+    area, index = meshes.face_areas(pose.vertices, pose.faces)[rows], np.unique(group[rows], return_inverse=True)[1]
+    return (np.bincount(index, area * gone) > 0.5 * np.bincount(index, area))[index]
 
 
 def shrunk(pose: TPose, hollow: np.ndarray) -> TPose:

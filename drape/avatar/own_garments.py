@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drape.avatar.covered import ranges_of
 from drape.avatar.face_colours import texture_of
 from drape.avatar.own_clothes import LOWER, UPPER, Halves, bare_faces, halves_of, layers_of, taken_off, tucked
 from drape.avatar.t_pose import TPose
@@ -28,11 +29,17 @@ from drape.garment.cache import Garment
 from drape.garment.files.gltf_looks import gltf_looks
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake import intake_mesh
+from drape.geometry.closest import signed_distance
+from drape.geometry.mesh_graphs import connected_components
+from drape.geometry.meshes import face_areas
 
-VERSION = 2  # raised when a change here changes the garments that come out
+VERSION = 3  # raised when a change here changes the garments that come out
 KINDS = ("trousers", "skirt", "top", "dress", "outer")  # the innermost first
 LEAST_FACES = 40
 PAINTED_SHARE = 0.5  # of a part's faces that are the skin's own mesh
+BURIED_M, INSIDE_M = 0.03, 0.005  # where a piece of cloth that is inside of the body is so deep, nobody sees it
+PIECE_SHARE = 0.3  # of the area of a kind's largest piece
+SEEN_SHARE = 0.4  # of a kind's faces that are not buried, at least
 STIFF = 0.99  # of a vertex's weights at the bone that moves all of a part
 OWN = "own"  # in a garment's manifest: its kind and the parts that it was
 MARK = "~"  # between a character and the kind, in the name of a garment
@@ -48,10 +55,12 @@ class OwnGarments:
 
 
 class OwnCloth(NamedTuple):
-    """Clothes of one ``kind``, the parts ``numbers`` of a character, as a ``mesh``."""
+    """Clothes of one ``kind``, the parts ``numbers`` of a character, as a ``mesh``, but for runs of faces that stay on
+    the skin (first and count of each)."""
 
     kind: str
     numbers: tuple[int, ...]
+    stays: tuple[int, ...]
     mesh: GarmentMesh
 
 
@@ -72,12 +81,17 @@ def own_garments(
     kinds = [kind for kind in KINDS if any(parts[number].kind == kind for number in loose)]
     numbers = {kind: sorted(number for number in loose if parts[number].kind == kind) for kind in kinds}
     file, body = GltfFile(payload, label=wearer.name), wearer.body_under(_halves(kinds))
-    worn = [
-        OwnCloth(
-            kind, tuple(own), _mesh(file, wearer, f"{wearer.name}_{kind}", np.flatnonzero(np.isin(attire.part, own)))
-        )
-        for kind, own in numbers.items()
-    ]
+    buried = _buried(wearer, body, kinds)
+    worn = []
+    for kind, own in numbers.items():
+        whole = np.isin(attire.part, own)
+        rows = _large_pieces(wearer, np.flatnonzero(whole & ~buried))
+        if len(rows) < max(LEAST_FACES, SEEN_SHARE * whole.sum()):
+            stiff |= {parts[number].name: "It lies inside of the body that we lay below it." for number in own}
+            continue
+        whole[rows] = False
+        mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", rows)
+        worn.append(OwnCloth(kind, tuple(own), tuple(ranges_of(whole).reshape(-1).tolist()), mesh))
     made = list(each(partial(_garment_or_why, wearer.name, wearer.digest, body), worn))
     for one, why in zip(worn, made, strict=True):
         if isinstance(why, str):
@@ -87,8 +101,14 @@ def own_garments(
 
 def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
     """Which faces (F,) of ``wearer`` those of ``garments`` are that it came in: they are drawn as cloth."""
-    numbers = [number for garment in garments for number in garment.manifest.get(OWN, {}).get("parts", ())]
-    return np.isin(wearer.attire.part, numbers)
+    found = np.zeros(len(wearer.faces), dtype=bool)
+    for garment in garments:
+        about = garment.manifest.get(OWN, {})
+        found |= np.isin(wearer.attire.part, about.get("parts", ()))
+        stays = about.get("stays", [])
+        for first, count in zip(stays[::2], stays[1::2], strict=True):
+            found[first : first + count] = False
+    return found
 
 
 def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) -> Halves:
@@ -148,6 +168,33 @@ def _halves(kinds: Sequence[str]) -> Halves:
     return Halves(any(kind in UPPER for kind in kinds), any(kind in LOWER for kind in kinds))
 
 
+def _large_pieces(wearer: Wearer, rows: np.ndarray) -> np.ndarray:
+    """Those of the faces ``rows`` (n,) of clothes that are in no piece much smaller than the largest one, such as what
+    has the colour of trousers round the hem of a coat."""
+    if not len(rows):
+        return rows
+    used, faces = np.unique(wearer.faces[rows], return_inverse=True)
+    piece = connected_components(faces.reshape(-1, 3), len(used))[faces.reshape(-1, 3)[:, 0]]
+    area = np.bincount(piece, face_areas(wearer.vertices[used].astype(np.float64), faces.reshape(-1, 3)))
+    return rows[area[piece] > PIECE_SHARE * area.max()]
+
+
+def _buried(wearer: Wearer, body: BodyModel, kinds: Sequence[str]) -> np.ndarray:
+    """Which faces (F,) of clothes of these ``kinds`` lie so deep in the ``body`` that nobody sees them, as the upper
+    end of leggings under a jacket that is one mesh with the skin: nothing tells the body below both."""
+    rows = np.flatnonzero(wearer.attire.of_kinds(kinds))
+    used, faces = np.unique(wearer.faces[rows], return_inverse=True)
+    depth = -signed_distance(wearer.vertices[used].astype(np.float64), body.v_template, body.faces)
+    faces = faces.reshape(-1, 3)
+    inside = np.flatnonzero((depth[faces] > INSIDE_M).any(axis=1))
+    piece = connected_components(faces[inside], len(used))[faces[inside][:, 0]]
+    deepest = np.zeros(len(used))
+    np.maximum.at(deepest, piece, depth[faces[inside]].max(axis=1))
+    found = np.zeros(len(wearer.faces), dtype=bool)
+    found[rows[inside[deepest[piece] > BURIED_M]]] = True
+    return found
+
+
 def _stiff(wearer: Wearer) -> dict[str, str]:
     """Why clothes stay on the skin, by the names of parts, as far as it is seen before an intake."""
     pose = TPose(wearer.vertices, wearer.faces, wearer.weights, np.zeros((0, 3)), wearer.scale, wearer.height_m)
@@ -183,7 +230,7 @@ def _garment(name: str, digest: str, body: BodyModel, own: OwnCloth) -> Garment:
     refusal = why_not(body, reach_of(made, body), garment=kind)
     if refusal is not None:
         raise refusal
-    about = {"kind": kind, "parts": numbers}
+    about = {"kind": kind, "parts": numbers, "stays": list(own.stays)}
     called = f"{name}{MARK}{kind}"
     drawn = None if made.drawn is None else replace(made.drawn, name=called)
     return replace(made, name=called, drawn=drawn, manifest=made.manifest | {OWN: about})

@@ -40,7 +40,7 @@ from drape.geometry.skinning import skin_points
 from drape.motion.rig_poses import UNIT_TOLERANCE, Rig, poses_to_rig, rig_to_poses
 
 FORMAT_VERSION = 1
-FIT_VERSION = 3  # raised when a change here changes the bodies that come out
+FIT_VERSION = 4  # raised when a change here changes the bodies that come out
 WORN_NOTHING = Attire((), np.zeros(0, dtype=np.int64), (0.8, 0.66, 0.56), np.zeros((0, 3)))
 FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's; more for one with a deeper trunk than ours
 BARE, UPPER = "bare", "upper"

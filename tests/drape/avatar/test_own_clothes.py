@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from benchmarks.measure.dressed_characters import COLOURS, dressed_character, dressed_parts
 from drape.avatar.character import character_in
-from drape.avatar.own_clothes import Halves, bare_faces, taken_off, tucked
+from drape.avatar.own_clothes import Halves, _without_skin, bare_faces, taken_off, tucked
 from drape.avatar.own_garments import Undressed, undressed
 from drape.avatar.rig_file import bare_file
+from drape.avatar.t_pose import TPose
 from drape.avatar.tucked import BELOW_M
 from drape.avatar.wearer import UPPER, Wearer, load_wearer, read_wearer, save_wearer
 from drape.avatar.wears import THICKEST, legs_thickness, reach_of, why_not
@@ -48,6 +51,23 @@ def whole(body: BodyModel, shelf: dict[str, Garment]) -> Wearer:
     """Our body in the same clothes, its skin whole."""
     parts = dressed_parts(body, {"top": shelf["tshirt"], "trousers": shelf["trousers"]})
     return read_wearer(dressed_character(body, parts), name="whole", body=body)
+
+
+def test_cloth_without_skin_below_it_stands_for_it():
+    """A leg of cloth above a boot, which is skin; and the same round a leg."""
+    cloth, boot, leg = (
+        trimesh.creation.cylinder(radius=radius, height=height, sections=48).subdivide().subdivide()
+        for radius, height in ((0.08, 0.6), (0.12, 0.2), (0.06, 0.6))
+    )
+    boot.apply_translation([0.0, 0.0, -0.38])
+    for under, hollow in (([boot], True), ([boot, leg], False)):
+        whole: Any = trimesh.util.concatenate([cloth, *under])
+        count = len(cloth.faces)
+        skin = np.arange(len(whole.faces)) >= count
+        none = np.zeros((len(whole.vertices), 24)), np.zeros((24, 3)), 1.0, 1.7
+        pose = TPose(np.asarray(whole.vertices), np.asarray(whole.faces), *none)
+        found = _without_skin(pose, np.arange(count), skin, np.zeros(len(skin), int))
+        assert found.shape == (count,) and (found == hollow).all()
 
 
 @pytest.mark.parametrize("name", CATALOGUE)

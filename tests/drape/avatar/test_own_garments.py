@@ -13,8 +13,11 @@ from benchmarks.measure.dressed_characters import MAKERS, Worn, dressed_characte
 from drape.avatar.attire_words import CLOTHES
 from drape.avatar.own_clothes import Halves, halves_of
 from drape.avatar.own_garments import (
+    BURIED_M,
     OWN,
     OwnGarments,
+    _buried,
+    _large_pieces,
     body_of,
     dressed_in,
     halves_on,
@@ -113,7 +116,29 @@ def test_cloth_deep_in_the_body_is_told_to_be_none(body: BodyModel, shelf: dict[
     found = own_garments(payload, read_wearer(payload, name="sunk", body=body))
     assert not found.garments
     (why,) = found.stiff.values()
-    assert why.startswith("No cloth can be made of it: expected ")
+    assert why == "It lies inside of the body that we lay below it."
+
+
+def test_what_lies_deep_in_the_body_and_small_pieces_stay(body: BodyModel, shelf: dict[str, Garment]):
+    """Shorts whose upper end is drawn in to the trunk, and a bracelet that is called trousers too."""
+    parts = dressed_parts(body, {"trousers": shelf["shorts"]}, rucksack=False)
+    hips = body.joints_template[[1, 2]].mean(axis=0)
+    cloth = parts[-1]
+    high = cloth.vertices[:, 1] > hips[1]
+    drawn_in = np.where(high[:, None], hips + 0.1 * (cloth.vertices - hips) * [1.0, 10.0, 1.0], cloth.vertices)
+    away = cloth.vertices[:300] * [0.01, 0.01, 0.01] + body.joints_template[20] + [0.0, 0.2, 0.0]
+    faces = np.concatenate([cloth.faces, cloth.faces[(cloth.faces < 300).all(axis=1)] + len(drawn_in)])
+    weights = np.concatenate([cloth.weights, cloth.weights[:300]])
+    both = cloth._replace(vertices=np.concatenate([drawn_in, away]), faces=faces, weights=weights)
+    payload = dressed_character(body, [*parts[:-1], both])
+    worn = read_wearer(payload, name="drawn_in", body=body)
+    whole, buried = worn.attire.of_kinds(("trousers",)), _buried(worn, worn.body, ["trousers"])
+    kept = _large_pieces(worn, np.flatnonzero(whole & ~buried))
+    middle = worn.vertices[worn.faces].mean(axis=1).astype(np.float64)
+    depth = -signed_distance(middle, worn.body.v_template, worn.body.faces)
+    assert (buried <= whole).all() and (depth[buried] > 0.0).mean() > 0.9
+    assert (depth[kept] < BURIED_M).mean() > 0.97 and 0.3 * whole.sum() < len(kept) < 0.95 * whole.sum()
+    assert (np.abs(middle[kept, 0]) < 0.4).all(), "no bracelet"
 
 
 def test_ours_replace_what_they_take_off(own: OwnGarments, wearer: Wearer, body: BodyModel, shelf: dict[str, Garment]):
