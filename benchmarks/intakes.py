@@ -6,10 +6,14 @@ A row is a file with nothing said of it: its ``faces``; processor seconds of eve
 ``read_s`` has the search for the wearer; the vertices that are ``drawn`` and those of the ``cloth`` of its garments;
 ``hang_ms`` a frame for what hangs on the cloth; and ``frame_ms`` of ``balanced`` in a walk, ``over_dress`` that of the
 shipped dress by turns with it. Times are of one thread.
+
+With ``--streams 0 8`` a row more for each number: ``sent_s`` on the clock from a file's sending to a service until its
+first frame is draped, beside so many streams of a T-shirt in ``balanced``, whose goodput is ``goodput_pct``.
 """
 
 from __future__ import annotations
 
+import asyncio
 import time
 from pathlib import Path
 
@@ -19,7 +23,9 @@ from benchmarks.clock import Clock
 from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.scenes import FPS, at_rate
 from benchmarks.served import Stream, plan_of
+from benchmarks.serving import crowd, figures, server
 from benchmarks.tables import Row
+from clients.client import DrapeClient
 from drape.body.assets import load_body
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.errors import DrapeError
@@ -31,9 +37,11 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
 WARM, ROUNDS, PART = 8, 6, 8  # frames before the first that counts; turns of the two streams, and frames in each
+SENT_S = 60.0  # of streams beside an upload
 COLUMNS = {
     "garment": "s", "faces": "d", "garments": "d", **{f"{stage}_s": ".1f" for stage in STAGES}, "all_s": ".1f",
     "drawn": "d", "cloth": "d", "hang_ms": ".3f", "frame_ms": ".2f", "over_dress": ".2f", "refused": "s",
+    "streams": "d", "sent_s": ".1f", "goodput_pct": ".0f",
 }  # fmt: skip
 
 
@@ -43,6 +51,7 @@ COLUMNS = {
     COLUMNS,
     Option("--garments", ("tshirt", "dress"), "names, files or folders", ("tshirt",)),
     Option("--rounds", ROUNDS, "of frames", 2),
+    Option("--streams", (), "numbers of streams beside which each file is sent to a service", kind=int),
 )
 def main(run: Run) -> None:
     """A row for every file; a shipped garment has no intake."""
@@ -56,6 +65,7 @@ def main(run: Run) -> None:
             run.add([{"garment": path.stem, "refused": str(error)[:90]}])
             continue
         run.add([row | frame_times(drapery, garments, dress, run.options.rounds)])
+        run.add([sent(path, streams) for streams in run.options.streams])
 
 
 def taken_in(path: Path) -> tuple[Row, list[Garment]]:
@@ -69,6 +79,31 @@ def taken_in(path: Path) -> tuple[Row, list[Garment]]:
     took = {f"{stage}_s": end - at for (stage, at), end in zip(begun, ends, strict=True)}
     faces = len(read_mesh(path).faces)
     return {"garment": path.stem, "faces": faces, **took, "all_s": sum(took.values())}, garments
+
+
+def sent(path: Path, streams: int) -> Row:
+    """How long a service takes for the file at ``path`` until its garment is worn, beside so many streams."""
+    walk = at_rate(read_motion(find_motions(["walk"])[0]), FPS)
+
+    async def beside(url: str) -> Row:
+        begun = asyncio.Event()
+        worn = {"garments": ["tshirt"], "tier": "balanced"}
+        crowded = asyncio.create_task(crowd(url, walk, streams, SENT_S if streams else 0.0, begun=begun.set, **worn))
+        await begun.wait()
+        sent_s = await asyncio.to_thread(worn_after, url, path)
+        seen = await crowded
+        return {"sent_s": sent_s, **({"goodput_pct": figures(seen, None)["goodput_pct"]} if streams else {})}
+
+    with server() as at:
+        return {"garment": path.stem, "streams": streams, **asyncio.run(beside(at.url))}
+
+
+def worn_after(url: str, path: Path) -> float:
+    """The time [s] from the upload of ``path`` to a service until the first frame of its garment."""
+    begun_s = time.perf_counter()
+    with DrapeClient(url) as client:
+        client.drape(client.upload_garment(path), np.zeros((1, 24, 3)))
+    return time.perf_counter() - begun_s
 
 
 def frame_times(drapery: DrapeRuntime, garments: list[Garment], dress: list[Garment], rounds: int) -> Row:
