@@ -1,9 +1,9 @@
 """Cloth without folds: the network's drape, eased by steps of the whole coarse cloth, and lifted off the skin.
 
 The network stretches cloth that no triangle of it feels. One step a frame of the stiffness that the coarse cloth has at
-rest (``whole``) takes most of that out, and needs no search (``source/levels.hpp`` of the engine). How far a frame was
-eased goes along with the network's surface, fades, and is where the next step begins. What is left in the skin is
-lifted.
+rest (``whole``) takes most of that out, over the skin below and other parts of the body (``source/eased.hpp`` of the
+engine). How far a frame was eased goes along with the network's surface, fades, and is where the next step begins. What
+is left in the skin is lifted.
 """
 
 from __future__ import annotations

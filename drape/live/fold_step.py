@@ -52,8 +52,8 @@ class FoldMemory(FrameMemory):
 @dataclass(frozen=True)
 class FoldReport:
     """The outcome of a frame. It ``settled`` if it had no past to go on from. It was ``reset`` if its result was no
-    fold, and it was begun anew from the network's drape. ``lifted_share`` of the vertices were lifted off the skin, the
-    farthest by ``lifted_max_m`` [m]."""
+    fold, or the network jumped too far to go on from its past, and it was begun anew from the network's drape.
+    ``lifted_share`` of the vertices were lifted off the skin, the farthest by ``lifted_max_m`` [m]."""
 
     settled: bool
     reset: bool = False

@@ -1,5 +1,5 @@
 // Folds: steps, sweeps and the lift of one frame, and what is made of a garment for them.
-#include "levels.hpp"
+#include "eased.hpp"
 #include "parts.hpp"
 #include "reached.hpp"
 

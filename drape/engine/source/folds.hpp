@@ -243,14 +243,15 @@ DEVICE FoldOutcome fold_places(const Laid<T>& laid, const T* network, const Fold
                                const Surroundings<T>& around, const FoldConstants<T>& cloth,
                                const FoldEffort<T>& effort, Pace pace, FoldMemory<T>& after, Scratch& scratch) {
   const int64_t places = cloth.sheet.vertex.count;
-  const bool follows = past.step_s < INFINITE && farthest_m<T>(network, past.network, places) <= T(CUT_M);
+  const bool goes_on = past.step_s < INFINITE;
+  const bool follows = goes_on && farthest_m<T>(network, past.network, places) <= T(CUT_M);
   copy<T>(after.network, network, 3 * places);
   if (follows) {
     FoldOutcome outcome = advanced(laid, network, past, true, around, cloth, effort, pace, after, scratch);
     if (!outcome.lost) return outcome;
   }
   FoldOutcome outcome = advanced(laid, network, past, false, around, cloth, effort, pace, after, scratch);
-  outcome.reset = follows || outcome.lost;
+  outcome.reset = goes_on || outcome.lost;
   if (!outcome.lost) return outcome;
   outcome.turn = 0;
   for (int64_t p : each(places)) after.own[p] = cloth.index[p], after.other[p] = -1, laid.lifted[p] = 0;

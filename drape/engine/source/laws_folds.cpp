@@ -1,7 +1,7 @@
 // Parts of folds, lift, layers and colliders that tests hold to their laws one by one.
+#include "eased.hpp"
 #include "exports.hpp"
 #include "layers.hpp"
-#include "levels.hpp"
 
 #define FOR_TYPE(T, suffix)                                                                                            \
   EXPORT void drape_law_farthest_##suffix(const T* x, const T* y, int64_t places, T* far) {                            \
@@ -51,7 +51,12 @@
   EXPORT int64_t drape_law_ease_off_##suffix(const T* under, const T* before, double share, const int32_t* own,        \
                                              const T* skin, int64_t samples, const FoldConstants<T>* cloth,            \
                                              int64_t steps, T* eased, T* off, Scratch* scratch) {                      \
-    ease_off(under, before, T(share), own, skin_of(skin, samples, cloth->graph), *cloth, steps, eased, off, *scratch); \
+    const int64_t places = cloth->sheet.vertex.count;                                                                  \
+    int32_t *here = scratch->take<int32_t>(places), *other = scratch->take<int32_t>(places);                           \
+    if (scratch->overflowed) return -1;                                                                                \
+    for (int64_t p = 0; p < places; ++p) here[p] = own[p];                                                             \
+    ease_off(under, before, T(share), here, other, skin_of(skin, samples, cloth->graph), *cloth, steps, eased, off,    \
+             *scratch);                                                                                                \
     return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
   EXPORT void drape_law_lift_##suffix(T* x, int64_t places, const T* planes, double clearance, T* way) {               \

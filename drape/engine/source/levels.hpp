@@ -21,7 +21,6 @@ constexpr Pace COARSE_PACE = {3, 1};  // sweeps are the fine cloth's
 constexpr int FINE_PASSES = 2;   // of the coarse cloth's turns: none leave jitter
 constexpr int64_t MORE_STEPS = 2;  // of the coarse cloth than sweeps of the fine one
 constexpr double KEPT_S = 1.5;    // in which the share that is carried on comes down to 1/e
-constexpr double EASED_S = 0.65;  // in which what eased cloth without folds comes down to 1/e
 
 // The points of a block of the fine cloth, moved as the coarse places are that went off [m] (P, 3).
 template <class T> INLINE Points<T> carried(Points<T> points, const T* off, const FineLevel<T>& fine, int64_t block) {
@@ -140,97 +139,5 @@ DEVICE FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past,
   }
   delivered(laid, fine.sheet.place, folded, outcome);
   if (outcome.lost) copy(folded, vertices, 3 * fine.sheet.place.count);
-  return outcome;
-}
-
-// Cloth without folds: the network's drape, eased by one step a frame of the whole coarse cloth, and lifted off the
-// skin.
-//
-// The network stretches cloth that no triangle of it feels. A step of the stiffness that the coarse cloth has at rest
-// takes most of that out, and needs no search: contact is that with the samples of the skin that the cloth is followed
-// to. How far a frame was eased goes along with the network's surface, fades with the time EASED_S and is where the
-// next step begins. The memory has the network's coarse places, the samples own, and how far each was eased in
-// residual.
-
-// Writes how far [m] (P, 3) so many steps move the coarse cloth from where the network has it, under [m] (P, 3), with
-// room for one number behind it: in the world's axes to off, in those of the surface to eased. It begins with a share
-// of what it was eased before, if anything. What is no fold is left out.
-template <class T>
-DEVICE void ease_off(const T* under, const T* before, T share, const int32_t* own, const Skin<T>& skin,
-                     const FoldConstants<T>& cloth, int64_t steps, T* eased, T* off, Scratch& scratch) {
-  const int64_t mark = scratch.used, places = cloth.sheet.vertex.count, count = cloth.factor.place.count;
-  T *x = scratch.take<T>(3 * places), *gradient = scratch.take<T>(3 * places);
-  T *frames = scratch.take<T>(FRAMES * (places / LANES)), *planes = scratch.take<T>(PLANES * (places / LANES));
-  T *q = scratch.take<T>(3 * count), *s = scratch.take<T>(solve_room(cloth.factor));
-  if (scratch.overflowed) return;
-  surface_frames(under, cloth.sheet, frames);
-  for (int64_t block : each_block(places / LANES)) {
-    const int64_t first = 3 * LANES * block;
-    const AxesOf<T> axes = axes_in(frames + FRAMES * block);
-    Points<T> points = points_in(under + first);
-    if (before) points = points + to_world(axes, scaled(row_of(share), points_in(before + first)));
-    put_points(x + first, points);
-  }
-  hold_places<T>(cloth.sheet, nullptr, T(0), planes);
-  put_own_planes<T>(x, places, skin, own, nullptr, planes);
-  for (int64_t step = 0; step < steps; ++step) {
-    gradient_at<T>(x, cloth.sheet, planes, under, T(HOLD), gradient);
-    whole_step(x, cloth.factor, gradient, q, s);
-  }
-  const bool fits = farthest_m<T>(x, under, places) <= T(FAR_M);
-  for (int64_t block : each_block(places / LANES)) {
-    const int64_t first = 3 * LANES * block;
-    Points<T> way = fits ? points_in(x + first) - points_in(under + first) : Points<T>{};
-    put_points(off + first, way);
-    put_points(eased + first, fits ? to_frame(axes_in(frames + FRAMES * block), way) : way);
-  }
-  scratch.used = mark;
-}
-
-// Lifts the fine cloth up to the clearance [m] over the skin and out of the colliders; own (C,) are the samples below
-// the coarse places.
-template <class T>
-DEVICE void lift_off(const Laid<T>& laid, const int32_t* own, const Skin<T>& skin, const Array<double>& colliders,
-                     const FineLevel<T>& fine, T clearance) {
-  const int64_t places = fine.sheet.vertex.count;
-  for (int64_t block : each_block(places / LANES)) put(laid.lifted + LANES * block, T(0));
-  if (colliders.count == 0) {
-    if (clearance > 0) lift_off_skin(laid.x, places, skin, own, fine.parent.begin, clearance, laid.lifted);
-    return;
-  }
-  for (int64_t block : each_block(PLANES / LANES * (places / LANES))) put(laid.planes + LANES * block, T(0));
-  put_own_planes(laid.x, places, skin, own, fine.parent.begin, laid.planes);
-  put_collider_planes(laid.x, places, colliders, laid.planes);
-  leave_colliders(laid.x, places, colliders, laid.planes, clearance);
-  if (clearance > 0) lift(laid.x, places, laid.planes, clearance, laid.lifted);
-}
-
-// Writes the eased and lifted vertices [m] (V, 3), and the memory after them.
-template <class T>
-DEVICE FoldOutcome lift_alone(const T* vertices, const FoldMemory<T>& past, const Surroundings<T>& around,
-                              const Levels<T>& levels, const FoldEffort<T>& effort, FoldMemory<T>& after,
-                              T* lifted_vertices, Scratch& scratch) {
-  const FoldConstants<T>& coarse = levels.coarse;
-  const FineLevel<T>& fine = levels.fine;
-  const Skin<T> skin = skin_of(around.skin, coarse.graph);
-  const int64_t places = fine.sheet.vertex.count, below = coarse.sheet.vertex.count;
-  const Laid<T> laid(places, scratch);
-  T *x = laid.x, *under = scratch.take<T>(3 * below), *off = scratch.take<T>(3 * below);
-  if (scratch.overflowed) return {};
-  placed(vertices, fine.sheet.vertex, x);
-  placed(vertices, levels.kept, under);
-  copy<T>(after.network, under, 3 * below);
-  const bool follows = past.step_s < INFINITE && farthest_m<T>(under, past.network, below) <= T(CUT_M);
-  for (int64_t p : each(below)) after.own[p] = follows ? past.own[p] : coarse.index[p];
-  follow(under, below, skin, after.own.begin);
-  const double share = follows ? exponential_of(-past.step_s / EASED_S) : 0;
-  ease_off<T>(under, follows ? past.residual.begin : nullptr, T(share), after.own, skin, coarse,
-              follows ? 1 : effort.settle, after.residual, off, scratch);
-  if (scratch.overflowed) return {};
-  for (int64_t block : each_block(places / LANES))
-    put_points(x + 3 * LANES * block, carried(points_in(x + 3 * LANES * block), off, fine, block));
-  lift_off<T>(laid, after.own, skin, around.colliders, fine, T(effort.clearance_m));
-  FoldOutcome outcome = {!follows, 0, 0, 0, 0, 0, 0};
-  delivered(laid, fine.sheet.place, lifted_vertices, outcome);
   return outcome;
 }

@@ -42,16 +42,3 @@ template <class T> DEVICE void lift(T* x, int64_t places, const T* planes, T cle
     put_lifted(x + 3 * first, way + first, before, after);
   }
 }
-
-// The same over the own planes of each place's samples (own_planes), none of which is kept.
-template <class T>
-DEVICE void lift_off_skin(T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent,
-                          T clearance, T* way) {
-  Walks walks;
-  for (int64_t block : each_block(places / LANES)) {
-    const int64_t first = LANES * block;
-    Points<T> before = points_in(x + 3 * first);
-    Planes<T> below = own_planes(before, own, parent + first, walks, skin);
-    put_lifted(x + 3 * first, way + first, before, above<T>(before, below.foot, below.unit, clearance, T(1)));
-  }
-}

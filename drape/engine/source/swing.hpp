@@ -28,7 +28,7 @@ constexpr double STILL_S = 1.8;         // after which nothing swings
 constexpr double LOST_M = 1.0;          // a node farther from still cloth does not swing any more
 constexpr double LEAST_SWUNG_M = 1e-6;  // a node nearer to it only rounds
 constexpr double LYING_M = 0.008, STUCK_N_PER_M = 2.0;  // a node nearer to a collider lies on it, and is held there
-constexpr double GRAVITY_M_S2 = 9.81, HEAVIEST = 2.0;
+constexpr double GRAVITY_M_S2 = 9.81, HEAVIEST = 2.0, SLACK_M = 0.02;
 constexpr double LONGEST_STEP_S = 0.04;  // a slower frame takes several steps: longer ones damp what swings
 constexpr int SETTLE = 60;              // steps of a frame without a past whose cloth is in a collider
 constexpr double PAUSE_S = 0.25, SHORTEST_STEP_S = 1.0 / 240.0;  // a later frame has no past; closer ones count as this
@@ -128,18 +128,21 @@ void advance(const State<T>& before, const T* network, const Skin<T>& skin, cons
 }
 
 // Lets weight take hanging cloth along with a body that goes down: its speed [m/s] (N, 3) changes by as much as that of
-// still cloth, by gravity's at most, so that none is left behind in the air. Cloth without a past goes as still cloth
+// still cloth, by gravity's at most, so that none is left behind in the air; and one that goes up takes along what is
+// taut, swung [m] (N, 3) beside it no higher than SLACK_M. Cloth without a past goes as still cloth
 // does, which goes from before to network [m] (N, 3) in step_s; climb [m/s] (N,) is how fast that went up in the frame
 // before, no number where there was none, and is replaced. Returns the weight that is left, in parts of that at rest.
 template <class T>
-T fall_along(const T* before, const T* network, T step_s, int64_t nodes, T* climb, T* speed) {
+T fall_along(const T* before, const T* network, const T* swung, T step_s, int64_t nodes, T* climb, T* speed) {
   T gained = 0;
   for (int64_t i = 0; i < nodes; ++i) {
     const Vector<T> pace = scaled(T(1) / step_s, point(network, i) - point(before, i));
     const T gain = pace.y - climb[i];
     if (gain == gain) {
       gained += gain;
-      speed[3 * i + 1] += less<T>(more<T>(gain, T(-GRAVITY_M_S2) * step_s), T(0));
+      const T risen = swung[3 * i + 1] - network[3 * i + 1];
+      const T taut = less<T>(more<T>(T(1) - risen / T(SLACK_M), T(0)), T(1));
+      speed[3 * i + 1] += gain > 0 ? taut * gain : more<T>(gain, T(-GRAVITY_M_S2) * step_s);
     } else {
       put_point(speed, i, pace);
     }
@@ -213,7 +216,7 @@ Kind go_on(const T* vertices, int64_t count, const SwingMemory<T>& past, const S
       swung[i] = past.swung[i] - past.network[i] + network[i];
       if (i < nodes) climb[i] = past.climb[i];
     }
-    const T weight = fall_along<T>(before, network, step_s, nodes, climb, speed);
+    const T weight = fall_along<T>(before, network, swung, step_s, nodes, climb, speed);
     const int64_t steps = colliders.count ? 1 : int64_t(1.0 + double(step_s) / LONGEST_STEP_S);
     for (int64_t i = 0; i < 3 * nodes; ++i) before[i] = network[i] - (network[i] - before[i]) / T(steps);
     for (int64_t step = 0; step < steps && !scratch.overflowed; ++step) {

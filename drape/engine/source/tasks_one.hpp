@@ -1,6 +1,6 @@
 // Frames of many streams as a card is asked for them: a group of threads draws one (threads_one.hpp).
 #pragma once
-#include "levels.hpp"
+#include "eased.hpp"
 
 enum Step { ONE_LEVEL, TWO_LEVELS, LIFT_ALONE };
 

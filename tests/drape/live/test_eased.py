@@ -13,7 +13,7 @@ from drape.live.clock import PAUSE_S, Frame
 from drape.live.eased import LiftMemory, lifted_alone
 from drape.live.fold_step import FoldEffort
 from drape.live.two_level import TwoLevel
-from tests.drape.live.folds_setup import FAR_M, spared
+from tests.drape.live.folds_setup import CUT_M, FAR_M, spared
 from tests.drape.live.tank_setup import strain
 
 IDLE = FoldEffort(0, clearance_m=0.004)
@@ -62,6 +62,30 @@ def test_what_was_eased_turns_with_the_body_and_fades(tank: TwoLevel, still: Fra
     share, place = np.exp(-later_s / EASED_S), tank.levels.coarse.sheet.place
     kept, _ = eased(tank, still, memory.eased, share, 0)
     assert_allclose(kept, share * memory.eased[place], atol=1e-6)
+
+
+def test_cloth_beside_another_part_of_the_body_goes_out_of_it(tank: TwoLevel, still: Frame):
+    """A patch of skin from far away is held 5 mm outside a vertex, with its inside towards the cloth."""
+    graph, skin, v = tank.levels.coarse.graph, still.skin.copy(), int(still.vertices[:, 2].argmax())
+    s = int(np.linalg.norm(skin[:, :3] - still.vertices[v], axis=1).argmax())
+    patch = np.unique(np.append(graph.neighbour.reshape(len(skin), -1)[s], s))
+    normal = np.array([0.0, 0.0, -1.0])
+    skin[patch, :3] += still.vertices[v] + 0.002 * normal - skin[s, :3]
+    skin[patch, 4:7] = normal
+    for beside in (False, True):
+        found, memory = still.vertices, None
+        for number in range(10):
+            frame = replace(still, skin=skin if beside else still.skin, time_s=number / 30.0)
+            found, memory, _ = tank.fold(memory, frame, IDLE)
+        above_m = float((found[v] - skin[s, :3]) @ normal)
+        assert (above_m > -5e-4) == beside, above_m
+
+
+def test_a_jump_is_told(tank: TwoLevel, still: Frame):
+    _, memory, _ = lifted_alone(tank.levels, None, still, IDLE)
+    far = replace(still, vertices=still.vertices + np.float32(1.01 * CUT_M), time_s=1.0 / 30.0)
+    report = tank.fold(memory, far, IDLE)[2]
+    assert report.settled and report.reset
 
 
 def test_what_is_no_fold_is_left_out(tank: TwoLevel, still: Frame):

@@ -132,7 +132,7 @@ def test_a_cut_forgets(way):
     one = frame(sleeve()[0], 0, noise_m=0.0)
     before = replace(after_one(), network=one.vertices[constants().sheet.vertex].astype(np.float32))
     report = fold(constants(), before, replace(shifted(one, way[0] * UP), time_s=1.0 / 30.0), EFFORT)[2]
-    assert report.settled == way[1] and not report.reset
+    assert report.settled == report.reset == way[1], "and it is told"
 
 
 @each(broken=(np.nan, np.inf, 2.0 * FAR_M))

@@ -120,6 +120,15 @@ def test_cloth_goes_down_with_a_body_that_falls(fps: float):
     assert max(far) < 1e-3
 
 
+def test_taut_cloth_goes_up_with_its_body(scene: tuple[np.ndarray, SwingConstants]):
+    rest, made = scene
+    memory, far = None, []
+    for i in range(-2, 13):
+        x, memory = swing(made, memory, frame(rest, i / 30.0), np.array([0.0, 10.0 * max(i / 30.0, 0.0) ** 2, 0.0]))
+        far.append(float(np.linalg.norm(x - rest, axis=1).max()))
+    assert max(far) < 1e-3
+
+
 def test_a_body_that_sinks_faster_than_weight_leaves_its_cloth_behind(scene: tuple[np.ndarray, SwingConstants]):
     rest, made = scene
     memory, x = None, rest
