@@ -6,7 +6,7 @@ a region in a colour that head and hands share is skin, another one is what is w
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +51,7 @@ class Attire(NamedTuple):
     skin_colour: tuple[float, float, float]
     colours: np.ndarray
 
-    def of_kinds(self, kinds: tuple[str, ...] | set[str]) -> np.ndarray:
+    def of_kinds(self, kinds: Collection[str]) -> np.ndarray:
         """Which faces (F,) are of ``kinds``."""
         return np.array([part.kind in kinds for part in self.parts], dtype=bool)[self.part]
 
