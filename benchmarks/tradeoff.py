@@ -49,6 +49,7 @@ STARTS = {"network_0": 0, "network_all": None}  # which the optimum is looked fo
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
 TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
 DETAIL_MOST = 1.2  # of physics' detail: more is a texture that physics does not have, and gain does not see it
+SMOOTHER = 0.75  # of the way from the curvature of ``fast`` to that of the last tier, for the one between
 AS_CHEAP = 1.05  # times of one run are no surer than that
 LIFTED = 0.4  # of what all corrections gain over none without folds: ``instant`` has it
 KNOBS = ("passes", "folds", "coarse")
@@ -181,10 +182,11 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
     The least, ``instant``, is the cheapest without folds that has ``LIFTED`` of what all corrections gain; the next
     one, ``fast``, the cheapest with folds. The last folds all vertices, without more than ``DETAIL_MOST``: gain does
     not see fine folds and crossings. It is the one of these that gains most. The one between it and ``fast`` is the
-    cheapest that has at least half of what the last gains over ``fast``, and half of its way to less curvature; of
-    those as cheap but for ``AS_CHEAP`` the one with the least curvature. A tier's folds, and its passes under folds,
-    are never less than those of the one below, and none is coarse above a fine one. Times are compared with each other
-    alone, so that the rule gives the same tiers on processors on which the rival is faster or slower than here.
+    cheapest that has at least half of what the last gains over ``fast``, and ``SMOOTHER`` of its way to less curvature,
+    which the eye sees first; of those as cheap but for ``AS_CHEAP`` the one with the least curvature. A tier's folds,
+    and its passes under folds, are never less than those of the one below, and none is coarse above a fine one. Times
+    are compared with each other alone, so that the rule gives the same tiers on processors on which the rival is faster
+    or slower than here.
     """
     by_order = sorted(mean, key=lambda row: row["time_ratio"])
     lifted = [row for row in by_order if row.get("folds") == 0]
@@ -194,7 +196,8 @@ def tiers_of(mean: Sequence[Row]) -> list[Row]:
     least, above = served[0], [row for row in served if _covers(row, served[0])]
     fine = [row for row in above if not row["coarse"] and row["detail_share"] <= DETAIL_MOST] or above
     last = max(fine, key=lambda row: row["gain"])
-    gain, curvature = (0.5 * (least[name] + last[name]) for name in ("gain", "curvature"))
+    shares = {"gain": 0.5, "curvature": SMOOTHER}
+    gain, curvature = (least[name] + share * (last[name] - least[name]) for name, share in shares.items())
     good = [row for row in above if row["gain"] >= gain and row["curvature"] <= curvature]
     good = [row for row in good if _covers(last, row)] or [last]
     cheap = [row for row in good if row["time_ratio"] <= AS_CHEAP * good[0]["time_ratio"]]
