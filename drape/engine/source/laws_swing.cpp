@@ -63,7 +63,7 @@ template <class T> void rotations(const T* m, T least_, T* found) {
   }                                                                                                                    \
   EXPORT int64_t drape_law_fall_back_##suffix(T* u, const SwingMesh<T>* mesh, const T* inertia, const T* hold,         \
                                               const T* rhs, int64_t rounds, Scratch* scratch) {                        \
-    swing::fall_back(u, *mesh, inertia, hold, T(1), rhs, rounds, *scratch);                                                  \
+    swing::fall_back(u, *mesh, inertia, hold, T(1), rhs, rounds, *scratch);                                            \
     return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
   EXPORT int64_t drape_law_move_vertices_##suffix(const T* vertices, int64_t count, const T* still, const T* swung,    \
