@@ -7,9 +7,9 @@ matrices B of its skin; what hangs on a bone is at W v.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-import scipy.sparse
 
 from drape.avatar.character import Primitive, listed_primitives, skin_of, skin_weights, tree_of, triangles_of
 from drape.avatar.face_colours import texture_of
@@ -19,6 +19,7 @@ from drape.files.gltf import GltfFile
 from drape.files.looks import Material
 from drape.files.pictures import with_remade
 from drape.garment.files.gltf_looks import gltf_looks
+from drape.geometry.skinning import skin_points
 from drape.wanted import go_on
 
 PLAIN = (0.8, 0.8, 0.8, 1.0)
@@ -42,7 +43,8 @@ def moving_character(payload: bytes, motion: RigMotion, scale: float) -> list[Mo
         else:
             joints, binds = skin_of(file, skin)
             moves = motion.world[:, [place[joint] for joint in joints]] @ binds
-            moved = _blended(moves, skin_weights(file, primitive, len(points), len(joints)), points)
+            weights: Any = skin_weights(file, primitive, len(points), len(joints))
+            moved = np.stack([skin_points(points, weights, one[:, :3, :3], one[:, :3, 3]) for one in moves])
         surface = _surface(file, node, index, faces, len(points))
         if "COLOR_0" in primitive.attributes:
             surface = _tinted(surface, file.array(primitive.attributes["COLOR_0"]).mean(axis=0)[:3])
@@ -52,15 +54,6 @@ def moving_character(payload: bytes, motion: RigMotion, scale: float) -> list[Mo
 
 def _along(places: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points @ places[:, :3, :3].swapaxes(-1, -2) + places[:, None, :3, 3]
-
-
-def _blended(moves: np.ndarray, weights: scipy.sparse.csr_matrix, points: np.ndarray) -> np.ndarray:
-    """Points (V, 3) of ``weights`` (V, J) on joints with ``moves`` (F, J, 4, 4), in each frame."""
-    frames = []
-    for one in moves:
-        blended = (weights @ one[:, :3].reshape(len(one), 12)).reshape(-1, 3, 4)
-        frames.append(np.einsum("vab,vb->va", blended[:, :, :3], points) + blended[:, :, 3])
-    return np.stack(frames)
 
 
 def _surface(file: GltfFile, node: int, index: int, faces: np.ndarray, count: int) -> MeshSurface:
