@@ -29,9 +29,9 @@ from drape.garment.cache import Garment
 from drape.garment.files.gltf_looks import gltf_looks
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake import intake_mesh
+from drape.garment.sheets import pieces_of
 from drape.geometry.closest import signed_distance
 from drape.geometry.mesh_graphs import connected_components
-from drape.geometry.meshes import face_areas
 
 VERSION = 3  # raised when a change here changes the garments that come out
 KINDS = ("trousers", "skirt", "top", "dress", "outer")  # the innermost first
@@ -173,10 +173,8 @@ def _large_pieces(wearer: Wearer, rows: np.ndarray) -> np.ndarray:
     has the colour of trousers round the hem of a coat."""
     if not len(rows):
         return rows
-    used, faces = np.unique(wearer.faces[rows], return_inverse=True)
-    piece = connected_components(faces.reshape(-1, 3), len(used))[faces.reshape(-1, 3)[:, 0]]
-    area = np.bincount(piece, face_areas(wearer.vertices[used].astype(np.float64), faces.reshape(-1, 3)))
-    return rows[area[piece] > PIECE_SHARE * area.max()]
+    piece, area = pieces_of(wearer.vertices.astype(np.float64), wearer.faces[rows])
+    return rows[area[piece] > PIECE_SHARE * area[0]]
 
 
 def _buried(wearer: Wearer, body: BodyModel, kinds: Sequence[str]) -> np.ndarray:
