@@ -16,7 +16,7 @@ from drape.garment.sheets import pieces_of
 from drape.garment.sleeves import covers_arms
 from drape.garment.wearer_fields import DENSE_COUNT, Bones, cloth_points, unthreaded
 from drape.garment.wearer_reading import Reading
-from drape.geometry import mesh_graphs, meshes
+from drape.geometry import meshes
 
 EXTENT_M = (0.12, 2.4)  # of a garment
 COARSE_COUNT, FINE_COUNT = 350, 800  # points on the cloth
@@ -39,9 +39,9 @@ class SearchedCloth:
         self.points, face = cloth_points(mesh.vertices, mesh.faces, FINE_COUNT)
         wound = np.where(consistent_turn(mesh.faces), -1.0, 1.0)[face]
         self.normals = wound[:, None] * meshes.face_normals(mesh.vertices, mesh.faces)[face]
-        self.piece = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[face, 0]]
-        self.extent = float(np.ptp(self.points, axis=0).max())
         piece, area = pieces_of(mesh.vertices, mesh.faces)
+        self.piece = piece[face]
+        self.extent = float(np.ptp(self.points, axis=0).max())
         large = mesh.faces[area[piece] > LOOP_PIECE * self.area]
         long = [one for one in open_contours(mesh.vertices, large) if one.length_m > LOOP_SHARE * self.extent]
         picked = [one.points[np.linspace(0, len(one.points), LOOP_POINTS, endpoint=False).astype(int)] for one in long]
