@@ -5,8 +5,9 @@
 
 A case is a garment of the catalogue on one of twelve bodies, in T-, A- or relaxed pose, in one of five units and three
 up axes, its origin at the pelvis, on the floor or anywhere within a metre. ``origin_mm`` is how far the middle of the
-skin under the cloth is from where it should be, ``shape_mm`` the mean distance between both skins there, and
-``arms_deg`` the error of arms in sleeves.
+skin is from where it should be under the uppermost 15 cm of cloth, which carry the garment; ``along_mm`` the same under
+all of it, to which legs of another length in loose trousers count; ``shape_mm`` the mean distance between both skins
+there, and ``arms_deg`` the error of arms in sleeves.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ POSES = {"T": (0.0, 0.0), "A": (0.7, 0.0), "relaxed": (1.15, 0.2)}
 AXES = {"+y": "+z", "+z": "-y", "+x": "+y"}
 ARMS = [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow", "wrist")]
 SLEEVED = 0.1  # of the weights on the arms
-COVERED_M, ORIGIN_MM = 0.04, 20.0
+COVERED_M, CARRYING_M, ORIGIN_MM = 0.04, 0.15, 20.0
 COLUMNS = {
     "garment": "s", "pose": "s", "unit": "s", "up": "s", "unit_right": "d", "axis_right": "d", "origin_mm": ".0f",
-    "arms_deg": ".1f", "shape_mm": ".0f", "sure": ".2f", "seconds": ".1f",
+    "along_mm": ".0f", "arms_deg": ".1f", "shape_mm": ".0f", "sure": ".2f", "seconds": ".1f",
 }  # fmt: skip
 
 
@@ -108,9 +109,11 @@ def judged(case: Case, body: BodyModel) -> dict[str, object]:
     row["axis_right"] = int((found.reading.up, found.reading.front) == (case.reading.up, case.reading.front))
     there = found.reading
     skin = case.in_metres(posed_by(body, found.parameters) @ there.turn / there.scale)
-    distance, _ = nearest_vertices(case.skin, case.in_metres(case.mesh.vertices))
-    covered = distance < COVERED_M
-    row["origin_mm"] = 1e3 * float(np.linalg.norm((skin - case.skin)[covered].mean(axis=0)))
+    cloth = case.in_metres(case.mesh.vertices)
+    covered = nearest_vertices(case.skin, cloth)[0] < COVERED_M
+    carrying = covered & (case.skin[:, 1] > cloth[:, 1].max() - CARRYING_M)
+    for key, rows in (("origin_mm", carrying), ("along_mm", covered)):
+        row[key] = 1e3 * float(np.linalg.norm((skin - case.skin)[rows].mean(axis=0)))
     row["shape_mm"] = 1e3 * float(closest_point(case.skin[covered], skin, body.faces).distance.mean())
     if case.sleeved:
         row["arms_deg"] = abs(found.arms_deg - case.arms_deg)
@@ -151,6 +154,7 @@ def summary(rows: list[dict[str, object]]) -> dict[str, float]:
         "axis_right_pct": 100.0 * values("axis_right").mean(),
         "origin_right_pct": 100.0 * right.mean(),
         "origin_median_mm": np.median(values("origin_mm")) if len(values("origin_mm")) else np.nan,
+        "along_right_pct": 100.0 * (values("along_mm") <= ORIGIN_MM).sum() / len(rows),
         "shape_mean_mm": values("shape_mm").mean() if len(values("shape_mm")) else np.nan,
         "arms_mean_deg": values("arms_deg").mean() if len(values("arms_deg")) else np.nan,
         "seconds_mean": values("seconds").mean(),

@@ -22,11 +22,13 @@ CARRIERS = {
     **{f"{side}_wrist": (f"{side}_wrist", f"{side}_hand") for side in ("left", "right")},
 }
 SHANK = ("left_knee", "right_knee")
-SOLID_SHARE = 0.4  # of the area of what bones carry: the rest are insoles, laces and the like
+SOLID_SHARE = 0.2  # of the area of what bones carry: a sole and the like; the rest are uppers, insoles, laces
 WHOLLY = 0.97  # of the piece
 # Area over that of the skin below: gloves and socks have one to one and a half; shoes have a sole and inner walls.
 THICK = 1.8
 STANDS_OFF_M = 0.009  # median distance from the skin: socks and gloves lie on it, shoes do not
+IN_SKIN = 0.1  # of what stands off it: more is a sock on another foot
+SHAFT = 0.4  # of a boot's area at the shank: a longer shaft bends at the ankle, so it is cloth
 NECK_M = 0.05  # an opening that reaches as far below the head's joint is round the neck: a hood is cloth
 
 
@@ -63,7 +65,7 @@ def _carried_by(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[s
     """The bone at whose skin all of a piece lies, None where there is none, and whether the piece is cloth.
 
     At a foot or hand it is cloth, as socks and gloves, unless its walls are double or stand off the skin. What goes up
-    the shank must stand off and be a solid without an opening, as a shoe with a heel is.
+    the shank, as a boot or a heel does, must stand off at the foot, and be no more of a shaft than of a shoe.
     """
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     areas = meshes.face_areas(mesh.vertices, mesh.faces)
@@ -80,9 +82,13 @@ def _carried_by(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[s
         limb = body.faces[np.isin(body.weights.argmax(axis=1), own)[body.faces].all(axis=1)]
         covered = np.isin(limb, body.faces[nearest.face]).any(axis=1)
         share = areas.sum() / meshes.face_areas(skin, limb[covered]).sum()
-        far = float(np.median(np.repeat(nearest.distance, np.ceil(1e4 * areas / areas.sum()).astype(int))))
         shank = np.isin(bone, [JOINT_NAMES.index(name) for name in SHANK])
-        if areas[shank].sum() < (1.0 - WHOLLY) * areas.sum():
-            return carrier, share <= THICK and far <= STANDS_OFF_M
-        return carrier, far <= STANDS_OFF_M or len(meshes.boundary_edges(mesh.faces)) > 0
+        shaft = areas[shank].sum() / areas.sum()
+        out = meshes.face_normals(skin, body.faces)[nearest.face]
+        off = nearest.distance * np.sign(np.einsum("fc,fc->f", out, middles - nearest.point))
+        off = np.repeat(off, np.ceil(1e4 * areas / areas.sum() * ~shank).astype(int))
+        stands_off = len(off) > 0 and np.median(off) > STANDS_OFF_M and (off < 0.0).mean() < IN_SKIN
+        if shaft < 1.0 - WHOLLY:
+            return carrier, share <= THICK and not stands_off
+        return carrier, shaft > SHAFT or not stands_off
     return None, True

@@ -30,6 +30,7 @@ from drape.garment.sheets import (
     without_copies,
     without_cracks,
 )
+from drape.garment.sleeves import sleeve_of
 from drape.garment.walls import SAME_M, outer_sides
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
@@ -39,6 +40,8 @@ ON_M, ON_SHARE = 0.015, 0.8  # cloth that lies on other cloth with this share of
 BELT_HIGH_M, BELT_M, BELT_SHARE = 0.12, 0.05, 0.25
 SMALL_M2, SMALL_SHARE, NEAR_M = 0.02, 0.05, 0.03  # a small thing near cloth: its area, that over the largest piece's
 SEWN_M, SEWN_SHARE, TRIM_SHARE = 0.004, 0.4, 0.15  # of a collar's border on its garment, and its area over that
+HUNG = ("corner", "weight", "offset", "kind")  # the arrays of a bound mesh that tell what a vertex hangs on
+LARGE_M = 0.25  # of what goes round a trunk
 STIFF_M = 0.06  # parts up to this size turn as a whole
 VERTEX_LIMIT = 12_000
 THINNED_M = 0.012  # edges of thinned cloth
@@ -74,11 +77,35 @@ def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None 
     return cloth if cloth is sheets else cloth.noted(*notes)
 
 
-def hung(mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh) -> BoundMesh:
-    """``mesh`` with its vertices at ``places`` [m] (D, 3), hung on its ``cloth``."""
+def hung(mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh, joints: np.ndarray, skin: np.ndarray) -> BoundMesh:
+    """``mesh`` with its vertices at ``places`` [m] (D, 3), hung on its ``cloth``, which lies on a body with ``joints``
+    [m] (24, 3) and ``skin`` (S, 3)."""
     distance, row = KDTree(cloth.vertices).query(places)
     row = np.where(distance <= SAME_M, row, -1)
-    return bind(mesh, places, cloth.vertices, cloth.faces, row, _stiff_parts(mesh, places, row))
+    part, label = _stiff_parts(mesh, places, row)
+    bound = bind(mesh, places, cloth.vertices, cloth.faces, row, part)
+    beside = _loops_of_trunk(mesh, places, (row < 0) & (part < 0), label, joints, skin)
+    if not beside.any():
+        return bound
+    sleeve = np.isin(sleeve_of(cloth.vertices, cloth.faces, joints, skin), (1, 2))
+    trunk = bind(mesh, places, cloth.vertices, cloth.faces[~sleeve[cloth.faces].any(axis=1)], row, part)
+    chosen = {name: (getattr(trunk, name), getattr(bound, name)) for name in HUNG}
+    mixed = {name: np.where(beside.reshape(-1, *[1] * (a.ndim - 1)), a, b) for name, (a, b) in chosen.items()}
+    return replace(bound, **mixed)
+
+
+def _loops_of_trunk(
+    mesh: GarmentMesh, places: np.ndarray, loose: np.ndarray, label: np.ndarray, joints: np.ndarray, skin: np.ndarray
+) -> np.ndarray:
+    """Which vertices (D,) of the pieces ``label`` (D,) that are ``loose`` belong to a large one without sleeves, as a
+    belt: it hangs on the trunk, however near to it arms hang."""
+    found = np.zeros(len(label), dtype=bool)
+    for number in np.unique(label[loose]):
+        own = label == number
+        if np.ptp(places[own], axis=0).max() > LARGE_M and loose[own].all():
+            used, faces = meshes.in_use(mesh.faces[own[mesh.faces].all(axis=1)])
+            found |= own & (not sleeve_of(places[used], faces, joints, skin).any())
+    return found
 
 
 def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
@@ -102,7 +129,8 @@ def bearing_pieces(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
         sewn = any(_trims(points, faces[piece == number], faces[piece == other]) for other in range(number)
                    if bears[other] and area[number] < TRIM_SHARE * area[other])  # fmt: skip
         belt = area[number] < BELT_SHARE * area[0] and _is_low_ring(points[faces[piece == number]])
-        bears[number] = ((distance < (BELT_M if belt else ON_M)) & ~border).mean() < ON_SHARE and not sewn
+        on = (distance < BELT_M) & (~border | (distance < NEAR_M)) if belt else (distance < ON_M) & ~border
+        bears[number] = on.mean() < ON_SHARE and not sewn
     for number in np.flatnonzero(small & (area > 0.1 * SMALL_M2)):
         _, distance, _ = samples_to(points, faces[piece == number], faces[bears[piece]])
         bears[number] = (distance < NEAR_M).mean() < 0.5
@@ -162,8 +190,8 @@ def _evenly_thinned(name: str, points: np.ndarray, faces: np.ndarray, edge_m: fl
     return plain_mesh(name, points[thin.vertex], thin.faces)
 
 
-def _stiff_parts(mesh: GarmentMesh, places: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """The number (D,) of the stiff part that a vertex belongs to, -1 for what bends."""
+def _stiff_parts(mesh: GarmentMesh, places: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The number (D,) of the stiff part that a vertex belongs to, -1 for what bends, and of the piece (D,)."""
     label = mesh_graphs.connected_components(mesh.faces, len(places))
     _, first, at = np.unique(places, axis=0, return_index=True, return_inverse=True)
     # What a seam of the texture parts is one.
@@ -174,4 +202,4 @@ def _stiff_parts(mesh: GarmentMesh, places: np.ndarray, row: np.ndarray) -> np.n
     np.maximum.at(high, label, places)
     stiff = np.linalg.norm(high - low, axis=1) < STIFF_M
     stiff[label[row >= 0]] = False
-    return np.where(stiff[label], label, -1)
+    return np.where(stiff[label], label, -1), label

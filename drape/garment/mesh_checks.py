@@ -63,14 +63,17 @@ def check_mesh(
     up: Up = "auto",
     named: bool = True,
     placed: bool = False,
+    carried: bool = False,
 ) -> GarmentMesh:
     """``mesh`` in metres, y up, consistently wound with normals outward, on ``avatar``; raises ``MeshError``.
 
-    Vertices keep their order and number. A mesh that is ``placed`` is checked and on its avatar in metres already.
+    Vertices keep their order and number. A mesh that is ``placed`` is checked and on its avatar in metres already; what
+    is ``carried`` by a bone may be smaller than cloth.
     """
     mesh = mesh if placed else place(check_surface(mesh), avatar, unit=unit, up=up, named=named)
     mesh = orient_outward(mesh, avatar)
-    check_area(mesh, "garment area")
+    if not carried:
+        check_area(mesh, "garment area")
     return mesh.noted(*describe(mesh))
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
 from drape.garment.accessories import carried_rows, carriers_of
 from drape.garment.avatars import Avatar
 from drape.garment.bound import BoundMesh
@@ -19,14 +20,16 @@ from drape.garment.mantles import spread
 from drape.garment.mesh_checks import check_mesh, check_surface, place
 from drape.garment.rest_detail import subdivided_like
 from drape.garment.rest_pose import MovedGarment, bone_motions, refine, to_standard
+from drape.garment.seats import Seat
 from drape.garment.sheets import with_used_vertices
 from drape.garment.sleeves import covers_arms
 from drape.garment.wearer_fields import DENSE_COUNT, bones_of, cloth_points
 from drape.geometry import meshes
-from drape.geometry.closest import nearest_vertices, signed_distance
+from drape.geometry.closest import nearest_vertices
 
 FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 4_000, 40_000
 CARRIED_SCALES, INSIDE_SHARE = 1.0 + 0.02 * np.arange(11), 0.005  # of a hat, and how much of it may be in the skin
+CARRIED_COUNT = 400  # points on it
 FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
 _MANTLE_ARRAYS = ("arm_share", "arm_ways")
 _VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual")
@@ -78,13 +81,14 @@ def rest_mesh(
     """
     if sheets is None:
         sheets = place(check_surface(joined(mesh)), avatar, unit=options.unit, up=options.up)
-    cloth = sheets if sewn else cloth_layer(sheets, avatar.vertices, outer)
-    whole = cloth is sheets and len(sheets.vertices) == len(mesh.vertices)
-    checked = check_mesh(cloth if whole else with_used_vertices(cloth), avatar, placed=True)
-    drawn = None if whole else hung(mesh, sheets.vertices[: len(mesh.vertices)], checked)
-    compact, kept = without_unused(checked)
     if carriers is None:
         carriers = () if sewn else carriers_of(with_used_vertices(sheets), avatar.vertices, body)
+    cloth = sheets if sewn else cloth_layer(sheets, avatar.vertices, outer)
+    whole = cloth is sheets and len(sheets.vertices) == len(mesh.vertices)
+    checked = check_mesh(cloth if whole else with_used_vertices(cloth), avatar, placed=True, carried=bool(carriers))
+    joints = body.regressor @ avatar.vertices
+    drawn = None if whole else hung(mesh, sheets.vertices[: len(mesh.vertices)], checked, joints, avatar.vertices)
+    compact, kept = without_unused(checked)
     if carriers:
         moved = _carried(compact, avatar, body, carriers)
         compact = compact.noted(f"warning: carried by the bones {', '.join(carriers)}, as no cloth is")
@@ -129,16 +133,22 @@ def rest_mesh(
 
 
 def _carried(mesh: GarmentMesh, avatar: Avatar, body: BodyModel, carriers: tuple[str, ...]) -> MovedGarment:
-    """What bones carry, where these are in T-pose, and as large as that the skin is not in it."""
+    """What bones carry, where these are in T-pose, and as large as that the skin is not in it; shoes, and what else the
+    skin would be in, on their seat."""
     rows = carried_rows(mesh.vertices, mesh.faces, body.regressor @ avatar.vertices, carriers)
     rotations, translations = bone_motions(avatar.vertices, body.v_template, body.weights)
     moved = np.einsum("vab,vb->va", rotations[rows], mesh.vertices) + translations[rows]
+    seat = Seat(body.v_template, body)
     for row in np.unique(rows):
-        own = rows == row
+        own, bone = rows == row, JOINT_NAMES[row]
+        points, _ = cloth_points(moved, mesh.faces[own[mesh.faces].all(axis=1)], CARRIED_COUNT)
         middle = 0.5 * (moved[own].min(axis=0) + moved[own].max(axis=0))
-        tried = [middle + scale * (moved[own] - middle) for scale in CARRIED_SCALES]
-        inside = [(signed_distance(one, body.v_template, body.faces) < 0.0).mean() for one in tried]
-        moved[own] = tried[int(np.argmax(np.array(inside) <= min(inside) + INSIDE_SHARE))]
+        scaled = [middle + scale * (points - middle) for scale in CARRIED_SCALES]
+        ways = [np.zeros(3)] * len(scaled) + [seat.way(one, bone) for one in scaled]
+        inside = np.array([(seat.distance(one + way) < 0.0).mean() for one, way in zip(2 * scaled, ways, strict=True)])
+        inside[: len(scaled)] += 1.0 if bone.endswith("ankle") else 0.0
+        best = int(np.argmax(inside <= inside.min() + INSIDE_SHARE))
+        moved[own] = middle + CARRIED_SCALES[best % len(scaled)] * (moved[own] - middle) + ways[best]
     return MovedGarment(moved, np.zeros(len(moved)))
 
 

@@ -62,7 +62,10 @@ def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin:
         loose = ~np.isin(label, label[found > 0])
         cloth = np.flatnonzero(~loose)
         away, near = nearest_vertices(vertices, vertices[cloth])
-        found = np.where(loose & (away < LOOSE_M), found[cloth[near]], found)
+        beside = np.where(loose & (away < LOOSE_M), found[cloth[near]], 0)
+        for number in (1, 2, SHOULDER):  # as a whole: a belt that an arm hangs by is not torn
+            share = np.bincount(label, beside == number) / np.maximum(np.bincount(label), 1)
+            found[loose & (share[label] > 0.5)] = number
     return found
 
 

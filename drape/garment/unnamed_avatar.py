@@ -6,11 +6,13 @@ from dataclasses import replace
 
 from drape.body.model import BodyModel
 from drape.errors import MeshError
+from drape.garment.accessory_search import accessory_wearer, seated
 from drape.garment.avatars import Avatar, standard_avatar
 from drape.garment.contours import pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.mesh_checks import UNITS_M, place
+from drape.garment.registration import posed_by
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading
 from drape.garment.wearer_fields import bones_of, cloth_points, enclosed
 from drape.garment.wearer_reading import Wearer
@@ -51,8 +53,8 @@ def worn_by(
         f"+{options.up}" if told.up is None and options.up != "auto" else told.up,
         told.front,
     )
-    wearer = the_wearer(mesh, body, said)
-    vertices = body.posed_vertices(wearer.pose[None], wearer.trans[None], wearer.betas)[0]
+    wearer = accessory_wearer(mesh, body, said) or seated(mesh, the_wearer(mesh, body, said))
+    vertices = posed_by(body, wearer.parameters)
     source = f"found in the cloth: {wearer.words}; sure {wearer.sure:.2f}"
     turned = replace(mesh, vertices=wearer.reading.apply(mesh.vertices))
     return (

@@ -34,6 +34,7 @@ SLEEVE_SHARE = 0.04  # of the cloth that must lie on the arms to tell their pose
 UNIT_INSIDE = 0.06  # cloth inside up to which a unit is meant
 # A body beyond has not worn it, nor one in a reading that is so odd: a unit that is none, sideways.
 ENERGY_LIMIT, RARE_LIMIT, RARE = 0.7, 0.42, 0.03
+HELD_LIMIT = 0.25  # without what hangs away from the skin, up to which a train may be as long as it likes
 
 
 def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float) -> Wearer:
@@ -64,7 +65,7 @@ def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: n
     among = float(cost[~hanging].sum()) + open_share + odd + uneven
     among += ODD_ORIGIN if over_arms and not origin else 0.0  # such cloth tells little else of who is in it
     energy = float(cost.sum()) + open_share + odd + INSIDE_COST * float(inside.mean())
-    far = energy > (RARE_LIMIT if reading.oddness > RARE else ENERGY_LIMIT)
+    far = energy > RARE_LIMIT if reading.oddness > RARE else energy > ENERGY_LIMIT and among > HELD_LIMIT
     fault = _place_fault(empty, wrong) or _inside_fault(inside, parts)
     fault = fault or _other_fault(far, distance, inside, pierced, open_share, top)
     return Wearer(

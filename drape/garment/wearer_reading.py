@@ -18,6 +18,7 @@ from drape.garment.registration import unpack
 from drape.garment.wearer_fields import SHAPES
 
 ODD = {"inch": 0.02, "free": 0.12, "x up": 0.02, "downward": 0.1, "facing": 0.05}  # costs of readings that few write
+FREE_WORSE = 0.03  # so much better must a size between the units be
 AXES = ("+y", "-y", "+z", "-z", "+x", "-x")
 USUAL_FRONTS = {"+y": ("+z",), "+z": ("-y", "+x"), "+x": ("+y", "+z", "-z")}
 
@@ -81,6 +82,11 @@ class Wearer:
     others: tuple[Wearer, ...] = ()
     among: float = 0.0
     slid_m: float = 0.0
+
+    @property
+    def rank(self) -> float:
+        """By which readings compete: cloth that hangs far away counts half, since a train makes no gown a hood."""
+        return 0.5 * (self.energy + self.among) + (FREE_WORSE if self.reading.unit == "free" else 0.0)
 
     @property
     def betas(self) -> np.ndarray:

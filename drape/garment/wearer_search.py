@@ -15,12 +15,13 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
 from drape.garment.contours import Contour
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.inside import fit_from
 from drape.garment.mesh_checks import UNITS_M
-from drape.garment.registration import posed_by, posed_normals, start_parameters
+from drape.garment.registration import FREE_JOINTS, posed_by, posed_normals, start_parameters
 from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading
 from drape.garment.wearer_fields import CELL_M, KNOWN, Field, enclosed, known_fields, thin_body
@@ -44,10 +45,13 @@ FREE_EXTENTS_M = 0.3 * 1.2 ** np.arange(10)  # tried where no unit fits
 FIT_COUNT = 500  # points on the cloth
 RISE_CELLS, DEPTH_CELLS = 2, np.arange(-4, 5, 2, dtype=np.int32)
 PLACES, READINGS, PIERCED_COUNT, FINALISTS, RIVALS, WINNERS = 2, 8, 40, 6, 2, 3
+FAIR = 0.35  # a unit whose best guess is worse by more is none: cloth that hangs far away tells little to guesses
 CLEARLY, WORSE = 0.1, 0.03  # a fit that is worse by this after a few steps stays worse; one that went astray
 FIRST_STEPS, LAST_STEPS, FREE_STEPS, LOCK = 5, 15, 12, 0.5
 # Arms that hang so far below the horizontal are tried too, at such a cost.
 ARM_LIFTS_RAD, ODD_ARMS = (1.5, 1.35, 1.1, 0.85, 0.6, 0.3, -0.4), 0.02
+# Arms before the body are asked for where straight ones lie so badly in sleeves; upper arms turn in by such a share.
+BENT_ENERGY, BENT_LIFTS_RAD, BENDS_RAD, BENT_INWARD = 0.25, (1.35, 1.0, 0.6), (0.8, 1.5), 0.2
 SLACK = 0.1  # wide legs and hems would slide up to where the body is wider; what carries a garment is its top
 AT_ONCE = np.zeros(1, dtype=np.int32)
 # What a metre from its place is worth, where the file's origin is at the root, on the floor, or anywhere. Roots are
@@ -91,15 +95,15 @@ def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING
 
 
 def _rank(one: Wearer) -> tuple[bool, float]:
-    return bool(one.fault), one.energy
+    return bool(one.fault), one.rank
 
 
 def _others(cloth: SearchedCloth, found: Sequence[Wearer]) -> tuple[Wearer, ...]:
     """Those of ``found``, best first, that are nearly as likely as the first, and distinctly other bodies."""
-    kept, least = [found[0]], min(one.energy for one in found if one.reading == found[0].reading)
+    kept, least = [found[0]], min(one.rank for one in found if one.reading == found[0].reading)
     for one in found[1:]:
         alike = one.reading == found[0].reading
-        worse = one.among - found[0].among if alike else one.energy - least
+        worse = one.among - found[0].among if alike else one.rank - least
         near = not one.fault and worse < NEARLY
         if near and len(kept) <= MOST_OTHERS and all(_apart_m(cloth, one, other) > APART_M for other in kept):
             kept.append(one)
@@ -158,8 +162,14 @@ def _guesses(cloth: SearchedCloth, fields: Sequence[Field], readings: Sequence[R
         return sorted(found, key=lambda one: one.energy)
 
     tops = judged([one for found in places.values() for one in found[:PLACES]])
-    best = list(dict.fromkeys(one.reading for one in tops))[:READINGS]
-    every = judged([one for reading in best for one in places[reading]])[:PIERCED_COUNT]
+    best = list(dict.fromkeys(one.reading for one in tops))
+    best = best[:READINGS] + [
+        one for one in best[READINGS:] if one.unit not in {other.unit for other in best[:READINGS]}
+    ]
+    every = judged([one for reading in best for one in places[reading]])
+    shown = {one.reading.unit for one in every[:PIERCED_COUNT]}
+    fair = [one for one in every if one.energy < every[0].energy + FAIR and one.reading.unit not in shown]
+    every = every[:PIERCED_COUNT] + list({one.reading.unit: one for one in reversed(fair)}.values())
     for number, one in enumerate(every):
         joints = fields[one.number].bones.joints - one.move
         odd = 0.5 * ODD_PIERCED * len(cloth.pierced(one.reading, joints))
@@ -241,11 +251,11 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) 
     tops = {one.reading: one for one in reversed(starts)}
     starts += [_with_arms(cloth, thin, one) for one in tops.values()]
     first = [_fit(cloth, thin, contours[one.reading], one, FIRST_STEPS) for one in starts]
-    first.sort(key=lambda one: one.energy)
+    first.sort(key=lambda one: one.rank)
     likely: list[Wearer] = []
     for one in first:
         rivals = [other for other in likely if other.reading == one.reading]
-        if one.energy < CLEARLY + first[0].energy and len(rivals) < RIVALS and len(likely) < WINNERS:
+        if one.rank < CLEARLY + first[0].rank and len(rivals) < RIVALS and len(likely) < WINNERS:
             likely.append(one)
     chosen = [_refined(cloth, thin, contours[one.reading], one) for one in likely]
     rest = [one for one in first if one not in likely]
@@ -299,14 +309,26 @@ class _Start(NamedTuple):
 
 
 def _with_arms(cloth: SearchedCloth, body: BodyModel, one: _Start) -> _Start:
-    """``one`` with straight arms as low as the cloth fits them best."""
+    """``one`` with arms as low as the cloth fits them best, and where straight ones do not lie in it, bent forward."""
+    straight = [_armed(body, one, lift, 0.0) for lift in ARM_LIFTS_RAD]
+    energy = [judge(cloth, each.reading, body, each.parameters, 0.0) for each in straight]
+    best = min(range(len(straight)), key=lambda number: energy[number].energy)
+    if not energy[best].sleeved or energy[best].energy < BENT_ENERGY:
+        return straight[best]
+    bent = [_armed(body, one, lift, bend) for lift in BENT_LIFTS_RAD for bend in BENDS_RAD]
+    return min([straight[best], *bent], key=lambda each: judge(cloth, each.reading, body, each.parameters, 0.0).energy)
+
+
+def _armed(body: BodyModel, one: _Start, lift_rad: float, bend_rad: float) -> _Start:
+    """``one`` with arms ``lift_rad`` below the horizontal and elbows bent by ``bend_rad``, forward and then inward."""
+    parameters = one.parameters.copy()
     arms = slice(body.shape_count, -3)
-    tried = []
-    for lift in ARM_LIFTS_RAD:
-        parameters = one.parameters.copy()
-        parameters[arms] = start_parameters(body, lift, np.zeros(3))[arms]
-        tried.append(one._replace(parameters=parameters, odd_arms=ODD_ARMS))
-    return min(tried, key=lambda each: judge(cloth, each.reading, body, each.parameters, 0.0).energy)
+    parameters[arms] = start_parameters(body, lift_rad, np.zeros(3))[arms]
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        for joint, share in (("shoulder", BENT_INWARD), ("elbow", 1.0)):
+            number = FREE_JOINTS.index(JOINT_NAMES.index(f"{side}_{joint}"))
+            parameters[body.shape_count + 3 * number + 1] = share * sign * bend_rad
+    return one._replace(parameters=parameters, odd_arms=ODD_ARMS)
 
 
 def _fit(
@@ -355,5 +377,5 @@ def _held(cloth: SearchedCloth, one: Wearer) -> float:
 
 def _sureness(one: Wearer, found: Sequence[Wearer]) -> float:
     """Near 1 where every other reading fits clearly worse and the cloth lies near the skin."""
-    rival = min((other.energy for other in found if other.reading != one.reading), default=np.inf)
-    return float(np.clip((rival - one.energy) / RIVAL, 0.05, 1.0) * np.clip(1.2 - one.energy, 0.1, 1.0))
+    rival = min((other.rank for other in found if other.reading != one.reading), default=np.inf)
+    return float(np.clip((rival - one.rank) / RIVAL, 0.05, 1.0) * np.clip(1.2 - one.energy, 0.1, 1.0))

@@ -61,10 +61,30 @@ def test_an_opening_round_the_neck_makes_a_hood():
     assert accessory_of(plain_mesh("hood", stretched, low.faces), BODY.v_template, BODY) is None
 
 
+@pytest.mark.parametrize(
+    ("shaft_m", "gap_m", "bones"), [(0.06, 0.02, ("left_ankle",)), (0.06, 0.004, ()), (0.3, 0.02, ())]
+)
+def test_an_open_boot_is_carried_and_a_sock_or_a_long_shaft_is_not(
+    shaft_m: float, gap_m: float, bones: tuple[str, ...]
+):
+    """A boot was draped as cloth, since it is open at the top."""
+    leg = FOOT | (of("left_knee") & (BODY.v_template[:, 1] < ANKLE_M + shaft_m))
+    assert carriers_of(over(leg, gap_m), BODY.v_template, BODY) == bones
+
+
+def test_a_sock_for_another_foot_is_no_shoe():
+    """It stood off this one, and went through it elsewhere."""
+    sock = over(FOOT, 0.004)
+    larger = plain_mesh(
+        "sock", (sock.vertices - BODY.joints_template[7]) * [1.0, 1.3, 0.8] + BODY.joints_template[7], sock.faces
+    )
+    assert carriers_of(larger, BODY.v_template, BODY) == ()
+
+
 def test_a_shoe_with_a_heel_is_carried_with_its_insole_and_a_stocking_is_not():
     """High heels were draped as cloth, since their heels are nearer to the shank."""
-    leg = of("left_ankle", "left_foot") | (of("left_knee") & (BODY.v_template[:, 1] < ANKLE_M + 0.15))
-    upper, insole = over(leg, 0.02), over(FOOT, 0.004)
+    leg = of("left_ankle", "left_foot") | (of("left_knee") & (BODY.v_template[:, 1] < ANKLE_M + 0.05))
+    upper, insole, stocking = over(leg, 0.02), over(FOOT, 0.004), over(leg, 0.004)
     closed = closed_at_rims(upper)
     shoe = plain_mesh(
         "shoe",
@@ -72,7 +92,7 @@ def test_a_shoe_with_a_heel_is_carried_with_its_insole_and_a_stocking_is_not():
         np.concatenate([closed.faces, insole.faces + len(closed.vertices)]),
     )
     assert carriers_of(shoe, BODY.v_template, BODY) == ("left_ankle",)
-    assert carriers_of(upper, BODY.v_template, BODY) == ()
+    assert carriers_of(stocking, BODY.v_template, BODY) == ()
 
 
 def closed_at_rims(mesh: GarmentMesh) -> GarmentMesh:

@@ -14,7 +14,10 @@ from drape.garment import cloth_layer as cloth_layer_module
 from drape.garment.bound import OFF, ON, STIFF, Drawer
 from drape.garment.cloth_layer import SAME_M, VERTEX_LIMIT, cloth_layer, hung, joined
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
+from drape.garment.registration import posed_by
 from drape.garment.sheets import with_used_vertices
+from drape.garment.sleeves import sleeve_of
+from drape.garment.wearer_fields import known_parameters
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import shirt
@@ -38,7 +41,7 @@ def with_parts(*parts: tuple[np.ndarray, np.ndarray]) -> GarmentMesh:
 def taken(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray, np.ndarray]:
     """The cloth in ``mesh``, the kinds (D,) of its vertices, and how far [m] they are drawn from where they were."""
     cloth = with_used_vertices(cloth_layer(joined(mesh), SKIN))
-    drawn = hung(mesh, mesh.vertices, cloth)
+    drawn = hung(mesh, mesh.vertices, cloth, BODY.regressor @ SKIN, SKIN)
     assert_array_equal(drawn.faces, mesh.faces)
     away = np.linalg.norm(Drawer(drawn, cloth.faces).draw(cloth.vertices) - mesh.vertices, axis=1)
     return cloth, drawn.kind, away
@@ -208,3 +211,21 @@ def test_materials_and_texture_stay_with_the_faces():
     cloth = cloth_layer(joined(twice), SKIN)
     assert_array_equal(cloth.face_material, named.face_material)
     assert_allclose(cloth.uv[cloth.uv_faces], uv[named.faces], rtol=0, atol=0)
+
+
+def test_a_belt_that_arms_hang_by_hangs_on_the_trunk_and_a_cuff_on_its_sleeve():
+    """Half of it hung on the sleeves, and was torn as the arms went up."""
+    skin = posed_by(BODY, known_parameters(BODY, "standard", 1.4, 0.0))
+    joints, points = BODY.regressor @ skin, shirt(BODY, skin)[0]
+    cloth = plain_mesh("shirt", points, CLOTH.faces)
+    sleeve = sleeve_of(points, cloth.faces, joints, skin)
+    arms = points[np.isin(sleeve, (1, 2))]
+    unit, faces = tube(48, 2, radius_m=1.0, height_m=1.0)
+    middle = np.median(arms, axis=0) * [0.0, 1.0, 1.0]
+    belt = unit * [np.abs(arms[:, 0]).min() - 0.005, 0.03, 0.13] + middle
+    cuff_at = arms[sleeve[np.isin(sleeve, (1, 2))] == 1].mean(axis=0)
+    cuff = unit * [0.08, 0.03, 0.08] + cuff_at
+    for piece, trunk in ((belt, True), (cuff, False)):
+        mesh = plain_mesh("both", np.concatenate([points, piece]), np.concatenate([cloth.faces, faces + len(points)]))
+        corner = hung(mesh, mesh.vertices, cloth, joints, skin).corner[len(points) :]
+        assert np.isin(sleeve[corner], (1, 2)).any() != trunk

@@ -13,6 +13,7 @@ from drape.errors import BodyError, MeshError
 from drape.garment.avatars import standard_avatar
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.intake_options import IntakeOptions
+from drape.garment.mesh_checks import UNITS_M
 from drape.garment.modelled_on import modelled_on
 from drape.garment.registration import posed_by, unpack
 from drape.garment.searched_cloth import SearchedCloth
@@ -22,6 +23,7 @@ from drape.garment.wearer_fields import SHAPES, bones_of, enclosed, known_parame
 from drape.garment.wearer_judge import judge, misplaced
 from drape.garment.wearer_reading import Reading
 from drape.garment.wearer_search import find_wearers, the_wearer
+from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.drape.garment.garment_files import shirt
 from tests.fixtures.mantles import cape, poncho, standing
@@ -148,6 +150,42 @@ def test_arms_unit_axis_and_place_of_a_shirt_are_found(shape: str, lift_rad: flo
     off = (theirs - shift - posed_by(BODY, parameters))[covered].mean(axis=0)
     assert np.linalg.norm(off) < 0.012
     assert found.sleeved and found.to_json()["unit"] == "dm"
+
+
+def test_arms_bent_before_the_body_are_found_in_their_sleeves():
+    """Straight ones lay beside them, and sleeves hung beside the arms in T-pose."""
+    parameters = known_parameters(BODY, "standard", 1.2, 1.3)
+    skin = posed_by(BODY, parameters)
+    kept = BODY.weights[:, [13, 14, 16, 17, 18, 19, 3, 6, 9, 0]].sum(axis=1) > 0.6
+    used, faces = np.unique(BODY.faces[kept[BODY.faces].all(axis=1)], return_inverse=True)
+    lifted = skin + 0.014 * meshes.vertex_normals(skin, BODY.faces)
+    found = the_wearer(plain_mesh("top", 10.0 * lifted[used], faces.reshape(-1, 3)), BODY)
+    off = np.linalg.norm(posed_by(BODY, found.parameters) - skin, axis=1)
+    assert off[BODY.weights[:, [18, 19]].sum(axis=1) > 0.6].mean() < 0.03
+
+
+def gown(train_m: float) -> GarmentMesh:
+    """A strapless gown on the woman, in metres, over the floor, whose train lies behind her."""
+    skin = posed_by(BODY, known_parameters(BODY, "woman", 0.4, 0.0))
+    skin = skin - [0.0, skin[:, 1].min(), 0.0]
+    trunk = skin[BODY.weights[:, [16, 17, 18, 19, 20, 21, 22, 23]].sum(axis=1) < 0.5]
+    chest = (BODY.regressor @ skin)[9, 1] + 0.08
+    unit, faces = tube(48, 40, radius_m=1.0, height_m=1.0)
+    height = 0.01 + unit[:, 1] * (chest - 0.01)
+    rows = [trunk[np.abs(trunk[:, 1] - max(y, 0.8)) < 0.02] for y in height]
+    half = np.array([0.5 * np.ptp(row, axis=0) + 0.015 for row in rows])
+    middle = np.array([0.5 * (row[:, 2].min() + row[:, 2].max()) for row in rows])
+    down = np.clip((0.8 - height) / 0.8, 0.0, 1.0)
+    back = np.clip(-unit[:, 2], 0.0, 1.0) ** 2
+    x, z = unit[:, 0] * half[:, 0] * (1.0 + down), unit[:, 2] * half[:, 2] * (1.0 + down) - train_m * back * down**3
+    return plain_mesh("gown", np.stack([x, height, z + middle], axis=1), faces)
+
+
+@pytest.mark.parametrize("unit", ["inch", "cm"])
+def test_a_gown_with_a_train_is_no_hood_in_a_smaller_unit(unit: str):
+    mesh = gown(0.75)
+    found = the_wearer(replace(mesh, vertices=mesh.vertices / UNITS_M[unit]), BODY)
+    assert (found.reading.unit, found.reading.up, found.reading.front) == (unit, "+y", "+z")
 
 
 def test_a_body_that_stands_on_the_origin_of_its_file_is_found_there():

@@ -1,0 +1,189 @@
+"""Who wears a thing that is no cloth, from a file with nothing said: glasses, hats, shoes.
+
+They tell neither height nor pose, and half a person would do for them. But they are of a size, and mostly lie in their
+file where a head or feet are, over its root or its floor. What lies there, or is glasses or a shoe by its shape, is
+seated on the known body that it is nearest to, and must then be carried by a bone (``accessories``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.garment.accessories import CARRIERS, carriers_of
+from drape.garment.contours import open_contours
+from drape.garment.files.mesh import GarmentMesh
+from drape.garment.mesh_checks import UNITS_M
+from drape.garment.registration import posed_by
+from drape.garment.seats import Seat, are_glasses
+from drape.garment.sheets import pieces_of
+from drape.garment.told_reading import NOTHING_TOLD, ToldReading
+from drape.garment.wearer_fields import SHAPES, cloth_points, known_parameters, thin_body
+from drape.garment.wearer_reading import USUAL_FRONTS, Reading, Wearer, readings_of
+from drape.geometry import meshes
+
+COUNT = 400  # points on a thing
+EXTENT_M = (0.05, 0.8)
+FEET = ("ankle", "foot")
+# The bones of a place, how far from the box of their skin what is worn there may lie [m], below, above and beside, and
+# the least that it has across, up and back.
+PLACES = (
+    (("head",), 0.12, 0.3, 0.3, (0.1, 0.02, 0.02)),
+    (tuple(f"{side}_{bone}" for side in ("left", "right") for bone in FEET), 0.15, 0.4, 0.12, (0.2, 0.02, 0.17)),
+    *((tuple(f"{side}_{bone}" for bone in FEET), 0.15, 0.4, 0.06, (0.06, 0.02, 0.17)) for side in ("left", "right")),
+)
+HEAD, ONE_FOOT = 0, [2, 3]  # of these
+FAR_M = 0.1  # mean distance from the skin of its place, of what is worn there
+TRIED = 4  # readings and places that are seated and asked which bones carry them
+# A shoe's extents [m] across, up and back, and what it has of a sole: so low and level, over the area of their box.
+SHOE_M, SOLE_M, SOLE_SHARE = ((0.06, 0.14), (0.03, 0.5), (0.18, 0.36)), 0.02, 0.4
+TEMPLES_M = 0.08  # glasses without temples, anywhere, might be a shirt in another unit
+MOST_OPENINGS, OPENING = 2, 0.2  # of the largest piece, longer than a share of its extent: a shirt has four
+IN_PLACE_M = 0.02  # a place in the file, or the shape of glasses, is worth such a distance
+SURE, SURE_ANYWHERE = 0.8, 0.4
+
+
+class _Spot(NamedTuple):
+    """A thing at a place of a known body: the ``move`` [m] (3,) of what the ``reading`` has, and how ``far`` [m] it is
+    from the skin there; ``origin`` as a ``Wearer`` has it."""
+
+    far: float
+    reading: Reading
+    shape: str
+    move: np.ndarray
+    origin: str
+    bones: tuple[str, ...]
+
+
+class _Place(NamedTuple):
+    """The box of the skin that a place has, ``low`` and ``high`` [m] (3,), a tree of it, and its number."""
+
+    low: np.ndarray
+    high: np.ndarray
+    tree: KDTree
+    number: int
+
+
+def accessory_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING_TOLD) -> Wearer | None:
+    """A body that wears the checked ``mesh`` on its head or its feet, None where ``mesh`` may be cloth."""
+    points, face = cloth_points(mesh.vertices, mesh.faces, COUNT)
+    areas = meshes.face_areas(mesh.vertices, mesh.faces)
+    level = areas.sum() / COUNT * meshes.face_normals(mesh.vertices, mesh.faces)[face]
+    likeliest: dict[tuple[Reading, tuple[str, ...]], _Spot] = {}
+    for one in sorted(_spots(points, level, body, told), key=lambda one: one.far - (IN_PLACE_M if one.origin else 0.0)):
+        likeliest.setdefault((one.reading, one.bones), one)
+    for one in list(likeliest.values())[:TRIED]:
+        parameters = known_parameters(body, one.shape, 0.0, 0.0)
+        parameters[-3:] -= one.move
+        sure = SURE if one.origin else SURE_ANYWHERE
+        worn = Wearer(
+            one.reading, body, parameters, one.far, 0.0, 0.0, one.far, sleeved=False, origin=one.origin, sure=sure
+        )
+        worn, bones = _seated(mesh, worn, one.bones)
+        if bones and (are_glasses(one.reading.apply(points)) or _openings(mesh) <= MOST_OPENINGS):
+            return worn
+    return None
+
+
+def seated(mesh: GarmentMesh, wearer: Wearer) -> Wearer:
+    """``wearer`` moved so that the ``mesh`` is on its seat, where a bone carries it; others as they are."""
+    extent = float(np.ptp(mesh.vertices[mesh.faces], axis=(0, 1)).max()) * wearer.reading.scale
+    if extent > EXTENT_M[1]:
+        return wearer
+    placed = replace(mesh, vertices=wearer.reading.apply(mesh.vertices))
+    bones = carriers_of(placed, posed_by(wearer.body, wearer.parameters), wearer.body)
+    return _seated(mesh, wearer, bones)[0] if bones else wearer
+
+
+def _seated(mesh: GarmentMesh, wearer: Wearer, bones: tuple[str, ...]) -> tuple[Wearer, tuple[str, ...]]:
+    """``wearer`` moved so that the ``mesh`` sits on ``bones``, and the bones that carry it there, none of cloth."""
+    placed = replace(mesh, vertices=wearer.reading.apply(mesh.vertices))
+    skin, parameters = posed_by(wearer.body, wearer.parameters), wearer.parameters.copy()
+    way = Seat(skin, wearer.body).way(cloth_points(placed.vertices, mesh.faces, COUNT)[0], bones[0])
+    way[0] = way[0] if len(bones) == 1 else 0.0  # a pair stays in the middle
+    parameters[-3:] -= way
+    return replace(wearer, parameters=parameters), carriers_of(placed, skin - way, wearer.body)
+
+
+def _openings(mesh: GarmentMesh) -> int:
+    """The long openings of the largest piece."""
+    largest = mesh.faces[pieces_of(mesh.vertices, mesh.faces)[0] == 0]
+    least = OPENING * float(np.ptp(mesh.vertices[largest], axis=(0, 1)).max())
+    return sum(one.length_m > least for one in open_contours(mesh.vertices, largest))
+
+
+def _spots(points: np.ndarray, normals: np.ndarray, body: BodyModel, told: ToldReading) -> Iterator[_Spot]:
+    """Where the thing with ``points`` (N, 3) of the file may be worn, in every reading; ``normals`` (N, 3) are as long
+    as the area of each."""
+    units = UNITS_M.items() if told.unit is None else (told.unit,)
+    for reading in readings_of(units, told.up, told.front):
+        at = reading.apply(points)
+        extent = np.ptp(at, axis=0)
+        if not EXTENT_M[0] <= extent.max() <= EXTENT_M[1] or (told.up is None and reading.up not in ("+y", "+z")):
+            continue
+        usual = told.front is not None or reading.front in USUAL_FRONTS.get(reading.up, ())
+        shapes: list[int] = []
+        if usual and extent[2] > TEMPLES_M and are_glasses(at):
+            shapes = [HEAD]
+        elif _is_shoe(at, reading.scale**2 * normals @ reading.turn.T):
+            shapes = ONE_FOOT
+        for shape in SHAPES:
+            places, floor_m = _places(body, shape)
+            for origin, height in (("root", 0.0), ("floor", floor_m)) if usual else ():
+                move = np.array([0.0, height, 0.0])
+                far, number = min((_worn_far(at + move, place), place.number) for place in places)
+                if far < FAR_M:
+                    yield _Spot(far, reading, shape, move, origin, _carriers(number))
+            for place in (places[number] for number in shapes):
+                move = 0.5 * (place.low + place.high - at.min(axis=0) - at.max(axis=0))
+                move[1] = place.high[1] - at[:, 1].max() if place.number == HEAD else place.low[1] - at[:, 1].min()
+                far = _distance(at + move, place) - (IN_PLACE_M if place.number == HEAD else 0.0)
+                yield _Spot(far, reading, shape, move, "", _carriers(place.number))
+
+
+def _carriers(number: int) -> tuple[str, ...]:
+    return tuple(bone for bone in PLACES[number][0] if bone in CARRIERS)
+
+
+def _worn_far(points: np.ndarray, place: _Place) -> float:
+    """How far [m] the ``points`` [m] (N, 3) of what is worn at ``place`` are from the skin, infinite elsewhere."""
+    _, below, above, beside, least = PLACES[place.number]
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = np.array([[beside, below, beside], [beside, above, beside]])
+    held = (low >= place.low - room[0]).all() and (high <= place.high + room[1]).all()
+    held = held and (high - low >= least).all() and low[1] < place.high[1] and high[1] > place.low[1]
+    return _distance(points, place) if held else np.inf
+
+
+def _distance(points: np.ndarray, place: _Place) -> float:
+    """The mean distance [m] of ``points`` (N, 3) from the skin of ``place``, and at feet of that from them too: shoes
+    are all round their feet."""
+    far = float(place.tree.query(points)[0].mean())
+    return far if place.number == HEAD else 0.5 * (far + float(KDTree(points).query(place.tree.data)[0].mean()))
+
+
+def _is_shoe(points: np.ndarray, normals: np.ndarray) -> bool:
+    extent = np.ptp(points, axis=0)
+    if not all(least <= length <= most for length, (least, most) in zip(extent, SHOE_M, strict=True)):
+        return False
+    level = np.abs(normals[:, 1]) * (np.abs(normals[:, 1]) > 0.9 * np.linalg.norm(normals, axis=1))
+    return bool(level[points[:, 1] < points[:, 1].min() + SOLE_M].sum() > SOLE_SHARE * extent[0] * extent[2])
+
+
+@lru_cache(maxsize=16)
+def _places(body: BodyModel, shape: str) -> tuple[list[_Place], float]:
+    """The ``PLACES`` of a known shape, and how far below its root it stands [m], as a negative number."""
+    thin = thin_body(body)
+    skin, bone = posed_by(thin, known_parameters(body, shape, 0.0, 0.0)), thin.weights.argmax(axis=1)
+    found = []
+    for number, (bones, *_) in enumerate(PLACES):
+        own = skin[np.isin(bone, [JOINT_NAMES.index(name) for name in bones])]
+        found.append(_Place(own.min(axis=0), own.max(axis=0), KDTree(own), number))
+    return found, float(skin[:, 1].min())

@@ -1,0 +1,105 @@
+"""Where hats, glasses and shoes sit on what carries them: a hat on the forehead, glasses on the nose, a shoe round its
+foot. Who finds a thing's wearer knows that only roughly."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.geometry.closest import ClosedMesh
+
+SEAT_COUNT = 400  # points that are asked
+EYES_M, FOREHEAD_M, CROWN_M = 0.032, 0.072, 0.03  # above the tip of the nose; a hat's top is no lower under the crown
+LENSES_M, CLEAR_M = 0.035, 0.002  # how far behind the foremost point glasses have lenses, and steps that they take
+BRIDGE_M, NOSE_SHARE = 0.03, 0.1  # lenses are this far behind the tip of the nose at most; of them it may be in
+# Extents [m] that glasses have: least and most across, up and back, and what is between their sides behind the lenses.
+GLASSES_M, BETWEEN, BETWEEN_SHARE = ((0.11, 0.175), (0.02, 0.085), (0.02, 0.2)), 0.35, 0.02
+# How a hat is moved up, and forward or back.
+RISES_M, DEPTHS_M = np.arange(-0.15, 0.1501, 0.01), np.arange(-0.06, 0.0601, 0.02)
+RIM_M, RIM_COST_M = 0.05, 0.03  # a hat's rim is this near to the head; from the forehead, what costs one
+DEEP_M, DEEP_COST, TIGHT_M = 0.002, 20.0, 0.01  # hats up to so much too tight are made larger (``rest_mesh``)
+SHOE_STEPS_M, SHOE_MOST_M, SHOE_FAR_M, SHOE_WAY_M = (0.04, 0.02, 0.01, 0.005), 0.06, 0.03, 1.0
+
+
+def are_glasses(points: np.ndarray) -> bool:
+    """Whether ``points`` [m] (N, 3), facing +z, are as large as glasses, with nothing between the temples."""
+    extent = np.ptp(points, axis=0)
+    if not all(least <= length <= most for length, (least, most) in zip(extent, GLASSES_M, strict=True)):
+        return False
+    middle = 0.5 * (points[:, 0].min() + points[:, 0].max())
+    behind = points[:, 2] < points[:, 2].max() - LENSES_M
+    return bool((behind & (np.abs(points[:, 0] - middle) < BETWEEN * extent[0])).mean() < BETWEEN_SHARE)
+
+
+class Seat:
+    """The ``skin`` [m] (V, 3) of ``body`` upright, facing +z, on which things are seated."""
+
+    def __init__(self, skin: np.ndarray, body: BodyModel) -> None:
+        self.skin, self.body = skin, body
+        self._closed = ClosedMesh(skin, body.faces)
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Signed distances [m] (N,) of ``points`` (N, 3) from the skin, negative in it."""
+        return self._closed.signed_closest(points)[0]
+
+    @cached_property
+    def _head(self) -> np.ndarray:
+        return self.skin[self.body.weights.argmax(axis=1) == JOINT_NAMES.index("head")]
+
+    @cached_property
+    def _nose(self) -> np.ndarray:
+        return self._head[self._head[:, 2].argmax()]
+
+    def way(self, points: np.ndarray, bone: str) -> np.ndarray:
+        """How [m] (3,) a thing with ``points`` [m] (N, 3), carried by ``bone``, moves to its seat; zeros where its kind
+        has none that is known."""
+        points = points[:: max(1, len(points) // SEAT_COUNT)]
+        if bone.endswith("ankle"):
+            return self._round_foot(points)
+        if bone != "head":
+            return np.zeros(3)
+        if are_glasses(points):
+            return self._on_nose(points)
+        high = points[:, 1].max() > self._head[:, 1].max() - CROWN_M
+        return self._on_forehead(points) if high else np.zeros(3)
+
+    def _on_nose(self, points: np.ndarray) -> np.ndarray:
+        front = points[points[:, 2] > points[:, 2].max() - LENSES_M]
+        across, up = 0.5 * (front[:, :2].min(axis=0) + front[:, :2].max(axis=0))
+        back = self._nose[2] - BRIDGE_M - front[:, 2].max()
+        way = np.array([self._nose[0] - across, self._nose[1] + EYES_M - up, back])
+        for _ in range(40):  # forward, until the lenses are off the nose and the brows
+            if (self.distance(front + way) < 0.0).mean() < NOSE_SHARE:
+                break
+            way[2] += CLEAR_M
+        return way
+
+    def _on_forehead(self, points: np.ndarray) -> np.ndarray:
+        front = (np.abs(points[:, 0] - self._nose[0]) < RIM_COST_M) & (points[:, 2] > self._head[:, 2].mean())
+
+        def cost(way: np.ndarray) -> float:
+            distance = self.distance(points + way)
+            rim = points[front & (distance < RIM_M), 1] + way[1]
+            off = abs(rim.min() - self._nose[1] - FOREHEAD_M) if len(rim) else RIM_M
+            deep = DEEP_COST * float((distance < -TIGHT_M).mean())
+            return deep + (off + 0.5 * abs(way[2])) / RIM_COST_M
+
+        ways = [np.array([0.0, rise, depth]) for rise in RISES_M for depth in DEPTHS_M]
+        return min(ways, key=cost)
+
+    def _round_foot(self, points: np.ndarray) -> np.ndarray:
+        def cost(way: np.ndarray) -> float:
+            distance = self.distance(points + way)
+            inside = np.clip((-distance - DEEP_M) / CLEAR_M, 0.0, 4.0)
+            outside = np.clip(distance, 0.0, SHOE_FAR_M) / SHOE_FAR_M
+            return float((inside + outside).mean() + np.linalg.norm(way) / SHOE_WAY_M)
+
+        way, least = np.zeros(3), cost(np.zeros(3))
+        for step in SHOE_STEPS_M:
+            for move in step * np.concatenate([np.eye(3), -np.eye(3)]):
+                while np.abs(way + move).max() <= SHOE_MOST_M and (found := cost(way + move)) < least:
+                    way, least = way + move, found
+        return way
