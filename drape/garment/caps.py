@@ -1,12 +1,17 @@
 """Closed ends of sleeves, legs and hems, as characters for games have them: discs inside a tube, behind its rim.
 
-Hands and legs go through them, so they are no cloth that could be worn.
+Hands and legs go through them, so they are no cloth to wear. Those with a sharp rim are told by it, pits with
+a round one by the bones of a wearer.
 """
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
+from drape.garment.contours import bone_chains
+from drape.garment.mesh_checks import consistent_turn
 from drape.geometry import mesh_graphs, meshes
 
 SHARP = 0.5  # cosine between faces beside the edges of a rim
@@ -15,6 +20,10 @@ ROUND = (0.4, 2.5)  # a cap's area over that of a circle as long as its rim
 LEAST_FACES = 6
 MOST_SHARE = 0.15  # of the area of its piece
 APART = 0.25  # of the extent: a sleeve's cap has another so far away; a shoe keeps its soles, and a hat its crown
+# Of a pit: its share of its piece's area at most, the cosine of its floor to the bone, and that to the way from the
+# bone up to which its walls go; the tube round the bone, which is told by what is so near to it, looks away.
+PIT_SHARE, ACROSS, LOOKS_IN, NEAR_M = 0.3, 0.5, 0.15, 0.1
+EVEN = 0.3  # the least way from the bone to the rim, over the longest
 RIM_SHARE = 0.15  # of the extent: a shorter rim lets no hand through
 
 
@@ -37,6 +46,68 @@ def without_caps(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
         others = [other for _, whose, other in caps if whose == home]
         keep[label == number] = max(float(np.linalg.norm(middle - other)) for other in others) < APART * extent
     return keep
+
+
+def without_pits(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """Which ``faces`` (F,) of the mesh with ``points`` [m] (N, 3) are not of a pit across a bone between ``joints`` [m]
+    (24, 3): of a floor that it goes through, and of walls around that look at it. Refuses a one-sided surface."""
+    keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
+    areas, middles = meshes.face_areas(points, faces), points[faces].mean(axis=1)
+    wound, (_, first, second) = np.where(consistent_turn(faces), -1.0, 1.0), meshes.edge_pairs(faces)
+    normals = wound[:, None] * meshes.face_normals(points, faces)
+    border = np.unique(meshes.boundary_edges(faces))
+    for start, end in (pair for chain, _ in bone_chains(joints).values() for pair in pairwise(chain)):
+        axis = (end - start) / np.linalg.norm(end - start)
+        for face in np.flatnonzero(_pierced(points, faces, start, end) & (np.abs(normals @ axis) > ACROSS)):
+            own, outward = piece == piece[face], middles - start
+            outward = outward - (outward @ axis)[:, None] * axis
+            away = np.maximum(np.linalg.norm(outward, axis=1), 1e-9)
+            looks = np.einsum("fc,fc->f", normals, outward) / away
+            looks *= np.sign((own * areas * looks / (away**2 + NEAR_M**2)).sum())  # the tube itself looks away
+            inner = own & ((looks < LOOKS_IN) | (np.arange(len(faces)) == face))
+            label = _parts(inner, first // 3, second // 3)
+            pit = inner & (label == label[face])
+            label = _parts(own & ~pit, first // 3, second // 3)  # all but the largest part are islands in it
+            outside = np.bincount(label, areas * (own & ~pit)).argmax()
+            pit = own & (pit | (label != outside))
+            small = areas[pit].sum() < PIT_SHARE * areas[own].sum() and not np.isin(faces[pit], border).any()
+            if small and _goes_round(points, faces[pit], start, axis):
+                keep &= ~pit
+    return keep
+
+
+def _parts(chosen: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """The part (F,) of the ``chosen`` faces (F,) that each is of; ``first`` and ``second`` (P,) share an edge."""
+    both = chosen[first] & chosen[second]
+    return mesh_graphs.joined_parts(len(chosen), first[both], second[both])
+
+
+def _goes_round(points: np.ndarray, faces: np.ndarray, start: np.ndarray, axis: np.ndarray) -> bool:
+    """Whether ``faces`` have one rim, evenly round the line from ``start`` [m] (3,) along ``axis``: a wall that a bone
+    goes through aslant looks at it on one side alone."""
+    loops = meshes.boundary_loops(faces)
+    if len(loops) != 1:
+        return False
+    way = points[loops[0]] - start
+    way = way - (way @ axis)[:, None] * axis
+    far, across = np.linalg.norm(way, axis=1), np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    turns = np.sort(np.arctan2(way @ np.cross(axis, across), way @ across))
+    gap = np.diff(np.append(turns, turns[0] + 2.0 * np.pi)).max()
+    return bool(far.min() > EVEN * far.max() and gap < 0.5 * np.pi)
+
+
+def _pierced(points: np.ndarray, faces: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Which ``faces`` (F,) the line from ``start`` to ``end`` [m] (3,) goes through."""
+    a, b, c = points[faces].transpose(1, 0, 2)
+    way = end - start
+    normal = np.cross(b - a, c - a)
+    rise = normal @ way
+    t = np.einsum("fc,fc->f", a - start, normal) / np.where(rise == 0.0, np.inf, rise)
+    point = start + t[:, None] * way
+    inside = (t >= 0.0) & (t < 1.0) & (rise != 0.0)
+    for p, q in ((a, b), (b, c), (c, a)):
+        inside &= np.einsum("fc,fc->f", np.cross(q - p, point - p), normal) >= 0.0
+    return inside
 
 
 def _likely_caps(

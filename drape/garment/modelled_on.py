@@ -7,6 +7,7 @@ from typing import Any
 
 from drape.body.model import BodyModel
 from drape.garment.avatars import Avatar, read_avatar, standard_avatar
+from drape.garment.caps import without_pits
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.mesh_checks import check_options, check_surface, place
@@ -27,11 +28,16 @@ def modelled_on(
     told, meaning = told_reading(meaning)
     checked = check_surface(mesh)
     if meaning is not None:
-        return _on_named(checked, body, options, told, meaning)
-    placed = on_standard(checked, body, options) if told == NOTHING_TOLD else None
-    if placed is not None:
+        worn = _on_named(checked, body, options, told, meaning)
+    elif told == NOTHING_TOLD and (placed := on_standard(checked, body, options)) is not None:
         return placed, standard_avatar(body), None
-    return worn_by(checked, body, options, told)
+    else:
+        worn = worn_by(checked, body, options, told)
+    placed, avatar, wearer = worn
+    keep = without_pits(placed.vertices, placed.faces, body.regressor @ avatar.vertices)
+    if not keep.all():
+        placed = placed.take_faces(keep).noted(f"{int((~keep).sum())} faces close ends of tubes in pits")
+    return placed, avatar, wearer
 
 
 def _on_named(

@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
+from drape.garment.caps import without_pits
 from drape.garment.contours import Contour
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.inside import fit_from
@@ -80,13 +81,16 @@ def find_wearers(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOTHING
     usual = [one for one in named if told.front or one.front == USUAL_FRONTS.get(one.up, ("",))[0]]
     if (plain := _on_standard(cloth, body, usual)) is not None:
         return [replace(plain, sure=_held(cloth, plain))]
-    found = _fitted(cloth, body, named)
+    guesses = _guesses(cloth, known_fields(body), named)
+    if guesses and not (keep := _without_pits(mesh, known_fields(body), guesses[0])).all():
+        return find_wearers(mesh.take_faces(keep), body, told)
+    found = _fitted(cloth, body, guesses)
     enough = [(UNIT_ENOUGH, UNIT_INSIDE), (LOOSE_ENOUGH, LOOSE_INSIDE)]
     fits = any(not one.fault and one.energy < e and one.inside < share for one in found for e, share in enough)
     if told.unit is None and not fits:
         sizes = [("free", extent / cloth.extent) for extent in FREE_EXTENTS_M if cloth.may_be(extent / cloth.extent)]
         free = [one for one in readings_of(sizes, told.up, told.front) if told.up or one.up in ("+y", "+z")]
-        found += _fitted(cloth, body, free)
+        found += _fitted(cloth, body, _guesses(cloth, known_fields(body), free))
     least = {one.reading: min(_rank(other) for other in found if other.reading == one.reading) for one in found}
     found.sort(key=lambda one: (least[one.reading], bool(one.fault), one.among))
     sure = [_sureness(one, found) * (1.0 if number else _held(cloth, one)) for number, one in enumerate(found)]
@@ -234,9 +238,14 @@ def _rises(field: Field, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray,
     return start, np.arange(0, count, RISE_CELLS).astype(np.int32)
 
 
-def _fitted(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) -> list[Wearer]:
-    """The best guesses, fitted: one for each reading."""
-    guesses = _guesses(cloth, known_fields(body), readings)
+def _without_pits(mesh: GarmentMesh, fields: Sequence[Field], guess: _Guess) -> np.ndarray:
+    """Which faces (F,) are of no pit by the bones of a ``guess``: fits would keep a neck out of a closed collar."""
+    points = guess.reading.apply(mesh.vertices)
+    return without_pits(points, mesh.faces, fields[guess.number].bones.joints - guess.move)
+
+
+def _fitted(cloth: SearchedCloth, body: BodyModel, guesses: Sequence[_Guess]) -> list[Wearer]:
+    """The best of the ``guesses``, fitted: one for each reading."""
     kept: list[_Guess] = []
     for one in guesses:
         rivals = [other for other in kept if other.reading == one.reading]

@@ -181,11 +181,10 @@ def gown(train_m: float) -> GarmentMesh:
     return plain_mesh("gown", np.stack([x, height, z + middle], axis=1), faces)
 
 
-@pytest.mark.parametrize("unit", ["inch", "cm"])
-def test_a_gown_with_a_train_is_no_hood_in_a_smaller_unit(unit: str):
+def test_a_gown_with_a_train_is_no_hood_in_a_smaller_unit():
     mesh = gown(0.75)
-    found = the_wearer(replace(mesh, vertices=mesh.vertices / UNITS_M[unit]), BODY)
-    assert (found.reading.unit, found.reading.up, found.reading.front) == (unit, "+y", "+z")
+    found = the_wearer(replace(mesh, vertices=mesh.vertices / UNITS_M["inch"]), BODY)
+    assert (found.reading.unit, found.reading.up, found.reading.front) == ("inch", "+y", "+z")
 
 
 def test_a_body_that_stands_on_the_origin_of_its_file_is_found_there():
