@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from drape.garment.contours import bone_chains
+from drape.garment.contours import bone_chains, crossed
 from drape.garment.mesh_checks import consistent_turn
 from drape.geometry import mesh_graphs, meshes
 
@@ -55,10 +55,10 @@ def without_pits(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> n
     areas, middles = meshes.face_areas(points, faces), points[faces].mean(axis=1)
     wound, (_, first, second) = np.where(consistent_turn(faces), -1.0, 1.0), meshes.edge_pairs(faces)
     normals = wound[:, None] * meshes.face_normals(points, faces)
-    border = np.unique(meshes.boundary_edges(faces))
+    border, corners = np.unique(meshes.boundary_edges(faces)), points[faces].transpose(1, 0, 2)
     for start, end in (pair for chain, _ in bone_chains(joints).values() for pair in pairwise(chain)):
         axis = (end - start) / np.linalg.norm(end - start)
-        for face in np.flatnonzero(_pierced(points, faces, start, end) & (np.abs(normals @ axis) > ACROSS)):
+        for face in np.flatnonzero((crossed(start, end, *corners) != 0) & (np.abs(normals @ axis) > ACROSS)):
             own, outward = piece == piece[face], middles - start
             outward = outward - (outward @ axis)[:, None] * axis
             away = np.maximum(np.linalg.norm(outward, axis=1), 1e-9)
@@ -70,8 +70,10 @@ def without_pits(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> n
             label = _parts(own & ~pit, first // 3, second // 3)  # all but the largest part are islands in it
             outside = np.bincount(label, areas * (own & ~pit)).argmax()
             pit = own & (pit | (label != outside))
+            rim = meshes.boundary_loops(faces[pit])
+            far = np.linalg.norm(np.cross(points[rim[0]] - start, axis), axis=1) if len(rim) == 1 else np.zeros(1)
             small = areas[pit].sum() < PIT_SHARE * areas[own].sum() and not np.isin(faces[pit], border).any()
-            if small and _goes_round(points, faces[pit], start, axis):
+            if small and far.min() > EVEN * far.max():  # a wall that a bone goes through aslant has its rim there
                 keep &= ~pit
     return keep
 
@@ -80,34 +82,6 @@ def _parts(chosen: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndar
     """The part (F,) of the ``chosen`` faces (F,) that each is of; ``first`` and ``second`` (P,) share an edge."""
     both = chosen[first] & chosen[second]
     return mesh_graphs.joined_parts(len(chosen), first[both], second[both])
-
-
-def _goes_round(points: np.ndarray, faces: np.ndarray, start: np.ndarray, axis: np.ndarray) -> bool:
-    """Whether ``faces`` have one rim, evenly round the line from ``start`` [m] (3,) along ``axis``: a wall that a bone
-    goes through aslant looks at it on one side alone."""
-    loops = meshes.boundary_loops(faces)
-    if len(loops) != 1:
-        return False
-    way = points[loops[0]] - start
-    way = way - (way @ axis)[:, None] * axis
-    far, across = np.linalg.norm(way, axis=1), np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    turns = np.sort(np.arctan2(way @ np.cross(axis, across), way @ across))
-    gap = np.diff(np.append(turns, turns[0] + 2.0 * np.pi)).max()
-    return bool(far.min() > EVEN * far.max() and gap < 0.5 * np.pi)
-
-
-def _pierced(points: np.ndarray, faces: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Which ``faces`` (F,) the line from ``start`` to ``end`` [m] (3,) goes through."""
-    a, b, c = points[faces].transpose(1, 0, 2)
-    way = end - start
-    normal = np.cross(b - a, c - a)
-    rise = normal @ way
-    t = np.einsum("fc,fc->f", a - start, normal) / np.where(rise == 0.0, np.inf, rise)
-    point = start + t[:, None] * way
-    inside = (t >= 0.0) & (t < 1.0) & (rise != 0.0)
-    for p, q in ((a, b), (b, c), (c, a)):
-        inside &= np.einsum("fc,fc->f", np.cross(q - p, point - p), normal) >= 0.0
-    return inside
 
 
 def _likely_caps(

@@ -123,20 +123,22 @@ def pierces(chain: np.ndarray, nodes: np.ndarray, faces: np.ndarray) -> bool:
 
 def _crossings(chain: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> list[int]:
     """1 or -1, by the side that it comes from, where ``chain`` (n, 3) goes through a triangle ``a``, ``b``, ``c``."""
-    found: list[int] = []
-    normal = np.cross(b - a, c - a)
-    for start, end in pairwise(chain):
-        way = end - start
-        rise = normal @ way
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = ((a - start) * normal).sum(axis=1) / rise
-            point = start + t[:, None] * way
-            inside = np.ones(len(b), dtype=bool)
-            for p, q in ((a, b), (b, c), (c, a)):
-                inside &= (np.cross(q - p, point - p) * normal).sum(axis=1) >= 0.0
-        hit = inside & (t >= 0.0) & (t < 1.0) & (rise != 0.0)
-        found += np.sign(rise[hit]).astype(int).tolist()
-    return found
+    signs = [crossed(start, end, a, b, c) for start, end in pairwise(chain)]
+    return [int(sign) for found in signs for sign in found[found != 0]]
+
+
+def crossed(start: np.ndarray, end: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """1 or -1 (F,), by the side that it comes from, where the line from ``start`` to ``end`` (3,) goes through the
+    triangles ``a``, ``b``, ``c`` (F, 3), 0 elsewhere."""
+    way, normal = end - start, np.cross(b - a, c - a)
+    rise = normal @ way
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = ((a - start) * normal).sum(axis=1) / rise
+        point = start + t[:, None] * way
+        hit = (t >= 0.0) & (t < 1.0) & (rise != 0.0)
+        for p, q in ((a, b), (b, c), (c, a)):
+            hit &= (np.cross(q - p, point - p) * normal).sum(axis=1) >= 0.0
+    return np.where(hit, np.sign(rise), 0.0)
 
 
 def part_round(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> str | None:
