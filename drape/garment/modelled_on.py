@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from drape.body.model import BodyModel
 from drape.garment.avatars import Avatar, read_avatar, standard_avatar
 from drape.garment.caps import without_pits
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
 from drape.garment.mesh_checks import check_options, check_surface, place
+from drape.garment.sheets import with_used_vertices
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading, told_reading
 from drape.garment.unnamed_avatar import on_standard, worn_by
 from drape.garment.wearer_reading import Wearer
@@ -35,8 +38,10 @@ def modelled_on(
         worn = worn_by(checked, body, options, told)
     placed, avatar, wearer = worn
     keep = without_pits(placed.vertices, placed.faces, body.regressor @ avatar.vertices)
-    if not keep.all():
-        placed = placed.take_faces(keep).noted(f"{int((~keep).sum())} faces close ends of tubes in pits")
+    if not keep.all():  # what is delivered stays in its places, as ``cloth_layer.joined`` has it
+        cut, count = with_used_vertices(placed.take_faces(keep)), len(placed.vertices)
+        placed = replace(cut, vertices=np.concatenate([placed.vertices, cut.vertices]), faces=cut.faces + count)
+        placed = placed.noted(f"{int((~keep).sum())} faces close ends of tubes in pits")
     return placed, avatar, wearer
 
 

@@ -81,3 +81,6 @@ def test_a_shirt_that_is_closed_at_the_neck_is_found_where_it_is_worn():
     np.testing.assert_allclose(found.trans, [0.4, 0.2, -0.1], rtol=0, atol=0.015)
     placed, _, _ = modelled_on(mesh, BODY, IntakeOptions())
     assert len(placed.faces) < len(mesh.faces) and "in pits" in placed.notes[-1]
+    count = len(mesh.vertices)  # of the delivered mesh, which hangs on that
+    np.testing.assert_array_equal(placed.vertices[:count], mesh.vertices)
+    assert placed.faces.min() >= count
