@@ -28,7 +28,7 @@ from drape.geometry import meshes
 from drape.geometry.closest import nearest_vertices
 
 FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 4_000, 40_000
-CARRIED_SCALES, INSIDE_SHARE = 1.0 + 0.02 * np.arange(11), 0.005  # of a hat, and how much of it may be in the skin
+CARRIED_SCALES, INSIDE_SHARE = 1.0 + 0.02 * np.arange(11), 0.001  # of a hat, and how much of it may be in the skin
 CARRIED_COUNT = 400  # points on it
 FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
 _MANTLE_ARRAYS = ("arm_share", "arm_ways")
