@@ -7,7 +7,7 @@ and place of the standard body by ``inside.fit_from``. Where no unit fits, sizes
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.errors import MeshError
+from drape.forked import each
 from drape.garment.contours import Contour
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.inside import fit_from
@@ -143,29 +144,28 @@ class _Guess:
 
 def _guesses(cloth: SearchedCloth, fields: Sequence[Field], readings: Sequence[Reading]) -> list[_Guess]:
     """Places of the known bodies in every reading, the best of them judged by what they enclose too, best first."""
-    places = {reading: _places(cloth, fields, reading) for reading in readings}
-    places = {reading: _over_arms(cloth, fields, reading) + found for reading, found in places.items()}
-    places = {reading: found for reading, found in places.items() if found}
+    laid = each(lambda one: _over_arms(cloth, fields, one) + _places(cloth, fields, one), readings)
+    places = {reading: found for reading, found in zip(readings, laid, strict=True) if found}
 
-    def judged(guesses: list[_Guess]) -> list[_Guess]:
-        found = []
-        for one in guesses:
-            bones = fields[one.number].bones
-            points = one.reading.apply(cloth.points) + one.move
-            share, nearest = enclosed(points, bones)
-            odd = ODD_SIDE * one_sided(bones, nearest) + ODD_PLACE * misplaced(points, bones, nearest, cloth.piece)
-            found.append(replace(one, energy=one.energy + 1.0 - float(share.mean()) + odd))
-        return sorted(found, key=lambda one: one.energy)
+    def judged(one: _Guess) -> _Guess:
+        bones = fields[one.number].bones
+        points = one.reading.apply(cloth.points) + one.move
+        share, nearest = enclosed(points, bones)
+        odd = ODD_SIDE * one_sided(bones, nearest) + ODD_PLACE * misplaced(points, bones, nearest, cloth.piece)
+        return replace(one, energy=one.energy + 1.0 - float(share.mean()) + odd)
 
-    tops = judged([one for found in places.values() for one in found[:PLACES]])
-    best = list(dict.fromkeys(one.reading for one in tops))[:READINGS]
-    every = judged([one for reading in best for one in places[reading]])[:PIERCED_COUNT]
-    for number, one in enumerate(every):
+    def threaded(one: _Guess) -> _Guess:
         joints = fields[one.number].bones.joints - one.move
         odd = 0.5 * ODD_PIERCED * len(cloth.pierced(one.reading, joints))
-        odd += ODD_EMPTY * cloth.empty(one.reading, joints)
-        every[number] = replace(one, energy=one.energy + odd)
-    return sorted(every, key=lambda one: one.energy)
+        return replace(one, energy=one.energy + odd + ODD_EMPTY * cloth.empty(one.reading, joints))
+
+    def sorted_by(known: Callable[[_Guess], _Guess], guesses: list[_Guess]) -> list[_Guess]:
+        return sorted(each(known, guesses), key=lambda one: one.energy)
+
+    tops = sorted_by(judged, [one for found in places.values() for one in found[:PLACES]])
+    best = list(dict.fromkeys(one.reading for one in tops))[:READINGS]
+    every = sorted_by(judged, [one for reading in best for one in places[reading]])
+    return sorted_by(threaded, every[:PIERCED_COUNT])
 
 
 def _places(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> list[_Guess]:
@@ -236,18 +236,19 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) 
             kept.append(one)
     thin = thin_body(body)
     fields = known_fields(body)
-    contours = {reading: cloth.contours(reading) for reading in {one.reading for one in kept}}
+    read = list(dict.fromkeys(one.reading for one in kept))
+    contours = dict(zip(read, each(cloth.contours, read), strict=True))
     starts = [_Start.of(one, fields[one.number]) for one in kept]
     tops = {one.reading: one for one in reversed(starts)}
     starts += [_with_arms(cloth, thin, one) for one in tops.values()]
-    first = [_fit(cloth, thin, contours[one.reading], one, FIRST_STEPS) for one in starts]
+    first = _on(thin, each(lambda one: _fit(cloth, thin, contours[one.reading], one, FIRST_STEPS), starts))
     first.sort(key=lambda one: one.energy)
     likely: list[Wearer] = []
     for one in first:
         rivals = [other for other in likely if other.reading == one.reading]
         if one.energy < CLEARLY + first[0].energy and len(rivals) < RIVALS and len(likely) < WINNERS:
             likely.append(one)
-    chosen = [_refined(cloth, thin, contours[one.reading], one) for one in likely]
+    chosen = _on(thin, each(lambda one: _refined(cloth, thin, contours[one.reading], one), likely))
     rest = [one for one in first if one not in likely]
     apart: list[Wearer] = []
     for one in (*sorted(chosen, key=lambda one: one.among), *rest):
@@ -257,6 +258,11 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) 
             slid = max([_apart_m(cloth, one, other) for other in as_good], default=0.0)
             apart.append(replace(one, body=body, slid_m=slid))
     return apart
+
+
+def _on(body: BodyModel, found: Sequence[Wearer]) -> list[Wearer]:
+    """``found`` on ``body`` itself, of which those from other processes have a copy."""
+    return [replace(one, body=body) for one in found]
 
 
 def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: Wearer) -> Wearer:
@@ -306,7 +312,8 @@ def _with_arms(cloth: SearchedCloth, body: BodyModel, one: _Start) -> _Start:
         parameters = one.parameters.copy()
         parameters[arms] = start_parameters(body, lift, np.zeros(3))[arms]
         tried.append(one._replace(parameters=parameters, odd_arms=ODD_ARMS))
-    return min(tried, key=lambda each: judge(cloth, each.reading, body, each.parameters, 0.0).energy)
+    energies = each(lambda other: judge(cloth, other.reading, body, other.parameters, 0.0).energy, tried)
+    return tried[int(np.argmin(energies))]
 
 
 def _fit(
