@@ -278,14 +278,16 @@ def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one
 def _on_standard(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) -> Wearer | None:
     """The standard body in T-pose at the file's origin or on its floor, where cloth goes round it and not into it."""
     thin = thin_body(body)
+    starts = [(reading, rise) for reading in readings for rise in (0.0, -body.floor_m())]
+
+    def judged(start: tuple[Reading, float]) -> Wearer:
+        return judge(cloth, start[0], thin, start_parameters(body, 0.0, np.array([0.0, start[1], 0.0])), 0.0)
+
     found = []
-    for reading in readings:
-        for rise in (0.0, -body.floor_m()):
-            parameters = start_parameters(body, 0.0, np.array([0.0, rise, 0.0]))
-            one = judge(cloth, reading, thin, parameters, 0.0)
-            limits = PLAIN_LIMITS if reading.unit == "m" and reading.up == "+y" and rise == 0.0 else LIMITS
-            if (np.array([one.inside, one.open_share, one.energy]) < limits).all():
-                found.append(one)
+    for (reading, rise), one in zip(starts, each(judged, starts), strict=True):
+        limits = PLAIN_LIMITS if reading.unit == "m" and reading.up == "+y" and rise == 0.0 else LIMITS
+        if (np.array([one.inside, one.open_share, one.energy]) < limits).all():
+            found.append(one)
     best = min(found, key=lambda one: one.energy, default=None)
     return None if best is None else replace(best, body=body, fault="")
 
