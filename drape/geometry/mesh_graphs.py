@@ -28,8 +28,8 @@ def adjacency(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
 
 def edge_matrix(edges: np.ndarray, values: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
     """Symmetric matrix (V, V) with ``values`` (E,) at ``edges`` (E, 2), each edge given once."""
-    both = np.concatenate([edges, edges[:, ::-1]]).T
-    return scipy.sparse.coo_matrix((np.tile(values, 2), tuple(both)), shape=(vertex_count,) * 2).tocsr()
+    one_way = scipy.sparse.coo_matrix((values, (edges[:, 0], edges[:, 1])), shape=(vertex_count,) * 2).tocsr()
+    return one_way + one_way.T
 
 
 def edge_graph(vertices: np.ndarray, faces: np.ndarray) -> scipy.sparse.csr_matrix:

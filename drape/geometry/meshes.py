@@ -56,9 +56,9 @@ def edge_uses(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _edge_keys(ends: np.ndarray) -> tuple[np.ndarray, int]:
     """One number (N,) for each undirected edge, low * base + high, and the base: rows sort ten times as slowly."""
-    first, second = ends.astype(np.int64).T
+    ends = ends.astype(np.int64)
     base = int(ends.max(initial=0)) + 1
-    return np.minimum(first, second) * base + np.maximum(first, second), base
+    return ends.min(axis=1) * base + ends.max(axis=1), base
 
 
 def edges_of_halves(halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -81,9 +81,9 @@ def boundary_vertices(faces: np.ndarray) -> np.ndarray:
 def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Half-edges (3F, 3), and two index arrays of those that share an edge; m faces on one edge give m - 1 pairs."""
     halves = half_edges(faces)
-    key, _ = _edge_keys(halves[:, :2])
-    order = np.argsort(key, kind="stable")
-    same = key[order[1:]] == key[order[:-1]]
+    ends = np.sort(halves[:, :2], axis=1)
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    same = (ends[order[1:]] == ends[order[:-1]]).all(axis=1)
     return halves, order[:-1][same], order[1:][same]
 
 
