@@ -56,6 +56,16 @@ def set_limits(*, memory_mb: int, cpu_s: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
+def _take_buffers() -> None:
+    """Has BLAS take its buffers: where a limit leaves no room for them, it ends the process without a word."""
+    import numpy as np
+    from scipy.linalg import get_blas_funcs
+
+    square = np.ones((256, 256))
+    np.dot(square, square)
+    get_blas_funcs("gemm", (square,))(1.0, square, square)  # of scipy, which has a BLAS of its own
+
+
 def intake_files(file: Path, out: Path, *, avatar: str | None, body: str) -> list[str]:
     """The names of the cache files that the intake makes of ``file``, one for each garment in it."""
     from drape.body.assets import load_body
@@ -118,6 +128,7 @@ def main() -> int:
     options = parser.parse_args()
     end_with_parent()
     step_back()
+    _take_buffers()
     set_limits(memory_mb=options.memory_mb, cpu_s=options.cpu_s)
     may_fork(min(MOST_PROCESSES, processor_count()) - 1)
     try:
@@ -133,7 +144,8 @@ def main() -> int:
         return _refuse(options.out, error)
     except Exception as error:
         thing, got = THINGS[options.kind], "one that does not"
-        if isinstance(error, MemoryError) or str(error) == NO_STACK:
+        # Libraries are read as they are wanted: what says that it cannot be has no room to be in.
+        if isinstance(error, (MemoryError, ImportError)) or str(error) == NO_STACK:
             expected, cure = f"{thing.words} that fits into {options.memory_mb} MB", thing.smaller
         else:  # a fault of ours that a strange file found: whoever sent it is told of the file
             expected, got, cure = f"{thing.words} that can be read", f"one at which it fails: {error!r}"[:120], CURE
