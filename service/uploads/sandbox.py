@@ -63,7 +63,8 @@ def _take_buffers() -> None:
 
     square = np.ones((256, 256))
     np.dot(square, square)
-    get_blas_funcs("gemm", (square,))(1.0, square, square)  # of scipy, which has a BLAS of its own
+    (gemm,) = get_blas_funcs(("gemm",), (square,))  # of scipy, which has a BLAS of its own
+    gemm(1.0, square, square)
 
 
 def intake_files(file: Path, out: Path, *, avatar: str | None, body: str) -> list[str]:
