@@ -82,7 +82,7 @@ class Runtime:
     def add_missing(self, plan: Plan) -> None:
         """Gives the stages the garments that ``plan`` drapes and they do not know yet."""
         worn = self.on(plan.scene)
-        for garment in worn.missing((*plan.scene.layers, *plan.draped)):
+        for garment in worn.missing(plan.known):
             worn.add(garment, worn.feed(garment))
 
     def ready(self, plan: Plan) -> None:

@@ -20,6 +20,7 @@ from drape.avatar.parts import PARTS, faces_beside, parts_of, plain_part
 from drape.avatar.t_pose import TPose
 from drape.body.model import BodyModel
 from drape.body.skeleton import BONE_ENDS, JOINT_COUNT, JOINT_NAMES, PARENTS
+from drape.forked import each
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point, on_border
 from drape.geometry.symmetric import symmetric_factor
@@ -66,25 +67,32 @@ class _Target:
     """The character's surface, in parts, to which the skin of ``body`` is drawn."""
 
     def __init__(self, pose: TPose, body: BodyModel) -> None:
-        self._pose, self._body, self._own = pose, body, parts_of(body.weights)
+        self._pose, self._body, own = pose, body, parts_of(body.weights)
         self._normals = meshes.face_normals(pose.vertices, pose.faces)
         corners = parts_of(pose.weights)[pose.faces]
         self._faces = [faces_beside(part, corners) for part in PARTS]
         self._weights = [TRUST.get(plain_part(part), 1.0) for part in PARTS]
+        self._rows = [np.flatnonzero(own == part) for part in range(len(PARTS))]
+        known = [part for part in range(len(PARTS)) if len(self._rows[part]) and self._weights[part] > 0.0]
+        self._parts = [part for part in known if len(self._faces[part]) >= FEW_FACES]
 
     def near(self, vertices: np.ndarray, reach_m: float) -> tuple[np.ndarray, np.ndarray]:
         """The point [m] (Vb, 3) that draws each of the skin's ``vertices``, and the trust (Vb,) in it: 0 where none
         within ``reach_m`` faces the same way."""
         near, trust = vertices.copy(), np.zeros(len(vertices))
         facing = meshes.vertex_normals(vertices, self._body.faces)
-        for part, (faces, weight) in enumerate(zip(self._faces, self._weights, strict=True)):
-            rows, surface = np.flatnonzero(self._own == part), self._pose.faces[faces]
-            if not len(rows) or len(faces) < FEW_FACES or weight == 0.0:
-                continue
+
+        def drawn(part: int) -> tuple[np.ndarray, np.ndarray]:
+            """Those of the vertices of this ``part``."""
+            faces, rows = self._faces[part], self._rows[part]
+            surface = self._pose.faces[faces]
             found = closest_point(vertices[rows], self._pose.vertices, surface)
             agree = np.einsum("vc,vc->v", facing[rows], self._normals[faces][found.face]) > FACING
-            near[rows] = found.point
-            trust[rows] = weight * (agree & (found.distance < reach_m) & ~on_border(found, surface))
+            drawing = agree & (found.distance < reach_m) & ~on_border(found, surface)
+            return found.point, self._weights[part] * drawing
+
+        for part, (points, drawing) in zip(self._parts, each(drawn, self._parts), strict=True):
+            near[self._rows[part]], trust[self._rows[part]] = points, drawing
         return near, trust
 
 

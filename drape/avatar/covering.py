@@ -16,6 +16,7 @@ from drape.avatar.parts import beside, counted_vertices, parts_of
 from drape.avatar.t_pose import TPose
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from drape.forked import each
 from drape.geometry import mesh_graphs, meshes, rigid, skinning
 from drape.geometry.closest import closest_point
 from drape.geometry.rotations import rotvec_to_matrix
@@ -52,19 +53,23 @@ def covering(
     around = meshes.face_table(pose.faces, len(surface))
     theirs_out = [meshes.vertex_normals(seen, pose.faces, table=around)[counted] for seen in posed]
     around = meshes.face_table(body.faces, len(vertices))
+
+    def short(number: int) -> np.ndarray:
+        """How much [m] (Vb,) the skin is short in the pose of this ``number``."""
+        skin, height = skinning.skin_points(vertices[None], weights, *bones[number])[0], np.zeros(len(vertices))
+        found = closest_point(posed[number][counted], skin, body.faces)
+        corners = body.faces[found.face]
+        normals = meshes.vertex_normals(skin, body.faces, table=around)
+        facing = np.einsum("vk,vkc->vc", found.barycentric, normals[corners])
+        above = np.einsum("vc,vc->v", facing, posed[number][counted] - found.point)
+        agree = np.einsum("vc,vc->v", facing, theirs_out[number]) > FACING
+        joined = beside(own[corners[:, 0]], theirs[counted])
+        lacking = np.where(agree & joined & (above > 0.0), above + MARGIN_M, 0.0)
+        np.maximum.at(height, corners.reshape(-1), np.repeat(np.minimum(lacking, MOST_M), 3))
+        return height
+
     for _ in range(ROUNDS):
-        height = np.zeros(len(vertices))
-        for move, seen, out in zip(bones, posed, theirs_out, strict=True):
-            skin = skinning.skin_points(vertices[None], weights, *move)[0]
-            found = closest_point(seen[counted], skin, body.faces)
-            corners = body.faces[found.face]
-            normals = meshes.vertex_normals(skin, body.faces, table=around)
-            facing = np.einsum("vk,vkc->vc", found.barycentric, normals[corners])
-            above = np.einsum("vc,vc->v", facing, seen[counted] - found.point)
-            agree = np.einsum("vc,vc->v", facing, out) > FACING
-            joined = beside(own[corners[:, 0]], theirs[counted])
-            short = np.where(agree & joined & (above > 0.0), above + MARGIN_M, 0.0)
-            np.maximum.at(height, corners.reshape(-1), np.repeat(np.minimum(short, MOST_M), 3))
+        height = np.max(each(short, range(len(POSES))), axis=0)
         trust = np.where(height > 0.0, 1.0, PLAIN)
         way = symmetric_factor(scipy.sparse.diags(trust) + SMOOTHING * square).solve(trust * height)
         vertices = vertices + way[:, None] * meshes.vertex_normals(vertices, body.faces, table=around)

@@ -8,7 +8,7 @@ skin or sewn to it, a few faces, what one bone moves as armour, and whatever an 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -25,6 +25,7 @@ from drape.avatar.wears import reach_of, why_not
 from drape.body.model import BodyModel
 from drape.errors import DrapeError
 from drape.files.gltf import GltfFile
+from drape.forked import each
 from drape.garment.cache import Garment
 from drape.garment.files.gltf_looks import gltf_looks
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
@@ -64,16 +65,11 @@ class OwnCloth(NamedTuple):
     mesh: GarmentMesh
 
 
-Made = Callable[[OwnCloth], "Garment | str"]
-
-
-def own_garments(
-    payload: bytes, wearer: Wearer, *, each: Callable[[Made, list[OwnCloth]], Iterable[Garment | str]] = map
-) -> OwnGarments:
+def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
     """The clothes of the character in the file ``payload``, of which ``wearer`` was made, as garments on its body.
 
-    ``each``: ``map``, or one that uses other processes. A garment's ``body_digest`` is that of the body of ``wearer``
-    on which it lies. Raises ``MeshError`` for another file.
+    A garment's ``body_digest`` is that of the body of ``wearer`` on which it lies. Raises ``MeshError`` for another
+    file.
     """
     stiff = _stiff(wearer)
     attire, parts = wearer.attire, wearer.attire.parts
@@ -92,7 +88,7 @@ def own_garments(
         whole[rows] = False
         mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", rows)
         worn.append(OwnCloth(kind, tuple(own), tuple(ranges_of(whole).reshape(-1).tolist()), mesh))
-    made = list(each(partial(_garment_or_why, wearer.name, wearer.digest, body), worn))
+    made = each(partial(_garment_or_why, wearer.name, wearer.digest, body), worn)
     for one, why in zip(worn, made, strict=True):
         if isinstance(why, str):
             stiff |= {parts[number].name: why for number in one.numbers}

@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from drape.arrays import check_finite, check_shape
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
@@ -203,6 +202,8 @@ def match_contours(source: list[Contour], target: list[Contour], joints: np.ndar
     cost = np.array(
         [[OTHER_PART if a.part != b.part else (a.along_m - b.along_m) ** 2 for b in theirs] for a in own]
     ).reshape(len(own), len(theirs))
+    from scipy.optimize import linear_sum_assignment  # half a second, which an intake need not wait for
+
     rows, columns = linear_sum_assignment(cost)
     matches = [
         Match(i, j, own[i], target[j].length_m / source[i].length_m, theirs[j].along_m - own[i].along_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,6 +12,7 @@ import scipy.sparse
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import DEFAULT_FABRIC
+from drape.forked import each
 from drape.garment import charts, features, skin
 from drape.garment.cache import Atlas, Garment
 from drape.garment.files.mesh import GarmentMesh
@@ -24,17 +26,11 @@ DEFAULT_SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
-class RestGarment:
-    """A garment mesh at rest on the body with what does not depend on its partition.
-
-    ``vertices`` (N, 3) [m], ``faces`` (G, 3) of the subdivided mesh, ``binding`` its skin
-    weights and shape movement.
-    """
+class Surface:
+    """A garment mesh at rest: ``vertices`` (N, 3) [m], ``faces`` (G, 3) of the subdivided mesh."""
 
     vertices: np.ndarray
     faces: np.ndarray
-    binding: skin.BodyBinding
-    body: BodyModel
 
     @cached_property
     def normals(self) -> np.ndarray:
@@ -64,6 +60,15 @@ class RestGarment:
         return vertex_graph(self.vertices, self.faces)
 
 
+@dataclass(frozen=True, eq=False)
+class RestGarment(Surface):
+    """A garment mesh at rest on the ``body`` with what does not depend on its partition: ``binding`` its skin weights
+    and shape movement."""
+
+    binding: skin.BodyBinding
+    body: BodyModel
+
+
 def rest_garment(
     vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, arm: np.ndarray | None = None
 ) -> RestGarment:
@@ -80,18 +85,20 @@ def patch_fields(
     seed: int = DEFAULT_SEED,
     unfold: bool = False,
     like: Atlas | None = None,
+    label: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
     """The patch and chart fields of ``Garment`` for one partition of ``rest`` into ``count`` patches, by default
-    ``share`` times those of ``patch_count_for``, or into those of the same cloth on another body, ``like``.
+    ``share`` times those of ``patch_count_for``, whose ``label`` is ``patch_labels`` where that is known, or into those
+    of the same cloth on another body, ``like``.
 
     ``unfold`` lays charts flat that fold over (``drape.garment.unfold``). What the
     network reads of a patch is that of the projection either way: training draws partitions without unfolding.
     """
     area = float(rest.areas.sum())
-    count = min(patch_count_for(area, share) if count is None else count, len(rest.vertices))
-    label = None if like is None else _label_of(like)
-    if label is None:
-        like, label = None, partition(rest.vertices, rest.faces, rest.areas, count, seed=seed, graph=rest.graph)
+    alike = None if like is None else _label_of(like)
+    if alike is None:
+        like, alike = None, patch_labels(rest, count, share, seed) if label is None else label
+    label = alike
     centre, seeds = charts.cluster_centres(label, rest.vertices, rest.areas)
     count = len(centre)
     weights = _cluster_mean(label, rest.areas, rest.binding.weights, count)
@@ -126,6 +133,12 @@ def patch_fields(
         "chart_weight": blend.weight.astype(np.float32),
         "chart_residual": residual.astype(np.float32),
     }  # fmt: skip
+
+
+def patch_labels(rest: Surface, count: int | None = None, share: float = 1.0, seed: int = DEFAULT_SEED) -> np.ndarray:
+    """The patch (N,) of each vertex of ``rest``, with ``count``, ``share`` and ``seed`` as in ``patch_fields``."""
+    count = min(patch_count_for(float(rest.areas.sum()), share) if count is None else count, len(rest.vertices))
+    return partition(rest.vertices, rest.faces, rest.areas, count, seed=seed, graph=rest.graph)
 
 
 def _blend_of(like: Atlas) -> charts.ChartBlend:
@@ -209,8 +222,13 @@ def fit_garment(
     its triangles. ``count``, ``share`` and ``like`` as in ``patch_fields``, ``arm`` as in ``bind_to_body``;
     ``shapes`` [m] (K, N, 3) are those of a mantle.
     """
-    rest = rest_garment(vertices, fine_faces, body, arm=arm)
-    fields = patch_fields(rest, count=count, share=share, unfold=True, like=like)
+    surface = Surface(np.asarray(vertices, dtype=np.float64), fine_faces)
+    makes: list[Callable[[], Any]] = [lambda: skin.bind_to_body(surface.vertices, fine_faces, body, arm=arm)]
+    if like is None:
+        makes.append(lambda: patch_labels(surface, count, share))
+    binding, *labels = each(lambda make: make(), makes)
+    rest = RestGarment(surface.vertices, fine_faces, binding, body)
+    fields = patch_fields(rest, count=count, share=share, unfold=True, like=like, label=next(iter(labels), None))
     garment = Garment(
         name=mesh.name,
         digest=digest,

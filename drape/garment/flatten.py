@@ -12,17 +12,17 @@ from collections.abc import Iterator
 import igl
 import numpy as np
 import scipy.sparse
-import scipy.sparse.linalg
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from drape.garment.charts import ridge_fit
 from drape.geometry import jets, mesh_graphs, meshes
+from drape.geometry.symmetric import symmetric_factor
 
 # Weights of the projection against the symmetric Dirichlet energy, and the steps of SLIM after which jets are fitted:
 # the places with the best fit stay, and steps end where it is no longer better by that share. More pull fits tighter
 # creases and drapes worse, since places crowd along the fold (docs/decisions/0005-polyfit.md). If every rim crosses
 # itself, places nearer to Tutte's take over, after each step.
-PULLS, STEPS, BETTER = (10.0,), (3, 3, 3, 3), 0.05
+PULLS, STEPS, BETTER = (10.0,), (2, 2, 2, 2, 2), 0.1
 LOOSE_PULLS, LOOSE_STEPS = (1.0, 0.0), (1, 1, 1, 1, 1, 1)
 # Then places go back to the projection wherever it does not fold. Triangles keep this share of their area; the share of
 # the way back changes by at most so much per patch scale along an edge.
@@ -212,8 +212,7 @@ def _largest_piece(triangles: np.ndarray) -> np.ndarray:
     """The largest piece of ``triangles`` joined along edges, without the corners by which parts only touch."""
     while len(triangles):
         halves = meshes.half_edges(triangles)[:, :2]
-        _, edge, uses = np.unique(np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True)
-        edge, face = edge.reshape(-1), np.arange(len(halves)) // 3
+        (edge, uses), face = meshes.edges_of_halves(halves), np.arange(len(halves)) // 3
         links = scipy.sparse.coo_matrix(
             (np.ones(len(halves)), (face, len(triangles) + edge)), shape=(len(triangles) + len(uses),) * 2
         )
@@ -240,14 +239,28 @@ def _tutte(surface: np.ndarray, target: np.ndarray, mesh: np.ndarray, ring: np.n
     area = 0.5 * np.linalg.norm(np.cross(first, second), axis=1).sum()
     places = np.zeros((count, 2))
     places[ring] = np.sqrt(area / np.pi) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    free = np.setdiff1d(np.arange(count), ring)
-    if len(free):
-        mean = mesh_graphs.umbrella_laplacian(mesh, count)[free]
-        solved = scipy.sparse.linalg.spsolve(mean[:, free].tocsc(), -mean[:, ring] @ places[ring])
-        places[free] = np.asarray(solved).reshape(-1, 2)
+    inner = np.ones(count, dtype=bool)
+    inner[ring] = False
+    if inner.any():
+        places[inner] = _means(meshes.unique_edges(mesh), inner, places)
     if not np.isfinite(places).all() or (signed_areas(places, mesh) <= 0.0).any():
         return None
     centre = places.mean(axis=0)
     u, _, vt = np.linalg.svd((places - centre).T @ (target - target.mean(axis=0)))
     turn = u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     return (places - centre) @ turn + target.mean(axis=0)
+
+
+def _means(edges: np.ndarray, inner: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """The places (m, 2) of ``inner`` (n,) vertices, each in the mean of its neighbours over ``edges`` (E, 2), between
+    the ``places`` (n, 2) of the others."""
+    number = np.cumsum(inner) - 1
+    one, other = np.concatenate([edges, edges[:, ::-1]]).T
+    one, other = one[inner[one]], other[inner[one]]
+    count, near = int(inner.sum()), inner[other]
+    row, every = number[one], np.arange(count)
+    entries = np.concatenate([np.bincount(row, minlength=count), np.full(int(near.sum()), -1.0)])
+    index = np.concatenate([every, row[near]]), np.concatenate([every, number[other[near]]])
+    ends = places[other[~near]]
+    pulled = np.stack([np.bincount(row[~near], axis, count) for axis in ends.T], axis=1)
+    return symmetric_factor(scipy.sparse.csc_matrix((entries, index), shape=(count, count))).solve(pulled)

@@ -28,6 +28,7 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.errors import InputError, refusing
 from drape.files.pictures import with_remade
+from drape.forked import each
 from drape.garment import avatars
 from drape.garment.accessories import carriers_of
 from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
@@ -50,7 +51,7 @@ from drape.garment.wearer_pictures import pictured
 
 # Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
 MOVED_VERSION = 7
-INTAKE_VERSION = 3  # raised when a change here changes the garments that come out
+INTAKE_VERSION = 4  # raised when a change here changes the garments that come out
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests as they were
 
 Report = Callable[[str], None]
@@ -120,6 +121,7 @@ def intake_outfit(
     body: BodyModel | None = None,
     options: IntakeOptions = DEFAULT_OPTIONS,
     folder: Path | None = None,
+    quick: bool = False,
     report: Report | None = None,
     begun: Report | None = None,
     whole: bool = False,
@@ -130,8 +132,8 @@ def intake_outfit(
     (``drape.garment.avatars``). Left out, the file avatars.json beside the mesh names it; without an entry there it is
     the standard body where the garment lies close on that, and else it is looked for (``wearer_search``). A JSON file
     of ``drape.garment.sewing`` beside the mesh says how the garment is sewn. With ``folder`` the result is stored
-    there, and the next intake of the same file finds it. ``report`` gets each line of the log, and ``begun`` each of
-    ``STAGES`` as it begins. Raises ``InputError``, and then writes nothing.
+    there, ``quick`` as in ``save_garment``, and the next intake of the same file finds it. ``report`` gets each line of
+    the log, and ``begun`` each of ``STAGES`` as it begins. Raises ``InputError``, and then writes nothing.
     """
     say, begins = report or (lambda line: None), begun or (lambda stage: None)
     begins("read")
@@ -144,7 +146,7 @@ def intake_outfit(
     begins("store")
     if folder is not None:
         for garment in made:
-            say(f"stored    {save_garment(garment, folder)}")
+            say(f"stored    {save_garment(garment, folder, quick=quick)}")
     return made
 
 
@@ -219,19 +221,20 @@ def _made(file: _File, body: BodyModel, say: Report, begins: Report, *, whole: b
     names = part_names(mesh, [one for one, _ in parts])
     cloth = {"sewn": sewn is not None, "carriers": carriers if len(parts) == 1 else None}
     sides = [outer] if outer is None or len(parts) == 1 else [outer[label == number] for number in range(layers)]
-    rests = [
-        rest_mesh(one, model, body, options, sheets=cut, outer=side, **cloth)
-        for (one, cut), side in zip(parts, sides, strict=True)
-    ]
+    rests = each(
+        lambda own: rest_mesh(own[0][0], model, body, options, sheets=own[0][1], outer=own[1], **cloth),
+        list(zip(parts, sides, strict=True)),
+    )
     begins("fit")
-    made = []
-    for number, ((part, _), rest, name) in enumerate(zip(parts, rests, names, strict=True)):
+
+    def fitted(number: int) -> Garment:
         own = file.digest if len(rests) == 1 else part_digest(file.digest, number)
-        manifest = _manifest(part, file.payload, model, options, rest) | told
-        for line in describe_rest(rest):
-            say(line)
-        made.append(_fitted(rest, name, body, own, manifest, file))
-        for line in _describe_fit(made[-1], options):
+        manifest = _manifest(parts[number][0], file.payload, model, options, rests[number]) | told
+        return _fitted(rests[number], names[number], body, own, manifest, file)
+
+    made = each(fitted, range(len(rests)))
+    for rest, one in zip(rests, made, strict=True):
+        for line in (*describe_rest(rest), *_describe_fit(one, options)):
             say(line)
     begins("cloth")
     say(f"took      {time.perf_counter() - started:.1f} s")

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
+from drape.forked import each
 from drape.garment.cache import Atlas
 from drape.garment.charts import ChartBlend, ridge_fit, rows_of_patches
 from drape.garment.flatten import lay_alike, lay_flat, rims_cross, signed_areas
@@ -93,16 +94,24 @@ def without_folds(
     places = local.reshape(-1, 3)
     if like is not None:
         known = like.chart_uv.reshape(-1, 2).astype(np.float64), like.chart_local().reshape(-1, 3)
-    for k in np.flatnonzero(folded):
+
+    def laid(k: int) -> tuple[np.ndarray, np.ndarray | None, tuple[np.ndarray, np.ndarray, np.ndarray] | None]:
+        """The entries of chart ``k``, and their places as in ``like``, or else what ``_chart`` makes of them."""
         entries, triangles = np.unique(corners[rows[k]], return_inverse=True)
         points, triangles = places[entries] / scale[k], triangles.reshape(-1, 3)
         if like is not None:
             before = known[1][entries] / like.patch_scale[k]
             alike = lay_alike(known[0][entries], before, points, triangles, weight[entries])
             if alike is not None:
-                flat_uv[entries] = alike
-                continue
-        kept, placed, fade = _chart(points, triangles, weight[entries])
+                return entries, alike, None
+        return entries, None, _chart(points, triangles, weight[entries])
+
+    numbers = np.flatnonzero(folded)
+    for k, (entries, alike, chart) in zip(numbers, each(laid, numbers.tolist()), strict=True):
+        if chart is None:
+            flat_uv[entries] = alike
+            continue
+        kept, placed, fade = chart
         flat_uv[entries[kept]] = placed
         weight[entries] *= fade
         # Entries of this patch that are in no triangle of it say nothing of the surface: they go too.

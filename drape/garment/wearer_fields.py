@@ -17,6 +17,7 @@ import scipy.sparse
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
+from drape.forked import each
 from drape.garment.contours import bone_chains
 from drape.garment.registration import FREE_JOINTS, posed_by, start_parameters, unpack
 from drape.geometry import meshes
@@ -242,7 +243,7 @@ def field_of(body: BodyModel, parameters: np.ndarray) -> Field:
 @lru_cache(maxsize=2)
 def known_fields(body: BodyModel) -> tuple[Field, ...]:
     """The fields of the ``KNOWN`` bodies."""
-    return tuple(field_of(body, known_parameters(body, *one[:3])) for one in KNOWN)
+    return tuple(each(lambda one: field_of(body, known_parameters(body, *one[:3])), KNOWN))
 
 
 def cloth_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ and place of the standard body by ``inside.fit_from``. Where no unit fits, sizes
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
+from drape.forked import each
 from drape.garment.caps import without_pits
 from drape.garment.contours import Contour
 from drape.garment.files.mesh import GarmentMesh
@@ -151,35 +152,33 @@ class _Guess:
 
 def _guesses(cloth: SearchedCloth, fields: Sequence[Field], readings: Sequence[Reading]) -> list[_Guess]:
     """Places of the known bodies in every reading, the best of them judged by what they enclose too, best first."""
-    places = {reading: _places(cloth, fields, reading) for reading in readings}
-    places = {reading: _over_arms(cloth, fields, reading) + found for reading, found in places.items()}
-    places = {reading: found for reading, found in places.items() if found}
+    laid = each(lambda one: _over_arms(cloth, fields, one) + _places(cloth, fields, one), readings)
+    places = {reading: found for reading, found in zip(readings, laid, strict=True) if found}
 
-    def judged(guesses: list[_Guess]) -> list[_Guess]:
-        found = []
-        for one in guesses:
-            bones = fields[one.number].bones
-            points = one.reading.apply(cloth.points) + one.move
-            share, nearest = enclosed(points, bones)
-            odd = ODD_SIDE * one_sided(bones, nearest) + ODD_PLACE * misplaced(points, bones, nearest, cloth.piece)
-            found.append(replace(one, energy=one.energy + 1.0 - float(share.mean()) + odd))
-        return sorted(found, key=lambda one: one.energy)
+    def judged(one: _Guess) -> _Guess:
+        bones = fields[one.number].bones
+        points = one.reading.apply(cloth.points) + one.move
+        share, nearest = enclosed(points, bones)
+        odd = ODD_SIDE * one_sided(bones, nearest) + ODD_PLACE * misplaced(points, bones, nearest, cloth.piece)
+        return replace(one, energy=one.energy + 1.0 - float(share.mean()) + odd)
 
-    tops = judged([one for found in places.values() for one in found[:PLACES]])
-    best = list(dict.fromkeys(one.reading for one in tops))
-    best = best[:READINGS] + [
-        one for one in best[READINGS:] if one.unit not in {other.unit for other in best[:READINGS]}
-    ]
-    every = judged([one for reading in best for one in places[reading]])
-    shown = {one.reading.unit for one in every[:PIERCED_COUNT]}
-    fair = [one for one in every if one.energy < every[0].energy + FAIR and one.reading.unit not in shown]
-    every = every[:PIERCED_COUNT] + list({one.reading.unit: one for one in reversed(fair)}.values())
-    for number, one in enumerate(every):
+    def threaded(one: _Guess) -> _Guess:
         joints = fields[one.number].bones.joints - one.move
         odd = 0.5 * ODD_PIERCED * len(cloth.pierced(one.reading, joints))
-        odd += ODD_EMPTY * cloth.empty(one.reading, joints)
-        every[number] = replace(one, energy=one.energy + odd)
-    return sorted(every, key=lambda one: one.energy)
+        return replace(one, energy=one.energy + odd + ODD_EMPTY * cloth.empty(one.reading, joints))
+
+    def sorted_by(known: Callable[[_Guess], _Guess], guesses: list[_Guess]) -> list[_Guess]:
+        return sorted(each(known, guesses), key=lambda one: one.energy)
+
+    tops = sorted_by(judged, [one for found in places.values() for one in found[:PLACES]])
+    best = list(dict.fromkeys(one.reading for one in tops))
+    units = {one.unit for one in best[:READINGS]}
+    best = best[:READINGS] + [one for one in best[READINGS:] if one.unit not in units]
+    every = sorted_by(judged, [one for reading in best for one in places[reading]])
+    shown = {one.reading.unit for one in every[:PIERCED_COUNT]}
+    fair = [one for one in every if one.energy < every[0].energy + FAIR and one.reading.unit not in shown]
+    by_unit = {one.reading.unit: one for one in reversed(fair)}
+    return sorted_by(threaded, every[:PIERCED_COUNT] + list(by_unit.values()))
 
 
 def _places(cloth: SearchedCloth, fields: Sequence[Field], reading: Reading) -> list[_Guess]:
@@ -255,18 +254,19 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, guesses: Sequence[_Guess]) ->
             kept.append(one)
     thin = thin_body(body)
     fields = known_fields(body)
-    contours = {reading: cloth.contours(reading) for reading in {one.reading for one in kept}}
+    read = list(dict.fromkeys(one.reading for one in kept))
+    contours = dict(zip(read, each(cloth.contours, read), strict=True))
     starts = [_Start.of(one, fields[one.number]) for one in kept]
     tops = {one.reading: one for one in reversed(starts)}
     starts += [_with_arms(cloth, thin, one) for one in tops.values()]
-    first = [_fit(cloth, thin, contours[one.reading], one, FIRST_STEPS) for one in starts]
+    first = _on(thin, each(lambda one: _fit(cloth, thin, contours[one.reading], one, FIRST_STEPS), starts))
     first.sort(key=lambda one: one.rank)
     likely: list[Wearer] = []
     for one in first:
         rivals = [other for other in likely if other.reading == one.reading]
         if one.rank < CLEARLY + first[0].rank and len(rivals) < RIVALS and len(likely) < WINNERS:
             likely.append(one)
-    chosen = [_refined(cloth, thin, contours[one.reading], one) for one in likely]
+    chosen = _on(thin, each(lambda one: _refined(cloth, thin, contours[one.reading], one), likely))
     rest = [one for one in first if one not in likely]
     apart: list[Wearer] = []
     for one in (*sorted(chosen, key=lambda one: one.among), *rest):
@@ -276,6 +276,11 @@ def _fitted(cloth: SearchedCloth, body: BodyModel, guesses: Sequence[_Guess]) ->
             slid = max([_apart_m(cloth, one, other) for other in as_good], default=0.0)
             apart.append(replace(one, body=body, slid_m=slid))
     return apart
+
+
+def _on(body: BodyModel, found: Sequence[Wearer]) -> list[Wearer]:
+    """``found`` on ``body`` itself, of which those from other processes have a copy."""
+    return [replace(one, body=body) for one in found]
 
 
 def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one: Wearer) -> Wearer:
@@ -291,14 +296,16 @@ def _refined(cloth: SearchedCloth, body: BodyModel, contours: list[Contour], one
 def _on_standard(cloth: SearchedCloth, body: BodyModel, readings: Sequence[Reading]) -> Wearer | None:
     """The standard body in T-pose at the file's origin or on its floor, where cloth goes round it and not into it."""
     thin = thin_body(body)
+    starts = [(reading, rise) for reading in readings for rise in (0.0, -body.floor_m())]
+
+    def judged(start: tuple[Reading, float]) -> Wearer:
+        return judge(cloth, start[0], thin, start_parameters(body, 0.0, np.array([0.0, start[1], 0.0])), 0.0)
+
     found = []
-    for reading in readings:
-        for rise in (0.0, -body.floor_m()):
-            parameters = start_parameters(body, 0.0, np.array([0.0, rise, 0.0]))
-            one = judge(cloth, reading, thin, parameters, 0.0)
-            limits = PLAIN_LIMITS if reading.unit == "m" and reading.up == "+y" and rise == 0.0 else LIMITS
-            if (np.array([one.inside, one.open_share, one.energy]) < limits).all():
-                found.append(one)
+    for (reading, rise), one in zip(starts, each(judged, starts), strict=True):
+        limits = PLAIN_LIMITS if reading.unit == "m" and reading.up == "+y" and rise == 0.0 else LIMITS
+        if (np.array([one.inside, one.open_share, one.energy]) < limits).all():
+            found.append(one)
     best = min(found, key=lambda one: one.energy, default=None)
     return None if best is None else replace(best, body=body, fault="")
 
@@ -320,12 +327,14 @@ class _Start(NamedTuple):
 def _with_arms(cloth: SearchedCloth, body: BodyModel, one: _Start) -> _Start:
     """``one`` with arms as low as the cloth fits them best, and where straight ones do not lie in it, bent forward."""
     straight = [_armed(body, one, lift, 0.0) for lift in ARM_LIFTS_RAD]
-    energy = [judge(cloth, each.reading, body, each.parameters, 0.0) for each in straight]
+    energy = each(lambda other: judge(cloth, other.reading, body, other.parameters, 0.0), straight)
     best = min(range(len(straight)), key=lambda number: energy[number].energy)
     if not energy[best].sleeved or energy[best].energy < BENT_ENERGY:
         return straight[best]
     bent = [_armed(body, one, lift, bend) for lift in BENT_LIFTS_RAD for bend in BENDS_RAD]
-    return min([straight[best], *bent], key=lambda each: judge(cloth, each.reading, body, each.parameters, 0.0).energy)
+    tried = [straight[best], *bent]
+    energies = each(lambda other: judge(cloth, other.reading, body, other.parameters, 0.0).energy, tried)
+    return tried[int(np.argmin(energies))]
 
 
 def _armed(body: BodyModel, one: _Start, lift_rad: float, bend_rad: float) -> _Start:

@@ -28,7 +28,9 @@ def clusters(graph: scipy.sparse.csr_array) -> np.ndarray:
         landmark = int(np.argmax(nearest))  # what none of them leads to comes first
         ways[:, number] = np.where(np.isfinite(way), way, 1.0 + 2.0 * way[np.isfinite(way)].max())
     found = _halved(np.arange(count), ways)
-    return np.stack([np.pad(one, (0, LANES - len(one)), mode="edge") for one in found]).astype(np.int32)
+    begins = np.concatenate([[0], np.cumsum([len(one) for one in found])])
+    entry = np.minimum(begins[:-1, None] + np.arange(LANES), begins[1:, None] - 1)
+    return np.concatenate(found)[entry].astype(np.int32)
 
 
 def _halved(vertices: np.ndarray, ways: np.ndarray) -> list[np.ndarray]:

@@ -36,16 +36,15 @@ def coarse_weights(
     graph = mesh_graphs.edge_graph(vertices, faces)
     graph.sort_indices()
     start, other, way = reached(graph.indptr, graph.indices, graph.data, REACH * edge_m)
-    own = np.repeat(np.arange(count), np.diff(start))
     coarse = number[other] >= 0
-    own, other, way = own[coarse], other[coarse], way[coarse]
-    order = np.lexsort((way, own))
-    own, other, way = own[order], other[order], way[order]
-    first = np.searchsorted(own, np.arange(count + 1))
-    rank = np.arange(len(own)) - first[own]
-    taken = rank < NEAREST
-    index, far = np.zeros((count, NEAREST), np.int64), np.full((count, NEAREST), np.inf)
-    index[own[taken], rank[taken]], far[own[taken], rank[taken]] = number[other[taken]], way[taken]
+    held = np.concatenate([[0], np.cumsum(coarse)])[start]  # where each vertex's list begins among those
+    row, rank = in_lists(held)
+    ways = np.full((count, max(NEAREST, int(rank.max(initial=0)) + 1)), np.inf)
+    ways[row, rank] = way[coarse]
+    order = np.argsort(ways, axis=1, kind="stable")[:, :NEAREST]
+    far = np.take_along_axis(ways, order, axis=1)
+    entry = np.minimum(held[:-1, None] + order, held[-1] - 1)
+    index = np.where(np.isfinite(far), number[other[coarse]][entry], 0)
     few = np.isfinite(far).sum(axis=1) < LEAST
     weight = np.tile(np.eye(NEAREST)[0], (count, 1))
     normals = meshes.vertex_normals(vertices, faces)
@@ -53,6 +52,14 @@ def coarse_weights(
     index[few] = 0
     _, index[few, 0] = nearest_vertices(vertices[few], vertices[kept])
     return index, weight
+
+
+def in_lists(begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The list, and the place in it, of each entry (E,) of lists that lie one after the other from ``begins`` (n + 1,)
+    on."""
+    lengths = np.diff(begins)
+    row = np.repeat(np.arange(len(lengths)), lengths)
+    return row, np.arange(len(row)) - np.repeat(begins[:-1], lengths)
 
 
 def _weights(points: np.ndarray, normals: np.ndarray, around: np.ndarray, far: np.ndarray) -> np.ndarray:

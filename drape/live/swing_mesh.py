@@ -18,6 +18,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.cloth.problem import rest_edges, unfolded
 from drape.geometry import meshes
+from drape.live.coarse_weights import in_lists
 from drape.live.swing_rows import SwingRows, swing_rows
 
 SPACING_M = 0.07  # between nodes; less gives the same swing for more time
@@ -68,9 +69,10 @@ def swing_mesh(
     ``held`` (V,): which vertices never swing. None where all are held, or none is that cloth could hang from.
     """
     graph = along_cloth(cloth)
-    chosen, away = _spread(graph, rest)
-    own = away.argmin(axis=1)
-    faces = _coarse_faces(own[cloth.faces], away[chosen])
+    chosen, ways = _spread(graph, rest)
+    near, away = _sorted_ways(*ways, len(rest))
+    own, apart = near[:, 0], _apart(*ways, chosen)
+    faces = _coarse_faces(own[cloth.faces], apart)
     movable = ~held[chosen]
     kept = np.zeros(len(chosen), bool)
     kept[faces[movable[faces].any(axis=1)]] = True
@@ -78,15 +80,16 @@ def swing_mesh(
         return None
     number = np.cumsum(kept) - 1
     faces = number[faces[kept[faces].all(axis=1)]]
-    chosen, away, movable = chosen[kept], away[:, kept], movable[kept]
-    sides = away[chosen] / DETOUR
+    chosen, movable, sides = chosen[kept], movable[kept], apart[np.ix_(kept, kept)] / DETOUR
     start, other, slope = _fans(faces, sides, len(chosen))
     cell = np.where(kept[own], number[own], len(chosen))
     mass, area = (
         np.bincount(cell, weights=values, minlength=len(chosen) + 1)[: len(chosen)]
         for values in (cloth.vertex_mass(material), cloth.vertex_area)
     )
-    weight_node, weight = _weights(away, rest, np.asarray(meshes.vertex_normals(rest, cloth.faces)), chosen)
+    there = kept[ways.node]
+    near, away = _sorted_ways(ways.vertex[there], number[ways.node[there]], ways.length[there], len(rest))
+    weight_node, weight = _weights(near, away, rest, np.asarray(meshes.vertex_normals(rest, cloth.faces)), chosen)
     order = _outwards(faces, sides, movable)
     return SwingMesh(
         chosen.astype(np.int32), mass.astype(dtype), area.astype(dtype), order,
@@ -118,17 +121,47 @@ def along_cloth(cloth: ClothMesh) -> Any:
     return matrix + matrix.T
 
 
-def _spread(graph: Any, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (N,) no two of which are nearer than ``SPACING_M``, and the distances [m] (V, N) of all vertices to
-    them, infinite beyond reach. They are chosen from the lowest up, so that hems have theirs."""
-    nearest, chosen, away = np.full(len(rest), np.inf), [], []
+class _Ways(NamedTuple):
+    """The vertex and the node (E,) of every pair within reach, node by node, and the ``length`` [m] (E,) of the way."""
+
+    vertex: np.ndarray
+    node: np.ndarray
+    length: np.ndarray
+
+
+def _spread(graph: Any, rest: np.ndarray) -> tuple[np.ndarray, _Ways]:
+    """Vertices (N,) no two of which are nearer than ``SPACING_M``, and the ways from all vertices to them, as nodes.
+    They are chosen from the lowest up, so that hems have theirs."""
+    nearest, chosen, found = np.full(len(rest), np.inf), [], []
     for vertex in np.argsort(rest[:, 1], kind="stable"):
         if nearest[vertex] >= SPACING_M:
             distance = dijkstra(graph, indices=int(vertex), limit=(REACH + 0.5) * SPACING_M)
             np.minimum(nearest, distance, out=nearest)
+            rows = np.flatnonzero(np.isfinite(distance))
+            found.append((rows, np.full(len(rows), len(chosen)), distance[rows]))
             chosen.append(int(vertex))
-            away.append(distance)
-    return np.array(chosen), np.stack(away, axis=1)
+    return np.array(chosen), _Ways(*map(np.concatenate, zip(*found, strict=True)))
+
+
+def _sorted_ways(vertex: np.ndarray, node: np.ndarray, length: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The nodes nearest to each of ``count`` vertices, the nearest first, and the ways there [m], infinite beyond
+    reach: (V, ``SHARED``) each."""
+    order = np.argsort(vertex, kind="stable")
+    row, rank = in_lists(np.concatenate([[0], np.cumsum(np.bincount(vertex, minlength=count))]))
+    shape = count, max(SHARED, int(rank.max(initial=0)) + 1)
+    nodes, ways = np.zeros(shape, np.int64), np.full(shape, np.inf)
+    nodes[row, rank], ways[row, rank] = node[order], length[order]
+    near = np.argsort(ways, axis=1, kind="stable")[:, :SHARED]
+    return np.take_along_axis(nodes, near, axis=1), np.take_along_axis(ways, near, axis=1)
+
+
+def _apart(vertex: np.ndarray, node: np.ndarray, length: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """The ways [m] (N, N) between the nodes ``chosen`` (N,), infinite beyond reach."""
+    at = np.full(max(vertex.max(), chosen.max()) + 1, -1)
+    at[chosen] = np.arange(len(chosen))
+    there, found = at[vertex] >= 0, np.full((len(chosen), len(chosen)), np.inf)
+    found[at[vertex[there]], node[there]] = length[there]
+    return found
 
 
 def _coarse_faces(cells: np.ndarray, sides: np.ndarray) -> np.ndarray:
@@ -175,14 +208,11 @@ def _outwards(faces: np.ndarray, sides: np.ndarray, movable: np.ndarray) -> np.n
 
 
 def _weights(
-    away: np.ndarray, rest: np.ndarray, normals: np.ndarray, chosen: np.ndarray
+    near: np.ndarray, away: np.ndarray, rest: np.ndarray, normals: np.ndarray, chosen: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``weight_node`` and ``weight`` of ``SwingMesh``, (V, ``SHARED``) each: moving least squares of degree one at
-    rest, without a slope along the surface's ``normals`` (V, 3)."""
-    if away.shape[1] < SHARED:
-        away = np.pad(away, ((0, 0), (0, SHARED - away.shape[1])), constant_values=np.inf)
-    near = np.argsort(away, axis=1, kind="stable")[:, :SHARED]
-    bump = (1.0 - np.minimum(np.take_along_axis(away, near, axis=1) / (REACH * SPACING_M), 1.0) ** 2) ** 2
+    """``weight_node`` and ``weight`` of ``SwingMesh``, (V, ``SHARED``) each, from what ``_sorted_ways`` finds: moving
+    least squares of degree one at rest, without a slope along the surface's ``normals`` (V, 3)."""
+    bump = (1.0 - np.minimum(away / (REACH * SPACING_M), 1.0) ** 2) ** 2
     near = np.where(bump > 0.0, near, 0)
     ways = (rest[chosen[near]] - rest[:, None]) / SPACING_M
     basis = np.concatenate([np.ones((*near.shape, 1)), ways], axis=2)

@@ -37,7 +37,7 @@ def tangles_of(faces: np.ndarray, place: np.ndarray) -> Tangles:
     """Those of the triangles ``faces`` (F, 3), whose vertices are at ``place`` (V,)."""
     halves, first, second = meshes.edge_pairs(faces)  # half-edge 3 f + n begins at a corner of face f
     graph = scipy.sparse.coo_matrix(
-        (np.ones(2 * len(first)), np.divmod(np.stack([[*first, *second], [*second, *first]]), 3)[0]),
+        (np.ones(2 * len(first)), np.concatenate([[first, second], [second, first]], axis=1) // 3),
         shape=(len(faces), len(faces)),
     ).tocsr()
     across = np.full(len(halves), BORDER)

@@ -6,6 +6,7 @@ Folds end off the skin by themselves, from the planes that they know anyway; the
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -112,7 +113,7 @@ class _Stored:
     feed: dict[str, np.ndarray]
     vertices: np.ndarray
     faces: np.ndarray
-    constants: Constants
+    constants: Constants | None = None
     sheet: Sheet | None = None
 
 
@@ -150,6 +151,7 @@ class Pusher:
         self._bones = make(_bones, self._skin, body)
         self._clearance = np.full(1, np.float32(clearance_m))
         self._stored: dict[str, _Stored] = {}
+        self._making = threading.Lock()
         self._layers = KeptConstants["Constants"](lambda kept: len(kept) > KEPT_OUTFITS)
         for graph in PUSHES if engine.pushes else ():  # now, not in the first frame
             self._session(graph, jets=False)
@@ -157,12 +159,11 @@ class Pusher:
     @property
     def held_bytes(self) -> int:
         """The bytes of the garments' constants on the device that computes."""
-        return sum(_bytes(one.constants) for one in self._stored.values())
+        return sum(_bytes(one.constants) for one in self._stored.values() if one.constants is not None)
 
     def add(self, key: str, feed: dict[str, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> None:
         """Puts the garment ``key`` in store: its ``garment_feed``, rest vertices [m] (V, 3) and faces."""
-        constants = self._values(self._make(_garment_arrays, feed, vertices, self._skin), PushFeed)
-        self._stored[key] = _Stored(feed, vertices, faces, constants)
+        self._stored[key] = _Stored(feed, vertices, faces)
 
     def remove(self, key: str) -> None:
         """Forgets the garment ``key`` and every layer that it is part of."""
@@ -175,6 +176,7 @@ class Pusher:
 
         Takes a second per garment, and may be called from any thread.
         """
+        self._alone(self._get(keys[0]))
         for count in range(1, len(keys)):
             self._layer(tuple(keys[: count + 1]))
         for graph in PUSHES[: len(keys)] if self._engine.pushes else ():
@@ -200,7 +202,7 @@ class Pusher:
         """
         stored = self._get(keys[-1])
         vertices = np.ascontiguousarray(vertices, dtype=np.float32)
-        constants = stored.constants if under is None else self._layer(tuple(keys))
+        constants = self._alone(stored) if under is None else self._layer(tuple(keys))
         if isinstance(constants, PushConstants):
             clearance_m, jets = float(self._clearance[0]), posed is not None
             moved, way_m, *parts = push_frames(vertices, skin, constants, clearance_m, under=under, jets=jets)
@@ -244,6 +246,14 @@ class Pusher:
                 "garment", expected=", ".join(self._stored) or "one in store", got=key, cure="Add the garment first."
             )
         return self._stored[key]
+
+    def _alone(self, stored: _Stored) -> Constants:
+        """The constants of a garment over the skin, made once."""
+        with self._making:
+            if stored.constants is None:
+                arrays = self._make(_garment_arrays, stored.feed, stored.vertices, self._skin)
+                stored.constants = self._values(arrays, PushFeed)
+            return stored.constants
 
     def _layer(self, keys: tuple[str, ...]) -> Constants:
         """The constants of the last garment of ``keys`` over the others."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -50,7 +51,7 @@ class Folds(Stage):
         self._constants = KeptConstants[Constants](
             lambda kept: sum(made.nbytes for made in kept) > KEPT_BYTES  # fabrics beside those in use go
         )
-        self._wrappings = KeptConstants[Wrapping]()
+        self._wrappings: WeakKeyDictionary[Garment, Wrapping] = WeakKeyDictionary()
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         folding = options.geometry == "vertices" or options.folds_by == "client"
@@ -98,15 +99,14 @@ class Folds(Stage):
 
     def remove(self, garment: Garment) -> None:
         self._garments.pop(garment.digest, None)
-        self._wrappings.forget(garment.digest)
         self._constants.forget(garment.digest)
 
     def prepare(self, plan: Plan) -> None:
         for key, fabric in zip(plan.draped_keys, plan.fabrics, strict=True):
             self.constants(key, fabric, coarse=plan.options.coarse)
-        for key, draped, read in zip(plan.keys, plan.draped_keys, read_layers(plan), strict=True):
-            if read and key != draped:
-                self._wrapping(key)
+        for entry, draped, read in zip(plan.scene.layers, plan.draped_keys, read_layers(plan), strict=True):
+            if read and entry.garment.digest != draped:
+                self._wrapping(entry.garment)
 
     def run(self, batch: Batch) -> Batch:
         *_, last = self.steps(batch)
@@ -139,9 +139,9 @@ class Folds(Stage):
             for i, ceiling in enumerate(self._ceilings(folded, lain[0].ground)):
                 if ceiling is not None and read[i]:
                     layers[i] = lain[i].below(layers[i], ceiling)
-        for i, (key, sent) in enumerate(zip(plan.draped_keys, plan.keys, strict=True)):
-            if sent != key and read[i]:
-                layers[i] = self.wrapped(layers[i], sent)
+        for i, (key, sent) in enumerate(zip(plan.draped_keys, plan.scene.layers, strict=True)):
+            if sent.garment.digest != key and read[i]:
+                layers[i] = self.wrapped(layers[i], sent.garment)
         yield changed(batch, layers=tuple(layers), quality=told.quality(batch.quality))
 
     def efforts(self, plan: Plan) -> tuple[FoldEffort, FoldEffort]:
@@ -194,15 +194,17 @@ class Folds(Stage):
             made.append(over if made[-1] is None else lower(over, made[-1]))
         return made[::-1]
 
-    def wrapped(self, layer: Layer, key: str) -> Layer:
-        """``layer`` as the delivered mesh of the garment ``key``, around the finer cloth."""
+    def wrapped(self, layer: Layer, garment: Garment) -> Layer:
+        """``layer`` as the delivered mesh of ``garment``, around the finer cloth."""
         assert layer.vertices is not None
-        wrapping = self._wrapping(key)
+        wrapping = self._wrapping(garment)
         return changed(layer, vertices=np.stack([wrapping.wrap(cloth) for cloth in layer.vertices]))
 
-    def _wrapping(self, key: str) -> Wrapping:
-        """The wrapping of the delivered mesh of the garment ``key``."""
-        return self._wrappings.get((key,), lambda: Wrapping(self._garments[key]))
+    def _wrapping(self, garment: Garment) -> Wrapping:
+        """The wrapping of the delivered mesh of ``garment``."""
+        if garment not in self._wrappings:
+            self._wrappings[garment] = Wrapping(garment)
+        return self._wrappings[garment]
 
     def constants(self, key: str, fabric: Fabric | None, *, coarse: bool | None) -> Constants:
         """The constants of the garment ``key`` made of ``fabric``."""

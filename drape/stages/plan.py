@@ -56,6 +56,12 @@ class Plan:
         return tuple(entry.garment.digest for entry in self.scene.layers)
 
     @cached_property
+    def known(self) -> tuple[Entry, ...]:
+        """The garments whose constants its stages take: what the network drapes, and the scene's where the projection
+        moves these."""
+        return (*(self.scene.layers if self.projected else ()), *self.draped)
+
+    @cached_property
     def lifted(self) -> bool:
         """Whether folds bring the cloth off the skin, and off the layers below: as far as they feel these."""
         folded = self.options.folds or self.options.coarse

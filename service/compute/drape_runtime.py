@@ -127,7 +127,7 @@ class DrapeRuntime(Runtime):
 
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""
-        await self._add(self.on(plan.scene), (*plan.scene.layers, *plan.draped))
+        await self._add(self.on(plan.scene), plan.known)
         await asyncio.to_thread(lambda: [stage.prepare(plan) for stage in plan.stages])
 
     async def prepare_all(self) -> None:
@@ -135,10 +135,8 @@ class DrapeRuntime(Runtime):
         one all that its streams need."""
         for number, entry in enumerate(self.garments.entries()):
             try:
-                if number:
-                    await self._add(self.worn, (entry,))
-                else:
-                    await self.prepare(self.plan(entry, DrapeOptions(), messages=True))
+                plan = self.plan(entry, DrapeOptions(), messages=True)
+                await (self._add(self.worn, plan.known) if number else self.prepare(plan))
             except DrapeError as error:
                 log.warning("garment %s: %s", entry.id, error)
 

@@ -20,7 +20,6 @@ from drape.errors import ArtifactError, DrapeError, InputError, NotFound, TooLar
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
 from drape.geometry.jets import JET_COUNT
-from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import check_layers
 from drape.stages.body_stages import BodyStages
 from drape.stages.scene import UNCHANGED, About, Entry, Outfit, Scene, Source
@@ -48,7 +47,7 @@ class Registry:
         make: Make = call_here,
         read: Callable[[Path], Garment] | None = None,
     ) -> None:
-        take = read or self.prepare
+        take, self._at_once = read or self.prepare, read is None
         self._settings, self._worn, self._make = settings, worn, make
         self._entries: dict[str, Entry] = {}
         self.refused: list[str] = []
@@ -102,9 +101,10 @@ class Registry:
         return Outfit(entries)
 
     def prepare(self, path: Path) -> Garment:
-        """The checked garment of the cache ``path``, stored by every stage; it takes time, safely beside frames."""
-        garment, feed = self._make(_loaded, path, self._worn.body, self._settings.max_vertices)
-        self._worn.add(garment, feed)
+        """The checked garment of the cache ``path``, safely beside frames."""
+        garment = self._make(_read, path, self._worn.body, self._settings.max_vertices)
+        if self._at_once:
+            self._worn.add(garment, self._worn.feed(garment))
         return garment
 
     def add(self, garment: Garment, source: Source, path: Path | None = None) -> Entry:
@@ -175,12 +175,6 @@ def set_aside(path: Path, error: Exception) -> str:
     said = legible(f"{path.name}: {error if isinstance(error, DrapeError) else repr(error)[:200]}")
     log.warning("garment set aside: %s", said)
     return said
-
-
-def _loaded(path: Path, body: BodyModel, max_vertices: int) -> tuple[Garment, dict[str, np.ndarray]]:
-    """The checked garment of a file, and its ``garment_feed``."""
-    garment = _read(path, body, max_vertices)
-    return garment, garment_feed(garment, body=body)
 
 
 def _read(path: Path, body: BodyModel, max_vertices: int) -> Garment:

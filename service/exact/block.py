@@ -22,8 +22,9 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import DrapeError, Unavailable
 from drape.exact.frame import Lain, Sheet, exact
+from drape.forked import end_with_parent
 from drape.garment.cache import Garment
-from service.compute.background import end_with_parent, step_back
+from service.compute.background import step_back
 from service.exact.folder import read_frame, write_frame
 
 

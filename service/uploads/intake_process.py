@@ -17,8 +17,8 @@ from service.uploads.accepted import Kind
 from service.uploads.sandbox import THINGS
 
 SHARES: dict[str, dict[str, float]] = {
-    "garment": {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07},
-    "avatar": {"start": 0.2, "read": 0.02, "map": 0.03, "fit": 0.3, "cloth": 0.3, "store": 0.1, "prepare": 0.05},
+    "garment": {"start": 0.12, "read": 0.16, "rest": 0.28, "fit": 0.36, "cloth": 0.01, "store": 0.04, "prepare": 0.03},
+    "avatar": {"start": 0.1, "read": 0.01, "map": 0.04, "fit": 0.45, "cloth": 0.33, "store": 0.05, "prepare": 0.02},
 }
 """Stages of an upload, those of the intake between a process's start and the garment's constants, and their shares."""
 

@@ -18,15 +18,15 @@ import os
 import resource
 import shutil
 import sys
-from contextlib import nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
 from drape.errors import DrapeError, MeshError, MotionError, TooLarge
-from service.compute.background import end_with_parent, step_back
-from service.uploads.beside import beside
+from drape.forked import end_with_parent, may_fork
+from service.compute.background import processor_count, step_back
 
 FILE_LIMIT_BYTES = 2**30
+MOST_PROCESSES = 2  # of one intake, each with its limits: a copy of it has half of what takes long
 MOST_FRAMES = 36_000  # of a motion: twenty minutes at 30 a second
 CURE = "Export it again."
 NO_STACK = os.strerror(errno.EAGAIN)  # what a library in C++ says where a thread of its own gets no memory
@@ -56,12 +56,23 @@ def set_limits(*, memory_mb: int, cpu_s: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
+def _take_buffers() -> None:
+    """Has BLAS take its buffers: where a limit leaves no room for them, it ends the process without a word."""
+    import numpy as np
+    from scipy.linalg import get_blas_funcs
+
+    square = np.ones((256, 256))
+    np.dot(square, square)
+    (gemm,) = get_blas_funcs(("gemm",), (square,))  # of scipy, which has a BLAS of its own
+    gemm(1.0, square, square)
+
+
 def intake_files(file: Path, out: Path, *, avatar: str | None, body: str) -> list[str]:
     """The names of the cache files that the intake makes of ``file``, one for each garment in it."""
     from drape.body.assets import load_body
     from drape.garment.intake import intake_outfit
 
-    made = intake_outfit(file, avatar=avatar, body=load_body(body), folder=out, begun=_say)
+    made = intake_outfit(file, avatar=avatar, body=load_body(body), folder=out, quick=True, begun=_say)
     return [garment.file_name() for garment in made]
 
 
@@ -74,15 +85,14 @@ def avatar_files(file: Path, out: Path, *, told: str | None, body: str) -> tuple
     from drape.garment.cache import save_garment
 
     said, payload = json.loads(told) if told else {}, file.read_bytes()
-    with beside() if said.get("alive") else nullcontext() as each:
-        wearer = read_wearer(
-            payload, name=wearer_name(file.stem), body=load_body(body), told=said.get("joints"),
-            kinds=said.get("parts"), begun=_say,
-        )  # fmt: skip
-        own = None
-        if each is not None:
-            _say("cloth")
-            own = own_garments(payload, wearer, each=each)
+    wearer = read_wearer(
+        payload, name=wearer_name(file.stem), body=load_body(body), told=said.get("joints"),
+        kinds=said.get("parts"), begun=_say,
+    )  # fmt: skip
+    own = None
+    if said.get("alive"):
+        _say("cloth")
+        own = own_garments(payload, wearer)
     _say("store")
     garments = [] if own is None else [save_garment(one, out, quick=True) for one in own.garments]
     return [path.name for path in (save_wearer(wearer, out), *garments)], None if own is None else own.stiff
@@ -119,7 +129,9 @@ def main() -> int:
     options = parser.parse_args()
     end_with_parent()
     step_back()
+    _take_buffers()
     set_limits(memory_mb=options.memory_mb, cpu_s=options.cpu_s)
+    may_fork(min(MOST_PROCESSES, processor_count()) - 1)
     try:
         said = sys.stdin.buffer.read().decode() or None
         stiff = None
@@ -133,7 +145,8 @@ def main() -> int:
         return _refuse(options.out, error)
     except Exception as error:
         thing, got = THINGS[options.kind], "one that does not"
-        if isinstance(error, MemoryError) or str(error) == NO_STACK:
+        # Libraries are read as they are wanted: what says that it cannot be has no room to be in.
+        if isinstance(error, (MemoryError, ImportError)) or str(error) == NO_STACK:
             expected, cure = f"{thing.words} that fits into {options.memory_mb} MB", thing.smaller
         else:  # a fault of ours that a strange file found: whoever sent it is told of the file
             expected, got, cure = f"{thing.words} that can be read", f"one at which it fails: {error!r}"[:120], CURE

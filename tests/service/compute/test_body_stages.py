@@ -32,3 +32,16 @@ def test_a_garment_that_is_worn_and_draped_is_missing_once(make_runtime: Callabl
     plan = make_plan(stages.stages, entry, DrapeOptions())
     worn = (*plan.scene.layers, *plan.draped)
     assert len(worn) == 2 and stages.missing(worn) == [entry.garment]
+
+
+def test_tables_of_the_push_out_wait_for_a_plan_that_projects(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime()
+    entry, stages = runtime.garments.entries()[0], runtime.stages_on(runtime.body)
+    stages.add(entry.garment, stages.feed(entry.garment))
+    (collision,) = (stage for stage in stages.stages if stage.name == "collision")
+    options = (DrapeOptions(folds=folds, push_out=True) for folds in (1, 0))
+    folded, pushed = (make_plan(stages.stages, entry, one) for one in options)
+    assert folded.known == folded.draped and collision not in folded.stages
+    assert entry in pushed.known and collision in pushed.stages and collision.held_bytes == 0
+    collision.prepare(pushed)
+    assert collision.held_bytes > 0

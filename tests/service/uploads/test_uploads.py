@@ -277,8 +277,9 @@ def test_limits_end_the_process_with_a_sentence(make_settings: Callable[..., Set
     content = garment_obj(tube)
     with pytest.raises(TooLarge, match=r"within 0\.2 s, got no end by then"):
         sandboxed(make_settings(intake_wall_s=0.2), content, "tube.obj", tmp_path)
-    with pytest.raises(DrapeError, match=r"Simplify (the|its) mesh|Export the mesh again"):
-        sandboxed(make_settings(intake_memory_mb=256), content, "tube.obj", tmp_path)
+    for memory_mb in (256, 304):  # at the second BLAS finds no room for its buffers, unless it has them before
+        with pytest.raises(DrapeError, match=r"Simplify (the|its) mesh|Export the mesh again"):
+            sandboxed(make_settings(intake_memory_mb=memory_mb), content, "tube.obj", tmp_path)
     assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
 
 
