@@ -142,10 +142,6 @@ VIEWS = {
     "cpu_ms": ("so [ms]", ".2f"), "saving": ("saved", ".2f"),
 }  # fmt: skip
 BATCHES = {"batch": ("frames in a call", "d"), "p50_ms": ("p50 [ms]", ".2f"), "frames_per_s": ("frames/s", ".0f")}
-GROWTH = {
-    "garment": ("what", "s"), "vertices": ("vertices", "d"), "patches": ("patches", "d"), "p50_ms": ("p50 [ms]", ".2f"),
-    "memory_mb": ("memory [MB]", ".1f"),
-}  # fmt: skip
 SERVING = {
     "case": ("case", "s"), "server": ("server", "s"), "tier": ("tier", "s"), "clients": ("clients", "d"),
     "goodput_pct": ("goodput %", ".0f"), "stepped_pct": ("with less than asked %", ".0f"),
@@ -175,12 +171,6 @@ def single_table(record: Record) -> str:
 def views_table(record: Record) -> str:
     """What is saved of a frame, and where all of the record was measured."""
     return rows_table(VIEWS, [row for row in record["rows"] if row["kind"] == "view"], record)
-
-
-def growth_table(record: Record) -> str:
-    """More vertices, patches and garments."""
-    stored = (row | {"memory_mb": 1e-6 * row["store_bytes"]} for row in record["rows"] if "store_bytes" in row)
-    return rows_table(GROWTH, stored)
 
 
 def serving_table(record: Record) -> str:
@@ -237,7 +227,6 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("frame", SPEED_PAGE, "frame_views", views_table),
     ("latency", SPEED_PAGE, "latency_single", single_table),
     ("latency", SPEED_PAGE, "latency_batches", partial(_only, BATCHES, "garment", "mixed")),
-    ("latency", SPEED_PAGE, "latency_growth", growth_table),
     ("latency_gpu", SPEED_PAGE, "latency_gpu_single", single_table),
     ("latency_gpu", SPEED_PAGE, "latency_gpu_batches", partial(_only, BATCHES, "garment", "mixed")),
     ("serving", SPEED_PAGE, "serving", serving_table),
