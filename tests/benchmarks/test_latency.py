@@ -47,14 +47,6 @@ def test_rows_hold_together(record: dict):
     assert [row["batch"] for row in batches] == [1, 8]
 
 
-@pytest.mark.long
-def test_tables_come_from_the_record(record: dict):
-    made = {name: table for _, _, name, table in records.TABLES}
-    single = records.single_table(record)
-    assert "| shorts | packed graph: vertices | " in single and "| shorts | floor | " in single
-    assert made["latency_batches"](record).count("| 8 | ") == 1
-
-
 def test_another_garment_of_the_shipped_model_takes_less_than_three_megabytes():
     packer = Packer(Engine(MODELS_DIR / "onefit"), load_body())
     packer.add("it", shipped("shorts"))
