@@ -32,7 +32,7 @@ from drape.files.atomic import write_whole
 from drape.files.data import HOW_TO_SET_DATA, data_folder
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from recovery.drape.output import obj_text, panel_texture
-from recovery.drape.pipeline import DrapeOptions, drape_pattern
+from recovery.drape.pattern_drape import DrapeOptions, drape_pattern
 from recovery.pattern.garmentcode import read_pattern
 from recovery.progress import to_stderr
 from recovery.run.__main__ import job_of, parse

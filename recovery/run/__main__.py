@@ -24,7 +24,7 @@ from drape.files.atomic import write_whole
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery import progress
 from recovery.commands import add_style_options, ended, parser_of, style_of
-from recovery.drape.pipeline import DrapeOptions
+from recovery.drape.pattern_drape import DrapeOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.optimise import REACH_M, FitOptions
 from recovery.pattern.bases import BASES

@@ -14,18 +14,18 @@ from drape.errors import InputError
 from drape.garment.contours import lost_parts, lost_words
 from recovery import progress as watch
 from recovery.drape.output import panel_texture, write_rest, write_shape
-from recovery.drape.pipeline import Draped
+from recovery.drape.pattern_drape import Draped
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
-from recovery.fit.pipeline import recover_pattern
 from recovery.fit.recovered import Recovered
+from recovery.fit.rounds import recover_pattern
 from recovery.pattern.export import export_pattern
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
 from recovery.pattern.style import Style
 from recovery.run.anew import SewnAnew, sewn_anew
+from recovery.run.elsewhere import Worn, retargeted
 from recovery.run.identify import Identifiability, identifiability
 from recovery.run.nested import in_other_size
-from recovery.run.retarget import Worn, retargeted
 from recovery.run.styled import styled
 from recovery.run.task import Job, Task, prepare
 

@@ -13,7 +13,7 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake import garment_name
 from drape.garment.mesh_checks import Unit, Up, place
 from recovery import progress as watch
-from recovery.drape.pipeline import DrapeOptions
+from recovery.drape.pattern_drape import DrapeOptions
 from recovery.drape.posing import posed_joints
 from recovery.fit.optimise import REACH_M, FitOptions
 from recovery.pattern.bases import BASES, base_pattern, read_values
@@ -26,7 +26,7 @@ from recovery.run.drafted import drafted
 from recovery.run.nested import in_other_size
 from recovery.run.seen import Seen, pieces
 from recovery.run.target import OPENINGS, check_base, off_skin, opened, placed_target, read_target
-from recovery.run.wearer import Front, Wearer, inside_wearer, read_wearer
+from recovery.run.target_wearer import Front, Wearer, inside_wearer, read_wearer
 from recovery.scan.holes import known_faces
 from recovery.scan.places import ScanFault, on_body
 

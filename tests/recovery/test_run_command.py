@@ -25,7 +25,7 @@ from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
 from recovery import progress
 from recovery.drape.output import obj_text, panel_texture
-from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern, hanging
+from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_pattern, hanging
 from recovery.fit.chamfer import SurfaceDistance, chamfer, surface_chamfer, surface_distance
 from recovery.fit.recovered import Recovered
 from recovery.pattern.bases import BASES, tshirt
@@ -38,12 +38,12 @@ from recovery.run import __main__ as command
 from recovery.run import report_text
 from recovery.run.anew import SewnAnew, anew_words, sewn_anew
 from recovery.run.drafted import own_settings
+from recovery.run.elsewhere import retargeted
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
 from recovery.run.job import describe_worn, run_job
 from recovery.run.report import Page
 from recovery.run.report_pieces import add_pieces, scaled_drawing
 from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, summary, verdicts
-from recovery.run.retarget import retargeted
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements, tube
@@ -266,8 +266,8 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     pose = np.zeros((24, 3))
     pose[0, 1] = 0.3
     write_whole(folder / "turned.json", json.dumps(pose.tolist()))
-    monkeypatch.setattr("recovery.run.retarget.BODIES", {"taller": (0.3,)})
-    monkeypatch.setattr("recovery.run.retarget.POSES", (str(folder / "turned.json"),))
+    monkeypatch.setattr("recovery.run.elsewhere.BODIES", {"taller": (0.3,)})
+    monkeypatch.setattr("recovery.run.elsewhere.POSES", (str(folder / "turned.json"),))
     draped, body = outcome.sewn.anew.draped, load_body()
     parts = ["trunk", "trunk", "left_arm", "right_arm"]
     taller, posed = retargeted(truth, draped, body, body, COARSE, parts, cloth=outcome.found.fitted.cloth)
@@ -327,7 +327,7 @@ def test_a_place_that_refuses_the_garment_says_so(body, monkeypatch):
     def refuse(*given, **more):
         raise InputError("pattern", expected="cloth", got="none", cure="Size it up.")
 
-    monkeypatch.setattr("recovery.run.retarget.drape_pattern", refuse)
+    monkeypatch.setattr("recovery.run.elsewhere.drape_pattern", refuse)
     never_sewn = cast(Draped, None)  # bodies come before poses, which alone need it
     worn = next(retargeted(tube(), never_sewn, body, body, COARSE, ["trunk"], cloth=hanging("jersey")))
     assert worn.refusal.endswith("Size it up.") and len(worn.nodes) == len(worn.faces) == 0 and worn.figures == {}

@@ -28,8 +28,8 @@ from recovery.run.target import (
     placed_target,
     read_target,
 )
+from recovery.run.target_wearer import check_closed, inside_wearer, read_wearer, shaped_body
 from recovery.run.task import Job, prepare, read_base
-from recovery.run.wearer import check_closed, inside_wearer, read_wearer, shaped_body
 from recovery.scan.holes import closed
 from recovery.scan.places import ScanFault
 from tests.drape.cloth.cloth_shapes import grid, round_tube
