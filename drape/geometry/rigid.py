@@ -7,6 +7,12 @@ from collections.abc import Sequence
 from drape.arrays import Array, namespace
 
 
+def apply(rotation: Array, translation: Array, points: Array) -> Array:
+    """``R x + t`` for points (..., n, 3) under rotations (..., 3, 3) and translations (..., 3)."""
+    xp = namespace(points)
+    return points @ xp.matrix_transpose(rotation) + translation[..., None, :]
+
+
 def forward_kinematics(local_rotations: Array, joints: Array, parents: Sequence[int]) -> tuple[Array, Array]:
     """World rotations (..., J, 3, 3) and joint positions [m] (..., J, 3) of a posed tree.
 

@@ -6,7 +6,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from drape.body.skeleton import JOINT_COUNT, PARENTS
-from drape.geometry.rigid import bone_transforms, forward_kinematics
+from drape.geometry.rigid import apply, bone_transforms, forward_kinematics
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.t_pose import CANONICAL_JOINTS
 
@@ -51,6 +51,18 @@ def test_bones_turn_as_their_joints_and_carry_them_from_rest_to_their_posed_plac
     turned, positions = forward_kinematics(local, CANONICAL_JOINTS, PARENTS)
     assert_allclose(rotations, turned, rtol=0.0, atol=EXACT)
     assert_allclose((rotations @ CANONICAL_JOINTS[..., None])[..., 0] + translations, positions, rtol=0.0, atol=EXACT)
+
+
+def test_apply_composes_and_inverts(rng):
+    points = rng.normal(size=(3, 7, 3))
+    first, second = rotvec_to_matrix(rng.normal(size=(2, 3, 3)))
+    a, b = rng.normal(size=(2, 3, 3))
+    both = apply(second, b, apply(first, a, points))
+    assert_allclose(both, apply(second @ first, (second @ a[..., None])[..., 0] + b, points), rtol=0.0, atol=EXACT)
+    inverse = np.swapaxes(first, -1, -2)
+    assert_allclose(
+        apply(inverse, -(inverse @ a[..., None])[..., 0], apply(first, a, points)), points, rtol=0.0, atol=EXACT
+    )
 
 
 def test_numpy_and_torch_agree(local):
