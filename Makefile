@@ -45,7 +45,7 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no
 WEB := clients/web
 MEMBERS := service clients recovery training model_export
 PRODUCT := drape $(MEMBERS) benchmarks examples
-ENGINE_SOURCES := drape/engine/build.py $(wildcard drape/engine/source/*)
+ENGINE_SOURCES := drape/engine/build.py drape/engine/records.py $(wildcard drape/engine/source/*)
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
 .PHONY: help serve setup browser test test-all test-avx2 quick test-quick sanitize check audit format bench soak page image release clean

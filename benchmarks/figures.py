@@ -168,16 +168,6 @@ def streams(records: Records) -> str:
     return f"{markdown_table(titles, lines)}\n\n{_carried(record)} {measured_on(record, 'performance.md#serving')}"
 
 
-def lateness(records: Records) -> str:
-    """How late frames are, medians over the runs; then beside other work."""
-    record = records["lateness"]
-    columns = {"delay_p50_ms": "p50 [ms]", "delay_p99_ms": "p99", "delay_p999_ms": "p99.9", "delay_max_ms": "longest"}
-    kept = [row for row in record["rows"] if row["run"] == "median" or row["beside"]]
-    lines = [[row["beside"] or "nothing", str(row["streams"]), *(f"{row[key]:.1f}" for key in columns)] for row in kept]
-    table = markdown_table(["beside", "streams", *columns.values()], lines)
-    return f"{table}\n\n{measured_on(record, 'performance.md#lateness')}"
-
-
 def gpu_batches(records: Records) -> str:
     """Frames of all garments in one call on a GPU."""
     record = records["latency_gpu"]
@@ -201,38 +191,13 @@ def views(records: Records) -> str:
     return f"{rows_table(columns, rows)}\n\n{measured_on(records['frame'], 'performance.md#frame-views')}"
 
 
-def client_folds(records: Records) -> str:
-    """What a stream of jets takes, and how far the page's folds lie from the service's."""
-    columns: Columns = {
-        "garment": ("garment", "s"), "frame_bytes": ("a frame of vertices [B]", ",d"),
-        "jets_bytes": ("of jets [B]", ",d"), "server_ratio": ("the service's time", ".2f"),
-        "browser_ms": ("the page's, in Chromium [ms]", ".1f"), "ten_mm": ("apart, same network, 10 frames [mm]", ".4f"),
-        "first_mm": ("with jets, the first second [mm]", ".1f"), "smooth_mm": ("jets without folds [mm]", ".0f"),
-    }  # fmt: skip
-    return (
-        f"{_walks(columns, records['client_folds'])}\n\n{measured_on(records['client_folds'], 'web.md#client-folds')}"
-    )
-
-
-def static_page(records: Records) -> str:
-    """What a folder without a server takes, and how far its drape lies from the service's."""
-    columns: Columns = {
-        "garment": ("garment", "s"), "folder_mb": ("the folder [MB]", ".1f"),
-        "browser_ms": ("a frame in Chromium [ms]", ".1f"),
-        "least_ratio": ("its engine in Node.js over the service's frame", ".1f"),
-        "ten_mm": ("apart in ten frames [mm]", ".3f"), "first_mm": ("in the first second [mm]", ".2f"),
-    }  # fmt: skip
-    return f"{_walks(columns, records['static_page'])}\n\n{measured_on(records['static_page'], 'web.md#static-page')}"
-
-
 BLOCKS: dict[str, Callable[[Records], str]] = {
     each.__name__: each
     for each in (
-        three_numbers, tiers, frame, threads, one_frame, streams, lateness, gpu_batches, views, client_folds,
-        static_page,
+        three_numbers, tiers, frame, threads, one_frame, streams, gpu_batches, views,
     )
 }  # fmt: skip
-NEEDED = ("tradeoff", "frame", "serving", "lateness", "latency_gpu", "client_folds", "static_page")  # records
+NEEDED = ("tradeoff", "frame", "serving", "latency_gpu", "static_page")  # records
 
 
 def machine(record: Record) -> str:
@@ -297,8 +262,3 @@ def _rest(rows: Iterable[Row], parts: Iterable[Callable[[Row], bool]]) -> str:
 
 def _batches(record: Record) -> list[Row]:
     return [row for row in record["rows"] if row["garment"] == "mixed"]
-
-
-def _walks(columns: Columns, record: Record) -> str:
-    rows = [row for row in record["rows"] if (row["clip"], row["tier"]) == ("walk", DEFAULT_TIER)]
-    return rows_table(columns, ({**row, "garment": NAMES.get(row["garment"], row["garment"])} for row in rows))

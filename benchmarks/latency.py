@@ -1,10 +1,9 @@
-"""Latency and throughput of the packed graph, beside skinning and the floor in the same run, and how cost grows.
+"""Latency and throughput of the packed graph, beside skinning and the floor in the same run.
 
     python -m benchmarks.latency [--quick] [--threads 2] [--provider cuda [--half]] [--model FOLDER] [--save]
 
 A row's times are those of one call: pose in, vertices of ``batch`` frames out, without push-out. ``push_out_ms`` comes
-on top; rows "onnx_pushed" are both in one, with all passes of the network and with fewer. Rows whose count of vertices,
-patches or garments no shipped garment has measure growth.
+on top; rows "onnx_pushed" are both in one, with all passes of the network and with fewer.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +25,6 @@ from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
-from drape.garment.fitting import patch_fields, rest_garment
-from drape.geometry import jets, meshes
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import PackedBody, pack_body
 from drape.inference.engine import Engine
@@ -44,9 +41,6 @@ COLUMNS = {
 }  # fmt: skip
 SINGLE = ("tshirt", "dress")
 BATCHES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
-VERTICES = (1000, 5000, 20000, 80000)
-PATCHES = (100, 200, 300, 400)
-GARMENTS = (1, 4, 16, 64)
 
 
 @dataclass(frozen=True)
@@ -157,30 +151,6 @@ def batch_rows(bench: Bench, batches: Sequence[int]) -> list[Row]:
     return rows
 
 
-def growth_rows(bench: Bench, *, quick: bool) -> list[Row]:
-    """One T-shirt with more vertices, with more patches, and with more garments in store and in the call."""
-    shirt, rows = shipped("tshirt"), []
-    variants = [(f"vertices {count}", with_vertices(shirt, count)) for count in (VERTICES[1:2] if quick else VERTICES)]
-    variants += [(f"patches {count}", with_patches(shirt, count)) for count in (() if quick else PATCHES)]
-    for label, garment in variants:
-        packer = bench.packer({label: garment})
-        timing = bench.clock(packer, [label], ScenePlan())
-        size = {"vertices": garment.vertex_count, "patches": garment.patch_count, "store_bytes": packer.store.bytes}
-        rows.append({"name": "onnx", "garment": f"tshirt, {label}", "batch": 1, **size, **timing.row()})
-    five = with_vertices(shirt, 5000)
-    for count in GARMENTS[:2] if quick else GARMENTS:
-        keys = [f"garment {i}" for i in range(count)]
-        packer = bench.packer({key: replace(five, name=key) for key in keys})
-        size = {"vertices": five.vertex_count * count, "patches": five.patch_count * count}
-        for label, chosen in ((f"1 of {count} in store", keys[:1]), (f"all {count} in store", keys)):
-            timing = bench.clock(packer, chosen, ScenePlan())
-            extra = {"batch": len(chosen), "store_bytes": packer.store.bytes}
-            rows.append({"name": "onnx", "garment": label, **size, **extra, **timing.row()})
-    for row in rows:
-        row["frames_per_s"] = 1e3 * row["batch"] / row["p50_ms"]
-    return rows
-
-
 def network_of(folder: Path) -> OneFit:
     """The network in torch whose graphs are in the model ``folder``."""
     weights, config, _ = load_exported(folder)
@@ -206,57 +176,6 @@ def poses(count: int) -> np.ndarray:
     return every[np.linspace(0, len(every) - 1, count).astype(int)]
 
 
-def with_vertices(garment: Garment, count: int) -> Garment:
-    """``garment`` with its mesh subdivided, and ``count`` of its vertices in the same patches.
-
-    A new vertex takes patches and weights of a parent; its places in them are its own, so the surface is the same.
-    """
-    while garment.vertex_count < count:
-        garment = _subdivided(garment)
-    # The others stay behind them, as vertices of a subdivision do: the whole mesh says how the grain runs.
-    shuffled = np.random.default_rng(0).permutation(garment.vertex_count)
-    finer = np.arange(garment.vertex_count, len(garment.vertices))
-    order = np.concatenate([np.sort(shuffled[:count]), np.sort(shuffled[count:]), finer])
-    rows = {f.name: getattr(garment, f.name)[order] for f in fields(Garment) if f.name in _PER_VERTEX}
-    fine_faces = np.argsort(order)[garment.fine_faces].astype(garment.fine_faces.dtype)
-    return replace(garment, vertex_count=count, faces=garment.faces[:0], fine_faces=fine_faces, **rows)
-
-
-_PER_VERTEX = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual")
-
-
-def _subdivided(garment: Garment) -> Garment:
-    count = garment.vertex_count
-    vertices, faces, parents = meshes.subdivide(garment.vertices[:count].astype(np.float64), garment.faces)
-    first = parents[:, 0]  # of an old vertex: itself
-    patch = garment.chart_patch[first]
-    rotation = garment.patch_rotation[patch].astype(np.float64)
-    local = np.einsum("vkba,vkb->vka", rotation, vertices[:, None] - garment.patch_centre[patch])
-    scale = garment.patch_scale[patch].astype(np.float64)[..., None]
-    uv = local[..., :2] / scale
-    return replace(
-        garment,
-        vertex_count=len(vertices),
-        vertices=vertices,
-        faces=faces,
-        fine_faces=faces,
-        chart_patch=patch,
-        chart_uv=uv,
-        chart_weight=garment.chart_weight[first],
-        chart_residual=local - scale * jets.evaluate(garment.patch_jet[patch].astype(np.float64), uv),
-        # Panels and texture are of the triangles before; only speed is asked here.
-        **dict.fromkeys(("rest_edges", "rest_angle", "rest_stiffening")),
-        uv=garment.uv[:0],
-        uv_faces=garment.uv_faces[:0],
-    )
-
-
-def with_patches(garment: Garment, count: int) -> Garment:
-    """``garment`` covered anew by ``count`` patches."""
-    rest = rest_garment(garment.vertices, garment.fine_faces, load_body())
-    return replace(garment, **patch_fields(rest, count=count))
-
-
 @Benchmark(
     "latency",
     "Latency and throughput.",
@@ -266,7 +185,7 @@ def with_patches(garment: Garment, count: int) -> Garment:
     Option("--half", False, "the network's matrices in float16"),
 )
 def main(run: Run) -> None:
-    """Rows of single frames, of batches, and of growing garments and stores."""
+    """Rows of single frames and of batches."""
     options, body, load = run.options, load_body(), os.getloadavg()[0]
     device = Device(options.provider, options.threads)
     engine = Engine(options.model, device=device, half=options.half)
@@ -274,7 +193,6 @@ def main(run: Run) -> None:
     bench = Bench(engine, model, body, pack_body(body), seconds, options.threads)
     run.rows = [row for name in SINGLE for row in single_rows(bench, name)]
     run.rows += batch_rows(bench, BATCHES[:4:3] if options.quick else BATCHES)
-    run.rows += growth_rows(bench, quick=options.quick)
     if load > 0.5:
         run.notes.append(f"the machine was busy: load {load:.1f} when this began; such times are provisional")
     graph = "packed" if engine.compiled is None else "compiled"

@@ -17,7 +17,7 @@ printed with the worst first; ``--sheet`` draws the worst clip of every garment 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -87,7 +87,7 @@ def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: Clip, tier: s
 
 
 def moving_row(
-    looks: Looks, vertices: np.ndarray, skin: Skin, stills: dict[int, Row], exact: dict[int, Row | None]
+    looks: Looks, vertices: np.ndarray, skin: Skin, stills: dict[int, Row], exact: Mapping[int, Row | None]
 ) -> Row:
     """The measures of a garment at ``vertices`` [m] (F, V, 3), beside ``stills`` and ``exact`` drapes by frame."""
     shares, angles = [], []

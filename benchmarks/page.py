@@ -18,24 +18,19 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-import httpx
-
-from benchmarks.client_folds import browser_here
-from benchmarks.harness import ROOT, Benchmark, Option, Run
+from benchmarks.harness import Benchmark, Option, Run
+from benchmarks.serving import Server, server
 from benchmarks.tables import Row
 from drape.errors import Unavailable
-from service.server import bind
 
 LIGHTHOUSE = "lighthouse@12.8.2"
-START_S, VISIT_S = 120.0, 400.0
+VISIT_S = 400.0
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 HEADLESS = "--headless=new --no-sandbox --disable-dev-shm-usage"
 DRAWN = "--use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader"  # by the processor, wherever it runs
 REFUSED = "--disable-gpu --disable-3d-apis"
@@ -54,35 +49,6 @@ COLUMNS = {
     "shift": ".3f", "loaded_kb": ".0f", "moves_s": ".2f", "moving_kb": ".0f",
 }  # fmt: skip
 MARK = "moving"  # of clients/web/src/first.js
-
-
-@contextmanager
-def started(**environment: str) -> Iterator[str]:
-    """The address of a service of its own, in an ``environment`` beside ours."""
-    with bind("127.0.0.1", 0) as probe:
-        port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "service", "--port", str(port)]
-    process = subprocess.Popen(
-        command, cwd=ROOT, env=os.environ | environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    address = f"http://127.0.0.1:{port}"
-    try:
-        deadline = time.monotonic() + START_S
-        while not _answers(address):
-            if process.poll() is not None or time.monotonic() > deadline:
-                raise Unavailable("service", expected="a start", got="none", cure="Try python -m service.")
-            time.sleep(0.2)
-        yield address
-    finally:
-        process.terminate()
-        process.wait()
-
-
-def _answers(address: str) -> bool:
-    try:
-        return httpx.get(f"{address}/readyz").status_code == 200
-    except httpx.TransportError:
-        return False
 
 
 def visited(address: str, browser: str, *, device: str, slowed: str, webgl: bool) -> Row:
@@ -166,10 +132,11 @@ def moved(trace: list[dict[str, Any]], log: list[dict[str, Any]]) -> Row:
 def main(run: Run) -> None:
     """A row for each device and way to slow a visit down, with WebGL, and simulated without."""
     options = run.options
-    browser = browser_here()
+    browser = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         raise Unavailable("browser", expected="a Chromium", got="none", cure="Install chromium, or set CHROMIUM.")
-    with started() if not options.url else _running(options.url) as address:
+    with nullcontext(Server(options.url.rstrip("/"), 0)) if options.url else server() as at:
+        address = at.url
         visited(
             address, browser, device="phone", slowed="simulated", webgl=True
         )  # who comes first waits for the outfit
@@ -178,11 +145,6 @@ def main(run: Run) -> None:
                 run.add([visited(address, browser, device=device, slowed=slowed, webgl=True)])
             if not options.quick:
                 run.add([visited(address, browser, device=device, slowed="simulated", webgl=False)])
-
-
-@contextmanager
-def _running(address: str) -> Iterator[str]:
-    yield address.rstrip("/")
 
 
 if __name__ == "__main__":

@@ -142,10 +142,6 @@ VIEWS = {
     "cpu_ms": ("so [ms]", ".2f"), "saving": ("saved", ".2f"),
 }  # fmt: skip
 BATCHES = {"batch": ("frames in a call", "d"), "p50_ms": ("p50 [ms]", ".2f"), "frames_per_s": ("frames/s", ".0f")}
-GROWTH = {
-    "garment": ("what", "s"), "vertices": ("vertices", "d"), "patches": ("patches", "d"), "p50_ms": ("p50 [ms]", ".2f"),
-    "memory_mb": ("memory [MB]", ".1f"),
-}  # fmt: skip
 SERVING = {
     "case": ("case", "s"), "server": ("server", "s"), "tier": ("tier", "s"), "clients": ("clients", "d"),
     "goodput_pct": ("goodput %", ".0f"), "stepped_pct": ("with less than asked %", ".0f"),
@@ -153,37 +149,11 @@ SERVING = {
     "overhead_p50_ms": ("beside the model p50 [ms]", ".1f"), "overhead_p99_ms": ("p99 [ms]", ".1f"),
     "gap_max_ms": ("longest gap [ms]", ".0f"), "cpu_ms": ("processor a pose [ms]", ".1f"),
 }  # fmt: skip
-LATENESS = {
-    "beside": ("beside", "s"), "streams": ("streams", "d"), "run": ("run", "s"), "frames": ("frames", "d"),
-    "done": ("done", "d"), "delay_p50_ms": ("delay p50 [ms]", ".1f"), "delay_p99_ms": ("p99", ".1f"),
-    "delay_p999_ms": ("p99.9", ".1f"), "delay_max_ms": ("most", ".1f"), "own_p999_ms": ("own p99.9 [ms]", ".1f"),
-    "own_max_ms": ("most ", ".1f"), "late_max_ms": ("client late, most [ms]", ".1f"),
-}  # fmt: skip
-RIVALS = {
-    "garment": ("garment", "s"), "what": ("tier, or what others do", "s"), "vertices": ("vertices", "d"),
-    "cpu_ms": ("processor [ms]", ".2f"), "over_rival": ("over skinning and push", ".3f"),
-    "over_floor": ("over skinning", ".1f"),
-}  # fmt: skip
 INTAKES = {
     "garment": ("file", "s"), "faces": ("faces", "d"), "garments": ("garments", "d"),
     "read_s": ("read, wearer [s]", ".1f"), "rest_s": ("at rest [s]", ".1f"), "fit_s": ("patches, cloth [s]", ".1f"),
     "all_s": ("all [s]", ".1f"), "drawn": ("vertices drawn", "d"), "cloth": ("of cloth", "d"),
     "hang_ms": ("hanging [ms]", ".3f"), "frame_ms": ("frame [ms]", ".1f"), "over_dress": ("over the dress's", ".2f"),
-}  # fmt: skip
-CLIENT_FOLDS = {
-    "garment": ("garment", "s"), "clip": ("clip", "s"), "tier": ("tier", "s"), "frames": ("frames", "d"),
-    "frame_bytes": ("vertices [B]", "d"), "jets_bytes": ("jets [B]", "d"), "constants_mb": ("constants [MB]", ".1f"),
-    "server_ms": ("of vertices [ms]", ".1f"), "jets_ms": ("of jets [ms]", ".1f"), "server_ratio": ("ratio", ".2f"),
-    "node_ms": ("Node.js [ms]", ".1f"), "fold_ms": ("swing and folds", ".1f"), "browser_ms": ("Chromium [ms]", ".1f"),
-    "rms_mm": ("apart [mm]", ".3f"), "first_mm": ("first second", ".3f"), "smooth_mm": ("without folds", ".2f"),
-    "step_mm": ("same network", ".4f"), "ten_mm": ("its first ten", ".4f"), "rounding_mm": ("rounding", ".3f"),
-}  # fmt: skip
-STATIC_PAGE = {
-    "garment": ("garment", "s"), "clip": ("clip", "s"), "tier": ("tier", "s"), "frames": ("frames", "d"),
-    "folder_mb": ("folder [MB]", ".2f"), "start_ms": ("start [ms]", ".0f"), "node_ms": ("Node.js [ms]", ".1f"),
-    "drape_ms": ("engine of it", ".1f"), "browser_ms": ("Chromium [ms]", ".1f"), "server_ms": ("the service's", ".1f"),
-    "least_ratio": ("ratio of the least", ".2f"), "rms_mm": ("apart [mm]", ".3f"), "first_mm": ("first second", ".3f"),
-    "ten_mm": ("first ten", ".4f"), "network_mm": ("network alone", ".4f"),
 }  # fmt: skip
 
 
@@ -201,12 +171,6 @@ def single_table(record: Record) -> str:
 def views_table(record: Record) -> str:
     """What is saved of a frame, and where all of the record was measured."""
     return rows_table(VIEWS, [row for row in record["rows"] if row["kind"] == "view"], record)
-
-
-def growth_table(record: Record) -> str:
-    """More vertices, patches and garments."""
-    stored = (row | {"memory_mb": 1e-6 * row["store_bytes"]} for row in record["rows"] if "store_bytes" in row)
-    return rows_table(GROWTH, stored)
 
 
 def serving_table(record: Record) -> str:
@@ -263,15 +227,10 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("frame", SPEED_PAGE, "frame_views", views_table),
     ("latency", SPEED_PAGE, "latency_single", single_table),
     ("latency", SPEED_PAGE, "latency_batches", partial(_only, BATCHES, "garment", "mixed")),
-    ("latency", SPEED_PAGE, "latency_growth", growth_table),
-    ("rivals", SPEED_PAGE, "rivals", partial(alike, RIVALS)),
     ("latency_gpu", SPEED_PAGE, "latency_gpu_single", single_table),
     ("latency_gpu", SPEED_PAGE, "latency_gpu_batches", partial(_only, BATCHES, "garment", "mixed")),
     ("serving", SPEED_PAGE, "serving", serving_table),
     ("intakes", "docs/guide/garments.md", "intakes", partial(alike, INTAKES)),
-    ("client_folds", "docs/guide/web.md", "client_folds", partial(alike, CLIENT_FOLDS)),
-    ("static_page", "docs/guide/web.md", "static_page", partial(alike, STATIC_PAGE)),
     ("page_lighthouse", "docs/guide/web.md", "page_lighthouse", partial(alike, PAGE)),
-    ("lateness", SPEED_PAGE, "lateness", partial(alike, LATENESS)),
     ("recovery_cuts", "docs/guide/recovery_run.md", "recovery_cuts", partial(alike, CUTS)),
 )

@@ -32,14 +32,15 @@ from drape.files.atomic import write_whole
 from drape.files.data import HOW_TO_SET_DATA, data_folder
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from recovery.drape.output import obj_text, panel_texture
-from recovery.drape.pipeline import DrapeOptions, drape_pattern
+from recovery.drape.pattern_drape import DrapeOptions, drape_pattern
 from recovery.pattern.garmentcode import read_pattern
 from recovery.progress import to_stderr
 from recovery.run.__main__ import job_of, parse
 from recovery.run.cut import Cut
-from recovery.run.job import Job, Outcome, run_job
+from recovery.run.job import Outcome, run_job
 from recovery.run.pictures import Mesh, target_above_result
 from recovery.run.report_text import page_of, top_of
+from recovery.run.task import Job
 
 TARGET_EDGE_M = 0.025
 DRAPED = {  # pattern of the data folder: its base and panels
@@ -124,8 +125,8 @@ def recovered(job: Job, told: Callable[[Cut | None, int], str], pictures: Path |
         write_whole(pictures / f"{job.target.stem}.png", tile_of(outcome))
     top, panels = top_of(outcome), len(outcome.pattern.panels)
     return {
-        "base": outcome.cut.base,
-        "told": told(outcome.cut, panels),
+        "base": outcome.task.cut.base,
+        "told": told(outcome.task.cut, panels),
         "panels": panels,
         "mean_mm": top["distance_mean_mm"],
         "chamfer_cm2": top["chamfer_cm2"],
@@ -154,10 +155,10 @@ def told_words(truth: str, cut: Cut | None, *, panels: bool = False) -> str:
 
 def tile_of(outcome: Outcome) -> bytes:
     """A PNG of the target, and below it of what was recovered, from the front."""
-    skin = outcome.wearer.skin
-    there = Mesh(outcome.target.vertices, outcome.target.faces)
+    skin = outcome.task.wearer.skin
+    there = Mesh(outcome.task.mesh.vertices, outcome.task.mesh.faces)
     found = Mesh(outcome.nodes, outcome.found.search.mesh.faces)
-    return target_above_result(there, found, Mesh(skin.vertices - outcome.wearer.trans, skin.faces), TILE)
+    return target_above_result(there, found, Mesh(skin.vertices - outcome.task.wearer.trans, skin.faces), TILE)
 
 
 def sheet_of(folder: Path, names: Sequence[str]) -> bytes:

@@ -20,7 +20,7 @@ from benchmarks.tables import Record
 FOLDER = ROOT / "docs" / "records"
 STATING = (
     "README.md", "docs/reference/performance.md", "docs/reference/tradeoff.md", "docs/reference/quality.md",
-    "docs/guide/web.md", "docs/explanation/folds.md", "docs/explanation/swing.md",
+    "docs/explanation/folds.md", "docs/explanation/swing.md",
 )  # fmt: skip
 BLOCK = re.compile(r"(<!-- record: (\w+) -->\n).*?(<!-- end of record -->)", re.DOTALL)
 BLOCKS = figures.BLOCKS | judged_figures.BLOCKS

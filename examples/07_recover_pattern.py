@@ -6,9 +6,9 @@ The target is a drape of a pattern that we know: longer than the base of the sea
 import numpy as np
 
 from drape.body.assets import load_body
-from recovery.drape.pipeline import DrapeOptions, drape_pattern
+from recovery.drape.pattern_drape import DrapeOptions, drape_pattern
 from recovery.fit.optimise import FitOptions
-from recovery.fit.pipeline import recover_pattern
+from recovery.fit.rounds import recover_pattern
 from recovery.pattern.bases import base_pattern
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.measurements import measure

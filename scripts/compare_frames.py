@@ -4,7 +4,7 @@ python scripts/compare_frames.py dump OLD.npz     starts the service of the fold
 python scripts/compare_frames.py compare OLD.npz NEW.npz
 
 ``dump`` in the other checkout uses this file too: ``(cd OTHER && python HERE/scripts/compare_frames.py dump NEW.npz)``.
-Settings are those of the environment (``DRAPE_COMPILED=false`` compares the graph).
+Settings are those of the environment (``DRAPE_ISA=v3`` compares processors).
 """
 
 from __future__ import annotations

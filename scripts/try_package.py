@@ -24,7 +24,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.page import started  # noqa: E402
+from benchmarks.serving import server  # noqa: E402
 from tests.clients.browser import open_page  # noqa: E402
 
 LIBRARY, EXAMPLES = ROOT / "clients/web/lib", ROOT / "examples/web"
@@ -133,7 +133,7 @@ def main() -> None:
             Path(place) / ran(["npm", "pack", "--silent", "--pack-destination", place, str(LIBRARY)], ROOT).strip()
         )
         print(f"{tarball.name}: {tarball.stat().st_size / 1000:.0f} kB", flush=True)
-        with started(DRAPE_ALLOWED_ORIGINS=json.dumps([origin])) as service:
+        with server(allowed_origins=json.dumps([origin])) as at:
             for name in asked:
                 build, packages = BUNDLERS[name]
                 folder = Path(place) / name
@@ -143,7 +143,7 @@ def main() -> None:
                 quiet = ["--no-audit", "--no-fund", "--silent", "--ignore-scripts"]
                 ran(["npm", "install", *quiet, str(tarball), THREE, *packages], folder)
                 folders.append(build(folder))
-                print(f"{name}: {moves(f'{origin}/?service={service}')} frames", flush=True)
+                print(f"{name}: {moves(f'{origin}/?service={at.url}')} frames", flush=True)
 
 
 if __name__ == "__main__":

@@ -12,12 +12,11 @@ import numpy as np
 
 from benchmarks.measure.detail import LowPass, dihedral_deg
 from benchmarks.measure.hem import hem_vertices
-from drape.cloth.rest_state import RestState, dihedral_angles
+from drape.cloth.rest_state import RestState
 from drape.geometry import meshes
 
 BANDS_M = (0.02, 0.08, 0.30)  # wavelengths between which relief is fine, middle and coarse
 BANDS = ("fine", "middle", "coarse")
-SHARP_DEG = 60.0  # a hinge that is folded by more is creased
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +71,6 @@ class Looks:
     def dihedral_deg(self, vertices: np.ndarray) -> np.ndarray:
         """RMS dihedral angle [deg] (n,) of ``vertices`` [m] (n, V, 3)."""
         return dihedral_deg(vertices, self.faces)
-
-    def sharp_pct(self, vertices: np.ndarray) -> np.ndarray:
-        """Share [%] (n,) of hinges folded by more than ``SHARP_DEG``."""
-        limit = np.radians(SHARP_DEG)
-        return np.array([100.0 * (np.abs(dihedral_angles(x, self.faces)) > limit).mean() for x in vertices])
 
     def area_m2(self, vertices: np.ndarray) -> np.ndarray:
         """Area [m^2] (n,)."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import ctypes
 import hashlib
+import importlib.util
 import os
 import platform
 import shutil
@@ -23,6 +24,7 @@ from typing import NamedTuple
 
 HERE = Path(__file__).resolve().parent
 SOURCE, LIBRARIES = HERE / "source", HERE / "libraries"
+HEADER = SOURCE / "records.hpp"
 COMPILER = "ziglang==0.15.2"
 FLAGS = ["-O3", "-std=c++20", "-ffp-contract=on", "-fno-math-errno", "-fno-exceptions", "-fno-rtti", "-fPIC"]
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
@@ -187,10 +189,24 @@ def _aimed(target: Target) -> list[str]:
     return ["-target", target.triple, f"-mcpu={target.processor}", *(["-fno-PIC"] if target == WEB else [])]
 
 
+def write_header() -> None:
+    """Writes ``source/records.hpp`` of the table ``records.py``, if there is none or it is of another table."""
+    spec = importlib.util.spec_from_file_location("engine_records", HERE / "records.py")
+    assert spec is not None and spec.loader is not None
+    records = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(records)
+    text = records.header()
+    if not HEADER.is_file() or HEADER.read_text() != text:
+        part = HEADER.with_suffix(f".{os.getpid()}")  # another process may compile at the same time
+        part.write_text(text)
+        part.replace(HEADER)
+
+
 def sources_hash(target: Target, tests: bool = False, sanitize: bool = False) -> str:
     """Hash, hexadecimal, of what a library of ``target`` is made from: the sources, this file, and how."""
+    write_header()
     digest = hashlib.sha256(repr((target, tests, sanitize)).encode())
-    for source in (*sorted(SOURCE.iterdir()), Path(__file__)):
+    for source in (*sorted(SOURCE.glob("*.[ch]*")), Path(__file__)):
         digest.update(source.name.encode() + source.read_bytes())
     return digest.hexdigest()
 

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from drape.engine.build import write_header
 from drape.engine.packer import Record, Recorded, address_of
 
 SOURCE = Path(__file__).parent / "source" / "card.cu"
@@ -177,6 +178,7 @@ def build_card(library: Path = LIBRARY, *, architectures: Sequence[int] = ARCHIT
     nvcc = shutil.which("nvcc")
     if nvcc is None:
         raise FileNotFoundError("nvcc: expected CUDA's compiler on PATH, got none; install CUDA 12.8 or later")
+    write_header()
     library.parent.mkdir(parents=True, exist_ok=True)
     codes = [f"-gencode=arch=compute_{one},code=sm_{one}" for one in architectures]
     command = [nvcc, "-std=c++20", "-O3", "-shared", "-Xcompiler=-fPIC", "-Xptxas=-v", *codes]

@@ -1,8 +1,7 @@
 """Records: what the engine reads of a garment, a body or a frame, as structs of C++.
 
-This table is the one home of their layout. ``source/records.hpp`` is generated from it (``python -m
-drape.engine.records``), and a library that was compiled from another table is refused at load by its ``HASH``. A field
-has a kind:
+This table is the one home of their layout. ``build.py`` writes ``source/records.hpp`` of it, which is no part of the
+repository, and a library that was compiled from another table is refused at load by its ``HASH``. A field has a kind:
 
 | kind | in C++ | size |
 |---|---|---|
@@ -19,9 +18,6 @@ Every size is a multiple of eight bytes on every processor, WebAssembly included
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
-
-HEADER = Path(__file__).parent / "source" / "records.hpp"
 
 RECORDS: dict[str, dict[str, str]] = {
     "Constants": dict.fromkeys(
@@ -327,7 +323,7 @@ HASH = int.from_bytes(hashlib.sha256(repr(RECORDS).encode()).digest()[:8], "litt
 def header() -> str:
     """The text of ``source/records.hpp``."""
     lines = [
-        "// Generated from drape/engine/records.py by `python -m drape.engine.records`: change the table there.",
+        "// Written by drape/engine/build.py of the table in drape/engine/records.py: change that.",
         "#pragma once",
         '#include "arrays.hpp"',
         "",
@@ -352,7 +348,3 @@ def size(name: str) -> int:
     """The 64-bit words of a record."""
     kinds = RECORDS[name].values()
     return sum(size(kind) if kind in RECORDS else 1 if kind in ("number", "count") else 2 for kind in kinds)
-
-
-if __name__ == "__main__":
-    HEADER.write_text(header())

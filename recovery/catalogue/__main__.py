@@ -24,7 +24,7 @@ from drape.garment.sizes import save_table, table_path
 from recovery.catalogue.build import QUICK, BuildOptions, body_distance, build, design
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
-from recovery.catalogue.grading import grade
+from recovery.catalogue.size_tables import grade
 from recovery.commands import ended, parser_of
 from recovery.pattern.measurements import measure
 from recovery.pattern.sizes import PATTERN_STEPS

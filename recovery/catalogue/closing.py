@@ -10,7 +10,7 @@ from drape.geometry import closest
 from recovery.drape.placement import moved_clear
 from recovery.drape.sewing import SEWING_GAP_M, Sewn, sew
 from recovery.pattern.design import Design
-from recovery.pattern.mesh import PatternMesh
+from recovery.pattern.pattern_mesh import PatternMesh
 
 OVER_GAP_M = 0.032  # that panels over others keep from the skin while they are sewn
 

@@ -17,12 +17,12 @@ from drape.garment.sewing import near_lines
 from drape.geometry import meshes
 from recovery import progress
 from recovery.pattern.design import Design
-from recovery.pattern.mesh import PatternMesh
-from recovery.sim.contact import SkinContact
+from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.sim.linearised import damped_step
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.sdf import SignedDistance
 from recovery.sim.self_contact import SelfContact
+from recovery.sim.skin_contact import SkinContact
 
 SOFTEST_N_PER_M = 400.0  # woven cloth is softened to this: its weight stretches it by less than 0.5 %
 HEM_M = 0.02  # turned up this far

@@ -24,7 +24,7 @@ from drape.garment.contours import lost_parts, lost_words, pierced_parts
 from drape.garment.intake import garment_name
 from recovery.commands import ended, parser_of
 from recovery.drape.output import panel_texture, write_rest, write_shape
-from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
+from recovery.drape.pattern_drape import Draped, DrapeOptions, Hold, drape_pattern
 from recovery.drape.placement import Axes
 from recovery.drape.posing import read_pose
 from recovery.drape.settle import TOLERANCE_N

@@ -14,8 +14,8 @@ from drape.export.glb_file import GlbFile
 from drape.export.surface import MeshSurface
 from drape.files.atomic import write_whole
 from drape.garment.intake import IntakeOptions, intake
-from recovery.drape.pipeline import Draped, Report
-from recovery.pattern.mesh import PatternMesh
+from recovery.drape.pattern_drape import Draped, Report
+from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.pattern.pieces import make_sheet
 
 

@@ -19,8 +19,8 @@ from drape.errors import InputError
 from drape.geometry.meshes import boundary_loops
 from recovery.drape.sleeves import limb_openings, round_spread_arms
 from recovery.pattern.measurements import measure
-from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.model import Pattern, Placement
+from recovery.pattern.pattern_mesh import PatternMesh
 
 SMPL_PELVIS_M = (0.0, -0.235, 0.0)  # first joint of SMPL's templates, about
 CLEARANCE_M = 0.015  # panels start at least this far off the skin

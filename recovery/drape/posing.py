@@ -16,7 +16,7 @@ from drape.geometry.skinning import skin_points
 from drape.motion.readers import read_motion
 from drape.motion.samples import SAMPLES
 from recovery.drape.sewing import in_numpy, sewn_relaxation
-from recovery.pattern.mesh import PatternMesh
+from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.sim.sdf import GridDistance
 
 LARGEST_TURN_RAD = 0.35  # the most that a joint turns in one step

@@ -16,12 +16,12 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from drape.geometry import meshes
 from recovery import progress
-from recovery.pattern.mesh import PatternMesh
-from recovery.sim.contact import SkinContact
+from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.sim.linearised import linearised_step
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.newton import Report, equilibrium, newton_step
 from recovery.sim.sdf import SignedDistance
+from recovery.sim.skin_contact import SkinContact
 
 TOLERANCE_N = 1e-5  # a node weighs about 1e-3 N
 ITERATION_LIMIT = 150  # of Newton for the drape

@@ -10,7 +10,7 @@ import torch
 from drape.cloth.relaxation import Distance, Relaxation, principal_stretches
 from drape.errors import InputError
 from recovery import progress
-from recovery.pattern.mesh import PatternMesh
+from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.sim.sdf import SignedDistance
 
 SEWING_GAP_M = 0.012  # cloth is kept this far off while it is sewn: inflated clear of the body

@@ -13,8 +13,8 @@ import scipy.sparse
 from scipy.sparse import csgraph
 
 from drape.geometry import meshes
-from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.model import Placement
+from recovery.pattern.pattern_mesh import PatternMesh
 
 BESIDE = 0.4  # of an opening's width, from the middle plane to its centre: half, if it touches that plane
 STANDS_RAD = 0.35  # between sleeve and arm: threads close nearer ones round the arm as they stand

@@ -21,10 +21,10 @@ from torch import Tensor
 from drape.cloth.material import OrthotropicMaterial
 from drape.garment.contours import Contour, Match, open_contours
 from drape.geometry import meshes
-from recovery.drape.pipeline import Draped
+from recovery.drape.pattern_drape import Draped
 from recovery.drape.settle import settle
 from recovery.fit.objective import nearest_on_line
-from recovery.pattern.mesh import PatternMesh
+from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.sim.sdf import SignedDistance
 
 

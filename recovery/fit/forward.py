@@ -8,12 +8,12 @@ from torch import Tensor
 
 from drape.cloth.material import OrthotropicMaterial
 from recovery.fit.belt import Belt
-from recovery.pattern.mesh import PatternMesh
-from recovery.sim.contact import SkinContact
+from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.sim.implicit import Problem
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.newton import Minimum, Report, equilibrium
 from recovery.sim.sdf import SignedDistance
+from recovery.sim.skin_contact import SkinContact
 
 TOLERANCE_N = 1e-6  # a node weighs about 1e-3 N
 ITERATION_LIMIT = 60

@@ -23,24 +23,24 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.geometry import closest, meshes
 from recovery import progress
 from recovery.catalogue.closing import on_finer_mesh
-from recovery.drape.pipeline import Draped, DrapeOptions
+from recovery.drape.pattern_drape import Draped, DrapeOptions
 from recovery.drape.settle import Drape, to_rest
 from recovery.fit.chamfer import surface_distance
 from recovery.fit.forward import RestDrape
 from recovery.fit.objective import Target
 from recovery.pattern import geometry
-from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.model import Pattern
-from recovery.sim.contact import SkinContact
+from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.sim.implicit import Problem
 from recovery.sim.linearised import LinearisedStep, Springs, damped_step, linearised_step
 from recovery.sim.model import ClothState, Parameters
 from recovery.sim.newton import Report, force_left
 from recovery.sim.sdf import SignedDistance
+from recovery.sim.skin_contact import SkinContact
 
 GATHERED = 0.125  # one edge of a seam longer than the other by more than this share of their mean
 EDGE_M = 0.03  # longest edges of cloth that is laid: 5 cm do not hold a gather's folds
-HANGS_LONGER = 0.0036  # as ``recovery.drape.pipeline``; shorter edges fold in stiffer cloth, by their square
+HANGS_LONGER = 0.0036  # as ``recovery.drape.pattern_drape``; shorter edges fold in stiffer cloth, by their square
 SPRINGS_N_M3 = (*[1000.0] * 30, *[300.0] * 10)  # of the steps that lay a garment; the last one's stays for a search
 ACROSS = 0.05  # of the springs' stiffness acts across the way to the other surface: cloth slides along it
 STEP_S, LONGEST_M = 0.1, 0.03

@@ -19,7 +19,7 @@ from drape.arrays import check_finite, check_shape
 from drape.errors import MeshError
 from drape.garment.contours import Contour, Match
 from drape.geometry import closest, meshes
-from recovery.pattern.mesh import PatternMesh
+from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.pattern.triangulate import signed_areas
 
 FOLD_PER_M = 100.0  # H0 of the weight min(1 + |H| / H0, 5): a fold of 1 cm

@@ -30,8 +30,8 @@ from recovery.fit.objective import Objective
 from recovery.fit.seams import SeamConstraint
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import with_controls
-from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.model import Pattern
+from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.pattern.symmetry import FreeControls
 
 HALVINGS = 8

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from drape.garment.contours import Match
-from recovery.drape.pipeline import Draped
+from recovery.drape.pattern_drape import Draped
 from recovery.fit.grading import Graded
 from recovery.fit.optimise import Fitted, PatternSearch
 from recovery.pattern.coordinates import control_points

@@ -16,7 +16,7 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from drape.garment.contours import lost_parts
 from recovery import progress as watch
-from recovery.drape.pipeline import Draped, DrapeOptions, Report, drape_pattern
+from recovery.drape.pattern_drape import Draped, DrapeOptions, Report, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.pattern.model import Pattern
 from recovery.sim.sdf import SignedDistance

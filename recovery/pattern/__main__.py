@@ -21,8 +21,8 @@ from recovery.pattern.bases import BASES, base_pattern
 from recovery.pattern.export import FORMATS, export_pattern
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure
-from recovery.pattern.mesh import mesh_pattern
 from recovery.pattern.model import Pattern
+from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.pattern.style import finished, lined
 
 SEAM_LIMIT = 0.02

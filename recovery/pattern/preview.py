@@ -11,8 +11,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from recovery.pattern import geometry
-from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.model import Pattern
+from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.pattern.pieces import make_sheet
 
 INCH_PER_M = 5.0

@@ -24,12 +24,13 @@ from drape.files.atomic import write_whole
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery import progress
 from recovery.commands import add_style_options, ended, parser_of, style_of
-from recovery.drape.pipeline import DrapeOptions
+from recovery.drape.pattern_drape import DrapeOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.optimise import REACH_M, FitOptions
 from recovery.pattern.bases import BASES
 from recovery.pattern.sizes import PATTERN_STEPS
-from recovery.run.job import MINUTES, Job, run_job
+from recovery.run.job import run_job
+from recovery.run.task import MINUTES, Job
 from recovery.scan.places import ScanFault
 
 # Fields of a job that the command line says as they are.
@@ -166,7 +167,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         page = write_whole(given.out / "report.html", page_of(outcome))
         record = write_whole(given.out / "report.json", json.dumps(record_of(outcome), indent=1) + "\n")
-    at_rest = outcome.anew is not None and outcome.anew.draped.at_rest
+    at_rest = outcome.sewn.anew is not None and outcome.sewn.anew.draped.at_rest
     moving = "not at rest: see the report; try another mesh (--edge-length) or fabric (--fabric)"
     return ended([*outcome.files, page, record], "" if at_rest else moving)
 

@@ -12,7 +12,7 @@ from drape.body.model import BodyModel
 from drape.errors import InputError
 from drape.garment.contours import lost_parts, match_contours, open_contours
 from recovery import progress as watch
-from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
 from recovery.fit.chamfer import SurfaceDistance, surface_distance

@@ -28,7 +28,7 @@ FAR_SHARE = 5.0  # the largest distance over the root mean square that is worth 
 
 def page_of(outcome: Outcome) -> str:
     """The report as one HTML page."""
-    page = Page(f"Sewing pattern of {outcome.name}")
+    page = Page(f"Sewing pattern of {outcome.task.name}")
     page.say(*summary(outcome))
     good, look = verdicts(outcome)
     page.table(HEADS, [key_figures(outcome)])
@@ -36,7 +36,7 @@ def page_of(outcome: Outcome) -> str:
     page.section("Before you cut")
     page.say("Look at these points first." if look else "Nothing stands out.")
     page.notes(look)
-    add_pieces(page, outcome.made)
+    add_pieces(page, outcome.written.made)
     _shape(page, outcome)
     _pattern(page, outcome)
     _told(page, outcome)
@@ -64,11 +64,11 @@ def key_figures(outcome: Outcome) -> tuple[str, ...]:
 def top_of(outcome: Outcome) -> dict[str, Any]:
     """The figures that a recovery is judged by."""
     return {
-        "distance_mean_mm": outcome.distance.mean_mm,
-        "chamfer_cm2": outcome.chamfer.squared_cm2,
+        "distance_mean_mm": outcome.near.distance.mean_mm,
+        "chamfer_cm2": outcome.near.chamfer.squared_cm2,
         "seam_max_pct": round(seam_max_pct(outcome), 6),
-        "sewn_anew_mm": None if outcome.anew is None else outcome.anew.distance.mean_mm,
-        "sewn_from_target_mm": None if outcome.sewn_distance is None else outcome.sewn_distance.mean_mm,
+        "sewn_anew_mm": None if outcome.sewn.anew is None else outcome.sewn.anew.distance.mean_mm,
+        "sewn_from_target_mm": None if outcome.sewn.distance is None else outcome.sewn.distance.mean_mm,
         "cut": cut_of(outcome),
         "minutes": round(outcome.seconds / 60.0, 2),
     }
@@ -76,12 +76,12 @@ def top_of(outcome: Outcome) -> dict[str, Any]:
 
 def summary(outcome: Outcome) -> list[str]:
     """Three sentences: what it is, how near, how the base was changed."""
-    pattern, distance, graded = outcome.pattern, outcome.distance, outcome.found.graded
+    pattern, distance, graded = outcome.pattern, outcome.near.distance, outcome.found.graded
     return [
         f"A pattern of {len(pattern.panels)} panels and {len(pattern.stitches)} seams was found from the base "
-        f"{outcome.cut.called}.{style_words(outcome)}",
+        f"{outcome.task.cut.called}.{style_words(outcome)}",
         f"Draped on the same body, the garment lies {distance.mean_mm:.1f} mm from the target on average; the base lay "
-        f"{outcome.before.mean_mm:.0f} mm away.",
+        f"{outcome.near.before.mean_mm:.0f} mm away.",
         f"On the way panels became {_percent(graded.widths)} in width and {_percent(graded.heights)} in height, before "
         "single corners were moved.",
     ]
@@ -89,12 +89,12 @@ def summary(outcome: Outcome) -> list[str]:
 
 def style_words(outcome: Outcome) -> str:
     """Sentences, after a space, on the lines that were drawn into the pattern; empty for none."""
-    if not outcome.style:
+    if not outcome.written.style:
         return ""
-    made = outcome.made
+    made = outcome.written.made
     return (
-        f" With {outcome.style.words()} it has {len(made.panels)} pieces and {len(made.stitches)} seams: lines that "
-        "are sewn again move no cloth."
+        f" With {outcome.written.style.words()} it has {len(made.panels)} pieces and {len(made.stitches)} seams: "
+        "lines that are sewn again move no cloth."
     )
 
 
@@ -105,8 +105,8 @@ def _percent(factors: np.ndarray) -> str:
 
 def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
     """Sentences on what is well, and on what to look at."""
-    good, look = [], list(outcome.warnings)
-    rms, largest = outcome.distance.rms_mm, outcome.distance.largest_mm
+    good, look = [], list(outcome.task.warnings)
+    rms, largest = outcome.near.distance.rms_mm, outcome.near.distance.largest_mm
     line = f"Target and result are {rms:.1f} mm apart (root mean square)."
     if rms <= GOOD_RMS_MM:
         good.append(line)
@@ -126,30 +126,30 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
         good.append(
             f"All seams can be sewn: edges have the lengths that they should have within {max(worst, 0.01):.2g} %."
         )
-    eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.made) if eases(seam)]
+    eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.written.made) if eases(seam)]
     if eased:
         look.append(
             f"{len(eased)} seams have ease, up to {max(eased):.1f} %: the table of seams says which edge to hold in."
         )
-    unsure = int((outcome.told.slack_m > UNSURE_M).sum())
+    unsure = int((outcome.near.told.slack_m > UNSURE_M).sum())
     if unsure:
         look.append(
-            f"{unsure} of {len(outcome.told.slack_m)} corners could move by more than a centimetre without a "
+            f"{unsure} of {len(outcome.near.told.slack_m)} corners could move by more than a centimetre without a "
             "difference that the target shows: see what the target cannot tell."
         )
     if not outcome.found.fitted.finished:
         look.append("The search ended because no further step helped or came to rest, not because it had converged.")
     if outcome.found.left:
         look.append(f"A part of the search was left out: {outcome.found.left}.")
-    if outcome.anew is not None:
-        draped = outcome.anew.draped
+    if outcome.sewn.anew is not None:
+        draped = outcome.sewn.anew.draped
         if draped.at_rest:
             good.append("Sewn anew from flat panels, the garment comes to rest on the body.")
         else:
             left = max(one.report.residual_n for one in (draped.rest, draped.posed) if one is not None)
             look.append(f"Sewn anew, the garment is not at rest: {left:.1e} N are left at a node.")
         look += cut_words(draped.figures["rest"]["edges_in_body_pct"], draped.figures["edge_length_m"])
-        (good if outcome.anew.distance.mean_mm <= ANEW_MM else look).append(anew_words(outcome.anew))
+        (good if outcome.sewn.anew.distance.mean_mm <= ANEW_MM else look).append(anew_words(outcome.sewn.anew))
     return good, look
 
 
@@ -160,17 +160,17 @@ def eases(seam: geometry.Seam) -> bool:
 
 def seam_max_pct(outcome: Outcome) -> float:
     """The largest difference [%] of sewn edges from what the base asks for: equal, or its ease."""
-    return 100.0 * float(np.abs(ease_left(outcome.pattern, outcome.base)).max(initial=0.0))
+    return 100.0 * float(np.abs(ease_left(outcome.pattern, outcome.task.base)).max(initial=0.0))
 
 
 def cut_of(outcome: Outcome) -> str:
     """The cut in words: its base, its panels and seams, and what of the target's it is not."""
     pattern = outcome.pattern
-    words = f"{outcome.cut.called}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
-    if outcome.style:
-        made = outcome.made
-        words += f"; with {outcome.style.words()}: {len(made.panels)} pieces, {len(made.stitches)} seams"
-    return ". ".join((words, *outcome.cut.differs))
+    words = f"{outcome.task.cut.called}: {len(pattern.panels)} panels, {len(pattern.stitches)} seams"
+    if outcome.written.style:
+        made = outcome.written.made
+        words += f"; with {outcome.written.style.words()}: {len(made.panels)} pieces, {len(made.stitches)} seams"
+    return ". ".join((words, *outcome.task.cut.differs))
 
 
 def cut_words(edges_in_body_pct: float, edge_length_m: float) -> list[str]:
@@ -186,17 +186,17 @@ def cut_words(edges_in_body_pct: float, edge_length_m: float) -> list[str]:
 
 def _shape(page: Page, outcome: Outcome) -> None:
     page.section("Target and result")
-    skin = outcome.wearer.skin
+    skin = outcome.task.wearer.skin
     page.picture(
         pictures.target_and_result(
-            pictures.Mesh(outcome.target.vertices, outcome.target.faces),
+            pictures.Mesh(outcome.task.mesh.vertices, outcome.task.mesh.faces),
             pictures.Mesh(outcome.nodes, outcome.found.search.mesh.faces),
-            pictures.Mesh(skin.vertices - outcome.wearer.trans, skin.faces),
+            pictures.Mesh(skin.vertices - outcome.task.wearer.trans, skin.faces),
         ),
         "Above the target, in the middle the recovered garment, below its distance from the target. Under the cloth "
         "the body is drawn a centimetre thinner than it is.",
     )
-    d, far, floor = outcome.distance, outcome.chamfer, outcome.floor
+    d, far, floor = outcome.near.distance, outcome.near.chamfer, outcome.near.floor
     page.say(
         "Distances run from points of either surface to the other surface. The Chamfer distance compares drawn points "
         "instead, so it never reaches zero: its floor is what the target has against itself, drawn anew."
@@ -218,11 +218,11 @@ def _shape(page: Page, outcome: Outcome) -> None:
 def _pattern(page: Page, outcome: Outcome) -> None:
     page.section("Against the base")
     page.picture(
-        pictures.panels_over_base(outcome.base, outcome.pattern),
+        pictures.panels_over_base(outcome.task.base, outcome.pattern),
         "Recovered panels, filled, over the base's, dashed; all at one scale.",
     )
     rows = []
-    for old, new in zip(outcome.base.panels, outcome.pattern.panels, strict=True):
+    for old, new in zip(outcome.task.base.panels, outcome.pattern.panels, strict=True):
         size = np.ptp(geometry.outline(new), axis=0)
         change = geometry.area(new) / geometry.area(old) - 1.0
         rows.append((new.name, f"{100 * size[0]:.1f}", f"{100 * size[1]:.1f}", f"{100 * change:+.1f} %"))
@@ -230,7 +230,7 @@ def _pattern(page: Page, outcome: Outcome) -> None:
 
 
 def _told(page: Page, outcome: Outcome) -> None:
-    told = outcome.told
+    told = outcome.near.told
     page.section("What the target cannot tell")
     sure = int((told.slack_m <= UNSURE_M).sum())
     page.say(
@@ -266,17 +266,19 @@ def _condition(values: np.ndarray) -> float:
 
 
 def _elsewhere(page: Page, outcome: Outcome) -> None:
-    if not outcome.worn:
+    if not outcome.sewn.worn:
         return
     page.section("On other bodies and in other poses")
     page.say("The same pattern, sewn and draped again by the simulator; nothing was fitted here.")
-    page.picture(pictures.worn_elsewhere(outcome.worn), "Above from the front, below from behind.")
-    page.table(("where", "how"), [(w.what, w.refusal or describe_worn(w)) for w in outcome.worn])
+    page.picture(pictures.worn_elsewhere(outcome.sewn.worn), "Above from the front, below from behind.")
+    page.table(("where", "how"), [(w.what, w.refusal or describe_worn(w)) for w in outcome.sewn.worn])
 
 
 def _made(page: Page, outcome: Outcome) -> None:
     page.section("How it was made")
-    page.say(f"The target has {len(outcome.target.vertices):,} vertices and was draped on {outcome.wearer.source}.")
+    page.say(
+        f"The target has {len(outcome.task.mesh.vertices):,} vertices and was draped on {outcome.task.wearer.source}."
+    )
     page.say(cloth_words(outcome.found))
     mesh = outcome.found.search.mesh
     page.say(
@@ -315,31 +317,31 @@ def file_words(name: str) -> str:
 
 def record_of(outcome: Outcome) -> dict[str, Any]:
     """The report's numbers."""
-    told, fitted, mesh = outcome.told, outcome.found.fitted, outcome.found.search.mesh
-    anew = outcome.anew
+    told, fitted, mesh = outcome.near.told, outcome.found.fitted, outcome.found.search.mesh
+    anew = outcome.sewn.anew
     return {
         **top_of(outcome),
         "left": outcome.found.left,
-        "name": outcome.name,
+        "name": outcome.task.name,
         "target": {
-            "file": outcome.job.target.name,
-            "vertices": len(outcome.target.vertices),
-            "area_m2": float(meshes.face_areas(outcome.target.vertices, outcome.target.faces).sum()),
+            "file": outcome.task.job.target.name,
+            "vertices": len(outcome.task.mesh.vertices),
+            "area_m2": float(meshes.face_areas(outcome.task.mesh.vertices, outcome.task.mesh.faces).sum()),
         },
-        "base": {"name": outcome.cut.called, "told": outcome.cut.told, "settings": outcome.cut.settings},
+        "base": {"name": outcome.task.cut.called, "told": outcome.task.cut.told, "settings": outcome.task.cut.settings},
         "body": {
-            "source": outcome.wearer.source,
-            "betas": outcome.wearer.betas.tolist(),
-            "pose": None if outcome.wearer.pose is None else outcome.wearer.pose.tolist(),
-            "trans": outcome.wearer.trans.tolist(),
-            "residual_mm": outcome.wearer.residual_mm,
+            "source": outcome.task.wearer.source,
+            "betas": outcome.task.wearer.betas.tolist(),
+            "pose": None if outcome.task.wearer.pose is None else outcome.task.wearer.pose.tolist(),
+            "trans": outcome.task.wearer.trans.tolist(),
+            "residual_mm": outcome.task.wearer.residual_mm,
         },
         "fabric": {"name": outcome.found.fabric, "constants": asdict(fitted.cloth)},
-        "warnings": outcome.warnings,
-        "distance": outcome.distance._asdict(),
-        "base_distance": outcome.before._asdict(),
-        "chamfer": outcome.chamfer._asdict(),
-        "chamfer_floor": outcome.floor._asdict(),
+        "warnings": outcome.task.warnings,
+        "distance": outcome.near.distance._asdict(),
+        "base_distance": outcome.near.before._asdict(),
+        "chamfer": outcome.near.chamfer._asdict(),
+        "chamfer_floor": outcome.near.floor._asdict(),
         "graded": {
             "widths": outcome.found.graded.widths.tolist(),
             "heights": outcome.found.graded.heights.tolist(),
@@ -360,7 +362,7 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
                 "second_m": seam.second_m,
                 "mismatch": seam.mismatch,
             }
-            for seam in geometry.seams(outcome.made)
+            for seam in geometry.seams(outcome.written.made)
         ],
         "identifiability": {
             "cloth": told.cloth.tolist(),
@@ -379,7 +381,7 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
         },
         "worn": [
             {"what": worn.what, "refusal": worn.refusal, "lost": list(worn.lost), **worn.figures}
-            for worn in outcome.worn
+            for worn in outcome.sewn.worn
         ],
         "files": [path.name for path in outcome.files],
         "seconds": round(outcome.seconds, 1),

@@ -29,12 +29,12 @@ from drape.garment.mesh_checks import (
 from drape.garment.sheets import agreeing, cut_branches, main_sheet, without_copies
 from drape.geometry import closest, meshes
 from recovery import progress
-from recovery.scan.caps import check_unworn
+from recovery.scan.closed_ends import check_unworn
 from recovery.scan.hems import without_turned_hems
 from recovery.scan.holes import closed
 from recovery.scan.places import ScanFault, in_box
 from recovery.scan.thin import calmed, thinned
-from recovery.sim.contact import SkinContact
+from recovery.sim.skin_contact import SkinContact
 
 SCAN_VERTEX_LIMIT = 3_300_000  # 1,000,000 triangles of an STL, which does not share vertices
 FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from recovery.sim import elastic, implicit
-from recovery.sim.contact import SkinContact, tangential
 from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
+from recovery.sim.skin_contact import SkinContact, tangential
 from recovery.sim.solver import Factor, superlu
 
 DAMPED_DT_S = 0.033

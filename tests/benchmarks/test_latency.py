@@ -8,15 +8,13 @@ from numpy.testing import assert_allclose
 
 from benchmarks import latency, records
 from benchmarks.clock import timed
-from benchmarks.latency import shipped, with_patches, with_vertices
+from benchmarks.latency import shipped
 from benchmarks.speed import floor
 from benchmarks.speed.skinning_push import SkinningPush
 from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body
-from drape.graph.packing import pack_body
 from drape.inference.engine import Engine
-from drape.inference.packing import Packer, ScenePlan
-from tests.fixtures.garments import reconstructed
+from drape.inference.packing import Packer
 from tests.fixtures.packed import exported, lively
 
 
@@ -47,45 +45,13 @@ def test_rows_hold_together(record: dict):
     assert 0.0 < rows["floor"]["p50_ms"] < 3.0 * ours["p50_ms"]
     batches = [row for row in record["rows"] if row["garment"] == "mixed"]
     assert [row["batch"] for row in batches] == [1, 8]
-    stores = [row["store_bytes"] for row in record["rows"] if "in store" in row["garment"]]
-    assert stores[-1] == 4 * stores[0]
-
-
-@pytest.mark.long
-def test_tables_come_from_the_record(record: dict):
-    made = {name: table for _, _, name, table in records.TABLES}
-    single = records.single_table(record)
-    assert "| shorts | packed graph: vertices | " in single and "| shorts | floor | " in single
-    assert made["latency_batches"](record).count("| 8 | ") == 1
-    assert "all 4 in store" in records.growth_table(record)
 
 
 def test_another_garment_of_the_shipped_model_takes_less_than_three_megabytes():
     packer = Packer(Engine(MODELS_DIR / "onefit"), load_body())
-    packer.add("it", with_vertices(shipped("tshirt"), 5000))
-    assert packer.store.packed("it").vertex_count == 5000
+    packer.add("it", shipped("shorts"))
+    assert packer.store.packed("it").vertex_count == shipped("shorts").vertex_count > 4500
     assert packer.store.bytes < 3e6
-
-
-def drape(garment, pose: np.ndarray) -> np.ndarray:
-    packer = Packer(Engine(exported()[1]), load_body())
-    packer.add("it", garment)
-    return packer.run(ScenePlan(), pack_body(load_body()).rows(pose), [("it", 0)])[0].arrays["vertices"]
-
-
-@pytest.mark.slow
-def test_more_vertices_lie_on_the_same_surface():
-    """New vertices have a place of their own in their parents' patches: at rest, the middle of the edge."""
-    garment, pose = shipped("shorts"), np.zeros((1, 24, 3))
-    more = with_vertices(garment, 3 * garment.vertex_count)
-    assert more.vertex_count == 3 * garment.vertex_count and more.patch_count == garment.patch_count
-    assert_allclose(reconstructed(more)[: more.vertex_count], more.vertices[: more.vertex_count], rtol=0, atol=1e-6)
-    assert with_vertices(garment, 500).vertex_count == 500
-    assert drape(more, pose).shape == (more.vertex_count, 3)
-
-
-def test_patches_are_as_many_as_asked():
-    assert with_patches(shipped("shorts"), 40).patch_count == 40
 
 
 def test_skinning_at_rest_is_the_garment():

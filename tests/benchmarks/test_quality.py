@@ -13,7 +13,6 @@ from benchmarks.judge import physics
 from benchmarks.judge.physics_cache import CACHE_DIR
 from benchmarks.network import Network
 from benchmarks.quality import METHODS
-from benchmarks.tables import text_table
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
@@ -94,15 +93,6 @@ def test_fabrics_that_cannot_be_measured_are_refused(tmp_path):
         quality.in_fabrics(bench(tmp_path), options("--fabrics", "tin"))
     with pytest.raises(InputError, match="--material: expected no --fabrics beside it"):
         quality.in_fabrics(bench(tmp_path), options("--fabrics", "rib", "--material", "soft"))
-
-
-def test_the_table_has_a_column_of_fabrics_where_there_are_any():
-    row = {"garment": "tube", "set": "unseen", "method": "network", "detail_mm": 1.25}
-    plain, *_ = text_table([row], quality.COLUMNS).splitlines()
-    named, line = text_table([row | {"fabric": "rib"}], quality.COLUMNS).splitlines()
-    assert "fabric" not in plain
-    assert named.split()[:4] == ["garment", "set", "fabric", "method"]
-    assert line.split() == ["tube", "unseen", "rib", "network", "1.250"]
 
 
 def test_optima_are_kept_in_an_ignored_folder():

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.speed.client_folds import Worn, client_folder, in_node, rms_mm
 from drape.errors import Unavailable
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
+from tests.fixtures.folds_of_clients import Worn, client_folder, in_node, rms_mm
 from tests.fixtures.garments import ship
 
 FRAMES, FIRST = 12, 10
@@ -36,6 +36,6 @@ def test_the_client_s_shirt_in_a_walk_is_that_of_the_service(shirt: Worn):
             same = in_node(folder)
     except Unavailable as missing:
         pytest.skip(str(missing))
-    assert (rms_mm(same.vertices, server.vertices[:FIRST]) < FIRST_MM).all()
-    assert (rms_mm(client.vertices, server.vertices) < MOST_MM).all()
+    assert (rms_mm(same, server.vertices[:FIRST]) < FIRST_MM).all()
+    assert (rms_mm(client, server.vertices) < MOST_MM).all()
     assert (rms_mm(shirt.smooth(jets.messages), server.vertices) > 4.0 * MOST_MM).all()

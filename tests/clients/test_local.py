@@ -17,8 +17,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.speed.client_folds import Worn, rms_mm
-from benchmarks.speed.static_page import draped_in, write_static
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.model import BodyModel
 from drape.body.pose_support import read_pose_support
@@ -29,6 +27,8 @@ from service.static.folder import Asked, sizes
 from tests.clients.browser import open_page
 from tests.clients.node import answer_of
 from tests.clients.test_folds import FIRST, FIRST_MM, MOST_MM, shirt
+from tests.fixtures.drapes_of_folders import draped_in, write_static
+from tests.fixtures.folds_of_clients import Worn, rms_mm
 from tests.fixtures.poses import random_motion
 
 __all__ = ["shirt"]  # a fixture
@@ -133,7 +133,7 @@ def test_a_folder_is_small_and_drapes_as_the_service_does(
     assert found["engine.wasm.gz"] < ENGINE_BYTES
     copied = shutil.copytree(folder, tmp_path / "copied")
     draped = draped_in(copied, replace(shirt.clip, poses=shirt.clip.poses[:FRAMES], trans=shirt.clip.trans[:FRAMES]))
-    apart_mm = rms_mm(draped.vertices, served)
+    apart_mm = rms_mm(draped, served)
     assert (apart_mm[:FIRST] < FIRST_MM).all() and (apart_mm < MOST_MM).all()
 
 

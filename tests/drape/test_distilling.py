@@ -81,7 +81,9 @@ def test_the_command_refuses_a_vrm_of_a_plain_glb_before_it_works(body: BodyMode
 @pytest.mark.slow
 def test_the_command_writes_the_character_in_its_garments(me: Path, tmp_path: Path, capsys, monkeypatch):
     monkeypatch.setattr("drape.distilling.POSES", 4)
-    out, one, path = tmp_path / "dressed.vrm", clip(1), tmp_path / "sway.npz"
+    monkeypatch.setattr("drape.catalog.MOTIONS_DIR", tmp_path)  # of no clip but the one that is named
+    out, one, path = tmp_path / "dressed.vrm", clip(1), tmp_path / "clips" / "sway.npz"
+    path.parent.mkdir()
     np.savez(path, poses=one.poses.reshape(FRAMES, -1), trans=one.trans, mocap_framerate=30.0)
     words = ["wear", "tank", str(path), "--on", str(me), "--joints", "4", "--tier", "instant", "--out", str(out)]
     assert main([*words, "--json"]) == 0

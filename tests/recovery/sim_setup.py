@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from drape.cloth.material import OrthotropicMaterial
-from recovery.sim.contact import SkinContact
 from recovery.sim.linearised import linearised_step
 from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
 from recovery.sim.newton import TOLERANCE_N, newton_step
+from recovery.sim.skin_contact import SkinContact
 
 # A woven cloth of ordinary stiffness, every constant different so that a swap shows.
 WOVEN = OrthotropicMaterial(h00=60.0, h01=11.0, h11=45.0, h22=24.0, bending_j=1.5e-4, density_kg_m2=0.18)

@@ -27,7 +27,7 @@ from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
 from recovery.drape.output import panel_texture
 from recovery.pattern.bases import skirt
-from recovery.pattern.mesh import mesh_pattern
+from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.pattern.style import Style, lined
 from recovery.sim.model import ClothModel
 from tests.recovery.pattern_setup import default_measurements

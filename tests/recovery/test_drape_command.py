@@ -20,12 +20,12 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.samples import walk
 from recovery.drape.__main__ import left_words, main
 from recovery.drape.output import glb_bytes, obj_text, panel_texture
-from recovery.drape.pipeline import DrapeOptions, drape_pattern
+from recovery.drape.pattern_drape import DrapeOptions, drape_pattern
 from recovery.drape.posing import LARGEST_TURN_RAD, moved_with_bones, pose_steps, read_pose
 from recovery.pattern.bases import skirt
 from recovery.pattern.garmentcode import read_pattern, write_pattern
-from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import EdgeRef, Stitch
+from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from tests.recovery.pattern_setup import default_measurements, tube
 
 

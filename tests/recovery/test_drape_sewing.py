@@ -16,7 +16,7 @@ from drape.cloth.material import FABRICS, MEASURED
 from drape.cloth.relaxation import Distance
 from drape.errors import InputError
 from drape.garment.contours import lost_parts
-from recovery.drape.pipeline import hanging
+from recovery.drape.pattern_drape import hanging
 from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, moved_clear, place_panels, scaled
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle, to_rest, topmost_opening
@@ -25,13 +25,13 @@ from recovery.drape.sleeves import limb_openings, sleeve_panels
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
 from recovery.pattern.garmentcode import read_pattern
-from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
+from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from recovery.pattern.style import Style, lined
-from recovery.sim.contact import SkinContact
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.newton import equilibrium
 from recovery.sim.sdf import GridDistance, Plane, SignedDistance, Sphere
+from recovery.sim.skin_contact import SkinContact
 from tests.recovery.pattern_setup import default_measurements, lowered, rectangle, tube
 from tests.recovery.sim_setup import WOVEN
 

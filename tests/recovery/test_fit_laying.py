@@ -10,7 +10,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from drape.garment.contours import open_contours
-from recovery.drape.pipeline import HANGS_LONGER, Draped, DrapeOptions
+from recovery.drape.pattern_drape import HANGS_LONGER, Draped, DrapeOptions
 from recovery.drape.settle import Drape
 from recovery.fit import laying
 from recovery.fit.laying import (
@@ -25,8 +25,8 @@ from recovery.fit.laying import (
 )
 from recovery.fit.objective import Target
 from recovery.pattern.bases import base_pattern
-from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
+from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from recovery.sim.newton import Report
 from recovery.sim.sdf import Plane, Sphere
 from tests.recovery.pattern_setup import default_measurements, rectangle

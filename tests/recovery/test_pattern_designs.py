@@ -22,13 +22,13 @@ from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.legs import LegCut
 from recovery.pattern.legs import trousers as legs
 from recovery.pattern.measurements import measure
-from recovery.pattern.mesh import mesh_pattern
 from recovery.pattern.model import Pattern
+from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.pattern.sizes import GROWTH_M, in_size
 from recovery.pattern.skirts import SkirtCut, a_line, circle, fitted
 from recovery.pattern.tops import CAP_EASE, Sleeve, TopCut, cap, lines, top
 from recovery.pattern.wrapping import Cone, Flutes, Tube
-from recovery.run.wearer import shaped_body
+from recovery.run.target_wearer import shaped_body
 from tests.recovery.pattern_setup import default_measurements
 
 OPENINGS = {

@@ -19,8 +19,8 @@ from recovery.pattern.coordinates import (
     with_controls,
 )
 from recovery.pattern.garmentcode import read_pattern
-from recovery.pattern.mesh import mesh_pattern
 from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
+from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.pattern.triangulate import corner_angles_deg, signed_areas, triangulate
 from recovery.sim.model import ClothModel
 from tests.recovery.pattern_setup import curved, rectangle, tube

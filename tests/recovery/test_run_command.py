@@ -25,7 +25,7 @@ from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
 from recovery import progress
 from recovery.drape.output import obj_text, panel_texture
-from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern, hanging
+from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_pattern, hanging
 from recovery.fit.chamfer import SurfaceDistance, chamfer, surface_chamfer, surface_distance
 from recovery.fit.recovered import Recovered
 from recovery.pattern.bases import BASES, tshirt
@@ -38,12 +38,12 @@ from recovery.run import __main__ as command
 from recovery.run import report_text
 from recovery.run.anew import SewnAnew, anew_words, sewn_anew
 from recovery.run.drafted import own_settings
+from recovery.run.elsewhere import retargeted
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
 from recovery.run.job import describe_worn, run_job
 from recovery.run.report import Page
 from recovery.run.report_pieces import add_pieces, scaled_drawing
 from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, summary, verdicts
-from recovery.run.retarget import retargeted
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements, tube
@@ -125,7 +125,7 @@ def test_files_have_words():
 
 
 def test_the_report_is_drawn_under_the_watch(tmp_path, monkeypatch):
-    outcome = SimpleNamespace(files=[], anew=None)
+    outcome = SimpleNamespace(files=[], sewn=SimpleNamespace(anew=None))
     monkeypatch.setattr(command, "run_job", lambda *given, **more: outcome)
     monkeypatch.setattr(report_text, "page_of", lambda one: "")
     monkeypatch.setattr(report_text, "record_of", lambda one: {"stage": progress._watches[-1].stage})
@@ -167,11 +167,11 @@ def test_a_draped_mesh_becomes_a_pattern_and_a_garment(run):
     found = read_pattern(out / "target.json")
     base = tshirt(default_measurements())
     assert pattern_error(found, truth).controls_m.mean() < 0.5 * pattern_error(base, truth).controls_m.mean()
-    assert outcome.anew is not None and outcome.anew.draped.at_rest
+    assert outcome.sewn.anew is not None and outcome.sewn.anew.draped.at_rest
     assert found.material == "jersey 200 g/m²"
     simulated, there = read_mesh(out / "target.obj"), read_mesh(folder / "target.obj")
     apart = surface_distance((simulated.vertices, simulated.faces), (there.vertices, there.faces))
-    assert_allclose(apart.mean_mm, outcome.distance.mean_mm, rtol=0.05)
+    assert_allclose(apart.mean_mm, outcome.near.distance.mean_mm, rtol=0.05)
     garment = load_garment(next(out.glob("target-*.npz")))
     assert garment.body_digest == load_body().digest
     assert garment.vertex_count == len(read_mesh(out / "target_rest.obj").vertices)
@@ -209,21 +209,24 @@ def test_the_report_says_what_was_found(run):
     for words in ("Seams in pairs", "mirror of sleeve_left_front", "hem, turned up", "Checked by", "seams have ease"):
         assert words in page
     style = Style({"cuffs": 0.05, "collar": 0.06})
-    with_lines = replace(outcome, style=style, made=finished(lined(outcome.pattern, style), style))
+    made = finished(lined(outcome.pattern, style), style)
+    with_lines = replace(outcome, written=outcome.written._replace(style=style, made=made))
     assert cut_of(with_lines) == f"{record['cut']}; with cuffs 5 cm, collar 6 cm: 11 pieces, 24 seams"
     assert "With cuffs 5 cm, collar 6 cm it has 11 pieces and 24 seams" in summary(with_lines)[0]
     lines = Page("lines")
-    add_pieces(lines, with_lines.made)
+    add_pieces(lines, with_lines.written.made)
     assert "cut twice: sewn to its facing" in lines.text() and "sleeve_left_front_cuff" in lines.text()
-    anew = outcome.anew
+    anew = outcome.sewn.anew
     for share, said in ((0.0, False), (19.0, True)):
         draped = anew.draped
         figures = draped.figures | {"rest": draped.figures["rest"] | {"edges_in_body_pct": share}}
-        look = verdicts(replace(outcome, anew=anew._replace(draped=replace(draped, figures=figures))))[1]
+        other = outcome.sewn._replace(anew=anew._replace(draped=replace(draped, figures=figures)))
+        look = verdicts(replace(outcome, sewn=other))[1]
         assert any("cut the body" in sentence for sentence in look) == said
     dropped = replace(outcome, found=replace(outcome.found, left="round 2 of 3: no drape at rest"))
     assert "A part of the search was left out: round 2 of 3: no drape at rest." in verdicts(dropped)[1]
-    far = replace(outcome, anew=anew._replace(distance=anew.distance._replace(mean_mm=7.0), belt_moved_m=-0.02))
+    moved = anew._replace(distance=anew.distance._replace(mean_mm=7.0), belt_moved_m=-0.02)
+    far = replace(outcome, sewn=outcome.sewn._replace(anew=moved))
     (words,) = [sentence for sentence in verdicts(far)[1] if sentence.startswith("Sewn anew it lies 7.0 mm")]
     assert "2.0 cm below where it would close by itself" in words and "other folds" in words
 
@@ -243,7 +246,7 @@ def test_lines_that_are_sewn_again_move_no_cloth(run):
 def test_what_the_target_shows_is_what_a_changed_pattern_changes(run):
     """A step along the best seen shape, draped: the loss rises as its singular value says."""
     _, outcome, _ = run
-    found, told, search = outcome.found, outcome.told, outcome.found.search
+    found, told, search = outcome.found, outcome.near.told, outcome.found.search
     assert (
         len(told.seen) == len(told.cloth) == search.free.count - 8
     )  # rigid: 3 of each half sleeve, and both bodices rise
@@ -263,9 +266,9 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     pose = np.zeros((24, 3))
     pose[0, 1] = 0.3
     write_whole(folder / "turned.json", json.dumps(pose.tolist()))
-    monkeypatch.setattr("recovery.run.retarget.BODIES", {"taller": (0.3,)})
-    monkeypatch.setattr("recovery.run.retarget.POSES", (str(folder / "turned.json"),))
-    draped, body = outcome.anew.draped, load_body()
+    monkeypatch.setattr("recovery.run.elsewhere.BODIES", {"taller": (0.3,)})
+    monkeypatch.setattr("recovery.run.elsewhere.POSES", (str(folder / "turned.json"),))
+    draped, body = outcome.sewn.anew.draped, load_body()
     parts = ["trunk", "trunk", "left_arm", "right_arm"]
     taller, posed = retargeted(truth, draped, body, body, COARSE, parts, cloth=outcome.found.fitted.cloth)
     assert taller.lost == posed.lost == ()
@@ -278,7 +281,7 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
 def test_what_fell_into_other_folds_is_hung_in_the_reports(run, monkeypatch: pytest.MonkeyPatch):
     """The garment sewn anew, shaken by centimetres in waves, comes to rest where the report shows it."""
     _, outcome, _ = run
-    draped, wearer = outcome.anew.draped, outcome.wearer
+    draped, wearer = outcome.sewn.anew.draped, outcome.task.wearer
     aside = 0.04 * np.sin(20.0 * draped.nodes[:, 1:2]) * np.array([0.0, 0.0, 1.0])
     shaken = replace(draped, rest=draped.rest._replace(nodes=draped.nodes + aside))
     monkeypatch.setattr("recovery.run.anew.drape_pattern", lambda *given, **more: shaken)
@@ -324,7 +327,7 @@ def test_a_place_that_refuses_the_garment_says_so(body, monkeypatch):
     def refuse(*given, **more):
         raise InputError("pattern", expected="cloth", got="none", cure="Size it up.")
 
-    monkeypatch.setattr("recovery.run.retarget.drape_pattern", refuse)
+    monkeypatch.setattr("recovery.run.elsewhere.drape_pattern", refuse)
     never_sewn = cast(Draped, None)  # bodies come before poses, which alone need it
     worn = next(retargeted(tube(), never_sewn, body, body, COARSE, ["trunk"], cloth=hanging("jersey")))
     assert worn.refusal.endswith("Size it up.") and len(worn.nodes) == len(worn.faces) == 0 and worn.figures == {}

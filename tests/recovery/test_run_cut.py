@@ -20,7 +20,7 @@ from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
 from recovery.pattern.coordinates import control_points, with_controls
-from recovery.pattern.mesh import mesh_pattern
+from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.pattern.shirts import FALL_M, STAND_M
 from recovery.pattern.sizes import in_size
 from recovery.pattern.style import NO_STYLE, Style

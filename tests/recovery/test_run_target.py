@@ -16,7 +16,6 @@ from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.geometry import closest, meshes
 from recovery.pattern.bases import base_pattern
 from recovery.pattern.export import export_pattern
-from recovery.run.job import Job, prepare, read_base
 from recovery.run.target import (
     MOST_OFF_M,
     OPENINGS,
@@ -29,7 +28,8 @@ from recovery.run.target import (
     placed_target,
     read_target,
 )
-from recovery.run.wearer import check_closed, inside_wearer, read_wearer, shaped_body
+from recovery.run.target_wearer import check_closed, inside_wearer, read_wearer, shaped_body
+from recovery.run.task import Job, prepare, read_base
 from recovery.scan.holes import closed
 from recovery.scan.places import ScanFault
 from tests.drape.cloth.cloth_shapes import grid, round_tube
@@ -315,9 +315,9 @@ def test_arms_bend_where_long_sleeves_do(body):
 def test_without_a_base_the_target_tells_it_and_its_settings(tmp_path):
     path = write_obj(tmp_path / "t.obj", skirt_tube())
     found = prepare(Job(target=path, out=tmp_path, base=None, body="anny_default"))
-    assert (found.cut.base, found.cut.told, found.base.name) == ("skirt", True, "skirt")
+    assert (found.cut.base, found.cut.told, found.base.name) == ("skirt", True, "t")
     assert_allclose(found.cut.settings["length_m"], 0.5, atol=1e-6)
-    assert any("chosen by the target's openings: skirt" in note for note in found.notes)
+    assert any("chosen by the target's openings: skirt" in note for note in found.warnings)
     named = prepare(Job(target=path, out=tmp_path, base="skirt", body="anny_default", settings=["length_m=0.4"]))
     assert not named.cut.told and named.cut.settings["length_m"] == 0.4
     with pytest.raises(InputError, match=r"--set: expected NAME=NUMBER"):

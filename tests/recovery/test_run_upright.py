@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from recovery.pattern.bases import base_pattern
 from recovery.run.target import OPENINGS
+from recovery.run.target_wearer import inside_wearer
 from recovery.run.upright import facing, turned_about, up_axis
-from recovery.run.wearer import inside_wearer
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements
 from tests.recovery.test_run_cut import worn

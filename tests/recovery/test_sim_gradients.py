@@ -9,11 +9,11 @@ from numpy.testing import assert_allclose
 from torch import Tensor
 
 from recovery.sim import elastic
-from recovery.sim.contact import SkinContact
 from recovery.sim.linearised import linearised_step, simulate
 from recovery.sim.model import ClothState, Parameters
 from recovery.sim.newton import equilibrium, newton_step
 from recovery.sim.sdf import Sphere
+from recovery.sim.skin_contact import SkinContact
 from tests.fixtures.laws import each
 from tests.recovery.sim_setup import WOVEN, crumpled, directional_error, leaves_of, sewn_tube, with_leaf
 

@@ -14,9 +14,9 @@ from drape.cloth import bending
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.sim import elastic
-from recovery.sim.contact import SkinContact
 from recovery.sim.model import ClothModel
 from recovery.sim.newton import equilibrium, newton_step
+from recovery.sim.skin_contact import SkinContact
 from tests.recovery.sim_setup import WOVEN, lifted, strip
 
 # x and z of a flat panel in space, for in-plane deformation gradients.

@@ -8,11 +8,9 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import httpx
@@ -29,26 +27,9 @@ from service.guard.access import Access
 from service.settings import Settings
 from service.uploads.accepted import Accepted, staging_folder, taken_over
 from service.uploads.jobs import MOST_ATTEMPTS
-from tests.architecture.repository import ROOT
 from tests.fixtures.patience import PATIENT_S
-from tests.fixtures.serving import files_in, serve, served
+from tests.fixtures.serving import files_in, process, serve, served
 from tests.fixtures.streams import PROTOCOLS, stream_address
-
-
-@contextmanager
-def process(settings: Settings) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A service in a process of its own, and its address."""
-    chosen = settings.model_dump(mode="json", exclude_unset=True)
-    environment = {**os.environ, **{f"DRAPE_{name.upper()}": str(value) for name, value in chosen.items()}}
-    command = [sys.executable, "-m", "service", "--port", "0"]
-    with subprocess.Popen(
-        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as service:
-        assert service.stdout is not None
-        try:
-            yield service, service.stdout.readline().split()[2]
-        finally:
-            service.kill()
 
 
 def test_a_service_that_is_told_to_end_says_so_and_goes_on_later(make_settings: Callable[..., Settings]):

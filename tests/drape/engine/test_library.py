@@ -9,15 +9,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drape.engine import records
+from drape.engine import build, records
 from drape.engine.build import TARGETS, is_made_from, sources_hash
 from drape.engine.library import has_tiles, library_name, load, processor_level
 from drape.engine.packer import Record
 from drape.errors import ArtifactError
 
 
-def test_the_header_is_the_table():
-    assert records.HEADER.read_text() == records.header()
+def test_the_build_writes_the_header_of_the_table_and_leaves_one_that_is(monkeypatch, tmp_path: Path):
+    monkeypatch.setattr(build, "HEADER", tmp_path / "records.hpp")
+    build.write_header()
+    assert build.HEADER.read_text() == records.header()
+    before = build.HEADER.stat().st_ino
+    build.write_header()
+    assert build.HEADER.stat().st_ino == before
+    build.HEADER.write_text("of another table")
+    build.write_header()
+    assert build.HEADER.read_text() == records.header() and list(tmp_path.iterdir()) == [build.HEADER]
 
 
 def test_a_record_has_the_words_of_its_fields():

@@ -12,10 +12,10 @@ from drape.body.model import BodyModel
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from drape.garment.contours import lost_parts
-from recovery.drape.pipeline import Draped, DrapeOptions, drape_in_pose, drape_pattern
+from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_in_pose, drape_pattern
 from recovery.drape.posing import posed_joints, read_pose
 from recovery.pattern.model import Pattern
-from recovery.run.wearer import shaped_body
+from recovery.run.target_wearer import shaped_body
 
 # Shapes of the shipped body: its first component is height, its second how narrow the chest is over the hips.
 BODIES: dict[str, tuple[float, ...]] = {"a smaller body": (-0.7,), "a narrower chest": (0.0, 2.0)}

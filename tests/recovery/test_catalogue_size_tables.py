@@ -17,9 +17,9 @@ from drape.garment.cache import Garment
 from drape.garment.sizes import field_in_space
 from recovery.catalogue.build import QUICK, body_distance, design
 from recovery.catalogue.fall import Fall
-from recovery.catalogue.grading import chosen, grade, rounded
+from recovery.catalogue.size_tables import chosen, grade, rounded
 from recovery.pattern.coordinates import control_points
-from recovery.pattern.mesh import mesh_pattern
+from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.sim.sdf import GridDistance
 from tests.recovery.pattern_setup import default_measurements
 

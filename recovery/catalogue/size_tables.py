@@ -38,7 +38,7 @@ from recovery.catalogue.fall import SETTLING, Fall
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.mesh import PatternMesh, mesh_pattern
+from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from recovery.sim.sdf import SignedDistance
 
 Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # over points, from rows and their values

@@ -21,8 +21,8 @@ from recovery.drape.posing import to_pose
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
 from recovery.drape.sewing import Sewn, in_numpy, sew
-from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
+from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
 
 HANGS_LONGER = 0.01  # cloth a metre long by its own weight, as a share

@@ -21,7 +21,7 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from drape.garment.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
 from recovery import progress as watch
-from recovery.drape.pipeline import Draped, DrapeOptions, hanging
+from recovery.drape.pattern_drape import Draped, DrapeOptions, hanging
 from recovery.drape.posing import posed_joints
 from recovery.fit import laying
 from recovery.fit.belt import belt_of, held_as_target

@@ -13,11 +13,11 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.energies import contact as contact_energy
 from drape.cloth.material import Material
 from drape.errors import InputError, MeshError
-from recovery.sim.contact import SkinContact
 from recovery.sim.linearised import linearised_step, simulate
 from recovery.sim.model import ClothModel, ClothState
 from recovery.sim.newton import equilibrium, newton_step
 from recovery.sim.sdf import GridDistance, Grown, Plane, Sphere
+from recovery.sim.skin_contact import SkinContact
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.recovery.sim_setup import WOVEN, advance, lifted, strip
 

@@ -13,14 +13,14 @@ from numpy.testing import assert_allclose
 
 from drape.errors import InputError
 from drape.garment.contours import match_contours, open_contours
-from recovery.drape.pipeline import DrapeOptions, drape_pattern, hanging
+from recovery.drape.pattern_drape import DrapeOptions, drape_pattern, hanging
 from recovery.drape.placement import scaled
 from recovery.fit import starts
 from recovery.fit.belt import held_as_target
 from recovery.fit.objective import nearest_on_line
 from recovery.fit.optimise import FitOptions
-from recovery.fit.pipeline import _Task, recover_pattern
 from recovery.fit.recovered import Recovered
+from recovery.fit.rounds import _Task, recover_pattern
 from recovery.pattern.bases import skirt, tshirt
 from recovery.run.anew import sewn_anew
 from recovery.sim.sdf import GridDistance

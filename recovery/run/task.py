@@ -1,0 +1,196 @@
+"""The request of a recovery, and what it begins with: target read, wearer found, base drafted, all of it checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from drape.errors import InputError
+from drape.garment.files.mesh import GarmentMesh
+from drape.garment.intake import garment_name
+from drape.garment.mesh_checks import Unit, Up, place
+from recovery import progress as watch
+from recovery.drape.pattern_drape import DrapeOptions
+from recovery.drape.posing import posed_joints
+from recovery.fit.optimise import REACH_M, FitOptions
+from recovery.pattern.bases import BASES, base_pattern, read_values
+from recovery.pattern.garmentcode import read_pattern
+from recovery.pattern.measurements import measure
+from recovery.pattern.model import Pattern
+from recovery.pattern.style import NO_STYLE, Style, finished, lined
+from recovery.run.cut import Cut, collarless, differences, kind_of, panel_count, told_base
+from recovery.run.drafted import drafted
+from recovery.run.nested import in_other_size
+from recovery.run.seen import Seen, pieces
+from recovery.run.target import OPENINGS, check_base, off_skin, opened, placed_target, read_target
+from recovery.run.target_wearer import Front, Wearer, inside_wearer, read_wearer
+from recovery.scan.holes import known_faces
+from recovery.scan.places import ScanFault, on_body
+
+FIT_INSIDE = "fit"  # --body fit
+MINUTES = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """The request: ``body`` is a name, a file, or ``fit``; ``base`` is a base pattern's name or a JSON file, None
+    for the one that the target tells.
+
+    ``settings`` of a base are texts NAME=NUMBER, lengths in metres.
+    ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``. After ``minutes``
+    the best so far is written. The pattern is written in ``sizes`` beside M, which fits the body, and with the lines of
+    ``style``.
+    """
+
+    target: Path
+    out: Path
+    base: str | None
+    body: str
+    betas: np.ndarray | None = None
+    pose: np.ndarray | None = None
+    name: str | None = None
+    label: str | None = None
+    settings: Sequence[str] = ()
+    unit: Unit = "auto"
+    up: Up = "auto"
+    front: Front = "auto"
+    drape: DrapeOptions = field(default_factory=DrapeOptions)
+    fit: FitOptions = field(default_factory=FitOptions)
+    reach_m: float = REACH_M
+    meshes_m: Sequence[float] | None = None
+    retarget: bool = True
+    garment: bool = True
+    minutes: float = MINUTES
+    sizes: Sequence[str] = ()
+    style: Style = NO_STYLE
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """The request as far as it is read: ``mesh`` [m] lies in the frame of the ``wearer``'s body, without
+    ``wearer.trans``; ``base`` is drafted near it, ``cut`` says how. Faces that are not ``known`` (F,) close holes.
+    ``warnings`` are sentences, to which every step adds its own.
+    """
+
+    job: Job
+    name: str
+    mesh: GarmentMesh
+    wearer: Wearer
+    base: Pattern
+    cut: Cut
+    known: np.ndarray | None
+    warnings: list[str]
+
+    @property
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices [m] (V, 3) and faces (F, 3) of the target."""
+        return self.mesh.vertices, self.mesh.faces
+
+
+def read_base(source: str, wearer: Wearer, settings: Sequence[str] = ()) -> Pattern:
+    """The base called ``source`` drafted with ``settings`` for ``wearer``, or the pattern in a JSON file."""
+    if source in BASES:
+        return base_pattern(source, measure(wearer.shaped), settings)
+    path = Path(source)
+    if settings:
+        raise InputError(
+            "--set", expected=f"a base of ours: {', '.join(sorted(BASES))}", got=source, cure="Leave --set out."
+        )
+    if path.suffix.lower() != ".json":
+        raise InputError(
+            "--base",
+            expected=f"one of {', '.join(sorted(BASES))} or a JSON file",
+            got=source,
+            cure="Take the base of the target's kind.",
+        )
+    return read_pattern(path)
+
+
+def prepare(job: Job) -> Task:
+    """What a recovery begins with; all checks are here, and the drape's way off the skin is the target's."""
+    try:
+        mesh = read_target(job.target, label=job.label)
+    except ScanFault as fault:
+        raise _placed_fault(fault, job) from fault
+    shown = pieces(mesh)
+    if job.body == FIT_INSIDE:
+        if job.betas is not None or job.pose is not None:
+            raise InputError(
+                "--body fit",
+                expected="a body whose shape and pose are looked for",
+                got="--betas or --pose",
+                cure="Leave them out, or name the body.",
+            )
+        standard = read_wearer("anny_default")
+        kind = job.base or kind_of(mesh)
+        names = [kind, "strapless_dress"] if kind == "skirt" and not job.base else [kind]  # from waist or chest
+        bases = [read_base(one, standard, job.settings if job.base else ()) for one in names]
+        mesh, wearer = inside_wearer(mesh, bases, unit=job.unit, up=job.up, front=job.front, wanted=OPENINGS.get(kind))
+        mesh = placed_target(mesh, wearer.skin, unit="m", up="y")
+    else:
+        kind = job.base
+        wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
+        mesh = placed_target(mesh, wearer.skin, unit=job.unit, up=job.up)
+    mesh = replace(mesh, vertices=mesh.vertices - wearer.trans)
+    joints = posed_joints(wearer.shaped, wearer.pose)
+    with watch.stage("openings are told from holes"):
+        mesh, there = opened(mesh, joints, None if kind is None else OPENINGS.get(kind))
+    if job.base is not None:
+        check_base(job.base, there)
+    mesh, collar, collar_m = collarless(mesh, wearer.shaped, joints, there)
+    base, cut = _near_target(job, mesh, wearer, joints, shown)
+    cut = replace(cut, differs=(*collar, *cut.differs), collar_m=collar_m)
+    if job.style:  # refused before an hour of drapes as well
+        finished(lined(base, job.style), job.style)
+    for size in job.sizes:  # refused before an hour of drapes, not after it
+        in_other_size(base, cut.base, measure(wearer.shaped), cut.settings, size)
+    notes = [f"On reading: {note}." for note in mesh.notes]
+    if cut.told:
+        notes.append(f"The base was chosen by the target's openings: {cut.base}.")
+    if wearer.residual_mm > 0.0:
+        notes.append(f"The wearer is {wearer.source}. What it lacks in shape, the pattern makes up for.")
+    notes += [f"{sentence}." for sentence in cut.differs]
+    known, name = known_faces(mesh), garment_name(job.name or job.target.stem)
+    more_m = off_skin(replace(mesh, vertices=mesh.vertices + wearer.trans), wearer.skin, known)
+    if more_m:
+        notes.append(f"The target lies {1e3 * more_m:.1f} mm farther off the skin than our cloth; the drape does too.")
+    job = replace(job, drape=replace(job.drape, off_skin_m=more_m))
+    return Task(job, name, mesh, wearer, replace(base, name=name), cut, known, notes)
+
+
+def _near_target(
+    job: Job, mesh: GarmentMesh, wearer: Wearer, joints: np.ndarray, shown: int | None
+) -> tuple[Pattern, Cut]:
+    """The base drafted near the target ``mesh``, whose texture shows ``shown`` panels, and the cut."""
+    body = measure(wearer.shaped)
+    seen = Seen(mesh.vertices, mesh.faces, joints, wearer.shaped.joints_template)
+    name = job.base or told_base(seen, body)
+    settings: dict[str, float] = {}
+    if name in BASES:
+        given = read_values(job.settings)
+        pattern, settings = drafted(name, body, seen, panel_count(name, shown) | given)
+    else:
+        pattern = read_base(name, wearer, job.settings)
+    return pattern, Cut(name, job.base is None, settings, differences(name, pattern, seen, body, shown))
+
+
+def _placed_fault(fault: ScanFault, job: Job) -> ScanFault:
+    """``fault`` with its place on the wearer, where a wearer is given; otherwise it has its place in the file."""
+    if fault.mesh is None or job.body == FIT_INSIDE:
+        return fault
+    wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
+    try:
+        both = replace(fault.mesh, vertices=np.concatenate([fault.mesh.vertices, fault.points]))
+        both = place(both, wearer.skin, unit=job.unit, up=job.up).vertices
+    except InputError:
+        return fault
+    count = len(fault.mesh.vertices)
+    placed, points = replace(fault.mesh, vertices=both[:count]), both[count:]
+    joints = posed_joints(wearer.shaped, wearer.pose) + wearer.trans
+    words = on_body(points[0], placed, joints)
+    return ScanFault(fault.name, expected=fault.expected, got=f"{fault.got}; {words}", cure=fault.cure).at(
+        placed, points
+    )
