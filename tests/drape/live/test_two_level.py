@@ -64,6 +64,12 @@ def test_steps_lower_the_strain_and_more_lower_it_further(tank: TwoLevel, still:
     assert strains[0] > 1.5 * strains[1] and strains[1] > strains[2]
 
 
+def test_cloth_at_rest_forgets_nothing_of_what_sweeps_have_settled(tank: TwoLevel, still: Frame):
+    """With what a moving cloth forgets, the strain would come down by 2 % in the last second and stay there."""
+    found = after(tank, still, 121)
+    assert strain(found[120][0]) < 0.95 * strain(found[60][0])
+
+
 def test_the_same_frames_give_the_same_bits_and_memories_are_not_written(tank: TwoLevel, still: Frame):
     first = after(tank, still, 3)
     fine = first[1][1].fine.copy()
