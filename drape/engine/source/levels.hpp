@@ -90,6 +90,7 @@ DEVICE void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* net
     put_points(x + 3 * first, points);
     put(laid.lifted + first, T(0));
   }
+  lay_back(x, network, places, skin, after.own.begin, fine.parent.begin);
   hold_places<T>(fine.sheet, nullptr, T(0), planes);
   put_own_planes<T>(x, places, skin, after.own, fine.parent, planes);
   put_other_planes<T>(x, places, skin, after.other, fine.parent, planes);
