@@ -137,7 +137,9 @@ DEVICE FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past,
   T* table = scratch.take<T>(LANES * below);
   if (scratch.overflowed) return outcome;
   if (goes_on) write_carriers(coarse, levels.coarse.sheet, table, scratch);
-  const FineSchedule<T> schedule = {T(share), T(effort.steps ? 1 - share : 0), T(1 / (SLOW_M_S * past.step_s)), T(untangle_m), T(effort.clearance_m), sweeps, table};
+  const double more = effort.steps ? 1 - share : 0, slow_per_m = 1 / (SLOW_M_S * past.step_s);
+  const FineSchedule<T> schedule = {T(share), T(more), T(slow_per_m), T(untangle_m), T(effort.clearance_m),
+                                    sweeps, table};
   settle_fine<T>(laid, coarse, network, off, past.fine, around, levels, schedule, after, scratch);
   outcome.lost = !(farthest_m(laid.x, network, places) <= T(FAR_M));
   if (outcome.lost) {
