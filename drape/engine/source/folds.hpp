@@ -117,6 +117,7 @@ DEVICE void descend_rounds(const Laid<T>& laid, T* way, const T* network, const 
   if (scratch.overflowed) return;
   for (int64_t c : each(clusters)) every[c] = int32_t(c);
   follow(network, places, skin, own);
+  lay_back(x, network, places, skin, own, nullptr);
   hold_places(sheet, stuck, schedule.friction, planes);
   for (int64_t round = 0; round < schedule.rounds; ++round) {
     touch(x, places, skin, sheet.vertex.begin, own, other, schedule.turn, planes, scratch);

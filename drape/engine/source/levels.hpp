@@ -8,8 +8,10 @@
 //     x = (1 - share) (X + W (x_c - X_c)) + share W (x_c + Q (y - y_c))
 //
 // is where sweeps of vertex block descent begin. y and y_c are the fine and the coarse places of the frame before, and
-// Q the turns of the coarse cloth since then (turns.hpp); the share comes down with the time KEPT_S. No contact with the
-// skin is looked for on the fine cloth: its planes are those of the sample that its coarse vertex is at, blended anew.
+// Q the turns of the coarse cloth since then (turns.hpp). The share comes down with the time KEPT_S, and less so for a
+// place that moves slowly: what rests would otherwise never settle, since what is forgotten comes back crumpled. No
+// contact with the skin is looked for on the fine cloth: its planes are those of the sample that its coarse vertex is
+// at, blended anew.
 // Cloth beside cloth is looked at where the coarse vertex is near other cloth (fine_room.hpp). The lift ends the frame.
 #pragma once
 #include "fine_room.hpp"
@@ -20,7 +22,8 @@ constexpr int APART_STEPS = 4;   // of untangling the fine cloth, before its swe
 constexpr Pace COARSE_PACE = {3, 1};  // sweeps are the fine cloth's
 constexpr int FINE_PASSES = 2;   // of the coarse cloth's turns: none leave jitter
 constexpr int64_t MORE_STEPS = 2;  // of the coarse cloth than sweeps of the fine one
-constexpr double KEPT_S = 1.5;    // in which the share that is carried on comes down to 1/e
+constexpr double KEPT_S = 1.5;    // in which the share that is carried on comes down to 1/e, of cloth that moves
+constexpr double SLOW_M_S = 0.2;  // speed of a place that forgets half as much
 
 // The points of a block of the fine cloth, moved as the coarse places are that went off [m] (P, 3).
 template <class T> INLINE Points<T> carried(Points<T> points, const T* off, const FineLevel<T>& fine, int64_t block) {
@@ -50,9 +53,10 @@ DEVICE void write_carriers(const Laid<T>& coarse, const Sheet<T>& sheet, T* tabl
 }
 
 // How the fine cloth is laid: the share of its start that coarse places carry on from the frame before, by their table;
-// how far [m] what crosses comes apart in a step, the clearance [m] of the lift, and the sweeps.
+// what a place at rest has more, half of it where the way [m] times slow_per_m is 1; how far [m] what crosses comes
+// apart in a step, the clearance [m] of the lift, and the sweeps.
 template <class T> struct FineSchedule {
-  T share, untangle, clearance;
+  T share, more, slow_per_m, untangle, clearance;
   int64_t sweeps;
   const T* table;
 };
@@ -78,11 +82,15 @@ DEVICE void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* net
         put_point(x, first + lane, carried_by(schedule.table, fine.near + entry + lane, fine.weight + entry + lane,
                                               LANES, point(before, first + lane)));
       }
-      points = plus(points, row_of(schedule.share), points_in(x + 3 * first) - points);
+      const Points<T> now = points_in(x + 3 * first), way = now - points_in(before + 3 * first);
+      const Row<T> slow = row_of(T(1)) / (row_of(T(1)) + schedule.slow_per_m * root<T>(dot(way, way)));
+      const Row<T> share = row_of(schedule.share) + schedule.more * slow;
+      points = plus(points, share, now - points);
     }
     put_points(x + 3 * first, points);
     put(laid.lifted + first, T(0));
   }
+  lay_back(x, network, places, skin, after.own.begin, fine.parent.begin);
   hold_places<T>(fine.sheet, nullptr, T(0), planes);
   put_own_planes<T>(x, places, skin, after.own, fine.parent, planes);
   put_other_planes<T>(x, places, skin, after.other, fine.parent, planes);
@@ -129,7 +137,9 @@ DEVICE FoldOutcome fold_two_levels(const T* vertices, const FoldMemory<T>& past,
   T* table = scratch.take<T>(LANES * below);
   if (scratch.overflowed) return outcome;
   if (goes_on) write_carriers(coarse, levels.coarse.sheet, table, scratch);
-  const FineSchedule<T> schedule = {T(share), T(untangle_m), T(effort.clearance_m), sweeps, table};
+  const double more = effort.steps ? 1 - share : 0, slow_per_m = 1 / (SLOW_M_S * past.step_s);
+  const FineSchedule<T> schedule = {T(share), T(more), T(slow_per_m), T(untangle_m), T(effort.clearance_m),
+                                    sweeps, table};
   settle_fine<T>(laid, coarse, network, off, past.fine, around, levels, schedule, after, scratch);
   outcome.lost = !(farthest_m(laid.x, network, places) <= T(FAR_M));
   if (outcome.lost) {

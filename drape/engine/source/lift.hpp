@@ -5,17 +5,17 @@
 //
 //     x += share fade max(0, low) n,   low = h - n . (x - p),
 //
-// fade 1 up to DEEP_M and 0 from TOO_DEEP_M on: no contact leaves cloth so deep, the plane goes on there beside the
-// skin that it stands for. A quarter of the way out of the plane of another part comes first, then all of the way out
-// of that of the own part. Two parts of the body that overlap leave room for neither; going all of the way out of both
-// would tear the cloth at the border, and it is the own skin that has to be hidden. The planes are those of the frame's
-// contact, so that no skin is searched. The next frame begins with the lifted cloth, as in position-based dynamics
-// (Mueller et al. 2007, "Position Based Dynamics", J. Vis. Commun. Image Represent. 18(2)).
+// fade 1 up to DEEP_M, which stretched cloth reaches in one frame of a raised arm, and 0 from TOO_DEEP_M on, where the
+// plane goes on beside the skin that it stands for. A quarter of the way out of the plane of another part comes first,
+// then all of the way out of that of the own part. Two parts of the body that overlap leave room for neither; going all
+// of the way out of both would tear the cloth at the border, and it is the own skin that has to be hidden. The planes
+// are those of the frame's contact, so that no skin is searched. The next frame begins with the lifted cloth, as in
+// position-based dynamics (Mueller et al. 2007, "Position Based Dynamics", J. Vis. Commun. Image Represent. 18(2)).
 #pragma once
 #include "skin.hpp"
 
 constexpr double OTHER_SHARE = 0.25;                  // of the way out of another part
-constexpr double DEEP_M = 0.006, TOO_DEEP_M = 0.02;  // below the clearance
+constexpr double DEEP_M = 0.025, TOO_DEEP_M = 0.05;  // below the clearance
 
 // The points after a share of their way up to the clearance over planes. Points that are higher or too deep stay. Where
 // there is no plane its normal is zero.

@@ -12,6 +12,9 @@
 // one at rest. A nearer one counts where the skin is hollow between the two: it then lies above the tangent plane of
 // the own sample, as no sample of the same limb does.
 //
+// Through. What stretched cloth pulls through an arm in a frame is held by no plane: its sample is on the side that it
+// left. Where the network has it before that side, a frame begins at the network's place.
+//
 // Planes. One tangent plane for all that lies nearest to a sample would give limbs facets. The plane of a sample s is
 // blended with those of its neighbours n, with weights that end at the samples' spacing r,
 //
@@ -31,6 +34,7 @@ constexpr int WALK_STEPS = 3;  // from the network's sample to the fold's: too f
 constexpr int TURNS = 4;       // frames until every vertex has looked for other parts
 constexpr double REACH_M = 0.03;  // how near another part must come: no vertex is deeper in one than that
 constexpr double PER_CELL = 1.0 / (2.0 * REACH_M);
+constexpr double BEHIND_M = 0.015, BEFORE_M = 0.005;  // below a sample's plane: what came through it, what did not
 constexpr double NEARER = 0.8;  // of the squared distance to the own sample: one of its part so near takes its place
 constexpr double BESIDE = 1.5, FREE = 2.5;  // squared ways aside of a sample, times r^2, between which a plane ends
 constexpr double HOLLOW_M = 0.05, APART_M = 0.12;  // at rest, from which skin may be hollow, and is another part
@@ -124,6 +128,33 @@ template <class T> DEVICE void follow(const T* x, int64_t places, const Skin<T>&
     walk(points, walks, skin, skin.count);
     for (int k = 0; k < WIDTH; ++k)
       if (lane_of(k) < lanes) own[first + lane_of(k)] = walks.sample[k];
+  }
+}
+
+// Whether points lie behind the samples own, in the body or beyond it, and the network's do not: they are more than
+// BEHIND_M below a sample's plane and no more aside of the sample than below.
+template <class T> INLINE Mask<T> came_through(Points<T> points, Points<T> network, const int32_t* own,
+                                               const Skin<T>& skin) {
+  const FourRows<T> s = samples_of(skin.samples, own, 0), n = samples_of(skin.samples, own, 4);
+  const Points<T> normal = {n.a, n.b, n.c}, way = points - Points<T>{s.a, s.b, s.c};
+  const Row<T> height = dot(way, normal), wanted = dot(network, normal) - n.d;
+  return (height < T(-BEHIND_M)) & (dot(way, way) < T(2) * height * height) & (wanted > T(-BEFORE_M));
+}
+
+// Lays the places x [m] (P, 3) that came through the skin where the network has them; own (C,) are the samples of what
+// each place has in parent (P,), of its own place where there is no parent.
+template <class T>
+DEVICE void lay_back(T* x, const T* network, int64_t places, const Skin<T>& skin, const int32_t* own,
+                     const int32_t* parent) {
+  for (int64_t block : each_block(places / LANES)) {
+    const int64_t first = LANES * block;
+    int32_t at[WIDTH];
+    for (int k = 0; k < WIDTH; ++k) at[k] = own[parent ? parent[first + lane_of(k)] : first + lane_of(k)];
+    const Points<T> points = points_in(x + 3 * first), wanted = points_in(network + 3 * first);
+    const Mask<T> through = came_through(points, wanted, at, skin);
+    if (!lanes_of<T>(through)) continue;
+    put_points(x + 3 * first, Points<T>{where<T>(through, wanted.x, points.x), where<T>(through, wanted.y, points.y),
+                                        where<T>(through, wanted.z, points.z)});
   }
 }
 
