@@ -23,7 +23,7 @@ from drape.live.whole import stiffness
 from tests.reference import carry
 from tests.reference import pace as pacing
 from tests.reference import solver as reference
-from tests.reference.skin import TURNS, follow, planes, touch
+from tests.reference.skin import TURNS, follow, laid_back, planes, touch
 
 FIRST_STEP_S = 1.0 / 30.0  # of a frame without a past
 SLIP_M, CLAMP_M = 1e-3, 0.02
@@ -53,6 +53,7 @@ def fold(
     way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
     stuck = stuck_places(past.grip, frame.skin, dressed.graph, past.touched.own)
     touched = follow(network, frame.skin, dressed.graph, past.touched)
+    x = laid_back(x, network, frame.skin, touched.own)
     stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > pacing.STIFF_N_PER_M
     way_m = pacing.moved_m(past.network, network)
     friction = pacing.grip_left(way_m, step_s) * dressed.friction if memory else 0.0
@@ -61,7 +62,7 @@ def fold(
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = replace(made, hinges=made.creases)  # the others bend by the quadratic matrix
     for number in range(0 if effort.steps == 0 else 1 if memory else effort.settle):
-        here, touched = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
+        here, touched = touch(x, network, frame.skin, dressed.graph, touched, past.turn if memory else -1)
         around = touching(made, dressed, x, frame.skin, here)
         own = replace(around.own, band=network, band_n_per_m=dressed.band_n_per_m)
         around = around._replace(own=own, stuck=stuck, friction=friction)
@@ -77,7 +78,7 @@ def fold(
             x = sweep(x, made, around)
     if effort.clearance_m > 0.0:
         if effort.steps == 0:
-            here, touched = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
+            here, touched = touch(x, network, frame.skin, dressed.graph, touched, past.turn if memory else -1)
             around = touching(made, dressed, x, frame.skin, here)
         x = lifted(x, around, effort.clearance_m)
     residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s

@@ -9,6 +9,7 @@ from drape.live.skin_walks import SkinGraph, TouchedSamples
 
 STEPS, TURNS, NEARER, REACH_M = 3, 4, 0.8, 0.03  # of walks and of searches for other parts
 BESIDE, FREE, HOLLOW_M, APART_M = 1.5, 2.5, 0.05, 0.12
+BEYOND_M, BEHIND_M, BEFORE_M = 0.045, 0.015, 0.005  # below planes: cloth that came through a part of the body
 
 
 def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples) -> TouchedSamples:
@@ -17,18 +18,30 @@ def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Tou
     return TouchedSamples(np.array(walks), touched.other)
 
 
+def laid_back(x: np.ndarray, network: np.ndarray, skin: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """``x`` [m] (V, 3), at the ``network``'s places where it lies behind the samples ``own`` (V,) and these do not."""
+    way, normal = x - skin[own, :3], skin[own, 4:7]
+    height, wanted = (way * normal).sum(axis=1), ((network - skin[own, :3]) * normal).sum(axis=1)
+    through = (height < -BEHIND_M) & ((way**2).sum(axis=1) < 2.0 * height**2) & (wanted > -BEFORE_M)
+    return np.where(through[:, None], network, x)
+
+
 def touch(
-    x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples, turn: int
+    x: np.ndarray, network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples, turn: int
 ) -> tuple[TouchedSamples, TouchedSamples]:
-    """The samples that ``x`` [m] (V, 3) is at, by walks from the network's and searches for other parts, and
-    ``touched`` moved on: where a search finds a nearer sample of the same part the next walk starts there."""
+    """The samples that ``x`` [m] (V, 3) is at, and ``touched`` moved on.
+
+    Walks lead from the network's samples, and searches find other parts that the ``network``'s places are not beyond.
+    Where a search finds a nearer sample of the same part the next walk starts there.
+    """
     own, other, begins = touched.own.copy(), touched.other.copy(), touched.own.copy()
     for v, point in enumerate(x):
         own[v] = _walked(point, skin, graph, own[v], STEPS)
         apart = np.linalg.norm(graph.rest - graph.rest[own[v]], axis=1)
         hollow = (apart > HOLLOW_M) & ((skin[:, :3] - skin[own[v], :3]) @ skin[own[v], 4:7] > 0.0)
         distance = np.linalg.norm(skin[:, :3] - point, axis=1)
-        allowed = (distance < REACH_M) & (hollow | (apart > APART_M))
+        beyond = ((network[v] - skin[:, :3]) * skin[:, 4:7]).sum(axis=1) < -BEYOND_M
+        allowed = (distance < REACH_M) & (hollow | (apart > APART_M)) & ~beyond
         if turn < 0 or v % TURNS == turn:
             other[v] = np.where(allowed, distance, np.inf).argmin() if allowed.any() else -1
             same = ~(hollow | (apart > APART_M)) & (distance < REACH_M) & (distance**2 < NEARER * distance[own[v]] ** 2)

@@ -32,7 +32,7 @@ DEVICE void ease_off(const T* under, const T* before, T share, int32_t* own, int
   }
   hold_places<T>(cloth.sheet, nullptr, T(0), planes);
   for (int64_t p : each(places)) other[p] = -1;
-  touch(x, places, skin, cloth.sheet.vertex.begin, own, other, -1, planes, scratch);
+  touch(x, under, places, skin, cloth.sheet.vertex.begin, own, other, -1, planes, scratch);
   for (int64_t step = 0; step < steps; ++step) {
     gradient_at<T>(x, cloth.sheet, planes, under, T(HOLD), gradient);
     whole_step(x, cloth.factor, gradient, q, s);

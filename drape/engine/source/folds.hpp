@@ -120,7 +120,7 @@ DEVICE void descend_rounds(const Laid<T>& laid, T* way, const T* network, const 
   lay_back(x, network, places, skin, own, nullptr);
   hold_places(sheet, stuck, schedule.friction, planes);
   for (int64_t round = 0; round < schedule.rounds; ++round) {
-    touch(x, places, skin, sheet.vertex.begin, own, other, schedule.turn, planes, scratch);
+    touch(x, network, places, skin, sheet.vertex.begin, own, other, schedule.turn, planes, scratch);
     put_collider_planes(x, places, around.colliders, planes);
     if (schedule.within) keep_apart(x, sheet, cloth.neighbours, planes, scratch);
     if (round == 0 && schedule.turn < 0)
@@ -139,7 +139,7 @@ DEVICE void descend_rounds(const Laid<T>& laid, T* way, const T* network, const 
       ease(x, network, crossed, T(EASE / WAY_M) * schedule.untangle, sheet, scratch);
   }
   if (schedule.rounds == 0 && (schedule.clearance > 0 || around.colliders.count))  // there are no planes yet
-    touch(x, places, skin, sheet.vertex.begin, own, other, schedule.turn, planes, scratch);
+    touch(x, network, places, skin, sheet.vertex.begin, own, other, schedule.turn, planes, scratch);
   leave_colliders(x, places, around.colliders, planes, schedule.clearance);
   if (schedule.clearance > 0) lift(x, places, planes, schedule.clearance, laid.lifted);
   scratch.used = mark;

@@ -13,7 +13,8 @@
 // the own sample, as no sample of the same limb does.
 //
 // Through. What stretched cloth pulls through an arm in a frame is held by no plane: its sample is on the side that it
-// left. Where the network has it before that side, a frame begins at the network's place.
+// left. Where the network has it before that side, a frame begins at the network's place. A sample of another part
+// whose plane the network's place is far below is on the far side of that part: it holds nothing.
 //
 // Planes. One tangent plane for all that lies nearest to a sample would give limbs facets. The plane of a sample s is
 // blended with those of its neighbours n, with weights that end at the samples' spacing r,
@@ -34,6 +35,7 @@ constexpr int WALK_STEPS = 3;  // from the network's sample to the fold's: too f
 constexpr int TURNS = 4;       // frames until every vertex has looked for other parts
 constexpr double REACH_M = 0.03;  // how near another part must come: no vertex is deeper in one than that
 constexpr double PER_CELL = 1.0 / (2.0 * REACH_M);
+constexpr double BEYOND_M = 0.045;  // below the plane of another part: more than half of an arm
 constexpr double BEHIND_M = 0.015, BEFORE_M = 0.005;  // below a sample's plane: what came through it, what did not
 constexpr double NEARER = 0.8;  // of the squared distance to the own sample: one of its part so near takes its place
 constexpr double BESIDE = 1.5, FREE = 2.5;  // squared ways aside of a sample, times r^2, between which a plane ends
@@ -218,12 +220,18 @@ template <class T> DEVICE const T* in_cells(const Skin<T>& skin, const Grid& gri
   return laid;
 }
 
+// Whether the network's place [m] is so far below the plane of a sample that cloth beside it came through its part.
+template <class T> INLINE bool is_beyond(const Skin<T>& skin, int32_t sample, Vector<T> network) {
+  return dot(skin.normal_of(sample), network - skin.point_of(sample)) < T(-BEYOND_M);
+}
+
 struct NearSamples { int32_t other, same; };
 
-// The sample nearest to a point [m] that is of another part than the own one, -1 where none is within reach, and the
-// nearest one of the same part: the own one unless another is NEARER.
+// The sample nearest to a point [m] that is of another part than the own one and not beyond it for the network's place
+// [m], -1 where none is within reach, and the nearest one of the same part: the own one unless another is NEARER.
 template <class T>
-INLINE NearSamples near_samples(Vector<T> at, const Skin<T>& skin, int32_t own, const Grid& grid, const T* laid) {
+INLINE NearSamples near_samples(Vector<T> at, Vector<T> network, const Skin<T>& skin, int32_t own, const Grid& grid,
+                                const T* laid) {
   const int64_t size = skin.count + LANES;
   NearSamples found = {-1, own};
   const T reach = T(REACH_M * REACH_M), own_square = T(NEARER) * square_to(at, skin, own);
@@ -244,7 +252,7 @@ INLINE NearSamples near_samples(Vector<T> at, const Skin<T>& skin, int32_t own, 
           const T square = number_in(far, k);
           if (!(square < (nearest > beside ? nearest : beside))) continue;
           if (is_other(skin, own, s)) {
-            if (square < nearest) found.other = s, nearest = square;
+            if (square < nearest && !is_beyond(skin, s, network)) found.other = s, nearest = square;
           } else if (square < beside) {
             found.same = s, beside = square;
           }
@@ -283,12 +291,13 @@ template <class T> struct LatePlanes {
   }
 };
 
-// Moves other (P,) on to what is near x [m] (P, 3), and writes both tangent planes. The grid is asked for the vertices
+// Moves other (P,) on to what is near x [m] (P, 3), which the network has at network [m] (P, 3), and writes both
+// tangent planes. The grid is asked for the vertices
 // whose number is turn modulo TURNS, for all of them where turn is negative. A plane is the foot of x on it and its
 // normal; where no other part is near the second normal is zero.
 template <class T>
-DEVICE void touch(const T* x, int64_t places, const Skin<T>& skin, const int32_t* vertex, int32_t* own, int32_t* other,
-                  int64_t turn, T* planes, Scratch& scratch) {
+DEVICE void touch(const T* x, const T* network, int64_t places, const Skin<T>& skin, const int32_t* vertex, int32_t* own,
+                  int32_t* other, int64_t turn, T* planes, Scratch& scratch) {
   const int64_t mark = scratch.used;
   const Grid grid = grid_of(skin.samples, skin.count, 8, PER_CELL, scratch);
   const T* laid = in_cells(skin, grid, scratch);
@@ -309,16 +318,16 @@ DEVICE void touch(const T* x, int64_t places, const Skin<T>& skin, const int32_t
     put(to + NEAR_ROW, zero);
     for (int k = 0; k < WIDTH; ++k) {
       const int64_t v = first + lane_of(k);
-      const Vector<T> at = point(x, v);
+      const Vector<T> at = point(x, v), wanted = point(network, v);
       int32_t found = other[v];
       if (turn < 0 || vertex[v] % TURNS == turn) {
-        const NearSamples near = near_samples(at, skin, walks.sample[k], grid, laid);
+        const NearSamples near = near_samples(at, wanted, skin, walks.sample[k], grid, laid);
         found = near.other;
         if (near.same != walks.sample[k]) own[v] = near.same;
       } else if (found >= 0) {
         found = walked(at, skin, found, WALK_STEPS);
         const bool far = square_to(at, skin, found) >= T(REACH_M * REACH_M);
-        if (far || !is_other(skin, walks.sample[k], found)) found = -1;
+        if (far || !is_other(skin, walks.sample[k], found) || is_beyond(skin, found, wanted)) found = -1;
       }
       other[v] = found;
       if (found >= 0) late.add(v, found);

@@ -98,7 +98,7 @@ def test_folds_lower_the_energy_and_more_of_them_lower_it_further():
     made, flat = constants(creased=False, dtype=np.float64), problem(worn.cloth, worn.material, dtype=np.float64)
     one = frame(rest, 0)
     nowhere = TouchedSamples(worn.index, np.full_like(worn.index, -1))
-    touched, _ = touch(one.vertices, one.skin, worn.graph, nowhere, -1)
+    touched, _ = touch(one.vertices, one.vertices, one.skin, worn.graph, nowhere, -1)
 
     def energy(x: np.ndarray) -> float:
         around = reference.touching(flat, worn, x, one.skin, touched)

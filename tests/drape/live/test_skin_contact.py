@@ -13,17 +13,26 @@ from drape.engine.packer import Record
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples
 from tests.drape.live.folds_setup import PLANE_ROWS, arm, constants, rows_of, sleeve, spared
 from tests.reference import skin as reference
-from tests.reference.skin import APART_M, BESIDE, FREE, NEARER, REACH_M
+from tests.reference.skin import APART_M, BESIDE, BEYOND_M, FREE, NEARER, REACH_M
 
 SPACING_M = 0.02
 UP = np.array([0.0, 1.0, 0.0])
 
 
 def touched_by(
-    x: np.ndarray, point: np.ndarray, rest: np.ndarray, *, turn: int = -1
+    x: np.ndarray,
+    point: np.ndarray,
+    rest: np.ndarray,
+    *,
+    turn: int = -1,
+    other: int = -1,
+    network: np.ndarray | None = None,
 ) -> tuple[TouchedSamples, np.ndarray]:
-    """What all places at ``x`` [m] (3,) touch, which begin at the first of the samples ``point`` [m] (S, 3), and the
-    distances [m] (P,) to their own planes. No sample has a neighbour; all look up."""
+    """What all places at ``x`` [m] (3,) touch, and the distances [m] (P,) to their own planes.
+
+    They begin at the first of the samples ``point`` [m] (S, 3) and at ``other``; the network has them at ``network``
+    [m] (3,), if that is not ``x``. No sample has a neighbour; all look up.
+    """
     made, count = constants(dtype=np.float64), len(point)
     own = np.arange(count, dtype=np.int32)
     graph = SkinGraph(np.tile(own[:, None], NEIGHBOURS), np.full(count, SPACING_M**2), rest)
@@ -31,11 +40,12 @@ def touched_by(
         spared(np.tile(x, (len(made.sheet.vertex), 1))),
         np.array(sample_table(point, np.tile(UP, (count, 1)))),
     )
+    wanted = places if network is None else spared(np.tile(network, (len(made.sheet.vertex), 1)))
     planes = np.zeros(PLANE_ROWS * len(places))
-    touched = TouchedSamples(np.zeros(len(places), np.int32), np.full(len(places), -1, np.int32))
+    touched = TouchedSamples(np.zeros(len(places), np.int32), np.full(len(places), other, np.int32))
     call_with_scratch(
-        "law_touch", np.float64, places, len(places), skin, count, Record("SkinGraph", graph), made.sheet.vertex,
-        *touched, turn, planes,
+        "law_touch", np.float64, places, wanted, len(places), skin, count, Record("SkinGraph", graph),
+        made.sheet.vertex, *touched, turn, planes,
     )  # fmt: skip
     rows = rows_of(planes)
     return touched, ((places - rows[:, :3]) * rows[:, 3:6]).sum(axis=1)
@@ -61,6 +71,16 @@ def test_a_sample_that_is_hardly_nearer_is_no_reason_to_leave():
     for share, own in ((1.05, 0), (0.95, 1)):
         point = np.array([[far_m, 0.0, 0.0], [0.0, 0.0, share * np.sqrt(NEARER) * far_m]])
         assert_array_equal(touched_by(x, point, point)[0].own, own)
+
+
+@pytest.mark.parametrize(("below_m", "other"), [(0.99 * BEYOND_M, 1), (1.01 * BEYOND_M, -1)])
+def test_a_part_that_the_network_is_far_behind_holds_no_cloth(below_m: float, other: int):
+    x, point = np.zeros(3), np.array([[0.004, 0.0, 0.0], [0.0, 0.01, 0.0]])
+    rest = point + np.array([[0.0, 0.0, 0.0], [2.0 * APART_M, 0.0, 0.0]])
+    network = np.array([0.2, 0.01 - below_m, 0.0])
+    for turn, touched in ((-1, -1), (0, 1)):  # by the search, and by the walk of what was there
+        found, _ = touched_by(x, point, rest, network=network, turn=turn, other=touched)
+        assert_array_equal(found.other, other)
 
 
 @pytest.mark.parametrize("height_m", [-0.005, 0.002])
