@@ -107,10 +107,11 @@
                                               int64_t samples, const SkinGraph<T>* graph, T* stuck) {                  \
     stuck_places(grip, places, own, skin_of(skin, samples, *graph), stuck);                                            \
   }                                                                                                                    \
-  EXPORT int64_t drape_law_touch_##suffix(const T* x, const T* network, int64_t places, const T* skin, int64_t samples,                  \
+  EXPORT int64_t drape_law_touch_##suffix(const T* x, const T* network, int64_t places,                                \
+                                          const T* skin, int64_t samples,                                              \
                                           const SkinGraph<T>* graph, const int32_t* vertex, int32_t* own,              \
                                           int32_t* other, int64_t turn, T* planes, Scratch* scratch) {                 \
-    touch(x, network, places, skin_of(skin, samples, *graph), vertex, own, other, turn, planes, *scratch);                      \
+    touch(x, network, places, skin_of(skin, samples, *graph), vertex, own, other, turn, planes, *scratch);             \
     return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
   EXPORT void drape_law_own_planes_##suffix(const T* x, int64_t places, const T* skin, int64_t samples,                \
