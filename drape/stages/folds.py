@@ -139,9 +139,9 @@ class Folds(Stage):
             for i, ceiling in enumerate(self._ceilings(folded, lain[0].ground)):
                 if ceiling is not None and read[i]:
                     layers[i] = lain[i].below(layers[i], ceiling)
-        for i, (key, sent) in enumerate(zip(plan.draped_keys, plan.scene.layers, strict=True)):
-            if sent.garment.digest != key and read[i]:
-                layers[i] = self.wrapped(layers[i], sent.garment)
+        for i, (key, sent) in enumerate(zip(plan.draped_keys, plan.keys, strict=True)):
+            if sent != key and read[i]:
+                layers[i] = self.wrapped(layers[i], plan.scene.layers[i].garment)
         yield changed(batch, layers=tuple(layers), quality=told.quality(batch.quality))
 
     def efforts(self, plan: Plan) -> tuple[FoldEffort, FoldEffort]:

@@ -149,7 +149,7 @@ def _drawn(
 
 def _told(batch: Batch, stages: AtOnce, worn: Worn, frames: list[Drawn], pasts: list[Past]) -> Batch:
     """``batch`` with what its ``frames`` leave and tell, wrapped around finer cloth where that was draped."""
-    (key,), (entry,), quality, layers = batch.plan.draped_keys, batch.plan.scene.layers, batch.quality, batch.layers
+    (key,), (sent,), quality, layers = batch.plan.draped_keys, batch.plan.keys, batch.quality, batch.layers
     if stages.novelty is not None:
         quality = changed(quality, novelty=np.array([made.novelty for made in frames], np.float32))
     if worn.swing is not None:
@@ -160,6 +160,6 @@ def _told(batch: Batch, stages: AtOnce, worn: Worn, frames: list[Drawn], pasts: 
         reports = [made.report for made in frames if made.report is not None]
         told.add(reports, len(worn.folds.laid.sheet.vertex), seen=batch.plan.visible[0])
         quality = told.quality(quality)
-        if entry.garment.digest != key and read_layers(batch.plan)[0]:
-            layers = (stages.folds.wrapped(layers[0], entry.garment),)
+        if sent != key and read_layers(batch.plan)[0]:
+            layers = (stages.folds.wrapped(layers[0], batch.plan.scene.layers[0].garment),)
     return changed(batch, quality=quality, layers=layers)

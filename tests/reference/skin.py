@@ -9,7 +9,7 @@ from drape.live.skin_walks import SkinGraph, TouchedSamples
 
 STEPS, TURNS, NEARER, REACH_M = 3, 4, 0.8, 0.03  # of walks and of searches for other parts
 BESIDE, FREE, HOLLOW_M, APART_M = 1.5, 2.5, 0.05, 0.12
-BEYOND_M, BEHIND_M, BEFORE_M = 0.045, 0.015, 0.005  # below planes: cloth that came through a part of the body
+BEYOND_M, THROUGH_M, BEFORE_M = 0.045, 0.015, 0.005  # below planes: cloth that came through a part of the body
 
 
 def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples) -> TouchedSamples:
@@ -22,7 +22,7 @@ def laid_back(x: np.ndarray, network: np.ndarray, skin: np.ndarray, own: np.ndar
     """``x`` [m] (V, 3), at the ``network``'s places where it lies behind the samples ``own`` (V,) and these do not."""
     way, normal = x - skin[own, :3], skin[own, 4:7]
     height, wanted = (way * normal).sum(axis=1), ((network - skin[own, :3]) * normal).sum(axis=1)
-    through = (height < -BEHIND_M) & ((way**2).sum(axis=1) < 2.0 * height**2) & (wanted > -BEFORE_M)
+    through = (height < -THROUGH_M) & ((way**2).sum(axis=1) < 2.0 * height**2) & (wanted > -BEFORE_M)
     return np.where(through[:, None], network, x)
 
 

@@ -36,7 +36,7 @@ constexpr int TURNS = 4;       // frames until every vertex has looked for other
 constexpr double REACH_M = 0.03;  // how near another part must come: no vertex is deeper in one than that
 constexpr double PER_CELL = 1.0 / (2.0 * REACH_M);
 constexpr double BEYOND_M = 0.045;  // below the plane of another part: more than half of an arm
-constexpr double BEHIND_M = 0.015, BEFORE_M = 0.005;  // below a sample's plane: what came through it, what did not
+constexpr double THROUGH_M = 0.015, BEFORE_M = 0.005;  // below a sample's plane: what came through it, what did not
 constexpr double NEARER = 0.8;  // of the squared distance to the own sample: one of its part so near takes its place
 constexpr double BESIDE = 1.5, FREE = 2.5;  // squared ways aside of a sample, times r^2, between which a plane ends
 constexpr double HOLLOW_M = 0.05, APART_M = 0.12;  // at rest, from which skin may be hollow, and is another part
@@ -134,13 +134,13 @@ template <class T> DEVICE void follow(const T* x, int64_t places, const Skin<T>&
 }
 
 // Whether points lie behind the samples own, in the body or beyond it, and the network's do not: they are more than
-// BEHIND_M below a sample's plane and no more aside of the sample than below.
+// THROUGH_M below a sample's plane and no more aside of the sample than below.
 template <class T> INLINE Mask<T> came_through(Points<T> points, Points<T> network, const int32_t* own,
                                                const Skin<T>& skin) {
   const FourRows<T> s = samples_of(skin.samples, own, 0), n = samples_of(skin.samples, own, 4);
   const Points<T> normal = {n.a, n.b, n.c}, way = points - Points<T>{s.a, s.b, s.c};
   const Row<T> height = dot(way, normal), wanted = dot(network, normal) - n.d;
-  return (height < T(-BEHIND_M)) & (dot(way, way) < T(2) * height * height) & (wanted > T(-BEFORE_M));
+  return (height < T(-THROUGH_M)) & (dot(way, way) < T(2) * height * height) & (wanted > T(-BEFORE_M));
 }
 
 // Lays the places x [m] (P, 3) that came through the skin where the network has them; own (C,) are the samples of what
