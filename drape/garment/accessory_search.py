@@ -22,7 +22,7 @@ from drape.garment.contours import open_contours
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.mesh_checks import UNITS_M
 from drape.garment.registration import posed_by
-from drape.garment.seats import Seat, are_glasses
+from drape.garment.seats import Seat, are_glasses, is_as_large
 from drape.garment.sheets import pieces_of
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading
 from drape.garment.wearer_fields import SHAPES, cloth_points, known_parameters, thin_body
@@ -170,9 +170,9 @@ def _distance(points: np.ndarray, place: _Place) -> float:
 
 
 def _is_shoe(points: np.ndarray, normals: np.ndarray) -> bool:
-    extent = np.ptp(points, axis=0)
-    if not all(least <= length <= most for length, (least, most) in zip(extent, SHOE_M, strict=True)):
+    if not is_as_large(points, SHOE_M):
         return False
+    extent = np.ptp(points, axis=0)
     level = np.abs(normals[:, 1]) * (np.abs(normals[:, 1]) > 0.9 * np.linalg.norm(normals, axis=1))
     return bool(level[points[:, 1] < points[:, 1].min() + SOLE_M].sum() > SOLE_SHARE * extent[0] * extent[2])
 

@@ -3,6 +3,7 @@ foot. Who finds a thing's wearer knows that only roughly."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -24,11 +25,17 @@ DEEP_M, DEEP_COST, TIGHT_M = 0.002, 20.0, 0.01  # hats up to so much too tight a
 SHOE_STEPS_M, SHOE_MOST_M, SHOE_FAR_M, SHOE_WAY_M = (0.04, 0.02, 0.01, 0.005), 0.06, 0.03, 1.0
 
 
+def is_as_large(points: np.ndarray, limits: Sequence[tuple[float, float]]) -> bool:
+    """Whether the extents of ``points`` [m] (N, 3) lie in the ``limits`` [m], the least and the most of each axis."""
+    extents = zip(np.ptp(points, axis=0), limits, strict=True)
+    return all(least <= extent <= most for extent, (least, most) in extents)
+
+
 def are_glasses(points: np.ndarray) -> bool:
     """Whether ``points`` [m] (N, 3), facing +z, are as large as glasses, with nothing between the temples."""
-    extent = np.ptp(points, axis=0)
-    if not all(least <= length <= most for length, (least, most) in zip(extent, GLASSES_M, strict=True)):
+    if not is_as_large(points, GLASSES_M):
         return False
+    extent = np.ptp(points, axis=0)
     middle = 0.5 * (points[:, 0].min() + points[:, 0].max())
     behind = points[:, 2] < points[:, 2].max() - LENSES_M
     return bool((behind & (np.abs(points[:, 0] - middle) < BETWEEN * extent[0])).mean() < BETWEEN_SHARE)

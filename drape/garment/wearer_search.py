@@ -332,9 +332,8 @@ def _with_arms(cloth: SearchedCloth, body: BodyModel, one: _Start) -> _Start:
     if not energy[best].sleeved or energy[best].energy < BENT_ENERGY:
         return straight[best]
     bent = [_armed(body, one, lift, bend) for lift in BENT_LIFTS_RAD for bend in BENDS_RAD]
-    tried = [straight[best], *bent]
-    energies = each(lambda other: judge(cloth, other.reading, body, other.parameters, 0.0).energy, tried)
-    return tried[int(np.argmin(energies))]
+    lower = each(lambda other: judge(cloth, other.reading, body, other.parameters, 0.0).energy, bent)
+    return [straight[best], *bent][int(np.argmin([energy[best].energy, *lower]))]
 
 
 def _armed(body: BodyModel, one: _Start, lift_rad: float, bend_rad: float) -> _Start:
