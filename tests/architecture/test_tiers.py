@@ -85,8 +85,8 @@ def test_the_default_is_stated_where_readers_look_for_it(page: str):
 
 @each(
     said=[
-        "`balanced` = 1 correction and 4 steps of folds",
-        "The default, `balanced` = 1\ncorrection and 4 steps of folds.",
+        "`balanced` = 1 correction and 5 steps of folds",
+        "The default, `balanced` = 1\ncorrection and 5 steps of folds.",
         "`accurate` = all corrections and 5 steps of folds; `fast` = no corrections and 2 steps of folds",
         "`instant` = 1 correction and 0 steps of folds",
     ]
