@@ -317,7 +317,7 @@ def test_real_garment_comes_clear_with_little_strain(name: str, data: Path):
     rest = rest_mesh(mesh, intake_module.avatars.read_avatar(meaning, BODY), BODY)
     signed = signed_distance(rest.vertices, BODY.v_template, BODY.faces)
     assert signed.min() >= CLEARANCE_M
-    assert len(rest.vertices) >= 4000
+    assert len(rest.vertices) >= 3000
     assert_array_equal(np.sort((rest.drawn or rest).faces, axis=1), np.sort(mesh.faces, axis=1))
     # Measured: moved 5 to 11 %, pushed 0.6 to 3.6 %.
     assert rest.figures["move_strain_mean_pct"] < 12.0
