@@ -21,11 +21,11 @@ TYPES = {
 
 
 def flat_records(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[np.ndarray]]:
-    """The document of the records ``values`` by their names, and their arrays one after the other.
+    """Returns the document of the records ``values``, by their names, and their arrays one after the other.
 
-    Its ``layout`` is the table's ``HASH``. In ``records`` a field is its number, the count of elements of its array,
-    the document of its record, or a list of such. Arrays come as the table has their fields; numbers in them are
-    float32.
+    The document's ``layout`` is the table's ``HASH``. In its ``records`` a field is a number, the count of elements of
+    an array, the document of a record, or a list of such. Arrays come in the order of the table's fields; their floats
+    are float32.
     """
     arrays: list[np.ndarray] = []
     records = {name: _document(name, value, arrays) for name, value in values.items()}

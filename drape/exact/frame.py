@@ -83,10 +83,13 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """What became of a frame. ``force_share``: the norm of the forces left at all vertices over the weight of the
-    cloth, those of contact with itself among them. ``depth_m`` [m]: how deep the cloth lies in the skin where it lies
-    deepest. ``energy_j`` [J] of cloth and body, heights counting from the root, and ``start_j`` that of the start.
-    ``crossings``: pairs of triangles that cross, ``start_crossings`` in the start. ``steps`` of Newton's method."""
+    """The figures of a frame.
+
+    ``force_share``: the norm of the forces left at all vertices over the weight of the cloth, forces of contact with
+    itself included. ``depth_m`` [m]: how deep the cloth lies in the skin where it lies deepest. ``energy_j`` [J] of
+    cloth and body, heights counting from the root; ``start_j`` that of the start. ``crossings``: pairs of triangles
+    that cross; ``start_crossings`` those in the start. ``steps`` of Newton's method.
+    """
 
     force_share: float
     depth_m: float
@@ -110,12 +113,12 @@ class Lain:
 
 
 def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
-    """The drape of a ``pose`` (24, 3) [rad], and what is told of it, from ``start`` [m] (V, 3) relative to the root.
+    """Returns the drape of a ``pose`` (24, 3) [rad] and its figures.
 
-    The cloth comes from the frame ``before``, if there is one and either ``start`` crosses itself or that frame does
-    not; otherwise from ``start``, or from the T-pose if ``start`` passes through itself. If it would end with more
-    energy than ``start``, it goes down from ``start`` instead and may still cross. Raises ``MeshError`` where ``start``
-    is not finite.
+    ``start`` [m] (V, 3), relative to the root, is the pose's drape of tier accurate. The cloth comes from the frame
+    ``before`` if there is one, unless that crosses itself and ``start`` does not. Otherwise it comes from ``start``, or
+    from the T-pose if ``start`` crosses itself. If it would end with more energy than ``start``, it goes down from
+    ``start`` instead and may still cross. Raises ``MeshError`` where ``start`` is not finite.
     """
     start = np.ascontiguousarray(start, np.float64)
     check_finite("start of a frame", start, error=MeshError)

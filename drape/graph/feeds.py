@@ -66,8 +66,8 @@ def body_feed(
 
 
 def shape_numbers(body: BodyModel, betas: np.ndarray | None) -> np.ndarray:
-    """``betas`` (S,) or (F, S) as graphs take them, (10,) or (F, 10): zeros where ``body`` has fewer numbers or none
-    are given."""
+    """Returns ``betas`` (S,) or (F, S) as graphs take them, (10,) or (F, 10). Numbers that ``body`` does not have, or
+    that are not given, are zero."""
     if betas is None:
         return np.zeros(BETA_COUNT)
     betas = np.asarray(betas, dtype=np.float64)

@@ -66,18 +66,21 @@ class BoundSession(Session):
 
     @property
     def buckets(self) -> int:
-        """Sets of shapes that have memory."""
+        """The number of buckets: sets of shapes that have memory."""
         return len(self._buckets)
 
     @property
     def bytes(self) -> int:
-        """Memory of all buckets."""
+        """The memory of all buckets [bytes]."""
         return sum(bucket.bytes for bucket in self._buckets.values())
 
     def run(
         self, outputs: Sequence[str], feed: Mapping[str, Value], *, unchanging: Collection[str] = ()
     ) -> list[np.ndarray]:
-        """``outputs`` for ``feed``; an array named in ``unchanging`` is written once and not again while it is fed."""
+        """Returns the arrays of ``outputs`` for ``feed``, in their order.
+
+        An array that ``unchanging`` names is copied in once, and not again while the same array is fed.
+        """
         bucket = self._bucket(tuple(outputs), feed)
         for name, value in bucket.inputs.items():
             array = feed[name]

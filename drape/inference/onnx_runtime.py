@@ -73,7 +73,7 @@ class Device:
 
 
 class Session:
-    """An opened part of a graph. It takes memory for every call anew, which costs nothing on a CPU."""
+    """An opened part of a graph. Every call takes its memory anew, which costs nothing on a CPU."""
 
     def __init__(self, opened: onnxruntime.InferenceSession, device: Device) -> None:
         self.inputs = tuple(tensor.name for tensor in opened.get_inputs())
@@ -81,28 +81,26 @@ class Session:
 
     @property
     def bytes(self) -> int:
-        """Memory that it holds between calls, besides its weights and workspace."""
+        """The memory [bytes] that it holds between calls, weights and workspace not counted."""
         return 0
 
     @property
     def buckets(self) -> int:
-        """Sets of shapes that it holds memory for."""
+        """The number of sets of shapes that it holds memory for."""
         return 0
 
     def run(
         self, outputs: Sequence[str], feed: Mapping[str, Value], *, unchanging: Collection[str] = ()
     ) -> list[np.ndarray]:
-        """``outputs`` for ``feed``, numpy arrays or values where the graph computes.
-
-        Arrays named in ``unchanging`` are never written to by their owner.
-        """
+        """Returns the arrays of ``outputs`` for ``feed``, whose values are numpy arrays, or values where the graph
+        computes. The owner of an array that ``unchanging`` names never writes to it."""
         values = {name: self._device.value(v) if isinstance(v, np.ndarray) else v for name, v in feed.items()}
         with self._device.computing():
             found = self._opened.run_with_ort_values(list(outputs), values)
         return [value.numpy() for value in found]
 
     def forget(self) -> None:
-        """Drops what it holds: values that were fed are about to go."""
+        """Drops the constants that it holds: these are about to go."""
 
 
 def check_distributions() -> str:

@@ -36,7 +36,8 @@ from drape.inference.onnx_bytes import (
 
 
 def misexported(what: str, *, expected: str, got: str) -> ArtifactError:
-    """The refusal of a model whose export is not what this release reads."""
+    """Returns the refusal of a model whose export is not what this release reads: ``what`` should be ``expected`` and
+    is ``got``."""
     return ArtifactError(what, expected=expected, got=got, cure="Export the model again.")
 
 
