@@ -43,8 +43,8 @@ class AttirePart(NamedTuple):
 
 
 class Attire(NamedTuple):
-    """``parts`` of a character, and which of them each of its faces is, ``part`` (F,); ``skin_colour``, sRGB, the mean
-    of its skin, and the ``colours`` (F, 3) of its faces."""
+    """What is what on a character: its ``parts``; ``part`` (F,), the number of the part that each face belongs to;
+    ``skin_colour``, sRGB, the mean colour of its skin; and the ``colours`` (F, 3) of its faces."""
 
     parts: tuple[AttirePart, ...]
     part: np.ndarray
@@ -59,8 +59,11 @@ class Attire(NamedTuple):
 def attire_of(
     file: GltfFile, character: Character, pose: TPose, colours: np.ndarray, *, told: Mapping[str, str] | None = None
 ) -> Attire:
-    """The parts of ``character`` in ``pose``, whose faces have the ``colours`` (F, 3), sRGB; ``told``: parts' names and
-    kinds that a client corrects. Raises ``NotFound`` for a part or a kind that is not there."""
+    """Returns the parts of ``character``, which stands in ``pose`` and whose faces have the ``colours`` (F, 3), sRGB.
+
+    ``told``: the kinds of parts that a client corrects, by the parts' names. Raises ``NotFound`` for a part or a kind
+    that does not exist.
+    """
     surface = _Surface(character, pose, colours)
     names = [_names(file, primitive.node, primitive.primitive) for primitive in character.primitives]
     said = [kind_of_names(one) for one in names]

@@ -152,7 +152,8 @@ def _surface(file: GltfFile, place: dict[int, int], world: np.ndarray) -> tuple[
 
 
 def listed_primitives(file: GltfFile, nodes: list[int], attributes: set[str]) -> Listed:
-    """The primitives of triangles of meshes of ``nodes`` that have ``attributes``: node, place in the mesh, itself."""
+    """Returns the primitives of triangles, of the meshes of ``nodes``, that have all of ``attributes``: of each its
+    node, its place in the mesh, and itself."""
     wanted = attributes | {"POSITION"}
     return [
         (node, index, primitive)

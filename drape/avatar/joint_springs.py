@@ -45,8 +45,12 @@ class Limb:
 
 @dataclass(frozen=True, eq=False)
 class JointSprings:
-    """Numbers (E,) of the springs of a ``distilled`` garment, their ``tails`` (E, 3) in its bind pose, which joints are
-    ``sprung`` (E,), the ``limbs`` and which of them each feels (E, C). ``unit``: metres per unit of the file."""
+    """Joints of a ``distilled`` garment as springs: the ``numbers`` (E,) of each spring, the ``tails`` (E, 3) in the
+    bind pose, and which joints are ``sprung`` (E,).
+
+    ``limbs`` are the capsules, and ``felt`` (E, C) says which of them each spring feels. ``unit``: metres per unit of
+    the file.
+    """
 
     distilled: Distilled
     tails: np.ndarray
@@ -65,7 +69,8 @@ class JointSprings:
 
 
 def fit_springs(distilled: Distilled, clips: Sequence[Draped], wearer: Wearer) -> JointSprings:
-    """The springs of ``distilled`` that come nearest to ``clips``, each of them whole."""
+    """Returns the springs of ``distilled`` whose tails come nearest to those of ``clips``. A clip is run from its first
+    to its last frame."""
     unit, skeleton = wearer.scale, clips[0].motion
     ends, limbs = _tails(distilled, unit), leg_capsules(wearer, skeleton)
     _, _, rest = _carried(distilled, ends, skeleton, rows=slice(0, 1))

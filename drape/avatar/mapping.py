@@ -23,8 +23,11 @@ SWAPPED = "left and right look swapped: by these joints the feet point backwards
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """The ``rig`` of a character; its joints were found ``by`` "vrm", "names" or "shape", or "told"; ``confidence``: of
-    those by shape, how like a person's the places are, else 1. ``notes``: what looks wrong with it."""
+    """The ``rig`` of a character, and how its joints were found.
+
+    ``by``: "vrm", "names", "shape", or "told" by a client. ``confidence`` in [0, 1]: how much the places are like a
+    person's, if they were found by shape; otherwise 1. ``notes``: sentences on what looks wrong.
+    """
 
     rig: Rig
     by: str

@@ -48,8 +48,8 @@ MARK = "~"  # between a character and the kind, in the name of a garment
 
 @dataclass(frozen=True, eq=False)
 class OwnGarments:
-    """``garments`` that a character came in, the innermost first, and why other ``clothes`` of its stay on its skin, by
-    the names of its parts."""
+    """The ``garments`` that a character came in, the innermost first; ``stiff``: why its other clothes stay on its
+    skin, by the names of the parts."""
 
     garments: tuple[Garment, ...]
     stiff: dict[str, str]
@@ -96,7 +96,8 @@ def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
 
 
 def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
-    """Which faces (F,) of ``wearer`` those of ``garments`` are that it came in: they are drawn as cloth."""
+    """Returns which faces (F,) bool of ``wearer`` belong to those of ``garments`` that it came in: they are drawn as
+    cloth."""
     found = np.zeros(len(wearer.faces), dtype=bool)
     for garment in garments:
         about = garment.manifest.get(OWN, {})
@@ -115,8 +116,11 @@ def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) 
 
 
 class Undressed(NamedTuple):
-    """Faces of a character that are not drawn in its garments, ``off`` (F,), and what is seen there: which faces of its
-    bare body, ``bare`` (Fb,), and a top that is ``tucked`` in."""
+    """What is not drawn of a character in its garments, and what is seen in its place.
+
+    ``off`` (F,) bool: its faces that are not drawn. ``bare`` (Fb,) bool: the faces of its bare body that are seen.
+    ``tucked``: a top of its own that is tucked in, or None.
+    """
 
     off: np.ndarray
     bare: np.ndarray
@@ -131,9 +135,12 @@ class Undressed(NamedTuple):
 def undressed(
     wearer: Wearer, own: np.ndarray, cloth: Sequence[tuple[np.ndarray, np.ndarray]], halves: Halves
 ) -> Undressed:
-    """What garments leave of ``wearer``, whose ``cloth`` is vertices [m] (V, 3) and faces (F, 3) of each: without what
-    those of ours take off, which lie on these ``halves``, and without its ``own`` faces (F,) that are drawn as cloth;
-    tops that stay on are worn in trousers of ours."""
+    """Returns what is not drawn of ``wearer`` in garments, and what is seen instead.
+
+    ``own`` (F,) bool: its faces that are drawn as cloth. ``cloth``: vertices [m] (V, 3) and faces (F, 3) of each
+    garment in the T-pose. ``halves``: where garments of ours lie. They take off what lies there; tops that stay on are
+    tucked into trousers of ours.
+    """
     if not wearer.attire.parts:
         return Undressed(np.zeros(len(wearer.faces), dtype=bool), np.zeros(len(wearer.body.faces), dtype=bool))
     surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
@@ -147,7 +154,8 @@ def undressed(
 
 
 def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:
-    """Those of a character's ``own`` garments that others on these ``halves`` leave on: below these, and over them."""
+    """Returns those of a character's ``own`` garments that stay on under garments on these ``halves``: those below the
+    others, and those over them."""
     off = (UPPER if halves.upper else ()) + (LOWER if halves.lower else ())
     left = [garment for garment in own if garment.manifest[OWN]["kind"] not in off]
     lower = [garment for garment in left if garment.manifest[OWN]["kind"] in LOWER]

@@ -48,7 +48,7 @@ _JOINED = np.array([[other in _beside(part) for other in PARTS] for part in PART
 
 
 def beside(own: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Whether parts (n,) are those of ``others`` (n,) or join them."""
+    """Returns whether each part of ``own`` (n,) is the one of ``others`` (n,), or joins it."""
     return _JOINED[own, others]
 
 
@@ -58,6 +58,6 @@ def faces_beside(part: str, corners: np.ndarray) -> np.ndarray:
 
 
 def counted_vertices(pose: TPose) -> np.ndarray:
-    """The character's vertices (n,) of trunk and limbs."""
+    """Returns the numbers (n,) of the character's vertices on trunk and limbs; heads, hands and feet do not count."""
     wanted = [number for number, part in enumerate(PARTS) if plain_part(part) in LIMBS]
     return np.intersect1d(np.flatnonzero(np.isin(parts_of(pose.weights), wanted)), pose.faces)

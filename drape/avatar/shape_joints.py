@@ -51,7 +51,7 @@ def joints_by_shape(character: Character, *, label: str = "avatar") -> ShapeJoin
 
 
 def hanging_on(parents: Sequence[int], node: int) -> np.ndarray:
-    """Which nodes (N,) are ``node`` or hang on it."""
+    """Returns which nodes (N,) bool are ``node`` or hang below it; ``parents`` (N,) are -1 where there is none."""
     found = np.zeros(len(parents), dtype=bool)
     found[node] = True
     for other in range(node + 1, len(parents)):

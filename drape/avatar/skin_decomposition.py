@@ -70,7 +70,8 @@ def fit_weights(
 
 
 def better_fit(gram: np.ndarray, right: np.ndarray, most: int, stays: np.ndarray | None) -> np.ndarray:
-    """The better of two ``simplex_fit``: of all weights, and of those that are said to be above zero (N, C)."""
+    """Returns the better of two results of ``simplex_fit`` (N, C), vertex by vertex: one of all weights, and one in
+    which only the weights ``stays`` (N, C) may be above zero."""
     found = simplex_fit(gram, right, most)
     if stays is None:
         return found

@@ -23,9 +23,12 @@ OFF_SKIN_M = 0.001  # nearer to the skin than trousers are
 
 
 class TuckedTop(NamedTuple):
-    """Faces of a character that are drawn in, ``rows`` (n,): ``vertices`` [m] (V, 3), ``faces`` (n, 3) of these, and
-    ``weights`` (V, 24). What is not drawn: the faces ``off`` (F,) of the character, whose place they take or that they
-    hide, and ``hidden`` ones (Fb,) of its bare body."""
+    """A top of a character's own, drawn in to the skin: ``rows`` (n,), the character's faces that it is made of,
+    ``vertices`` [m] (V, 3), ``faces`` (n, 3) of these, and ``weights`` (V, 24).
+
+    ``off`` (F,) bool: the character's faces that are not drawn, since they are these or lie below them. ``hidden``
+    (Fb,) bool: faces of its bare body that are not drawn.
+    """
 
     rows: np.ndarray
     vertices: np.ndarray

@@ -40,7 +40,8 @@ PLAIN = {  # what VRM 0 says of a material that is glTF's own
 def worn_glb(
     payload: bytes, layers: Sequence[Jointed], draped: Sequence[np.ndarray], motion: RigMotion, scale: float
 ) -> GlbFile:
-    """The character's file ``payload`` with garments over the clip in which they are ``draped`` [m] (F, V, 3) each."""
+    """Returns the character's file ``payload`` with the garments ``layers`` in it, over the clip ``motion``. Each is
+    ``draped`` [m] (F, V, 3); ``scale``: metres per unit of the file."""
     file, nodes = _opened(payload)
     add_clip(file, layers, draped, motion, nodes, scale)
     _complete(file)
@@ -79,8 +80,11 @@ def worn_on_rig(payload: bytes, layers: Sequence[Dressed], clip: RigClip, wearer
 
 
 def undressed_file(payload: bytes, wearer: Wearer, rig: FileRig, left: Undressed) -> bytes:
-    """The file ``payload`` of ``wearer``, which has ``rig``, without the faces that are ``off`` by ``left``, and with
-    what is seen there. What they were made of stays: blend shapes and the like still find their meshes."""
+    """Returns the file ``payload`` of ``wearer``, which has ``rig``, without the faces that ``left`` says are off, and
+    with what is seen there instead.
+
+    Meshes that lose faces keep their numbers, so that blend shapes and the like still find them.
+    """
     file, nodes = _opened(payload)
     read, gone = GltfFile(payload), np.zeros(sum(one.triangles for one in rig.primitives), dtype=bool)
     gone[rig.triangle[left.off]] = True

@@ -52,12 +52,13 @@ def borders(mesh: GarmentMesh) -> list[Loop]:
 
 
 def plainly_hole(one: Loop, mesh: GarmentMesh) -> bool:
-    """Whether a border is a hole without asking where the body is: very short, or a hole in the middle of the cloth."""
+    """Returns whether a border is a hole, as far as the cloth alone tells: it is very short, or lies in the middle of
+    the cloth."""
     root = float(np.sqrt(meshes.face_areas(mesh.vertices, mesh.faces).sum()))
     lies = one.flatness > LIES_IN_CLOTH and one.length < LONG_SHARE * root
     return one.length < SHORT_SHARE * root or lies
 
 
 def plainly_opening(one: Loop) -> bool:
-    """Whether a border is an opening without asking where the body is: the cloth at it looks sideways."""
+    """Returns whether a border is an opening, as far as the cloth alone tells: the cloth at it looks sideways."""
     return one.flatness < LOOKS_SIDEWAYS

@@ -27,10 +27,12 @@ END = 0.05  # of an edge: a vertex nearer to its end, or to the one before, does
 
 
 def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> tuple[GarmentMesh, np.ndarray]:
-    """``sheets`` [m] (``cloth_layer.joined``) round a body with the points ``skin`` [m] (S, 3), without the inner sides
-    of walls, and its panels sewn, themselves where no two pieces have a seam; and the ``outer_sides`` (F,) of that.
+    """Returns ``sheets`` [m] with the panels of a pattern sewn to each other, and the ``outer_sides`` (F,) of the faces
+    that they had.
 
-    Vertices stay in their places and their order; those that become one follow them.
+    ``sheets`` (``cloth_layer.joined``) lie round a body with the points ``skin`` [m] (S, 3). Inner sides of walls are
+    left out. ``sheets`` themselves are returned if no two pieces have a seam. Vertices keep their places and their
+    order; those that become one follow them.
     """
     points = sheets.vertices
     outer = outer_sides(points, sheets.faces, KDTree(skin))

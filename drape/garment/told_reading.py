@@ -24,12 +24,13 @@ class ToldReading:
 
     @property
     def reading(self) -> Reading | None:
-        """The reading, if all of it is told."""
+        """The reading of the file, if unit and both axes are told; otherwise None."""
         return None if self.unit is None or not (self.up and self.front) else Reading(*self.unit, self.up, self.front)
 
     @property
     def turned(self) -> Reading | None:
-        """A reading in metres with the axes that are told, the usual ones where one is left out; None without any."""
+        """A reading in metres with the axes that are told, and the usual one for an axis that is left out. None if no
+        axis is told."""
         if self.up is None and self.front is None:
             return None
         up = self.up or ("+y" if self.front and self.front[1] != "y" else "+z")

@@ -26,7 +26,8 @@ DEEP_M, DEEP_SHARE, BARE_SHARE = 0.01, 0.01, 0.15
 
 
 def on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> GarmentMesh | None:
-    """The checked ``mesh`` in metres, if it lies close on the standard body in T-pose, every limb in its cloth."""
+    """Returns the checked ``mesh`` in metres if it lies close on the standard body in T-pose, with every limb in its
+    cloth; otherwise None."""
     avatar = standard_avatar(body)
     try:
         placed = place(mesh, avatar, unit=options.unit, up=options.up, named=False)
