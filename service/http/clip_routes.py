@@ -257,7 +257,7 @@ async def _clip(
 
 
 def check_rig_frames(rig_poses: Sized, trans: Sized | None, most: int) -> None:
-    """Refuses too many poses of a rig, and another number of places."""
+    """Refuses more than ``most`` poses of a rig, and another number of places ``trans`` than of poses."""
     frames = len(rig_poses)
     if frames > most:
         raise TooLarge("rig_poses", expected=f"at most {most} frames", got=str(frames), cure="Send fewer.")
@@ -267,7 +267,7 @@ def check_rig_frames(rig_poses: Sized, trans: Sized | None, most: int) -> None:
 
 
 def check_rig(asked: schemas.ClipOptions, kind: str) -> None:
-    """Refuses a file on a rig where there is none, and what such a file has no place for."""
+    """Refuses (``InputError``) a file on a rig for the standard body, and options that such a file cannot hold."""
     if not asked.rig:
         if asked.joints is not None:
             raise InputError(

@@ -23,7 +23,8 @@ KNOWN: Responses = {304: {"description": "The client's copy is current."}}
 
 
 def responses(*refusals: type[DrapeError], kinds: Sequence[str] = ()) -> Responses:
-    """The ``responses`` of a route that may refuse as ``refusals``; ``kinds`` are media types of its 200 besides."""
+    """Returns the ``responses`` of a route that may refuse as ``refusals``; ``kinds`` are the media types of its 200
+    besides JSON."""
     said: Responses = {}
     for kind in refusals:
         rule = rule_for(kind)

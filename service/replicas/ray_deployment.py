@@ -79,7 +79,7 @@ class Replica:
         return {AGE: self._load.age_s, STREAMS: float(streams)}
 
     async def here(self) -> int:
-        """The id of this process."""
+        """Returns the id of this process."""
         return os.getpid()
 
     @property

@@ -174,9 +174,9 @@ class Uploads:
         return Job(kept.id, kept.name, kept.owner, kept.state, kind, *told)
 
     async def cancel(self, job: Job) -> None:
-        """Ends ``job`` and removes its files; one that has ended is forgotten, and its garment stays.
+        """Ends ``job`` and removes its files. One that has ended is only forgotten, and its garment stays.
 
-        One of another service is ended by that, within ``DRAPE_GARMENTS_LOOK_S``.
+        A job of another service ends within ``DRAPE_GARMENTS_LOOK_S``.
         """
         if job.ended:
             self._jobs.pop(job.id, None)
@@ -255,7 +255,7 @@ class Uploads:
         return job
 
     async def stored(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
-        """How many bytes ``pieces`` are, which are written to ``file`` as they come."""
+        """Writes ``pieces`` to ``file`` as they come. Returns how many bytes they were."""
         try:
             file.parent.mkdir(parents=True)
         except OSError as error:

@@ -44,7 +44,8 @@ def spent_s(number: int, *, thread: bool = False) -> float:
 
 @dataclass(eq=False)
 class Job:
-    """What runs in a ``lane``. ``clocks``: of the processor time [s] that it takes; ``thread``: whose stack is told."""
+    """What runs in a ``lane``. ``clocks`` return the processor time [s] that it takes; ``thread`` is the one whose
+    stack is told."""
 
     lane: str
     clocks: list[Callable[[], float]]
@@ -86,7 +87,7 @@ def waits_for(clock: Callable[[], float]) -> None:
 
 
 class Lane(ThreadPoolExecutor):
-    """Threads whose calls are jobs of the lane ``name``; ``brief``: each is one move."""
+    """Threads whose calls are jobs of the lane ``name``. In a ``brief`` lane each call counts as one move."""
 
     def __init__(self, name: str, threads: int | None = None, *, brief: bool = False, **more: Any) -> None:
         super().__init__(threads, thread_name_prefix=f"drape-{name}", **more)
