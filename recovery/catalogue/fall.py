@@ -43,8 +43,8 @@ class Settled:
 
 
 class Fall:
-    """The garment ``design`` on ``mesh``, of ``fabric``, over the body ``skin``; nothing but the body holds it up, and
-    the nodes ``held`` (n,), which stay where they are."""
+    """A fall of the garment ``design`` on ``mesh``, made of ``fabric``, over the body whose signed distance is
+    ``skin``. The body alone holds it up; the nodes ``held`` (n,) stay where they are."""
 
     def __init__(
         self,

@@ -24,7 +24,7 @@ def edge_kind(name: str) -> str:
 
 
 def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
-    """The content of ``NAME.json``."""
+    """Returns the content of ``NAME.json`` for ``garment`` in ``size`` on ``body``."""
     made, mesh = garment.design, garment.mesh
     sewn = {ref for stitch in made.pattern.stitches for ref in (stitch.first, stitch.second)}
     seams = []

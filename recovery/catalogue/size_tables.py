@@ -67,9 +67,10 @@ def grade(
     report: Report,
     options: BuildOptions = FULL,
 ) -> SizeTable:
-    """The table of the catalogue's garment ``name``, whose M the service has as ``garment``, on ``body``.
+    """Returns the size table of the catalogue's garment ``name``.
 
-    Raises ``InputError`` where ``garment`` is not what the catalogue sews in M.
+    ``garment`` is its size M as the service has it, on ``body`` with these ``measurements``; ``skin`` is the body's
+    signed distance. Raises ``InputError`` if ``garment`` is not what the catalogue sews in M.
     """
     made = {size: design(name, measurements, size) for size in SIZES}
     for one in made.values():
@@ -93,7 +94,12 @@ def fallen(
     report: Report,
     options: BuildOptions,
 ) -> dict[str, Graded]:
-    """Every other size at rest, on the nodes of ``fine``, M's mesh."""
+    """Lets the designs ``made``, one for each size, fall on ``body``. Returns for every size but M how far it lies from
+    M.
+
+    Both are on the nodes of ``fine``, the mesh of M. ``skin`` is the body's signed distance, and ``report`` is called
+    with a line on each fall.
+    """
     coarse = mesh_pattern(made["M"].pattern, options.coarse_m)
     nodes = {"M": on_finer_mesh(fine, garment.vertices.astype(np.float64), coarse)}
     band = waistband(nodes["M"], coarse.faces, body)
@@ -115,7 +121,8 @@ def fallen(
 def table_of(
     garment: Garment, body: BodyModel, panels: np.ndarray, graded: dict[str, Graded], *, report: Report
 ) -> SizeTable:
-    """The table that gives ``graded`` back; ``panels`` [m] (P, 2) are M's, in the order of the garment's uv."""
+    """Returns the table whose splines give ``graded`` back. ``panels`` [m] (P, 2) are the panel vertices of M, in the
+    order of the garment's uv."""
     standing, uv = garment.vertices.astype(np.float64), garment.uv.astype(np.float64)
     moved = np.concatenate([graded[size].moved for size in OTHERS], axis=1)
     grown = np.concatenate([graded[size].panels - panels for size in OTHERS], axis=1)
@@ -170,8 +177,12 @@ def table_of(
 def chosen(
     points: np.ndarray, values: np.ndarray, field: Field, *, step: float, within: float, most: int, apart: float
 ) -> np.ndarray:
-    """Rows (A,) of ``points`` (N, D) whose ``values`` (N, C), in whole ``step``s, give all others back ``within`` that
-    error or as near as ``most`` rows do: first far ones, then those that are missed most, ``apart`` from each other."""
+    """Returns the rows (A,) of ``points`` (N, D) from which ``field`` gives all ``values`` (N, C) back within the error
+    ``within``, or as near as ``most`` rows come. Values are stored in whole ``step``s.
+
+    The first rows are far from each other. Then those whose values are missed most are added, ``apart`` from each
+    other.
+    """
     rows = [int(points[:, 1].argmax())]
     while len(rows) < min(2 * points.shape[1] + 2, len(points)):
         rows.append(int(KDTree(points[rows]).query(points)[0].argmax()))
@@ -187,5 +198,5 @@ def chosen(
 
 
 def rounded(values: np.ndarray, step: float) -> np.ndarray:
-    """``values`` in whole ``step``s."""
+    """Returns ``values`` rounded to whole multiples of ``step``."""
     return step * np.rint(values / step)

@@ -63,11 +63,11 @@ class RestDrape:
         return state.x, report
 
     def begun(self, nodes: np.ndarray) -> np.ndarray:
-        """The nodes [m] (N, 3) that a search from the drape ``nodes`` (N, 3) begins at."""
+        """Returns the nodes [m] (N, 3) at which a search begins, from the drape ``nodes`` (N, 3)."""
         return nodes
 
     def ended(self, mesh: PatternMesh, nodes: np.ndarray) -> np.ndarray:
-        """The drape [m] (N, 3) of ``mesh`` that a search found as ``nodes`` (N, 3)."""
+        """Returns the drape [m] (N, 3) of ``mesh``, which a search has left at ``nodes`` (N, 3)."""
         return nodes
 
     def sensitivity(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:

@@ -146,7 +146,7 @@ class PatternSearch:
         return replace(self.mesh, pattern=fitted.pattern, rest=self.mesh.rest_at(fitted.positions))
 
     def rests(self, nodes: np.ndarray) -> bool:
-        """Whether the simulator finds a drape of the pattern as it is from ``nodes`` [m] (N, 3)."""
+        """Returns whether the simulator finds a drape of the unchanged pattern, begun at ``nodes`` [m] (N, 3)."""
         return self.evaluate(np.zeros(self.free.count), nodes) is not None
 
     def evaluate(self, values: np.ndarray, near: np.ndarray) -> Evaluation | None:

@@ -189,10 +189,11 @@ def _spread_panel(
 def below_waist(
     waist: Point, hips: Point, hem: float, *, flare: float, dip: float, curved: bool, upper: str = "opening_waist"
 ) -> list[Side]:
-    """The sides of a skirt's panel from ``waist`` and ``hips`` on the viewer's right to the height ``hem`` [m].
+    """Returns the sides of a skirt's panel below the ``waist``, down to the height ``hem`` [m].
 
-    The hem is ``flare`` wider on either side. Its ends swing up so that it stays square to the sides. The edge
-    ``upper`` sinks by ``dip`` in the middle; from there to the hips the side is ``curved`` or straight.
+    ``waist`` and ``hips`` are points on the viewer's right. The hem is ``flare`` wider on either side, and its ends
+    swing up so that it stays square to the sides. The edge ``upper`` sinks by ``dip`` in the middle; from there to the
+    hips the side is ``curved`` or straight.
     """
     (x, top), (wide, hip_y) = waist, hips
     lift = flare * flare / (2.0 * (hip_y - hem)) + 0.05 * flare

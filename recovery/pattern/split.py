@@ -103,7 +103,8 @@ def seam_length(pattern: Pattern, ref: EdgeRef, sewn: Mapping[EdgeRef, Stitch]) 
 def divided(
     pattern: Pattern, places: Mapping[EdgeRef, Sequence[float]]
 ) -> tuple[Pattern, dict[EdgeRef, list[EdgeRef]]]:
-    """``pattern`` with corners at ``places``, shares of the lengths of edges, and the pieces of every edge before.
+    """Returns ``pattern`` with new corners at ``places``, shares of the lengths of edges, and for each edge of before
+    the pieces that it is now.
 
     Partners of sewn edges are divided at the same shares, and a seam becomes as many seams.
     """
@@ -152,11 +153,12 @@ def _divided(curve: Curve, shares: Sequence[float]) -> list[Curve]:
 def parted(
     pattern: Pattern, name: str, ends: tuple[int, int], line: Sequence[Curve], called: str
 ) -> tuple[Pattern, Callable[[EdgeRef], EdgeRef]]:
-    """The panel ``name`` in two, sewn along ``line``; and where an edge of before is now.
+    """Returns ``pattern`` with the panel ``name`` cut in two along ``line`` and sewn there again, and a function from
+    an edge of before to that edge now.
 
     ``ends`` are edges: those from the first up to the second become the panel ``called``, which stands after the rest.
-    ``line`` runs from the start of the second end to the start of the first. Raises ``InputError`` for one that leaves
-    the panel.
+    ``line`` runs from the start of the second end to the start of the first. Raises ``InputError`` for a line that
+    leaves the panel.
     """
     panel, (first, last) = pattern.panel(name), ends
     outline = curves(panel)
@@ -364,7 +366,8 @@ def joined(pattern: Pattern, number: int, called: str) -> Pattern:
 
 
 def laid_on(edge: Curve, other: Curve) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
-    """The rigid motion of points [m] (N, 2) that lays ``other`` on ``edge``, chord on chord, and their distance [m]."""
+    """Returns the rigid motion of points [m] (N, 2) that lays the edge ``other`` on ``edge``, chord on chord, and how
+    far [m] the two are apart then."""
     chords = [complex(*(curve.points[-1] - curve.points[0])) for curve in (edge, other)]
     turn = chords[0] / chords[1] / abs(chords[0] / chords[1])
     rotation = np.array([[turn.real, turn.imag], [-turn.imag, turn.real]])

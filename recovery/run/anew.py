@@ -34,10 +34,12 @@ BELT_M = 0.005
 
 
 class SewnAnew(NamedTuple):
-    """The drape ``draped`` and its ``distance`` from that of the report, both in the wearer's pose.
+    """The pattern sewn anew: the drape ``draped`` and its ``distance`` from that of the report, both in the wearer's
+    pose.
 
-    ``by_itself`` is the distance before its belt was laid on the report's waist, which lies ``belt_moved_m`` [m]
-    higher, or before it was hung or put on as the report shows it; else the same distance, and zero without a belt.
+    ``by_itself``: the distance at which it came to rest by itself, before its belt was laid on the report's waist or
+    before it was hung or put on as the report shows it; the same as ``distance`` if nothing was done. ``belt_moved_m``
+    [m]: by how much the belt was moved up, zero without one.
     """
 
     draped: Draped

@@ -35,10 +35,10 @@ KINDS = {2: "skirt", 3: "trousers", 4: "tshirt"}  # by the number of openings, w
 
 @dataclass(frozen=True)
 class Cut:
-    """The base taken, whether it was ``told`` by the target, the settings it was drafted with, and ``differs``.
+    """The cut that a recovery starts from: the ``base``, and whether the target ``told`` it, or the user named it.
 
-    These are sentences on what of the target's cut the base does not have. The target's collar is ``collar_m`` wide
-    [m], 0 for none.
+    ``settings``: those that the base was drafted with. ``differs``: sentences on what of the target's cut the base does
+    not have. ``collar_m`` [m]: the width of the target's collar, 0 for none.
     """
 
     base: str
@@ -54,9 +54,10 @@ class Cut:
 
 
 def kind_of(mesh: GarmentMesh) -> str:
-    """A base with as many openings as ``mesh`` has long borders, before a body and a unit are known.
+    """Returns the name of a base with as many openings as ``mesh`` has long borders, before its body and unit are
+    known.
 
-    Where there are more than a top has, some are holes, as long as not more than those are plainly openings.
+    If there are more than a top has, the borders that are not plainly openings count as holes.
     """
     count = len(long_contours(mesh))
     count = max(min(count, max(KINDS)), sum(map(plainly_opening, borders(mesh)[:count])))
@@ -71,7 +72,8 @@ def kind_of(mesh: GarmentMesh) -> str:
 
 
 def told_base(seen: Seen, body: BodyMeasurements) -> str:
-    """The base whose openings lie where those of the target do. Raises ``InputError`` where none has them."""
+    """Returns the name of the base whose openings lie where those of the target do. Raises ``InputError`` if none
+    does."""
     counts = seen.counts()
     fitting = [name for name, wanted in OPENINGS.items() if wanted == counts]
     top = seen.openings[TRUNK][0].centre[1] if fitting else 0.0
@@ -135,7 +137,8 @@ def collarless(
 
 
 def panel_count(base: str, shown: int | None) -> dict[str, float]:
-    """The setting of a skirt whose texture shows its gores; nothing for other bases or where it is the base's."""
+    """Returns the setting ``panels`` of a skirt whose texture has ``shown`` so many gores; empty for another base, or
+    if it is the base's own number."""
     return {COUNT: float(shown)} if base == "skirt" and shown is not None and 2 < shown <= MOST_PANELS else {}
 
 

@@ -35,7 +35,8 @@ Say = Callable[[str], None]
 
 
 class Written(NamedTuple):
-    """The recovered pattern with the lines of ``style``; ``made`` and ``files`` have all that is drafted."""
+    """The recovered pattern as it was written: ``with_lines``, the pattern with the lines of ``style``, and ``made``,
+    the same with all that is drafted besides; the ``files``."""
 
     with_lines: Pattern
     made: Pattern
@@ -44,7 +45,8 @@ class Written(NamedTuple):
 
 
 class Nearness(NamedTuple):
-    """How near the garment lies to the target, how near the base lay ``before``, and what the target ``told``."""
+    """How near the garment lies to the target: its ``distance``, that of the base ``before``, the ``chamfer`` distance
+    and its ``floor``; and what of the pattern the target ``told``."""
 
     distance: SurfaceDistance
     before: SurfaceDistance
@@ -93,9 +95,10 @@ class Outcome:
 
 
 def run_job(job: Job, *, progress: Say = lambda line: None, say: Say = print) -> Outcome:
-    """Does ``job``; writes pattern and garment as soon as they are found. Raises ``InputError`` for what it refuses.
+    """Does ``job`` and returns its outcome. Pattern and garment are written as soon as they are found.
 
-    ``progress`` gets a line on how far it is every few seconds, ``say`` what was found.
+    ``progress`` is called every few seconds with a line on how far it is, ``say`` with what was found. Raises
+    ``InputError`` for what it refuses.
     """
     with watch.watched(write=progress, limit_s=60.0 * job.minutes) as clock:
         try:

@@ -49,7 +49,7 @@ HEADS = ("cut", "from the target, mean", "Chamfer", "seams differ by", "sewn ane
 
 
 def key_figures(outcome: Outcome) -> tuple[str, ...]:
-    """The figures at the top of the record, as the first table of the page has them."""
+    """Returns the figures at the top of the record as texts, in the order of the page's first table."""
     top = top_of(outcome)
     return (
         top["cut"].split(". ")[0],  # the sentences stand below, before cutting

@@ -14,10 +14,12 @@ FAIR_DEG = 5.0  # by which a cap may turn at a corner before it is worth a sente
 
 
 def styled(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tuple[Style, Pattern, Pattern]:
-    """The style of a recovered ``pattern``, that with its lines, and that with what is joined and drafted as well.
+    """Returns the style of a recovered ``pattern``, the pattern with its lines, and the same with all that is joined
+    and drafted besides.
 
-    The target's own collar is added unless another is ``asked`` for. Where the panels that were found have no room, all
-    is left out. ``warnings`` get a sentence on that, on a collar, and on caps that are not fair.
+    ``asked`` is the style that the user asked for; the target's own collar (``cut``) is added unless it has one. If the
+    panels have no room for the lines, all of them are left out. ``warnings`` get a sentence on that, on a collar, and
+    on caps that are not smooth.
     """
     style = asked
     if cut.collar_m and COLLAR not in asked.widths_m:

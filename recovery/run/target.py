@@ -203,11 +203,11 @@ def check_near(mesh: GarmentMesh, skin: Avatar) -> None:
 def opened(
     mesh: GarmentMesh, joints: np.ndarray, wanted: dict[str, int] | None = None
 ) -> tuple[GarmentMesh, dict[str, int]]:
-    """``mesh`` with all borders closed that are no openings, and how many openings each part of the body has.
+    """Returns ``mesh`` with all borders closed that are no openings, and how many openings each part of the body has.
 
-    ``joints`` [m] (24, 3) are the body's. An opening is a border that bones pass through, or a folded cuff beside
-    them. Where a part has more than ``wanted``, those that lie in the cloth are holes: a hole in front of a leg that
-    the body's fit is not sure of.
+    ``joints`` [m] (24, 3) are the body's. An opening is a border that bones pass through, or a folded cuff beside them.
+    If a part has more than ``wanted``, those that lie in the cloth are taken for holes: the body's fit may have put a
+    leg behind a hole.
     """
     chains = bone_chains(joints)
     loops = {one.loop.tobytes(): one for one in borders(mesh)}
@@ -255,10 +255,11 @@ def describe_openings(found: dict[str, int]) -> str:
 
 
 def off_skin(mesh: GarmentMesh, skin: Avatar, known: np.ndarray) -> float:
-    """How much farther [m] off the skin the cloth of ``mesh`` rests than ours: its thickness, or its simulator's gap.
+    """Returns how much farther [m] off the skin the cloth of ``mesh`` rests than ours, since it has a thickness, or its
+    simulator kept a gap. 0 if that is less than a millimetre.
 
-    The distance below which ``LYING_SHARE`` of the area of the faces ``known`` (F,) lies, less our contact's gap; 0
-    where it is less than a millimetre, as with cloth that cuts the body.
+    It is the distance below which the share ``LYING_SHARE`` of the area of the ``known`` faces (F,) lies, less the gap
+    of our contact.
     """
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     distance = closest.signed_distance(middles, skin.vertices, skin.faces)

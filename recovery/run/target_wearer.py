@@ -122,11 +122,11 @@ def inside_wearer(
     front: Front = "auto",
     wanted: dict[str, int] | None = None,
 ) -> tuple[GarmentMesh, Wearer]:
-    """``mesh`` in metres, y up, and the shipped body fitted inside it; that of ``bases`` tells its size and place, all
-    drafted for that body, in which it fits best. ``wanted`` are the openings of its kind.
+    """Returns ``mesh`` in metres, y up, and the shipped body fitted inside it.
 
-    Openings tell the axis where ``up`` is "auto". The wearer looks along +z as in the file, or, where ``front`` is
-    "auto", the other way if the body and the upper opening say so.
+    ``bases`` are patterns of its kind, all drafted for that body; the one in which the body fits best tells size and
+    place. ``wanted``: the openings that its kind has. With ``up`` "auto" the openings tell the axis. The wearer looks
+    along +z as in the file or, with ``front`` "auto", the other way if the body and the upper opening say so.
     """
     if (up_axis(mesh) if up == "auto" else up) == "z":
         turned = np.stack([mesh.vertices[:, 0], mesh.vertices[:, 2], -mesh.vertices[:, 1]], axis=1)

@@ -14,7 +14,8 @@ WORDS = {"collar": "side of the neck", "spine3": "chest", "spine2": "ribs", "spi
 
 
 class ScanFault(MeshError):
-    """A fault of a scan that has no safe repair: the ``mesh`` and the ``points`` (P, 3) of it, in its coordinates."""
+    """A refusal of a scan with a fault that cannot be repaired safely. ``points`` (P, 3) are its places on the
+    ``mesh``, in the mesh's coordinates."""
 
     mesh: GarmentMesh | None = None
     points: np.ndarray = np.zeros((0, 3))
