@@ -41,7 +41,8 @@ def tensor(name: str, *shape: str | int, dtype: str = "float32", unit: str = "1"
 
 
 def group(kind: type[Tensors], *, part: str = "", **axes: str) -> Any:
-    """A field of a group: another group, with ``axes`` of other names there."""
+    """Returns a field of a group that is itself a group, of the class ``kind``. ``axes`` gives the names that its axes
+    have here."""
     return _field(_Group(kind, axes, part))
 
 

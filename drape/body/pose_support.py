@@ -54,7 +54,8 @@ class PoseSupport:
         return tuple((np.ascontiguousarray(one.T), (one**2).sum(axis=1)) for one in rows)
 
     def distances(self, poses: np.ndarray) -> np.ndarray:
-        """From each part of ``poses`` (F, 24, 3) [rad] to the nearest kept one (F, 3): root mean square of joints."""
+        """Returns the distances (F, 3) of ``poses`` (F, 24, 3) [rad] from the kept poses, part by part: to the nearest
+        one, root mean square over the joints."""
         rows, squared = pose_rows(poses).astype(np.float32), np.empty((len(poses), len(PARTS)), dtype=np.float32)
         for number, (part, (turned, squares)) in enumerate(zip(PART_SLICES, self.columns, strict=True)):
             one = rows[:, part]

@@ -90,7 +90,7 @@ class GlbFile:
         self.uses(QUANTIZATION, "extensionsUsed", "extensionsRequired")
 
     def uses(self, extension: str, *lists: str) -> None:
-        """Declares that there is something of an ``extension``, in ``lists`` of the file."""
+        """Declares in the file that it uses ``extension``; ``lists`` of the file say that it is used, or required."""
         for one in lists or ("extensionsUsed",):
             used = self.json.setdefault(one, [])
             if extension not in used:

@@ -18,7 +18,7 @@ POINT_BYTES = 28  # about
 
 
 def usda_pieces(layers: Sequence[MovingGarment], fps: float, *, point: np.ndarray | None = None) -> Iterator[bytes]:
-    """The file, in pieces; vertices count from ``point`` [m] (3,), the origin by default."""
+    """Yields the text of the file in pieces. Vertices count from ``point`` [m] (3,), the origin by default."""
     x, y, z = np.zeros(3).tolist() if point is None else point.tolist()
     yield (
         f'#usda 1.0\n(\n    defaultPrim = "clip"\n    endTimeCode = {len(layers[0].vertices) - 1}\n'

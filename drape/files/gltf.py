@@ -53,7 +53,8 @@ class GltfFile:
         }
 
     def item(self, key: str, index: Any, said: str = "") -> Any:
-        """Entry ``index`` of the document's list ``key``, which ``said``, another field, tells of."""
+        """Returns entry ``index`` of the document's list ``key``. Refuses an index that the list does not have, by the
+        name ``said`` of the field that has it."""
         rows = getattr(self.document, key)
         if type(index) is not int or not 0 <= index < len(rows):
             raise self._fault(said or key, f"an index of {key} below {len(rows)}", shown(index))
@@ -99,12 +100,13 @@ class GltfFile:
         return found.astype(kind)
 
     def picture(self, index: Any) -> bytes | None:
-        """The file of image ``index`` as it came; None where it lies nowhere."""
+        """Returns the file of image ``index`` as it came; None if the image has no bytes anywhere."""
         held = self.item("images", index, "textures.source")
         return self.view(held["bufferView"], "images") if "bufferView" in held else self._named(held.get("uri"))
 
     def view(self, index: Any, said: str) -> bytes:
-        """The bytes of buffer view ``index``, which ``said``, another field, tells of; unpacked if they are packed."""
+        """Returns the bytes of buffer view ``index``, unpacked if they are packed. Refuses an index that does not
+        exist, by the name ``said`` of the field that has it."""
         held = self.item("buffer_views", index, said)
         if index not in self._views:
             extensions = held.get("extensions")

@@ -50,7 +50,8 @@ def draco_parts(payload: bytes, primitive: Primitive, label: str) -> dict[int, n
 
 
 def meshopt_view(payload: bytes, told: dict[str, Any], label: str) -> bytes:
-    """The bytes of a buffer view that meshoptimizer packed, as ``told`` in its extension."""
+    """Returns the unpacked bytes of a buffer view; ``told`` is the extension's entry, which says how meshoptimizer has
+    packed it."""
     count, stride = (one if type(one := told.get(key)) is int else 0 for key in ("count", "byteStride"))
     mode, filter_name = told.get("mode"), told.get("filter", "NONE")
     wide = mode == "ATTRIBUTES"

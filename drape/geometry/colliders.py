@@ -43,7 +43,7 @@ def capsule(start: ArrayLike, end: ArrayLike, radius_m: float) -> np.ndarray:
 
 
 def seen_from(colliders: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """``colliders`` (M, 16), whose centres count from ``origin`` [m] (3,) instead."""
+    """Returns ``colliders`` (M, 16) with centres that count from ``origin`` [m] (3,)."""
     if not len(colliders):
         return colliders
     moved = colliders.copy()

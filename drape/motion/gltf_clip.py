@@ -25,7 +25,8 @@ WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
 class Target(Part):
-    """What a channel moves."""
+    """The target of a channel: the ``node`` that it moves, and the ``path``: translation, rotation, scale or
+    weights."""
 
     node: Index | None = None
     path: Text
@@ -39,7 +40,8 @@ class Channel(Part):
 
 
 class Sampler(Part):
-    """The accessors of keys, their times and their values, and what lies between them."""
+    """The accessors of a channel's keys: ``input`` their times, ``output`` their values; ``interpolation`` says how
+    values lie between them."""
 
     input: Index
     output: Index

@@ -112,7 +112,8 @@ def match_joints(names: Sequence[str], parents: Sequence[int], *, label: str) ->
 
 
 def with_trunk(limbs: dict[str, int], parents: Sequence[int], *, label: str) -> dict[str, int]:
-    """``limbs``, joints with a side, and the pelvis and the spine that hold them; refused where there is no trunk."""
+    """Returns ``limbs``, joints with a side, together with the pelvis and the spine that hold them. Refuses nodes
+    without a trunk."""
     left, right = (ancestors(parents, limbs[f"{side}_hip"]) for side in ("left", "right"))
     pelvis = next((joint for joint in left[1:] if joint in right[1:]), None)
     if pelvis is None:

@@ -40,7 +40,8 @@ _SPINE = ("spine1", "spine2", "spine3")
 def trunk_ends(
     rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]
 ) -> tuple[dict[str, int], np.ndarray | None]:
-    """By a trunk's joint the file's joint that its bone points to, and the pelvis' up (3,); ``rest`` are places (J, 3).
+    """Returns for each joint of the trunk the file's joint that its bone points to, and the up direction (3,) of the
+    pelvis. ``rest`` are the joints' places (J, 3).
 
     A bent trunk is told bone by bone. A straight one is told from joint to joint of ours, and its up is None.
     """
@@ -73,9 +74,9 @@ def trunk_ends(
 
 
 def arms_across(rest: np.ndarray, sources: Mapping[str, int]) -> np.ndarray | None:
-    """The line (3,) from the right arm to the left; None where a rest pose tells none.
+    """Returns the line (3,) from the right arm to the left; None if the rest pose shows none.
 
-    It joins the shoulders, or where collars do not point apart their own places, which turn with the chest.
+    It joins the shoulders. If the collars do not point apart, it joins their own places, which turn with the chest.
     """
     left, right = (rest[sources[f"{side}_shoulder"]] for side in ("left", "right"))
     if "left_collar" in sources and "right_collar" in sources:
@@ -87,7 +88,7 @@ def arms_across(rest: np.ndarray, sources: Mapping[str, int]) -> np.ndarray | No
 
 
 def odd_limbs(rest: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray) -> set[str]:
-    """The joints of limbs that no person holds as the rest positions ``rest`` (J, 3) have them."""
+    """Returns the names of the limbs' joints that no person holds as they are at the rest positions ``rest`` (J, 3)."""
     found = set()
     for limb in [[f"{side}_{joint}" for joint in limb] for side in ("left", "right") for limb in _LIMBS]:
         for name in limb:
