@@ -136,7 +136,11 @@ def origins_of(page: str) -> list[Origin]:
 
 
 async def bridge(host: str, port: int, page_port: int, page: str) -> None:
-    """Runs until it is cancelled; raises ``InputError`` where a port is taken."""
+    """Listens for VMC packets on ``host`` and ``port`` (UDP), and gives the page at ``page`` each newest pose on
+    ``page_port`` of the loopback address.
+
+    It runs until it is cancelled. Raises ``InputError`` where a port is taken.
+    """
     loop, pages = asyncio.get_running_loop(), set[ServerConnection]()
 
     async def come(connection: ServerConnection) -> None:

@@ -129,9 +129,9 @@ def _looking(points: KeyPoints) -> np.ndarray:
 class LandmarkPoses:
     """The poses of a stream of key points, one sample after the other.
 
-    Without ``smoothing``, which filters the points before they are read, a stream gives
-    what ``landmark_poses`` gives for the clip. A refused sample leaves the stream as it was,
-    but for the filter. Swapped sides are told after each ``TOLD_AFTER`` samples that look so.
+    Without ``smoothing``, which filters the points before they are read, a stream gives what ``landmark_poses`` gives
+    for the clip. A refused sample leaves the stream as it was, but for the filter. A person whose left and right are
+    swapped is refused after ``TOLD_AFTER`` samples that look so, and then after as many more.
     """
 
     def __init__(

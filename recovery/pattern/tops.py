@@ -25,10 +25,12 @@ HOLLOWS = (0.75, 0.6)  # how far towards the shoulder the armhole runs level, in
 
 @dataclass(frozen=True)
 class Sleeve:
-    """``length_m`` from the shoulder's tip, band included; widths as ease over upper arm and wrist or as a hem girth.
+    """The measures of a sleeve, lengths [m].
 
-    ``cuff_m`` is the width of a band that is a share ``cuff_shorter`` shorter than the sleeve's hem. With ``halves``
-    the sleeve is cut in two along the top of the arm, without cuffs: its panels start flat.
+    ``length_m`` runs from the shoulder's tip to the end, band included. ``arm_ease_m`` is what the sleeve is wider than
+    the upper arm, ``hem_girth_m`` its girth at the end. ``cuff_m`` is the width of a band that is shorter than the end
+    by the share ``cuff_shorter``; 0 for none. With ``halves`` the sleeve is cut in two along the top of the arm,
+    without cuffs: its panels start flat.
     """
 
     length_m: float

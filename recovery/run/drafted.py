@@ -60,9 +60,10 @@ RANGES: dict[str, Range] = {  # that a reading may lie in; beyond it something e
 
 
 def drafted(name: str, body: BodyMeasurements, seen: Seen, given: dict[str, float]) -> tuple[Pattern, dict[str, float]]:
-    """The base ``name`` for ``body``, drafted near the target ``seen``, and its settings; those ``given`` stay.
+    """Returns the base ``name`` for ``body``, drafted near the target ``seen``, and the settings that it was drafted
+    with. Those in ``given`` stay as they are.
 
-    Where what is read makes no garment, a share of the way from the base's own settings does.
+    If the settings that are read off the target make no garment, they go a share of the way from the base's own ones.
     """
     base = BASES[name]
     told = {key: value for key, value in read_settings(name, body, seen).items() if key not in given}

@@ -231,7 +231,8 @@ def opened(
 
 
 def check_base(base: str, found: dict[str, int]) -> None:
-    """Refuses a target whose openings are not those of the base called ``base``; other bases are not known here."""
+    """Refuses (``InputError``) a target whose openings, ``found`` by part of the body, are not those of the base called
+    ``base``. A base that is no name of ours passes."""
     wanted = OPENINGS.get(base)
     if wanted is None:
         return

@@ -113,7 +113,7 @@ class Tracing:
 
 
 class Answered:
-    """A request's span, to be told how it was answered."""
+    """The open span of a request; ``told`` names it by how the request was answered."""
 
     def __init__(self, span: Span | None) -> None:
         self._span = span
