@@ -3,11 +3,11 @@
 A session (``service.stream.routes``) is served as soon as a worker is free, the frame before is through and the client
 has credit: frames that wait in a kernel buffer only grow old. There is no timer.
 
-Streams step down by one tier as soon as a share of the poses was late, that is replaced by newer ones while only the
-worker was in the way, and by as many as it takes to spare that share; up again after a while without, where what the
-next step takes leaves room, and after twice as long where the last try failed. Nothing is ever computed that was not
-asked for: ``compute.tiers.capped``. Below the least tier there is what it can spare, ``compute.tiers.spared``, and
-below that its folds are carried along.
+A pose is late if a newer one replaced it while only the worker was in the way. Streams step down as soon as a share of
+the poses was late: by one tier, or by as many as it takes to spare that share. They come up again after a while without
+late poses, if what the next step takes leaves room, and after twice as long if the last try failed. Nothing is ever
+computed that was not asked for (``drape.stages.tiers.capped``). Below the least tier there is what that can spare
+(``drape.stages.tiers.spared``), and below that its folds are carried along.
 """
 
 from __future__ import annotations
