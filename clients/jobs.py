@@ -46,7 +46,7 @@ def made(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress: Progres
     it becomes."""
     job = yield sent
     deadline = time.monotonic() + wait_s
-    while (made := finished(job, kind)) is None:
+    while (name := finished(job, kind)) is None:
         check_deadline(job, deadline, wait_s)
         try:
             progress(job)
@@ -55,7 +55,7 @@ def made(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress: Progres
             yield Call("DELETE", path_of("jobs", job["id"]), calls.read_bytes)
             raise
         job = yield fetched("jobs", job["id"])
-    return made
+    return name
 
 
 def finished(job: dict[str, Any], kind: str = "garment") -> str | None:

@@ -43,8 +43,8 @@ def kept_below(
 
 def _below(points: np.ndarray, cloth: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """``points`` (n, 3), those that stand out of ``cloth`` moved below it."""
-    found = closest_point(points.astype(np.float64), cloth, faces)
-    normals = face_normals(cloth, faces)[found.face]
-    depth = np.einsum("nc,nc->n", normals, found.point - points)
-    out = (found.distance < DEEPER_M) & (depth < BELOW_M) & ~on_border(found, faces)
-    return np.where(out[:, None], found.point - BELOW_M * normals, points)
+    nearest = closest_point(points.astype(np.float64), cloth, faces)
+    normals = face_normals(cloth, faces)[nearest.face]
+    depth = np.einsum("nc,nc->n", normals, nearest.point - points)
+    out = (nearest.distance < DEEPER_M) & (depth < BELOW_M) & ~on_border(nearest, faces)
+    return np.where(out[:, None], nearest.point - BELOW_M * normals, points)

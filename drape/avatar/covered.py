@@ -53,12 +53,12 @@ def covered_faces(
     ``margin_m`` [m] or more from all that is not under it.
     """
     points, owner = _spread(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
-    found = np.zeros(len(faces), dtype=bool)
+    covered = np.zeros(len(faces), dtype=bool)
     for cloth, triangles in garments:
         mesh = np.asarray(cloth, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
         good = _under(points, *mesh, out_m, margin_m)
-        found |= np.bincount(owner[~good], minlength=len(faces)) == 0
-    return found
+        covered |= np.bincount(owner[~good], minlength=len(faces)) == 0
+    return covered
 
 
 def covered_in_file(

@@ -61,11 +61,11 @@ def covering(
     def short(number: int) -> np.ndarray:
         """How much [m] (Vb,) the skin is short in the pose of this ``number``."""
         skin, height = skinning.skin_points(vertices[None], weights, *bones[number])[0], np.zeros(len(vertices))
-        found = closest_point(posed[number][counted], skin, body.faces)
-        corners = body.faces[found.face]
+        nearest = closest_point(posed[number][counted], skin, body.faces)
+        corners = body.faces[nearest.face]
         normals = meshes.vertex_normals(skin, body.faces, table=around)
-        facing = np.einsum("vk,vkc->vc", found.barycentric, normals[corners])
-        above = np.einsum("vc,vc->v", facing, posed[number][counted] - found.point)
+        facing = np.einsum("vk,vkc->vc", nearest.barycentric, normals[corners])
+        above = np.einsum("vc,vc->v", facing, posed[number][counted] - nearest.point)
         agree = np.einsum("vc,vc->v", facing, theirs_out[number]) > FACING
         joined = beside(own[corners[:, 0]], theirs[counted])
         lacking = np.where(agree & joined & (above > 0.0), above + MARGIN_M, 0.0)

@@ -51,11 +51,11 @@ def mapped(
     sources, by, confidence = _places(character, told or {}, label), TOLD, 1.0
     if not is_whole(sources):
         try:
-            found, by = match_joints(names, character.parents, label=label), VRM if character.humanoid else NAMES
+            matched, by = match_joints(names, character.parents, label=label), VRM if character.humanoid else NAMES
         except MotionError:
             shape = joints_by_shape(character, label=label)
-            found, by, confidence = shape.sources, SHAPE, shape.confidence
-        sources = {**found, **sources}
+            matched, by, confidence = shape.sources, SHAPE, shape.confidence
+        sources = {**matched, **sources}
     turns = nearest_rotations(character.world[:, :3, :3])
     local, moves = turns.copy(), character.places.copy()
     for node, parent in enumerate(character.parents):

@@ -49,12 +49,12 @@ def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
     bones = BONES[body.weights.argmax(axis=1)]
     upper = np.isin(bones, ["spine2", "spine3", "collar", "shoulder", "elbow", "neck"])
     lower = np.isin(bones, ["hip", "knee", "ankle", "foot"])
-    found = np.zeros(2, dtype=bool)
+    covered = np.zeros(2, dtype=bool)
     for garment in garments:
         _, row = nearest_vertices(garment.vertices[: garment.vertex_count].astype(np.float64), body.v_template)
         share = np.array([upper[row].mean(), lower[row].mean()])
-        found |= share > LEAST_SHARE * np.array([1.0, 1.0 + (share[0] > LEAST_SHARE)])  # a shirt's hem is on the hips
-    return Halves(*map(bool, found))
+        covered |= share > LEAST_SHARE * np.array([1.0, 1.0 + (share[0] > LEAST_SHARE)])  # a shirt's hem is on the hips
+    return Halves(*map(bool, covered))
 
 
 class Layers(NamedTuple):

@@ -88,24 +88,24 @@ def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
         whole[rows] = False
         mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", rows)
         worn.append(OwnCloth(kind, tuple(own), tuple(ranges_of(whole).reshape(-1).tolist()), mesh))
-    made = each(partial(_garment_or_why, wearer.name, wearer.digest, body), worn)
-    for one, why in zip(worn, made, strict=True):
+    garments = each(partial(_garment_or_why, wearer.name, wearer.digest, body), worn)
+    for one, why in zip(worn, garments, strict=True):
         if isinstance(why, str):
             stiff |= {parts[number].name: why for number in one.numbers}
-    return OwnGarments(tuple(one for one in made if not isinstance(one, str)), stiff)
+    return OwnGarments(tuple(one for one in garments if not isinstance(one, str)), stiff)
 
 
 def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
     """Returns which faces (F,) bool of ``wearer`` belong to those of ``garments`` that it came in: they are drawn as
     cloth."""
-    found = np.zeros(len(wearer.faces), dtype=bool)
+    own = np.zeros(len(wearer.faces), dtype=bool)
     for garment in garments:
         about = garment.manifest.get(OWN, {})
-        found |= np.isin(wearer.attire.part, about.get("parts", ()))
+        own |= np.isin(wearer.attire.part, about.get("parts", ()))
         stays = about.get("stays", [])
         for first, count in zip(stays[::2], stays[1::2], strict=True):
-            found[first : first + count] = False
-    return found
+            own[first : first + count] = False
+    return own
 
 
 def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) -> Halves:
@@ -201,19 +201,19 @@ def _stiff(wearer: Wearer) -> dict[str, str]:
     """Why clothes stay on the skin, by the names of parts, as far as it is seen before an intake."""
     pose = TPose(wearer.vertices, wearer.faces, wearer.weights, np.zeros((0, 3)), wearer.scale, wearer.height_m)
     painted = layers_of(wearer.attire, pose).body
-    found = {}
+    reasons = {}
     for number, part in enumerate(wearer.attire.parts):
         rows = np.flatnonzero(wearer.attire.part == number)
         if part.kind not in KINDS or not len(rows):
             continue
         weights = wearer.weights[np.unique(wearer.faces[rows])]
         if len(rows) < LEAST_FACES:
-            found[part.name] = f"It has {len(rows)} faces, too few to fold."
+            reasons[part.name] = f"It has {len(rows)} faces, too few to fold."
         elif painted[rows].mean() > PAINTED_SHARE:
-            found[part.name] = "It is painted on the skin, or one mesh with it."
+            reasons[part.name] = "It is painted on the skin, or one mesh with it."
         elif (weights > STIFF).all(axis=0).any():
-            found[part.name] = "One bone moves all of it, as armour."
-    return found
+            reasons[part.name] = "One bone moves all of it, as armour."
+    return reasons
 
 
 def _garment_or_why(name: str, digest: str, body: BodyModel, own: OwnCloth) -> Garment | str:
@@ -228,14 +228,14 @@ def _garment_or_why(name: str, digest: str, body: BodyModel, own: OwnCloth) -> G
 def _garment(name: str, digest: str, body: BodyModel, own: OwnCloth) -> Garment:
     kind, numbers = own.kind, list(own.numbers)
     made_of = f"own {VERSION} {kind} {numbers} {digest} {body.digest}"
-    made = intake_mesh(own.mesh, body, digest=hashlib.sha256(made_of.encode()).hexdigest())
-    refusal = why_not(body, reach_of(made, body), garment=kind)
+    garment = intake_mesh(own.mesh, body, digest=hashlib.sha256(made_of.encode()).hexdigest())
+    refusal = why_not(body, reach_of(garment, body), garment=kind)
     if refusal is not None:
         raise refusal
     about = {"kind": kind, "parts": numbers, "stays": list(own.stays)}
     called = f"{name}{MARK}{kind}"
-    drawn = None if made.drawn is None else replace(made.drawn, name=called)
-    return replace(made, name=called, drawn=drawn, manifest=made.manifest | {OWN: about})
+    drawn = None if garment.drawn is None else replace(garment.drawn, name=called)
+    return replace(garment, name=called, drawn=drawn, manifest=garment.manifest | {OWN: about})
 
 
 def _mesh(file: GltfFile, wearer: Wearer, name: str, rows: np.ndarray) -> GarmentMesh:

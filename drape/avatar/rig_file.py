@@ -96,12 +96,12 @@ def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig,
         surface = MeshSurface(name, len(vertices), faces, np.zeros((0, 2)), *_NO_MATERIALS)
         corners, on = split_seams(surface), scipy.sparse.csr_matrix(weights) @ onto
         parts = _shape(file, corners, faces, vertices[None] / wearer.scale, on, blends, quantised=False)
-        one = colours[0] if len(colours) == 1 else np.ones(3)
+        shade = colours[0] if len(colours) == 1 else np.ones(3)
         if len(colours) > 1:
             parts[0]["COLOR_0"] = file.array(
                 (colours[corners.source] ** GAMMA).astype(np.float32), target=VERTEX_BUFFER
             )
-        red, green, blue = (one**GAMMA).tolist()
+        red, green, blue = (shade**GAMMA).tolist()
         add_shape(file, surface, corners, Shape(parts, {"skin": skin} | told), 0, 1.0, (red, green, blue, 1.0))
 
     if left.bare.any():
@@ -118,14 +118,14 @@ def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig,
 def _onto_joints(wearer: Wearer, skeleton: FileSkeleton) -> scipy.sparse.csr_matrix:
     """The joint (24, J) of the file that moves what each joint of ours does: its node, or the nearest joint above."""
     column = {int(node): number for number, node in enumerate(skeleton.joints)}
-    found: list[int] = []
+    columns: list[int] = []
     for joint, name in enumerate(JOINT_NAMES):
         node = wearer.rig.sources.get(name, -1)
         while node >= 0 and node not in column:
             node = skeleton.parents[node]
-        found.append(column[node] if node >= 0 else found[PARENTS[joint]] if joint else 0)
-    onto = np.ones(len(found)), (np.arange(len(found)), np.array(found))
-    return scipy.sparse.csr_matrix(onto, (len(found), len(skeleton.joints)))
+        columns.append(column[node] if node >= 0 else columns[PARENTS[joint]] if joint else 0)
+    onto = np.ones(len(columns)), (np.arange(len(columns)), np.array(columns))
+    return scipy.sparse.csr_matrix(onto, (len(columns), len(skeleton.joints)))
 
 
 def add_nodes(file: GlbFile, skeleton: FileSkeleton) -> dict[int, int]:

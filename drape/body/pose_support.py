@@ -106,15 +106,15 @@ def read_pose_support(path: Path) -> PoseSupport:
     """The pose support that ``to_bytes`` wrote; raises ``ArtifactError`` where the file holds something else."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            made = PoseSupport(**{item.name: file[item.name] for item in fields(PoseSupport)})
+            support = PoseSupport(**{item.name: file[item.name] for item in fields(PoseSupport)})
     except UNREADABLE as error:
         raise _unreadable(path, str(error)) from error
     wide = [rows.shape[1] for rows in pose_parts(np.zeros((1, JOINT_COUNT, 3))).values()]
-    shapes = [getattr(made, name).shape for name in PARTS]
+    shapes = [getattr(support, name).shape for name in PARTS]
     fits = all(len(shape) == 2 and shape[0] > 0 for shape in shapes) and [shape[1] for shape in shapes] == wide
-    if not fits or made.limits.shape != (len(PARTS),) or not (made.limits > 0.0).all():
-        raise _unreadable(path, f"shapes {shapes}, limits {made.limits}")
-    return made
+    if not fits or support.limits.shape != (len(PARTS),) or not (support.limits > 0.0).all():
+        raise _unreadable(path, f"shapes {shapes}, limits {support.limits}")
+    return support
 
 
 def _unreadable(path: Path, got: str) -> ArtifactError:

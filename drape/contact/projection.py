@@ -132,12 +132,12 @@ def push_out_of_bodies(
     frame."""
     pushed = np.empty_like(vertices)
     for frame in range(len(vertices)):
-        one = slice(frame, frame + 1)
+        now = slice(frame, frame + 1)
         # Relative to the body: the field multiplies coordinates, and a body may stand far away.
         origin = body_vertices[frame].mean(axis=0)
-        point, normal = skin.posed(body_vertices[one] - origin)
+        point, normal = skin.posed(body_vertices[now] - origin)
         table = np.asarray(sample_table(point, normal)).reshape(1, skin.region_count, REGION_SIZE, -1)
-        pushed[one] = push_out(vertices[one] - origin, table, feed, clearance_m) + origin
+        pushed[now] = push_out(vertices[now] - origin, table, feed, clearance_m) + origin
     return pushed
 
 

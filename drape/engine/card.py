@@ -121,11 +121,11 @@ class Placed:
 
     def arrays(self) -> list[np.ndarray]:
         """Returns the arrays as they are in the card's memory now, in the record's order."""
-        found = [np.empty_like(array) for array in self._record.arrays]
-        for array, own in zip(self._record.arrays, found, strict=True):
+        arrays = [np.empty_like(array) for array in self._record.arrays]
+        for array, own in zip(self._record.arrays, arrays, strict=True):
             if array.size:
                 self._memory.read(self._at[address_of(array)], own)
-        return found
+        return arrays
 
 
 class Frames:
@@ -168,13 +168,13 @@ class Frames:
     def drawn(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Returns for each frame the folded vertices [m] (V, 3) and the numbers that the engine writes of it
         (``OUTCOME``,) int64."""
-        found = []
+        frames = []
         for (folded, shape), outcome in zip(self._folded, self._outcomes, strict=True):
             vertices, told = np.empty(shape, np.float32), np.empty(OUTCOME, np.int64)
             self._memory.read(folded, vertices)
             self._memory.read(outcome, told)
-            found.append((vertices, told))
-        return found
+            frames.append((vertices, told))
+        return frames
 
 
 def build_card(library: Path = LIBRARY, *, architectures: Sequence[int] = ARCHITECTURES) -> str:

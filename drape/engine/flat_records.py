@@ -33,16 +33,16 @@ def flat_records(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[np.nda
 
 
 def _document(name: str, value: Any, arrays: list[np.ndarray]) -> dict[str, Any]:
-    told: dict[str, Any] = {}
+    document: dict[str, Any] = {}
     for field, kind in RECORDS[name].items():
         own = getattr(value, field)
         if kind in RECORDS:
-            told[field] = _document(kind, own, arrays)
+            document[field] = _document(kind, own, arrays)
         elif kind.endswith("[]"):
-            told[field] = [_document(kind[:-2], one, arrays) for one in own]
+            document[field] = [_document(kind[:-2], one, arrays) for one in own]
         elif kind in TYPES:
             arrays.append(np.ascontiguousarray(own, TYPES[kind]).reshape(-1))
-            told[field] = arrays[-1].size
+            document[field] = arrays[-1].size
         else:
-            told[field] = int(own) if kind == "count" else float(own)
-    return told
+            document[field] = int(own) if kind == "count" else float(own)
+    return document

@@ -64,11 +64,11 @@ def load(*, tests: bool = False, folder: Path = LIBRARIES) -> ctypes.CDLL:
     path = folder / f"{name}{'-tests' if tests else ''}{SUFFIX}"
     if not path.is_file():
         raise ArtifactError("engine", expected=f"the file {path.name}", got="none", cure=CURE)
-    found = ctypes.CDLL(str(path))
-    found.drape_records_hash.restype = ctypes.c_uint64
-    if found.drape_records_hash() != HASH:
+    library = ctypes.CDLL(str(path))
+    library.drape_records_hash.restype = ctypes.c_uint64
+    if library.drape_records_hash() != HASH:
         raise ArtifactError("engine", expected="that of this version", got=f"another one: {path.name}", cure=CURE)
-    return found
+    return library
 
 
 @cache

@@ -49,14 +49,14 @@ class Record:
 
         The address of a block is asked for once, and not that of each row. Types are not checked.
         """
-        made, words = object.__new__(cls), []
+        record, words = object.__new__(cls), []
         for block in blocks:
             first, size = address_of(block), block[0].size
             step = size * block.itemsize
             words += [word for i in range(len(block)) for word in ((first + i * step) if size else 0, size)]
-        made.arrays = list(blocks)
-        made._set(words + _number_words(numbers))
-        return made
+        record.arrays = list(blocks)
+        record._set(words + _number_words(numbers))
+        return record
 
     def ending(self, *numbers: float) -> Record:
         """Returns the same record with ``numbers`` in its last fields."""

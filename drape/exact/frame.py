@@ -132,7 +132,7 @@ def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None
         end = _down(sheet, posed, start, band)  # never above the start, though what crosses there goes on to
     x = end.x.astype(np.float32).astype(np.float64)  # what is stored, and what the next frame comes from
     over = _over(sheet, posed, x, band)
-    told = Told(
+    report = Told(
         force_share=float(np.linalg.norm(end.force)) / sheet.cloth.weight_n,
         depth_m=max(over.deepest_m(), 0.0),
         energy_j=over.now.energy,
@@ -141,7 +141,7 @@ def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None
         start_crossings=crossed,
         steps=end.steps,
     )
-    return Lain(pose, x, start), told
+    return Lain(pose, x, start), report
 
 
 def _apart(sheet: Sheet, before: Lain | None) -> bool:

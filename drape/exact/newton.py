@@ -55,11 +55,11 @@ class Cloth(NamedTuple):
 
     @classmethod
     def of(cls, cloth: ClothMesh, material: Material, charts: Charts | None) -> Cloth:
-        made = problem(cloth, material, dtype=np.float64, reach_m=REACH_M)
+        energies = problem(cloth, material, dtype=np.float64, reach_m=REACH_M)
         charts = charts or linear.no_charts(cloth.vertex_count, np.float32)
         patch, weight = charts
         single = Charts(np.ascontiguousarray(patch, dtype=np.int32), np.ascontiguousarray(weight, dtype=np.float32))
-        return cls(made, hessian.pattern(cloth), single, settling.inverse(cloth, material))
+        return cls(energies, hessian.pattern(cloth), single, settling.inverse(cloth, material))
 
     @property
     def weight_n(self) -> float:

@@ -119,13 +119,13 @@ def _taken(
     least, and more while it is in the skin."""
     outer = creases.outside(contact, posed)
     goal = creases.out_of(outer, posed, goal, float(cloth.problem.constants.gap))
-    one = apart.Descent(cloth, outer, posed, x, drawn=_towards(goal, cloth, HOLD_N_PER_M))
-    _go(one, goal)
+    descent = apart.Descent(cloth, outer, posed, x, drawn=_towards(goal, cloth, HOLD_N_PER_M))
+    _go(descent, goal)
     for number in range(1, ROUNDS + 1):
-        if number > least and one.deepest_m() < DEEP_M:
+        if number > least and descent.deepest_m() < DEEP_M:
             break
-        one.run(number * STEPS, 0.0)
-    return one.now.x
+        descent.run(number * STEPS, 0.0)
+    return descent.now.x
 
 
 def drawn_to(

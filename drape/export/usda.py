@@ -83,13 +83,13 @@ def _listed(numbers: np.ndarray) -> Iterator[bytes]:
 
 def identifiers(names: Sequence[str]) -> list[str]:
     """``names`` as USD names prims: letters, digits and underscores of ASCII, each once."""
-    found: list[str] = []
+    names_so_far: list[str] = []
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name) or "_"
         plain = f"_{plain}" if plain[0].isdigit() else plain
         number, unique = 1, plain
-        while unique in found:
+        while unique in names_so_far:
             number += 1
             unique = f"{plain}_{number}"
-        found.append(unique)
-    return found
+        names_so_far.append(unique)
+    return names_so_far

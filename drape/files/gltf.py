@@ -73,18 +73,18 @@ class GltfFile:
             got = ", ".join(shown(accessor.get(key)) for key in ("componentType", "type", "count"))
             raise self._fault(f"accessors[{index}]", f"numbers of a known type, at most {MOST_NUMBERS:,}", got)
         if index in self._draco:
-            found = self._from_draco(index, count, width, kind)
+            values = self._from_draco(index, count, width, kind)
         elif "bufferView" in accessor:
-            found = self._rows(accessor["bufferView"], accessor.get("byteOffset", 0), count, width, kind)
+            values = self._rows(accessor["bufferView"], accessor.get("byteOffset", 0), count, width, kind)
         else:
-            found = np.zeros((count, width), kind)
+            values = np.zeros((count, width), kind)
         if "sparse" in accessor:
-            found = self._with_sparse(found, accessor["sparse"], kind)
+            values = self._with_sparse(values, accessor["sparse"], kind)
         if accessor.get("normalized") and kind is not np.float32:
-            return np.maximum(found.astype(np.float64) / np.iinfo(kind).max, -1.0)
-        if kind is np.float32 and not np.isfinite(found).all():
+            return np.maximum(values.astype(np.float64) / np.iinfo(kind).max, -1.0)
+        if kind is np.float32 and not np.isfinite(values).all():
             raise self._fault(f"accessors[{index}]", "finite numbers", "NaN or infinity")
-        return found
+        return values
 
     def _from_draco(self, index: Any, count: int, width: int, kind: Any) -> np.ndarray:
         """Accessor ``index`` of a primitive that Draco packed."""
@@ -93,11 +93,11 @@ class GltfFile:
             told = primitive.extensions[DRACO]
             view = told.get("bufferView") if isinstance(told, dict) else None
             self._unpacked |= draco_parts(self.view(view, "Draco's bufferView"), primitive, f"{self.label}: Draco")
-        found = self._unpacked.get(index)
-        if found is None or found.shape != (count, width):
-            got = "nothing" if found is None else f"{found.shape}"
+        unpacked = self._unpacked.get(index)
+        if unpacked is None or unpacked.shape != (count, width):
+            got = "nothing" if unpacked is None else f"{unpacked.shape}"
             raise self._fault(f"accessors[{index}]", f"{count} rows of {width} from Draco", got)
-        return found.astype(kind)
+        return unpacked.astype(kind)
 
     def picture(self, index: Any) -> bytes | None:
         """Returns the file of image ``index`` as it came; None if the image has no bytes anywhere."""

@@ -39,7 +39,7 @@ def borders(mesh: GarmentMesh) -> list[Loop]:
     for _ in range(SMOOTHINGS):  # noise tilts single normals
         normals = normals + averaging @ normals
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    found = []
+    loops = []
     for loop in meshes.boundary_loops(mesh.faces):
         points = mesh.vertices[loop]
         way = np.roll(points, -1, axis=0) - points
@@ -47,8 +47,8 @@ def borders(mesh: GarmentMesh) -> list[Loop]:
         axis = 0.5 * np.cross(points - points.mean(axis=0), way).sum(axis=0)
         axis = axis / max(float(np.linalg.norm(axis)), 1e-300)
         flatness = float((length * np.abs(normals[loop] @ axis)).sum() / max(float(length.sum()), 1e-300))
-        found.append(Loop(loop, float(length.sum()), flatness, axis))
-    return sorted(found, key=lambda one: -one.length)
+        loops.append(Loop(loop, float(length.sum()), flatness, axis))
+    return sorted(loops, key=lambda one: -one.length)
 
 
 def plainly_hole(one: Loop, mesh: GarmentMesh) -> bool:

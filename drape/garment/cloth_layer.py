@@ -101,13 +101,13 @@ def _loops_of_trunk(
 ) -> np.ndarray:
     """Which vertices (D,) of the pieces ``label`` (D,) that are ``loose`` belong to a large one without sleeves, as a
     belt: it hangs on the trunk, however near to it arms hang."""
-    found = np.zeros(len(label), dtype=bool)
+    on_trunk = np.zeros(len(label), dtype=bool)
     for number in np.unique(label[loose]):
         own = label == number
         if np.ptp(places[own], axis=0).max() > LARGE_M and loose[own].all():
             used, faces = meshes.in_use(mesh.faces[own[mesh.faces].all(axis=1)])
-            found |= own & (not sleeve_of(places[used], faces, joints, skin).any())
-    return found
+            on_trunk |= own & (not sleeve_of(places[used], faces, joints, skin).any())
+    return on_trunk
 
 
 def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:

@@ -49,15 +49,15 @@ def told_reading(meaning: Any) -> tuple[ToldReading, Any]:
     if not isinstance(meaning, dict) or not set(KEYS) & set(meaning):
         return NOTHING_TOLD, meaning
     unit, up, front = (meaning.get(key) for key in KEYS)
-    told = ToldReading(
+    reading = ToldReading(
         None if unit is None else _unit(unit),
         None if up is None else _axis(up),
         None if front is None else _axis(front),
     )
-    if told.up and told.front and told.up[1] == told.front[1]:
+    if reading.up and reading.front and reading.up[1] == reading.front[1]:
         cure = 'Give for example {"up": "z", "facing": "-y"}.'
-        raise BodyError("avatar facing", expected=f"an axis across {told.up}", got=told.front, cure=cure)
-    return told, {key: value for key, value in meaning.items() if key not in KEYS} or None
+        raise BodyError("avatar facing", expected=f"an axis across {reading.up}", got=reading.front, cure=cure)
+    return reading, {key: value for key, value in meaning.items() if key not in KEYS} or None
 
 
 def _unit(value: Any) -> tuple[str, float]:

@@ -240,13 +240,13 @@ class Engine:
         capture = device.captures and per_frame
         session = open_session(f"{name}/{spec.file}", model, self._weights, device, capture=capture)
         self.nodes_off_provider += nodes_off_provider(session, device)
-        found = {t.name: t.type for t in session.get_inputs()}
-        taken = (*spec.inputs, *(t for t in spec.outputs if t.name in given))
-        _compare(name, graph, "inputs", {t.name: t.dtype for t in taken if t.name in found}, found)
-        found = {t.name: t.type for t in session.get_outputs()}
-        _compare(name, graph, "outputs", {t.name: t.dtype for t in spec.outputs if t.name in found}, found)
+        types = {t.name: t.type for t in session.get_inputs()}
+        tensors = (*spec.inputs, *(t for t in spec.outputs if t.name in given))
+        _compare(name, graph, "inputs", {t.name: t.dtype for t in tensors if t.name in types}, types)
+        types = {t.name: t.type for t in session.get_outputs()}
+        _compare(name, graph, "outputs", {t.name: t.dtype for t in spec.outputs if t.name in types}, types)
         bound = self.bound and per_frame
-        return BoundSession(session, device, taken, spec.outputs) if bound else Session(session, device)
+        return BoundSession(session, device, tensors, spec.outputs) if bound else Session(session, device)
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
         """``array`` where the graphs compute; on the CPU it shares the array's memory."""

@@ -109,23 +109,23 @@ def check_distributions() -> str:
     Both put their files in the same folder: the last one installed wins, and
     removing one breaks the other (microsoft/onnxruntime#10685).
     """
-    found = {name: version for name in DISTRIBUTIONS if (version := _version(name))}
-    if len(found) == 2:
-        listed = " and ".join(f"{name} {version}" for name, version in found.items())
+    installed = {name: version for name in DISTRIBUTIONS if (version := _version(name))}
+    if len(installed) == 2:
+        listed = " and ".join(f"{name} {version}" for name, version in installed.items())
         raise Unavailable(
             "onnxruntime",
             expected="one of onnxruntime and onnxruntime-gpu",
             got=f"both: {listed}",
             cure=f"Uninstall both, then install one: {HOW_TO_INSTALL}.",
         )
-    if not found:
+    if not installed:
         raise Unavailable(
             "onnxruntime",
             expected="one of onnxruntime and onnxruntime-gpu",
             got="none installed",
             cure=f"A GPU needs it, and a model that the engine does not compute. Install one: {HOW_TO_INSTALL}.",
         )
-    return next(iter(found))
+    return next(iter(installed))
 
 
 def _version(name: str) -> str | None:

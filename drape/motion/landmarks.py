@@ -256,11 +256,11 @@ def _twist(child: np.ndarray, bone_rest: np.ndarray, child_rest: np.ndarray, axi
     along, on_u, on_v = _dot(child, bone_rest), _dot(child, cross(v, bone_rest)), _dot(child, v)
     across = np.hypot(on_u, on_v)
     sine = (_dot(axis, child_rest) - _dot(axis, bone_rest) * along) / np.maximum(across * _dot(axis, v), 1e-12)
-    found = np.arctan2(on_v, on_u) - np.arcsin(np.clip(sine, -1.0, 1.0))
-    found = np.arctan2(np.sin(found), np.cos(found))  # at half a turn either sign is right, and a blend jumps
+    angle = np.arctan2(on_v, on_u) - np.arcsin(np.clip(sine, -1.0, 1.0))
+    angle = np.arctan2(np.sin(angle), np.cos(angle))  # at half a turn either sign is right, and a blend jumps
     low, high = TWIST_BENDS
     told = np.clip((np.arctan2(across, along) - low) / (high - low), 0.0, 1.0)
-    return found * told * told * (3.0 - 2.0 * told)
+    return angle * told * told * (3.0 - 2.0 * told)
 
 
 def _bent(end: np.ndarray, start: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -89,7 +89,7 @@ def arms_across(rest: np.ndarray, sources: Mapping[str, int]) -> np.ndarray | No
 
 def odd_limbs(rest: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray) -> set[str]:
     """Returns the names of the limbs' joints that no person holds as they are at the rest positions ``rest`` (J, 3)."""
-    found = set()
+    odd = set()
     for limb in [[f"{side}_{joint}" for joint in limb] for side in ("left", "right") for limb in _LIMBS]:
         for name in limb:
             bone, part = rest_bone(rest, sources, name), name.split("_")[1]
@@ -98,8 +98,8 @@ def odd_limbs(rest: np.ndarray, sources: Mapping[str, int], alignment: np.ndarra
             seen = alignment[PARENTS[JOINT_INDEX[name]]].T @ bone
             far = seen @ np.array(BONE_DIRECTIONS[name]) < np.cos(_FAR[part])
             if far or abs(seen[0]) > _ASIDE.get(part, 2.0) or (part == "knee" and seen[2] > _ASIDE["knee"]):
-                found |= set(limb)
-    return found
+                odd |= set(limb)
+    return odd
 
 
 def tips_of(rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]) -> dict[str, np.ndarray]:
@@ -118,7 +118,7 @@ def turn_tips(turned: np.ndarray, tips: Mapping[str, np.ndarray], alignment: np.
 
     Those of limbs that are not ``odd`` stay, unless no person holds them so at rest and through the clip.
     """
-    found = set()
+    turned_limbs = set()
     for name, tip in tips.items():
         joint = JOINT_INDEX[name]
         carrier = alignment[PARENTS[joint]]
@@ -128,8 +128,8 @@ def turn_tips(turned: np.ndarray, tips: Mapping[str, np.ndarray], alignment: np.
             own = least_turn(expected, tip, carrier) @ carrier
             turned[:, joint] @= alignment[joint].T @ own
             alignment[joint] = own
-            found.add(name)
-    return found
+            turned_limbs.add(name)
+    return turned_limbs
 
 
 def keep_mean_twists(

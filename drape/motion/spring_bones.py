@@ -49,7 +49,7 @@ def tails(springs: Springs, heads: np.ndarray, rest_tails: np.ndarray, fps: floa
     steps = max(1, round(RATE_HZ / fps))
     step_s, shape = 1.0 / (fps * steps), np.broadcast_shapes(*(np.shape(one) for one in vars(springs).values()))
     now = np.broadcast_to(rest_tails[0], (*shape[:-1], *rest_tails[0].shape)).copy()
-    before, found = now.copy(), [now]
+    before, frames = now.copy(), [now]
     for frame in range(1, len(heads)):
         for part in np.arange(1, steps + 1) / steps:
             head, rest, starts, ends = (
@@ -61,8 +61,8 @@ def tails(springs: Springs, heads: np.ndarray, rest_tails: np.ndarray, fps: floa
                 out = pushed_out(after, starts[one], ends[one], capsules.radii[one] + np.asarray(springs.radius))
                 after = np.where(capsules.felt[:, one, None], on_sphere(out, head, rest), after)
             now, before = after, now
-        found.append(now)
-    return np.stack(found)
+        frames.append(now)
+    return np.stack(frames)
 
 
 def step(

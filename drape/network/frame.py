@@ -148,7 +148,7 @@ def draw(worn: Worn, past: Past, at: Moment, vertices: np.ndarray, steps: np.nda
     ``vertices`` [m] (V, 3) are written, and ``steps`` (V, 3) if given. ``past`` is not written to. The frame must not
     be one that ``begins`` to fold after the lift alone.
     """
-    told = np.empty(_BOX + 3, np.int64)
+    outcome = np.empty(_BOX + 3, np.int64)
     swung = before = folding = None
     if worn.swing is not None:
         swung, before = empty_memory(worn.swing, at.time_s, at.origin, at.colliders), past.swung or NO_PAST
@@ -167,12 +167,12 @@ def draw(worn: Worn, past: Past, at: Moment, vertices: np.ndarray, steps: np.nda
         vertices,
         steps,
     )
-    if not call_with_scratch("frame", _FLOAT, Record("FrameCall", call, _FLOAT), told):
+    if not call_with_scratch("frame", _FLOAT, Record("FrameCall", call, _FLOAT), outcome):
         return None
     folded = report = None
     if folding is not None:
-        turn, _, report = read_outcome(told[:OUTCOME])
+        turn, _, report = read_outcome(outcome[:OUTCOME])
         folded = folding.remembered(turn)
-    novelty = float(told[OUTCOME : OUTCOME + 1].view(np.float64)[0])
-    box = told[_BOX:].view(np.float32)
-    return Drawn(Past(swung, folded), report, novelty, box[:3], box[3:], told[OUTCOME + 1 : _BOX].tolist())
+    novelty = float(outcome[OUTCOME : OUTCOME + 1].view(np.float64)[0])
+    box = outcome[_BOX:].view(np.float32)
+    return Drawn(Past(swung, folded), report, novelty, box[:3], box[3:], outcome[OUTCOME + 1 : _BOX].tolist())

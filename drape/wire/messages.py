@@ -282,12 +282,12 @@ def resent(message: bytes, answer: Answer) -> bytes:
     """Returns the FRAME or JETS ``message`` with the numbers of ``answer`` in its header: the same frame, as the answer
     to another pose."""
     kind = {FRAME: "FRAME", JETS: "JETS"}[message_kind(message)]
-    said = asdict(answer) | {"residence_us": min(answer.residence_us, 0xFFFFFFFF)}
+    values = asdict(answer) | {"residence_us": min(answer.residence_us, 0xFFFFFFFF)}
     again, offset = bytearray(message), 0
     for name, number, count in LAYOUTS[kind]:
         form = struct.Struct(f"<{count}{_CODES[number]}")
-        if name in said:
-            form.pack_into(again, offset, said[name])
+        if name in values:
+            form.pack_into(again, offset, values[name])
         offset += form.size
     return bytes(again)
 

@@ -72,15 +72,15 @@ def grade(
     ``garment`` is its size M as the service has it, on ``body`` with these ``measurements``; ``skin`` is the body's
     signed distance. Raises ``InputError`` if ``garment`` is not what the catalogue sews in M.
     """
-    made = {size: design(name, measurements, size) for size in SIZES}
-    for one in made.values():
+    designs = {size: design(name, measurements, size) for size in SIZES}
+    for one in designs.values():
         check_seams(one)
         check_laid_flat(one)
-    fine = mesh_pattern(made["M"].pattern, options.fine_m)
+    fine = mesh_pattern(designs["M"].pattern, options.fine_m)
     if not np.array_equal(fine.faces, garment.fine_faces):
         cure = "Sew it again: python -m recovery.catalogue build --garments."
         raise InputError(f"garment {name}", expected="the catalogue's mesh in M", got="another", cure=cure)
-    graded = fallen(made, garment, body, fine, skin, report=report, options=options)
+    graded = fallen(designs, garment, body, fine, skin, report=report, options=options)
     return table_of(garment, body, fine.rest, graded, report=report)
 
 
@@ -145,7 +145,7 @@ def table_of(
         def plate(points: np.ndarray, rows: np.ndarray, values: np.ndarray, faces: np.ndarray = alone) -> np.ndarray:
             return field_in_panels(points, faces, rows, values)
 
-        found = chosen(
+        centres = chosen(
             uv[mine],
             grown[mine],
             plate,
@@ -154,7 +154,7 @@ def table_of(
             most=MOST_CORNERS,
             apart=APART_M["panel"],
         )
-        corners.append(mine[found])
+        corners.append(mine[centres])
     corner = np.concatenate(corners)
     table = SizeTable(
         garment.digest,
@@ -187,11 +187,11 @@ def chosen(
     while len(rows) < min(2 * points.shape[1] + 2, len(points)):
         rows.append(int(KDTree(points[rows]).query(points)[0].argmax()))
     while True:
-        taken = np.unique(rows)
-        off = np.abs(field(points, taken, rounded(values[taken], step)) - values).max(axis=1)
-        if off.max() < within or len(taken) >= min(most, len(points)):
-            return taken
-        for _ in range(min(max(4, len(taken) // 4), most - len(taken))):
+        centres = np.unique(rows)
+        off = np.abs(field(points, centres, rounded(values[centres], step)) - values).max(axis=1)
+        if off.max() < within or len(centres) >= min(most, len(points)):
+            return centres
+        for _ in range(min(max(4, len(centres) // 4), most - len(centres))):
             worst = int(off.argmax())
             rows.append(worst)
             off[np.linalg.norm(points - points[worst], axis=1) < apart] = 0.0

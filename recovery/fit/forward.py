@@ -110,8 +110,8 @@ class RestDrape:
 
     def _held_moves(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:
         """Derivatives (N, 3, Z) of the nodes that the belt holds along ``moves``; zero at the others."""
-        found = np.zeros((*nodes.shape, moves.shape[2]))
+        held = np.zeros((*nodes.shape, moves.shape[2]))
         if self.belt is not None:
             slopes = torch.autograd.functional.jacobian(self.belt.places, rest)
-            found[self.belt.held] = np.einsum("hcpd,pdz->hcz", slopes.numpy(), moves)  # type: ignore[union-attr]
-        return found
+            held[self.belt.held] = np.einsum("hcpd,pdz->hcz", slopes.numpy(), moves)  # type: ignore[union-attr]
+        return held

@@ -58,11 +58,11 @@ class SeamConstraint:
         rows = np.concatenate([self.free.origin.reshape(-1, 1), self.free.basis], axis=1).reshape(
             len(self.free.controls), 2, -1
         )
-        found = np.zeros((len(refs), *rows.shape[1:]))
+        chords = np.zeros((len(refs), *rows.shape[1:]))
         for number, ref in enumerate(refs):
             corners = np.flatnonzero(self.free.controls.panel == self._number[ref.panel])
-            found[number] = rows[corners[(ref.edge + 1) % len(corners)]] - rows[corners[ref.edge]]
-        return found
+            chords[number] = rows[corners[(ref.edge + 1) % len(corners)]] - rows[corners[ref.edge]]
+        return chords
 
     def apart(self, values: np.ndarray) -> np.ndarray:
         """g (S,) at ``values`` [m] (Z,): the relative difference of every seam from what is asked for."""

@@ -91,13 +91,13 @@ def needed_length(draped: Draped, options: DrapeOptions) -> float:
 
 def drape_at_rest(pattern: Pattern, start: Start) -> Draped:
     """``worn_drape`` of ``pattern``. Raises ``InputError`` where it does not come to rest."""
-    found = worn_drape(pattern, start)
-    if not found.at_rest:
-        left = max(one.report.residual_n for one in (found.rest, found.posed) if one is not None)
+    draped = worn_drape(pattern, start)
+    if not draped.at_rest:
+        left = max(one.report.residual_n for one in (draped.rest, draped.posed) if one is not None)
         raise InputError(
             "graded pattern",
             expected="a drape at rest to start from",
             got=f"{left:.1e} N left at a node, on the best of {len(LENGTHS_TRIED)} meshes",
             cure="Take another mesh (edge_length_m), more iterations, or a base nearer to the target.",
         )
-    return found
+    return draped

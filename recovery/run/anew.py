@@ -75,16 +75,16 @@ def sewn_anew(
         length = share * options.edge_length_m
         try:
             if number == 0 and found.sewn is not None and pattern is own:
-                one = _beside(found, *found.sewn)
+                candidate = _beside(found, *found.sewn)
             else:
-                one = _sewn(found, body, replace(options, edge_length_m=length), pose, pattern, parts)
+                candidate = _sewn(found, body, replace(options, edge_length_m=length), pose, pattern, parts)
         except InputError as error:
             refused.append(error)
             continue
-        draped = one.draped
+        draped = candidate.draped
         lost = lost_parts(draped.nodes, draped.mesh.faces, posed_joints(body, pose), parts)
-        rank = (bool(lost) or not draped.at_rest, one.distance.mean_mm)
-        tried.append((rank, one))
+        rank = (bool(lost) or not draped.at_rest, candidate.distance.mean_mm)
+        tried.append((rank, candidate))
         if rank <= (False, ANEW_MM) or watch.over():
             break
     if not tried:

@@ -124,16 +124,16 @@ def collarless(
     seen = Seen(mesh.vertices, mesh.faces, joints, wearer.joints_template)
     if not has_collar(mesh, seen, measure(wearer)):
         return mesh, (), 0.0
-    found, gone = without_collar(mesh, joints)
-    found, after = opened(found, joints, there)
+    bare, gone = without_collar(mesh, joints)
+    bare, after = opened(bare, joints, there)
     if after != there:
         return mesh, ("The target has a collar, which no base has: the neckline is drawn to its edge",), 0.0
     words = f"The target has a collar, which no base has: it was cut off at the neck, {gone:.0%} of the cloth"
-    neck = Seen(found.vertices, found.faces, joints, wearer.joints_template).openings[TRUNK][0].contour
+    neck = Seen(bare.vertices, bare.faces, joints, wearer.joints_template).openings[TRUNK][0].contour
     width = gone * float(meshes.face_areas(mesh.vertices, mesh.faces).sum()) / neck.length_m
     if not COLLARS_M[0] <= width <= COLLARS_M[1]:
-        return found, (f"{words}; the pattern ends at the neckline",), 0.0
-    return found, (f"{words}, about {100 * width:.0f} cm wide",), width
+        return bare, (f"{words}; the pattern ends at the neckline",), 0.0
+    return bare, (f"{words}, about {100 * width:.0f} cm wide",), width
 
 
 def panel_count(base: str, shown: int | None) -> dict[str, float]:
@@ -144,12 +144,12 @@ def panel_count(base: str, shown: int | None) -> dict[str, float]:
 
 def ring_panels(pattern: Pattern) -> list[str]:
     """Names of panels that are sewn to themselves to a ring, as bands and one-piece sleeves; darts are none."""
-    found = []
+    panels = []
     for stitch in pattern.stitches:
         panel, apart = stitch.first.panel, abs(stitch.first.edge - stitch.second.edge)
         if panel == stitch.second.panel and 1 < apart < len(pattern.panel(panel).edges) - 1:
-            found.append(panel)
-    return found
+            panels.append(panel)
+    return panels
 
 
 def differences(base: str, pattern: Pattern, seen: Seen, body: BodyMeasurements, shown: int | None) -> tuple[str, ...]:
@@ -157,21 +157,21 @@ def differences(base: str, pattern: Pattern, seen: Seen, body: BodyMeasurements,
 
     ``shown`` is the number of panels that its texture shows, None for none.
     """
-    found = []
+    sentences = []
     if base in OPENINGS:
         nearest = told_base(seen, body)
         if nearest != base:
-            found.append(f"The target looks like a {nearest.replace('_', ' ')}: its base is --base {nearest}")
+            sentences.append(f"The target looks like a {nearest.replace('_', ' ')}: its base is --base {nearest}")
     elif rings := ring_panels(pattern):
-        found.append(
+        sentences.append(
             f"Of the base {', '.join(rings)} begin flat and are closed to a ring: they may close beside waist or arm; "
             "take a base without them, and --style"
         )
     panels = len(pattern.panels)
     if shown is None:
-        found.append("The target does not show its seams: panels and seams are the base's")
+        sentences.append("The target does not show its seams: panels and seams are the base's")
     elif shown != panels:
-        found.append(
+        sentences.append(
             f"The target's texture is laid out in {shown} panels, this pattern has {panels}: seams lie elsewhere"
         )
-    return tuple(found)
+    return tuple(sentences)

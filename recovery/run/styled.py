@@ -26,7 +26,7 @@ def styled(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tup
         style = replace(asked, widths_m={**asked.widths_m, COLLAR: cut.collar_m})
     try:
         with_lines = lined(pattern, style)
-        made = finished(with_lines, style)
+        cut_pattern = finished(with_lines, style)
     except InputError as error:
         warnings.append(f"The style lines ({style.words()}) were left out: {error}")
         return NO_STYLE, pattern, pattern
@@ -41,7 +41,7 @@ def styled(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tup
             f"Ribs are drafted: straight, in place of what was cut off, shorter than what holds them ({shorter}). "
             "They were neither draped nor fitted."
         )
-    if turned := {name: turn for name, turn in cap_corners_deg(made).items() if turn > FAIR_DEG}:
+    if turned := {name: turn for name, turn in cap_corners_deg(cut_pattern).items() if turn > FAIR_DEG}:
         words = " and ".join(f"that of {name} by {turn:.0f}" for name, turn in turned.items())
         warnings.append(f"Where halves of sleeves met, their caps turn at a corner, {words} degrees: draw them fair.")
-    return style, with_lines, made
+    return style, with_lines, cut_pattern

@@ -88,11 +88,11 @@ def mended(mesh: GarmentMesh) -> GarmentMesh:
         mesh = one_sheet(cut_branches(without_flat_faces(thin)))
     mesh = without_turned_hems(calmed(two_sided(mesh)))
     check_open(mesh, "a closed surface")
-    found = closed(mesh, lambda one: plainly_hole(one, mesh))
-    check_open(found.mesh, f"one that is closed once mended, with no border but holes ({found.holes})")
-    check_closed_round(found.mesh)
-    check_unworn(found.mesh)
-    return found.mesh if found.mesh is mesh else found.mesh.noted(*found.words(len(mesh.faces)))
+    closing = closed(mesh, lambda one: plainly_hole(one, mesh))
+    check_open(closing.mesh, f"one that is closed once mended, with no border but holes ({closing.holes})")
+    check_closed_round(closing.mesh)
+    check_unworn(closing.mesh)
+    return closing.mesh if closing.mesh is mesh else closing.mesh.noted(*closing.words(len(mesh.faces)))
 
 
 def check_open(mesh: GarmentMesh, otherwise: str) -> None:

@@ -163,17 +163,17 @@ def inside_wearer(
             ways = [fitted(mesh), fitted(about)]
             score = float(np.log(ways[0].cost_m2 / ways[1].cost_m2)) - LOWER_IN_FRONT * cue - kept
             turn = score > 0.0
-            found, doubt = ways[turn], abs(score) < UNSURE or (cue < 0) != turn
+            inside, doubt = ways[turn], abs(score) < UNSURE or (cue < 0) != turn
             other = "kept" if turn else "turned"
             words = f"front and back are not plain: pass --front {other} if it is worn back to front"
             mesh = (about if turn else mesh).noted(*[words] * doubt)
         else:
             mesh = about if front == "turned" else mesh
-            found = fitted(mesh)
-        check_inside(found)
+            inside = fitted(mesh)
+        check_inside(inside)
     source = (
-        f"body {body.name} fitted inside the target: cloth {found.mean_mm:.0f} mm from the skin on average "
-        f"and {found.band_mm:.0f} mm where it hangs, "
-        f"{found.inside_pct:.1f} % of it inside by up to {found.depth_mm:.0f} mm"
+        f"body {body.name} fitted inside the target: cloth {inside.mean_mm:.0f} mm from the skin on average "
+        f"and {inside.band_mm:.0f} mm where it hangs, "
+        f"{inside.inside_pct:.1f} % of it inside by up to {inside.depth_mm:.0f} mm"
     )
-    return mesh, Wearer(body, found.betas, found.pose, found.trans, source, found.mean_mm)
+    return mesh, Wearer(body, inside.betas, inside.pose, inside.trans, source, inside.mean_mm)

@@ -38,12 +38,12 @@ def stored(root: Path) -> dict[Path, tuple[int, int]]:
 
     In the order of arrival, so that ids given to equal names stay the same.
     """
-    found: list[tuple[int, str, Path, int]] = []
+    rows: list[tuple[int, str, Path, int]] = []
     for path in (*root.glob("*.npz"), *root.glob(f"{OWNED}*/*.npz")):
         written_ns = _written_ns(path)
         if written_ns:  # 0: another service has just removed it
-            found.append((written_ns, path.name, path, _written_ns(about_path(path))))
-    return {path: (written_ns, about_ns) for written_ns, _, path, about_ns in sorted(found)}
+            rows.append((written_ns, path.name, path, _written_ns(about_path(path))))
+    return {path: (written_ns, about_ns) for written_ns, _, path, about_ns in sorted(rows)}
 
 
 def told(root: Path) -> dict[Path, int]:
@@ -62,13 +62,13 @@ def _written_ns(path: Path) -> int:
 
 def sizes(folders: Iterable[Path]) -> list[int]:
     """Bytes of every cache, and of every file of an avatar, directly in ``folders``."""
-    found: list[int] = []
+    bytes_each: list[int] = []
     for path in (path for folder in folders for kind in ("*.npz", "*.glb") for path in folder.glob(kind)):
         try:
-            found.append(path.stat().st_size)
+            bytes_each.append(path.stat().st_size)
         except FileNotFoundError:  # removed meanwhile
             continue
-    return found
+    return bytes_each
 
 
 def about_path(path: Path) -> Path:

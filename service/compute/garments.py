@@ -118,12 +118,12 @@ class Registry:
         about = UNCHANGED if path is None else garment_files.read_about(path)
         owner = garment_files.owner_of(path)
         name = slug(garment.name)
-        taken = self._entries.get(name)
+        present = self._entries.get(name)
         if owner is not None:
             name = f"{name}-{hashlib.sha256(f'{owner} {garment.digest}'.encode()).hexdigest()[:8]}"
-        elif taken is not None and taken.garment.digest == garment.digest:
-            source, path = taken.source, path if taken.source == "user" else None
-        elif taken is not None or not (path is None or garment_files.claim(path, name)):
+        elif present is not None and present.garment.digest == garment.digest:
+            source, path = present.source, path if present.source == "user" else None
+        elif present is not None or not (path is None or garment_files.claim(path, name)):
             name = f"{name}-{garment.digest[:8]}"
         entry = self._entries[name] = Entry(name, garment, source, path, owner, about)
         return entry

@@ -202,16 +202,16 @@ class ExactClips:
         """Returns the vertices [m] (F, V, 3) float32 of the finished ``job``, relative to the roots, on the mesh that
         ``plan`` delivers. Refuses (``NotFound``) a clip of which frames are missing."""
         frames = [on_disk.read_frame(job.folder, number) for number in range(job.accepted.frames)]
-        found = [frame[0] for frame in frames if frame is not None]
-        if len(found) < len(frames):
-            got = f"{len(found)} of {len(frames)} frames"
+        drawn = [frame[0] for frame in frames if frame is not None]
+        if len(drawn) < len(frames):
+            got = f"{len(drawn)} of {len(frames)} frames"
             raise NotFound("clip", expected="all of its frames", got=got, cure=f"Ask GET /jobs/{job.accepted.id}.")
         (entry,) = plan.scene.layers
         garment = entry.garment
         if has_finer(garment):
             wrapping = Wrapping(garment)
-            found = [wrapping.wrap(x) for x in found]
-        return garment.drawn_vertices(np.stack(found))
+            drawn = [wrapping.wrap(x) for x in drawn]
+        return garment.drawn_vertices(np.stack(drawn))
 
     # --- work ---
 
