@@ -96,13 +96,13 @@ class Joints:
         """Returns how far [mm], root mean square, each garment is from its drape over ``motion``: with ``tracks``, with
         ``springs``, and ``carried`` by the rig alone.
         """
-        told = []
-        for layer, springs, one in zip(self.layers, self.springs, self._over(motion, fps), strict=True):
+        errors = []
+        for layer, springs, draped in zip(self.layers, self.springs, self._over(motion, fps), strict=True):
             made, scale = layer.distilled, self.wearer.scale
-            ways = {"tracks": made.fitted(one, scale), "springs": springs.moves(one.motion)}
-            ways["carried"] = made.carried(one.motion)
-            told.append({name: 1e3 * made.error_m(one, moves, scale) for name, moves in ways.items()})
-        return told
+            ways = {"tracks": made.fitted(draped, scale), "springs": springs.moves(draped.motion)}
+            ways["carried"] = made.carried(draped.motion)
+            errors.append({name: 1e3 * made.error_m(draped, moves, scale) for name, moves in ways.items()})
+        return errors
 
     def _over(self, motion: Motion, fps: float) -> list[Draped]:
         return _draped(self._worn, self.wearer, self._rig, motion, fps)

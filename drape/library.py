@@ -212,11 +212,11 @@ class Drape:
 
     def _entries(self, asked: str | Path | Garment) -> list[Entry]:
         if isinstance(asked, Garment):
-            found = [asked]
+            garments = [asked]
         else:
             (path,) = find_garments([str(asked)])[:1]
-            found = open_outfit(path, self.body)
-        return [Entry(garment.name, garment, "user") for garment in found]
+            garments = open_outfit(path, self.body)
+        return [Entry(garment.name, garment, "user") for garment in garments]
 
 
 class WornBy(NamedTuple):

@@ -250,15 +250,15 @@ def _widened(weights: Mapping[str, Tensor], model: OneFit) -> dict[str, Tensor]:
 
     So the first drape is unchanged, whatever the fabric.
     """
-    found = dict(weights)
-    for name, made in model.garment.state_dict(prefix="garment.").items():
-        given = found.get(name)
-        if given is None or given.shape == made.shape or given.shape[:-1] != made.shape[:-1]:
+    widened = dict(weights)
+    for name, wanted in model.garment.state_dict(prefix="garment.").items():
+        given = widened.get(name)
+        if given is None or given.shape == wanted.shape or given.shape[:-1] != wanted.shape[:-1]:
             continue
-        neutral = torch.ones_like(made) if name.endswith("inverse_deviation") else torch.zeros_like(made)
+        neutral = torch.ones_like(wanted) if name.endswith("inverse_deviation") else torch.zeros_like(wanted)
         neutral[..., : given.shape[-1]] = given
-        found[name] = neutral
-    return found
+        widened[name] = neutral
+    return widened
 
 
 class Trainer(BaseTrainer):

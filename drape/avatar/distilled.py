@@ -68,15 +68,17 @@ class Distilled:
         return len(self.parents)
 
     def above(self, motion: RigMotion) -> np.ndarray:
-        """The motions (F, n, 3, 4) of the rig's joints from the bind pose, seen from the pelvis."""
+        """Returns the motions (F, n, 3, 4) of the rig's joints from the bind pose, in the frame of the pelvis."""
         return _from_pelvis(motion, self.joints, self.binds)
 
     def carried(self, motion: RigMotion) -> np.ndarray:
-        """The motions (F, E, 3, 4) of its own joints that only follow their parents."""
+        """Returns the motions (F, E, 3, 4) of its own joints where they only follow their parents, in the frame of the
+        pelvis."""
         return compose(self.above(motion)[:, self.parents], self.still)
 
     def fitted(self, draped: Draped, scale: float) -> np.ndarray:
-        """The motions (F, E, 3, 4) that bring the mesh nearest to what was ``draped``, seen from the pelvis."""
+        """Returns the motions (F, E, 3, 4) of its own joints that bring the mesh nearest to what was ``draped``, in the
+        frame of the pelvis. ``scale``: metres per unit of the file."""
         some = slice(None, None, max(1, len(self.rest) // ENOUGH))
         rest, weights, above = self.rest[some], self.weights[some], self.above(draped.motion)
         frames = seen_from_pelvis(Draped(draped.vertices[:, some], draped.motion), scale)
@@ -92,7 +94,8 @@ class Distilled:
         return decomposition.fit_moves(weights, rest, frames, moves, free, **more)[:, own]
 
     def placed(self, motion: RigMotion, moves: np.ndarray) -> np.ndarray:
-        """The mesh (F, V, 3) with its own joints at ``moves`` (F, E, 3, 4), seen from the pelvis."""
+        """Returns the vertices (F, V, 3) of the mesh while its own joints are at ``moves`` (F, E, 3, 4), in the frame
+        of the pelvis and the unit of the file."""
         return decomposition.blended(self.weights, self.rest, np.concatenate([self.above(motion), moves], axis=1))
 
     def error_m(self, draped: Draped, moves: np.ndarray, scale: float) -> float:
@@ -101,7 +104,8 @@ class Distilled:
         return float(scale * np.sqrt((off**2).sum(axis=-1).mean()))
 
     def local(self, motion: RigMotion, moves: np.ndarray) -> np.ndarray:
-        """Where its own joints are in the bind frames of their parents (F, E, 3, 4) while they are at ``moves``."""
+        """Returns the motions (F, E, 3, 4) of its own joints in the bind frames of their parents, while they are at
+        ``moves`` (F, E, 3, 4)."""
         return compose(affine_inverse(self.above(motion)[:, self.parents]), moves)
 
 
@@ -114,8 +118,10 @@ def distil(
     count: int = JOINTS,
     poses: Sequence[Draped] = (),
 ) -> Distilled:
-    """``garment`` with ``count`` joints of its own on ``wearer``, fitted to frames of ``clips``, which say where they
-    hang, and of ``poses``, which count for weights alone."""
+    """Returns ``garment`` with ``count`` joints of its own on ``wearer``, fitted to the frames of ``clips``.
+
+    The clips say where the joints hang. ``poses`` are frames that count for the weights alone.
+    """
     hung = _on_rig(garment, clips[0].motion, wearer, rig)
     rest, rig_weights = hung.rest, hung.weights
     frames, above, usual = _chosen_frames([*clips, *poses], wearer.scale, hung, len(clips))

@@ -24,7 +24,8 @@ RENEWED = 5  # steps that one factor serves
 
 
 class Skin:
-    """A posed body's vertices [m] and faces as planes, and how ``firm`` (Vb,) in [0, 1] each vertex holds cloth."""
+    """A posed body that cloth hangs on: its vertices [m] and faces as planes, and how ``firm`` (Vb,) in [0, 1] each
+    vertex holds cloth."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, firm: np.ndarray) -> None:
         self._vertices, self._weight = vertices, LOOSE + (FIRM - LOOSE) * firm
@@ -53,7 +54,8 @@ class HangingCloth(Relaxation):
         self._sag = GRAVITY_M_S2 * softness
 
     def hung(self, x: np.ndarray, skin: Skin, steps: int) -> np.ndarray:
-        """``x`` [m] (V, 3) after so many ``steps`` over ``skin``, none of it inside."""
+        """Returns the cloth [m] (V, 3) after so many ``steps`` over ``skin`` from ``x`` [m] (V, 3). None of it is
+        inside the skin."""
         for number in range(steps):
             distance, out, weight = skin.contact(x)
             if number % RENEWED == 0:

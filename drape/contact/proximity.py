@@ -67,7 +67,7 @@ def in_halves(other: np.ndarray) -> np.ndarray:
 
 
 def from_halves(stored: Array) -> Array:
-    """The numbers (..., 12) of ``stored`` = ``in_halves`` (..., 6), a floating type."""
+    """Returns the numbers (..., 12) that ``in_halves`` has stored in (..., 6) bytes, as floats."""
     xp = namespace(stored)
     high = xp.floor(stored * (1.0 / 16.0))
     return xp.concat([stored - 16.0 * high, high], axis=-1)
@@ -103,7 +103,8 @@ def tangent_planes(points: Array, own: Array, other: Array) -> Planes:
 
 
 def plane_share(found: Surface) -> Array:
-    """How much of a tangent plane of ``found`` is there, in [0, 1]."""
+    """Returns the share, in [0, 1], to which there is a tangent plane at each place of ``found``: 0 where the samples
+    have ended or face each other, and deep inside the body."""
     return ramp(found.beside_m2, *BESIDE_M2) * ramp(found.distance, *DEEP_M) * ramp(found.agreement, *AGREEMENT)
 
 

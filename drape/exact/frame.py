@@ -83,10 +83,13 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """What became of a frame. ``force_share``: the norm of the forces left at all vertices over the weight of the
-    cloth, those of contact with itself among them. ``depth_m`` [m]: how deep the cloth lies in the skin where it lies
-    deepest. ``energy_j`` [J] of cloth and body, heights counting from the root, and ``start_j`` that of the start.
-    ``crossings``: pairs of triangles that cross, ``start_crossings`` in the start. ``steps`` of Newton's method."""
+    """The figures of a frame.
+
+    ``force_share``: the norm of the forces left at all vertices over the weight of the cloth, forces of contact with
+    itself included. ``depth_m`` [m]: how deep the cloth lies in the skin where it lies deepest. ``energy_j`` [J] of
+    cloth and body, heights counting from the root; ``start_j`` that of the start. ``crossings``: pairs of triangles
+    that cross; ``start_crossings`` those in the start. ``steps`` of Newton's method.
+    """
 
     force_share: float
     depth_m: float
@@ -110,12 +113,12 @@ class Lain:
 
 
 def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
-    """The drape of a ``pose`` (24, 3) [rad], and what is told of it, from ``start`` [m] (V, 3) relative to the root.
+    """Returns the drape of a ``pose`` (24, 3) [rad] and its figures.
 
-    The cloth comes from the frame ``before``, if there is one and either ``start`` crosses itself or that frame does
-    not; otherwise from ``start``, or from the T-pose if ``start`` passes through itself. If it would end with more
-    energy than ``start``, it goes down from ``start`` instead and may still cross. Raises ``MeshError`` where ``start``
-    is not finite.
+    ``start`` [m] (V, 3), relative to the root, is the pose's drape of tier accurate. The cloth comes from the frame
+    ``before`` if there is one, unless that crosses itself and ``start`` does not. Otherwise it comes from ``start``, or
+    from the T-pose if ``start`` crosses itself. If it would end with more energy than ``start``, it goes down from
+    ``start`` instead and may still cross. Raises ``MeshError`` where ``start`` is not finite.
     """
     start = np.ascontiguousarray(start, np.float64)
     check_finite("start of a frame", start, error=MeshError)
@@ -129,7 +132,7 @@ def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None
         end = _down(sheet, posed, start, band)  # never above the start, though what crosses there goes on to
     x = end.x.astype(np.float32).astype(np.float64)  # what is stored, and what the next frame comes from
     over = _over(sheet, posed, x, band)
-    told = Told(
+    report = Told(
         force_share=float(np.linalg.norm(end.force)) / sheet.cloth.weight_n,
         depth_m=max(over.deepest_m(), 0.0),
         energy_j=over.now.energy,
@@ -138,7 +141,7 @@ def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None
         start_crossings=crossed,
         steps=end.steps,
     )
-    return Lain(pose, x, start), told
+    return Lain(pose, x, start), report
 
 
 def _apart(sheet: Sheet, before: Lain | None) -> bool:

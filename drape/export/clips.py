@@ -54,7 +54,8 @@ def moving_layers(surfaces: Sequence[Surface], vertices: np.ndarray) -> list[Mov
 
 
 def write_scene(path: Path, layers: Sequence[MovingGarment], fps: float) -> list[Path]:
-    """Writes ``layers`` as a file of one of ``SCENES``, as ``write_pieces`` does; returns what else lies beside it."""
+    """Writes ``layers`` to ``path`` as a file of one of ``SCENES``, whole or not at all. Returns the other files that
+    it has written beside it."""
     suffix = path.suffix.lower()
     if suffix == VAT_SUFFIX:
         made = vat_files(layers, fps, path.stem.removesuffix(ENDING))

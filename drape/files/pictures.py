@@ -57,12 +57,12 @@ def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
     notes, size = [], 0
     for number, picture in enumerate(looks.pictures, start=1):
         try:
-            made = remade(picture, label=f"picture {number}")
-            size += len(made)
+            png = remade(picture, label=f"picture {number}")
+            size += len(png)
             if size > MOST_BYTES:
                 most, cure = f"at most {MOST_BYTES >> 20} MiB of pictures", "Export them smaller."
                 raise MeshError(f"picture {number}", expected=most, got="more", cure=cure)
-            cleaned.append(made)
+            cleaned.append(png)
         except MeshError as error:
             notes.append(f"warning: a picture is left out: {error}")
             cleaned.append(None)

@@ -49,9 +49,11 @@ SIMPLIFIED = (5 * VERTEX_LIMIT, 19 * VERTEX_LIMIT // 10)  # faces that quadrics 
 
 
 def joined(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` as sheets: copies of a vertex are one, faces without area, drawn twice or closing the end of a tube are
-    left out, and edges have two faces at most. Where that changes it, the vertices of the sheets follow those of
-    ``mesh``."""
+    """Returns ``mesh`` as sheets of cloth: copies of a vertex become one, and no edge has more than two faces.
+
+    Faces without area, faces drawn twice, and discs that close the end of a tube are left out. If that changes the
+    mesh, the vertices of the sheets follow those of ``mesh``.
+    """
     sheets = cut_branches(without_flat_faces(without_cracks(without_copies(weld(mesh)))))
     if not (keep := without_caps(sheets.vertices, sheets.faces)).all():
         sheets = with_used_vertices(sheets.take_faces(keep)).noted(f"{int((~keep).sum())} faces close ends of tubes")
@@ -62,10 +64,10 @@ def joined(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None = None) -> GarmentMesh:
-    """The cloth of ``sheets`` [m] (``joined``), which lie round a body with the points ``skin`` [m] (S, 3).
+    """Returns the cloth of ``sheets`` [m] (``joined``), which lie round a body with the points ``skin`` [m] (S, 3);
+    ``sheets`` themselves, if all of them is cloth.
 
-    ``outer`` (F,): their ``outer_sides``, where these are known. ``sheets`` themselves are returned where all of them
-    is cloth.
+    ``outer`` (F,) bool: their ``outer_sides``, if these are known.
     """
     points, faces, notes = sheets.vertices, sheets.faces, []
     keep = outer_sides(points, faces, KDTree(skin)) if outer is None else outer.copy()
@@ -99,13 +101,13 @@ def _loops_of_trunk(
 ) -> np.ndarray:
     """Which vertices (D,) of the pieces ``label`` (D,) that are ``loose`` belong to a large one without sleeves, as a
     belt: it hangs on the trunk, however near to it arms hang."""
-    found = np.zeros(len(label), dtype=bool)
+    on_trunk = np.zeros(len(label), dtype=bool)
     for number in np.unique(label[loose]):
         own = label == number
         if np.ptp(places[own], axis=0).max() > LARGE_M and loose[own].all():
             used, faces = meshes.in_use(mesh.faces[own[mesh.faces].all(axis=1)])
-            found |= own & (not sleeve_of(places[used], faces, joints, skin).any())
-    return found
+            on_trunk |= own & (not sleeve_of(places[used], faces, joints, skin).any())
+    return on_trunk
 
 
 def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
@@ -117,8 +119,10 @@ def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndar
 
 
 def bearing_pieces(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The piece (F,) of every face, the largest first, the areas (P,) of the pieces [m^2], and which (P,) are cloth by
-    themselves: they do not lie on other cloth, are not sewn to a much larger piece, and are no small things near it.
+    """Returns the number (F,) of the piece that each face belongs to, the largest being 0, the pieces' areas (P,)
+    [m^2], and which pieces (P,) bool are cloth by themselves.
+
+    A piece is not, if it lies on other cloth, is sewn to a much larger piece, or is a small thing near one.
     """
     piece, area = pieces_of(points, faces)
     small = area < min(SMALL_M2, SMALL_SHARE * area[0])

@@ -26,7 +26,8 @@ DEEP_M, DEEP_SHARE, BARE_SHARE = 0.01, 0.01, 0.15
 
 
 def on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> GarmentMesh | None:
-    """The checked ``mesh`` in metres, if it lies close on the standard body in T-pose, every limb in its cloth."""
+    """Returns the checked ``mesh`` in metres if it lies close on the standard body in T-pose, with every limb in its
+    cloth; otherwise None."""
     avatar = standard_avatar(body)
     try:
         placed = place(mesh, avatar, unit=options.unit, up=options.up, named=False)
@@ -48,12 +49,12 @@ def worn_by(
 
     Raises ``MeshError`` where no human body fits.
     """
-    said = ToldReading(
+    reading = ToldReading(
         (options.unit, UNITS_M[options.unit]) if told.unit is None and options.unit != "auto" else told.unit,
         f"+{options.up}" if told.up is None and options.up != "auto" else told.up,
         told.front,
     )
-    wearer = accessory_wearer(mesh, body, said) or seated(mesh, the_wearer(mesh, body, said))
+    wearer = accessory_wearer(mesh, body, reading) or seated(mesh, the_wearer(mesh, body, reading))
     vertices = posed_by(body, wearer.parameters)
     source = f"found in the cloth: {wearer.words}; sure {wearer.sure:.2f}"
     turned = replace(mesh, vertices=wearer.reading.apply(mesh.vertices))

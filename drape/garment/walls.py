@@ -38,8 +38,8 @@ SAMPLED_FACES = 4000
 
 
 def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarray:
-    """Which ``faces`` (F,) of the mesh with ``points`` [m] (N, 3) stay, round a body with the points of ``skin``: not
-    the inner side of a wall, nor its rim."""
+    """Returns which ``faces`` (F,) bool are no inner side of a wall, nor its rim. ``points`` [m] (N, 3) are the mesh's
+    vertices, and ``skin`` the points of the body inside."""
     keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     middles, normals = points[faces].mean(axis=1), meshes.face_normals(points, faces)
     areas = meshes.face_areas(points, faces)

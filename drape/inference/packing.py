@@ -114,17 +114,17 @@ class Packer:
 
     @property
     def store(self) -> Store:
-        """Constants of the garments; change it through this class."""
+        """The constants of the garments; change them through this class alone."""
         return self._store
 
     @property
     def held_bytes(self) -> int:
-        """Memory of the garments' constants."""
+        """The memory of the garments' constants [bytes]."""
         return self._store.bytes
 
     @property
     def kept_bytes(self) -> int:
-        """Memory of the index tensors that are kept."""
+        """The memory of the index tensors that are kept [bytes]."""
         return self._kept_bytes
 
     def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray] | None = None) -> None:
@@ -138,9 +138,10 @@ class Packer:
             self._forget()
 
     def dressed(self, key: str, fabric: Fabric) -> str:
-        """The key of the garment ``key`` made of ``fabric``, put in store the first time, in ten milliseconds.
+        """Returns the key of the garment ``key`` made of ``fabric``.
 
-        The ``FABRICS_KEPT`` latest used are kept.
+        The first time this stores it in that fabric, which takes ten milliseconds. The ``FABRICS_KEPT`` latest used are
+        kept.
         """
         name = f"{key} of {fabric.digest}"
         with self._lock:
@@ -200,7 +201,7 @@ class Packer:
         return results
 
     def records(self, key: str, *, passes: int | None) -> dict[str, Any]:
-        """What a client computes the network of the garment ``key`` by: ``CompiledNetwork.records``."""
+        """Returns what ``CompiledNetwork.records`` does, of the garment ``key``."""
         network = self._engine.compiled
         assert network is not None
         return network.records(self.rows(key), passes)
@@ -219,7 +220,7 @@ class Packer:
             return self._rows[key]
 
     def body_feed(self, shape: PackedBody) -> BodyFeed:
-        """What poses a body of one ``shape`` at rest in a compiled network, whose pose is left open."""
+        """Returns the engine's input for a body of one ``shape``, its pose left open."""
         assert self._skins is not None
         with self._lock:
             skins = self._skins.feed(shape.betas[None])

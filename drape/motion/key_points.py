@@ -115,7 +115,8 @@ class KeyPoints:
         return lines / np.where(close, 1.0, lengths)
 
     def with_middles(self, **names: tuple[str, ...]) -> KeyPoints:
-        """These points and the middles of some, seen where all of those are, under names of their own."""
+        """Returns these points and the middles of some of them, under names of their own. A middle is seen where all of
+        its points are."""
         places = [self.places[:, self._at(parts)].mean(axis=1) for parts in names.values()]
         seen = [self.sees(*parts) for parts in names.values()]
         index = dict(self.layout.index) | {name: self.layout.count + k for k, name in enumerate(names)}

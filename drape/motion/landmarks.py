@@ -129,9 +129,9 @@ def _looking(points: KeyPoints) -> np.ndarray:
 class LandmarkPoses:
     """The poses of a stream of key points, one sample after the other.
 
-    Without ``smoothing``, which filters the points before they are read, a stream gives
-    what ``landmark_poses`` gives for the clip. A refused sample leaves the stream as it was,
-    but for the filter. Swapped sides are told after each ``TOLD_AFTER`` samples that look so.
+    Without ``smoothing``, which filters the points before they are read, a stream gives what ``landmark_poses`` gives
+    for the clip. A refused sample leaves the stream as it was, but for the filter. A person whose left and right are
+    swapped is refused after ``TOLD_AFTER`` samples that look so, and then after as many more.
     """
 
     def __init__(
@@ -256,11 +256,11 @@ def _twist(child: np.ndarray, bone_rest: np.ndarray, child_rest: np.ndarray, axi
     along, on_u, on_v = _dot(child, bone_rest), _dot(child, cross(v, bone_rest)), _dot(child, v)
     across = np.hypot(on_u, on_v)
     sine = (_dot(axis, child_rest) - _dot(axis, bone_rest) * along) / np.maximum(across * _dot(axis, v), 1e-12)
-    found = np.arctan2(on_v, on_u) - np.arcsin(np.clip(sine, -1.0, 1.0))
-    found = np.arctan2(np.sin(found), np.cos(found))  # at half a turn either sign is right, and a blend jumps
+    angle = np.arctan2(on_v, on_u) - np.arcsin(np.clip(sine, -1.0, 1.0))
+    angle = np.arctan2(np.sin(angle), np.cos(angle))  # at half a turn either sign is right, and a blend jumps
     low, high = TWIST_BENDS
     told = np.clip((np.arctan2(across, along) - low) / (high - low), 0.0, 1.0)
-    return found * told * told * (3.0 - 2.0 * told)
+    return angle * told * told * (3.0 - 2.0 * told)
 
 
 def _bent(end: np.ndarray, start: np.ndarray, axis: np.ndarray) -> np.ndarray:

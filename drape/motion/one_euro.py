@@ -80,7 +80,7 @@ class OneEuro:
 def one_euro(
     points: np.ndarray, *, fps: float, min_cutoff: float = 1.0, beta: float = 0.0, d_cutoff: float = 1.0
 ) -> np.ndarray:
-    """Points (F, ..., n) at ``fps`` [1/s], each filtered by those before it."""
+    """Returns ``points`` (F, ..., n), taken at ``fps`` [1/s], filtered: each one by those before it."""
     if not (np.isfinite(fps) and fps > 0.0):
         raise MotionError(
             "fps", expected="a positive frame rate [1/s]", got=str(fps), cure="Pass the clip's frames per second."

@@ -171,10 +171,10 @@ class Pusher:
         self._layers.forget(key)
 
     def prepare(self, keys: Sequence[str], *, jets: bool = False) -> None:
-        """Makes the constants of every garment of an outfit over those before it, where they are missing, and opens
-        what pushes them, and their ``jets`` where asked.
+        """Makes what is missing of the constants of every garment of an outfit over those before it, and opens what
+        pushes them; with ``jets`` also what pushes jets.
 
-        Takes a second per garment, and may be called from any thread.
+        It takes a second for each garment, and may be called from any thread.
         """
         self._alone(self._get(keys[0]))
         for count in range(1, len(keys)):
@@ -194,11 +194,11 @@ class Pusher:
         under: np.ndarray | None = None,
         posed: Jets | None = None,
     ) -> Pushed:
-        """The last garment of ``keys``, whose ``vertices`` [m] (F, V, 3) are relative to the root, out of the samples
-        ``skin`` (F, R, 12, 8) of the posed body and out of the other garments, innermost first.
+        """Pushes the last garment of ``keys`` out of the posed body and of the other garments, the innermost first.
 
-        ``under`` [m] (F, U, 3) holds the pushed vertices of these. With the jets ``posed`` of ``vertices`` these are
-        pushed too. Refuses (``NotFound``) a garment not in store.
+        ``vertices`` [m] (F, V, 3) are relative to the root; ``skin`` (F, R, 12, 8) are the body's samples and ``under``
+        [m] (F, U, 3) the pushed vertices of the other garments. If ``posed`` jets of the same vertices are given, they
+        are pushed too. Refuses (``NotFound``) a garment that is not in store.
         """
         stored = self._get(keys[-1])
         vertices = np.ascontiguousarray(vertices, dtype=np.float32)

@@ -43,8 +43,10 @@ class AtOnce(NamedTuple):
 
 
 def at_once(plan: Plan) -> AtOnce | None:
-    """The stages of ``plan`` that ``drawn`` runs in one call a frame; None where the engine has not all that is asked
-    for: it drapes a single garment, and nobody behind may read jets or the skin."""
+    """Returns the stages of ``plan`` that ``drawn`` runs in one call a frame; None if the engine cannot.
+
+    It drapes a single garment, and later stages may read neither jets nor the skin.
+    """
     if "at_once" not in plan.kept:
         plan.kept["at_once"] = _at_once(plan)
     return plan.kept["at_once"]
@@ -65,10 +67,10 @@ def _at_once(plan: Plan) -> AtOnce | None:
 def drawn(
     batch: Batch, stages: AtOnce, took: Callable[[str, float], None] = lambda name, s: None
 ) -> Iterator[Batch] | None:
-    """``batch`` after each frame, the last with what ``stages`` make; None where these must run by themselves, since a
-    stream begins to fold what was lifted, or the network has threads for its frames.
+    """Yields ``batch`` after each frame, the last one with all that ``stages`` make.
 
-    ``took`` is told the name of each stage and its share of the time [s].
+    Returns None where the stages must run by themselves: cloth that was lifted alone begins to fold, or the network
+    shares the frames out between threads. ``took`` is called with the name of each stage and its share of the time [s].
     """
     plan = batch.plan
     worn, (key,) = _worn(plan, stages), plan.draped_keys

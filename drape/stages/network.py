@@ -101,9 +101,10 @@ class Network(Stage):
         return self.packer.held_bytes
 
     def records(self, plan: Plan) -> dict[str, Any]:
-        """What a client computes the network of the one garment of ``plan`` by: records of the engine by their names.
+        """Returns the records of the engine, by their names, from which a client computes the network for the one
+        garment of ``plan``.
 
-        Refuses (``ArtifactError``) a model of a kind that the engine has not.
+        Refuses (``ArtifactError``) a model of a kind that the engine does not compute.
         """
         if self.engine.compiled is None:
             name, cure = self.engine.manifest.name, "Stream its vertices from a service."
@@ -123,7 +124,8 @@ class Network(Stage):
         return not isinstance(self.packer, Packer) or self.packer.one_thread
 
     def posed_by(self, betas: np.ndarray) -> tuple[BodyFeed, np.ndarray]:
-        """What poses a body of the shape ``betas`` (S,) in the engine, and the rest place of its root [m] (3,)."""
+        """Returns the engine's input for a body of the shape ``betas`` (S,), its pose left open, and the rest place of
+        its root [m] (3,)."""
         key = np.asarray(betas, np.float64).tobytes()
         feed = self._feed(key)
         assert feed is not None

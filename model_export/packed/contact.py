@@ -66,11 +66,11 @@ class Contact(WithTables):
         world = (frames.rotation * frames.scale) @ points.reshape(-1, 3, PLACES) + frames.centre
         middle = torch.addmm(self.middle_last, world.reshape(-1, 3 * PLACES), self.middle_terms)
         means = near_means(world[:, :, :STRAIN_POINTS].mT, middle, skin, lists, patch_body)
-        found = surface(world, means)
-        share = plane_share(found)
+        nearest = surface(world, means)
+        share = plane_share(nearest)
         unit = frames.scale.reshape(-1, 1) * (-1.0 / UNIT_M)
-        normal = (frames.rotation.mT @ found.normal).reshape(-1, 3 * PLACES) * unit
-        offset = (GAP_M - found.distance) * (1.0 / UNIT_M) - (normal * points) @ self.axis_sums
+        normal = (frames.rotation.mT @ nearest.normal).reshape(-1, 3 * PLACES) * unit
+        offset = (GAP_M - nearest.distance) * (1.0 / UNIT_M) - (normal * points) @ self.axis_sums
         return NearPlanes(normal, offset, share, share / unit)
 
     def forward(self, points: Tensor, near: NearPlanes) -> list[Tensor]:
@@ -89,11 +89,11 @@ def tables() -> dict[str, Tensor]:
     for axis, count in enumerate((jets.IN_PLANE_COUNT, jets.IN_PLANE_COUNT, jets.HEIGHT_COUNT)):
         terms[first : first + count, axis] = basis.T[:count, None]
         first += count
-    each = torch.eye(STRAIN_POINTS).repeat(1, 2)
+    axes = torch.eye(STRAIN_POINTS).repeat(1, 2)
     own = torch.tensor([1.0 / STRAIN_POINTS] * STRAIN_POINTS + [0.0] * STRAIN_POINTS)[:, None]
     return {
         "point_terms": terms.reshape(jets.JET_COUNT, -1),
-        "twice": torch.kron(torch.eye(3), each),
+        "twice": torch.kron(torch.eye(3), axes),
         "axis_sums": torch.eye(PLACES).repeat(3, 1),
         "axis_copies": torch.eye(PLACES).repeat(1, 3),
         "middle_terms": torch.kron(torch.eye(3, 4), own),

@@ -26,7 +26,8 @@ def start_positions(design: Design, mesh: PatternMesh, distance: Distance) -> np
 
 
 def sew_design(design: Design, mesh: PatternMesh, distance: Distance) -> Sewn:
-    """The sewn garment; raises ``InputError`` where a seam cannot close round the body."""
+    """Returns ``design`` sewn on ``mesh`` round the body with this signed ``distance``. Raises ``InputError`` where a
+    seam cannot close."""
     folded = [number for number, name in enumerate(design.seam_names) if name in design.seam_angles]
     creases = np.unique(mesh.node_of_panel_vertex[mesh.seam_pairs[np.isin(mesh.seam_of_pair, folded)]])
     over = [panel.name in design.over for panel in design.pattern.panels]

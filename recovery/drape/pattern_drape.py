@@ -30,7 +30,7 @@ Report = Callable[[str], None]
 
 
 class Hold(StrEnum):
-    """The support of a garment: a belt at its topmost opening, the body alone, or the one that its cut asks for."""
+    """What holds a garment up: a belt at its topmost opening, the body alone, or whichever its cut asks for."""
 
     AUTO = "auto"
     BELT = "belt"
@@ -86,7 +86,8 @@ def hanging(name: str, longer: float = HANGS_LONGER) -> OrthotropicMaterial:
 
 @dataclass(frozen=True, eq=False)
 class Draped:
-    """The garment at ``rest`` in the T-pose and, if a pose was asked for, ``posed``; with what led there."""
+    """A garment at ``rest`` in the T-pose and, if a pose was asked for, ``posed``; with the mesh, the placed panels and
+    the sewn shape that came before, and ``figures`` on how it went."""
 
     mesh: PatternMesh
     placed: Placed

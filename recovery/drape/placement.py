@@ -149,10 +149,8 @@ def best_lift(positions: np.ndarray, pairs: np.ndarray, distance: Distance) -> f
 def moved_clear(
     mesh: PatternMesh, positions: np.ndarray, distance: Distance, *, leave: Collection[str] = ()
 ) -> tuple[np.ndarray, float]:
-    """``positions`` (P, 3) with every panel moved along its normal until it is clear, and the longest way [m].
-
-    Panels named in ``leave`` stay where they are.
-    """
+    """Returns ``positions`` [m] (P, 3) with every panel moved along its normal until it is clear of the body, and the
+    longest way [m]. Panels named in ``leave`` stay where they are."""
     moved, longest = positions.copy(), 0.0
     for number, panel in enumerate(mesh.pattern.panels):
         if panel.name in leave:

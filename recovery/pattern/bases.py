@@ -123,7 +123,7 @@ BASES = {base.cut.name: base for base in (tshirt, tank, dress, sleeved_dress, tr
 
 
 def whole(value: float) -> int:
-    """The number of panels that a setting says. Raises ``InputError`` for none that a skirt has."""
+    """Returns the setting ``value`` as a number of panels. Raises ``InputError`` for a number that no skirt has."""
     if value not in range(2, MOST_PANELS + 1):
         raise InputError(
             COUNT, expected=f"a whole number from 2 to {MOST_PANELS}", got=f"{value:g}", cure="Count the target's."

@@ -106,7 +106,8 @@ class Assembly:
 
 
 def check_seams(design: Design) -> None:
-    """Refuses a seam whose edges differ by more than 2 % of their length, or not by its named ease."""
+    """Refuses (``InputError``) a seam whose edges differ by more than 2 % of their length, or, if it is eased, by
+    something else than its ease."""
     for seam, name in zip(geometry.seams(design.pattern), design.seam_names, strict=True):
         wanted = design.eased.get(name, 0.0)
         share = seam.second_m / seam.first_m - 1.0

@@ -127,7 +127,7 @@ def hems(pattern: Pattern) -> set[EdgeRef]:
     chord, and if it lies in the lower half of its panel, as placed, or stands upright like the cuff of a spread arm.
     """
     sewn = sewn_edges(pattern)
-    found = set()
+    edges = set()
     for ref in pattern.edge_refs():
         panel = pattern.panel(ref.panel)
         edge = panel.edges[ref.edge]
@@ -144,8 +144,8 @@ def hems(pattern: Pattern) -> set[EdgeRef]:
             bend = np.abs(geometry.relative_curve(edge, np.linspace(0.0, 1.0, 9))[:, 1]).max()
             if bend > HEM_BEND or (above and not upright):
                 continue
-        found.add(ref)
-    return found
+        edges.add(ref)
+    return edges
 
 
 def side_of(panel: Panel) -> str:

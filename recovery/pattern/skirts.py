@@ -174,7 +174,7 @@ def _spread_panel(
         angle, radius = point[0] * spread, 1.0 / spread + top - point[1]
         return radius * float(np.sin(angle)), top + 1.0 / spread - radius * float(np.cos(angle))
 
-    found = []
+    turned_sides = []
     for side, following in zip(sides, (*sides[1:], sides[0]), strict=True):
         ends = np.array([turned(side.start), turned(following.start)])
         handles = tuple(turned(handle) for handle in side.handles)
@@ -182,17 +182,18 @@ def _spread_panel(
             middle = 0.5 * np.array(side.handles[0]) + 0.25 * (np.array(side.start) + np.array(following.start))
             x, y = 2.0 * np.array(turned((float(middle[0]), float(middle[1])))) - 0.5 * ends.sum(axis=0)
             handles = ((float(x), float(y)),)
-        found.append(replace(side, start=turned(side.start), handles=handles))
-    return found
+        turned_sides.append(replace(side, start=turned(side.start), handles=handles))
+    return turned_sides
 
 
 def below_waist(
     waist: Point, hips: Point, hem: float, *, flare: float, dip: float, curved: bool, upper: str = "opening_waist"
 ) -> list[Side]:
-    """The sides of a skirt's panel from ``waist`` and ``hips`` on the viewer's right to the height ``hem`` [m].
+    """Returns the sides of a skirt's panel below the ``waist``, down to the height ``hem`` [m].
 
-    The hem is ``flare`` wider on either side. Its ends swing up so that it stays square to the sides. The edge
-    ``upper`` sinks by ``dip`` in the middle; from there to the hips the side is ``curved`` or straight.
+    ``waist`` and ``hips`` are points on the viewer's right. The hem is ``flare`` wider on either side, and its ends
+    swing up so that it stays square to the sides. The edge ``upper`` sinks by ``dip`` in the middle; from there to the
+    hips the side is ``curved`` or straight.
     """
     (x, top), (wide, hip_y) = waist, hips
     lift = flare * flare / (2.0 * (hip_y - hem)) + 0.05 * flare

@@ -198,7 +198,7 @@ def _whole_sleeves(pattern: Pattern) -> Pattern:
 
 def cap_corners_deg(pattern: Pattern) -> dict[str, float]:
     """By the names of one-piece sleeves how far [deg] their caps turn at a corner, at most: halves that met there."""
-    sewn, found = partners(pattern), {}
+    sewn, corners = partners(pattern), {}
     for panel in pattern.panels:
         there = [sewn.get(EdgeRef(panel.name, number)) for number in range(len(panel.edges))]
         on_body = [one is not None and not one.second.panel.startswith(panel.name) for one in there]
@@ -210,8 +210,8 @@ def cap_corners_deg(pattern: Pattern) -> dict[str, float]:
             a = geometry.edge_tangents(panel, number, np.array([1.0]))[0]
             b = geometry.edge_tangents(panel, following, np.array([0.0]))[0]
             turns.append(float(np.degrees(np.abs(np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b)))))
-        found[panel.name] = max(turns)
-    return found
+        corners[panel.name] = max(turns)
+    return corners
 
 
 def _height(pattern: Pattern, number: int) -> float:

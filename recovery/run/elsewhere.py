@@ -24,9 +24,10 @@ POSES = ("reach:110", "stretch:60")
 
 @dataclass(frozen=True, eq=False)
 class Worn:
-    """A garment somewhere else: ``nodes`` [m] (N, 3) and ``faces`` on ``skin`` [m] (V, 3); or why not (``refusal``).
+    """A garment on another body or in another pose: ``nodes`` [m] (N, 3) and ``faces`` on ``skin`` [m] (V, 3), or the
+    ``refusal`` that says why not.
 
-    ``lost`` are the parts of the body that should go through an opening and do not: an arm beside its sleeve.
+    ``lost``: parts of the body that should go through an opening and do not, such as an arm beside its sleeve.
     """
 
     what: str

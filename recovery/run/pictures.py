@@ -108,7 +108,8 @@ def panels_over_base(base: Pattern, found: Pattern) -> bytes:
 
 
 def what_is_told(found: Identifiability, pattern: Pattern) -> bytes:
-    """Discs at the corners as large as the corners are undetermined, and the spectrum of what the target shows."""
+    """Returns a PNG of what the target of ``found`` tells: a disc at each corner, as large as the corner is
+    undetermined, and the spectrum of what the target shows."""
     figure, axes = _panel_axes(pattern, more=1)
     first = 0
     for axis, panel in zip(axes, pattern.panels, strict=False):

@@ -97,12 +97,12 @@ def _piece_rows(pattern: Pattern) -> list[tuple[str, ...]]:
     rows = []
     for panel in pattern.panels:
         width, height = np.ptp(geometry.outline(panel), axis=0)
-        told = " ".join(twins.get(panel.name, ()))
+        mirrored = " ".join(twins.get(panel.name, ()))
         rows.append(
             (
                 panel.name,
                 side_of(panel),
-                f"{cut_count(panel)}" + (f", {told}" if told else ""),
+                f"{cut_count(panel)}" + (f", {mirrored}" if mirrored else ""),
                 f"{100 * width:.1f}",
                 f"{100 * height:.1f}",
                 f"{1e4 * geometry.area(panel):.0f}",

@@ -44,7 +44,8 @@ class Block:
 
 
 def run(block: Block, say: Any = print) -> None:
-    """Computes the frames of ``block`` that are not on disk, one after the other, and says each."""
+    """Computes the frames of ``block`` that are not on disk, one after the other, and calls ``say`` with the figures of
+    each."""
     sheet, before = None, None
     for number, (pose, start) in enumerate(zip(block.poses, block.starts, strict=True)):
         kept = read_frame(block.folder, number)

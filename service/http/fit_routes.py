@@ -93,11 +93,11 @@ async def garment_fit(garment_id: str, request: Request, state: StateHere, clien
     with state.access.using(client, "clips"), state.slot():
         draped = await runtime.drape(plan, clip)
         garment, fabric = plan.scene.layers[0].garment, plan.fabrics[0]
-        found = await runtime.made(fit_report, garment, runtime.body, _worn(clip, draped), fabric=fabric)
+        report = await runtime.made(fit_report, garment, runtime.body, _worn(clip, draped), fabric=fabric)
     if kind == BINARY:
-        rows = np.stack(_of_delivered(found, entry), axis=1)
+        rows = np.stack(_of_delivered(report, entry), axis=1)
         return binary_answer(rows, state.sliced_thread, {"X-Drape-Vertices": str(len(rows))})
-    return json_answer(_document(found, entry, vertices=asked.vertices), state.sliced_thread)
+    return json_answer(_document(report, entry, vertices=asked.vertices), state.sliced_thread)
 
 
 @router.get("/garments/{garment_id}/size", responses=responses(InputError, NotFound, BodyError))

@@ -37,13 +37,13 @@ Betas = Annotated[list[_number(BETA_LIMIT)], Len(0, BETA_COUNT), FIRST_ONLY]
 
 
 class Request(BaseModel):
-    """Base of what clients send: unknown fields are refused, so that a typing mistake is not ignored."""
+    """Base of what clients send. Unknown fields are refused, so that a typing mistake is not ignored."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 class PosedOptions(Request):
-    """All but the poses of a body in motion: its shape, and the origin of the answer."""
+    """The shape of a body in motion and the origin of the answer: all but its poses."""
 
     betas: Betas | None = Field(default=None, description="The shape coefficients of the body. Left out: zeros.")
     fps: Annotated[float, Field(ge=0.001, le=1000.0, allow_inf_nan=False)] = 30.0
@@ -80,7 +80,7 @@ class OnAvatar(BaseModel):
 
 
 class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
-    """All but the poses of a garment, or several over each other, on a body in motion."""
+    """The options of a garment, or of several over each other, on a body in motion: all but the poses."""
 
     body: bool = Field(default=False, description="Whether a GLB also holds the body, as a skinned mesh.")
     rig: bool = Field(

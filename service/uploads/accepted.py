@@ -116,7 +116,8 @@ def touch(own: Path) -> None:
 
 
 def elsewhere(root: Path, own: Path, job_id: str) -> tuple[Accepted, Path] | None:
-    """The upload ``job_id`` that waits or runs in another service under ``root``, and its folder."""
+    """Returns the upload ``job_id`` and its folder, if it waits or runs in another service under ``root``; otherwise
+    None."""
     for folder in root.glob(f"{STAGING}*/{job_id}"):
         accepted = None if folder.parent == own else read(folder)
         if accepted is not None:
