@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.measure.dressed_characters import Worn, dressed_character, dressed_parts
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
 from tests.clients.browser import Page
 from tests.clients.test_page import click, more_frames, page, share, stage
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.dressed_characters import Worn, dressed_character, dressed_parts
 from tests.fixtures.glb_reader import Reader
 from tests.fixtures.patience import PATIENT_S
 

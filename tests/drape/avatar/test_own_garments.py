@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import drape
-from benchmarks.measure.dressed_characters import MAKERS, Worn, dressed_character, dressed_parts
 from drape.avatar.attire_words import CLOTHES
 from drape.avatar.own_clothes import Halves, halves_of
 from drape.avatar.own_garments import (
@@ -34,6 +33,7 @@ from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.tailor import tailored
 from drape.geometry.closest import closest_point, signed_distance
+from tests.fixtures.dressed_characters import MAKERS, Worn, dressed_character, dressed_parts
 from tests.fixtures.glb_reader import Reader
 
 SPINE = np.eye(len(JOINT_NAMES))[JOINT_NAMES.index("spine3")]
