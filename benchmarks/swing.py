@@ -26,7 +26,7 @@ import numpy as np
 from benchmarks.clock import Clock
 from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, inputs
 from benchmarks.judge.physics import held_by_waist
-from benchmarks.judge.simulator import Motion, Sheet, simulate
+from benchmarks.judge.simulator import Motion, SimulatedCloth, simulate
 from benchmarks.measure.hem import hem_vertices, swinging
 from benchmarks.measure.judged import jitter_ratio
 from benchmarks.measure.made_clips import MADE, SPIN, TURNS_PER_S, made_clip
@@ -74,7 +74,9 @@ def simulated(scene: Scene, static: np.ndarray) -> tuple[np.ndarray, float]:
     garment, clip, body = scene.garment, scene.clip, scene.body
     mesh = ClothMesh.of(garment.delivered_rest(), garment.faces.astype(np.int64), garment.vertex_count)
     made = swing_constants(garment, body, scene.fabric)
-    sheet = Sheet(mesh, Material.of(scene.fabric), scene.fabric.friction, 0.0 if made is None else made.damping_per_s)
+    sheet = SimulatedCloth(
+        mesh, Material.of(scene.fabric), scene.fabric.friction, 0.0 if made is None else made.damping_per_s
+    )
     motion = Motion(body, clip.poses, clip.trans, clip.fps)
     return simulate(sheet, motion, static[0].astype(np.float64), held_by_waist(garment, body, static))
 

@@ -337,7 +337,7 @@ class Methods:
         answers = []
         for piece in self._pieces(call):
             answers.append((yield from piece))
-        return pieces.joined(answers)
+        return pieces.joined_answers(answers)
 
     def _pieces(self, call: Call[Answer], at_once: int | None = None) -> Iterator[Steps[Answer]]:
         """The steps to the answer for each piece of ``call``, of ``at_once`` frames or of as many as the service takes.

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from drape.contact.samples import (
     CLUSTER_SIZE,
     FACING,
-    Placed,
+    RestSamples,
     Samples,
     at_rest,
     operator,
@@ -59,7 +59,7 @@ def cloth_samples(vertices: np.ndarray, faces: np.ndarray) -> ClothSamples:
     return ClothSamples(made.operator, made.point, made.normal, made.spacing_m, member, _rows(made, member))
 
 
-def joined(parts: Sequence[Samples]) -> Samples:
+def joined_samples(parts: Sequence[Samples]) -> Samples:
     """The samples of several meshes as those of one whose vertices are theirs, one mesh after the other."""
     if not parts:
         raise InputError("parts", expected="at least one", got="none", cure="Pass the body's samples first.")
@@ -78,7 +78,7 @@ def hidden_under(samples: Samples, vertices: np.ndarray, faces: np.ndarray) -> n
     return (found.distance < COVER_M) & (before > -BEHIND_M) & ~closest.on_border(found, faces)
 
 
-def _members(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> np.ndarray:
+def _members(rest: np.ndarray, faces: np.ndarray, placed: RestSamples) -> np.ndarray:
     """Vertices (C, 24) of each cluster: the corners of its samples' faces, then the nearest that face its way.
 
     Where there are fewer, the first one repeats.

@@ -95,7 +95,7 @@ def _bytes(numbers: np.ndarray) -> ctypes.c_int64:
     return ctypes.c_int64(numbers.nbytes)
 
 
-class Placed:
+class CardRecord:
     """A ``record`` in the ``memory`` of a card: its ``address`` there, and those of its arrays."""
 
     def __init__(self, memory: Memory, record: Record | Recorded) -> None:
@@ -135,7 +135,7 @@ class Frames:
         self._outcomes, self._folded, self._scratches = list[int](), list[tuple[int, tuple[int, ...]]](), list[int]()
         self._tasks = 0
 
-    def add(self, name: str, vertices: np.ndarray, *records: Placed) -> None:
+    def add(self, name: str, vertices: np.ndarray, *records: CardRecord) -> None:
         """A frame by the function ``name`` of the engine, of ``vertices`` [m] (V, 3) float32 and of its past,
         surroundings, cloth, effort and what it leaves."""
         take, write = self._memory.take, self._memory.write

@@ -30,7 +30,7 @@ _NO_STEPS = np.empty((0, 3), np.uint16)
 
 
 class FrameParts(NamedTuple):
-    """The record of that name: ``Worn`` as the engine reads it."""
+    """The record of that name: ``FrameGarment`` as the engine reads it."""
 
     weights: Weights
     kept: KeptPoses | None
@@ -47,7 +47,7 @@ class FrameParts(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Worn:
+class FrameGarment:
     """What drapes a garment: the network's ``weights`` with so many ``passes``, the garment's ``patches`` and
     ``tiles``, its ``swing`` by a ``share``, and its ``folds`` by ``efforts``, of which the second is for novel poses;
     ``kept``: the poses that the network was trained on. None: no such part. It has ``vertex_count`` vertices, whose
@@ -137,7 +137,9 @@ class FrameCall(NamedTuple):
     steps: np.ndarray
 
 
-def draw(worn: Worn, past: Past, at: Moment, vertices: np.ndarray, steps: np.ndarray = _NO_STEPS) -> Drawn | None:
+def draw(
+    worn: FrameGarment, past: Past, at: Moment, vertices: np.ndarray, steps: np.ndarray = _NO_STEPS
+) -> Drawn | None:
     """The frame ``at`` a moment, whose ``vertices`` [m] (V, 3) are written, and ``steps`` (V, 3) where room for them is
     given; None where the network's numbers are not finite.
 

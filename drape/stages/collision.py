@@ -21,11 +21,11 @@ from drape.contact.samples import Samples
 from drape.contact.skin import Skin, body_skin
 from drape.errors import NotFound
 from drape.garment.cache import Garment
-from drape.graph.layer_feed import LayerFeed, Sheet, pack_layer
+from drape.graph.layer_feed import InnerGarment, LayerFeed, pack_layer
 from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import pack_push, pushed_jets
 from drape.inference.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
-from drape.stages.batch import Batch, Jets, Layer, changed, joined
+from drape.stages.batch import Batch, Jets, Layer, changed, concatenated
 from drape.stages.plan import Plan
 from drape.stages.stage import KeptConstants, Make, Stage, StageSetup, call_here
 from drape.wire.options import DrapeOptions
@@ -80,16 +80,16 @@ class Collision(Stage):
         layers: list[Layer] = []
         ways, left = [], []
         for count, seen in enumerate(batch.plan.visible, start=1):
-            under = joined([layer.vertices for layer in layers]) if layers else None
+            under = concatenated([layer.vertices for layer in layers]) if layers else None
             before = batch.layers[count - 1].jets if seen else None
             parts = [self._pushed(batch, count, under, rows, before) for _, rows in batch.rows()]
-            held = None if before is None else replace(before, jet=joined([part.jet for part in parts], axis=0))
-            layers.append(Layer(joined([part.vertices for part in parts], axis=0), held))
+            held = None if before is None else replace(before, jet=concatenated([part.jet for part in parts], axis=0))
+            layers.append(Layer(concatenated([part.vertices for part in parts], axis=0), held))
             if seen:
-                ways.append(joined([part.way_m for part in parts], axis=0))
+                ways.append(concatenated([part.way_m for part in parts], axis=0))
             if held is not None:
-                left.append(joined([part.left_m for part in parts], axis=0))
-        way = joined(ways)
+                left.append(concatenated([part.left_m for part in parts], axis=0))
+        way = concatenated(ways)
         share, furthest = (way > MOVED_M).mean(axis=1), way.max(axis=1)
         left_m = np.max(left, axis=0) if left else batch.quality.left_m
         quality = changed(batch.quality, pushed_share=share, push_max_m=furthest, left_m=left_m)
@@ -114,7 +114,7 @@ class _Stored:
     vertices: np.ndarray
     faces: np.ndarray
     constants: Constants | None = None
-    sheet: Sheet | None = None
+    sheet: InnerGarment | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,11 +266,11 @@ class Pusher:
 
         return self._layers.get(keys, make)
 
-    def _sheet(self, stored: _Stored) -> Sheet:
+    def _sheet(self, stored: _Stored) -> InnerGarment:
         """The constants of a garment that others lie over, made once."""
         if stored.sheet is None:
             samples = self._make(cloth_samples, stored.vertices, stored.faces)
-            stored.sheet = Sheet(stored.vertices, stored.faces, samples)
+            stored.sheet = InnerGarment(stored.vertices, stored.faces, samples)
         return stored.sheet
 
     def _values(self, arrays: dict[str, np.ndarray], kind: type[PushFeed | LayerFeed]) -> Constants:
@@ -297,7 +297,7 @@ def _garment_arrays(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Sam
 
 
 def _arrays_over(
-    feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[Sheet]
+    feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[InnerGarment]
 ) -> dict[str, np.ndarray]:
     """The constants of a garment over others by the names of the graph's inputs."""
     return pack_layer(feed, vertices, skin, sheets).flat()

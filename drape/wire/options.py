@@ -27,7 +27,7 @@ Resolution = Literal["delivered", "fine"]
 FoldsBy = Literal["server", "client"]
 
 
-class Worn(BaseModel):
+class WornGarments(BaseModel):
     """The garment that is draped, or several worn over each other, and in which size."""
 
     garment: Identifier | None = None

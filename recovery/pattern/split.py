@@ -331,7 +331,7 @@ def cut_level(pattern: Pattern, name: str, y_m: float, called: str) -> Pattern:
     return parted(pattern, name, ends, [line], called)[0]
 
 
-def joined(pattern: Pattern, number: int, called: str) -> Pattern:
+def joined_panels(pattern: Pattern, number: int, called: str) -> Pattern:
     """The two panels of stitch ``number`` as one panel ``called``, in the frame and place of the first.
 
     Raises ``InputError`` where their edges do not lie on each other within ``JOIN_M``.

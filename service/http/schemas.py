@@ -13,7 +13,7 @@ from drape.graph.feeds import BETA_COUNT
 from drape.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from drape.stages.placing import Origin
 from drape.stages.tiers import Tier
-from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
+from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, WornGarments
 from service.http.size_schemas import SizeInfo
 from service.http.wearer_schemas import WearerFound
 
@@ -79,7 +79,7 @@ class OnAvatar(BaseModel):
     )
 
 
-class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
+class ClipOptions(DrapeOptions, WornGarments, OnAvatar, PosedOptions):
     """All but the poses of a garment, or several over each other, on a body in motion."""
 
     body: bool = Field(default=False, description="Whether a GLB also holds the body, as a skinned mesh.")
@@ -133,7 +133,7 @@ class RigDrapeRequest(ClipOptions):
     )
 
 
-class OpenRequest(DrapeOptions, Worn, OnAvatar, Request):
+class OpenRequest(DrapeOptions, WornGarments, OnAvatar, Request):
     """The first message of a stream."""
 
     type: Literal["open"]
