@@ -48,14 +48,7 @@ class Network:
     body and one without a packed graph, and (``InputError``) passes that the model cannot do.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        body: BodyModel,
-        *,
-        threads: int,
-        passes: int | None = None,
-    ) -> None:
+    def __init__(self, folder: Path, body: BodyModel, *, threads: int, passes: int | None = None) -> None:
         self.engine = Engine(folder, device=Device(threads=threads))
         self.engine.check_body(body)
         self._body, self._packer, self._shape = body, Packer(self.engine, body), pack_body(body)

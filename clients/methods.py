@@ -129,11 +129,7 @@ class Methods:
         return fetched("garments", garment, "preview.png", read=calls.read_bytes, accept="image/png", size=str(size))
 
     def jet_layout(
-        self,
-        garment: str,
-        resolution: Resolution = "delivered",
-        avatar: str | None = None,
-        size: str | None = None,
+        self, garment: str, resolution: Resolution = "delivered", avatar: str | None = None, size: str | None = None
     ) -> Call[JetLayout]:
         """Returns the layout that computes vertices from a garment's jets, on the garment's own mesh or a finer one.
 

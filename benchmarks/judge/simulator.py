@@ -65,10 +65,7 @@ class MovingSkin:
         return (new @ rest)[..., 0] + new_way
 
     def _blended(self, weights: np.ndarray, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        return (
-            np.einsum("vj,jab->vab", weights, self._rotation[frame]),
-            weights @ self._translation[frame],
-        )
+        return (np.einsum("vj,jab->vab", weights, self._rotation[frame]), weights @ self._translation[frame])
 
 
 def grip(one: Descent, x: np.ndarray, stuck: np.ndarray, friction: float) -> tuple[np.ndarray, np.ndarray]:

@@ -81,11 +81,7 @@ def poses_between(
 
 
 def led(
-    cloth: Cloth,
-    contact: BodyContact,
-    body: Body,
-    x: np.ndarray,
-    ends: tuple[np.ndarray, np.ndarray],
+    cloth: Cloth, contact: BodyContact, body: Body, x: np.ndarray, ends: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
     """The cloth ``x`` [m] (V, 3), apart at the first pose of ``ends`` (24, 3), taken along to the second one."""
     for before, after in poses_between(body, x, *ends):

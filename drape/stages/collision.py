@@ -139,12 +139,7 @@ class Pusher:
     """
 
     def __init__(
-        self,
-        engine: Engine,
-        body: BodyModel,
-        clearance_m: float = CLEARANCE_M,
-        *,
-        make: Make = call_here,
+        self, engine: Engine, body: BodyModel, clearance_m: float = CLEARANCE_M, *, make: Make = call_here
     ) -> None:
         self._engine, self._make = engine, make
         self._skin = body_skin(body)

@@ -232,10 +232,7 @@ def strips(pattern: Pattern, chains: Sequence[Chain], width_m: float) -> Pattern
         name, outline = refs[0].panel, curves(pattern.panel(refs[0].panel))
         ends = refs[0].edge, (refs[-1].edge + 1) % len(outline)
         line = parallel(
-            [outline[ref.edge] for ref in refs[1:-1]],
-            width_m,
-            outline[ends[0]].points[0],
-            outline[ends[1]].points[0],
+            [outline[ref.edge] for ref in refs[1:-1]], width_m, outline[ends[0]].points[0], outline[ends[1]].points[0]
         )
         pattern, now = parted(pattern, name, ends, [curve.reversed() for curve in line[::-1]], chain.called)
         found = [[now(ref) for ref in refs] for refs in found]

@@ -106,8 +106,7 @@ class ClipOptions(DrapeOptions, WornGarments, OnAvatar, PosedOptions):
         description="Whether the service keeps the state of the cloth after the last frame. X-Drape-Past names it.",
     )
     past: Annotated[str, Field(max_length=120)] | None = Field(
-        default=None,
-        description="The X-Drape-Past of the piece before this one. The clip goes on from its last frame.",
+        default=None, description="The X-Drape-Past of the piece before this one. The clip goes on from its last frame."
     )
     quantised: bool = Field(
         default=True,

@@ -72,10 +72,7 @@ def test_own_clothes_of_a_character_move_and_stay_and_say_why(page: Page, body: 
     more_frames(page)
     assert page.evaluate(
         "[document.getElementById('alive').checked, document.querySelectorAll('#worn li').length]"
-    ) == [
-        True,
-        0,
-    ]
+    ) == [True, 0]
     assert page.evaluate("document.getElementById('alive-words').textContent") == "Top of Doll."
     assert "One bone moves all of it, as armour." in page.evaluate("document.getElementById('stiff').textContent")
     page.wait_for_picture(lambda now: share(stage(now), "b") > 0.02, "its own top in its own colour")

@@ -90,10 +90,7 @@ def test_they_keep_their_materials(own: OwnGarments):
 
 def test_what_is_no_cloth_stays_on_the_skin_and_says_why(own: OwnGarments, wearer: Wearer):
     told = {part.kind: own.stiff[part.name] for part in wearer.attire.parts if part.name in own.stiff}
-    assert told == {
-        "skirt": "One bone moves all of it, as armour.",
-        "dress": "It has 12 faces, too few to fold.",
-    }
+    assert told == {"skirt": "One bone moves all of it, as armour.", "dress": "It has 12 faces, too few to fold."}
 
 
 def test_clothes_of_the_skins_own_mesh_are_painted_on_it(wearer: Wearer, file: bytes):
