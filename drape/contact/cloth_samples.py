@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse
 from scipy.spatial import KDTree
 
-from drape.contact.samples import CLUSTER_SIZE, FACING, RestSamples, Samples, at_rest, operator, place, thinned, unit
+from drape.contact.samples import CLUSTER_SIZE, FACING, Placed, Samples, at_rest, operator, place, thinned, unit
 from drape.errors import InputError
 from drape.geometry import closest, meshes
 
@@ -49,7 +49,7 @@ def cloth_samples(vertices: np.ndarray, faces: np.ndarray) -> ClothSamples:
     return ClothSamples(made.operator, made.point, made.normal, made.spacing_m, member, _rows(made, member))
 
 
-def joined_samples(parts: Sequence[Samples]) -> Samples:
+def joined(parts: Sequence[Samples]) -> Samples:
     """The samples of several meshes as those of one whose vertices are theirs, one mesh after the other."""
     if not parts:
         raise InputError("parts", expected="at least one", got="none", cure="Pass the body's samples first.")
@@ -68,7 +68,7 @@ def hidden_under(samples: Samples, vertices: np.ndarray, faces: np.ndarray) -> n
     return (found.distance < COVER_M) & (before > -BEHIND_M) & ~closest.on_border(found, faces)
 
 
-def _members(rest: np.ndarray, faces: np.ndarray, placed: RestSamples) -> np.ndarray:
+def _members(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> np.ndarray:
     """Vertices (C, 24) of each cluster: the corners of its samples' faces, then the nearest that face its way.
 
     Where there are fewer, the first one repeats.

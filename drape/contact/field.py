@@ -30,7 +30,7 @@ LEAST_WEIGHTS = (1e-37, 1e-30)
 
 
 @dataclass(frozen=True, eq=False)
-class SeenSurface:
+class Surface:
     """A surface as N points see it: ``distance`` [m] (..., N), positive outside; unit ``normal`` (..., 3, N).
 
     ``beside_m2`` [m^2] (..., N): the square of the distance from the samples along the surface; where it is larger than
@@ -85,7 +85,7 @@ def attend_columns(query: Array, table: Array, bias: Array) -> Array:
     return sums[..., :8, :] / xp.maximum(sums[..., 9:, :], least)
 
 
-def surface(points: Array, means: Array) -> SeenSurface:
+def surface(points: Array, means: Array) -> Surface:
     """The surface at ``points`` [m] (..., 3, N) from the means (..., 8, N) there."""
     xp = namespace(points)
     normal = means[..., 4:7, :]
@@ -95,7 +95,7 @@ def surface(points: Array, means: Array) -> SeenSurface:
     along = dot_columns(unit, offset)
     implicit = dot_columns(normal, points) - means[..., 7:8, :]
     beside = dot_columns(offset, offset) - along * along
-    return SeenSurface((0.5 * (implicit + along))[..., 0, :], unit, beside[..., 0, :], length[..., 0, :])
+    return Surface((0.5 * (implicit + along))[..., 0, :], unit, beside[..., 0, :], length[..., 0, :])
 
 
 def softmax(logits: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, tensor
-from drape.contact.field import SeenSurface, attend, largest, queries, ramp, surface, take
+from drape.contact.field import Surface, attend, largest, queries, ramp, surface, take
 from drape.contact.projection import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT, samples_in
 from drape.contact.push_tables import OWN_CLUSTERS, skin_lists
 from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
@@ -102,7 +102,7 @@ def tangent_planes(points: Array, own: Array, other: Array) -> Planes:
     return Planes(found.normal, found.distance - dot_columns(found.normal, columns)[..., 0, :], plane_share(found))
 
 
-def plane_share(found: SeenSurface) -> Array:
+def plane_share(found: Surface) -> Array:
     """How much of a tangent plane of ``found`` is there, in [0, 1]."""
     return ramp(found.beside_m2, *BESIDE_M2) * ramp(found.distance, *DEEP_M) * ramp(found.agreement, *AGREEMENT)
 

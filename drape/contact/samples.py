@@ -70,7 +70,7 @@ class Samples:
         return Samples(chosen, self.point[kept], self.normal[kept], self.spacing_m[kept])
 
 
-class RestSamples(NamedTuple):
+class Placed(NamedTuple):
     """S samples at rest, on the triangles ``face`` (S,) with barycentric ``weight`` (S, 3).
 
     Their ``point`` [m] and unit ``normal`` (S, 3), and the ``spacing_m`` (S,) to their neighbours.
@@ -85,7 +85,7 @@ class RestSamples(NamedTuple):
 
 def place(
     rest: np.ndarray, faces: np.ndarray, spacing: np.ndarray, *, keep: Keep | None = None, seed: int = 0
-) -> RestSamples:
+) -> Placed:
     """Samples ``spacing`` [m] (V,) apart on the mesh ``rest`` [m] (V, 3), in regions and clusters; always the same.
 
     ``keep(points, normals, face, weight)`` says which of the points (n, 3) are to stay.
@@ -104,10 +104,10 @@ def place(
     # Whole products: the last region again, which changes no mean by more than its weight.
     short = -(len(order) // REGION_SIZE) % POSED_REGIONS
     order = np.concatenate([order, np.tile(order[-REGION_SIZE:], short)])
-    return RestSamples(face[order], weight[order], point[order], normal[order], own[order])
+    return Placed(face[order], weight[order], point[order], normal[order], own[order])
 
 
-def at_rest(operator: scipy.sparse.csr_matrix, rest: np.ndarray, placed: RestSamples) -> Samples:
+def at_rest(operator: scipy.sparse.csr_matrix, rest: np.ndarray, placed: Placed) -> Samples:
     """The samples ``placed`` on the mesh ``rest`` [m] (V, 3), with the points and normals that ``operator`` gives."""
     template = operator @ rest
     count = len(placed.point)
@@ -176,7 +176,7 @@ def thinned(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
     return np.array(kept, dtype=np.int64)
 
 
-def ring_operator(rest: np.ndarray, faces: np.ndarray, placed: RestSamples) -> scipy.sparse.csr_matrix:
+def ring_operator(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> scipy.sparse.csr_matrix:
     """``Samples.operator`` whose sums go over all vertices near a sample that face its way."""
     count, vertex_count = len(placed.point), len(rest)
     normals = meshes.vertex_normals(rest, faces)
@@ -196,7 +196,7 @@ def ring_operator(rest: np.ndarray, faces: np.ndarray, placed: RestSamples) -> s
 
 
 def operator(
-    rest: np.ndarray, faces: np.ndarray, placed: RestSamples, sample: np.ndarray, near: np.ndarray
+    rest: np.ndarray, faces: np.ndarray, placed: Placed, sample: np.ndarray, near: np.ndarray
 ) -> scipy.sparse.csr_matrix:
     """``Samples.operator``: the point by its barycentric weights, the tangents by a local least-squares plane.
 

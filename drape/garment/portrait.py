@@ -9,7 +9,7 @@ import numpy as np
 
 from drape.files.looks import NO_LOOKS, Looks, Material
 from drape.garment.cache import Garment
-from drape.geometry.raster import SKIN, DrawnMesh, Paint, render
+from drape.geometry.raster import SKIN, Paint, Surface, render
 
 CLOTH = (0.80, 0.80, 0.82)  # undyed: shade alone tells folds
 LIGHT = np.array([0.62, 0.42, 0.66]) / np.linalg.norm([0.62, 0.42, 0.66])  # from the side
@@ -53,8 +53,8 @@ def portrait(cloth: Sitter, skin: Mesh | None, size: int, *, whole: bool = False
     finer = FINER if size <= FINE else 1
     drawn = render(
         [
-            *([] if skin is None else [DrawnMesh(*skin, SKIN)]),
-            DrawnMesh(cloth.vertices, cloth.faces, CLOTH, paint=paint_of(cloth)),
+            *([] if skin is None else [Surface(*skin, SKIN)]),
+            Surface(cloth.vertices, cloth.faces, CLOTH, paint=paint_of(cloth)),
         ],
         size=(finer * size, finer * size),
         azimuth_deg=AZIMUTH_DEG,

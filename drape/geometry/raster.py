@@ -20,7 +20,7 @@ Paint = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class DrawnMesh:
+class Surface:
     """A mesh to draw: vertices [m] (V, 3), faces (F, 3), an RGB colour or one per face (F, 3), or its ``paint``."""
 
     vertices: np.ndarray
@@ -39,7 +39,7 @@ def view_matrix(azimuth_deg: float, elevation_deg: float = 8.0) -> np.ndarray:
 
 
 def render(
-    surfaces: list[DrawnMesh],
+    surfaces: list[Surface],
     *,
     size: tuple[int, int] = (320, 320),
     azimuth_deg: float = 0.0,
@@ -141,7 +141,7 @@ def _fragments(
 
 
 def _raster(
-    surface: DrawnMesh,
+    surface: Surface,
     camera: np.ndarray,
     screen: np.ndarray,
     size: tuple[int, int],

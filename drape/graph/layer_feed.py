@@ -10,7 +10,7 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.model import BodyModel
-from drape.contact.cloth_samples import MEMBERS, ClothSamples, cloth_samples, hidden_under, joined_samples
+from drape.contact.cloth_samples import MEMBERS, ClothSamples, cloth_samples, hidden_under, joined
 from drape.contact.field import take
 from drape.contact.projection import CLEARANCE_M, Pushed, PushFeed, push_in_parts
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, table_of_columns, unit_cross
@@ -25,7 +25,7 @@ REGION_ROW = 8 * REGION_SIZE
 
 
 @dataclass(frozen=True, eq=False)
-class InnerGarment:
+class Sheet:
     """An inner garment as a collider: delivered rest ``vertices`` [m] (V, 3), ``faces`` (F, 3), and its samples."""
 
     vertices: np.ndarray
@@ -49,15 +49,13 @@ class LayerFeed(Tensors):
     cloth_rows: Array = tensor("cloth_rows", "cloth_parts", PART_CLUSTERS, MEMBERS, 3 * CLUSTER_SIZE)
 
 
-def sheet(garment: Garment) -> InnerGarment:
+def sheet(garment: Garment) -> Sheet:
     """The delivered mesh of ``garment`` as what others lie over."""
     vertices, faces = garment.vertices[: garment.vertex_count].astype(np.float64), garment.faces.astype(np.int64)
-    return InnerGarment(vertices, faces, cloth_samples(vertices, faces))
+    return Sheet(vertices, faces, cloth_samples(vertices, faces))
 
 
-def pack_layer(
-    feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[InnerGarment]
-) -> LayerFeed:
+def pack_layer(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[Sheet]) -> LayerFeed:
     """The constants of the garment with the ``garment_feed`` ``feed`` over ``sheets``, innermost first.
 
     ``vertices`` [m] (V, 3) are its rest vertices, as many as ``feed`` has.
@@ -70,7 +68,7 @@ def pack_layer(
     by_region = np.concatenate(hidden).reshape(-1, REGION_SIZE)
     region = np.flatnonzero(~by_region.all(axis=1))
     region = np.concatenate([region, np.repeat(region[-1:], -len(region) % POSED_REGIONS)])
-    seen = joined_samples(surfaces).of_regions(region)
+    seen = joined(surfaces).of_regions(region)
     first = np.cumsum([0, *(len(item.vertices) for item in sheets)])[:-1]
     member = np.concatenate([item.samples.member + start for item, start in zip(sheets, first, strict=True)])
     rows = np.concatenate([item.samples.rows for item in sheets])

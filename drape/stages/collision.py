@@ -21,7 +21,7 @@ from drape.contact.samples import Samples
 from drape.contact.skin import Skin, body_skin
 from drape.errors import NotFound
 from drape.garment.cache import Garment
-from drape.graph.layer_feed import InnerGarment, LayerFeed, pack_layer
+from drape.graph.layer_feed import LayerFeed, Sheet, pack_layer
 from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import pack_push, pushed_jets
 from drape.inference.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
@@ -114,7 +114,7 @@ class _Stored:
     vertices: np.ndarray
     faces: np.ndarray
     constants: Constants | None = None
-    sheet: InnerGarment | None = None
+    sheet: Sheet | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,11 +261,11 @@ class Pusher:
 
         return self._layers.get(keys, make)
 
-    def _sheet(self, stored: _Stored) -> InnerGarment:
+    def _sheet(self, stored: _Stored) -> Sheet:
         """The constants of a garment that others lie over, made once."""
         if stored.sheet is None:
             samples = self._make(cloth_samples, stored.vertices, stored.faces)
-            stored.sheet = InnerGarment(stored.vertices, stored.faces, samples)
+            stored.sheet = Sheet(stored.vertices, stored.faces, samples)
         return stored.sheet
 
     def _values(self, arrays: dict[str, np.ndarray], kind: type[PushFeed | LayerFeed]) -> Constants:
@@ -292,7 +292,7 @@ def _garment_arrays(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Sam
 
 
 def _arrays_over(
-    feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[InnerGarment]
+    feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[Sheet]
 ) -> dict[str, np.ndarray]:
     """The constants of a garment over others by the names of the graph's inputs."""
     return pack_layer(feed, vertices, skin, sheets).flat()

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import closest, meshes
-from drape.geometry.raster import CLOTH, SKIN, DrawnMesh, render
+from drape.geometry.raster import CLOTH, SKIN, Surface, render
 from recovery.pattern import geometry
 from recovery.pattern.model import Panel, Pattern
 from recovery.pattern.symmetry import procrustes
@@ -47,9 +47,9 @@ def target_and_result(target: Mesh, result: Mesh, skin: Mesh) -> bytes:
     colours = matplotlib.colormaps["turbo"](scale(distance[result.faces].mean(axis=1)))[:, :3]
     body = _body(skin, target.vertices)
     rows = {
-        "target": [body, DrawnMesh(*target, TARGET_COLOUR)],
-        "recovered": [body, DrawnMesh(*result, CLOTH)],
-        "distance": [body, DrawnMesh(*result, colours)],
+        "target": [body, Surface(*target, TARGET_COLOUR)],
+        "recovered": [body, Surface(*result, CLOTH)],
+        "distance": [body, Surface(*result, colours)],
     }
     middle = 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))
     extent = 1.25 * float(np.ptp(target.vertices, axis=0).max())
@@ -70,7 +70,7 @@ def target_above_result(target: Mesh, result: Mesh, skin: Mesh, size: tuple[int,
     body, middle = _body(skin, target.vertices), 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))
     extent = float(np.ptp(target.vertices, axis=0)[:2].max()) * (1.0 + EDGE_SHARE)
     rows = [
-        render([body, DrawnMesh(*mesh, colour)], size=size, centre=middle, extent_m=extent)
+        render([body, Surface(*mesh, colour)], size=size, centre=middle, extent_m=extent)
         for mesh, colour in ((target, TARGET_COLOUR), (result, CLOTH))
     ]
     packed = io.BytesIO()
@@ -88,7 +88,7 @@ def fault_picture(mesh: GarmentMesh, points: np.ndarray) -> bytes:
     colours = np.where((far < SPOT_SHARE)[:, None], SPOT_COLOUR, TARGET_COLOUR)
     figure = Figure(figsize=(3.0 * len(VIEWS), 3.6), dpi=DPI, layout="constrained")
     for axis, (view, azimuth) in zip(figure.subplots(1, len(VIEWS)), VIEWS, strict=True):
-        axis.imshow(render([DrawnMesh(vertices, mesh.faces, colours)], size=(360, 300), azimuth_deg=azimuth))
+        axis.imshow(render([Surface(vertices, mesh.faces, colours)], size=(360, 300), azimuth_deg=azimuth))
         axis.set_axis_off()
         axis.set_title(view, fontsize=9)
     return png(figure)
@@ -154,7 +154,7 @@ def worn_elsewhere(places: list[WornElsewhere]) -> bytes:
     for column, worn in enumerate(places):
         surfaces = [_body(Mesh(worn.skin, worn.skin_faces), worn.nodes)]
         if len(worn.faces):
-            surfaces.append(DrawnMesh(worn.nodes, worn.faces, CLOTH))
+            surfaces.append(Surface(worn.nodes, worn.faces, CLOTH))
         for row, azimuth in enumerate((0.0, 160.0)):
             axis = axes[row][column]
             axis.imshow(render(surfaces, size=(420, 340), azimuth_deg=azimuth))
@@ -173,12 +173,12 @@ def png(figure: Figure) -> bytes:
     return packed.getvalue()
 
 
-def _body(skin: Mesh, cloth: np.ndarray) -> DrawnMesh:
+def _body(skin: Mesh, cloth: np.ndarray) -> Surface:
     if not len(cloth):
-        return DrawnMesh(*skin, SKIN)
+        return Surface(*skin, SKIN)
     far = np.asarray(KDTree(cloth).query(skin.vertices)[0])
     inward = THIN_M * np.exp(-((far / THIN_REACH_M) ** 2))[:, None]
-    return DrawnMesh(skin.vertices - inward * meshes.vertex_normals(skin.vertices, skin.faces), skin.faces, SKIN)
+    return Surface(skin.vertices - inward * meshes.vertex_normals(skin.vertices, skin.faces), skin.faces, SKIN)
 
 
 def _panel_axes(pattern: Pattern, *, more: int = 0) -> tuple[Figure, list[Axes]]:

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks.measure.skin_pixels import BEHIND_M, HEM_M, Camera, PosedBody, covered_faces, skin_pixels_pct
-from drape.geometry.raster import DrawnMesh, render
+from drape.geometry.raster import Surface, render
 from tests.drape.geometry.geometry_shapes import icosphere
 
 RADIUS_M = 0.15
@@ -62,7 +62,5 @@ def test_the_pictures_agree_with_the_shaded_ones():
     camera = Camera.around(BALL)
     seen = camera.see(BALL, FACES, 90.0)
     extent_m = 0.003 * camera.size[0]
-    image = render(
-        [DrawnMesh(BALL, FACES)], size=camera.size, azimuth_deg=90.0, centre=camera.centre, extent_m=extent_m
-    )
+    image = render([Surface(BALL, FACES)], size=camera.size, azimuth_deg=90.0, centre=camera.centre, extent_m=extent_m)
     assert_array_equal((image < 1.0).any(axis=-1), seen.face >= 0)

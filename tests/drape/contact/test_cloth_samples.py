@@ -8,15 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.contact.cloth_samples import (
-    BEHIND_M,
-    COVER_M,
-    MEMBERS,
-    ClothSamples,
-    cloth_samples,
-    hidden_under,
-    joined_samples,
-)
+from drape.contact.cloth_samples import BEHIND_M, COVER_M, MEMBERS, ClothSamples, cloth_samples, hidden_under, joined
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
 from drape.errors import InputError, MeshError
 from drape.geometry import closest
@@ -79,7 +71,7 @@ def test_joined_samples_are_those_of_their_meshes(rng):
     inner, outer = samples(), cloth_samples(*tube(0.2, rows=10))
     count = len(tube(RADIUS)[0])
     moved = rng.normal(size=(2, count + len(tube(0.2, rows=10)[0]), 3))
-    both = joined_samples([inner, outer])
+    both = joined([inner, outer])
     first = inner.posed(moved[:, :count])
     second = outer.posed(moved[:, count:])
     for got, a, b in zip(both.posed(moved), first, second, strict=True):
@@ -89,7 +81,7 @@ def test_joined_samples_are_those_of_their_meshes(rng):
     assert_allclose(chosen.posed(moved)[0], both.posed(moved)[0][:, index], rtol=0, atol=1e-12)
     assert_array_equal(chosen.spacing_m, both.spacing_m[index])
     with pytest.raises(InputError, match="at least one"):
-        joined_samples([])
+        joined([])
 
 
 def test_cloth_hides_what_lies_under_it_and_nothing_beside_it():

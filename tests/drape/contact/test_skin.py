@@ -36,7 +36,7 @@ def sphere(count: int, radius: float) -> np.ndarray:
     return radius * np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
 
 
-def attend_columns(points: np.ndarray, samples: np.ndarray, normals: np.ndarray) -> field.SeenSurface:
+def attend_columns(points: np.ndarray, samples: np.ndarray, normals: np.ndarray) -> field.Surface:
     """The surface at ``points`` (P, 3) of samples (K, 3), none preferred."""
     means = field.attend(
         field.queries(points.T).T[None], sample_table(samples, normals)[None], np.zeros((1, len(samples)))

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.cloth import metrics
-from drape.contact.cloth_samples import joined_samples
+from drape.contact.cloth_samples import joined
 from drape.contact.projection import CLEARANCE_M, push_out_of_bodies
 from drape.contact.samples import sample_table
 from drape.contact.skin import body_skin
@@ -81,7 +81,7 @@ def test_it_is_the_push_out_of_one_surface_that_body_and_cloth_are():
     poses = bent()
     inner, outer, posed = skinned("tank", poses), skinned("longsleeve", poses), load_body().posed_vertices(poses)
     feed, skin, cloth = feed_of("tank", "longsleeve"), body_skin(load_body()), sheet(garment("tank")).samples
-    seen = joined_samples([skin, cloth]).of_regions(feed.region.reshape(-1))
+    seen = joined([skin, cloth]).of_regions(feed.region.reshape(-1))
     whole = push_out_of_bodies(outer, np.concatenate([posed, inner], axis=1), seen, feed.push, CLEARANCE_M)
     assert np.abs(whole - outer).max() > 0.005
     assert_allclose(push_over(outer, inner, table_of(posed), feed), whole, rtol=0, atol=2e-6)  # rows are float32

@@ -21,7 +21,7 @@ from drape.export.glb import add_garment
 from drape.export.glb_file import GlbFile
 from drape.export.root_motion import RootMotion
 from drape.garment.cache import Garment
-from drape.geometry.raster import DrawnMesh, render
+from drape.geometry.raster import Surface, render
 from drape.stages.stage import KeptConstants
 from drape.wanted import WANTED, Unwanted
 from drape.wire.clips import pack_clip
@@ -170,7 +170,7 @@ def test_long_loops_end_when_nobody_wants_their_result(tube: Garment):
     kept = KeptConstants[int]()
     kept.get(("there",), lambda: 1)
     works = [
-        lambda: render([DrawnMesh(tube.vertices, tube.faces)], size=(16, 16)),
+        lambda: render([Surface(tube.vertices, tube.faces)], size=(16, 16)),
         lambda: add_garment(GlbFile(), tube, frames, 30.0),
         lambda: add_garment(GlbFile(), tube, frames, 30.0, root_motion=quantised),
         lambda: kept.get(("missing",), lambda: 2),
