@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -152,34 +151,6 @@ def scenes(options: argparse.Namespace, clips: list[Clip], body: BodyModel) -> I
 def read_clips(options: argparse.Namespace, body: BodyModel, fps: float = FPS) -> list[Clip]:
     """The first ``--frames`` of each of ``--motions``."""
     return [Clip.read(path, fps, options.frames, body) for path in find_motions(options.motions)]
-
-
-@dataclass(eq=False)
-class Folding:
-    """Folds of a garment through a clip at ``fps``, frame after frame.
-
-    ``ms`` is the processor time of each frame so far, ``resets`` how many frames were begun anew.
-    """
-
-    constants: FoldConstants
-    effort: FoldEffort
-    fps: float
-    memory: Any = None
-    ms: list[float] = field(default_factory=list)
-    resets: int = 0
-
-    def frame(self, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:
-        """The next frame with folds [m] (V, 3), from ``vertices`` (V, 3) over ``skin`` (S, 8)."""
-        begin = time.thread_time()
-        one = Frame(vertices, skin, len(self.ms) / self.fps)
-        found, self.memory, report = fold(self.constants, self.memory, one, self.effort)
-        self.ms.append(1e3 * (time.thread_time() - begin))
-        self.resets += report.reset
-        return found
-
-    def frames(self, start: np.ndarray, skin: np.ndarray) -> np.ndarray:
-        """The next frames with folds [m] (F, V, 3), from ``start`` (F, V, 3) over ``skin`` (F, S, 8)."""
-        return np.stack([self.frame(vertices, samples) for vertices, samples in zip(start, skin, strict=True)])
 
 
 def folded_poses(constants: FoldConstants, start: np.ndarray, skin: np.ndarray, effort: FoldEffort) -> np.ndarray:

@@ -129,11 +129,7 @@ class Methods:
         return fetched("garments", garment, "preview.png", read=calls.read_bytes, accept="image/png", size=str(size))
 
     def jet_layout(
-        self,
-        garment: str,
-        resolution: Resolution = "delivered",
-        avatar: str | None = None,
-        size: str | None = None,
+        self, garment: str, resolution: Resolution = "delivered", avatar: str | None = None, size: str | None = None
     ) -> Call[JetLayout]:
         """Returns the layout that computes vertices from a garment's jets, on the garment's own mesh or a finer one.
 
@@ -337,7 +333,7 @@ class Methods:
         answers = []
         for piece in self._pieces(call):
             answers.append((yield from piece))
-        return pieces.joined(answers)
+        return pieces.joined_answers(answers)
 
     def _pieces(self, call: Call[Answer], at_once: int | None = None) -> Iterator[Steps[Answer]]:
         """The steps to the answer for each piece of ``call``, of ``at_once`` frames or of as many as the service takes.

@@ -38,7 +38,7 @@ def piece(call: Call[Answer], rows: slice, past: str | None) -> Call[tuple[Answe
     return Call(call.method, call.path, read, call.params, call.headers, json=call.json | more, clip=part)
 
 
-def joined(answers: Sequence[Any]) -> Any:
+def joined_answers(answers: Sequence[Any]) -> Any:
     """The answer of the whole clip from those of its pieces: arrays of frames, lists of them by garment, or frames."""
     first = answers[0]
     if isinstance(first, np.ndarray):

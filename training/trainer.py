@@ -45,7 +45,7 @@ class Objective:
 
 
 @dataclass(frozen=True, eq=False)
-class Draped:
+class DrapedBatch:
     """Posed patches of F bodies, their ``posed_coefficients``, and vertices [m] (F, V, 3) relative to the root."""
 
     posed: Posed
@@ -161,7 +161,7 @@ class BaseTrainer:
         partition: Partition,
         dynamic_code: Tensor | None = None,
         passes: int | None = None,
-    ) -> Draped:
+    ) -> DrapedBatch:
         """``garment`` on the bodies of ``batch``; ``passes`` as of ``OneFit``."""
         config = self.config
         embedding = self.model.garment(partition.encoded(self.fabric))
@@ -170,7 +170,9 @@ class BaseTrainer:
         )
         said = posed_coefficients(posed, partition.patches.scale)
         variant = config.model.variant
-        return Draped(posed, said, losses.garment_vertices(said, partition, garment, batch.tensors, variant=variant))
+        return DrapedBatch(
+            posed, said, losses.garment_vertices(said, partition, garment, batch.tensors, variant=variant)
+        )
 
     def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:
         """Planes that some of ``vertices`` [m] (F, V, 3), drawn now, touch."""

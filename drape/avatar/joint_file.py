@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.avatar.affine_maps import compose
-from drape.avatar.distilled import Distilled, Draped
+from drape.avatar.distilled import Distilled, DrapedClip
 from drape.avatar.rig_motion import RigMotion
 from drape.avatar.rig_weights import HEAVIEST
 from drape.export.glb import Shape, add_shape, split_seams, vertex_normals
@@ -50,7 +50,7 @@ def add_clip(
     channels: list[Channel] = []
     for layer, vertices in zip(layers, draped, strict=True):
         own = add_jointed(file, layer, nodes)
-        moves = layer.distilled.fitted(Draped(vertices, motion), scale)
+        moves = layer.distilled.fitted(DrapedClip(vertices, motion), scale)
         turns, places = node_motions(layer.distilled, layer.distilled.local(motion, moves))
         for number, node in enumerate(own):
             channels.append((node, "rotation", quaternion_keys(turns[:, number])))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.avatar.affine_maps import affine_inverse, compose
-from drape.avatar.distilled import Distilled, Draped, pelvis_places
+from drape.avatar.distilled import Distilled, DrapedClip, pelvis_places
 from drape.avatar.rig_motion import RigMotion
 from drape.avatar.wearer import Wearer
 from drape.body.skeleton import JOINT_NAMES
@@ -68,7 +68,7 @@ class JointSprings:
         return compose(affine_inverse(pelvis_places(motion))[:, None], swung)
 
 
-def fit_springs(distilled: Distilled, clips: Sequence[Draped], wearer: Wearer) -> JointSprings:
+def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Wearer) -> JointSprings:
     """Returns the springs of ``distilled`` whose tails come nearest to those of ``clips``. A clip is run from its first
     to its last frame."""
     unit, skeleton = wearer.scale, clips[0].motion
@@ -136,13 +136,13 @@ def _moved(at: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.einsum("feab,eb->fea", at[..., :3], points) + at[..., 3]
 
 
-def _aims(distilled: Distilled, ends: np.ndarray, draped: Draped, unit: float) -> np.ndarray:
+def _aims(distilled: Distilled, ends: np.ndarray, draped: DrapedClip, unit: float) -> np.ndarray:
     """Where the tails (F, E, 3) are in the world by the tracks of what was ``draped``."""
     seen = distilled.fitted(draped, unit)
     return _moved(compose(pelvis_places(draped.motion)[:, None], seen), ends)
 
 
-def _room(aims: Sequence[np.ndarray], limbs: Sequence[Limb], clips: Sequence[Draped]) -> np.ndarray:
+def _room(aims: Sequence[np.ndarray], limbs: Sequence[Limb], clips: Sequence[DrapedClip]) -> np.ndarray:
     """How near the tails (E,) come to a limb by the tracks, one time in twenty; below zero inside."""
     room = []
     for aim, one in zip(aims, clips, strict=True):

@@ -23,7 +23,7 @@ FIRM, LOOSE = 4.0, 0.5  # weights of contact where the skin holds cloth, and whe
 RENEWED = 5  # steps that one factor serves
 
 
-class Skin:
+class HoldingSkin:
     """A posed body that cloth hangs on: its vertices [m] and faces as planes, and how ``firm`` (Vb,) in [0, 1] each
     vertex holds cloth."""
 
@@ -53,7 +53,7 @@ class HangingCloth(Relaxation):
         super().__init__(faces, rest, lambda x: (np.ones(len(x)), x), gap_m=GAP_M, inertia=softness / STEP_S**2)
         self._sag = GRAVITY_M_S2 * softness
 
-    def hung(self, x: np.ndarray, skin: Skin, steps: int) -> np.ndarray:
+    def hung(self, x: np.ndarray, skin: HoldingSkin, steps: int) -> np.ndarray:
         """Returns the cloth [m] (V, 3) after so many ``steps`` over ``skin`` from ``x`` [m] (V, 3). None of it is
         inside the skin."""
         for number in range(steps):

@@ -14,17 +14,7 @@ import numpy as np
 import scipy.sparse
 from scipy.spatial import KDTree
 
-from drape.contact.samples import (
-    CLUSTER_SIZE,
-    FACING,
-    Placed,
-    Samples,
-    at_rest,
-    operator,
-    place,
-    thinned,
-    unit,
-)
+from drape.contact.samples import CLUSTER_SIZE, FACING, Placed, Samples, at_rest, operator, place, thinned, unit
 from drape.errors import InputError
 from drape.geometry import closest, meshes
 

@@ -96,7 +96,7 @@ def _bytes(numbers: np.ndarray) -> ctypes.c_int64:
     return ctypes.c_int64(numbers.nbytes)
 
 
-class Placed:
+class CardRecord:
     """A ``record`` and its arrays, copied into the ``memory`` of a card; ``address`` is where the record is."""
 
     def __init__(self, memory: Memory, record: Record | Recorded) -> None:
@@ -136,7 +136,7 @@ class Frames:
         self._outcomes, self._folded, self._scratches = list[int](), list[tuple[int, tuple[int, ...]]](), list[int]()
         self._tasks = 0
 
-    def add(self, name: str, vertices: np.ndarray, *records: Placed) -> None:
+    def add(self, name: str, vertices: np.ndarray, *records: CardRecord) -> None:
         """Adds a frame that the engine's function ``name`` computes of ``vertices`` [m] (V, 3) float32.
 
         ``records`` are those of its past, its surroundings, its cloth, its effort, and what it leaves to the next

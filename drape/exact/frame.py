@@ -32,7 +32,7 @@ STEPS = 400  # of Newton's method, at most
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
+class ExactCloth:
     """A garment's ``cloth`` with its triangles (F, 3) over a ``body``, and its waistband, if shoulders do not hold it.
 
     ``rest`` [m] (V, 3) is a drape of the T-pose; all places count from the root joint.
@@ -46,7 +46,7 @@ class Sheet:
     rest: np.ndarray
 
     @classmethod
-    def of(cls, garment: Garment, fabric: Fabric, model: BodyModel, betas: np.ndarray, rest: np.ndarray) -> Sheet:
+    def of(cls, garment: Garment, fabric: Fabric, model: BodyModel, betas: np.ndarray, rest: np.ndarray) -> ExactCloth:
         """``garment`` made of ``fabric`` on ``model`` in the shape ``betas`` (S,), with the first of its rests in which
         nothing crosses: ``rest`` (V, 3), or its own.
 
@@ -112,7 +112,7 @@ class Lain:
     start: np.ndarray
 
 
-def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
+def exact(sheet: ExactCloth, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
     """Returns the drape of a ``pose`` (24, 3) [rad] and its figures.
 
     ``start`` [m] (V, 3), relative to the root, is the pose's drape of tier accurate. The cloth comes from the frame
@@ -144,12 +144,12 @@ def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None
     return Lain(pose, x, start), report
 
 
-def _apart(sheet: Sheet, before: Lain | None) -> bool:
+def _apart(sheet: ExactCloth, before: Lain | None) -> bool:
     """Whether there is a frame ``before``, and nothing crosses there."""
     return before is not None and not len(crossing_pairs(before.x, sheet.faces))
 
 
-def _arrived(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None, crossed: bool) -> np.ndarray:
+def _arrived(sheet: ExactCloth, pose: np.ndarray, start: np.ndarray, before: Lain | None, crossed: bool) -> np.ndarray:
     """The cloth [m] (V, 3) over the ``pose`` (24, 3) that goes down from there."""
     cloth, contact, body = sheet.cloth, sheet.contact, sheet.body
     if before is not None:
@@ -163,12 +163,12 @@ def _arrived(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | N
     return drawn_to(cloth, contact, body.posed(pose), x, start, sheet.band(start))
 
 
-def _down(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> Found:
+def _down(sheet: ExactCloth, posed: np.ndarray, x: np.ndarray, band: Band | None) -> Found:
     """Where the cloth comes down to from ``x`` [m] (V, 3) over the ``posed`` body."""
     one = apart.Descent(sheet.cloth, sheet.contact, posed, x, band=band)
     return one.run(STEPS, TOLERANCE * sheet.cloth.weight_n)
 
 
-def _over(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> newton.Descent:
+def _over(sheet: ExactCloth, posed: np.ndarray, x: np.ndarray, band: Band | None) -> newton.Descent:
     """The cloth ``x`` [m] (V, 3) over the ``posed`` body, whose energy is without the barrier's."""
     return newton.Descent(sheet.cloth, sheet.contact, posed, x, band=band)

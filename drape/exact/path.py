@@ -81,11 +81,7 @@ def poses_between(
 
 
 def led(
-    cloth: Cloth,
-    contact: BodyContact,
-    body: Body,
-    x: np.ndarray,
-    ends: tuple[np.ndarray, np.ndarray],
+    cloth: Cloth, contact: BodyContact, body: Body, x: np.ndarray, ends: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
     """Returns the cloth ``x`` [m] (V, 3) taken along from the first pose of ``ends`` (24, 3) [rad], where it is apart,
     to the second one."""

@@ -59,9 +59,7 @@ def vat_files(layers: Sequence[MovingGarment], fps: float, name: str) -> dict[st
     texels, reach, first_normals = _texels(whole, corners)
     remap = {
         "os-remap": {"Min": (-reach).tolist(), "Max": reach.tolist(), "Frames": len(frames)},
-        "animations": {
-            "clip": {"startFrame": 0, "endFrame": len(frames) - 1, "framerate": fps, "looping": False},
-        },
+        "animations": {"clip": {"startFrame": 0, "endFrame": len(frames) - 1, "framerate": fps, "looping": False}},
         "about": {
             "unit": "metre",
             "mesh_up": "y",

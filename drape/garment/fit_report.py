@@ -70,7 +70,7 @@ class FitReport(NamedTuple):
     tension: Tension
 
 
-class Worn(NamedTuple):
+class JudgedDrape(NamedTuple):
     """A drape that is judged: vertices [m] (V, 3) in the rest pose, and in the pose (24, 3) [rad] that is asked about.
 
     ``vertices`` are all those of ``fine_faces``; ``pose`` and ``posed`` are None where that is the rest pose too.
@@ -82,7 +82,7 @@ class Worn(NamedTuple):
     posed: np.ndarray | None = None
 
 
-def fit_report(garment: Garment, body: BodyModel, worn: Worn, *, fabric: Fabric | None = None) -> FitReport:
+def fit_report(garment: Garment, body: BodyModel, worn: JudgedDrape, *, fabric: Fabric | None = None) -> FitReport:
     """How ``garment`` fits ``body``: ease in the rest pose, strain and pressure in the pose of ``worn``.
 
     ``fabric`` is the garment's own if left out.

@@ -38,11 +38,7 @@ if TYPE_CHECKING:
     from drape.inference.onnx_runtime import Session, Value
 
 Shape = Literal["vertices", "jets", "both"]
-OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
-    "vertices": ("vertices",),
-    "jets": JETS,
-    "both": ("vertices", *JETS),
-}
+OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {"vertices": ("vertices",), "jets": JETS, "both": ("vertices", *JETS)}
 SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
 TILES_PER_BUCKET = 65536  # of devices with memory of their own

@@ -104,10 +104,7 @@ def stiffness_factor(cloth: ClothMesh, material: Material, band_n_per_m: np.ndar
     order = dissected(matrix.indptr, matrix.indices)
     # A symmetric positive matrix needs no pivots, and without them U is D L^T.
     lu = scipy.sparse.linalg.splu(
-        matrix[order][:, order].tocsc(),
-        permc_spec="NATURAL",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
+        matrix[order][:, order].tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )
     lower = scipy.sparse.tril(lu.L, -1).tocsc()
     lower.sort_indices()

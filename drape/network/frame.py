@@ -30,7 +30,7 @@ _NO_STEPS = np.empty((0, 3), np.uint16)
 
 
 class FrameParts(NamedTuple):
-    """The record that the engine reads of a ``Worn``."""
+    """The record that the engine reads of a ``FrameGarment``."""
 
     weights: Weights
     kept: KeptPoses | None
@@ -47,7 +47,7 @@ class FrameParts(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Worn:
+class FrameGarment:
     """What drapes a garment: the network's ``weights`` with so many ``passes``, the garment's ``patches`` and
     ``tiles``, its ``swing`` by a ``share``, and its ``folds`` by ``efforts``, of which the second is for novel poses;
     ``kept``: the poses that the network was trained on. None: no such part. It has ``vertex_count`` vertices, whose
@@ -142,7 +142,7 @@ class FrameCall(NamedTuple):
     steps: np.ndarray
 
 
-def draw(worn: Worn, past: Past, at: Moment, vertices: np.ndarray, steps: np.ndarray = _NO_STEPS) -> Drawn | None:
+def draw(worn: FrameGarment, past: Past, at: Moment, vertices: np.ndarray, steps: np.ndarray = _NO_STEPS) -> Drawn | None:
     """Computes the frame ``at`` a moment and returns it; None if the network's numbers are not finite.
 
     ``vertices`` [m] (V, 3) are written, and ``steps`` (V, 3) if given. ``past`` is not written to. The frame must not

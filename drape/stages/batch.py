@@ -248,13 +248,13 @@ class Batch:
     @property
     def vertices(self) -> np.ndarray:
         """The vertices [m] (F, V, 3) of the visible layers, one layer after the other, relative to the root."""
-        return joined([layer.vertices for layer in self.shown])
+        return concatenated([layer.vertices for layer in self.shown])
 
     @property
     def jets(self) -> Jets:
         """The posed patches of the visible layers, one layer after the other."""
         jets = [layer.jets for layer in self.shown if layer.jets is not None]
-        return Jets(*(joined([getattr(one, name) for one in jets]) for name in ("jet", "rotation", "centre")))
+        return Jets(*(concatenated([getattr(one, name) for one in jets]) for name in ("jet", "rotation", "centre")))
 
     def placed(self, origin: Origin) -> Placed:
         """The vertices of an answer, which count from ``origin``."""
@@ -277,7 +277,7 @@ def stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
     return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
 
 
-def joined(parts: Sequence[np.ndarray | None], axis: int = 1) -> np.ndarray:
+def concatenated(parts: Sequence[np.ndarray | None], axis: int = 1) -> np.ndarray:
     """``parts`` one after the other; one alone is itself."""
     arrays = [part for part in parts if part is not None]
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)

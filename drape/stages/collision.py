@@ -25,7 +25,7 @@ from drape.graph.layer_feed import LayerFeed, Sheet, pack_layer
 from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import pack_push, pushed_jets
 from drape.inference.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
-from drape.stages.batch import Batch, Jets, Layer, changed, joined
+from drape.stages.batch import Batch, Jets, Layer, changed, concatenated
 from drape.stages.plan import Plan
 from drape.stages.stage import KeptConstants, Make, Stage, StageSetup, call_here
 from drape.wire.options import DrapeOptions
@@ -80,16 +80,16 @@ class Collision(Stage):
         layers: list[Layer] = []
         ways, left = [], []
         for count, seen in enumerate(batch.plan.visible, start=1):
-            under = joined([layer.vertices for layer in layers]) if layers else None
+            under = concatenated([layer.vertices for layer in layers]) if layers else None
             before = batch.layers[count - 1].jets if seen else None
             parts = [self._pushed(batch, count, under, rows, before) for _, rows in batch.rows()]
-            held = None if before is None else replace(before, jet=joined([part.jet for part in parts], axis=0))
-            layers.append(Layer(joined([part.vertices for part in parts], axis=0), held))
+            held = None if before is None else replace(before, jet=concatenated([part.jet for part in parts], axis=0))
+            layers.append(Layer(concatenated([part.vertices for part in parts], axis=0), held))
             if seen:
-                ways.append(joined([part.way_m for part in parts], axis=0))
+                ways.append(concatenated([part.way_m for part in parts], axis=0))
             if held is not None:
-                left.append(joined([part.left_m for part in parts], axis=0))
-        way = joined(ways)
+                left.append(concatenated([part.left_m for part in parts], axis=0))
+        way = concatenated(ways)
         share, furthest = (way > MOVED_M).mean(axis=1), way.max(axis=1)
         left_m = np.max(left, axis=0) if left else batch.quality.left_m
         quality = changed(batch.quality, pushed_share=share, push_max_m=furthest, left_m=left_m)
@@ -139,12 +139,7 @@ class Pusher:
     """
 
     def __init__(
-        self,
-        engine: Engine,
-        body: BodyModel,
-        clearance_m: float = CLEARANCE_M,
-        *,
-        make: Make = call_here,
+        self, engine: Engine, body: BodyModel, clearance_m: float = CLEARANCE_M, *, make: Make = call_here
     ) -> None:
         self._engine, self._make = engine, make
         self._skin = body_skin(body)

@@ -47,13 +47,7 @@ class Fall:
     ``skin``. The body alone holds it up; the nodes ``held`` (n,) stay where they are."""
 
     def __init__(
-        self,
-        design: Design,
-        mesh: PatternMesh,
-        fabric: Fabric,
-        skin: SignedDistance,
-        *,
-        held: np.ndarray | None = None,
+        self, design: Design, mesh: PatternMesh, fabric: Fabric, skin: SignedDistance, *, held: np.ndarray | None = None
     ) -> None:
         self.model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, fixed=held)
         self.model.rest_angle = torch.from_numpy(seam_angles(design, mesh, self.model))

@@ -16,7 +16,7 @@ from drape.cloth.relaxation import principal_stretches
 from drape.errors import InputError
 from drape.geometry import meshes
 from recovery import progress
-from recovery.drape.placement import Axes, Placed, place_panels, scaled
+from recovery.drape.placement import Axes, PlacedPanels, place_panels, scaled
 from recovery.drape.posing import to_pose
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
@@ -90,7 +90,7 @@ class Draped:
     the sewn shape that came before, and ``figures`` on how it went."""
 
     mesh: PatternMesh
-    placed: Placed
+    placed: PlacedPanels
     sewn: Sewn
     rest: Drape
     posed: Drape | None

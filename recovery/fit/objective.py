@@ -83,12 +83,7 @@ class Target:
 
     @classmethod
     def from_mesh(
-        cls,
-        vertices: np.ndarray,
-        faces: np.ndarray,
-        contours: list[Contour],
-        *,
-        known: np.ndarray | None = None,
+        cls, vertices: np.ndarray, faces: np.ndarray, contours: list[Contour], *, known: np.ndarray | None = None
     ) -> Target:
         """The target of a mesh, of which the faces ``known`` (F,) count, all by default."""
         weights = fold_weights(mean_curvature(vertices, faces))

@@ -234,10 +234,7 @@ def strips(pattern: Pattern, chains: Sequence[Chain], width_m: float) -> Pattern
         name, outline = refs[0].panel, curves(pattern.panel(refs[0].panel))
         ends = refs[0].edge, (refs[-1].edge + 1) % len(outline)
         line = parallel(
-            [outline[ref.edge] for ref in refs[1:-1]],
-            width_m,
-            outline[ends[0]].points[0],
-            outline[ends[1]].points[0],
+            [outline[ref.edge] for ref in refs[1:-1]], width_m, outline[ends[0]].points[0], outline[ends[1]].points[0]
         )
         pattern, now = parted(pattern, name, ends, [curve.reversed() for curve in line[::-1]], chain.called)
         cuts = [[now(ref) for ref in refs] for refs in cuts]
@@ -333,7 +330,7 @@ def cut_level(pattern: Pattern, name: str, y_m: float, called: str) -> Pattern:
     return parted(pattern, name, ends, [line], called)[0]
 
 
-def joined(pattern: Pattern, number: int, called: str) -> Pattern:
+def joined_panels(pattern: Pattern, number: int, called: str) -> Pattern:
     """The two panels of stitch ``number`` as one panel ``called``, in the frame and place of the first.
 
     Raises ``InputError`` where their edges do not lie on each other within ``JOIN_M``.

@@ -123,11 +123,7 @@ def job_of(given: argparse.Namespace) -> Job:
         betas=None if given.betas is None else read_betas(given.betas),
         pose=None if given.pose is None else read_pose(given.pose),
         style=style_of(given),
-        drape=DrapeOptions(
-            edge_length_m=given.edge_length,
-            fabric=given.fabric,
-            grid_m=given.grid,
-        ),
+        drape=DrapeOptions(edge_length_m=given.edge_length, fabric=given.fabric, grid_m=given.grid),
         fit=FitOptions(iterations=given.adam, closing=given.closing),
         reach_m=reach_of(given),
     )

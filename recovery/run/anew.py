@@ -16,15 +16,7 @@ from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
 from recovery.fit.chamfer import SurfaceDistance, surface_distance
-from recovery.fit.laying import (
-    OTHER_FOLDS_MM,
-    LaidDrape,
-    hung_as,
-    hung_at_rest,
-    in_other_folds,
-    laying_options,
-    put_on,
-)
+from recovery.fit.laying import OTHER_FOLDS_MM, LaidDrape, hung_as, hung_at_rest, in_other_folds, laying_options, put_on
 from recovery.fit.recovered import Recovered
 from recovery.fit.starts import LENGTHS_TRIED
 from recovery.pattern.model import Pattern

@@ -23,7 +23,7 @@ from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
 from recovery.pattern.style import Style
 from recovery.run.anew import SewnAnew, sewn_anew
-from recovery.run.elsewhere import Worn, retargeted
+from recovery.run.elsewhere import WornElsewhere, retargeted
 from recovery.run.identify import Identifiability, identifiability
 from recovery.run.nested import in_other_size
 from recovery.run.styled import styled
@@ -63,7 +63,7 @@ class Sewn(NamedTuple):
 
     anew: SewnAnew | None
     distance: SurfaceDistance | None
-    worn: list[Worn]
+    worn: list[WornElsewhere]
     files: list[Path]
 
 
@@ -210,7 +210,7 @@ def sewn_and_worn(task: Task, found: Recovered, pattern: Pattern, say: Say) -> S
 
 def _worn_elsewhere(
     task: Task, found: Recovered, pattern: Pattern, draped: Draped, parts: list[str], say: Say
-) -> list[Worn]:
+) -> list[WornElsewhere]:
     """The garment on other bodies and in other poses, where these are asked for and time is left."""
     job, wearer = task.job, task.wearer
     if not job.retarget:
@@ -235,7 +235,7 @@ def stopped_words(minutes: float, stage: str) -> str:
     )
 
 
-def describe_worn(place: Worn) -> str:
+def describe_worn(place: WornElsewhere) -> str:
     """A phrase on how the garment lies there."""
     figures = place.figures
     end = "at rest" if figures["converged"] else f"not at rest ({figures['force_left_n']:.1e} N left)"

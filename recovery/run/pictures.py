@@ -20,7 +20,7 @@ from drape.geometry.raster import CLOTH, SKIN, Surface, render
 from recovery.pattern import geometry
 from recovery.pattern.model import Panel, Pattern
 from recovery.pattern.symmetry import procrustes
-from recovery.run.elsewhere import Worn
+from recovery.run.elsewhere import WornElsewhere
 from recovery.run.identify import CAP_M, Identifiability
 
 DPI = 100
@@ -148,7 +148,7 @@ def search_history(history: np.ndarray) -> bytes:
     return png(figure)
 
 
-def worn_elsewhere(places: list[Worn]) -> bytes:
+def worn_elsewhere(places: list[WornElsewhere]) -> bytes:
     """The garment on every body and in every pose it was taken to, front above back."""
     figure = Figure(figsize=(2.8 * len(places), 7.2), dpi=DPI, layout="constrained")
     axes = figure.subplots(2, len(places), squeeze=False)

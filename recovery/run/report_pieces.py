@@ -14,8 +14,8 @@ from recovery.pattern.model import EdgeRef, Panel, Pattern
 from recovery.pattern.pieces import (
     BACK_GAP_M,
     FACED,
+    CuttingSheet,
     Piece,
-    Sheet,
     cut_count,
     hems,
     is_of_back,
@@ -60,7 +60,7 @@ def add_pieces(page: Page, pattern: Pattern) -> None:
     page.signature(("Checked by", "Date", "Sample sewn"))
 
 
-def scaled_drawing(sheet: Sheet) -> tuple[str, str]:
+def scaled_drawing(sheet: CuttingSheet) -> tuple[str, str]:
     """The drawing of ``sheet`` as SVG text for a page, and its caption with the scale.
 
     Lines, names and numbers are as large on the page as at true size; of the labels the pieces' names are left.
@@ -141,7 +141,7 @@ def _place(panel: Panel, edge: int) -> str:
     return f"{panel.name}, {' '.join(word for word in reversed(words) if word) or 'middle'}"
 
 
-def _open_rows(pattern: Pattern, sheet: Sheet) -> list[tuple[str, ...]]:
+def _open_rows(pattern: Pattern, sheet: CuttingSheet) -> list[tuple[str, ...]]:
     sewn = {ref for stitch in pattern.stitches for ref in (stitch.first, stitch.second)}
     turned_up = hems(pattern)
     rows = []

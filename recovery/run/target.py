@@ -17,15 +17,7 @@ from drape.garment.avatars import Avatar
 from drape.garment.borders import Loop, borders, plainly_hole, plainly_opening
 from drape.garment.contours import TRUNK, bone_chains, open_contours, part_round, place_of
 from drape.garment.files.mesh import GarmentMesh, read_mesh, weld
-from drape.garment.mesh_checks import (
-    Unit,
-    Up,
-    check_area,
-    check_arrays,
-    orient_outward,
-    place,
-    without_flat_faces,
-)
+from drape.garment.mesh_checks import Unit, Up, check_area, check_arrays, orient_outward, place, without_flat_faces
 from drape.garment.sheets import agreeing, cut_branches, main_sheet, without_copies
 from drape.geometry import closest, meshes
 from recovery import progress

@@ -49,8 +49,7 @@ def on_body(point: np.ndarray, mesh: GarmentMesh, joints: np.ndarray) -> str:
     found = opening_names(mesh, joints)
     if found:
         nearest, away = min(
-            ((text, float(np.linalg.norm(line - point, axis=1).min())) for text, line in found),
-            key=lambda one: one[1],
+            ((text, float(np.linalg.norm(line - point, axis=1).min())) for text, line in found), key=lambda one: one[1]
         )
         words += f", {100 * away:.0f} cm from the {nearest}"
     return f"{words} at {point_words(point)} m"

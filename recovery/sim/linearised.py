@@ -32,12 +32,7 @@ class LinearisedStep:
     """
 
     def __init__(
-        self,
-        model: ClothModel,
-        contact: SkinContact | None,
-        *,
-        dt_s: float,
-        pairs: Springs | None = None,
+        self, model: ClothModel, contact: SkinContact | None, *, dt_s: float, pairs: Springs | None = None
     ) -> None:
         self.model, self.contact, self.pairs, self.dt_s = model, contact, pairs, dt_s
         self._factor: Factor | None = None

@@ -21,7 +21,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import DrapeError, Unavailable
-from drape.exact.frame import Lain, Sheet, exact
+from drape.exact.frame import ExactCloth, Lain, exact
 from drape.forked import end_with_parent
 from drape.garment.cache import Garment
 from service.compute.background import step_back
@@ -51,7 +51,7 @@ def run(block: Block, say: Any = print) -> None:
         kept = read_frame(block.folder, number)
         if kept is None:
             if sheet is None:
-                sheet = Sheet.of(block.garment, block.fabric, block.model, block.betas, block.rest)
+                sheet = ExactCloth.of(block.garment, block.fabric, block.model, block.betas, block.rest)
             before, told = exact(sheet, pose, start, before)
             write_frame(block.folder, number, before.x.astype(np.float32), asdict(told))
             say(json.dumps({"frame": number, **asdict(told)}), flush=True)

@@ -28,10 +28,7 @@ def check_answer(size: int, what: str, settings: Settings) -> None:
     limit = settings.max_answer_bytes
     if size > limit:
         raise TooLarge(
-            "answer",
-            expected=f"at most {limit} bytes",
-            got=f"about {size} for {what}",
-            cure="Send the clip in pieces.",
+            "answer", expected=f"at most {limit} bytes", got=f"about {size} for {what}", cure="Send the clip in pieces."
         )
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drape.avatar.covered import UNSEEN_M, covered_faces
-from drape.avatar.distilled import Draped, distil
+from drape.avatar.distilled import DrapedClip, distil
 from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.joint_file import Jointed, add_clip
 from drape.avatar.rig_file import Dressed, add_bare, add_dressed, add_nodes
@@ -105,7 +105,7 @@ def on_rig_file(
     else:
         motion, made = rig_motion(moves, wearer, rig.skeleton), []
         for one in layers:
-            draped = Draped(one.vertices, motion)
+            draped = DrapedClip(one.vertices, motion)
             made.append(
                 Jointed(one.garment.surface, distil(one.garment, [draped], wearer, rig, count=joints), one.colour)
             )

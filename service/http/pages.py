@@ -21,10 +21,7 @@ from service.errors import problem, rule_for
 from service.http.encodings import accepts
 
 PAGE_MISSING = Unavailable(
-    "page",
-    expected="its built files",
-    got="none",
-    cure="Run make page in a clone (needs Node.js), then reload.",
+    "page", expected="its built files", got="none", cure="Run make page in a clone (needs Node.js), then reload."
 )
 REFERENCE_PACKAGE = "fastapi_offline"  # carries the files of Swagger UI; its code is not used
 REFERENCE_FILES = ("swagger-ui-bundle.js", "swagger-ui.css", "favicon.png")

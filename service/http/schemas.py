@@ -13,7 +13,7 @@ from drape.graph.feeds import BETA_COUNT
 from drape.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from drape.stages.placing import Origin
 from drape.stages.tiers import Tier
-from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
+from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, WornGarments
 from service.http.size_schemas import SizeInfo
 from service.http.wearer_schemas import WearerFound
 
@@ -79,7 +79,7 @@ class OnAvatar(BaseModel):
     )
 
 
-class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
+class ClipOptions(DrapeOptions, WornGarments, OnAvatar, PosedOptions):
     """The options of a garment, or of several over each other, on a body in motion: all but the poses."""
 
     body: bool = Field(default=False, description="Whether a GLB also holds the body, as a skinned mesh.")
@@ -106,8 +106,7 @@ class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
         description="Whether the service keeps the state of the cloth after the last frame. X-Drape-Past names it.",
     )
     past: Annotated[str, Field(max_length=120)] | None = Field(
-        default=None,
-        description="The X-Drape-Past of the piece before this one. The clip goes on from its last frame.",
+        default=None, description="The X-Drape-Past of the piece before this one. The clip goes on from its last frame."
     )
     quantised: bool = Field(
         default=True,
@@ -133,7 +132,7 @@ class RigDrapeRequest(ClipOptions):
     )
 
 
-class OpenRequest(DrapeOptions, Worn, OnAvatar, Request):
+class OpenRequest(DrapeOptions, WornGarments, OnAvatar, Request):
     """The first message of a stream."""
 
     type: Literal["open"]

@@ -20,14 +20,7 @@ from drape.garment.cache import OWN_GARMENTS_DIR, load_garment
 from drape.garment.clearance import CLEARANCE_M
 from drape.garment.cloth_layer import VERTEX_LIMIT
 from drape.garment.files.mesh import plain_mesh
-from drape.garment.intake import (
-    IntakeOptions,
-    garment_name,
-    intake,
-    main,
-    read_fabric,
-    with_rest_state,
-)
+from drape.garment.intake import IntakeOptions, garment_name, intake, main, read_fabric, with_rest_state
 from drape.garment.mesh_checks import UNITS_M
 from drape.garment.rest_detail import Rest, RestCloth, rest_of
 from drape.garment.rest_mesh import rest_mesh, with_unused, without_unused

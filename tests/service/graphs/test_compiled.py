@@ -59,6 +59,11 @@ def test_the_shipped_network_drapes_as_its_graph(passes: int | None):
         assert_allclose(got.arrays["vertices"], want.arrays["vertices"], rtol=0, atol=ROUNDING_M)
 
 
+def test_a_garment_of_the_shipped_model_takes_less_than_three_megabytes():
+    store = packers()[0].store
+    assert store.packed("shorts").vertex_count > 4500 and store.bytes < 2 * 3e6
+
+
 def test_an_item_has_the_same_bits_alone_and_in_two_threads():
     compiled, _ = packers()
     together = compiled.run(ScenePlan(), bodies(), ITEMS)
