@@ -142,7 +142,9 @@ class FrameCall(NamedTuple):
     steps: np.ndarray
 
 
-def draw(worn: FrameGarment, past: Past, at: Moment, vertices: np.ndarray, steps: np.ndarray = _NO_STEPS) -> Drawn | None:
+def draw(
+    worn: FrameGarment, past: Past, at: Moment, vertices: np.ndarray, steps: np.ndarray = _NO_STEPS
+) -> Drawn | None:
     """Computes the frame ``at`` a moment and returns it; None if the network's numbers are not finite.
 
     ``vertices`` [m] (V, 3) are written, and ``steps`` (V, 3) if given. ``past`` is not written to. The frame must not
