@@ -61,7 +61,7 @@ def test_what_bulges_in_one_place_of_a_large_triangle_is_not_cut_off(round_cloth
     """A thigh came through a dress of 32 vertices: places that were far enough out had the most to say."""
     middle = round_cloth[COARSE.vertex_count :].mean(axis=0)
     knee = round_cloth.copy()
-    away = np.linalg.norm(knee - middle - np.array([0.0, 0.0, RADIUS_M]), axis=1)
+    away = np.linalg.norm(knee - middle - np.array([0.0, 0.0, -RADIUS_M]), axis=1)
     knee[:, 2] += 0.06 * np.exp(-0.5 * (away / 0.05) ** 2)
     normals = vertex_normals(knee, COARSE.fine_faces)
     below = np.einsum("nc,nc->n", normals, knee - corner_weights(COARSE) @ Wrapping(COARSE).wrap(knee))
