@@ -30,7 +30,7 @@ from drape.errors import InputError, refusing
 from drape.files.pictures import with_remade
 from drape.forked import each
 from drape.garment import avatars
-from drape.garment.accessories import carriers_of
+from drape.garment.accessories import bones_that_carry
 from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
 from drape.garment.clearance import CLEARANCE_M
 from drape.garment.cloth_layer import joined
@@ -203,7 +203,7 @@ def _made(file: _File, body: BodyModel, say: Report, begins: Report, *, whole: b
     mesh = mesh if sewn is not None else without_strays(mesh)
     sheets, model, wearer = modelled_on(mesh if sewn is not None else joined(mesh), body, options, file.meaning)
     unnamed = "" if file.meaning is not None else " (none was named)"
-    carriers = () if sewn is not None else carriers_of(with_used_vertices(sheets), model.vertices, body)
+    carriers = () if sewn is not None else bones_that_carry(with_used_vertices(sheets), model.vertices, body)
     alone, outer = sewn is not None or bool(carriers), None
     if not alone:
         sheets, outer = with_sewn_panels(sheets, model.vertices)
