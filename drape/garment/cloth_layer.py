@@ -42,6 +42,7 @@ SMALL_M2, SMALL_SHARE, NEAR_M = 0.02, 0.05, 0.03  # a small thing near cloth: it
 SEWN_M, SEWN_SHARE, TRIM_SHARE = 0.004, 0.4, 0.15  # of a collar's border on its garment, and its area over that
 HUNG = ("corner", "weight", "offset", "kind")  # the arrays of a bound mesh that tell what a vertex hangs on
 LARGE_M = 0.25  # of what goes round a trunk
+WOUND_ALIKE = 0.7  # mean cosine between normals of a drawn piece and of its cloth
 STIFF_M = 0.06  # parts up to this size turn as a whole
 VERTEX_LIMIT = 12_000
 THINNED_M = 0.012  # edges of thinned cloth
@@ -85,7 +86,8 @@ def hung(mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh, joints: np.n
     distance, row = KDTree(cloth.vertices).query(places)
     row = np.where(distance <= SAME_M, row, -1)
     part, label = _stiff_parts(mesh, places, row)
-    bound = bind(mesh, places, cloth.vertices, cloth.faces, row, part)
+    beyond = _through_walls(mesh, places, cloth, row, label)
+    bound = bind(mesh, places, cloth.vertices, cloth.faces, row, part, beyond)
     beside = _loops_of_trunk(mesh, places, (row < 0) & (part < 0), label, joints, skin)
     if not beside.any():
         return bound
@@ -94,6 +96,27 @@ def hung(mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh, joints: np.n
     chosen = {name: (getattr(trunk, name), getattr(bound, name)) for name in HUNG}
     mixed = {name: np.where(beside.reshape(-1, *[1] * (a.ndim - 1)), a, b) for name, (a, b) in chosen.items()}
     return replace(bound, **mixed)
+
+
+def _through_walls(
+    mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh, row: np.ndarray, label: np.ndarray
+) -> np.ndarray:
+    """Where [m] (D, 3) the ``cloth`` of each vertex is looked for: of those on the inner side of a wall, in a piece of
+    the ``label`` (D,) that has vertices of the cloth (``row``), by its thickness through the wall.
+
+    By nearness alone the inner side of a sleeve hangs on the trunk that its arm hung by, and makes webs.
+    """
+    beyond, hung_on = places.copy(), row >= 0
+    normals = meshes.vertex_normals(places, mesh.faces)
+    along = meshes.vertex_normals(cloth.vertices, cloth.faces)[np.maximum(row, 0)]
+    agreed = np.einsum("dc,dc->d", normals, along)
+    for number in np.unique(label[hung_on]):
+        own, inner = (label == number) & hung_on, np.flatnonzero((label == number) & ~hung_on)
+        sense = float(agreed[own].mean())
+        if len(inner) and abs(sense) > WOUND_ALIKE:
+            thick_m = float(np.median(closest_point(places[inner], cloth.vertices, cloth.faces).distance))
+            beyond[inner] -= np.sign(sense) * thick_m * normals[inner]
+    return beyond
 
 
 def _loops_of_trunk(

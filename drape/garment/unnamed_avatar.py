@@ -11,6 +11,7 @@ from drape.garment.avatars import Avatar, standard_avatar
 from drape.garment.contours import pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
+from drape.garment.jewellery import check_cloth, jewellery_wearer
 from drape.garment.mesh_checks import UNITS_M, place
 from drape.garment.registration import posed_by
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading
@@ -54,7 +55,10 @@ def worn_by(
         f"+{options.up}" if told.up is None and options.up != "auto" else told.up,
         told.front,
     )
-    wearer = accessory_wearer(mesh, body, reading) or seated(mesh, the_wearer(mesh, body, reading))
+    wearer = jewellery_wearer(mesh, body, reading) or accessory_wearer(mesh, body, reading)
+    if wearer is None:
+        check_cloth(mesh)
+        wearer = seated(mesh, the_wearer(mesh, body, reading))
     vertices = posed_by(body, wearer.parameters)
     source = f"found in the cloth: {wearer.words}; sure {wearer.sure:.2f}"
     turned = replace(mesh, vertices=wearer.reading.apply(mesh.vertices))
