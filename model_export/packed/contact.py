@@ -10,7 +10,7 @@ from torch import Tensor
 from drape.arrays import count_of
 from drape.contact.field import attend, queries, surface
 from drape.contact.projection import REGION_BIAS_M2, REGION_COUNT
-from drape.contact.proximity import GAP_M, UNIT_M, attend_others, from_halves, plane_share
+from drape.contact.proximity import GAP_M, HELD_M, SOFT_M, UNIT_M, attend_others, from_halves, plane_share
 from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.contact.skin import skin_table
 from drape.garment.consensus import STRAIN_POINTS, strain_points
@@ -79,6 +79,13 @@ class Contact(WithTables):
         pull = (near.pull * torch.relu(missing)) @ self.axis_copies
         # A quarter of the force, softened, which takes four times its argument.
         return [near.share * torch.tanh(missing), softsign((pull * near.normal) @ self.point_terms.mT)]
+
+    def held(self, before: Tensor, after: Tensor, near: NearPlanes) -> Tensor:
+        """The share (P, 1) that patches go of a correction from ``before`` to ``after`` (P, 42): ``held_share``."""
+        missing = torch.addmm(near.offset, near.normal * before, self.axis_sums)
+        deeper = near.share * ((near.normal * (after - before)) @ self.axis_sums)
+        room = torch.relu((GAP_M + HELD_M) / UNIT_M - missing) + SOFT_M / UNIT_M
+        return torch.amin(room / torch.maximum(deeper + SOFT_M / UNIT_M, room), dim=-1, keepdim=True)
 
 
 def tables() -> dict[str, Tensor]:

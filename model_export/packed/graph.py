@@ -171,7 +171,8 @@ class PackedGraph(nn.Module):
             points = self.contact.points(jet, places)
             near = self.contact.near(points, skin, felt, index.body, frames) if near is None else near
             inputs = [hidden, *self.strain(jet, stretch), jet, *self.contact(points, near)]
-            jet = jet + correction(torch.cat(inputs, dim=-1))
+            change = correction(torch.cat(inputs, dim=-1))
+            jet = jet + self.contact.held(points, self.contact.points(jet + change, places), near) * change
             passes.append(jet)
         jet = charts.closed(charts.posed(frames, jet) @ columns, stored, index, frames)
         kept = tuple(passes) if len(passes) > 1 else ()
