@@ -27,7 +27,7 @@ from recovery.catalogue.garments import CATALOGUE
 from recovery.catalogue.size_tables import grade
 from recovery.commands import ended, parser_of
 from recovery.pattern.measurements import measure
-from recovery.pattern.sizes import PATTERN_STEPS
+from recovery.pattern.size_grades import PATTERN_STEPS
 from recovery.progress import watched
 
 

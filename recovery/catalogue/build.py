@@ -18,11 +18,11 @@ from recovery.catalogue.closing import on_finer_mesh, sew_design
 from recovery.catalogue.fall import SETTLING, Fall
 from recovery.catalogue.garments import CATALOGUE
 from recovery.drape.pattern_drape import stretch_figures
-from recovery.drape.sewing import in_numpy
+from recovery.drape.seam_threads import in_numpy
 from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
-from recovery.pattern.sizes import in_size
+from recovery.pattern.size_grades import in_size
 from recovery.sim.sdf import GridDistance, SignedDistance
 
 Report = Callable[[str], None]

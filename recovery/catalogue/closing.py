@@ -8,7 +8,7 @@ from drape.cloth.relaxation import Distance
 from drape.errors import InputError
 from drape.geometry import closest
 from recovery.drape.placement import moved_clear
-from recovery.drape.sewing import SEWING_GAP_M, Sewn, sew
+from recovery.drape.seam_threads import SEWING_GAP_M, Sewn, sew
 from recovery.pattern.design import Design
 from recovery.pattern.pattern_mesh import PatternMesh
 

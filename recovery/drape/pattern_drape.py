@@ -19,8 +19,8 @@ from recovery import progress
 from recovery.drape.placement import Axes, PlacedPanels, place_panels, scaled
 from recovery.drape.posing import to_pose
 from recovery.drape.repair import uncrossed
+from recovery.drape.seam_threads import Sewn, in_numpy, sew
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
-from recovery.drape.sewing import Sewn, in_numpy, sew
 from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare

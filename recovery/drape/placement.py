@@ -17,7 +17,7 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.cloth.relaxation import Distance
 from drape.errors import InputError
 from drape.geometry.meshes import boundary_loops
-from recovery.drape.sleeves import limb_openings, round_spread_arms
+from recovery.drape.limb_openings import limb_openings, round_spread_arms
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern, Placement
 from recovery.pattern.pattern_mesh import PatternMesh

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from recovery.pattern import geometry
+from recovery.pattern.bent_panels import Tube, Vector, draft_round
 from recovery.pattern.design import Assembly
 from recovery.pattern.drafting import Drafted, Side
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.wrapping import Tube, Vector, draft_round
 
 WAISTBAND_SHORTER = 0.02  # the waist is eased into it
 UP: Vector = (0.0, 1.0, 0.0)

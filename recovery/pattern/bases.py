@@ -13,12 +13,12 @@ from drape.errors import InputError, NotFound
 from recovery.pattern.design import Design
 from recovery.pattern.dresses import DressCut
 from recovery.pattern.dresses import dress as draft_dress
-from recovery.pattern.legs import LegCut
-from recovery.pattern.legs import trousers as draft_trousers
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.model import Pattern
 from recovery.pattern.skirts import SkirtCut, fitted
 from recovery.pattern.tops import Sleeve, TopCut, top
+from recovery.pattern.trousers import LegCut
+from recovery.pattern.trousers import trousers as draft_trousers
 
 LONGEST_M = 3.0  # that a setting may be
 POSITIVE = ("length", "depth", "girth", "inseam")  # words in the names of settings that are no differences

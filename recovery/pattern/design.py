@@ -10,10 +10,10 @@ import numpy as np
 
 from drape.errors import InputError
 from recovery.pattern import geometry
+from recovery.pattern.bent_panels import Wrap
 from recovery.pattern.drafting import Drafted
 from recovery.pattern.model import EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.pieces import CLOTH_WIDTH_M
-from recovery.pattern.wrapping import Wrap
 
 SEAM_TOLERANCE = 0.02  # of the mean length; what is eased in or gathered on purpose is named
 EASE_SLACK = 0.03  # by which a named ease may be missed

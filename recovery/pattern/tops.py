@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.bands import FORWARD, UP, Edge, sew_band
+from recovery.pattern.bent_panels import Tube, draft_round
 from recovery.pattern.design import Assembly, Design
 from recovery.pattern.drafting import FRONT, STAND_OFF_M, Drafted, Point, Side, before_and_behind, draft, root
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.wrapping import Tube, draft_round
 
 NECK_SLOPE = 0.6
 CAP_EASE = 0.015  # by which a cap is longer than its armhole

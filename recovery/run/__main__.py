@@ -28,7 +28,7 @@ from recovery.drape.pattern_drape import DrapeOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.optimise import REACH_M, FitOptions
 from recovery.pattern.bases import BASES
-from recovery.pattern.sizes import PATTERN_STEPS
+from recovery.pattern.size_grades import PATTERN_STEPS
 from recovery.run.job import run_job
 from recovery.run.task import MINUTES, Job
 from recovery.scan.places import ScanFault

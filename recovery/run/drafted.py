@@ -12,10 +12,10 @@ import numpy as np
 from drape.errors import InputError
 from drape.garment.contours import TRUNK
 from recovery.pattern.bases import BASES, COUNT, OF_SLEEVE
-from recovery.pattern.legs import thigh_girth
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.model import Pattern
 from recovery.pattern.tops import NECK_SLOPE
+from recovery.pattern.trousers import thigh_girth
 from recovery.run.seen import Opening, Seen
 
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of the way from a base's own settings to what the target tells

@@ -23,7 +23,7 @@ from recovery.pattern.pieces import (
     mirror_words,
     side_of,
 )
-from recovery.run.report import Page
+from recovery.run.report_page import Page
 
 EQUAL_MM = 0.05  # below: both edges are equally long, as far as a ruler shows
 PAGE_MM = 180.0  # of the drawing on paper

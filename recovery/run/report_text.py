@@ -16,7 +16,7 @@ from recovery.run import pictures
 from recovery.run.anew import ANEW_MM, anew_words
 from recovery.run.identify import CAP_M, corner_names, weak_words
 from recovery.run.job import Outcome, describe_worn
-from recovery.run.report import Page
+from recovery.run.report_page import Page
 from recovery.run.report_pieces import add_pieces
 
 SEAM_PCT = 0.5  # of length, beside the ease that the base asks for: more cannot be sewn as it is drawn

@@ -19,6 +19,7 @@ from drape.motion.retarget import global_rotations
 from drape.motion.samples import SAMPLES
 from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
 from tests.clients.node import answer_of
+from tests.clients.people import INDEX, SIGNS, person
 
 # Some thirty products and an arc tangent, whose errors a hinge bent by 15 degrees multiplies by four.
 EXACT = 1e-11
@@ -30,18 +31,6 @@ TWIST_BENDS = np.radians([5.0, 15.0])
 TUCK = 0.2
 FPS = 30.0
 
-SIDES = ("left", "right")
-LEFT_POINTS = {
-    "mediapipe": {"ear": 7, "shoulder": 11, "elbow": 13, "wrist": 15, "hip": 23, "knee": 25, "ankle": 27}
-    | {"heel": 29, "toe": 31},
-    "coco": {"ear": 3, "shoulder": 5, "elbow": 7, "wrist": 9, "hip": 11, "knee": 13, "ankle": 15},
-}
-INDEX = {
-    layout: {"nose": 0} | {f"{side}_{name}": at + k for name, at in left.items() for k, side in enumerate(SIDES)}
-    for layout, left in LEFT_POINTS.items()
-}
-COUNTS = {"mediapipe": 33, "coco": 17}
-SIGNS = {"mediapipe": [1.0, -1.0, -1.0], "coco": [1.0, 1.0, 1.0]}
 UNSEEN = [JOINT_INDEX[f"{side}_{name}"] for side in ("left", "right") for name in ("collar", "wrist", "hand", "foot")]
 TOLD = [joint for joint in range(JOINT_COUNT) if joint not in UNSEEN]
 BONES = [
@@ -96,35 +85,6 @@ for (let frame = 0; frame < 30; frame++) await tell(() => source.put(swapped, un
 await tell(() => source.put(first, undefined, 90));
 console.log(JSON.stringify(told));
 """
-
-
-def skin_points(body: BodyModel) -> dict[str, tuple[int, np.ndarray]]:
-    """The bone that carries each point, and its place [m] in the T-pose: the outermost vertices of head and feet."""
-    rest, weights = body.v_template, body.weights
-
-    def outermost(joints: list[str], axis: int, sign: float) -> np.ndarray:
-        carried = np.flatnonzero(weights[:, [JOINT_INDEX[joint] for joint in joints]].sum(axis=1) > 0.9)
-        return rest[carried[(sign * rest[carried, axis]).argmax()]]
-
-    points = {"nose": (JOINT_INDEX["head"], outermost(["head"], 2, 1.0))}
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        foot = [f"{side}_ankle", f"{side}_foot"]
-        points[f"{side}_ear"] = JOINT_INDEX["head"], outermost(["head"], 0, sign)
-        points[f"{side}_heel"] = JOINT_INDEX[foot[0]], outermost(foot, 2, -1.0)
-        points[f"{side}_toe"] = JOINT_INDEX[foot[1]], outermost(foot, 2, 1.0)
-    return points
-
-
-def person(body: BodyModel, poses: np.ndarray, layout: str = "mediapipe") -> np.ndarray:
-    """Points (F, N, 3) [m] of poses (F, 24, 3), in the layout's order and axes; those it does not name are zero."""
-    joints = body.rest_joints()
-    rotations, translations = bone_transforms(rotvec_to_matrix(poses), joints, PARENTS)
-    skin = skin_points(body)
-    points = np.zeros((len(poses), COUNTS[layout], 3))
-    for name, at in INDEX[layout].items():
-        bone, place = skin[name] if name in skin else (JOINT_INDEX[name], joints[JOINT_INDEX[name]])
-        points[:, at] = (rotations[:, bone] @ place + translations[:, bone]) * SIGNS[layout]
-    return points
 
 
 def at(name: str, layout: str = "mediapipe") -> int:
