@@ -116,7 +116,7 @@ def test_a_garment_has_as_many_patches_as_are_asked_for(garment, folder: Path):
 def test_a_digest_of_before_rest_states_stays():
     options = asdict(IntakeOptions())
     kept = {name: options[name] for name in ("unit", "up")} | {"repair": False, "clearance_m": CLEARANCE_M}
-    header = {"name": "a", "avatar": STANDARD, "body": BODY.digest, "options": kept, "versions": [1, 4]}
+    header = {"name": "a", "avatar": STANDARD, "body": BODY.digest, "options": kept, "versions": [1, 5]}
     text = json.dumps(header, sort_keys=True).encode() + b"\0" + b"mesh"
     assert intake_module.garment_digest(b"mesh", STANDARD, BODY, IntakeOptions(), "a") == sha256(text).hexdigest()
 
