@@ -49,12 +49,12 @@ def worn_by(
 
     Raises ``MeshError`` where no human body fits.
     """
-    reading = ToldReading(
+    said = ToldReading(
         (options.unit, UNITS_M[options.unit]) if told.unit is None and options.unit != "auto" else told.unit,
         f"+{options.up}" if told.up is None and options.up != "auto" else told.up,
         told.front,
     )
-    wearer = accessory_wearer(mesh, body, reading) or seated(mesh, the_wearer(mesh, body, reading))
+    wearer = accessory_wearer(mesh, body, said) or seated(mesh, the_wearer(mesh, body, said))
     vertices = posed_by(body, wearer.parameters)
     source = f"found in the cloth: {wearer.words}; sure {wearer.sure:.2f}"
     turned = replace(mesh, vertices=wearer.reading.apply(mesh.vertices))
