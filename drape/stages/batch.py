@@ -257,7 +257,8 @@ class Batch:
         return Jets(*(concatenated([getattr(one, name) for one in jets]) for name in ("jet", "rotation", "centre")))
 
     def placed(self, origin: Origin) -> Placed:
-        """The vertices of an answer, which count from ``origin``."""
+        """Returns the vertices of the answer: from the world's origin, or relative to the root and with the roots,
+        as ``origin`` says."""
         return Placed(self.world()) if origin == "world" else Placed(self.vertices, self.root)
 
     def world(self) -> np.ndarray:

@@ -242,7 +242,7 @@ Quantise = Callable[[np.ndarray, int], tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def dequantise(steps: np.ndarray, low: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """The quantised columns (V, n), float32."""
+    """Returns the numbers (V, n) float32 that ``steps`` (V, n) stand for: ``low`` (n,) + ``steps`` * ``step`` (n,)."""
     return low + step * steps.astype(np.float32)
 
 

@@ -95,7 +95,8 @@ class PosedPatches:
 
 
 class FirstGraph(nn.Module):
-    """Patch features -> patch embedding, and the garment half of the decoder's first layer; run once per garment."""
+    """The graph that runs once per garment: of the features of patches it computes their embedding and, of that, the
+    garment's share of the decoder's first layer."""
 
     def __init__(self, model: OneFit) -> None:
         super().__init__()

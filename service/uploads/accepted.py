@@ -110,7 +110,7 @@ def taken_over(root: Path, own: Path, *, shared: bool = False) -> Iterator[tuple
 
 
 def touch(own: Path) -> None:
-    """Says that the process that has the staging folder ``own`` runs."""
+    """Gives the staging folder ``own`` the time of now, which tells other services that its process still runs."""
     if own.is_dir():
         os.utime(own)
 
