@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,33 +27,12 @@ class Clock:
         self.wall_ms.append(1e3 * (time.perf_counter() - wall))
 
 
-@dataclass(frozen=True)
-class Timing:
-    """Milliseconds per call: percentiles over all calls, and the least, which a busy machine moves little."""
-
-    min_ms: float
-    p50_ms: float
-    p95_ms: float
-    p99_ms: float
-    calls: int
-
-    @staticmethod
-    def of(taken: Sequence[float]) -> Timing:
-        """The timing of calls that took ``taken`` [ms]."""
-        p50, p95, p99 = np.percentile(taken, [50, 95, 99])
-        return Timing(float(min(taken)), float(p50), float(p95), float(p99), len(taken))
-
-    def row(self) -> dict[str, float]:
-        """The numbers as a row of the table has them."""
-        return {"min_ms": self.min_ms, "p50_ms": self.p50_ms, "p95_ms": self.p95_ms, "p99_ms": self.p99_ms}
-
-
-def timed(call: Callable[[], object], *, seconds: float, calls: int = 500) -> Timing:
-    """The time of ``call``, again and again after a warm-up: at most ``calls`` and ``seconds``, at least ten times."""
+def timed(call: Callable[[], object], *, seconds: float, calls: int = 500) -> float:
+    """The median time [ms] of ``call``, again and again: at most ``calls`` and ``seconds``, at least ten times."""
     for _ in range(WARM_CALLS):
         call()
     clock, end = Clock(), time.perf_counter() + seconds
     while len(clock.wall_ms) < 10 or (len(clock.wall_ms) < calls and time.perf_counter() < end):
         with clock:
             call()
-    return Timing.of(clock.wall_ms)
+    return float(np.median(clock.wall_ms))

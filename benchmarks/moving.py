@@ -1,6 +1,7 @@
 """Whether moving cloth looks like cloth, tier by tier as it is served, beside stills of its own poses.
 
     python -m benchmarks.moving
+    python -m benchmarks.moving --captured $DRAPE_DATA/motions
     python -m benchmarks.moving --garments coat.obj --motions jump.npz --tiers balanced --sheet worst.png
 
 Garments are streamed through a clip by all stages of the service. In two poses (``benchmarks.stills``) the frames just
@@ -10,9 +11,12 @@ angle of hinges; ``fine`` and ``middle``, the relief of waves below 2 cm and of 
 along hems; and ``area``. ``exact`` is that angle over the exact drape's, where the record has one. ``pop`` is the
 change of fine relief from frame to frame over that relief. Of every fifth frame are ``crossings`` and
 ``crossings_worst``, pairs of triangles of a garment that cross, for ten thousand of its triangles; ``depth_mm``, how
-deep it is in the skin at the most; and ``strain_pct``, the 99.9th percentile of edges. ``jitter`` is the third
+deep it is in the skin at the most; ``inside`` and ``inside_worst``, vertices more than a centimetre in it, in the mean
+and the worst frame; and ``strain_pct``, the 99.9th percentile of edges. ``jitter`` is the third
 difference in time over the skin's. ``resets`` are frames begun anew. ``ms`` is a frame's processor time. Rows are
-printed with the worst first; ``--sheet`` draws the worst clip of every garment in each tier.
+printed with the worst first; ``--sheet`` draws the worst clip of every garment in each tier. Captured motion throws
+limbs about as the shipped clips do not: of ``--captured`` clips the two seconds with most movement are worn by a few
+garments, and have means of their own.
 """
 
 from __future__ import annotations
@@ -25,11 +29,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import Benchmark, Option, Run, inputs
-from benchmarks.measure.depth import depth_mm
+from benchmarks.measure.depth import depths_mm
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.moving import Looks
 from benchmarks.measure.sheet import Picture, draw_sheet
-from benchmarks.scenes import FPS, Clip, read_clips
+from benchmarks.scenes import FPS, Clip, lively_clips, read_clips
 from benchmarks.served import Stream, plan_of
 from benchmarks.stills import Stills, figures, input_of, looks_of, outfits, posed_at
 from benchmarks.tables import Row
@@ -43,12 +47,13 @@ from service.settings import Settings
 TIERS = ("fast", "balanced", "accurate")
 BEFORE = (0, 3, 6, 9)  # frames before that of the still whose means count
 EVERY = 5  # frames between two in which crossings and depth are counted
+DEEP_MM = 10.0  # in the skin: no lift hides such a vertex
 SHARES = {"curvature": "curvature", "dihedral": "dihedral_deg", "fine": "fine_mm", "middle": "middle_mm",
           "hem": "hem_mm", "area": "area_m2"}  # fmt: skip
 COLUMNS = {
     "garment": "s", "clip": "s", "tier": "s", **dict.fromkeys(SHARES, ".2f"), "area": ".3f", "exact": ".2f",
-    "pop": ".2f", "crossings": ".1f", "crossings_worst": ("worst", ".0f"), "depth_mm": ".1f", "strain_pct": ".0f",
-    "jitter": ".2f", "resets": ".1f", "ms": ".2f",
+    "pop": ".2f", "crossings": ".1f", "crossings_worst": ("worst", ".0f"), "depth_mm": ".1f", "inside": ".1f",
+    "inside_worst": ("worst", ".0f"), "strain_pct": ".0f", "jitter": ".2f", "resets": ".1f", "ms": ".2f",
 }  # fmt: skip
 NAMES = ("garment", "clip", "tier")
 
@@ -98,13 +103,16 @@ def moving_row(
     seen = np.arange(min(2 * EVERY, len(vertices) - 1), len(vertices), EVERY)
     crossings = intersection_count(vertices[seen], looks.faces) * 1e4 / len(looks.faces)
     body = skin.clip.body
-    depths = [depth_mm(vertices[i], skin.vertices[i].astype(float), body.faces) for i in seen]
+    depths = np.stack([depths_mm(vertices[i], skin.vertices[i].astype(float), body.faces) for i in seen])
+    inside = (depths > DEEP_MM).sum(axis=1)
     return {name: float(np.mean([one[name] for one in shares])) for name in SHARES} | {
         "exact": float(np.mean([one["dihedral"] / angle for one, angle in zip(shares, angles, strict=True)])),
         "pop": looks.pop(vertices[-30:]),
         "crossings": float(crossings.mean()),
         "crossings_worst": float(crossings.max()),
-        "depth_mm": max(depths),
+        "depth_mm": float(depths.max()),
+        "inside": float(inside.mean()),
+        "inside_worst": float(inside.max()),
         "strain_pct": looks.strain_pct(vertices[seen]),
         "jitter": float(np.sqrt(third_difference_square(vertices))) / skin.third,
     }
@@ -149,14 +157,15 @@ class Sheet:
             self.pictures[key] = f"{row['clip']} {row['curvature']:.1f}", vertices, faces
 
 
-def summary(rows: Sequence[Row], tiers: Sequence[str]) -> list[Row]:
-    """The means and the worst of all rows of each tier."""
+def summary(rows: Sequence[Row], tiers: Sequence[str], clips: str = "") -> list[Row]:
+    """The means and the worst of all ``rows`` of each tier, which are of so called ``clips``."""
     found = []
     for tier in tiers:
         own = [row for row in rows if row["tier"] == tier]
-        for name, of in (("mean", np.nanmean), ("worst", np.nanmax)):
-            figures_of = {key: float(of([row[key] for row in own])) for key in COLUMNS if key not in NAMES}
-            found.append(dict(zip(NAMES, (name, "", tier), strict=True)) | figures_of)
+        for name, of in (("mean", np.mean), ("worst", np.max)):
+            known = {key: [row[key] for row in own if np.isfinite(row[key])] for key in COLUMNS if key not in NAMES}
+            figures_of = {key: float(of(values)) if values else np.nan for key, values in known.items()}
+            found.append(dict(zip(NAMES, (name, clips, tier), strict=True)) | figures_of)
     return found
 
 
@@ -167,24 +176,37 @@ def summary(rows: Sequence[Row], tiers: Sequence[str]) -> list[Row]:
     *inputs(quick_garments=("tshirt",), quick_motions=("walk",)),
     Option("--tiers", TIERS, "that are served", ("balanced",)),
     Option("--frames", 120, "of a clip at most", 30),
+    Option("--captured", (), "names, files or folders of captured motion"),
+    Option("--captured-garments", ("tshirt", "longsleeve", "trousers"), "that are worn in it", ("tshirt",)),
+    Option("--captured-frames", 60, "of such a clip", 20),
     Option("--sheet", "", "a PNG of the worst frames"),
 )
 def main(run: Run) -> None:
     """Rows of every garment over every clip in every tier, the worst first, and means."""
     options, body = run.options, load_body()
-    drapery = DrapeRuntime(Settings(threads=1, model=options.model))
-    stills, skins = Stills(drapery), [Skin(clip) for clip in read_clips(options, body, FPS)]
-    sheet = Sheet()
-    for garments in outfits(options.garments):
-        looks = [looks_of(fine_garment(one)) for one in garments]  # whose filters take a while
-        for skin in skins:
-            for tier in options.tiers:
-                run.add(scene_rows(drapery, garments, looks, skin, stills, tier, sheet))
-    run.rows.sort(key=lambda row: -row["curvature"])
+    drapery, sheet = DrapeRuntime(Settings(threads=1, model=options.model)), Sheet()
+    captured = lively_clips(options.captured, options.captured_frames, body)
+    _add_rows(run, drapery, options.garments, read_clips(options, body, FPS), sheet)
     run.summary += summary(run.rows, options.tiers)
-    run.extra |= {"frames": options.frames, "model": options.model, "means": run.summary}
+    run.extra |= {"frames": options.frames, "model": options.model, "means": run.summary[:]}
+    if captured:
+        shipped = len(run.rows)
+        _add_rows(run, drapery, options.captured_garments, captured, sheet)
+        run.summary += summary(run.rows[shipped:], options.tiers, "captured")
+        run.extra |= {"captured": run.summary[len(run.extra["means"]) :]}
+    run.rows.sort(key=lambda row: -row["curvature"])
     if options.sheet:
         draw_sheet(sheet.pictures, Path(options.sheet))
+
+
+def _add_rows(run: Run, drapery: DrapeRuntime, names: Sequence[str], clips: Sequence[Clip], sheet: Sheet) -> None:
+    """Adds the rows of garments of ``names`` over ``clips``."""
+    stills, skins = Stills(drapery), [Skin(clip) for clip in clips]
+    for garments in outfits(list(names)):
+        looks = [looks_of(fine_garment(one)) for one in garments]  # whose filters take a while
+        for skin in skins:
+            for tier in run.options.tiers:
+                run.add(scene_rows(drapery, garments, looks, skin, stills, tier, sheet))
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ FRAMES_PER_CALL = 8  # the vertex stage holds some megabytes per frame
 
 
 @dataclass(frozen=True, eq=False)
-class Draped:
+class NetworkDrape:
     """The network's drape in F poses.
 
     ``vertices`` (F, V, 3) world [m] float64; ``jet`` (F, K, 27 or 45) [patch scales], ``rotation`` (F, K, 3, 3) and
@@ -48,14 +48,7 @@ class Network:
     body and one without a packed graph, and (``InputError``) passes that the model cannot do.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        body: BodyModel,
-        *,
-        threads: int,
-        passes: int | None = None,
-    ) -> None:
+    def __init__(self, folder: Path, body: BodyModel, *, threads: int, passes: int | None = None) -> None:
         self.engine = Engine(folder, device=Device(threads=threads))
         self.engine.check_body(body)
         self._body, self._packer, self._shape = body, Packer(self.engine, body), pack_body(body)
@@ -84,7 +77,7 @@ class Network:
         graph = "packed" if self.engine.compiled is None else "compiled"
         return {"graph": graph, "model_digest": self.manifest.digest}
 
-    def drape(self, garment: Garment, poses: np.ndarray) -> Draped:
+    def drape(self, garment: Garment, poses: np.ndarray) -> NetworkDrape:
         """The garment's subdivided mesh and its patches at ``poses`` (F, 24, 3) [rad], at rest, the root in its place.
 
         Refuses (``ArtifactError``) numbers that are not finite.
@@ -106,7 +99,7 @@ class Network:
             np.stack([result.arrays[name] for result in results])
             for name in ("vertices", "jet", "frame_rotation", "frame_centre")
         )
-        return Draped(vertices.astype(np.float64) + self._shape.root, jet, rotation, centre, self._shape.root)
+        return NetworkDrape(vertices.astype(np.float64) + self._shape.root, jet, rotation, centre, self._shape.root)
 
     def moving(
         self, garment: Garment, poses: np.ndarray, trans: np.ndarray, fps: float, *, motion: float = 1.0

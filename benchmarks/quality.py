@@ -28,7 +28,7 @@ from benchmarks.judge.physics_cache import CACHE_DIR
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.jitter import Window, jitter, typical_windows
 from benchmarks.measure.judged import Cloth, Judged
-from benchmarks.network import Draped, Network
+from benchmarks.network import Network, NetworkDrape
 from benchmarks.scenes import Clip, folded_poses
 from benchmarks.tables import Row
 from drape.body.assets import load_body
@@ -176,7 +176,7 @@ def drapes(garment: Garment, bench: Bench, judge: Judged, draped: np.ndarray) ->
     return found
 
 
-def chart_figures(garment: Garment, draped: Draped) -> dict[str, float]:
+def chart_figures(garment: Garment, draped: NetworkDrape) -> dict[str, float]:
     """How much overlapping charts disagree before blending: 99th percentiles over all entries and vertices."""
     found = disagreement(garment, draped.jet, draped.rotation, draped.centre)
     return {

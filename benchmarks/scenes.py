@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 from benchmarks.harness import Option
 from benchmarks.network import Network
 from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.fabric import Fabric
@@ -25,12 +25,13 @@ from drape.garment.fine import fine_garment
 from drape.geometry.skinning import skin_points
 from drape.live.fold_constants import FoldConstants, fold_constants
 from drape.live.fold_step import FoldEffort, Frame, fold
-from drape.motion.clip import MotionClip
+from drape.motion.clip import MotionClip, joint_steps
 from drape.motion.hard_poses import HardPoses
 from drape.motion.readers import read_motion
 
 MEASURED = 10  # frames of a clip that are looked at
 FPS = 30.0
+LIMBS = [n for n, name in enumerate(JOINT_NAMES) if name.split("_")[-1] in ("shoulder", "elbow", "hip", "knee")]
 
 
 def fabrics_option(*names: str) -> Option:
@@ -154,32 +155,17 @@ def read_clips(options: argparse.Namespace, body: BodyModel, fps: float = FPS) -
     return [Clip.read(path, fps, options.frames, body) for path in find_motions(options.motions)]
 
 
-@dataclass(eq=False)
-class Folding:
-    """Folds of a garment through a clip at ``fps``, frame after frame.
-
-    ``ms`` is the processor time of each frame so far, ``resets`` how many frames were begun anew.
-    """
-
-    constants: FoldConstants
-    effort: FoldEffort
-    fps: float
-    memory: Any = None
-    ms: list[float] = field(default_factory=list)
-    resets: int = 0
-
-    def frame(self, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:
-        """The next frame with folds [m] (V, 3), from ``vertices`` (V, 3) over ``skin`` (S, 8)."""
-        begin = time.thread_time()
-        one = Frame(vertices, skin, len(self.ms) / self.fps)
-        found, self.memory, report = fold(self.constants, self.memory, one, self.effort)
-        self.ms.append(1e3 * (time.thread_time() - begin))
-        self.resets += report.reset
-        return found
-
-    def frames(self, start: np.ndarray, skin: np.ndarray) -> np.ndarray:
-        """The next frames with folds [m] (F, V, 3), from ``start`` (F, V, 3) over ``skin`` (F, S, 8)."""
-        return np.stack([self.frame(vertices, samples) for vertices, samples in zip(start, skin, strict=True)])
+def lively_clips(names: Sequence[str], frames: int, body: BodyModel, fps: float = FPS) -> list[Clip]:
+    """Of each of ``names`` the ``frames`` (or all) through which limbs turn most, as ``CLIP@FIRST``."""
+    clips = []
+    for path in find_motions(names) if names else ():
+        motion = at_rate(read_motion(path), fps)
+        count = min(frames, motion.frame_count)
+        turned = np.concatenate([[0.0], np.cumsum(joint_steps(motion)[:, LIMBS].sum(axis=1))])
+        first = int(np.argmax(turned[count - 1 :] - turned[: len(turned) - count + 1]))
+        one = motion.window(first, count)
+        clips.append(Clip.of(f"{motion.name}@{first}", fps, one.poses, body, trans=one.trans))
+    return clips
 
 
 def folded_poses(constants: FoldConstants, start: np.ndarray, skin: np.ndarray, effort: FoldEffort) -> np.ndarray:

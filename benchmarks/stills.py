@@ -27,7 +27,7 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_outfit
 from drape.cloth.fabric_table import fabric as fabric_named
-from drape.exact.frame import Sheet, exact
+from drape.exact.frame import ExactCloth, exact
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.stages.batch import Batch, PoseInput
@@ -102,7 +102,7 @@ class Stills:
             start, body, fine = input_of(clip, frame), clip.body, fine_garment(garment)
             at_rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), start.betas, np.zeros(1))
             rest, x = (self._settled([garment], body, one).vertices[0] for one in (at_rest, start))
-            sheet = Sheet.of(garment, fabric_named(garment.fabric), body, start.betas, rest)
+            sheet = ExactCloth.of(garment, fabric_named(garment.fabric), body, start.betas, rest)
             lain, told = exact(sheet, start.poses[0], x)
             left = {"crossings": told.crossings, "force_share": told.force_share}
             self.rows[key] = dict(zip(KEY, key, strict=True)) | figures(looks_of(fine), lain.x) | left

@@ -26,19 +26,19 @@ import numpy as np
 from benchmarks.clock import Clock
 from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, inputs
 from benchmarks.judge.physics import held_by_waist
-from benchmarks.judge.simulator import Motion, Sheet, simulate
+from benchmarks.judge.simulator import Motion, SimulatedCloth, simulate
 from benchmarks.measure.hem import hem_vertices, swinging
 from benchmarks.measure.judged import jitter_ratio
 from benchmarks.measure.made_clips import MADE, SPIN, TURNS_PER_S, made_clip
 from benchmarks.network import Network
-from benchmarks.scenes import FPS, Clip, Folding, Scene
+from benchmarks.scenes import FPS, Clip, Scene
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
-from drape.live.fold_step import FoldEffort, Frame
+from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import swing
 
@@ -54,16 +54,18 @@ COLUMNS = {
 
 def swung(scene: Scene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, float]:
     """``static`` [m] (F, V, 3) with swing, and ``folds`` steps on that; the median processor time [ms] of the swing."""
-    clip, memory, clock, found = scene.clip, None, Clock(), []
+    clip, memory, folded, clock, found = scene.clip, None, None, Clock(), []
     swinging = swing_constants(scene.garment, scene.body, scene.fabric)
-    folding = Folding(scene.constants, FoldEffort(folds), clip.fps)
     for i, vertices in enumerate(static):
         x = vertices
         with clock:
             if swinging is not None:
                 frame = Frame(vertices.astype(np.float32), clip.skin[i], i / clip.fps)
                 x, memory = swing(swinging, memory, frame, clip.trans[i])
-        found.append(folding.frame(x.astype(np.float32), clip.skin[i]) if folds else x)
+        if folds:
+            frame = Frame(x.astype(np.float32), clip.skin[i], i / clip.fps)
+            x, folded, _ = fold(scene.constants, folded, frame, FoldEffort(folds))
+        found.append(x)
     return np.stack(found), float(np.median(clock.cpu_ms))
 
 
@@ -72,7 +74,9 @@ def simulated(scene: Scene, static: np.ndarray) -> tuple[np.ndarray, float]:
     garment, clip, body = scene.garment, scene.clip, scene.body
     mesh = ClothMesh.of(garment.delivered_rest(), garment.faces.astype(np.int64), garment.vertex_count)
     made = swing_constants(garment, body, scene.fabric)
-    sheet = Sheet(mesh, Material.of(scene.fabric), scene.fabric.friction, 0.0 if made is None else made.damping_per_s)
+    sheet = SimulatedCloth(
+        mesh, Material.of(scene.fabric), scene.fabric.friction, 0.0 if made is None else made.damping_per_s
+    )
     motion = Motion(body, clip.poses, clip.trans, clip.fps)
     return simulate(sheet, motion, static[0].astype(np.float64), held_by_waist(garment, body, static))
 

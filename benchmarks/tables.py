@@ -50,8 +50,10 @@ def markdown_table(titles: Sequence[str], lines: Iterable[Sequence[str]], source
 
 
 def rows_table(columns: Columns, rows: Iterable[Row], source: Record | None = None) -> str:
-    """A Markdown table with a line for each of ``rows``."""
-    return markdown_table(heads(columns), (cells(row, columns) for row in rows), source)
+    """A Markdown table with a line for each of ``rows``; a column that no row has is left out."""
+    found = list(rows)
+    kept = {key: form for key, form in columns.items() if any(key in row for row in found)}
+    return markdown_table(heads(kept), (cells(row, kept) for row in found), source)
 
 
 def provenance(record: Record) -> str:

@@ -112,20 +112,22 @@ def fetched(
     betas: np.ndarray | None = None,
     **params: str,
 ) -> Call[Any]:
-    """A GET of the path of ``names``, for a body in the shape ``betas``."""
+    """Returns a GET of the path of ``names``, for a body in the shape ``betas`` if that is given; ``read`` makes the
+    answer of the response."""
     if betas is not None:
         params["betas"] = ",".join(repr(float(beta)) for beta in betas)
     return Call("GET", path_of(*names), read, params, {"Accept": accept})
 
 
 def sent(document: Mapping[str, Any], *names: str) -> Call[dict[str, Any]]:
-    """A POST of ``document`` to the path of ``names``, without what is None in it; the answer is JSON too."""
+    """Returns a POST of ``document``, without the fields that are None, to the path of ``names``. The answer is JSON
+    too."""
     said = {name: value for name, value in document.items() if value is not None}
     return Call("POST", path_of(*names), httpx.Response.json, headers={"Accept": "application/json"}, json=said)
 
 
 def path_of(*names: str) -> str:
-    """The path of ``names``, which may hold any letter."""
+    """Returns the path of ``names`` in an address. Any letter in them is escaped."""
     return "".join(f"/{quote(name, safe='')}" for name in names)
 
 
@@ -135,7 +137,8 @@ def _says_itself(entry: Any) -> bool:
 
 
 def upload_avatar(path: Path, name: str | None, alive: bool) -> Call[dict[str, Any]]:
-    """Sends a character, whose own clothes become garments where they are to be ``alive``; the answer is the job."""
+    """Returns the call that sends the character file at ``path``. If it is to be ``alive``, its own clothes become
+    garments. The answer is the job."""
     if path.suffix.lower() not in AVATAR_SUFFIXES:
         expected, got = f"one of {', '.join(AVATAR_SUFFIXES)}", path.suffix or "no suffix"
         raise InputError(path.name, expected=expected, got=got, cure="Export the character so.")
@@ -185,8 +188,8 @@ def draped(
     accept: str = BINARY,
     more: Options = STREAMED,
 ) -> Call[Answer]:
-    """A drape; ``options`` by the names of ``drape.wire.options.DrapeOptions``, the ``avatar`` that wears it and the
-    ``size``, ``more`` by those of the service."""
+    """Returns the call of a drape. ``options`` have the names of ``drape.wire.options.DrapeOptions``, besides
+    ``avatar``, ``alive`` and ``size``; ``more`` are fields by the service's names."""
     clip, about = motion_of(motion, body)
     asked = {**about, **worn(garment, options), **options_document(_without(options, *WORN)), **more}
     return Call("POST", DRAPE, read, headers={"Accept": accept}, json=asked, clip=clip)
@@ -197,8 +200,8 @@ def _without(options: Options, *names: str) -> Options:
 
 
 def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
-    """``call`` for vertices [m] (F, V, 3) float32 counted from the roots, and for the roots [m] (F, 3)
-    float64."""
+    """Returns ``call`` changed to one for vertices [m] (F, V, 3) float32 that count from the roots, and for the roots
+    [m] (F, 3) float64."""
 
     def read(response: httpx.Response) -> tuple[np.ndarray, np.ndarray]:
         vertices = call.read(response)
@@ -208,8 +211,8 @@ def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
 
 
 def worn(garment: str | Sequence[str], options: Options = MappingProxyType({})) -> dict[str, Any]:
-    """The fields of a request that name one garment, or several worn over each other, or none, and of ``options`` the
-    avatar that wears them, also its own clothes where these are ``alive``, and the size."""
+    """Returns the fields of a request that say what is worn: one garment, several over each other, or none, and from
+    ``options`` the avatar that wears them, whether it is ``alive``, and the size."""
     named = {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)} if garment else {}
     return named | {name: options[name] for name in WORN if options.get(name) not in (None, False)}
 
@@ -221,8 +224,8 @@ def sized(garments: Sequence[str], size: Size) -> list[tuple[str, str | None]]:
 
 
 def motion_of(motion: Motion, body: Body) -> tuple[Clip, dict[str, Any]]:
-    """The frames of a clip, of poses (F, 24, 3) or of quaternions (F, N, 4) of a rig, and what JSON says of them; NaN
-    is refused here."""
+    """Returns the frames of ``motion``, which is a clip, poses (F, 24, 3) [rad] or quaternions (F, N, 4) of a rig, and
+    the JSON fields that go with them. Refuses NaN."""
     fps, places = body.fps, body.trans
     poses = motion.poses if isinstance(motion, MotionClip) else motion
     if isinstance(motion, MotionClip):

@@ -190,14 +190,14 @@ def _told() -> Callable[[dict[str, Any]], None]:
 
 def _progress() -> Callable[[dict[str, Any]], None]:
     """Says on standard error where an upload is, whenever that changes. Ctrl-C cancels it."""
-    said = ""
+    shown = ""
 
     def tell(job: dict[str, Any]) -> None:
-        nonlocal said
+        nonlocal shown
         line = f"{job['name']}: {job['stage'] or job['state']}, {100 * job['share']:.0f} %"
-        if line != said:
+        if line != shown:
             print(line, file=sys.stderr)
-            said = line
+            shown = line
 
     return tell
 

@@ -27,7 +27,8 @@ Steps = Generator[Call[Any] | Pause, Any, Answer]
 
 
 def exact_clip(asked: Call[dict[str, Any]], accept: str, progress: Progress) -> Steps[Any]:
-    """The clip of the job that ``asked`` begins, or of that which it names, when it is done: vertices, or a GLB."""
+    """Yields the steps that begin a job by ``asked``, or find the job that it names, and wait for it. Returns the
+    finished clip: vertices, or a GLB."""
     known = asked.json.pop("job", None)
     job = yield asked if known is None else fetched("jobs", known)
     while job["state"] != "done":
@@ -41,10 +42,11 @@ def exact_clip(asked: Call[dict[str, Any]], accept: str, progress: Progress) -> 
 
 
 def made(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress: Progress) -> Steps[str]:
-    """The id of the ``kind`` of thing that the upload ``sent`` becomes."""
+    """Yields the steps that send the upload ``sent`` and wait for its job. Returns the id of the ``kind`` of thing that
+    it becomes."""
     job = yield sent
     deadline = time.monotonic() + wait_s
-    while (made := finished(job, kind)) is None:
+    while (name := finished(job, kind)) is None:
         check_deadline(job, deadline, wait_s)
         try:
             progress(job)
@@ -53,14 +55,12 @@ def made(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress: Progres
             yield Call("DELETE", path_of("jobs", job["id"]), calls.read_bytes)
             raise
         job = yield fetched("jobs", job["id"])
-    return made
+    return name
 
 
 def finished(job: dict[str, Any], kind: str = "garment") -> str | None:
-    """The garment, or the avatar, of a job that is done, None while it goes on.
-
-    Raises its refusal where it failed or was cancelled.
-    """
+    """Returns the id of the garment or the avatar of a finished ``job``; None while it goes on. Raises the refusal of a
+    job that failed or was cancelled."""
     if job["state"] == "failed":
         raise problem_error(job["problem"])
     if job["state"] == "cancelled":

@@ -14,7 +14,7 @@ from typing import Any
 import httpx
 import numpy as np
 
-from clients import calls, pieces
+from clients import calls, clip_pieces
 from clients.calls import BINARY, GLB, Answer, Body, Call, Motion, at_root, draped, fetched, path_of, sent, sized
 from clients.jobs import Progress, Steps, exact_clip, made
 from clients.meshes import check_at_once, glb_of, surface_of
@@ -129,11 +129,7 @@ class Methods:
         return fetched("garments", garment, "preview.png", read=calls.read_bytes, accept="image/png", size=str(size))
 
     def jet_layout(
-        self,
-        garment: str,
-        resolution: Resolution = "delivered",
-        avatar: str | None = None,
-        size: str | None = None,
+        self, garment: str, resolution: Resolution = "delivered", avatar: str | None = None, size: str | None = None
     ) -> Call[JetLayout]:
         """Returns the layout that computes vertices from a garment's jets, on the garment's own mesh or a finer one.
 
@@ -337,7 +333,7 @@ class Methods:
         answers = []
         for piece in self._pieces(call):
             answers.append((yield from piece))
-        return pieces.joined(answers)
+        return clip_pieces.joined_answers(answers)
 
     def _pieces(self, call: Call[Answer], at_once: int | None = None) -> Iterator[Steps[Answer]]:
         """The steps to the answer for each piece of ``call``, of ``at_once`` frames or of as many as the service takes.
@@ -351,7 +347,7 @@ class Methods:
             nonlocal done, past
             most = yield from self._at_once(poses)
             rows = slice(done, min(frames, done + (most if at_once is None else min(at_once, most))))
-            answer, past = yield pieces.piece(call, rows, past)
+            answer, past = yield clip_pieces.piece(call, rows, past)
             done = rows.stop
             return answer
 
@@ -361,12 +357,12 @@ class Methods:
 
     def _at_once(self, poses: np.ndarray) -> Steps[int]:
         """The number of ``poses`` that the service takes at once; it is asked the first time that they are many."""
-        if len(poses) <= pieces.UNASKED:
+        if len(poses) <= clip_pieces.UNASKED:
             return max(1, len(poses))
         health = self._health
         if health is None:
             health = self._health = yield self.health()
-        return pieces.most_frames(health, frame_bytes(poses))
+        return clip_pieces.most_frames(health, frame_bytes(poses))
 
 
 def _listed(garment: str | Sequence[str]) -> Sequence[str]:

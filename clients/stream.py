@@ -276,11 +276,11 @@ class DrapeStream:
                     return message
                 self._state.append(message)
                 continue
-            said = json.loads(message)
-            if said.get("type") == "error":
-                raise problem_error(said)
-            if said.get("type") == "moved":
-                return await self._move(said)
+            document = json.loads(message)
+            if document.get("type") == "error":
+                raise problem_error(document)
+            if document.get("type") == "moved":
+                return await self._move(document)
             return message
 
     def _read(self) -> asyncio.Future[str | bytes]:

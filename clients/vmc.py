@@ -43,14 +43,14 @@ def osc_messages(packet: bytes) -> list[tuple[str, list[object]]]:
     try:
         if len(packet) > MOST_BYTES:
             raise ValueError(f"{len(packet)} bytes")
-        found = list(_messages(packet, DEEPEST))
-        if len(found) > MOST_MESSAGES:
-            raise ValueError(f"{len(found)} messages")
+        messages = list(_messages(packet, DEEPEST))
+        if len(messages) > MOST_MESSAGES:
+            raise ValueError(f"{len(messages)} messages")
     except (ValueError, struct.error) as error:  # UnicodeDecodeError too
         cure = "Send VMC's own messages."
         expected = f"an OSC packet of at most {MOST_BYTES} bytes and {MOST_MESSAGES} messages"
         raise InputError("packet", expected=expected, got=str(error)[:80], cure=cure) from error
-    return found
+    return messages
 
 
 def _messages(packet: bytes, depth: int) -> Iterator[tuple[str, list[object]]]:
@@ -114,11 +114,11 @@ class Receiver(asyncio.DatagramProtocol):
 async def give(connection: ServerConnection, poses: VmcPoses) -> None:
     """Sends a page each newest pose as JSON until it leaves: ``poses``, 72 numbers [rad], and ``pelvis``, its place in
     lengths of the leg."""
-    told = -1
+    last = -1
     with suppress(ConnectionClosed):
         while True:
-            found = poses.pose() if poses.count != told else None
-            told = poses.count
+            found = poses.pose() if poses.count != last else None
+            last = poses.count
             if found is not None:
                 pose, pelvis = found
                 document = {"poses": pose.reshape(-1).round(5).tolist(), "pelvis": pelvis.round(5).tolist()}
@@ -136,7 +136,11 @@ def origins_of(page: str) -> list[Origin]:
 
 
 async def bridge(host: str, port: int, page_port: int, page: str) -> None:
-    """Runs until it is cancelled; raises ``InputError`` where a port is taken."""
+    """Listens for VMC packets on ``host`` and ``port`` (UDP), and gives the page at ``page`` each newest pose on
+    ``page_port`` of the loopback address.
+
+    It runs until it is cancelled. Raises ``InputError`` where a port is taken.
+    """
     loop, pages = asyncio.get_running_loop(), set[ServerConnection]()
 
     async def come(connection: ServerConnection) -> None:

@@ -10,7 +10,10 @@ from drape.errors import Unavailable, refusing
 
 @refusing
 def main() -> int:
-    """The command line: 2 also where the installation is not whole, which is told before anything of it is needed."""
+    """Runs the command line and returns its exit status.
+
+    An installation that is not whole is refused (2) before anything of it is imported.
+    """
     installed.check()
     try:
         from drape.command import main as run

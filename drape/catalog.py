@@ -31,7 +31,7 @@ def find_files(names: Sequence[str], folder: Path, suffixes: tuple[str, ...], ki
 
     Raises ``NotFound``, naming the ``kind`` and what there is, where a name has no file.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for name in names or [str(folder)]:
         path = Path(name)
         if path.is_dir():
@@ -44,8 +44,8 @@ def find_files(names: Sequence[str], folder: Path, suffixes: tuple[str, ...], ki
             known = sorted({short_name(p) for p in folder.iterdir() if p.suffix in suffixes})
             cure = did_you_mean(name, known, "Check the name.")
             raise NotFound(kind, expected=f"one of {known}, a file or a folder", got=name, cure=cure)
-        found += matches
-    return found
+        files += matches
+    return files
 
 
 def short_name(path: Path) -> str:

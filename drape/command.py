@@ -133,12 +133,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _elsewhere(name: str, words: Sequence[str]) -> int:
     """Runs a command of ``ELSEWHERE`` with its ``words``."""
-    module, before, said = ELSEWHERE[name]
+    module, before, expected = ELSEWHERE[name]
     try:
         run: Callable[..., int | None] = importlib.import_module(module).main
     except ModuleNotFoundError as error:
         cure = "README.md says which part to install."
-        raise Unavailable(f"drape {name}", expected=said, got=f"no package {error.name}", cure=cure) from error
+        raise Unavailable(f"drape {name}", expected=expected, got=f"no package {error.name}", cure=cure) from error
     sys.argv = [f"drape {name}", *before, *words]
     return run() or 0
 
@@ -186,7 +186,7 @@ def _wear_frames(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int
     vertices = np.stack(frames)
     moved = None if given.float32 else RootMotion(clip.poses[:, 0], clip.trans + worn.body.rest_joints()[0])
     beside = write_clip(given.out, worn.garments, vertices, clip.fps, moved)
-    told = {
+    summary = {
         "file": str(given.out),
         "bytes": given.out.stat().st_size,
         "frames": len(frames),
@@ -196,8 +196,8 @@ def _wear_frames(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int
         "beside": [str(one) for one in beside],
         "seconds": round(time.monotonic() - begun_s, 2),
     }
-    line = "{file}: {frames} frames at {fps:g} a second, {vertices} vertices, {bytes} bytes".format(**told)
-    return _tell(told, given, line)
+    line = "{file}: {frames} frames at {fps:g} a second, {vertices} vertices, {bytes} bytes".format(**summary)
+    return _tell(summary, given, line)
 
 
 def _wear_on_rig(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> int:
@@ -226,21 +226,21 @@ def _wear_on_joints(worn: Worn, clip: MotionClip, given: argparse.Namespace) -> 
     begun_s, as_vrm = time.monotonic(), given.out.suffix.lower() == ".vrm"
     if as_vrm and worn.wearer is not None and not worn.wearer.vrm:
         raise InputError("--out", expected="a .glb, as the character is one", got=given.out.name, cure="Rename it.")
-    made = distil(worn, [*sorted(MOTIONS_DIR.glob("*.npz")), clip], joints=given.joints)
-    content = made.vrm() if as_vrm else made.glb(clip, fps=clip.fps)
+    jointed = distil(worn, [*sorted(MOTIONS_DIR.glob("*.npz")), clip], joints=given.joints)
+    content = jointed.vrm() if as_vrm else jointed.glb(clip, fps=clip.fps)
     write_pieces(given.out, [content])
-    told = {"file": str(given.out), "bytes": len(content), "joints": given.joints, "frames": clip.frame_count}
-    errors = made.errors_mm(clip, fps=clip.fps)
-    told["garments"] = [
+    summary = {"file": str(given.out), "bytes": len(content), "joints": given.joints, "frames": clip.frame_count}
+    errors = jointed.errors_mm(clip, fps=clip.fps)
+    summary["garments"] = [
         {"name": surface.name} | {name: round(value, 1) for name, value in one.items()}
         for surface, one in zip(worn.garments, errors, strict=True)
     ]
-    told["seconds"] = round(time.monotonic() - begun_s, 2)
-    lines = ["{file}: {joints} joints a garment, {bytes} bytes".format(**told)]
-    for one in told["garments"]:
+    summary["seconds"] = round(time.monotonic() - begun_s, 2)
+    lines = ["{file}: {joints} joints a garment, {bytes} bytes".format(**summary)]
+    for one in summary["garments"]:
         line = "{name}: from its drape {tracks} mm with tracks, {springs} mm on springs, {carried} mm without either"
         lines.append(line.format(**one))
-    return _tell(told, given, "\n".join(lines))
+    return _tell(summary, given, "\n".join(lines))
 
 
 def _garments(given: argparse.Namespace) -> int:
@@ -269,15 +269,15 @@ def _avatars(given: argparse.Namespace) -> int:
     for path in given.file:
         if not path.is_file():
             raise InputError(str(path), expected="a GLB or VRM file", got="no file", cure="Check the path.")
-        found = read_wearer(path.read_bytes(), name=wearer_name(path.stem))
+        wearer = read_wearer(path.read_bytes(), name=wearer_name(path.stem))
         rows.append(
             {
-                "name": found.name,
-                "kind": f"VRM {found.vrm}" if found.vrm else "GLB",
-                "height_m": round(found.height_m, 3),
-                "fit_mm": round(found.median_mm, 1),
-                "joints_by": found.found_by,
-                "notes": "; ".join(found.notes),
+                "name": wearer.name,
+                "kind": f"VRM {wearer.vrm}" if wearer.vrm else "GLB",
+                "height_m": round(wearer.height_m, 3),
+                "fit_mm": round(wearer.median_mm, 1),
+                "joints_by": wearer.found_by,
+                "notes": "; ".join(wearer.notes),
             }
         )
     return _table(rows, given)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from drape.avatar import distilled
-from drape.avatar.distilled import JOINTS, Draped
+from drape.avatar.distilled import JOINTS, DrapedClip
 from drape.avatar.file_skeleton import FileRig
 from drape.avatar.joint_file import Jointed
 from drape.avatar.joint_springs import JointSprings, fit_springs
@@ -68,7 +68,7 @@ def distil(worn: Worn, motions: Sequence[Motion] | None = None, *, joints: int =
 class Joints:
     """Garments of a character with joints of their own, as ``distil`` returns them."""
 
-    def __init__(self, worn: Worn, layers: Sequence[tuple[Jointed, Sequence[Draped]]]) -> None:
+    def __init__(self, worn: Worn, layers: Sequence[tuple[Jointed, Sequence[DrapedClip]]]) -> None:
         self.wearer, self._rig = worn.on_rig()
         self._worn, self.layers, self._clips = worn, [one for one, _ in layers], [clips for _, clips in layers]
 
@@ -96,21 +96,21 @@ class Joints:
         """Returns how far [mm], root mean square, each garment is from its drape over ``motion``: with ``tracks``, with
         ``springs``, and ``carried`` by the rig alone.
         """
-        told = []
-        for layer, springs, one in zip(self.layers, self.springs, self._over(motion, fps), strict=True):
+        errors = []
+        for layer, springs, draped in zip(self.layers, self.springs, self._over(motion, fps), strict=True):
             made, scale = layer.distilled, self.wearer.scale
-            ways = {"tracks": made.fitted(one, scale), "springs": springs.moves(one.motion)}
-            ways["carried"] = made.carried(one.motion)
-            told.append({name: 1e3 * made.error_m(one, moves, scale) for name, moves in ways.items()})
-        return told
+            ways = {"tracks": made.fitted(draped, scale), "springs": springs.moves(draped.motion)}
+            ways["carried"] = made.carried(draped.motion)
+            errors.append({name: 1e3 * made.error_m(draped, moves, scale) for name, moves in ways.items()})
+        return errors
 
-    def _over(self, motion: Motion, fps: float) -> list[Draped]:
+    def _over(self, motion: Motion, fps: float) -> list[DrapedClip]:
         return _draped(self._worn, self.wearer, self._rig, motion, fps)
 
 
-def _draped(worn: Worn, wearer: Wearer, rig: FileRig, motion: Motion, fps: float) -> list[Draped]:
+def _draped(worn: Worn, wearer: Wearer, rig: FileRig, motion: Motion, fps: float) -> list[DrapedClip]:
     """Each garment over ``motion``."""
     clip = worn.placed(motion, fps=fps)
     vertices = np.stack([frame.vertices for frame in worn.play(clip, fps=clip.fps, as_recorded=True)])
     on_rig: RigMotion = rig_motion(RigClip(*wearer.to_rig(clip.poses, clip.trans), clip.fps), wearer, rig.skeleton)
-    return list(map(Draped, by_layer(worn.garments, vertices), itertools.repeat(on_rig)))
+    return list(map(DrapedClip, by_layer(worn.garments, vertices), itertools.repeat(on_rig)))

@@ -64,13 +64,13 @@ def folded(constants: FoldConstants, vertices: np.ndarray, frames: int, seconds:
 
 def packages() -> dict[str, str]:
     """What each part of the product needs first, and its version here; "-" where it is not installed."""
-    found = {}
+    versions = {}
     for part, name in PARTS.items():
         try:
-            found[part] = f"{name} {version(name)}"
+            versions[part] = f"{name} {version(name)}"
         except PackageNotFoundError:
-            found[part] = "-"
-    return found
+            versions[part] = "-"
+    return versions
 
 
 def is_free(port: int) -> bool:
@@ -89,23 +89,23 @@ def findings() -> tuple[dict[str, str], list[str]]:
     """What is told, by its subject, and sentences on what is wrong, each with its cure."""
     wrong: list[str] = []
     forced = os.environ.get("DRAPE_ISA")
-    told = {"processor": processor()}
-    told["engine"] = Path(load()._name).name + (f" (DRAPE_ISA={forced})" if forced else "")
+    facts = {"processor": processor()}
+    facts["engine"] = Path(load()._name).name + (f" (DRAPE_ISA={forced})" if forced else "")
     threads = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count()
-    told |= {"threads": str(threads), "python": platform.python_version()} | packages()
-    told["assets"] = str(ASSETS)
-    told["garments of users"] = str(RUNS)
+    facts |= {"threads": str(threads), "python": platform.python_version()} | packages()
+    facts["assets"] = str(ASSETS)
+    facts["garments of users"] = str(RUNS)
     if not can_write(RUNS):
         wrong.append(f"{RUNS} cannot be written: set XDG_DATA_HOME to a folder that can.")
-    told["port 8000"] = "free" if is_free(8000) else "taken"
-    if told["port 8000"] == "taken":
+    facts["port 8000"] = "free" if is_free(8000) else "taken"
+    if facts["port 8000"] == "taken":
         wrong.append("Somebody listens on port 8000: start with --port, or end that.")
     constants, vertices = swatch()
     found, frames = folded(constants, vertices, sys.maxsize, TEST_S)
     again, _ = folded(constants, vertices, frames, np.inf)
     fine = bool(np.isfinite(found).all()) and np.array_equal(found, again) and not np.array_equal(found, vertices)
     said = "and the same again, bit for bit" if fine else "and NOT the same again"
-    told["self-test"] = f"{frames} frames of a swatch of {len(vertices)} vertices in {TEST_S:g} s, {said}"
+    facts["self-test"] = f"{frames} frames of a swatch of {len(vertices)} vertices in {TEST_S:g} s, {said}"
     if not fine:
         wrong.append("The engine does not repeat itself: build or install it anew.")
-    return told, wrong
+    return facts, wrong

@@ -74,9 +74,9 @@ def each(make: Callable[[Given], Made], ones: Sequence[Given]) -> list[Made]:
     os.close(queue.into)
     copies: list[_Copy] = []
     try:
-        found = _taken(make, ones, queue.out, count, copies)
+        parts = _taken(make, ones, queue.out, count, copies)
         for copy in copies:
-            found |= _told(copy)
+            parts |= _told(copy)
     finally:
         os.close(queue.out)
         for copy in copies:
@@ -85,7 +85,7 @@ def each(make: Callable[[Given], Made], ones: Sequence[Given]) -> list[Made]:
             os.waitpid(copy.pid, 0)
             os.close(copy.told)
     made: list[list[Made]] = []
-    for _, part in sorted(found.items(), key=lambda item: item[0]):
+    for _, part in sorted(parts.items(), key=lambda item: item[0]):
         if isinstance(part, Exception):
             raise part
         made.append(part)
@@ -96,17 +96,17 @@ def _taken(
     make: Callable[[Given], Made], ones: Sequence[Given], queue: int, count: int, copies: list[_Copy] | None
 ) -> dict[int, list[Made] | Exception]:
     """What this process makes of the ``queue``, by its numbers, up to an error; ``copies`` that it makes to help."""
-    found: dict[int, list[Made] | Exception] = {}
+    results: dict[int, list[Made] | Exception] = {}
     for number in _numbers(queue):
         if copies is not None and number < count - 1 and _room():
             copies.append(_copy(lambda: _taken(make, ones, queue, count, None)))
         try:
-            found[number] = [make(one) for one in ones[number::count]]
+            results[number] = [make(one) for one in ones[number::count]]
         except Exception as error:
-            found[number] = error
+            results[number] = error
             for _ in _numbers(queue):  # nobody takes more
                 pass
-    return found
+    return results
 
 
 def _numbers(queue: int) -> Iterator[int]:

@@ -27,17 +27,18 @@ def check() -> None:
 
 
 def check_processor(level: int) -> None:
-    """Refuses a processor of this ``level`` of x86-64 where that is the first; 0 is that of other kinds."""
+    """Refuses (``ArtifactError``) a processor of x86-64 of ``level`` 1, the first one. Processors of other kinds have
+    level 0 and pass."""
     if level == 1:
         cure = "Use a processor of 2009 or later; an emulator may be told to be one."
         raise ArtifactError("processor", expected="x86-64 of level v2, v3 or v4", got="v1", cure=cure)
 
 
 def check_whole(installed: Distribution) -> None:
-    """Refuses what is ``installed`` where a file of its packages is missing, or one of data or machine code has another
-    size than the wheel says.
+    """Refuses (``ArtifactError``) the distribution ``installed`` if a file of its packages is missing.
 
-    Python may be changed where it lies. What is installed from a clone has no such files.
+    A file of data or machine code must also have the size that the wheel says; Python may be changed where it lies. A
+    distribution that was installed from a clone has no such files and passes.
     """
     broken, place = [], Path(str(installed.locate_file("")))
     for name, _, size in csv.reader((installed.read_text("RECORD") or "").splitlines()):

@@ -25,15 +25,7 @@ from pydantic import ValidationError
 from drape.avatar.covered import UNSEEN_M, covered_faces
 from drape.avatar.file_skeleton import FileRig
 from drape.avatar.own_clothes import NEITHER, Halves, halves_of
-from drape.avatar.own_garments import (
-    OwnGarments,
-    body_of,
-    dressed_in,
-    halves_on,
-    own_faces,
-    own_garments,
-    undressed,
-)
+from drape.avatar.own_garments import OwnGarments, body_of, dressed_in, halves_on, own_faces, own_garments, undressed
 from drape.avatar.rig_file import Dressed
 from drape.avatar.rig_motion import RigClip
 from drape.avatar.wearer import Wearer, read_wearer, wearer_name
@@ -212,11 +204,11 @@ class Drape:
 
     def _entries(self, asked: str | Path | Garment) -> list[Entry]:
         if isinstance(asked, Garment):
-            found = [asked]
+            garments = [asked]
         else:
             (path,) = find_garments([str(asked)])[:1]
-            found = open_outfit(path, self.body)
-        return [Entry(garment.name, garment, "user") for garment in found]
+            garments = open_outfit(path, self.body)
+        return [Entry(garment.name, garment, "user") for garment in garments]
 
 
 class WornBy(NamedTuple):

@@ -43,7 +43,7 @@ class Runtime:
         return self.worn.stages
 
     def on(self, scene: Scene) -> BodyStages:
-        """The body that wears ``scene``, and its stages."""
+        """Returns the stages of the body that wears ``scene``."""
         return scene.layers[0].worn or self.worn
 
     def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
@@ -61,10 +61,12 @@ class Runtime:
         return 2 + sum(tier.folds > 0 for tier in self.tiers)
 
     def steps(self, plan: Plan) -> tuple[Plan, ...]:
-        """``plan`` held to no more than each tier with folds computes, the least first.
+        """Returns the plans that a stream of ``plan`` is held to while it steps down, the one that computes least
+        first.
 
-        Two come before: what the least of these can spare of a single garment, since layers need each other, and the
-        same without steps of folds.
+        From the third on, each computes no more than one of the tiers with folds, and no more than ``plan``. The second
+        is the least of these without what it can spare (``tiers.spared``), if the scene is a single garment, since
+        layers need each other. The first is the second without steps of folds.
         """
         stages = self.on(plan.scene).stages
         held = [capped(plan.options, tier) for tier in self.tiers if tier.folds]

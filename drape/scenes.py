@@ -41,8 +41,11 @@ def vat(worn: Worn, motion: Motion, *, name: str = "clip", fps: float = FPS) -> 
 
 
 def scene(worn: Worn, motion: Motion, *, fps: float = FPS, as_recorded: bool = False) -> list[MovingGarment]:
-    """Returns the garments that are ``worn`` over ``motion``, which ``Worn.placed`` describes, after the surface of the
-    character that wears them, if one does: as ``Worn.character_file`` has it, kept below the cloth that covers it.
+    """Returns the meshes of a scene over ``motion``: the character's own surface, if one wears the garments, then the
+    garments that are ``worn``.
+
+    ``motion``, ``fps`` and ``as_recorded`` are those of ``Worn.placed``. The surface has the faces that
+    ``Worn.character_file`` keeps; where cloth covers it, it is kept below the cloth in every frame.
     """
     clip = worn.placed(motion, fps=fps, as_recorded=as_recorded)
     vertices = np.stack([frame.vertices for frame in worn.play(clip, fps=clip.fps, as_recorded=True)])

@@ -15,16 +15,7 @@ from drape.arrays import Array
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.artifacts import TensorSpec
 from drape.body.skeleton import JOINT_COUNT
-from drape.graph.inputs import (
-    AGREES,
-    DYNAMIC,
-    PAPER,
-    ROOT,
-    BodyTensors,
-    ChartTensors,
-    MotionTensors,
-    PatchTensors,
-)
+from drape.graph.inputs import AGREES, DYNAMIC, PAPER, ROOT, BodyTensors, ChartTensors, MotionTensors, PatchTensors
 from training.consensus import GatheredConsensus
 from training.model import OneFit, paper_vertices, vertex_positions
 

@@ -45,10 +45,7 @@ def halve_matrices(proto: onnx.ModelProto, *, least: int = LEAST) -> int:
         nodes += [node, helper.make_node("Cast", [node.output[0]], [whole], to=TensorProto.FLOAT)]
     if count == 0:
         raise ArtifactError(
-            "packed graph",
-            expected=f"a Gemm with {least} weights or more",
-            got="none",
-            cure="Export the model again.",
+            "packed graph", expected=f"a Gemm with {least} weights or more", got="none", cure="Export the model again."
         )
     del graph.node[:]
     graph.node.extend(nodes)

@@ -36,7 +36,8 @@ def write_graph(
     *,
     translations: dict[Callable, Callable] | None = None,
 ) -> GraphSpec:
-    """Writes ``module`` as the ONNX file ``path`` with symbolic named axes; returns its entry in the manifest.
+    """Writes ``module`` as the ONNX file ``path``, with the names and the symbolic axes of ``inputs`` and ``outputs``.
+    Returns its entry in the manifest.
 
     The module takes its inputs as one dictionary by name, as an ONNX session does.
     """

@@ -120,7 +120,7 @@ def within(share: float) -> Iterator[None]:
 
 
 def tick(detail: str = "") -> None:
-    """Tells how far the stage is."""
+    """Tells the watch around, if there is one, how far its stage is."""
     if _watches:
         _watches[-1].tick(detail)
 

@@ -132,15 +132,15 @@ async def stream(url: str, opening: dict[str, Any], poses: np.ndarray, trans: np
 
 
 def dump(path: Path) -> None:
-    found: dict[str, np.ndarray] = {}
+    arrays: dict[str, np.ndarray] = {}
     with service() as url, httpx.Client(base_url=url, timeout=300.0) as http:
         for name, asked in requests(http):
-            found |= {f"{name}: {part}": array for part, array in drape(http, asked).items()}
+            arrays |= {f"{name}: {part}": array for part, array in drape(http, asked).items()}
         walk = clip(http, "walk", 40, STREAM_POSES)
         poses, trans = np.array(walk["poses"]), np.array(walk["trans"])
         body = http.get("/bodies").json()[0]["id"]
         posed = http.post(f"/bodies/{body}/posed", json=walk | {"betas": SHAPE}).raise_for_status()
-        found["body: frames"] = np.frombuffer(posed.content, "<f4").reshape(len(poses), -1, 3)
+        arrays["body: frames"] = np.frombuffer(posed.content, "<f4").reshape(len(poses), -1, 3)
         openings = {
             "tshirt": {"garment": "tshirt"},
             "outfit": {"garments": OUTFIT, "betas": SHAPE},
@@ -148,9 +148,9 @@ def dump(path: Path) -> None:
             "plain": {"garment": "dress", "push_out": False, "passes": 1},
         }
         for name, opening in openings.items():
-            found[f"stream {name}: frames"] = np.stack(asyncio.run(stream(url, opening, poses, trans)))
-    np.savez(path, **found)  # pyright: ignore[reportArgumentType]
-    print(f"{path}: {sum(len(array) for name, array in found.items() if name.endswith('frames'))} frames")
+            arrays[f"stream {name}: frames"] = np.stack(asyncio.run(stream(url, opening, poses, trans)))
+    np.savez(path, **arrays)  # pyright: ignore[reportArgumentType]
+    print(f"{path}: {sum(len(array) for name, array in arrays.items() if name.endswith('frames'))} frames")
 
 
 def compare(old: Path, new: Path) -> int:

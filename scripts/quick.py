@@ -48,25 +48,25 @@ def module_of(path: str) -> str | None:
 
 def distances(graph: grimp.ImportGraph, modules: Iterable[str]) -> dict[str, int]:
     """How many imports lie between each module that reaches one of ``modules`` and that one."""
-    found = {module: 0 for module in modules if module in graph.modules}
-    last, far = set(found), 0
+    steps = {module: 0 for module in modules if module in graph.modules}
+    last, far = set(steps), 0
     while last:
         far += 1
-        last = {one for module in last for one in graph.find_modules_that_directly_import(module)} - found.keys()
-        found |= dict.fromkeys(last, far)
-    return found
+        last = {one for module in last for one in graph.find_modules_that_directly_import(module)} - steps.keys()
+        steps |= dict.fromkeys(last, far)
+    return steps
 
 
 @cache
 def imports_of(path: Path) -> frozenset[str]:
     """The modules that the test file ``path`` imports, itself or through what lies beside it in tests/."""
-    found: set[str] = set()
+    modules: set[str] = set()
     for module in _imported(ast.parse(path.read_text(encoding="utf-8"))):
-        found.add(module)
+        modules.add(module)
         helper = ROOT / (module.replace(".", "/") + ".py")
         if module.startswith("tests.") and helper.is_file() and helper != path:
-            found |= imports_of(helper)
-    return frozenset(found)
+            modules |= imports_of(helper)
+    return frozenset(modules)
 
 
 def _imported(tree: ast.AST) -> Iterator[str]:

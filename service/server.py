@@ -76,7 +76,8 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 class DrainingServer(uvicorn.Server):
-    """Tells streams to connect again before it closes connections, and turns less often where nothing happens."""
+    """A server that tells streams to connect again before it closes connections, and that looks for its end less often
+    than Uvicorn's."""
 
     async def main_loop(self) -> None:
         """Looks for its end every ``LOOK_S``. Uvicorn's own loop turns ten times a second, which costs as much as a
@@ -106,7 +107,7 @@ class DrainingServer(uvicorn.Server):
 
 
 def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
-    """A server for ``app``; hand it the listening socket in ``run(sockets=[...])``."""
+    """Returns a server for ``app``. Its ``run`` takes the listening socket: ``run(sockets=[...])``."""
     return DrainingServer(
         uvicorn.Config(
             app,

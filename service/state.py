@@ -63,7 +63,8 @@ class State:
     clips: int = 0
 
     async def garment(self, garment_id: str, client: Client) -> Entry:
-        """The garment, if ``client`` may know of it: see ``Registry.get`` and ``SharedFolder.found``."""
+        """Returns the garment ``garment_id``, if ``client`` may know of it (``Registry.get``,
+        ``SharedFolder.found``)."""
         await self._woken([garment_id], client)
         return await self.shared_folder.found(lambda: self.runtime.garments.get(garment_id, client.name))
 
@@ -75,7 +76,7 @@ class State:
         return name
 
     async def avatar(self, avatar_id: str, client: Client) -> AvatarEntry:
-        """The avatar, if ``client`` may know of it: see ``Avatars.get`` and ``SharedFolder.found``."""
+        """Returns the avatar ``avatar_id``, if ``client`` may know of it (``Avatars.get``, ``SharedFolder.found``)."""
         return await self.shared_folder.found(lambda: self.runtime.avatars.get(avatar_id, client.name))
 
     async def scene(
@@ -88,9 +89,13 @@ class State:
         size: SizeChoice = None,
         alive: bool = False,
     ) -> Scene:
-        """The scene that is worn, in a ``size`` and cut for the ``avatar`` where there is one, which wears its own
-        clothes too where these are ``alive``: see ``Registry.scene``, ``SharedFolder.found``, ``Sizes.wear``,
-        ``Avatars.with_own`` and ``Avatars.dress``. What an avatar came in is worn by that without saying so."""
+        """Returns the scene of one ``garment``, or of ``garments`` over each other, in a ``size`` and cut for the
+        ``avatar``, if one is named.
+
+        If it is ``alive``, the avatar wears its own clothes too. A garment that an avatar came in is worn by that
+        avatar without its being named. Refuses as ``Registry.scene``, ``Sizes.wear``, ``Avatars.with_own`` and
+        ``Avatars.dress`` do.
+        """
         registry, avatars = self.runtime.garments, self.runtime.avatars
         worn_by = None if avatar is None else (await self.avatar(avatar, client)).id
         owner = await self._woken([one for one in (garment, *(garments or ())) if one is not None], client)
@@ -116,7 +121,7 @@ class State:
         return await asyncio.to_thread(self.runtime.avatars.wearer, entry.id)
 
     def watch(self) -> None:
-        """Lets the metrics and the readiness look at what runs."""
+        """Gives the metrics and the readiness the functions by which they look at what runs."""
         runtime, streams, uploads = self.runtime, self.streams, self.uploads
         runtime.metrics.watch(
             streams=lambda: streams.count,
@@ -144,8 +149,8 @@ class State:
         self.runtime.close()
 
     async def drain(self) -> None:
-        """Takes no more work: streams go, with their state or with the word to connect again, and what still runs after
-        ``HURRY_S`` is told that it ends."""
+        """Takes no more work. Streams go with their state, or are told to connect again; what still runs after
+        ``HURRY_S`` is told that the service ends."""
         self.life.draining = True
         self.uploads.pause()
         self.exact.pause()

@@ -47,7 +47,8 @@ def rest_vertices(model, phenotypes: np.ndarray, used: np.ndarray) -> np.ndarray
 
 
 def compress(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean (V, 3), integer basis (R, V * 3) in steps of ``STEP_M``, coefficients (N, R) of shapes (N, V, 3)."""
+    """Returns shapes ``corners`` (N, V, 3) [m] as their mean (V, 3), an integer basis (R, V * 3) in steps of
+    ``STEP_M``, and coefficients (N, R)."""
     mean = corners.mean(axis=0).astype(np.float32)
     centred = (corners - mean).reshape(len(corners), -1)
     values, vectors = np.linalg.eigh(centred @ centred.T)

@@ -125,7 +125,7 @@ def blend_matrix(patch: np.ndarray, row: np.ndarray, count: int) -> scipy.sparse
 
 
 def framewise(pair: SparsePair, values: Tensor) -> Tensor:
-    """``pair`` (n, m) times ``values`` (F, m, 3) of every frame: (F, n, 3)."""
+    """Returns the products (F, n, 3) of the sparse matrix ``pair`` (n, m) with ``values`` (F, m, 3), frame by frame."""
     frames = values.shape[0]
     flat = product(pair, values.permute(1, 2, 0).reshape(values.shape[1], 3 * frames))
     return flat.reshape(-1, 3, frames).permute(2, 0, 1)
@@ -152,7 +152,8 @@ def _moved(anchors: Tensor, charts: ChartConsensus, rotation: Tensor, centre: Te
 
 
 def tangent_terms() -> Tensor:
-    """(27, 42): what each jet coefficient adds to the derivatives (7 points, 3 axes, 2) at the strain points."""
+    """Returns the matrix (27, 42) from a patch's jet coefficients to the derivatives that they add at the strain
+    points: of 7 points, 3 axes and 2 parameters."""
     points = strain_points()
     terms = np.zeros((jets.JET_COUNT, len(points), 3, 2))
     plane, height = jets.IN_PLANE_COUNT, jets.HEIGHT_COUNT
@@ -194,5 +195,5 @@ def strain_and_force(jet: Tensor, charts: ChartConsensus, terms: Tensor) -> tupl
 
 
 def softened(x: Tensor) -> Tensor:
-    """``4 x / (1 + 4 |x|)``: strains of a few percent fill the range, torn patches stay within it."""
+    """Returns ``4 x / (1 + 4 |x|)``: strains of a few percent fill the range, and torn patches stay within it."""
     return 4.0 * x / (1.0 + 4.0 * x.abs())

@@ -40,7 +40,8 @@ class Partition:
     grain: np.ndarray
 
     def encoded(self, fabric: Fabric | None) -> Tensor:
-        """Inputs (K, D) of the garment encoder for a garment of ``fabric``; None for networks that know no fabrics."""
+        """Returns the inputs (K, D) of the garment encoder for the partition in ``fabric``. ``fabric`` is None for a
+        network that knows no fabrics."""
         if fabric is None:
             return self.features
         made_of = torch.from_numpy(fabric_features(fabric, self.grain)).to(self.features.device)
@@ -106,7 +107,7 @@ def partition_tensors(atlas: Atlas, skin: Skin, *, device: torch.device, grain: 
 
 
 def on_device(arrays: Mapping[str, np.ndarray], device: torch.device) -> dict[str, Tensor]:
-    """``arrays`` as tensors of their types."""
+    """Returns ``arrays`` as tensors of the same types on ``device``."""
     return {name: torch.from_numpy(array).to(device) for name, array in arrays.items()}
 
 

@@ -93,11 +93,11 @@ def rest_tangents(garment: Garment) -> list[tuple[np.ndarray, np.ndarray]]:
     (u, v) change along it [1/m] (V, 4, 2), NaN where the chart has no triangle at the vertex."""
     gradient = _uv_gradients(garment)
     normals = meshes.vertex_normals(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64))
-    found = []
+    tangents = []
     for tangent in _tangents(normals):
         own = np.einsum("vkba,vb->vka", garment.patch_rotation[garment.chart_patch].astype(np.float64), tangent)
-        found.append((own, np.einsum("vkca,vka->vkc", gradient, own)))
-    return found
+        tangents.append((own, np.einsum("vkca,vka->vkc", gradient, own)))
+    return tangents
 
 
 def _uv_gradients(garment: Garment) -> np.ndarray:

@@ -66,7 +66,8 @@ class DynamicTrainer(BaseTrainer):
         return list(self.encoder.parameters())
 
     def objective(self) -> Objective:
-        """The incremental potential above the static drape's, its weighted mean over windows drawn now."""
+        """Draws windows of motion and returns the loss over them: the incremental potential above that of the static
+        drape, a weighted mean."""
         config, count = self.config, self.config.batch_size
         garment, partition = self.wardrobe.draw(self.rng)
         warm_up = int(self.rng.integers(0, config.motion.warm_up_frames + 1))

@@ -128,16 +128,16 @@ def cut(
     vertices[start] = old_vertices[start] + share * (old_vertices[end] - old_vertices[start])
     extra[start] = old_extra[start] + share * (old_extra[end] - old_extra[start])
     field[start] = 0.0
-    new_vertices, new_extra, made = list(vertices), list(extra), {}
+    new_vertices, new_extra, new_of = list(vertices), list(extra), {}
 
     def crossing_vertex(i: int, j: int) -> int:
         key = (min(i, j), max(i, j))
-        if key not in made:
+        if key not in new_of:
             s = field[key[0]] / (field[key[0]] - field[key[1]])
-            made[key] = len(new_vertices)
+            new_of[key] = len(new_vertices)
             new_vertices.append(vertices[key[0]] + s * (vertices[key[1]] - vertices[key[0]]))
             new_extra.append(extra[key[0]] + s * (extra[key[1]] - extra[key[0]]))
-        return made[key]
+        return new_of[key]
 
     sign = np.sign(field)[faces]
     kept = list(faces[(sign >= 0).all(axis=1) & (sign > 0).any(axis=1)])

@@ -60,12 +60,7 @@ class GarmentEncoder(nn.Module):
         self.standardise = Standardise(count)
         self.first = mlp([count, config.garment_hidden, config.garment_hidden], last_activation=True)
         self.second = mlp(
-            [
-                config.garment_hidden + count,
-                config.garment_hidden,
-                config.garment_hidden,
-                config.embedding_size,
-            ]
+            [config.garment_hidden + count, config.garment_hidden, config.garment_hidden, config.embedding_size]
         )
 
     def forward(self, features: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from drape.contact.proximity import Planes, body_proximity, planes
+from drape.contact.proximity import Planes, body_proximity, held_share, planes
 from drape.garment.consensus import strain_points
 from drape.garment.features import saturated
 from drape.geometry import jets
@@ -147,7 +147,10 @@ class OneFit(nn.Module):
                 body_felt = self._felt(rotation, points, near)
             with self._mixed(hidden):
                 change = correction(hidden, strain, force, jet, body_felt)
-            jet = jet + self.config.output_gain * (change.float() if self.autocast else change)
+            change = self.config.output_gain * (change.float() if self.autocast else change)
+            with torch.no_grad():
+                held = held_share(points, self._points(jet + change, rotation, centre, patches), near)
+            jet = jet + held[..., None] * change
         if self.config.vector:
             assert charts is not None
             anchors = charts.anchors(posed_coefficients(Posed(rotation, centre, jet), patches.scale))

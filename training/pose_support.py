@@ -36,11 +36,11 @@ def support_of(seen: np.ndarray, unseen: np.ndarray, *, kept: Mapping[str, int] 
     """The support of the poses ``seen`` (n, 24, 3) [rad]; ``PASSING`` of ``unseen`` (m, 24, 3) are within."""
     poses = np.concatenate([np.zeros((1, JOINT_COUNT, 3)), seen, mirrored(seen)])
     rows = {name: _steps(farthest_points(part, kept[name])) for name, part in pose_parts(poses).items()}
-    made = PoseSupport(**rows, limits=np.ones(len(PARTS)))
+    support = PoseSupport(**rows, limits=np.ones(len(PARTS)))
     # Each part lets as many go, so that all together let no more go than was asked.
     passing = 1.0 - (1.0 - PASSING) / len(PARTS)
-    limits = np.quantile(made.distances(unseen), passing, axis=0, method="higher")
-    return replace(made, limits=np.maximum(limits, 1e-6))
+    limits = np.quantile(support.distances(unseen), passing, axis=0, method="higher")
+    return replace(support, limits=np.maximum(limits, 1e-6))
 
 
 def farthest_points(rows: np.ndarray, count: int) -> np.ndarray:

@@ -73,11 +73,11 @@ class Settler:
 
         A drape that the solver loses is not finite.
         """
-        found = []
+        frames = []
         for start, samples in zip(vertices, skin.reshape(len(skin), -1, skin.shape[-1]), strict=True):
             x, _, report = fold(constants, None, Frame(start, samples, 0.0), EFFORT)
-            found.append(np.full_like(start, np.nan) if report.reset else x)
-        return np.stack(found).astype(np.float32)
+            frames.append(np.full_like(start, np.nan) if report.reset else x)
+        return np.stack(frames).astype(np.float32)
 
 
 def make(trainer: Trainer, settler: Settler) -> SettledDrapes | None:
@@ -124,11 +124,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         trainer.rng = np.random.default_rng((options.seed, 77))  # garments stay those of the configuration
         settler, begun = Settler(trainer.body), time.monotonic()
         while time.monotonic() - begun < 60.0 * options.minutes:
-            found = make(trainer, settler)
-            if found is None:
+            drapes = make(trainer, settler)
+            if drapes is None:
                 lost += 1
                 continue
-            found.save(options.out / f"{options.seed:03d}_{count:06d}.npz")
+            drapes.save(options.out / f"{options.seed:03d}_{count:06d}.npz")
             count += 1
     print(f"{count} files of {FRAMES} drapes, {lost} lost")
     return 0

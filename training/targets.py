@@ -88,13 +88,13 @@ class SettledBank:
         """
         files, known = self._files(), {(garment.name, digest(garment)): garment for garment in garments}
         for _ in range(TRIES):
-            found = SettledDrapes.read(files[int(rng.integers(len(files)))])
-            if (garment := known.get((found.garment, found.digest))) is not None:
-                return garment, found
+            drapes = SettledDrapes.read(files[int(rng.integers(len(files)))])
+            if (garment := known.get((drapes.garment, drapes.digest))) is not None:
+                return garment, drapes
         raise ArtifactError(
             "settled drapes",
             expected="of the garments of this run, cut by the same seed",
-            got=found.garment,
+            got=drapes.garment,
             cure="Make them with the same --model, --beside and --garment.",
         )
 

@@ -45,7 +45,7 @@ class Objective:
 
 
 @dataclass(frozen=True, eq=False)
-class Draped:
+class DrapedBatch:
     """Posed patches of F bodies, their ``posed_coefficients``, and vertices [m] (F, V, 3) relative to the root."""
 
     posed: Posed
@@ -161,7 +161,7 @@ class BaseTrainer:
         partition: Partition,
         dynamic_code: Tensor | None = None,
         passes: int | None = None,
-    ) -> Draped:
+    ) -> DrapedBatch:
         """``garment`` on the bodies of ``batch``; ``passes`` as of ``OneFit``."""
         config = self.config
         embedding = self.model.garment(partition.encoded(self.fabric))
@@ -170,7 +170,9 @@ class BaseTrainer:
         )
         said = posed_coefficients(posed, partition.patches.scale)
         variant = config.model.variant
-        return Draped(posed, said, losses.garment_vertices(said, partition, garment, batch.tensors, variant=variant))
+        return DrapedBatch(
+            posed, said, losses.garment_vertices(said, partition, garment, batch.tensors, variant=variant)
+        )
 
     def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:
         """Planes that some of ``vertices`` [m] (F, V, 3), drawn now, touch."""
@@ -250,15 +252,15 @@ def _widened(weights: Mapping[str, Tensor], model: OneFit) -> dict[str, Tensor]:
 
     So the first drape is unchanged, whatever the fabric.
     """
-    found = dict(weights)
-    for name, made in model.garment.state_dict(prefix="garment.").items():
-        given = found.get(name)
-        if given is None or given.shape == made.shape or given.shape[:-1] != made.shape[:-1]:
+    widened = dict(weights)
+    for name, wanted in model.garment.state_dict(prefix="garment.").items():
+        given = widened.get(name)
+        if given is None or given.shape == wanted.shape or given.shape[:-1] != wanted.shape[:-1]:
             continue
-        neutral = torch.ones_like(made) if name.endswith("inverse_deviation") else torch.zeros_like(made)
+        neutral = torch.ones_like(wanted) if name.endswith("inverse_deviation") else torch.zeros_like(wanted)
         neutral[..., : given.shape[-1]] = given
-        found[name] = neutral
-    return found
+        widened[name] = neutral
+    return widened
 
 
 class Trainer(BaseTrainer):

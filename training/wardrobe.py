@@ -103,11 +103,11 @@ class Wardrobe:
         state, warp = made
         cloth = ClothMesh.of(state, rest.faces, len(rest.vertices)).like(torch.zeros(1, device=self.device))
         weights = torch.from_numpy(rest.binding.weights.astype(np.float32)).to(self.device)
-        found = waistband(rest.vertices, rest.faces, self._body)
+        waist = waistband(rest.vertices, rest.faces, self._body)
         band = None
-        if found is not None:
-            length = torch.from_numpy(found.length_m.astype(np.float32))
-            band = torch.from_numpy(found.vertex).to(self.device), length.to(self.device)
+        if waist is not None:
+            length = torch.from_numpy(waist.length_m.astype(np.float32))
+            band = torch.from_numpy(waist.vertex).to(self.device), length.to(self.device)
         partitions = [self._partition(rest, seed, warp) for seed in seeds]
         return TrainingGarment(label, rest, cloth, partitions, weights, seeds, warp, band)
 

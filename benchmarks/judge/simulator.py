@@ -30,7 +30,7 @@ SLIP_M = 2e-4  # in a frame: up to here friction grows with the way
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
+class SimulatedCloth:
     """A ``mesh`` of ``material`` with ``friction`` on the skin, whose motion ends at the rate ``damping_per_s``."""
 
     mesh: ClothMesh
@@ -49,7 +49,7 @@ class Motion:
     fps: float
 
 
-class Skin:
+class MovingSkin:
     """The posed skin of a motion."""
 
     def __init__(self, motion: Motion) -> None:
@@ -65,10 +65,7 @@ class Skin:
         return (new @ rest)[..., 0] + new_way
 
     def _blended(self, weights: np.ndarray, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        return (
-            np.einsum("vj,jab->vab", weights, self._rotation[frame]),
-            weights @ self._translation[frame],
-        )
+        return (np.einsum("vj,jab->vab", weights, self._rotation[frame]), weights @ self._translation[frame])
 
 
 def grip(one: Descent, x: np.ndarray, stuck: np.ndarray, friction: float) -> tuple[np.ndarray, np.ndarray]:
@@ -85,12 +82,12 @@ def grip(one: Descent, x: np.ndarray, stuck: np.ndarray, friction: float) -> tup
     return x - slip, friction * press_n / np.maximum(np.linalg.norm(slip, axis=1), SLIP_M)
 
 
-def simulate(sheet: Sheet, motion: Motion, start: np.ndarray, held: Held | None) -> tuple[np.ndarray, float]:
+def simulate(sheet: SimulatedCloth, motion: Motion, start: np.ndarray, held: Held | None) -> tuple[np.ndarray, float]:
     """Vertices [m] (F, V, 3) relative to the root, and the share [%] of the frames that came to rest.
 
     The first frame is the optimum of its pose that ``start`` (V, 3) leads to.
     """
-    mesh, material, skin = sheet.mesh, sheet.material, Skin(motion)
+    mesh, material, skin = sheet.mesh, sheet.material, MovingSkin(motion)
     cloth, contact = Cloth.of(mesh, material, None), BodyContact(motion.body.faces, motion.body.vertex_count)
     limit_n, inertia = TOLERANCE * cloth.weight_n, mesh.vertex_mass(material) * motion.fps**2
     moving = cloth._replace(solve=settling.inverse(mesh, material, n_per_m=inertia))
@@ -121,7 +118,7 @@ def simulate(sheet: Sheet, motion: Motion, start: np.ndarray, held: Held | None)
     return np.stack(found), 100.0 * rested / (len(found) - 1)
 
 
-def slowed(speed: np.ndarray, x: np.ndarray, sheet: Sheet, fps: float) -> np.ndarray:
+def slowed(speed: np.ndarray, x: np.ndarray, sheet: SimulatedCloth, fps: float) -> np.ndarray:
     """``speed`` [m/s] (V, 3) after a frame of air and damping, as swing has them."""
     speed = speed / (1.0 + sheet.damping_per_s / fps)
     normal = np.asarray(meshes.vertex_normals(x, sheet.mesh.faces))

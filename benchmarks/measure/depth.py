@@ -8,15 +8,21 @@ import numpy as np
 from drape.geometry.closest import signed_distance
 
 
-def depth_mm(vertices: np.ndarray, skin: np.ndarray, faces: np.ndarray) -> float:
-    """How deep [mm] the deepest of ``vertices`` [m] (V, 3) is in a closed ``skin`` [m] (B, 3), (F, 3); 0 where none is.
+def depths_mm(vertices: np.ndarray, skin: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """How deep [mm] (V,) each of ``vertices`` [m] (V, 3) is in a closed ``skin`` [m] (B, 3), (F, 3); 0 where it is not.
 
     The winding number tells what is inside. Where a posed body cuts into itself, an armpit turns inside out and the
     normals of its nearest faces call the air beside it body.
     """
-    distance = signed_distance(vertices, skin, faces)
-    below = np.flatnonzero(distance < 0.0)
-    if not len(below):
-        return 0.0
-    turns = igl.fast_winding_number(skin.astype(np.float64), faces.astype(np.int64), vertices[below].astype(np.float64))
-    return 1e3 * float(np.max(-distance[below], where=np.asarray(turns) > 0.5, initial=0.0))
+    depth = 1e3 * np.maximum(-signed_distance(vertices, skin, faces), 0.0)
+    below = np.flatnonzero(depth)
+    if len(below):
+        points = vertices[below].astype(np.float64)
+        turns = igl.fast_winding_number(skin.astype(np.float64), faces.astype(np.int64), points)
+        depth[below[np.asarray(turns) <= 0.5]] = 0.0
+    return depth
+
+
+def depth_mm(vertices: np.ndarray, skin: np.ndarray, faces: np.ndarray) -> float:
+    """How deep [mm] the deepest of ``vertices`` is (``depths_mm``)."""
+    return float(depths_mm(vertices, skin, faces).max())

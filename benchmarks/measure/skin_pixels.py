@@ -67,28 +67,12 @@ class PosedBody:
     views: tuple[ZBuffer, ...]
 
     @classmethod
-    def of(
-        cls, vertices: np.ndarray, faces: np.ndarray, *, deeper: np.ndarray | None = None, by_m: float = 0.0
-    ) -> PosedBody:
-        """The body and its pictures, which all garments share; ``deeper`` faces (Fb,) are drawn ``by_m`` [m] further
-        away than they are."""
+    def of(cls, vertices: np.ndarray, faces: np.ndarray) -> PosedBody:
+        """The body and its pictures, which all garments share."""
         camera = Camera.around(vertices)
-        deeper = np.zeros(len(faces), dtype=bool) if deeper is None else deeper
-        views = []
-        for azimuth_deg in VIEWS_DEG:
-            plain, moved = (
-                _numbered(camera.see(vertices, faces[rows], azimuth_deg), rows)
-                for rows in (np.flatnonzero(~deeper), np.flatnonzero(deeper))
-            )
-            depth = moved.depth - by_m
-            nearer = depth > plain.depth
-            views.append(ZBuffer(np.where(nearer, depth, plain.depth), np.where(nearer, moved.face, plain.face)))
-        return cls(vertices, faces, camera, tuple(views))
-
-
-def _numbered(view: ZBuffer, rows: np.ndarray) -> ZBuffer:
-    """``view`` of the faces ``rows`` (n,) of a mesh, by their numbers in it."""
-    return ZBuffer(view.depth, np.append(rows, -1)[view.face])  # -1, nothing, stays -1
+        return cls(
+            vertices, faces, camera, tuple(camera.see(vertices, faces, azimuth_deg) for azimuth_deg in VIEWS_DEG)
+        )
 
 
 def skin_pixels_pct(body: PosedBody, covered: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

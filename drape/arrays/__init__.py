@@ -64,13 +64,13 @@ def identity3(reference: Array) -> Array:
     which ONNX export refuses.
     """
     xp = namespace(reference)
-    one = xp.ones_like(reference)
+    unity = xp.ones_like(reference)
     zero = xp.zeros_like(reference)
     return xp.stack(
         [
-            xp.stack([one, zero, zero], axis=-1),
-            xp.stack([zero, one, zero], axis=-1),
-            xp.stack([zero, zero, one], axis=-1),
+            xp.stack([unity, zero, zero], axis=-1),
+            xp.stack([zero, unity, zero], axis=-1),
+            xp.stack([zero, zero, unity], axis=-1),
         ],
         axis=-2,
     )

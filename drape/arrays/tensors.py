@@ -41,7 +41,8 @@ def tensor(name: str, *shape: str | int, dtype: str = "float32", unit: str = "1"
 
 
 def group(kind: type[Tensors], *, part: str = "", **axes: str) -> Any:
-    """A field of a group: another group, with ``axes`` of other names there."""
+    """Returns a field of a group that is itself a group, of the class ``kind``. ``axes`` gives the names that its axes
+    have here."""
     return _field(_Group(kind, axes, part))
 
 
@@ -68,30 +69,30 @@ class Tensors:
 
         Raises ``KeyError`` where a tensor of every network is missing.
         """
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for item in fields(cast(Any, cls)):
             declared = item.metadata[_DECLARED]
             if isinstance(declared, _Tensor):
-                found[item.name] = arrays.get(declared.spec.name) if declared.part else arrays[declared.spec.name]
+                values[item.name] = arrays.get(declared.spec.name) if declared.part else arrays[declared.spec.name]
             elif not declared.part or any(spec.name in arrays for spec in declared.kind.specs()):
-                found[item.name] = declared.kind.from_flat(arrays)
-        return cast(Any, cls)(**found)
+                values[item.name] = declared.kind.from_flat(arrays)
+        return cast(Any, cls)(**values)
 
     def flat(self) -> dict[str, Array]:
         """The tensors by name, without those that are None."""
-        found: dict[str, Array] = {}
+        arrays: dict[str, Array] = {}
         for item, value in self._values():
             declared = item.metadata[_DECLARED]
-            found |= value.flat() if isinstance(value, Tensors) else {declared.spec.name: value}
-        return found
+            arrays |= value.flat() if isinstance(value, Tensors) else {declared.spec.name: value}
+        return arrays
 
     def each(self, change: Callable[[Array], Array]) -> Self:
         """The same group with ``change`` applied to every tensor."""
-        made = {
+        values = {
             item.name: value.each(change) if isinstance(value, Tensors) else change(value)
             for item, value in self._values()
         }
-        return cast(Any, type(self))(**made)
+        return cast(Any, type(self))(**values)
 
     def _values(self) -> Iterator[tuple[Field, Any]]:
         for item in fields(cast(Any, self)):

@@ -8,8 +8,11 @@ from drape.motion.node_clip import nearest_rotations
 
 
 def rigid_fit(sources: np.ndarray, targets: np.ndarray, masses: np.ndarray | None = None) -> np.ndarray:
-    """The rotations and translations (F, 3, 4) of the smallest sum of m |R x + t - y|^2 (Kabsch 1976), for points x of
-    ``sources`` (N, 3), y of ``targets`` (F, N, 3), masses m (N,), equal ones by default."""
+    """Returns the rotations and translations (F, 3, 4) that bring points x nearest to points y: those of the least sum
+    of m |R x + t - y|^2 (Kabsch 1976).
+
+    x are ``sources`` (N, 3), y ``targets`` (F, N, 3), and m ``masses`` (N,), equal ones by default.
+    """
     masses = np.ones(len(sources)) if masses is None else masses
     share = masses / masses.sum()
     middle, middles = share @ sources, np.einsum("n,fna->fa", share, targets)
@@ -19,7 +22,7 @@ def rigid_fit(sources: np.ndarray, targets: np.ndarray, masses: np.ndarray | Non
 
 
 def compose(after: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """The affine maps (..., 3, 4) that first map by ``before`` and then by ``after``."""
+    """Returns the affine maps (..., 3, 4) that map by ``before`` and then by ``after``."""
     linear = after[..., :3] @ before[..., :3]
     return np.concatenate([linear, after[..., :3] @ before[..., 3:] + after[..., 3:]], axis=-1)
 

@@ -43,8 +43,8 @@ class AttirePart(NamedTuple):
 
 
 class Attire(NamedTuple):
-    """``parts`` of a character, and which of them each of its faces is, ``part`` (F,); ``skin_colour``, sRGB, the mean
-    of its skin, and the ``colours`` (F, 3) of its faces."""
+    """What is what on a character: its ``parts``; ``part`` (F,), the number of the part that each face belongs to;
+    ``skin_colour``, sRGB, the mean colour of its skin; and the ``colours`` (F, 3) of its faces."""
 
     parts: tuple[AttirePart, ...]
     part: np.ndarray
@@ -59,15 +59,18 @@ class Attire(NamedTuple):
 def attire_of(
     file: GltfFile, character: Character, pose: TPose, colours: np.ndarray, *, told: Mapping[str, str] | None = None
 ) -> Attire:
-    """The parts of ``character`` in ``pose``, whose faces have the ``colours`` (F, 3), sRGB; ``told``: parts' names and
-    kinds that a client corrects. Raises ``NotFound`` for a part or a kind that is not there."""
+    """Returns the parts of ``character``, which stands in ``pose`` and whose faces have the ``colours`` (F, 3), sRGB.
+
+    ``told``: the kinds of parts that a client corrects, by the parts' names. Raises ``NotFound`` for a part or a kind
+    that does not exist.
+    """
     surface = _Surface(character, pose, colours)
     names = [_names(file, primitive.node, primitive.primitive) for primitive in character.primitives]
-    said = [kind_of_names(one) for one in names]
-    plain = len({kind for kind in said if kind not in (None, "face")}) <= 1
+    kinds_named = [kind_of_names(one) for one in names]
+    plain = len({kind for kind in kinds_named if kind not in (None, "face")}) <= 1
     kinds = np.full(len(pose.faces), -1)
     sure = np.full(len(pose.faces), BY_NAME)
-    for number, kind in enumerate(said):
+    for number, kind in enumerate(kinds_named):
         rows = np.flatnonzero(surface.primitive == number)
         if kind == CLOTH:
             kinds[rows], sure[rows] = KINDS.index(surface.clothes(rows)), BY_CLOTH
@@ -77,12 +80,12 @@ def attire_of(
     if len(left):
         kinds[left], sure[left] = surface.by_colour(left, kinds), BY_COLOUR
     parts, part = _grouped(character, surface.primitive, kinds, sure, names)
-    found = Attire(_corrected(parts, told or {}, file.label), part, (0.0, 0.0, 0.0), colours)
-    bare = found.of_kinds(("skin",))
-    bare = bare if bare.any() else found.of_kinds(("face",))
+    attire = Attire(_corrected(parts, told or {}, file.label), part, (0.0, 0.0, 0.0), colours)
+    bare = attire.of_kinds(("skin",))
+    bare = bare if bare.any() else attire.of_kinds(("face",))
     rows = bare if bare.any() else np.ones(len(bare), dtype=bool)
     red, green, blue = np.round(np.average(colours[rows], axis=0, weights=surface.area[rows]), 3).tolist()
-    return found._replace(skin_colour=(red, green, blue))
+    return attire._replace(skin_colour=(red, green, blue))
 
 
 def _names(file: GltfFile, node: int, index: int) -> Names:
@@ -196,13 +199,13 @@ class _Surface:
         label = self.regions(rows)
         named = np.isin(kinds, [KINDS.index("skin"), KINDS.index("face")])
         skin = self.skin_colours(label, named & (self.part != "head"))
-        found = np.zeros(len(label), dtype=np.int64)
+        kind_of_face = np.zeros(len(label), dtype=np.int64)
         for number in np.unique(label[rows]):
             own = np.flatnonzero(label == number)
             colour = np.average(self.colours[own], axis=0, weights=self.area[own])
             bare = bool(len(skin)) and np.abs(skin - colour).max(axis=1).min() < SAME_COLOUR
-            found[own] = KINDS.index(self._worn_there(own, bare))
-        return found[rows]
+            kind_of_face[own] = KINDS.index(self._worn_there(own, bare))
+        return kind_of_face[rows]
 
     def _worn_there(self, rows: np.ndarray, bare: bool) -> str:
         """The kind of the faces ``rows`` of a region by where it lies; ``bare``: in a colour of skin."""
@@ -288,21 +291,21 @@ def _grouped(
     """Faces of one primitive and one kind as a part, and the part (F,) of each face; a part's name is the node's, with
     the material and the kind where these tell it from others."""
     nodes = [one.node for one in character.primitives]
-    found: list[AttirePart] = []
+    groups: list[AttirePart] = []
     part = np.zeros(len(kinds), dtype=np.int64)
-    for number, told in enumerate(character.primitives):
+    for number, mesh_part in enumerate(character.primitives):
         rows = np.flatnonzero(primitive == number)
         there, index = np.unique(kinds[rows], return_inverse=True)
-        base = told.name or f"node {told.node}"
-        if nodes.count(told.node) > 1:
-            base = f"{base}/{names[number][0] or told.primitive}"
+        base = mesh_part.name or f"node {mesh_part.node}"
+        if nodes.count(mesh_part.node) > 1:
+            base = f"{base}/{names[number][0] or mesh_part.primitive}"
         for place, kind in enumerate(there):
             own = rows[index == place]
-            name, known = f"{base} {KINDS[kind]}" if len(there) > 1 else base, {one.name for one in found}
-            name = name if name not in known else f"{name} {len(found)}"
-            part[own] = len(found)
-            found.append(AttirePart(name, KINDS[kind], len(own), round(float(sure[own].mean()), 2)))
-    return tuple(found), part
+            name, known = f"{base} {KINDS[kind]}" if len(there) > 1 else base, {one.name for one in groups}
+            name = name if name not in known else f"{name} {len(groups)}"
+            part[own] = len(groups)
+            groups.append(AttirePart(name, KINDS[kind], len(own), round(float(sure[own].mean()), 2)))
+    return tuple(groups), part
 
 
 def _corrected(parts: tuple[AttirePart, ...], told: Mapping[str, str], label: str) -> tuple[AttirePart, ...]:

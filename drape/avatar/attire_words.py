@@ -80,11 +80,11 @@ def kind_of_names(names: Iterable[str | None]) -> str | None:
     """
     general: str | None = None
     for name in names:
-        told = [kind for word in _words(name or "") if (kind := _kind_of_word(word)) is not None]
-        exact = [kind for kind in told if kind not in GENERAL]
+        kinds = [kind for word in _words(name or "") if (kind := _kind_of_word(word)) is not None]
+        exact = [kind for kind in kinds if kind not in GENERAL]
         if exact:
             return exact[-1]
-        general = general or (told[-1] if told else None)
+        general = general or (kinds[-1] if kinds else None)
     return general
 
 

@@ -31,10 +31,12 @@ def avatar_body(
     covered: TPose | None = None,
     over: BodyModel | None = None,
 ) -> BodyModel:
-    """The body of the character in ``pose``, to which ``body`` was ``fit``, with its root joint where ``body`` has it.
+    """Returns the body of the character in ``pose``, made of ``body`` as ``fit`` has laid it on the character. Its root
+    joint is where that of ``body`` is.
 
-    ``covered``: what it is brought out to, the character in other faces; ``pose`` by default. ``over``: the body that
-    it encloses too, another one of this ``fit`` and ``pose``. It has no shapes of its own: its ``shapedirs`` are zero.
+    ``covered``: the character's faces that the skin is brought out to, those of ``pose`` by default. ``over``: another
+    body of the same ``fit`` and ``pose`` that this one encloses. The body has no shapes of its own: its ``shapedirs``
+    are zero.
     """
     joints = np.where(np.isfinite(pose.joints), pose.joints, fit.joints)
     place = body.joints_template[0] - joints[0]

@@ -23,8 +23,12 @@ BELOW_M = 0.002
 def kept_below(
     parts: Sequence[MovingGarment], cloth: Sequence[tuple[np.ndarray, np.ndarray]], worn: Sequence[MovingGarment]
 ) -> list[MovingGarment]:
-    """``parts`` of a character, whose first frame is the T-pose, without that one. What ``cloth`` covers there,
-    vertices [m] (V, 3) and faces (F, 3) of each garment, is at least ``BELOW_M`` below those that are ``worn``."""
+    """Returns ``parts`` of a character with their covered skin moved below the cloth, and without their first frame,
+    which is the T-pose.
+
+    ``cloth`` has vertices [m] (V, 3) and faces (F, 3) of each garment in the T-pose; it says which skin is covered. In
+    every frame that skin is at least ``BELOW_M`` below the garments as they are ``worn``.
+    """
     starts = np.cumsum([0, *(one.surface.vertex_count for one in parts)])
     faces = np.concatenate([one.surface.faces + start for one, start in zip(parts, starts, strict=False)])
     whole = np.concatenate([one.vertices for one in parts], axis=1)
@@ -39,8 +43,8 @@ def kept_below(
 
 def _below(points: np.ndarray, cloth: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """``points`` (n, 3), those that stand out of ``cloth`` moved below it."""
-    found = closest_point(points.astype(np.float64), cloth, faces)
-    normals = face_normals(cloth, faces)[found.face]
-    depth = np.einsum("nc,nc->n", normals, found.point - points)
-    out = (found.distance < DEEPER_M) & (depth < BELOW_M) & ~on_border(found, faces)
-    return np.where(out[:, None], found.point - BELOW_M * normals, points)
+    nearest = closest_point(points.astype(np.float64), cloth, faces)
+    normals = face_normals(cloth, faces)[nearest.face]
+    depth = np.einsum("nc,nc->n", normals, nearest.point - points)
+    out = (nearest.distance < DEEPER_M) & (depth < BELOW_M) & ~on_border(nearest, faces)
+    return np.where(out[:, None], nearest.point - BELOW_M * normals, points)

@@ -132,7 +132,7 @@ def _surface(file: GltfFile, place: dict[int, int], world: np.ndarray) -> tuple[
         )
     _check_size(file, [primitive for _, _, primitive in skinned])
     skins: dict[int | None, tuple[np.ndarray, np.ndarray]] = {}
-    found: dict[Primitive, Part] = {}
+    parts: dict[Primitive, Part] = {}
     for node, index, primitive in skinned:
         skin = nodes[node].skin
         if skin not in skins:
@@ -140,19 +140,20 @@ def _surface(file: GltfFile, place: dict[int, int], world: np.ndarray) -> tuple[
             rows = np.array([place[joint] for joint in joints])
             skins[skin] = rows, world[rows] @ binds
         part = _primitive(file, primitive, *skins[skin], len(world))
-        found[Primitive(node, _name(nodes[node]), index, len(part[1]))] = part
-    count = sum(one.triangles for one in found)
+        parts[Primitive(node, _name(nodes[node]), index, len(part[1]))] = part
+    count = sum(one.triangles for one in parts)
     above = _bones_above(file, {int(row) for rows, _ in skins.values() for row in rows}, place)
     hung = listed_primitives(file, list(above), set())
     _check_size(file, [primitive for _, _, primitive in (*skinned, *hung)])
     for node, index, primitive in hung:
         part = _on_bone(file, primitive, world[place[node]], above[node], len(world))
-        found[Primitive(node, _name(nodes[node]), index, len(part[1]))] = part
-    return found, count
+        parts[Primitive(node, _name(nodes[node]), index, len(part[1]))] = part
+    return parts, count
 
 
 def listed_primitives(file: GltfFile, nodes: list[int], attributes: set[str]) -> Listed:
-    """The primitives of triangles of meshes of ``nodes`` that have ``attributes``: node, place in the mesh, itself."""
+    """Returns the primitives of triangles, of the meshes of ``nodes``, that have all of ``attributes``: of each its
+    node, its place in the mesh, and itself."""
     wanted = attributes | {"POSITION"}
     return [
         (node, index, primitive)
@@ -166,7 +167,7 @@ def listed_primitives(file: GltfFile, nodes: list[int], attributes: set[str]) ->
 
 def _bones_above(file: GltfFile, joints: set[int], place: dict[int, int]) -> dict[int, int]:
     """Nodes with a mesh and no skin below a joint -> the place of the nearest joint above, among ``joints``."""
-    found: dict[int, int] = {}
+    bones: dict[int, int] = {}
     carried: dict[int, int] = {}
     for node, number in place.items():  # parents first
         if number in joints:
@@ -175,8 +176,8 @@ def _bones_above(file: GltfFile, joints: set[int], place: dict[int, int]) -> dic
         if node in carried:
             carried |= {child: carried[node] for child in held.children}
             if held.mesh is not None and held.skin is None:
-                found[node] = carried[node]
-    return found
+                bones[node] = carried[node]
+    return bones
 
 
 def _on_bone(file: GltfFile, primitive: FilePrimitive, world: np.ndarray, joint: int, nodes: int) -> Part:

@@ -28,7 +28,7 @@ PLAIN = (0.8, 0.8, 0.8, 1.0)
 def moving_character(payload: bytes, motion: RigMotion, scale: float) -> list[MovingGarment]:
     """Each primitive of the character in the file ``payload``, in the T-pose and then over ``motion``, whose skeleton
     is the file's or that of one that it was made from; ``scale``: metres per unit."""
-    file, found = GltfFile(payload), list[MovingGarment]()
+    file, garments = GltfFile(payload), list[MovingGarment]()
     place = {node: number for number, node in enumerate(tree_of(file)[0])}
     nodes = file.document.nodes
     drawn = [node for node in place if nodes[node].mesh is not None]
@@ -48,8 +48,8 @@ def moving_character(payload: bytes, motion: RigMotion, scale: float) -> list[Mo
         surface = _surface(file, node, index, faces, len(points))
         if "COLOR_0" in primitive.attributes:
             surface = _tinted(surface, file.array(primitive.attributes["COLOR_0"]).mean(axis=0)[:3])
-        found.append(MovingGarment(surface, (scale * moved).astype(np.float32), PLAIN))
-    return found
+        garments.append(MovingGarment(surface, (scale * moved).astype(np.float32), PLAIN))
+    return garments
 
 
 def _along(places: np.ndarray, points: np.ndarray) -> np.ndarray:

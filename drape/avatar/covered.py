@@ -46,16 +46,19 @@ def covered_faces(
     out_m: float = INSIDE_M,
     margin_m: float = MARGIN_M,
 ) -> np.ndarray:
-    """Which ``faces`` (F,) of a character's ``vertices`` [m] (V, 3) lie wholly under one of ``garments``, vertices [m]
-    (Vg, 3) and faces (Fg, 3) of each, in the same pose: out of it by at most ``out_m``, and ``margin_m`` from what is
-    not under it."""
+    """Returns which ``faces`` (F,) bool of a character lie wholly under its garments.
+
+    ``vertices`` [m] (V, 3) are the character's; ``garments`` has vertices [m] (Vg, 3) and faces (Fg, 3) of each garment
+    in the same pose. Such a face lies below the cloth, or stands out of it by at most ``out_m`` [m], and is
+    ``margin_m`` [m] or more from all that is not under it.
+    """
     points, owner = _spread(np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64))
-    found = np.zeros(len(faces), dtype=bool)
+    covered = np.zeros(len(faces), dtype=bool)
     for cloth, triangles in garments:
         mesh = np.asarray(cloth, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
         good = _under(points, *mesh, out_m, margin_m)
-        found |= np.bincount(owner[~good], minlength=len(faces)) == 0
-    return found
+        covered |= np.bincount(owner[~good], minlength=len(faces)) == 0
+    return covered
 
 
 def covered_in_file(
@@ -66,9 +69,12 @@ def covered_in_file(
     off: np.ndarray | None = None,
     margin_m: float = MARGIN_M,
 ) -> tuple[np.ndarray, list[PrimitiveFaces]]:
-    """``covered_faces`` of the wearer that is ``stored`` with this surface, without the faces that are taken ``off``
-    (F,), and which triangles of the primitives of its own file all these are; raises ``BodyError`` as
-    ``load_file_rig``."""
+    """Returns the covered faces (F,) bool of a wearer that is ``stored``, and the triangles of its file that they and
+    the faces ``off`` (F,) are, primitive by primitive.
+
+    ``vertices``, ``faces``, ``garments`` and ``margin_m`` are those of ``covered_faces``. Faces that are taken ``off``
+    do not count as covered. Raises ``BodyError`` as ``load_file_rig`` does.
+    """
     rig = load_file_rig(stored)
     off = np.zeros(len(faces), dtype=bool) if off is None else off
     covered = covered_faces(vertices, faces, garments, margin_m=margin_m) & ~off

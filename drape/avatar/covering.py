@@ -42,8 +42,12 @@ POSES = (REST, ARMS_DOWN, SQUAT, STRIDE, REACH)
 def covering(
     vertices: np.ndarray, weights: np.ndarray, joints: np.ndarray, pose: TPose, surface: np.ndarray, body: BodyModel
 ) -> np.ndarray:
-    """``vertices`` [m] (Vb, 3) of a skin with ``weights`` (Vb, 24) on ``joints`` [m] (24, 3), brought out to
-    ``surface`` [m] (V, 3), that of the character in ``pose`` in the same frame."""
+    """Returns ``vertices`` [m] (Vb, 3) of a skin, brought out to all of the character's ``surface`` that stands out of
+    it.
+
+    The skin has ``weights`` (Vb, 24) on ``joints`` [m] (24, 3). ``surface`` [m] (V, 3) is that of the character in
+    ``pose``, in the same frame.
+    """
     counted, own, theirs = counted_vertices(pose), parts_of(body.weights), parts_of(pose.weights)
     umbrella = mesh_graphs.umbrella_laplacian(body.faces, len(vertices))
     square = scipy.sparse.csr_matrix(umbrella.T @ umbrella)
@@ -57,11 +61,11 @@ def covering(
     def short(number: int) -> np.ndarray:
         """How much [m] (Vb,) the skin is short in the pose of this ``number``."""
         skin, height = skinning.skin_points(vertices[None], weights, *bones[number])[0], np.zeros(len(vertices))
-        found = closest_point(posed[number][counted], skin, body.faces)
-        corners = body.faces[found.face]
+        nearest = closest_point(posed[number][counted], skin, body.faces)
+        corners = body.faces[nearest.face]
         normals = meshes.vertex_normals(skin, body.faces, table=around)
-        facing = np.einsum("vk,vkc->vc", found.barycentric, normals[corners])
-        above = np.einsum("vc,vc->v", facing, posed[number][counted] - found.point)
+        facing = np.einsum("vk,vkc->vc", nearest.barycentric, normals[corners])
+        above = np.einsum("vc,vc->v", facing, posed[number][counted] - nearest.point)
         agree = np.einsum("vc,vc->v", facing, theirs_out[number]) > FACING
         joined = beside(own[corners[:, 0]], theirs[counted])
         lacking = np.where(agree & joined & (above > 0.0), above + MARGIN_M, 0.0)
@@ -77,7 +81,8 @@ def covering(
 
 
 def rotvecs(angles_deg: Mapping[str, tuple[float, float, float]]) -> np.ndarray:
-    """Rotation vectors [rad] (24, 3) of joints by name."""
+    """Returns the rotation vectors [rad] (24, 3) of a pose whose joints turn by ``angles_deg``, by their names; others
+    do not turn."""
     found = np.zeros((JOINT_COUNT, 3))
     for name, angles in angles_deg.items():
         found[JOINT_NAMES.index(name)] = np.radians(angles)

@@ -37,7 +37,7 @@ PIVOT_SHARE = 0.02  # of a joint's distance from its middle, of that by which it
 
 
 @dataclass(frozen=True, eq=False)
-class Draped:
+class DrapedClip:
     """A garment at ``vertices`` [m] (F, V, 3) over a clip on a rig."""
 
     vertices: np.ndarray
@@ -68,18 +68,20 @@ class Distilled:
         return len(self.parents)
 
     def above(self, motion: RigMotion) -> np.ndarray:
-        """The motions (F, n, 3, 4) of the rig's joints from the bind pose, seen from the pelvis."""
+        """Returns the motions (F, n, 3, 4) of the rig's joints from the bind pose, in the frame of the pelvis."""
         return _from_pelvis(motion, self.joints, self.binds)
 
     def carried(self, motion: RigMotion) -> np.ndarray:
-        """The motions (F, E, 3, 4) of its own joints that only follow their parents."""
+        """Returns the motions (F, E, 3, 4) of its own joints where they only follow their parents, in the frame of the
+        pelvis."""
         return compose(self.above(motion)[:, self.parents], self.still)
 
-    def fitted(self, draped: Draped, scale: float) -> np.ndarray:
-        """The motions (F, E, 3, 4) that bring the mesh nearest to what was ``draped``, seen from the pelvis."""
+    def fitted(self, draped: DrapedClip, scale: float) -> np.ndarray:
+        """Returns the motions (F, E, 3, 4) of its own joints that bring the mesh nearest to what was ``draped``, in the
+        frame of the pelvis. ``scale``: metres per unit of the file."""
         some = slice(None, None, max(1, len(self.rest) // ENOUGH))
         rest, weights, above = self.rest[some], self.weights[some], self.above(draped.motion)
-        frames = seen_from_pelvis(Draped(draped.vertices[:, some], draped.motion), scale)
+        frames = seen_from_pelvis(DrapedClip(draped.vertices[:, some], draped.motion), scale)
         own = slice(above.shape[1], None)
         moves = np.concatenate([above, self.carried(draped.motion)], axis=1)
         strongest = weights[:, own].argmax(axis=1)
@@ -92,30 +94,34 @@ class Distilled:
         return decomposition.fit_moves(weights, rest, frames, moves, free, **more)[:, own]
 
     def placed(self, motion: RigMotion, moves: np.ndarray) -> np.ndarray:
-        """The mesh (F, V, 3) with its own joints at ``moves`` (F, E, 3, 4), seen from the pelvis."""
+        """Returns the vertices (F, V, 3) of the mesh while its own joints are at ``moves`` (F, E, 3, 4), in the frame
+        of the pelvis and the unit of the file."""
         return decomposition.blended(self.weights, self.rest, np.concatenate([self.above(motion), moves], axis=1))
 
-    def error_m(self, draped: Draped, moves: np.ndarray, scale: float) -> float:
+    def error_m(self, draped: DrapedClip, moves: np.ndarray, scale: float) -> float:
         """The root mean square of the distances [m] from what was ``draped`` to the mesh at ``moves``."""
         off = self.placed(draped.motion, moves) - seen_from_pelvis(draped, scale)
         return float(scale * np.sqrt((off**2).sum(axis=-1).mean()))
 
     def local(self, motion: RigMotion, moves: np.ndarray) -> np.ndarray:
-        """Where its own joints are in the bind frames of their parents (F, E, 3, 4) while they are at ``moves``."""
+        """Returns the motions (F, E, 3, 4) of its own joints in the bind frames of their parents, while they are at
+        ``moves`` (F, E, 3, 4)."""
         return compose(affine_inverse(self.above(motion)[:, self.parents]), moves)
 
 
 def distil(
     garment: Garment,
-    clips: Sequence[Draped],
+    clips: Sequence[DrapedClip],
     wearer: Wearer,
     rig: FileRig,
     *,
     count: int = JOINTS,
-    poses: Sequence[Draped] = (),
+    poses: Sequence[DrapedClip] = (),
 ) -> Distilled:
-    """``garment`` with ``count`` joints of its own on ``wearer``, fitted to frames of ``clips``, which say where they
-    hang, and of ``poses``, which count for weights alone."""
+    """Returns ``garment`` with ``count`` joints of its own on ``wearer``, fitted to the frames of ``clips``.
+
+    The clips say where the joints hang. ``poses`` are frames that count for the weights alone.
+    """
     hung = _on_rig(garment, clips[0].motion, wearer, rig)
     rest, rig_weights = hung.rest, hung.weights
     frames, above, usual = _chosen_frames([*clips, *poses], wearer.scale, hung, len(clips))
@@ -154,7 +160,7 @@ def _on_rig(garment: Garment, motion: RigMotion, wearer: Wearer, rig: FileRig) -
 
 
 def _chosen_frames(
-    clips: Sequence[Draped], scale: float, hung: Distilled, first: int
+    clips: Sequence[DrapedClip], scale: float, hung: Distilled, first: int
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Some frames (F, V, 3) of all ``clips``, evenly, and motions (F, n, 3, 4) of the rig, seen from the pelvis; how
     many of them are of the ``first`` clips."""
@@ -162,13 +168,13 @@ def _chosen_frames(
     frames, above = [], []
     for one in clips:
         rows = np.arange(0.0, len(one.vertices), step).astype(int)
-        part = Draped(one.vertices[rows], one.motion.part(rows))
+        part = DrapedClip(one.vertices[rows], one.motion.part(rows))
         frames.append(seen_from_pelvis(part, scale))
         above.append(hung.above(part.motion))
     return np.concatenate(frames), np.concatenate(above), sum(map(len, frames[:first]))
 
 
-def seen_from_pelvis(draped: Draped, scale: float) -> np.ndarray:
+def seen_from_pelvis(draped: DrapedClip, scale: float) -> np.ndarray:
     """The vertices (F, V, 3) of ``draped`` in the frame of the pelvis's node, in the unit of the file."""
     at = pelvis_places(draped.motion)
     return (draped.vertices / scale - at[:, None, :, 3]) @ at[:, :, :3]

@@ -41,15 +41,15 @@ def face_colours(file: GltfFile, primitives: tuple[Primitive, ...]) -> np.ndarra
 def texture_of(file: GltfFile, primitive: Primitive) -> tuple[np.ndarray, int | None]:
     """The texture coordinates (F, 3, 2) of a primitive's triangles, zero where it has none, and its material."""
     mesh = file.item("meshes", file.document.nodes[primitive.node].mesh)
-    told = mesh.primitives[primitive.primitive]
+    part = mesh.primitives[primitive.primitive]
     count = primitive.triangles
-    if "TEXCOORD_0" not in told.attributes:
-        return np.zeros((count, 3, 2)), told.material
-    uv = file.array(told.attributes["TEXCOORD_0"]).astype(np.float64)
-    index = np.arange(3 * count) if told.indices is None else file.array(told.indices).reshape(-1)[: 3 * count]
+    if "TEXCOORD_0" not in part.attributes:
+        return np.zeros((count, 3, 2)), part.material
+    uv = file.array(part.attributes["TEXCOORD_0"]).astype(np.float64)
+    index = np.arange(3 * count) if part.indices is None else file.array(part.indices).reshape(-1)[: 3 * count]
     if uv.shape[1] != 2 or index.max(initial=0) >= len(uv):
-        return np.zeros((count, 3, 2)), told.material
-    return uv[index.astype(np.int64)].reshape(-1, 3, 2), told.material
+        return np.zeros((count, 3, 2)), part.material
+    return uv[index.astype(np.int64)].reshape(-1, 3, 2), part.material
 
 
 def _small(picture: bytes) -> bytes | None:

@@ -116,7 +116,7 @@ def file_skeleton(file: GltfFile) -> FileSkeleton:
     tops = list(dict.fromkeys(place[node] for node in listed if parents[place[node]] < 0))
     tops += [number for number, parent in enumerate(parents) if parent < 0 and number not in tops]
     moves, turns, scales = (np.array(one) for one in zip(*parts, strict=True))
-    found = FileSkeleton(
+    skeleton = FileSkeleton(
         tuple(_written(node, *own) for node, own in zip(held, parts, strict=True)),
         parents,
         tuple(tuple(one) for one in children),
@@ -127,7 +127,7 @@ def file_skeleton(file: GltfFile) -> FileSkeleton:
         np.array(joints),
         binds,
     )
-    return replace(found, binds=_all_binds(found))
+    return replace(skeleton, binds=_all_binds(skeleton))
 
 
 def _parts(node: Node, local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

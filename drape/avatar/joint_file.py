@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.avatar.affine_maps import compose
-from drape.avatar.distilled import Distilled, Draped
+from drape.avatar.distilled import Distilled, DrapedClip
 from drape.avatar.rig_motion import RigMotion
 from drape.avatar.rig_weights import HEAVIEST
 from drape.export.glb import Shape, add_shape, split_seams, vertex_normals
@@ -42,11 +42,15 @@ def add_clip(
     nodes: dict[int, int],
     scale: float,
 ) -> None:
-    """Adds garments to ``file``, in which the skeleton's node n is ``nodes[n]``, and tracks of all joints."""
+    """Adds garments to ``file``, which has the skeleton's node n as its node ``nodes[n]``, and tracks of all joints
+    over ``motion``.
+
+    ``draped`` [m] (F, V, 3) are the garments' frames; ``scale``: metres per unit of the file.
+    """
     channels: list[Channel] = []
     for layer, vertices in zip(layers, draped, strict=True):
         own = add_jointed(file, layer, nodes)
-        moves = layer.distilled.fitted(Draped(vertices, motion), scale)
+        moves = layer.distilled.fitted(DrapedClip(vertices, motion), scale)
         turns, places = node_motions(layer.distilled, layer.distilled.local(motion, moves))
         for number, node in enumerate(own):
             channels.append((node, "rotation", quaternion_keys(turns[:, number])))
@@ -55,7 +59,8 @@ def add_clip(
 
 
 def add_jointed(file: GlbFile, layer: Jointed, nodes: dict[int, int]) -> list[int]:
-    """The nodes in ``file`` of the garment's own joints, which hang where nothing moves them; adds mesh and skin."""
+    """Adds mesh and skin of ``layer`` to ``file``, and nodes for its own joints. Returns these nodes, which hang where
+    nothing moves the joints."""
     distilled, surface = layer.distilled, layer.surface
     turns, places = node_motions(distilled, distilled.still[None])
     scales = 1.0 / _scales(distilled)

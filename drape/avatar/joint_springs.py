@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.avatar.affine_maps import affine_inverse, compose
-from drape.avatar.distilled import Distilled, Draped, pelvis_places
+from drape.avatar.distilled import Distilled, DrapedClip, pelvis_places
 from drape.avatar.rig_motion import RigMotion
 from drape.avatar.wearer import Wearer
 from drape.body.skeleton import JOINT_NAMES
@@ -45,8 +45,12 @@ class Limb:
 
 @dataclass(frozen=True, eq=False)
 class JointSprings:
-    """Numbers (E,) of the springs of a ``distilled`` garment, their ``tails`` (E, 3) in its bind pose, which joints are
-    ``sprung`` (E,), the ``limbs`` and which of them each feels (E, C). ``unit``: metres per unit of the file."""
+    """Joints of a ``distilled`` garment as springs: the ``numbers`` (E,) of each spring, the ``tails`` (E, 3) in the
+    bind pose, and which joints are ``sprung`` (E,).
+
+    ``limbs`` are the capsules, and ``felt`` (E, C) says which of them each spring feels. ``unit``: metres per unit of
+    the file.
+    """
 
     distilled: Distilled
     tails: np.ndarray
@@ -64,26 +68,27 @@ class JointSprings:
         return compose(affine_inverse(pelvis_places(motion))[:, None], swung)
 
 
-def fit_springs(distilled: Distilled, clips: Sequence[Draped], wearer: Wearer) -> JointSprings:
-    """The springs of ``distilled`` that come nearest to ``clips``, each of them whole."""
+def fit_springs(distilled: Distilled, clips: Sequence[DrapedClip], wearer: Wearer) -> JointSprings:
+    """Returns the springs of ``distilled`` whose tails come nearest to those of ``clips``. A clip is run from its first
+    to its last frame."""
     unit, skeleton = wearer.scale, clips[0].motion
     ends, limbs = _tails(distilled, unit), leg_capsules(wearer, skeleton)
     _, _, rest = _carried(distilled, ends, skeleton, rows=slice(0, 1))
     hips = min(_limb_line(limb, skeleton.world[0, limb.node])[0][1] for limb in limbs[::2])
     felt = np.repeat(rest[0, :, 1:2] < hips, len(limbs), axis=1)
-    aims = [_aims(distilled, ends, one, unit) for one in clips]
+    aims = [_aims(distilled, ends, clip, unit) for clip in clips]
     room = _room(aims, limbs, clips)
     felt &= room[:, None] > 0.0  # cloth that lies on a limb goes with it
     radius = np.where(felt.any(axis=1), np.clip(room, 0.0, WIDEST_M / unit), 0.0)
     stiffness, gravity, drag = np.array(list(itertools.product(STIFFNESS, GRAVITY, DRAG))).T[..., None]
     costs, stiff = np.zeros((len(drag), distilled.count)), np.zeros(distilled.count)
-    for one, aim in zip(clips, aims, strict=True):
-        _, heads, still = _carried(distilled, ends, one.motion)
-        capsules = _capsules(limbs, felt, one.motion)
+    for clip, aim in zip(clips, aims, strict=True):
+        _, heads, still = _carried(distilled, ends, clip.motion)
+        capsules = _capsules(limbs, felt, clip.motion)
         for start in range(0, len(drag), 60):
             part = slice(start, start + 60)
             numbers = Springs(stiffness[part], gravity[part], drag[part], radius)
-            found = tails(numbers, heads, still, one.motion.fps, capsules)
+            found = tails(numbers, heads, still, clip.motion.fps, capsules)
             costs[part] += ((found - aim[:, None]) ** 2).sum(axis=(0, 3))
         stiff += ((still - aim) ** 2).sum(axis=(0, 2))
     best = costs.argmin(axis=0)
@@ -94,7 +99,7 @@ def fit_springs(distilled: Distilled, clips: Sequence[Draped], wearer: Wearer) -
 
 def leg_capsules(wearer: Wearer, motion: RigMotion) -> tuple[Limb, ...]:
     """Thighs and shanks of ``wearer``, as wide as half of its skin there."""
-    joints, found = wearer.body.joints_template, []
+    joints, capsules = wearer.body.joints_template, []
     strongest = wearer.weights.argmax(axis=1)
     for top, end in LIMBS:
         a, b = (joints[JOINT_NAMES.index(one)] for one in (top, end))
@@ -103,8 +108,8 @@ def leg_capsules(wearer: Wearer, motion: RigMotion) -> tuple[Limb, ...]:
         node = wearer.rig.sources[top]
         local = np.linalg.inv(motion.world[0, node])
         start, stop = (local[:3, :3] @ (one / wearer.scale) + local[:3, 3] for one in (a, b))
-        found.append(Limb(node, start, stop, radius / wearer.scale))
-    return tuple(found)
+        capsules.append(Limb(node, start, stop, radius / wearer.scale))
+    return tuple(capsules)
 
 
 def _tails(distilled: Distilled, unit: float) -> np.ndarray:
@@ -131,13 +136,13 @@ def _moved(at: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.einsum("feab,eb->fea", at[..., :3], points) + at[..., 3]
 
 
-def _aims(distilled: Distilled, ends: np.ndarray, draped: Draped, unit: float) -> np.ndarray:
+def _aims(distilled: Distilled, ends: np.ndarray, draped: DrapedClip, unit: float) -> np.ndarray:
     """Where the tails (F, E, 3) are in the world by the tracks of what was ``draped``."""
     seen = distilled.fitted(draped, unit)
     return _moved(compose(pelvis_places(draped.motion)[:, None], seen), ends)
 
 
-def _room(aims: Sequence[np.ndarray], limbs: Sequence[Limb], clips: Sequence[Draped]) -> np.ndarray:
+def _room(aims: Sequence[np.ndarray], limbs: Sequence[Limb], clips: Sequence[DrapedClip]) -> np.ndarray:
     """How near the tails (E,) come to a limb by the tracks, one time in twenty; below zero inside."""
     room = []
     for aim, one in zip(aims, clips, strict=True):

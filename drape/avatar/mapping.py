@@ -23,8 +23,11 @@ SWAPPED = "left and right look swapped: by these joints the feet point backwards
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """The ``rig`` of a character; its joints were found ``by`` "vrm", "names" or "shape", or "told"; ``confidence``: of
-    those by shape, how like a person's the places are, else 1. ``notes``: what looks wrong with it."""
+    """The ``rig`` of a character, and how its joints were found.
+
+    ``by``: "vrm", "names", "shape", or "told" by a client. ``confidence`` in [0, 1]: how much the places are like a
+    person's, if they were found by shape; otherwise 1. ``notes``: sentences on what looks wrong.
+    """
 
     rig: Rig
     by: str
@@ -48,11 +51,11 @@ def mapped(
     sources, by, confidence = _places(character, told or {}, label), TOLD, 1.0
     if not is_whole(sources):
         try:
-            found, by = match_joints(names, character.parents, label=label), VRM if character.humanoid else NAMES
+            matched, by = match_joints(names, character.parents, label=label), VRM if character.humanoid else NAMES
         except MotionError:
             shape = joints_by_shape(character, label=label)
-            found, by, confidence = shape.sources, SHAPE, shape.confidence
-        sources = {**found, **sources}
+            matched, by, confidence = shape.sources, SHAPE, shape.confidence
+        sources = {**matched, **sources}
     turns = nearest_rotations(character.world[:, :3, :3])
     local, moves = turns.copy(), character.places.copy()
     for node, parent in enumerate(character.parents):

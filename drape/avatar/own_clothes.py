@@ -49,17 +49,21 @@ def halves_of(garments: Iterable[Garment], body: BodyModel) -> Halves:
     bones = BONES[body.weights.argmax(axis=1)]
     upper = np.isin(bones, ["spine2", "spine3", "collar", "shoulder", "elbow", "neck"])
     lower = np.isin(bones, ["hip", "knee", "ankle", "foot"])
-    found = np.zeros(2, dtype=bool)
+    covered = np.zeros(2, dtype=bool)
     for garment in garments:
         _, row = nearest_vertices(garment.vertices[: garment.vertex_count].astype(np.float64), body.v_template)
         share = np.array([upper[row].mean(), lower[row].mean()])
-        found |= share > LEAST_SHARE * np.array([1.0, 1.0 + (share[0] > LEAST_SHARE)])  # a shirt's hem is on the hips
-    return Halves(*map(bool, found))
+        covered |= share > LEAST_SHARE * np.array([1.0, 1.0 + (share[0] > LEAST_SHARE)])  # a shirt's hem is on the hips
+    return Halves(*map(bool, covered))
 
 
 class Layers(NamedTuple):
-    """Faces (F,) of a character: its ``body`` with what is painted on it and flat on it; ``lower`` clothes that are no
-    part of it. ``hollow`` clothes have no skin below, and stand for it. ``attire`` knows the things that are bulky."""
+    """Which faces (F,) of a character are what: ``body``, its body with what is painted on it or lies flat on it;
+    ``lower``, clothes of the lower half that are no part of that.
+
+    ``hollow`` (F,): clothes with no skin below, which stand for the skin. ``attire``: the parts, with those that are
+    bulky marked.
+    """
 
     body: np.ndarray
     lower: np.ndarray
@@ -68,7 +72,7 @@ class Layers(NamedTuple):
 
 
 def layers_of(attire: Attire, pose: TPose) -> Layers:
-    """The layers of a character in ``pose``, whose faces are known by ``attire``."""
+    """Returns the layers of a character in ``pose``, the kinds of whose faces ``attire`` knows."""
     part = parts_of(pose.weights)[pose.faces[:, 0]]
     skin, clothes = attire.of_kinds(SKIN), attire.of_kinds(UPPER + LOWER)
     sewn = np.zeros(len(pose.vertices), dtype=bool)
@@ -126,16 +130,20 @@ def taken_off(attire: Attire, halves: Halves) -> np.ndarray:
 
 
 def tucked(attire: Attire, halves: Halves) -> np.ndarray:
-    """Which faces (F,) are tops that garments on these ``halves`` leave on, and that end where these begin."""
+    """Returns which faces (F,) bool are tops that stay on under garments on these ``halves``, and end where these
+    begin: tops, if the garments lie on the lower half alone."""
     return attire.of_kinds(("top",)) & (halves.lower and not halves.upper)
 
 
 def bare_faces(
     body: BodyModel, vertices: np.ndarray, faces: np.ndarray, off: np.ndarray, loose: np.ndarray | None = None
 ) -> np.ndarray:
-    """Which faces (Fb,) of a character's bare ``body`` are seen where the faces ``off`` (F,) of its surface,
-    ``vertices`` [m] (V, 3) and ``faces`` (F, 3), are gone: they lay below these, and nothing lies there but ``loose``
-    faces (F,)."""
+    """Returns which faces (Fb,) bool of a character's bare ``body`` are seen where the faces ``off`` (F,) of its
+    surface are gone.
+
+    ``vertices`` [m] (V, 3) and ``faces`` (F, 3) are that surface. A face of the body is seen if it lay below faces that
+    are gone, and no other face of the surface lies there, those of ``loose`` (F,) not counted.
+    """
     middle = body.v_template[body.faces].mean(axis=1)
     if not off.any():
         return np.zeros(len(middle), dtype=bool)

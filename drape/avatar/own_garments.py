@@ -48,8 +48,8 @@ MARK = "~"  # between a character and the kind, in the name of a garment
 
 @dataclass(frozen=True, eq=False)
 class OwnGarments:
-    """``garments`` that a character came in, the innermost first, and why other ``clothes`` of its stay on its skin, by
-    the names of its parts."""
+    """The ``garments`` that a character came in, the innermost first; ``stiff``: why its other clothes stay on its
+    skin, by the names of the parts."""
 
     garments: tuple[Garment, ...]
     stiff: dict[str, str]
@@ -88,23 +88,24 @@ def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
         whole[rows] = False
         mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", rows)
         worn.append(OwnCloth(kind, tuple(own), tuple(ranges_of(whole).reshape(-1).tolist()), mesh))
-    made = each(partial(_garment_or_why, wearer.name, wearer.digest, body), worn)
-    for one, why in zip(worn, made, strict=True):
+    garments = each(partial(_garment_or_why, wearer.name, wearer.digest, body), worn)
+    for one, why in zip(worn, garments, strict=True):
         if isinstance(why, str):
             stiff |= {parts[number].name: why for number in one.numbers}
-    return OwnGarments(tuple(one for one in made if not isinstance(one, str)), stiff)
+    return OwnGarments(tuple(one for one in garments if not isinstance(one, str)), stiff)
 
 
 def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:
-    """Which faces (F,) of ``wearer`` those of ``garments`` are that it came in: they are drawn as cloth."""
-    found = np.zeros(len(wearer.faces), dtype=bool)
+    """Returns which faces (F,) bool of ``wearer`` belong to those of ``garments`` that it came in: they are drawn as
+    cloth."""
+    own = np.zeros(len(wearer.faces), dtype=bool)
     for garment in garments:
         about = garment.manifest.get(OWN, {})
-        found |= np.isin(wearer.attire.part, about.get("parts", ()))
+        own |= np.isin(wearer.attire.part, about.get("parts", ()))
         stays = about.get("stays", [])
         for first, count in zip(stays[::2], stays[1::2], strict=True):
-            found[first : first + count] = False
-    return found
+            own[first : first + count] = False
+    return own
 
 
 def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) -> Halves:
@@ -115,8 +116,11 @@ def halves_on(wearer: Wearer, garments: Sequence[Garment], standard: BodyModel) 
 
 
 class Undressed(NamedTuple):
-    """Faces of a character that are not drawn in its garments, ``off`` (F,), and what is seen there: which faces of its
-    bare body, ``bare`` (Fb,), and a top that is ``tucked`` in."""
+    """What is not drawn of a character in its garments, and what is seen in its place.
+
+    ``off`` (F,) bool: its faces that are not drawn. ``bare`` (Fb,) bool: the faces of its bare body that are seen.
+    ``tucked``: a top of its own that is tucked in, or None.
+    """
 
     off: np.ndarray
     bare: np.ndarray
@@ -131,9 +135,12 @@ class Undressed(NamedTuple):
 def undressed(
     wearer: Wearer, own: np.ndarray, cloth: Sequence[tuple[np.ndarray, np.ndarray]], halves: Halves
 ) -> Undressed:
-    """What garments leave of ``wearer``, whose ``cloth`` is vertices [m] (V, 3) and faces (F, 3) of each: without what
-    those of ours take off, which lie on these ``halves``, and without its ``own`` faces (F,) that are drawn as cloth;
-    tops that stay on are worn in trousers of ours."""
+    """Returns what is not drawn of ``wearer`` in garments, and what is seen instead.
+
+    ``own`` (F,) bool: its faces that are drawn as cloth. ``cloth``: vertices [m] (V, 3) and faces (F, 3) of each
+    garment in the T-pose. ``halves``: where garments of ours lie. They take off what lies there; tops that stay on are
+    tucked into trousers of ours.
+    """
     if not wearer.attire.parts:
         return Undressed(np.zeros(len(wearer.faces), dtype=bool), np.zeros(len(wearer.body.faces), dtype=bool))
     surface = wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)
@@ -147,7 +154,8 @@ def undressed(
 
 
 def dressed_in(own: Sequence[Garment], halves: Halves) -> tuple[list[Garment], list[Garment]]:
-    """Those of a character's ``own`` garments that others on these ``halves`` leave on: below these, and over them."""
+    """Returns those of a character's ``own`` garments that stay on under garments on these ``halves``: those below the
+    others, and those over them."""
     off = (UPPER if halves.upper else ()) + (LOWER if halves.lower else ())
     left = [garment for garment in own if garment.manifest[OWN]["kind"] not in off]
     lower = [garment for garment in left if garment.manifest[OWN]["kind"] in LOWER]
@@ -193,19 +201,19 @@ def _stiff(wearer: Wearer) -> dict[str, str]:
     """Why clothes stay on the skin, by the names of parts, as far as it is seen before an intake."""
     pose = TPose(wearer.vertices, wearer.faces, wearer.weights, np.zeros((0, 3)), wearer.scale, wearer.height_m)
     painted = layers_of(wearer.attire, pose).body
-    found = {}
+    reasons = {}
     for number, part in enumerate(wearer.attire.parts):
         rows = np.flatnonzero(wearer.attire.part == number)
         if part.kind not in KINDS or not len(rows):
             continue
         weights = wearer.weights[np.unique(wearer.faces[rows])]
         if len(rows) < LEAST_FACES:
-            found[part.name] = f"It has {len(rows)} faces, too few to fold."
+            reasons[part.name] = f"It has {len(rows)} faces, too few to fold."
         elif painted[rows].mean() > PAINTED_SHARE:
-            found[part.name] = "It is painted on the skin, or one mesh with it."
+            reasons[part.name] = "It is painted on the skin, or one mesh with it."
         elif (weights > STIFF).all(axis=0).any():
-            found[part.name] = "One bone moves all of it, as armour."
-    return found
+            reasons[part.name] = "One bone moves all of it, as armour."
+    return reasons
 
 
 def _garment_or_why(name: str, digest: str, body: BodyModel, own: OwnCloth) -> Garment | str:
@@ -220,14 +228,14 @@ def _garment_or_why(name: str, digest: str, body: BodyModel, own: OwnCloth) -> G
 def _garment(name: str, digest: str, body: BodyModel, own: OwnCloth) -> Garment:
     kind, numbers = own.kind, list(own.numbers)
     made_of = f"own {VERSION} {kind} {numbers} {digest} {body.digest}"
-    made = intake_mesh(own.mesh, body, digest=hashlib.sha256(made_of.encode()).hexdigest())
-    refusal = why_not(body, reach_of(made, body), garment=kind)
+    garment = intake_mesh(own.mesh, body, digest=hashlib.sha256(made_of.encode()).hexdigest())
+    refusal = why_not(body, reach_of(garment, body), garment=kind)
     if refusal is not None:
         raise refusal
     about = {"kind": kind, "parts": numbers, "stays": list(own.stays)}
     called = f"{name}{MARK}{kind}"
-    drawn = None if made.drawn is None else replace(made.drawn, name=called)
-    return replace(made, name=called, drawn=drawn, manifest=made.manifest | {OWN: about})
+    drawn = None if garment.drawn is None else replace(garment.drawn, name=called)
+    return replace(garment, name=called, drawn=drawn, manifest=garment.manifest | {OWN: about})
 
 
 def _mesh(file: GltfFile, wearer: Wearer, name: str, rows: np.ndarray) -> GarmentMesh:

@@ -32,23 +32,23 @@ def plain_part(part: str) -> str:
 
 def _beside(part: str) -> set[str]:
     """``part`` and those that join it."""
-    found, plain = {part}, plain_part(part)
+    near, plain = {part}, plain_part(part)
     side = part.removesuffix(plain)
     for chain in CHAINS:
         if plain in chain:
             place = chain.index(plain)
-            found |= {side + other for other in chain[max(0, place - 1) : place + 2]}
-            found |= {"trunk"} if place == 0 else set()
+            near |= {side + other for other in chain[max(0, place - 1) : place + 2]}
+            near |= {"trunk"} if place == 0 else set()
     if part == "trunk":
-        found |= {"neck", *(f"{side}_{chain[0]}" for side in ("left", "right") for chain in CHAINS)}
-    return found | {"neck": {"trunk", "head"}, "head": {"neck"}}.get(part, set())
+        near |= {"neck", *(f"{side}_{chain[0]}" for side in ("left", "right") for chain in CHAINS)}
+    return near | {"neck": {"trunk", "head"}, "head": {"neck"}}.get(part, set())
 
 
 _JOINED = np.array([[other in _beside(part) for other in PARTS] for part in PARTS])  # by numbers of parts
 
 
 def beside(own: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Whether parts (n,) are those of ``others`` (n,) or join them."""
+    """Returns whether each part of ``own`` (n,) is the one of ``others`` (n,), or joins it."""
     return _JOINED[own, others]
 
 
@@ -58,6 +58,6 @@ def faces_beside(part: str, corners: np.ndarray) -> np.ndarray:
 
 
 def counted_vertices(pose: TPose) -> np.ndarray:
-    """The character's vertices (n,) of trunk and limbs."""
+    """Returns the numbers (n,) of the character's vertices on trunk and limbs; heads, hands and feet do not count."""
     wanted = [number for number, part in enumerate(PARTS) if plain_part(part) in LIMBS]
     return np.intersect1d(np.flatnonzero(np.isin(parts_of(pose.weights), wanted)), pose.faces)

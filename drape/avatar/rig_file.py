@@ -53,10 +53,10 @@ def add_dressed(
     *,
     quantised: bool = True,
 ) -> None:
-    """Adds garments on ``wearer``, whose own file had ``rig``, to ``file`` in its unit, and the ``clip``; the
-    skeleton's node n is ``nodes[n]``.
+    """Adds garments and a ``clip`` to ``file``, in the unit of the character's own file.
 
-    ``quantised``: normals have 8 bits (KHR_mesh_quantization).
+    ``wearer`` wears the ``layers``; its own file had ``rig``. The skeleton's node n is the node ``nodes[n]`` of
+    ``file``. ``quantised``: normals have 8 bits (KHR_mesh_quantization).
     """
     skeleton = rig.skeleton
     motion = rig_motion(clip, wearer, skeleton)
@@ -73,16 +73,19 @@ def add_dressed(
 
 
 def bare_file(wearer: Wearer, rig: FileRig, left: Undressed) -> GlbFile:
-    """The file of ``add_bare`` alone."""
+    """Returns a file with what ``add_bare`` adds and nothing else."""
     file = GlbFile()
     add_bare(file, add_nodes(file, rig.skeleton), wearer, rig, left)
     return file
 
 
 def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig, left: Undressed) -> None:
-    """Adds what is seen where clothes of ``wearer``, whose own file had ``rig``, are not drawn, by ``left``: skin in
-    its mean colour, and a top that is tucked in, in the colours of its faces. Clients draw that deeper than it is by
-    the node's ``deeper_m``. They lie on the character's nodes, as ``add_dressed`` has them, in its unit."""
+    """Adds what is seen where clothes of ``wearer`` are not drawn, which ``left`` says: skin in its mean colour, and a
+    top that is tucked in, in the colours of its faces.
+
+    Clients draw the top deeper than it is, by the node's ``deeper_m``. Both are skinned to the character's nodes, as
+    ``add_dressed`` has them, in the unit of its file.
+    """
     body, top, attire = wearer.body, left.tucked, wearer.attire
     still = RigClip(*wearer.to_rig(np.zeros((1, JOINT_COUNT, 3)), np.zeros((1, 3))), 1.0)
     blends = rig_motion(still, wearer, rig.skeleton).part(np.zeros(0, dtype=np.int64)).blends
@@ -93,12 +96,12 @@ def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig,
         surface = MeshSurface(name, len(vertices), faces, np.zeros((0, 2)), *_NO_MATERIALS)
         corners, on = split_seams(surface), scipy.sparse.csr_matrix(weights) @ onto
         parts = _shape(file, corners, faces, vertices[None] / wearer.scale, on, blends, quantised=False)
-        one = colours[0] if len(colours) == 1 else np.ones(3)
+        shade = colours[0] if len(colours) == 1 else np.ones(3)
         if len(colours) > 1:
             parts[0]["COLOR_0"] = file.array(
                 (colours[corners.source] ** GAMMA).astype(np.float32), target=VERTEX_BUFFER
             )
-        red, green, blue = (one**GAMMA).tolist()
+        red, green, blue = (shade**GAMMA).tolist()
         add_shape(file, surface, corners, Shape(parts, {"skin": skin} | told), 0, 1.0, (red, green, blue, 1.0))
 
     if left.bare.any():
@@ -115,18 +118,18 @@ def add_bare(file: GlbFile, nodes: dict[int, int], wearer: Wearer, rig: FileRig,
 def _onto_joints(wearer: Wearer, skeleton: FileSkeleton) -> scipy.sparse.csr_matrix:
     """The joint (24, J) of the file that moves what each joint of ours does: its node, or the nearest joint above."""
     column = {int(node): number for number, node in enumerate(skeleton.joints)}
-    found: list[int] = []
+    columns: list[int] = []
     for joint, name in enumerate(JOINT_NAMES):
         node = wearer.rig.sources.get(name, -1)
         while node >= 0 and node not in column:
             node = skeleton.parents[node]
-        found.append(column[node] if node >= 0 else found[PARENTS[joint]] if joint else 0)
-    onto = np.ones(len(found)), (np.arange(len(found)), np.array(found))
-    return scipy.sparse.csr_matrix(onto, (len(found), len(skeleton.joints)))
+        columns.append(column[node] if node >= 0 else columns[PARENTS[joint]] if joint else 0)
+    onto = np.ones(len(columns)), (np.arange(len(columns)), np.array(columns))
+    return scipy.sparse.csr_matrix(onto, (len(columns), len(skeleton.joints)))
 
 
 def add_nodes(file: GlbFile, skeleton: FileSkeleton) -> dict[int, int]:
-    """The skeleton's nodes in ``file``: their places -> its nodes."""
+    """Adds the nodes of ``skeleton`` to ``file``. Returns the file's node for each place of the skeleton."""
     kept, waiting = [], list(skeleton.tops[::-1])
     while waiting:
         kept.append(waiting.pop())

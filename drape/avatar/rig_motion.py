@@ -46,7 +46,7 @@ class RigMotion:
 
     @property
     def blends(self) -> np.ndarray:
-        """From the bind pose to the world (F + 1, J, 4, 4), of each joint."""
+        """The maps (F + 1, J, 3, 4) from the bind pose to the world, of each joint."""
         return self.world[:, self.skeleton.joints] @ self.skeleton.binds
 
     def part(self, rows: np.ndarray) -> RigMotion:

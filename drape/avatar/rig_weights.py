@@ -62,7 +62,7 @@ def blended(weights: np.ndarray, bones: np.ndarray, moves: np.ndarray) -> np.nda
 
 
 def volume(moves: np.ndarray) -> np.ndarray:
-    """What volumes grow by (V,) in ``moves`` (V, 3, 4)."""
+    """Returns the factors (V,) by which ``moves`` (V, 3, 4) make volumes larger."""
     return np.linalg.det(moves[:, :, :3])
 
 

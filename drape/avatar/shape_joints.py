@@ -51,12 +51,12 @@ def joints_by_shape(character: Character, *, label: str = "avatar") -> ShapeJoin
 
 
 def hanging_on(parents: Sequence[int], node: int) -> np.ndarray:
-    """Which nodes (N,) are ``node`` or hang on it."""
-    found = np.zeros(len(parents), dtype=bool)
-    found[node] = True
+    """Returns which nodes (N,) bool are ``node`` or hang below it; ``parents`` (N,) are -1 where there is none."""
+    hangs = np.zeros(len(parents), dtype=bool)
+    hangs[node] = True
     for other in range(node + 1, len(parents)):
-        found[other] = parents[other] >= 0 and found[parents[other]]
-    return found
+        hangs[other] = parents[other] >= 0 and hangs[parents[other]]
+    return hangs
 
 
 class _Reading:
@@ -90,17 +90,17 @@ class _Reading:
         arms = [self._arm(top, tip, middle, across) for top, tip in zip(arm_tops, tips, strict=True)]
         # The arms are in the order of the legs, which lie along ``across``; up x ahead is the left.
         sides = ("left", "right") if np.cross([0.0, 1.0, 0.0], ahead) @ across > 0.0 else ("right", "left")
-        found: dict[str, int] = {}
+        joints: dict[str, int] = {}
         for side, (leg, _), (arm, _) in zip(sides, legs, arms, strict=True):
-            found |= {f"{side}_{name}": node for name, node in zip(("hip", "knee", "ankle"), leg, strict=True)}
-            found |= {f"{side}_{name}": node for name, node in zip(("shoulder", "elbow", "wrist"), arm, strict=True)}
-            found |= self._ends(side, leg[2], arm_tops[0 if side == sides[0] else 1], arm[0])
-        found = with_trunk(found, self.parents, label=self.label) | self._head(chest, fork, {*arm_tops, *tops})
+            joints |= {f"{side}_{name}": node for name, node in zip(("hip", "knee", "ankle"), leg, strict=True)}
+            joints |= {f"{side}_{name}": node for name, node in zip(("shoulder", "elbow", "wrist"), arm, strict=True)}
+            joints |= self._ends(side, leg[2], arm_tops[0 if side == sides[0] else 1], arm[0])
+        joints = with_trunk(joints, self.parents, label=self.label) | self._head(chest, fork, {*arm_tops, *tops})
         errors = [error for _, error in (*legs, *arms)]
-        confidence = float(np.exp(-max(errors) - self._lopsided(found, across, middle)))
+        confidence = float(np.exp(-max(errors) - self._lopsided(joints, across, middle)))
         if confidence < LEAST_CONFIDENCE:
             raise self._refused("limbs of a person", f"limbs that are {100 * confidence:.0f} % like those")
-        return ShapeJoints(found, confidence)
+        return ShapeJoints(joints, confidence)
 
     # --- the tree ---
 
@@ -237,12 +237,12 @@ class _Reading:
 
     def _ends(self, side: str, ankle: int, arm_top: int, shoulder: int) -> dict[str, int]:
         """The ball of the foot, the middle one of the ankle's branches, and the collar, the arm's first node."""
-        found = {} if arm_top == shoulder else {f"{side}_collar": arm_top}
+        ends = {} if arm_top == shoulder else {f"{side}_collar": arm_top}
         toes = self._children(ankle)
         if toes:
             away = np.linalg.norm(self.places[toes] - self.places[toes].mean(axis=0), axis=1)
-            found[f"{side}_foot"] = toes[int(away.argmin())]
-        return found
+            ends[f"{side}_foot"] = toes[int(away.argmin())]
+        return ends
 
     # --- head ---
 

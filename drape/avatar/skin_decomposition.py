@@ -21,12 +21,12 @@ FRAMES_AT_ONCE = 16
 def blended(weights: np.ndarray, rest: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """The vertices (F, V, 3) of ``rest`` (V, 3) with ``weights`` (V, B) on bones that are at ``moves``."""
     flat, points = moves.reshape(*moves.shape[:2], 12), homogeneous(rest)
-    found = np.empty((len(moves), len(rest), 3))
+    positions = np.empty((len(moves), len(rest), 3))
     for start in range(0, len(moves), FRAMES_AT_ONCE):
         part = slice(start, start + FRAMES_AT_ONCE)
         blends = (weights @ flat[part]).reshape(-1, len(rest), 3, 4)
-        found[part] = np.einsum("fvab,vb->fva", blends, points)
-    return found
+        positions[part] = np.einsum("fvab,vb->fva", blends, points)
+    return positions
 
 
 def homogeneous(points: np.ndarray) -> np.ndarray:
@@ -54,7 +54,7 @@ def fit_weights(
     count, bones = len(rest), moves.shape[1]
     squares = np.einsum("fbai,fcaj->bcij", moves, moves, optimize=True) / len(frames)
     towards = moves.transpose(1, 3, 0, 2).reshape(bones * 4, -1) @ frames.transpose(0, 2, 1).reshape(-1, count)
-    points, found = homogeneous(rest), np.zeros((count, bones))
+    points, weights = homogeneous(rest), np.zeros((count, bones))
     towards = np.einsum("biv,vi->vb", towards.reshape(bones, 4, count), points) / len(frames)
     for start in range(0, count, 512):
         rows = slice(start, start + 512)
@@ -65,18 +65,19 @@ def fit_weights(
             gram += stiffness * np.eye(own.shape[1])
             right = right + stiffness * np.take_along_axis(pull[rows], own, axis=1)
         stays = None if past is None else np.take_along_axis(past[rows], own, axis=1) > 0.0
-        found[np.arange(count)[rows, None], own] = better_fit(gram, right, most, stays)
-    return found
+        weights[np.arange(count)[rows, None], own] = better_fit(gram, right, most, stays)
+    return weights
 
 
 def better_fit(gram: np.ndarray, right: np.ndarray, most: int, stays: np.ndarray | None) -> np.ndarray:
-    """The better of two ``simplex_fit``: of all weights, and of those that are said to be above zero (N, C)."""
-    found = simplex_fit(gram, right, most)
+    """Returns the better of two results of ``simplex_fit`` (N, C), vertex by vertex: one of all weights, and one in
+    which only the weights ``stays`` (N, C) may be above zero."""
+    fitted = simplex_fit(gram, right, most)
     if stays is None:
-        return found
+        return fitted
     again = simplex_fit(gram, right, most, stays)
-    costs = [np.einsum("vc,vcd,vd->v", one, 0.5 * gram, one) - (one * right).sum(axis=1) for one in (found, again)]
-    return np.where((costs[0] < costs[1])[:, None], found, again)
+    costs = [np.einsum("vc,vcd,vd->v", one, 0.5 * gram, one) - (one * right).sum(axis=1) for one in (fitted, again)]
+    return np.where((costs[0] < costs[1])[:, None], fitted, again)
 
 
 def simplex_fit(gram: np.ndarray, right: np.ndarray, most: int, stays: np.ndarray | None = None) -> np.ndarray:
@@ -95,14 +96,14 @@ def simplex_fit(gram: np.ndarray, right: np.ndarray, most: int, stays: np.ndarra
         own = stays[open_rows]
         inverse = _inverse(gram[open_rows], own)
         sides = np.concatenate([np.where(own, right[open_rows], 0.0), np.ones((len(own), 1))], axis=1)
-        found = np.einsum("vij,vj->vi", inverse, sides)[:, :size]
-        found[~own] = np.inf
+        solved = np.einsum("vij,vj->vi", inverse, sides)[:, :size]
+        solved[~own] = np.inf
         variance = np.where(own, inverse[:, range(size), range(size)], 1.0)
-        cost = found**2 / np.maximum(variance, SINGULAR)
-        negative = (found < 0.0).any(axis=1)
-        leaves = np.where(negative, found.argmin(axis=1), np.where(own, cost, np.inf).argmin(axis=1))
+        cost = solved**2 / np.maximum(variance, SINGULAR)
+        negative = (solved < 0.0).any(axis=1)
+        leaves = np.where(negative, solved.argmin(axis=1), np.where(own, cost, np.inf).argmin(axis=1))
         goes = negative | (own.sum(axis=1) > most)
-        weights[open_rows] = np.where(own, found, 0.0)
+        weights[open_rows] = np.where(own, solved, 0.0)
         open_rows, leaves = open_rows[goes], leaves[goes]
         stays[open_rows, leaves] = False
     return weights

@@ -23,9 +23,12 @@ OFF_SKIN_M = 0.001  # nearer to the skin than trousers are
 
 
 class TuckedTop(NamedTuple):
-    """Faces of a character that are drawn in, ``rows`` (n,): ``vertices`` [m] (V, 3), ``faces`` (n, 3) of these, and
-    ``weights`` (V, 24). What is not drawn: the faces ``off`` (F,) of the character, whose place they take or that they
-    hide, and ``hidden`` ones (Fb,) of its bare body."""
+    """A top of a character's own, drawn in to the skin: ``rows`` (n,), the character's faces that it is made of,
+    ``vertices`` [m] (V, 3), ``faces`` (n, 3) of these, and ``weights`` (V, 24).
+
+    ``off`` (F,) bool: the character's faces that are not drawn, since they are these or lie below them. ``hidden``
+    (Fb,) bool: faces of its bare body that are not drawn.
+    """
 
     rows: np.ndarray
     vertices: np.ndarray
@@ -44,14 +47,14 @@ def tucked_top(wearer: Wearer, tops: np.ndarray, cloth: Sequence[tuple[np.ndarra
     height = _above(at, waist)
     if not (height < 0.0).any():
         return None
-    found = closest_point(at, body.v_template, body.faces)
-    corners = body.faces[found.face]
-    out = np.einsum("vk,vkc->vc", found.barycentric, meshes.vertex_normals(body.v_template, body.faces)[corners])
-    skin = np.einsum("vk,vkj->vj", found.barycentric, body.weights[corners])
+    nearest = closest_point(at, body.v_template, body.faces)
+    corners = body.faces[nearest.face]
+    out = np.einsum("vk,vkc->vc", nearest.barycentric, meshes.vertex_normals(body.v_template, body.faces)[corners])
+    skin = np.einsum("vk,vkj->vj", nearest.barycentric, body.weights[corners])
     share = np.clip(height / BAND_M, 0.0, 1.0)[:, None]
     share = share * share * (3.0 - 2.0 * share)
     weights = share * wearer.weights[used] + (1.0 - share) * skin
-    at = share * at + (1.0 - share) * (found.point + OFF_SKIN_M * out)
+    at = share * at + (1.0 - share) * (nearest.point + OFF_SKIN_M * out)
     moved = height[faces].min(axis=1) < BAND_M
     off, bare = wearer.attire.of_kinds(SKIN), np.ones(len(body.faces), dtype=bool)
     for there, vertices, own in ((off, wearer.vertices, wearer.faces), (bare, body.v_template, body.faces)):

@@ -167,8 +167,8 @@ def read_wearer(
     character = character_in(file)
     whole = file_rig(file, character)
     begins("map")
-    found = mapped(character.skinned, body, told=told, label=name)
-    rig = found.rig
+    match = mapped(character.skinned, body, told=told, label=name)
+    rig = match.rig
     pose = t_posed(character, rig)
     _check_limbs(pose, rig, name)
     assert character.triangle is not None
@@ -177,17 +177,17 @@ def read_wearer(
     begins("fit")
     layers = layers_of(attire, pose)
     seen, bodies = _bodies(pose, layers, body, name)
-    made = bodies[BARE]
+    shaped = bodies[BARE]
     root = JOINT_NAMES.index("pelvis")
-    surface = pose.vertices + made.joints_template[root] - pose.joints[root]
-    distances_mm = 1e3 * closest_point(surface[counted_vertices(seen)], made.v_template, made.faces).distance
-    limit_mm = FIT_LIMIT_MM * max(1.0, _depth_m(made) / _depth_m(body))
-    median_mm, p95_mm = _checked_fit(distances_mm, limit_mm, name, found.notes)
+    surface = pose.vertices + shaped.joints_template[root] - pose.joints[root]
+    distances_mm = 1e3 * closest_point(surface[counted_vertices(seen)], shaped.v_template, shaped.faces).distance
+    limit_mm = FIT_LIMIT_MM * max(1.0, _depth_m(shaped) / _depth_m(body))
+    median_mm, p95_mm = _checked_fit(distances_mm, limit_mm, name, match.notes)
     made_of = json.dumps([FIT_VERSION, body.digest, dict(told or {}), dict(kinds or {})])
     digest = hashlib.sha256(made_of.encode() + payload).hexdigest()
     return Wearer(
-        name, digest, made, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
-        pose.height_m, median_mm, p95_mm, character.vrm, found.by, found.confidence, found.notes, whole, layers.attire,
+        name, digest, shaped, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
+        pose.height_m, median_mm, p95_mm, character.vrm, match.by, match.confidence, match.notes, whole, layers.attire,
         bodies,
     )  # fmt: skip
 
@@ -242,21 +242,21 @@ def _check_limbs(pose: TPose, rig: Rig, name: str) -> None:
 def rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndarray:
     """``quaternions`` as (F, N, 4); refuses other numbers of nodes, and other lengths than one."""
     try:
-        found = np.asarray(quaternions, dtype=np.float64)
+        turns = np.asarray(quaternions, dtype=np.float64)
     except ValueError:  # frames of different lengths
-        found = np.zeros(0)
-    if found.ndim != 3 or found.shape[1:] != (nodes, 4):
+        turns = np.zeros(0)
+    if turns.ndim != 3 or turns.shape[1:] != (nodes, 4):
         raise MotionError(
             "rig_poses",
             expected=f"{nodes} quaternions a frame, one for each of the avatar's nodes",
-            got=f"shape {found.shape[1:]}" if found.ndim == 3 else "frames of different lengths",
+            got=f"shape {turns.shape[1:]}" if turns.ndim == 3 else "frames of different lengths",
             cure="GET /avatars/ID tells the nodes in their order.",
         )
-    lengths = np.linalg.norm(found, axis=-1)
+    lengths = np.linalg.norm(turns, axis=-1)
     if not (np.abs(lengths - 1.0) <= UNIT_TOLERANCE).all():  # which also catches NaN
         got = f"lengths from {lengths.min():.4g} to {lengths.max():.4g}"
         raise MotionError("rig_poses", expected="unit quaternions xyzw", got=got, cure="Send rotations without scale.")
-    return found
+    return turns
 
 
 def save_wearer(wearer: Wearer, folder: Path) -> Path:
@@ -356,17 +356,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("file", type=Path, help="GLB or VRM")
     parser.add_argument("--out", type=Path, help="folder of its file; without it nothing is stored")
     given = parser.parse_args(arguments)
-    found = read_wearer(given.file.read_bytes(), name=wearer_name(given.file.stem))
-    for joint, node in found.joints.items():
+    wearer = read_wearer(given.file.read_bytes(), name=wearer_name(given.file.stem))
+    for joint, node in wearer.joints.items():
         print(f"{joint:15s} {node}")
-    print(f"joints by {found.found_by}, {100.0 * found.confidence:.0f} % sure")
-    for part in found.attire.parts:
+    print(f"joints by {wearer.found_by}, {100.0 * wearer.confidence:.0f} % sure")
+    for part in wearer.attire.parts:
         print(f"{part.kind:10s} {part.faces:6d} faces, {100.0 * part.sure:3.0f} % sure: {part.name}")
-    for note in found.notes:
+    for note in wearer.notes:
         print(f"note: {note}")
-    print(f"height {found.height_m:.2f} m; fit {found.median_mm:.1f} mm median, {found.p95_mm:.1f} mm at 95 %")
+    print(f"height {wearer.height_m:.2f} m; fit {wearer.median_mm:.1f} mm median, {wearer.p95_mm:.1f} mm at 95 %")
     if given.out is not None:
-        print(f"stored {save_wearer(found, given.out)}")
+        print(f"stored {save_wearer(wearer, given.out)}")
     return 0
 
 

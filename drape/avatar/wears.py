@@ -25,7 +25,7 @@ LEAST_SHARE = 0.1  # of a garment's vertices at the shins, to go round them
 
 
 class Reach(NamedTuple):
-    """The ``halves`` of a body on which a garment lies, and whether it has long tubes round the ``legs``."""
+    """Where a garment lies on a body: on which ``halves``, and whether it has long tubes round the ``legs``."""
 
     halves: Halves
     legs: bool
@@ -56,7 +56,8 @@ def legs_thickness(body: BodyModel) -> float:
 
 
 def why_not(body: BodyModel, reach: Reach, *, garment: str) -> BodyError | None:
-    """Why ``body``, laid on a character, cannot wear a ``garment`` of this ``reach``; None where it can."""
+    """Returns the refusal of a ``garment`` of this ``reach`` for ``body``, which is laid on a character; None if the
+    character can wear it."""
     thickness = legs_thickness(body) if reach.legs else 0.0
     if thickness <= THICKEST:
         return None

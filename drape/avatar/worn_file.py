@@ -40,7 +40,8 @@ PLAIN = {  # what VRM 0 says of a material that is glTF's own
 def worn_glb(
     payload: bytes, layers: Sequence[Jointed], draped: Sequence[np.ndarray], motion: RigMotion, scale: float
 ) -> GlbFile:
-    """The character's file ``payload`` with garments over the clip in which they are ``draped`` [m] (F, V, 3) each."""
+    """Returns the character's file ``payload`` with the garments ``layers`` in it, over the clip ``motion``. Each is
+    ``draped`` [m] (F, V, 3); ``scale``: metres per unit of the file."""
     file, nodes = _opened(payload)
     add_clip(file, layers, draped, motion, nodes, scale)
     _complete(file)
@@ -79,18 +80,21 @@ def worn_on_rig(payload: bytes, layers: Sequence[Dressed], clip: RigClip, wearer
 
 
 def undressed_file(payload: bytes, wearer: Wearer, rig: FileRig, left: Undressed) -> bytes:
-    """The file ``payload`` of ``wearer``, which has ``rig``, without the faces that are ``off`` by ``left``, and with
-    what is seen there. What they were made of stays: blend shapes and the like still find their meshes."""
+    """Returns the file ``payload`` of ``wearer``, which has ``rig``, without the faces that ``left`` says are off, and
+    with what is seen there instead.
+
+    Meshes that lose faces keep their numbers, so that blend shapes and the like still find them.
+    """
     file, nodes = _opened(payload)
-    read, gone = GltfFile(payload), np.zeros(sum(one.triangles for one in rig.primitives), dtype=bool)
+    read, gone = GltfFile(payload), np.zeros(sum(primitive.triangles for primitive in rig.primitives), dtype=bool)
     gone[rig.triangle[left.off]] = True
-    ends, own = np.cumsum([one.triangles for one in rig.primitives])[:-1], dict[int, dict[str, Any]]()
-    for one, off in zip(rig.primitives, np.split(gone, ends), strict=True):
+    ends, own = np.cumsum([primitive.triangles for primitive in rig.primitives])[:-1], dict[int, dict[str, Any]]()
+    for primitive, off in zip(rig.primitives, np.split(gone, ends), strict=True):
         if off.any():
-            mesh = own[one.node] if one.node in own else _own_mesh(file, one.node)
-            own[one.node] = mesh
-            held = read.item("meshes", read.document.nodes[one.node].mesh).primitives[one.primitive]
-            _without(file, read, held, mesh["primitives"][one.primitive], off)
+            mesh = own[primitive.node] if primitive.node in own else _own_mesh(file, primitive.node)
+            own[primitive.node] = mesh
+            held = read.item("meshes", read.document.nodes[primitive.node].mesh).primitives[primitive.primitive]
+            _without(file, read, held, mesh["primitives"][primitive.primitive], off)
     if left.added:
         add_bare(file, nodes, wearer, rig, left)
     _complete(file)
@@ -173,12 +177,12 @@ def _add_springs_0(
     first = len(groups)
     groups += [{"node": nodes[limb.node], "colliders": _spheres(limb)} for limb in springs.limbs]
     for number in np.flatnonzero(springs.sprung).tolist():
-        one = _numbers(springs, number)
+        spring = _numbers(springs, number)
         listed.append(
             {
-                "comment": file.json["nodes"][own[number]]["name"], "stiffiness": one["stiffness"],
-                "gravityPower": one["gravity"], "gravityDir": {"x": 0.0, "y": -1.0, "z": 0.0},
-                "dragForce": one["drag"], "center": -1, "hitRadius": one["radius"], "bones": [own[number]],
+                "comment": file.json["nodes"][own[number]]["name"], "stiffiness": spring["stiffness"],
+                "gravityPower": spring["gravity"], "gravityDir": {"x": 0.0, "y": -1.0, "z": 0.0},
+                "dragForce": spring["drag"], "center": -1, "hitRadius": spring["radius"], "bones": [own[number]],
                 "colliderGroups": [first + limb for limb in np.flatnonzero(springs.felt[number]).tolist()],
             }
         )  # fmt: skip

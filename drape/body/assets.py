@@ -65,7 +65,8 @@ def save_body(
 
 
 def list_bodies(folder: Path = BODIES_DIR) -> list[str]:
-    """Names of the bodies in ``folder``; other files beside them, as the table of avatars, hold no digest."""
+    """Returns the names of the bodies in ``folder``. Files without a digest, such as the table of avatars, are no
+    bodies."""
     return sorted(path.stem for path in folder.glob("*.json") if "sha256" in json.loads(path.read_text("utf-8")))
 
 

@@ -39,8 +39,11 @@ class Kinematics:
 
 
 def joint_rotations(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit quaternions wxyz (F, 24, 4) and matrices (F, 24, 3, 3) of ``poses`` (F, 24, 3) [rad], float64: the
-    formulas of ``drape.geometry.rotations`` by the engine, which numpy takes fifty calls for."""
+    """Returns ``poses`` (F, 24, 3) [rad] as unit quaternions wxyz (F, 24, 4) and matrices (F, 24, 3, 3), float64.
+
+    The formulas are those of ``drape.geometry.rotations``. The engine computes them in one call, where NumPy takes
+    fifty.
+    """
     turns = np.ascontiguousarray(poses, np.float64)
     quaternions, matrices = np.empty((*turns.shape[:2], 4)), np.empty((*turns.shape, 3))
     call("turns", np.float64, turns, turns.size // 3, quaternions, matrices)
@@ -97,5 +100,5 @@ def motion_features(
 
 
 def feature_count() -> int:
-    """Length of the flattened static descriptors."""
+    """Returns how many numbers the static descriptors of a body are."""
     return JOINT_COUNT * STATIC_PER_JOINT

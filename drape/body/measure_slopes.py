@@ -22,7 +22,7 @@ def measure_slopes(body: BodyModel, betas: np.ndarray) -> np.ndarray:
     chest, waist, hip = (_girth_slopes(vertices, moved, place.trunk, y, by) for y, by in girths)
     crown, soles = moved[vertices[:, 1].argmax(), 1], moved[vertices[:, 1].argmin(), 1]
     joints = body.rest_joints(betas)[SLEEVES], body.joint_shapedirs[SLEEVES]  # (2 arms, 3 joints, ...)
-    found = {
+    slopes = {
         "height_m": crown - soles,
         "chest_m": chest,
         "waist_m": waist,
@@ -32,7 +32,7 @@ def measure_slopes(body: BodyModel, betas: np.ndarray) -> np.ndarray:
         "shoulder_m": _way_slopes(*(np.subtract(*of[place.shoulders]) for of in (vertices, moved))),
         "weight_kg": DENSITY_KG_M3 * _volume_slopes(vertices, body.faces, moved),
     }
-    return np.array([found[name] for name in Measures._fields])
+    return np.array([slopes[name] for name in Measures._fields])
 
 
 def _girth_slopes(

@@ -66,7 +66,8 @@ class Levels(NamedTuple):
 
 
 class Tape(NamedTuple):
-    """A tape around a level section: the crossed ``edge`` (n, 2), at which ``share`` of each (n,), their ``hull``."""
+    """A tape around a level section: the crossed edges ``edge`` (n, 2), the ``share`` (n,) of each at which it is
+    crossed, and the ``hull`` of these points."""
 
     edge: np.ndarray
     share: np.ndarray
@@ -123,7 +124,8 @@ def _extreme(values: np.ndarray, among: np.ndarray, name: str) -> int:
 
 
 def section_girth(vertices: np.ndarray, edges: np.ndarray, y: float) -> float:
-    """The perimeter [m] of the hull of ``section_tape``."""
+    """Returns the girth [m] of the section of ``edges`` (E, 2) at the height ``y`` [m]: the perimeter of its convex
+    hull. ``vertices`` are [m] (V, 3)."""
     return float(section_tape(vertices, edges, y).hull.area)  # of a plane: its perimeter
 
 

@@ -54,7 +54,8 @@ class PoseSupport:
         return tuple((np.ascontiguousarray(one.T), (one**2).sum(axis=1)) for one in rows)
 
     def distances(self, poses: np.ndarray) -> np.ndarray:
-        """From each part of ``poses`` (F, 24, 3) [rad] to the nearest kept one (F, 3): root mean square of joints."""
+        """Returns the distances (F, 3) of ``poses`` (F, 24, 3) [rad] from the kept poses, part by part: to the nearest
+        one, root mean square over the joints."""
         rows, squared = pose_rows(poses).astype(np.float32), np.empty((len(poses), len(PARTS)), dtype=np.float32)
         for number, (part, (turned, squares)) in enumerate(zip(PART_SLICES, self.columns, strict=True)):
             one = rows[:, part]
@@ -105,15 +106,15 @@ def read_pose_support(path: Path) -> PoseSupport:
     """The pose support that ``to_bytes`` wrote; raises ``ArtifactError`` where the file holds something else."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            made = PoseSupport(**{item.name: file[item.name] for item in fields(PoseSupport)})
+            support = PoseSupport(**{item.name: file[item.name] for item in fields(PoseSupport)})
     except UNREADABLE as error:
         raise _unreadable(path, str(error)) from error
     wide = [rows.shape[1] for rows in pose_parts(np.zeros((1, JOINT_COUNT, 3))).values()]
-    shapes = [getattr(made, name).shape for name in PARTS]
+    shapes = [getattr(support, name).shape for name in PARTS]
     fits = all(len(shape) == 2 and shape[0] > 0 for shape in shapes) and [shape[1] for shape in shapes] == wide
-    if not fits or made.limits.shape != (len(PARTS),) or not (made.limits > 0.0).all():
-        raise _unreadable(path, f"shapes {shapes}, limits {made.limits}")
-    return made
+    if not fits or support.limits.shape != (len(PARTS),) or not (support.limits > 0.0).all():
+        raise _unreadable(path, f"shapes {shapes}, limits {support.limits}")
+    return support
 
 
 def _unreadable(path: Path, got: str) -> ArtifactError:

@@ -69,12 +69,12 @@ def measure_ranges(body: BodyModel, limit: float = LIMIT) -> dict[str, tuple[flo
 
     They lie along the slope at the mean shape, since measures are nearly linear.
     """
-    found = {}
+    ranges = {}
     slopes = measure_slopes(body, np.zeros(body.shape_count))
     for row, (name, slope) in enumerate(zip(Measures._fields, slopes, strict=True)):
         furthest = limit * slope / max(float(np.linalg.norm(slope)), 1e-12)
-        found[name] = measures(body, -furthest)[row], measures(body, furthest)[row]
-    return found
+        ranges[name] = measures(body, -furthest)[row], measures(body, furthest)[row]
+    return ranges
 
 
 def _checked(body: BodyModel, asked: Mapping[str, float], limit: float) -> list[str]:

@@ -77,12 +77,12 @@ def hessian(corners: Corners, stiffness_j: Array, rest_rad: Array, *, definite: 
     ``definite`` takes every hinge as stiff as an unbent one, and leaves out the curvature of the angle.
     """
     xp = namespace(stiffness_j)
-    found = hinge(corners)
-    slope = xp.reshape(angle_gradient(found), (12, -1))
+    edge = hinge(corners)
+    slope = xp.reshape(angle_gradient(edge), (12, -1))
     if definite:
         return (stiffness_j * slope)[:, None] * slope
-    cosine, sine = _turn(found, rest_rad)
-    return stiffness_j * (cosine * slope[:, None] * slope + sine * _angle_hessian(found))
+    cosine, sine = _turn(edge, rest_rad)
+    return stiffness_j * (cosine * slope[:, None] * slope + sine * _angle_hessian(edge))
 
 
 def bilinear(corners: Corners, stiffness_j: Array, left: Array, right: Array) -> Array:

@@ -85,14 +85,14 @@ def nearest_vertices(
     """Index (B, V) of the body vertex nearest to each of ``points`` (B, V, 3), among ``vertices`` (C,) or all."""
     check_shape("points", points, (None, None, 3), error=InputError)
     check_shape("body_vertices", body_vertices, (len(points), None, 3), error=InputError)
-    found = np.empty(points.shape[:2], dtype=np.int64)
+    nearest = np.empty(points.shape[:2], dtype=np.int64)
     for frame, posed in enumerate(body_vertices):
         candidates = posed if vertices is None else posed[vertices]
         # Built for one round of queries: an unbalanced tree costs a third and answers as fast. Leaves of 32 points take
         # a quarter off both, but all ratios to the push-out baseline are with leaves of ten.
         tree = KDTree(candidates, balanced_tree=False, compact_nodes=False)
-        found[frame] = tree.query(points[frame], workers=1)[1]
-    return found if vertices is None else vertices[found]
+        nearest[frame] = tree.query(points[frame], workers=1)[1]
+    return nearest if vertices is None else vertices[nearest]
 
 
 def take_rows(rows: np.ndarray, index: np.ndarray) -> np.ndarray:

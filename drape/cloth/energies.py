@@ -110,12 +110,12 @@ class ClothMesh:
 def _shared_edges(edges: np.ndarray, faces: np.ndarray, hinges: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """The edge i -> j of every hinge [m] (H, 2, 2) in the axes (warp, weft) of its first and second triangle."""
     place = np.concatenate([np.zeros((len(edges), 1, 2)), edges], axis=1)  # (F, 3 corners, 2)
-    found = []
+    vectors = []
     for side in range(2):
         face = sides[:, side]
         start, end = (place[face, (faces[face] == hinges[:, k, None]).argmax(axis=1)] for k in (0, 1))
-        found.append(end - start)
-    return np.stack(found, axis=1)
+        vectors.append(end - start)
+    return np.stack(vectors, axis=1)
 
 
 def membrane(positions: Array, mesh: ClothMesh, material: Material) -> Array:

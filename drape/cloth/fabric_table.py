@@ -113,7 +113,8 @@ ALIASES = {"soft": "jersey", "limp": "chiffon", "stiff": "denim", "crisp": "popl
 
 
 def fabric(which: str | Mapping[str, float] | Fabric) -> Fabric:
-    """The fabric of that name, or of given numbers: a mapping with the fields of ``Fabric``; a fabric as it is."""
+    """Returns a fabric: the one called ``which``, one of the numbers in a mapping with the fields of ``Fabric``, or
+    ``which`` itself if it is a fabric."""
     if isinstance(which, Fabric):
         return which
     if isinstance(which, str):

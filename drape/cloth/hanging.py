@@ -23,8 +23,9 @@ FIRM, LOOSE = 4.0, 0.5  # weights of contact where the skin holds cloth, and whe
 RENEWED = 5  # steps that one factor serves
 
 
-class Skin:
-    """A posed body's vertices [m] and faces as planes, and how ``firm`` (Vb,) in [0, 1] each vertex holds cloth."""
+class HoldingSkin:
+    """A posed body that cloth hangs on: its vertices [m] and faces as planes, and how ``firm`` (Vb,) in [0, 1] each
+    vertex holds cloth."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, firm: np.ndarray) -> None:
         self._vertices, self._weight = vertices, LOOSE + (FIRM - LOOSE) * firm
@@ -52,8 +53,9 @@ class HangingCloth(Relaxation):
         super().__init__(faces, rest, lambda x: (np.ones(len(x)), x), gap_m=GAP_M, inertia=softness / STEP_S**2)
         self._sag = GRAVITY_M_S2 * softness
 
-    def hung(self, x: np.ndarray, skin: Skin, steps: int) -> np.ndarray:
-        """``x`` [m] (V, 3) after so many ``steps`` over ``skin``, none of it inside."""
+    def hung(self, x: np.ndarray, skin: HoldingSkin, steps: int) -> np.ndarray:
+        """Returns the cloth [m] (V, 3) after so many ``steps`` over ``skin`` from ``x`` [m] (V, 3). None of it is
+        inside the skin."""
         for number in range(steps):
             distance, out, weight = skin.contact(x)
             if number % RENEWED == 0:

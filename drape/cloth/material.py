@@ -44,7 +44,7 @@ class OrthotropicMaterial:
 
     @property
     def stretch_n_per_m(self) -> np.ndarray:
-        """(H00, H01, H11, H22) [N/m]."""
+        """The stiffness (H00, H01, H11, H22) [N/m]."""
         return np.array([self.h00, self.h01, self.h11, self.h22])
 
 
@@ -91,12 +91,12 @@ class Material:
 
     @property
     def membrane(self) -> tuple[float | Array, ...]:
-        """(warp, weft, cross, shear) [N/m]."""
+        """The membrane's stiffness (warp, weft, cross, shear) [N/m]."""
         return self.warp_n_per_m, self.weft_n_per_m, self.cross_n_per_m, self.shear_n_per_m
 
     @property
     def bending(self) -> tuple[float | Array, ...]:
-        """(b, b2, b4) [J]."""
+        """The coefficients (b, b2, b4) [J] of the hinges' rigidity."""
         return self.bending_j, self.bending_2_j, self.bending_4_j
 
     def scaled(self, stiffness: float) -> Material:

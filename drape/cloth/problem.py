@@ -235,11 +235,11 @@ def unfolded(cloth: ClothMesh) -> Unfolded:
     """The hinges of ``cloth`` laid flat."""
     edges, faces = rest_edges(cloth), cloth.faces
     place = np.concatenate([np.zeros((len(edges), 1, 2)), edges], axis=1)  # (F, 3 corners, 2)
-    corner, found = cloth.hinge_index.reshape(4, -1).T, []
+    corner, hinges = cloth.hinge_index.reshape(4, -1).T, []
     for side, own in enumerate(meshes.hinge_faces(faces).T):
         i, j, third = (place[own, (faces[own] == corner[:, k, None]).argmax(axis=1)] for k in (0, 1, 2 + side))
         edge, arm = j - i, third - i
         length = np.linalg.norm(edge, axis=1)
         height = np.abs(edge[:, 0] * arm[:, 1] - edge[:, 1] * arm[:, 0]) / length
-        found.append((length, (edge * arm).sum(axis=1), height))
-    return Unfolded(*(np.stack(each) for each in zip(*found, strict=True)))
+        hinges.append((length, (edge * arm).sum(axis=1), height))
+    return Unfolded(*(np.stack(each) for each in zip(*hinges, strict=True)))

@@ -81,7 +81,8 @@ class Relaxation:
         return scipy.sparse.csr_matrix(membrane.T @ scale @ membrane)
 
     def step(self, x: np.ndarray, lengths_m: np.ndarray | None = None) -> np.ndarray:
-        """One iteration from ``x`` (V, 3); ``lengths_m`` (S,) is how long each thread may be (default: zero)."""
+        """Returns the vertices [m] (V, 3) after one iteration from ``x`` (V, 3). ``lengths_m`` (S,) is how long each
+        thread may be, zero by default."""
         distance, normal = self.distance(x)
         touching = distance < self.gap_m
         goal = x + np.where(touching, self.gap_m - distance, 0.0)[:, None] * normal

@@ -47,7 +47,7 @@ class RestState:
 
     @property
     def face_area(self) -> np.ndarray:
-        """[m^2] (F,)."""
+        """The areas [m^2] (F,) of the triangles at rest."""
         e = self.edges
         return 0.5 * np.abs(e[:, 0, 0] * e[:, 1, 1] - e[:, 0, 1] * e[:, 1, 0])
 

@@ -14,16 +14,16 @@ def blocks(points: np.ndarray, normals: np.ndarray, size: int) -> np.ndarray:
     (N, 3) keep apart the two sides of thin parts, and the layers of a garment.
     """
     key = np.concatenate([points, FACING_M * normals], axis=1)
-    found: list[np.ndarray] = []
+    groups: list[np.ndarray] = []
     waiting = [np.arange(len(points))]
     while waiting:
         members = waiting.pop()
         if len(members) <= size:
             if len(members):
-                found.append(np.concatenate([members, np.full(size - len(members), members[0])]))
+                groups.append(np.concatenate([members, np.full(size - len(members), members[0])]))
             continue
         axis = int(np.ptp(key[members], axis=0).argmax())
         ordered = members[np.argsort(key[members, axis], kind="stable")]
         cut = size * max(1, round(len(members) / (2 * size)))
         waiting += [ordered[cut:], ordered[:cut]]
-    return np.array(found, dtype=np.int64).reshape(-1, size)
+    return np.array(groups, dtype=np.int64).reshape(-1, size)

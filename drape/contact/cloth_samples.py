@@ -14,17 +14,7 @@ import numpy as np
 import scipy.sparse
 from scipy.spatial import KDTree
 
-from drape.contact.samples import (
-    CLUSTER_SIZE,
-    FACING,
-    Placed,
-    Samples,
-    at_rest,
-    operator,
-    place,
-    thinned,
-    unit,
-)
+from drape.contact.samples import CLUSTER_SIZE, FACING, Placed, Samples, at_rest, operator, place, thinned, unit
 from drape.errors import InputError
 from drape.geometry import closest, meshes
 
@@ -60,7 +50,8 @@ def cloth_samples(vertices: np.ndarray, faces: np.ndarray) -> ClothSamples:
 
 
 def joined(parts: Sequence[Samples]) -> Samples:
-    """The samples of several meshes as those of one whose vertices are theirs, one mesh after the other."""
+    """Returns the samples of several meshes as those of one mesh, whose vertices are theirs, one mesh after the
+    other."""
     if not parts:
         raise InputError("parts", expected="at least one", got="none", cure="Pass the body's samples first.")
     thirds = [[part.operator[k * part.count : (k + 1) * part.count] for part in parts] for k in range(3)]
@@ -72,7 +63,8 @@ def joined(parts: Sequence[Samples]) -> Samples:
 
 
 def hidden_under(samples: Samples, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Which samples (S,) the cloth ``vertices`` [m] (V, 3) hides at rest: it is near and before them, and no border."""
+    """Returns which samples (S,) bool lie hidden at rest under the cloth ``vertices`` [m] (V, 3), ``faces``: the cloth
+    is near and before them, and does not end there."""
     found = closest.closest_point(samples.point, vertices, faces)
     before = ((found.point - samples.point) * samples.normal).sum(axis=1)
     return (found.distance < COVER_M) & (before > -BEHIND_M) & ~closest.on_border(found, faces)

@@ -113,7 +113,8 @@ def ramp(value: Array, low: float, high: float) -> Array:
 
 
 def take(rows: Array, index: Array, axis: int = 0) -> Array:
-    """``rows`` at ``index`` (n,), none negative, along ``axis``: one operation of torch, not four."""
+    """Returns ``rows`` at ``index`` (n,), none negative, along ``axis``: one operation in torch, where indexing is
+    four."""
     xp = namespace(rows)
     return xp.index_select(rows, axis, index) if hasattr(xp, "index_select") else xp.take(rows, index, axis=axis)
 

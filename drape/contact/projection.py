@@ -67,7 +67,7 @@ class PushFeed(PushTables, Recorded):
 
     @property
     def patches(self) -> int:
-        """K."""
+        """The number K of patches."""
         return len(self.patch_fit)
 
 
@@ -86,12 +86,14 @@ class Pushed:
 
 
 def push_out(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Array:
-    """``vertices`` [m] (F, V, 3) out of the bodies whose samples are ``skin`` (F, R, 12, 8) (``skin.skin_table``)."""
+    """Returns ``vertices`` [m] (F, V, 3) pushed out of the bodies that have the samples ``skin`` (F, R, 12, 8)
+    (``skin.skin_table``)."""
     return push_in_parts(vertices, skin, feed, clearance_m).vertices
 
 
 def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Pushed:
-    """``push_out``, with the push for drapes by jets. A graph that is cut to the vertices leaves the latter out."""
+    """Returns what ``push_out`` does, with the push for drapes by jets. A graph that is cut to the vertices leaves the
+    latter out."""
     xp = namespace(vertices)
     start = columns(xp.matrix_transpose(vertices), _flat(feed.block_vertex))  # (F, 3, N)
     means, has_other = _means(start, skin, feed)
@@ -126,15 +128,16 @@ def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Arr
 def push_out_of_bodies(
     vertices: np.ndarray, body_vertices: np.ndarray, skin: Samples, feed: PushFeed, clearance_m: float = CLEARANCE_M
 ) -> np.ndarray:
-    """``vertices`` [m] (F, V, 3) out of the posed bodies ``body_vertices`` (F, Vb, 3), one frame after the other."""
+    """Returns ``vertices`` [m] (F, V, 3) pushed out of the posed bodies ``body_vertices`` [m] (F, Vb, 3), frame by
+    frame."""
     pushed = np.empty_like(vertices)
     for frame in range(len(vertices)):
-        one = slice(frame, frame + 1)
+        now = slice(frame, frame + 1)
         # Relative to the body: the field multiplies coordinates, and a body may stand far away.
         origin = body_vertices[frame].mean(axis=0)
-        point, normal = skin.posed(body_vertices[one] - origin)
+        point, normal = skin.posed(body_vertices[now] - origin)
         table = np.asarray(sample_table(point, normal)).reshape(1, skin.region_count, REGION_SIZE, -1)
-        pushed[one] = push_out(vertices[one] - origin, table, feed, clearance_m) + origin
+        pushed[now] = push_out(vertices[now] - origin, table, feed, clearance_m) + origin
     return pushed
 
 

@@ -23,6 +23,8 @@ from drape.geometry.rotations import dot_columns
 GAP_M = 0.006  # proximity begins at this distance; the contact energy at 4 mm
 UNIT_M = 0.01
 DEEP_M = (-0.060, -0.045)  # deeper inside there is no proximity
+HELD_M = 0.004  # below a plane: deeper no correction takes a point
+SOFT_M = 0.001  # by which the share of a correction changes gently, so that rounding is not seen
 OTHER_STEPS = 15  # half a byte: two samples lie in one where they are stored
 REGION_LEAST = 1e-6
 
@@ -67,7 +69,7 @@ def in_halves(other: np.ndarray) -> np.ndarray:
 
 
 def from_halves(stored: Array) -> Array:
-    """The numbers (..., 12) of ``stored`` = ``in_halves`` (..., 6), a floating type."""
+    """Returns the numbers (..., 12) that ``in_halves`` has stored in (..., 6) bytes, as floats."""
     xp = namespace(stored)
     high = xp.floor(stored * (1.0 / 16.0))
     return xp.concat([stored - 16.0 * high, high], axis=-1)
@@ -103,7 +105,8 @@ def tangent_planes(points: Array, own: Array, other: Array) -> Planes:
 
 
 def plane_share(found: Surface) -> Array:
-    """How much of a tangent plane of ``found`` is there, in [0, 1]."""
+    """Returns the share, in [0, 1], to which there is a tangent plane at each place of ``found``: 0 where the samples
+    have ended or face each other, and deep inside the body."""
     return ramp(found.beside_m2, *BESIDE_M2) * ramp(found.distance, *DEEP_M) * ramp(found.agreement, *AGREEMENT)
 
 
@@ -120,6 +123,22 @@ def body_proximity(points: Array, near: Planes) -> tuple[Array, Array]:
     closeness = xp.reshape(near.share * xp.tanh(missing), (frames, -1, 2 * count))
     pull = (near.share * xp.clip(missing, min=0.0))[:, :, :, None] * near.normal
     return closeness, xp.matrix_transpose(xp.sum(pull, axis=2))
+
+
+def held_share(before: Array, after: Array, near: Planes) -> Array:
+    """The share (F, K) that patches go of a correction from ``before`` to ``after`` [m] (F, K, n, 3).
+
+    It is 1 where no point comes deeper than ``HELD_M`` below a plane, or where it comes out. Otherwise it is that of
+    the point with the least room to there for its way, each less deep by the share of a plane that is not there:
+
+        min (room + soft) / (max(deeper, room) + soft),   room = max(distance + held, 0).
+    """
+    xp = namespace(before)
+    distance = dot_columns(near.normal, xp.matrix_transpose(before)[:, :, None])[..., 0, :] + near.offset
+    way = dot_columns(near.normal, xp.matrix_transpose(after - before)[:, :, None])[..., 0, :]
+    room = xp.clip(distance + HELD_M, min=0.0) + SOFT_M
+    share = room / xp.maximum(SOFT_M - near.share * way, room)
+    return xp.min(xp.reshape(share, (*before.shape[:2], -1)), axis=-1)
 
 
 def _own(query: Array, skin: Array, lists: PatchSkin) -> Array:

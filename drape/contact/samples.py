@@ -108,7 +108,8 @@ def place(
 
 
 def at_rest(operator: scipy.sparse.csr_matrix, rest: np.ndarray, placed: Placed) -> Samples:
-    """The samples ``placed`` on the mesh ``rest`` [m] (V, 3), with the points and normals that ``operator`` gives."""
+    """Returns the samples that were ``placed`` on the mesh ``rest`` [m] (V, 3), with the points and normals that
+    ``operator`` gives."""
     template = operator @ rest
     count = len(placed.point)
     smooth = np.asarray(unit_cross(template[count : 2 * count].T, template[2 * count :].T)).T
@@ -177,7 +178,8 @@ def thinned(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
 
 
 def ring_operator(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> scipy.sparse.csr_matrix:
-    """``Samples.operator`` whose sums go over all vertices near a sample that face its way."""
+    """Returns an ``operator`` of ``Samples`` whose tangents are sums over all vertices near a sample that face its
+    way."""
     count, vertex_count = len(placed.point), len(rest)
     normals = meshes.vertex_normals(rest, faces)
     around = KDTree(rest).query_ball_point(placed.point, NORMAL_REACH * placed.spacing_m)
@@ -228,5 +230,5 @@ def _tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """``vectors`` (..., 3) at length one."""
+    """Returns ``vectors`` (..., 3) scaled to length one."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

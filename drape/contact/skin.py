@@ -165,12 +165,13 @@ def shaped_skin(body: BodyModel) -> ShapedSkin:
 
 
 def skins(body: BodyModel) -> tuple[Skin, ShapedSkin]:
-    """``body_skin`` and ``shaped_skin`` of ``body`` without its pose blend shapes."""
+    """Returns ``body_skin`` and ``shaped_skin`` of ``body``, its pose blend shapes left out."""
     return body_skin(body), shaped_skin(replace(body, posedirs=None))
 
 
 def keep_skins(body: BodyModel, make: Callable[..., Any]) -> None:
-    """Keeps the ``skins`` of ``body`` as ``make`` gives them, which calls a function with arguments elsewhere."""
+    """Computes the ``skins`` of ``body`` by ``make``, which calls a function elsewhere, and keeps them for later
+    calls."""
     kinds = "skin", "shaped"
     if any((kind, body.digest) not in _KEPT for kind in kinds):
         for kind, skin in zip(kinds, make(skins, body), strict=True):

@@ -117,8 +117,12 @@ def host() -> str:
 def build(
     target: Target, folder: Path, *, tests: bool = False, sanitize: bool = False, jobs: int = os.cpu_count() or 1
 ) -> Path:
-    """Compiles the library of ``target`` into ``folder``, or the one with what only ``tests`` call; where asked to
-    ``sanitize``, with checks of its memory. One that was made from these sources, in the same way, is left."""
+    """Compiles the library of ``target`` into ``folder`` and returns its path; a library that was compiled from the
+    same sources in the same way is left as it is.
+
+    ``tests``: with the functions that only tests call. ``sanitize``: with checks of memory and of what C++ leaves
+    undefined. ``jobs``: compilers that run side by side.
+    """
     library = folder / (target.name + ("-tests" if tests else "") + target.suffix)
     made_from = sources_hash(target, tests, sanitize)
     if is_made_from(library, made_from):
@@ -161,8 +165,10 @@ def build_probe(system: str, folder: Path) -> Path:
 
 
 def build_here(folder: Path = LIBRARIES, *, tests: bool = False, sanitize: bool = False) -> None:
-    """Compiles what this processor needs into ``folder``, or the lower level that ``DRAPE_ISA`` names; ends the program
-    with a sentence on one that is too old."""
+    """Compiles the library for this processor into ``folder``, or for the lower level that ``DRAPE_ISA`` names.
+
+    Ends the program with a sentence on a processor that is too old.
+    """
     if platform.system() == "Linux" and platform.libc_ver()[0] != "glibc":
         cure = "use a system with it, as Debian or Ubuntu and their images"
         raise SystemExit(f"engine: expected Linux with glibc 2.17 or later, got another C library (musl?); {cure}")
@@ -190,7 +196,8 @@ def _aimed(target: Target) -> list[str]:
 
 
 def write_header() -> None:
-    """Writes ``source/records.hpp`` of the table ``records.py``, if there is none or it is of another table."""
+    """Writes ``source/records.hpp`` from the table in ``records.py``, unless the file is there and was written from the
+    same table."""
     spec = importlib.util.spec_from_file_location("engine_records", HERE / "records.py")
     assert spec is not None and spec.loader is not None
     records = importlib.util.module_from_spec(spec)
@@ -212,7 +219,7 @@ def sources_hash(target: Target, tests: bool = False, sanitize: bool = False) ->
 
 
 def is_made_from(library: Path, sources: str) -> bool:
-    """Whether there is a ``library`` that was made from what has the hash ``sources``."""
+    """Returns whether ``library`` exists and was compiled from what has the hash ``sources``."""
     told = _told_of(library)
     return library.is_file() and told.is_file() and told.read_text() == sources
 

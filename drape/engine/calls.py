@@ -32,16 +32,18 @@ _ROOM = _Room()
 
 
 def call(name: str, dtype: Any, *given: Any) -> int:
-    """What the function ``name`` for numbers of ``dtype`` returns for what is ``given``: arrays, records, numbers.
+    """Calls the engine's function ``name`` for numbers of ``dtype`` with ``given`` arrays, records and numbers. Returns
+    the whole number that it returns.
 
-    Raises ``TypeError`` for an array of floats of another type, or that is not contiguous: that is our own mistake.
+    Raises ``TypeError`` for an array of floats of another type, or that is not contiguous: that is a mistake of ours.
     """
     dtype = np.dtype(dtype)
     return _function(name, dtype)(*(_argument(one, dtype) for one in given))
 
 
 def call_with_scratch(name: str, dtype: Any, *given: Any) -> int:
-    """The same of a function that takes scratch memory: this thread's, which grows until it is enough."""
+    """Does what ``call`` does, for a function that takes scratch memory. The memory is this thread's, and grows until
+    it is enough."""
     dtype = np.dtype(dtype)
     function, arguments = _function(name, dtype), [_argument(one, dtype) for one in given]
     while True:

@@ -28,22 +28,23 @@ SCRATCH_BYTES = 16 << 20  # of a frame, most of it for cloth that crosses itself
 
 
 class Memory(Protocol):
-    """A card, or what stands for one."""
+    """The memory of a card and its launches; tests put another one in its place."""
 
     def take(self, size: int) -> int:
-        """The address of so many bytes."""
+        """Takes ``size`` bytes and returns their address."""
         ...
 
     def write(self, address: int, numbers: np.ndarray) -> None:
-        """Writes ``numbers`` there."""
+        """Writes the array ``numbers`` to ``address``."""
         ...
 
     def read(self, address: int, numbers: np.ndarray) -> None:
-        """Reads what is there into ``numbers``."""
+        """Fills the array ``numbers`` with what is at ``address``."""
         ...
 
     def folds(self, tasks: int, count: int, threads: int, rounds: int = 1) -> float:
-        """Draws the frames of so many ``tasks``, ``rounds`` times; the time that it took [ms]."""
+        """Draws the frames of the ``count`` tasks at the address ``tasks``, ``rounds`` times. Returns the time that it
+        took [ms]."""
         ...
 
 
@@ -65,13 +66,13 @@ class Card:
         return address.value
 
     def return_all_but(self, kept: int) -> None:
-        """Gives back what was taken after the first ``kept`` pieces."""
+        """Gives back all pieces of memory but the first ``kept`` that were taken."""
         while len(self._taken) > kept:
             self._do("card_return", ctypes.c_uint64(self._taken.pop()))
 
     @property
     def pieces(self) -> int:
-        """How many pieces are taken."""
+        """The number of pieces of memory that are taken."""
         return len(self._taken)
 
     def write(self, address: int, numbers: np.ndarray) -> None:
@@ -95,8 +96,8 @@ def _bytes(numbers: np.ndarray) -> ctypes.c_int64:
     return ctypes.c_int64(numbers.nbytes)
 
 
-class Placed:
-    """A ``record`` in the ``memory`` of a card: its ``address`` there, and those of its arrays."""
+class CardRecord:
+    """A ``record`` and its arrays, copied into the ``memory`` of a card; ``address`` is where the record is."""
 
     def __init__(self, memory: Memory, record: Record | Recorded) -> None:
         record = record.record if isinstance(record, Recorded) else record
@@ -119,12 +120,12 @@ class Placed:
         return next(array.nbytes for array in self._record.arrays if array.size and address_of(array) == begin)
 
     def arrays(self) -> list[np.ndarray]:
-        """The arrays as they are there now, in the record's order."""
-        found = [np.empty_like(array) for array in self._record.arrays]
-        for array, own in zip(self._record.arrays, found, strict=True):
+        """Returns the arrays as they are in the card's memory now, in the record's order."""
+        arrays = [np.empty_like(array) for array in self._record.arrays]
+        for array, own in zip(self._record.arrays, arrays, strict=True):
             if array.size:
                 self._memory.read(self._at[address_of(array)], own)
-        return found
+        return arrays
 
 
 class Frames:
@@ -135,9 +136,12 @@ class Frames:
         self._outcomes, self._folded, self._scratches = list[int](), list[tuple[int, tuple[int, ...]]](), list[int]()
         self._tasks = 0
 
-    def add(self, name: str, vertices: np.ndarray, *records: Placed) -> None:
-        """A frame by the function ``name`` of the engine, of ``vertices`` [m] (V, 3) float32 and of its past,
-        surroundings, cloth, effort and what it leaves."""
+    def add(self, name: str, vertices: np.ndarray, *records: CardRecord) -> None:
+        """Adds a frame that the engine's function ``name`` computes of ``vertices`` [m] (V, 3) float32.
+
+        ``records`` are those of its past, its surroundings, its cloth, its effort, and what it leaves to the next
+        frame.
+        """
         take, write = self._memory.take, self._memory.write
         given, folded, outcome, scratch = take(vertices.nbytes), take(vertices.nbytes), take(8 * OUTCOME), take(32)
         write(given, vertices)
@@ -162,14 +166,15 @@ class Frames:
         return took_ms
 
     def drawn(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The folded vertices [m] (V, 3) of each, and what it tells (``OUTCOME``,) int64."""
-        found = []
+        """Returns for each frame the folded vertices [m] (V, 3) and the numbers that the engine writes of it
+        (``OUTCOME``,) int64."""
+        frames = []
         for (folded, shape), outcome in zip(self._folded, self._outcomes, strict=True):
             vertices, told = np.empty(shape, np.float32), np.empty(OUTCOME, np.int64)
             self._memory.read(folded, vertices)
             self._memory.read(outcome, told)
-            found.append((vertices, told))
-        return found
+            frames.append((vertices, told))
+        return frames
 
 
 def build_card(library: Path = LIBRARY, *, architectures: Sequence[int] = ARCHITECTURES) -> str:

@@ -21,11 +21,11 @@ TYPES = {
 
 
 def flat_records(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[np.ndarray]]:
-    """The document of the records ``values`` by their names, and their arrays one after the other.
+    """Returns the document of the records ``values``, by their names, and their arrays one after the other.
 
-    Its ``layout`` is the table's ``HASH``. In ``records`` a field is its number, the count of elements of its array,
-    the document of its record, or a list of such. Arrays come as the table has their fields; numbers in them are
-    float32.
+    The document's ``layout`` is the table's ``HASH``. In its ``records`` a field is a number, the count of elements of
+    an array, the document of a record, or a list of such. Arrays come in the order of the table's fields; their floats
+    are float32.
     """
     arrays: list[np.ndarray] = []
     records = {name: _document(name, value, arrays) for name, value in values.items()}
@@ -33,16 +33,16 @@ def flat_records(values: Mapping[str, Any]) -> tuple[dict[str, Any], list[np.nda
 
 
 def _document(name: str, value: Any, arrays: list[np.ndarray]) -> dict[str, Any]:
-    told: dict[str, Any] = {}
+    document: dict[str, Any] = {}
     for field, kind in RECORDS[name].items():
         own = getattr(value, field)
         if kind in RECORDS:
-            told[field] = _document(kind, own, arrays)
+            document[field] = _document(kind, own, arrays)
         elif kind.endswith("[]"):
-            told[field] = [_document(kind[:-2], one, arrays) for one in own]
+            document[field] = [_document(kind[:-2], one, arrays) for one in own]
         elif kind in TYPES:
             arrays.append(np.ascontiguousarray(own, TYPES[kind]).reshape(-1))
-            told[field] = arrays[-1].size
+            document[field] = arrays[-1].size
         else:
-            told[field] = int(own) if kind == "count" else float(own)
-    return told
+            document[field] = int(own) if kind == "count" else float(own)
+    return document

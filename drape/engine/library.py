@@ -21,7 +21,7 @@ _PERMIT = (158, 0x1023, 18)  # the system's call for the state of tiles: arch_pr
 
 
 class Scratch(ctypes.Structure):
-    """Memory that the engine works in: ``source/arrays.hpp``."""
+    """Scratch memory of the engine (``source/arrays.hpp``)."""
 
     _fields_ = [
         ("begin", ctypes.c_void_p),
@@ -64,11 +64,11 @@ def load(*, tests: bool = False, folder: Path = LIBRARIES) -> ctypes.CDLL:
     path = folder / f"{name}{'-tests' if tests else ''}{SUFFIX}"
     if not path.is_file():
         raise ArtifactError("engine", expected=f"the file {path.name}", got="none", cure=CURE)
-    found = ctypes.CDLL(str(path))
-    found.drape_records_hash.restype = ctypes.c_uint64
-    if found.drape_records_hash() != HASH:
+    library = ctypes.CDLL(str(path))
+    library.drape_records_hash.restype = ctypes.c_uint64
+    if library.drape_records_hash() != HASH:
         raise ArtifactError("engine", expected="that of this version", got=f"another one: {path.name}", cure=CURE)
-    return found
+    return library
 
 
 @cache
@@ -82,5 +82,6 @@ def has_tiles() -> bool:
 
 
 def empty_points(count: int, dtype: type[np.floating] | np.dtype) -> np.ndarray:
-    """Room for ``count`` points (P, 3), and for one number behind the last, which the engine reads and leaves out."""
+    """Returns zeros (P, 3) for ``count`` points. Behind the last one the memory has room for one number more, since the
+    engine reads points four numbers at a time."""
     return np.zeros(3 * count + 1, dtype)[: 3 * count].reshape(count, 3)

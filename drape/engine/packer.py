@@ -45,19 +45,21 @@ class Record:
 
     @classmethod
     def of_rows(cls, blocks: Sequence[np.ndarray], *numbers: float) -> Record:
-        """The record whose fields are the rows of ``blocks``, one after the other, and then ``numbers``: addresses of
-        arrays that were made in one piece are not asked for one by one. Types are not checked."""
-        made, words = object.__new__(cls), []
+        """Returns the record whose fields are the rows of ``blocks``, one block after the other, and then ``numbers``.
+
+        The address of a block is asked for once, and not that of each row. Types are not checked.
+        """
+        record, words = object.__new__(cls), []
         for block in blocks:
             first, size = address_of(block), block[0].size
             step = size * block.itemsize
             words += [word for i in range(len(block)) for word in ((first + i * step) if size else 0, size)]
-        made.arrays = list(blocks)
-        made._set(words + _number_words(numbers))
-        return made
+        record.arrays = list(blocks)
+        record._set(words + _number_words(numbers))
+        return record
 
     def ending(self, *numbers: float) -> Record:
-        """The same with other ``numbers`` in its last fields."""
+        """Returns the same record with ``numbers`` in its last fields."""
         made = object.__new__(Record)
         made.arrays = self.arrays
         made._set([*self._words[: -len(numbers)], *_number_words(numbers)])
@@ -98,8 +100,11 @@ def _number_words(numbers: Sequence[float]) -> list[int]:
 
 
 def address_of(numbers: np.ndarray) -> int:
-    """Where contiguous ``numbers`` begin, 0 if there are none; by a buffer, which takes a third of the time that
-    ``ctypes`` of the array does. Raises ``TypeError`` for an array that is not contiguous."""
+    """Returns the address [bytes] at which the array ``numbers`` begins; 0 if it is empty.
+
+    The address comes from the array's buffer, which takes a third of the time of its ``ctypes``. Raises ``TypeError``
+    for an array that is not contiguous.
+    """
     if numbers.size == 0:
         return 0
     if not numbers.flags.writeable and numbers.flags.c_contiguous:
@@ -108,11 +113,11 @@ def address_of(numbers: np.ndarray) -> int:
 
 
 class Recorded:
-    """Constants that the engine reads as the record of their class's name; such a class has its fields."""
+    """Base of a class of constants whose fields are those of the engine's record of the same name."""
 
     @cached_property
     def record(self) -> Record:
-        """Themselves as the engine reads them."""
+        """The constants as the record that the engine reads."""
         return Record(type(self).__name__, self)
 
     def __getstate__(self) -> dict[str, Any]:

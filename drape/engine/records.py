@@ -79,13 +79,7 @@ RECORDS: dict[str, dict[str, str]] = {
     },
     # ``drape.live.fold_constants.LaidCloth``: what garments over and below a cloth read of it.
     "LaidCloth": {"sheet": "Sheet", "graph": "SkinGraph", "index": "int32s"},
-    "FineLevel": {
-        "sheet": "Sheet",
-        "near": "int32s",
-        "weight": "numbers",
-        "parent": "int32s",
-        "tangles": "Tangles",
-    },
+    "FineLevel": {"sheet": "Sheet", "near": "int32s", "weight": "numbers", "parent": "int32s", "tangles": "Tangles"},
     "Levels": {"coarse": "FoldConstants", "kept": "int32s", "fine": "FineLevel"},
     "Surroundings": {"skin": "numbers", "colliders": "float64s"},
     "FoldEffort": {"steps": "count", "settle": "count", "cloth_contact": "count", "clearance_m": "number"},

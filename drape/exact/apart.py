@@ -70,12 +70,7 @@ class Descent(newton.Descent):
     """A descent that keeps the cloth apart from itself."""
 
     def __init__(
-        self,
-        cloth: Cloth,
-        contact: BodyContact,
-        posed: np.ndarray,
-        start: np.ndarray,
-        **springs: Band | None,
+        self, cloth: Cloth, contact: BodyContact, posed: np.ndarray, start: np.ndarray, **springs: Band | None
     ) -> None:
         self._faces = cloth.problem.triangles.corner
         self._edges = meshes.unique_edges(self._faces.astype(np.int64))

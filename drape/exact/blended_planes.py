@@ -81,9 +81,9 @@ def blended_distance(
 
     They serve a contact layer of ``gap_m``: a point outside and beyond reach has some distance past the gap.
     """
-    found = np.empty(points.shape[:2])
+    distances = np.empty(points.shape[:2])
     for frame, posed in enumerate(body_vertices):
         x = np.ascontiguousarray(points[frame], dtype=np.float64)
         point, normal, _ = BlendedPlanes.of_body(contact, posed, len(x), gap_m)(x)
-        found[frame] = ((x - point) * normal).sum(axis=1)
-    return found
+        distances[frame] = ((x - point) * normal).sum(axis=1)
+    return distances

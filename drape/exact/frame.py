@@ -32,7 +32,7 @@ STEPS = 400  # of Newton's method, at most
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
+class ExactCloth:
     """A garment's ``cloth`` with its triangles (F, 3) over a ``body``, and its waistband, if shoulders do not hold it.
 
     ``rest`` [m] (V, 3) is a drape of the T-pose; all places count from the root joint.
@@ -46,7 +46,7 @@ class Sheet:
     rest: np.ndarray
 
     @classmethod
-    def of(cls, garment: Garment, fabric: Fabric, model: BodyModel, betas: np.ndarray, rest: np.ndarray) -> Sheet:
+    def of(cls, garment: Garment, fabric: Fabric, model: BodyModel, betas: np.ndarray, rest: np.ndarray) -> ExactCloth:
         """``garment`` made of ``fabric`` on ``model`` in the shape ``betas`` (S,), with the first of its rests in which
         nothing crosses: ``rest`` (V, 3), or its own.
 
@@ -83,10 +83,13 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """What became of a frame. ``force_share``: the norm of the forces left at all vertices over the weight of the
-    cloth, those of contact with itself among them. ``depth_m`` [m]: how deep the cloth lies in the skin where it lies
-    deepest. ``energy_j`` [J] of cloth and body, heights counting from the root, and ``start_j`` that of the start.
-    ``crossings``: pairs of triangles that cross, ``start_crossings`` in the start. ``steps`` of Newton's method."""
+    """The figures of a frame.
+
+    ``force_share``: the norm of the forces left at all vertices over the weight of the cloth, forces of contact with
+    itself included. ``depth_m`` [m]: how deep the cloth lies in the skin where it lies deepest. ``energy_j`` [J] of
+    cloth and body, heights counting from the root; ``start_j`` that of the start. ``crossings``: pairs of triangles
+    that cross; ``start_crossings`` those in the start. ``steps`` of Newton's method.
+    """
 
     force_share: float
     depth_m: float
@@ -109,13 +112,13 @@ class Lain:
     start: np.ndarray
 
 
-def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
-    """The drape of a ``pose`` (24, 3) [rad], and what is told of it, from ``start`` [m] (V, 3) relative to the root.
+def exact(sheet: ExactCloth, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
+    """Returns the drape of a ``pose`` (24, 3) [rad] and its figures.
 
-    The cloth comes from the frame ``before``, if there is one and either ``start`` crosses itself or that frame does
-    not; otherwise from ``start``, or from the T-pose if ``start`` passes through itself. If it would end with more
-    energy than ``start``, it goes down from ``start`` instead and may still cross. Raises ``MeshError`` where ``start``
-    is not finite.
+    ``start`` [m] (V, 3), relative to the root, is the pose's drape of tier accurate. The cloth comes from the frame
+    ``before`` if there is one, unless that crosses itself and ``start`` does not. Otherwise it comes from ``start``, or
+    from the T-pose if ``start`` crosses itself. If it would end with more energy than ``start``, it goes down from
+    ``start`` instead and may still cross. Raises ``MeshError`` where ``start`` is not finite.
     """
     start = np.ascontiguousarray(start, np.float64)
     check_finite("start of a frame", start, error=MeshError)
@@ -129,7 +132,7 @@ def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None
         end = _down(sheet, posed, start, band)  # never above the start, though what crosses there goes on to
     x = end.x.astype(np.float32).astype(np.float64)  # what is stored, and what the next frame comes from
     over = _over(sheet, posed, x, band)
-    told = Told(
+    report = Told(
         force_share=float(np.linalg.norm(end.force)) / sheet.cloth.weight_n,
         depth_m=max(over.deepest_m(), 0.0),
         energy_j=over.now.energy,
@@ -138,15 +141,15 @@ def exact(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None
         start_crossings=crossed,
         steps=end.steps,
     )
-    return Lain(pose, x, start), told
+    return Lain(pose, x, start), report
 
 
-def _apart(sheet: Sheet, before: Lain | None) -> bool:
+def _apart(sheet: ExactCloth, before: Lain | None) -> bool:
     """Whether there is a frame ``before``, and nothing crosses there."""
     return before is not None and not len(crossing_pairs(before.x, sheet.faces))
 
 
-def _arrived(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | None, crossed: bool) -> np.ndarray:
+def _arrived(sheet: ExactCloth, pose: np.ndarray, start: np.ndarray, before: Lain | None, crossed: bool) -> np.ndarray:
     """The cloth [m] (V, 3) over the ``pose`` (24, 3) that goes down from there."""
     cloth, contact, body = sheet.cloth, sheet.contact, sheet.body
     if before is not None:
@@ -160,12 +163,12 @@ def _arrived(sheet: Sheet, pose: np.ndarray, start: np.ndarray, before: Lain | N
     return drawn_to(cloth, contact, body.posed(pose), x, start, sheet.band(start))
 
 
-def _down(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> Found:
+def _down(sheet: ExactCloth, posed: np.ndarray, x: np.ndarray, band: Band | None) -> Found:
     """Where the cloth comes down to from ``x`` [m] (V, 3) over the ``posed`` body."""
     one = apart.Descent(sheet.cloth, sheet.contact, posed, x, band=band)
     return one.run(STEPS, TOLERANCE * sheet.cloth.weight_n)
 
 
-def _over(sheet: Sheet, posed: np.ndarray, x: np.ndarray, band: Band | None) -> newton.Descent:
+def _over(sheet: ExactCloth, posed: np.ndarray, x: np.ndarray, band: Band | None) -> newton.Descent:
     """The cloth ``x`` [m] (V, 3) over the ``posed`` body, whose energy is without the barrier's."""
     return newton.Descent(sheet.cloth, sheet.contact, posed, x, band=band)

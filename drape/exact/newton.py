@@ -55,11 +55,11 @@ class Cloth(NamedTuple):
 
     @classmethod
     def of(cls, cloth: ClothMesh, material: Material, charts: Charts | None) -> Cloth:
-        made = problem(cloth, material, dtype=np.float64, reach_m=REACH_M)
+        energies = problem(cloth, material, dtype=np.float64, reach_m=REACH_M)
         charts = charts or linear.no_charts(cloth.vertex_count, np.float32)
         patch, weight = charts
         single = Charts(np.ascontiguousarray(patch, dtype=np.int32), np.ascontiguousarray(weight, dtype=np.float32))
-        return cls(made, hessian.pattern(cloth), single, settling.inverse(cloth, material))
+        return cls(energies, hessian.pattern(cloth), single, settling.inverse(cloth, material))
 
     @property
     def weight_n(self) -> float:
@@ -76,7 +76,8 @@ class Band(NamedTuple):
 
 
 class Found(NamedTuple):
-    """A place ``x`` [m] (V, 3), its ``energy`` [J] over the blended planes and the ``force`` [N] (V, 3) left there."""
+    """A place ``x`` [m] (V, 3) of a descent, its ``energy`` [J] over the blended planes, and the ``force`` [N] (V, 3)
+    left there."""
 
     x: np.ndarray
     energy: float
@@ -131,7 +132,7 @@ class Descent:
         return planes, bend
 
     def found(self, x: np.ndarray) -> Found:
-        """Energy and force at ``x``."""
+        """Returns energy and force at the place ``x`` [m] (V, 3)."""
         gradient = np.empty_like(x)
         energy = descent.energy_and_gradient(x, self.problem, self.around(x)[0], gradient)
         return Found(x, energy, gradient, False, self.steps)
@@ -143,14 +144,17 @@ class Descent:
         return float((((around.point - self.now.x) * around.normal).sum(axis=1) / size).max())
 
     def settle(self, rounds: int) -> None:
-        """Sweeps, and then goes on as ``settling`` does, for ``rounds`` at most."""
+        """Sweeps a little and then settles (``drape.exact.settling``), for ``rounds`` at most."""
         for _ in range(SWEEPS):
             self._sweep(self.problem.order)
         self._take(settling.settle(self.now, self.found, self.cloth.solve, rounds))
 
     def run(self, step_limit: int, tolerance_n: float) -> Found:
-        """Steps until the norm of the force left is at most ``tolerance_n``, no step lowers the energy, or there were
-        ``step_limit`` steps."""
+        """Takes steps of Newton's method. Returns the last place.
+
+        It ends when the norm of the force left is at most ``tolerance_n`` [N], when no step lowers the energy, or after
+        ``step_limit`` steps.
+        """
         if self.steps == 0:
             for _ in range(SWEEPS):
                 self._sweep(self.problem.order)

@@ -81,13 +81,10 @@ def poses_between(
 
 
 def led(
-    cloth: Cloth,
-    contact: BodyContact,
-    body: Body,
-    x: np.ndarray,
-    ends: tuple[np.ndarray, np.ndarray],
+    cloth: Cloth, contact: BodyContact, body: Body, x: np.ndarray, ends: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """The cloth ``x`` [m] (V, 3), apart at the first pose of ``ends`` (24, 3), taken along to the second one."""
+    """Returns the cloth ``x`` [m] (V, 3) taken along from the first pose of ``ends`` (24, 3) [rad], where it is apart,
+    to the second one."""
     for before, after in poses_between(body, x, *ends):
         goal = body.carried(x, before, after)
         x = _taken(cloth, contact, body.posed(after), x, goal, least=1)
@@ -102,8 +99,8 @@ def followed(
     motion: np.ndarray,
     ends: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """The cloth ``x`` [m] (V, 3), apart at the first pose of ``ends`` (24, 3), moved by ``motion`` [m] (V, 3) on the
-    way to the second one."""
+    """Returns the cloth ``x`` [m] (V, 3) moved by ``motion`` [m] (V, 3) on the way from the first pose of ``ends`` (24,
+    3) [rad], where it is apart, to the second one."""
     count = max(1, int(np.ceil(np.linalg.norm(motion, axis=1).max() / WAY_M)))
     for number in range(1, count + 1):
         posed = body.posed(between(*ends, number / count))
@@ -118,19 +115,20 @@ def _taken(
     least, and more while it is in the skin."""
     outer = creases.outside(contact, posed)
     goal = creases.out_of(outer, posed, goal, float(cloth.problem.constants.gap))
-    one = apart.Descent(cloth, outer, posed, x, drawn=_towards(goal, cloth, HOLD_N_PER_M))
-    _go(one, goal)
+    descent = apart.Descent(cloth, outer, posed, x, drawn=_towards(goal, cloth, HOLD_N_PER_M))
+    _go(descent, goal)
     for number in range(1, ROUNDS + 1):
-        if number > least and one.deepest_m() < DEEP_M:
+        if number > least and descent.deepest_m() < DEEP_M:
             break
-        one.run(number * STEPS, 0.0)
-    return one.now.x
+        descent.run(number * STEPS, 0.0)
+    return descent.now.x
 
 
 def drawn_to(
     cloth: Cloth, contact: BodyContact, posed: np.ndarray, x: np.ndarray, goal: np.ndarray, band: Band | None
 ) -> np.ndarray:
-    """The cloth ``x`` [m] (V, 3), apart over the ``posed`` body, as near to ``goal`` (V, 3) as it comes."""
+    """Returns the cloth ``x`` [m] (V, 3), which is apart over the ``posed`` body (Vb, 3), drawn as near to ``goal`` [m]
+    (V, 3) as it comes."""
     outer = creases.outside(contact, posed)
     goal = creases.out_of(outer, posed, goal, float(cloth.problem.constants.gap))
     one = apart.Descent(cloth, outer, posed, x, band=band, drawn=_towards(goal, cloth, DRAWN_N_PER_M))

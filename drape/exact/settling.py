@@ -55,9 +55,10 @@ def inverse(
 def settle(
     start: Place, found: Callable[[np.ndarray], Place], solve: Callable[[np.ndarray], np.ndarray], rounds: int
 ) -> Place:
-    """The place of least energy that ``rounds`` at most meet, ``start`` itself if none is lower.
+    """Settles from ``start`` for at most ``rounds``. Returns the place of least energy that it met, ``start`` itself if
+    none is lower.
 
-    ``found`` tells energy and force of a place, ``solve`` is ``inverse``.
+    ``found`` gives energy and force of a place; ``solve`` is the function that ``inverse`` returns.
     """
     x, way = start.x.copy(), np.zeros_like(start.x)
     best, idle, last = start, 0, start.energy

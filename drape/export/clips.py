@@ -54,7 +54,8 @@ def moving_layers(surfaces: Sequence[Surface], vertices: np.ndarray) -> list[Mov
 
 
 def write_scene(path: Path, layers: Sequence[MovingGarment], fps: float) -> list[Path]:
-    """Writes ``layers`` as a file of one of ``SCENES``, as ``write_pieces`` does; returns what else lies beside it."""
+    """Writes ``layers`` to ``path`` as a file of one of ``SCENES``, whole or not at all. Returns the other files that
+    it has written beside it."""
     suffix = path.suffix.lower()
     if suffix == VAT_SUFFIX:
         made = vat_files(layers, fps, path.stem.removesuffix(ENDING))
@@ -66,11 +67,7 @@ def write_scene(path: Path, layers: Sequence[MovingGarment], fps: float) -> list
 
 
 def write_clip(
-    path: Path,
-    surfaces: Sequence[Surface],
-    vertices: np.ndarray,
-    fps: float,
-    root_motion: RootMotion | None = None,
+    path: Path, surfaces: Sequence[Surface], vertices: np.ndarray, fps: float, root_motion: RootMotion | None = None
 ) -> list[Path]:
     """Writes the ``surfaces`` at ``vertices`` [m] (F, V, 3), one after the other, as a file of one of ``SUFFIXES``;
     returns what lies beside it: the mesh of a point cache, the other files of a texture.
@@ -90,11 +87,7 @@ def write_clip(
 
 
 def _clip_pieces(
-    suffix: str,
-    surfaces: Sequence[Surface],
-    vertices: np.ndarray,
-    fps: float,
-    root_motion: RootMotion | None,
+    suffix: str, surfaces: Sequence[Surface], vertices: np.ndarray, fps: float, root_motion: RootMotion | None
 ) -> Iterator[bytes]:
     """What ``write_clip`` writes into a file of GLB, NPY, PC2 or MDD, in pieces."""
     if suffix == ".glb":

@@ -98,7 +98,7 @@ def add_shape(
     fps: float,
     colour: tuple[float, float, float, float],
 ) -> None:
-    """The garment with its materials in the ``shape`` of so many frames; the last of these are its targets."""
+    """Adds the garment with its materials in the given ``shape``, whose last frames are morph targets of the first."""
     base, moves = shape.parts[0], shape.parts[1:]
     if corners.uv is not None:
         base["TEXCOORD_0"] = file.array(corners.uv.astype(np.float32), target=VERTEX_BUFFER)
@@ -128,7 +128,7 @@ def add_shape(
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Accessors of a mesh and of the way from it to each frame that has one; fields of the node, and its motion."""
+    """A garment's mesh as accessors of the file: its ``parts``, the fields of its ``node``, and its ``motion``."""
 
     parts: list[dict[str, int]]
     node: dict[str, Any] = field(default_factory=dict)
@@ -196,7 +196,7 @@ def _steps(
 
 
 def normal_steps(normals: np.ndarray, first: np.ndarray | None) -> np.ndarray:
-    """Unit ``normals`` (V, 3) in steps, or the way to them from ``first`` (V, 3)."""
+    """Returns unit ``normals`` (V, 3) in steps of 8 bits, or the way to them from the normals ``first`` (V, 3)."""
     return np.rint((normals if first is None else _way_of_normals(first, normals)) * NORMAL_STEPS)
 
 

@@ -90,7 +90,7 @@ class GlbFile:
         self.uses(QUANTIZATION, "extensionsUsed", "extensionsRequired")
 
     def uses(self, extension: str, *lists: str) -> None:
-        """Declares that there is something of an ``extension``, in ``lists`` of the file."""
+        """Declares in the file that it uses ``extension``; ``lists`` of the file say that it is used, or required."""
         for one in lists or ("extensionsUsed",):
             used = self.json.setdefault(one, [])
             if extension not in used:
@@ -171,19 +171,19 @@ class GlbFile:
             "metallicFactor": look.metallic,
             "roughnessFactor": look.roughness,
         }
-        made: dict[str, Any] = {"name": name, "doubleSided": True, "pbrMetallicRoughness": surface}
+        document: dict[str, Any] = {"name": name, "doubleSided": True, "pbrMetallicRoughness": surface}
         if look.alpha_mode != "OPAQUE":
-            made["alphaMode"] = look.alpha_mode
+            document["alphaMode"] = look.alpha_mode
         if look.alpha_mode == "MASK":
-            made["alphaCutoff"] = look.alpha_cutoff
+            document["alphaCutoff"] = look.alpha_cutoff
         placed = {"offset": list(look.offset), "rotation": look.rotation, "scale": list(look.scale)}
         for slot, number in look.pictures.items() if with_pictures else ():
             texture: dict[str, Any] = {"index": self._texture(looks.pictures[number])}
             if placed != {"offset": [0.0, 0.0], "rotation": 0.0, "scale": [1.0, 1.0]}:
                 self.uses(TRANSFORM)
                 texture["extensions"] = {TRANSFORM: placed}
-            (made if slot == "normal" else surface)[TEXTURES[slot]] = texture
-        return self.add("materials", made)
+            (document if slot == "normal" else surface)[TEXTURES[slot]] = texture
+        return self.add("materials", document)
 
     def _texture(self, picture: bytes) -> int:
         """The texture of a ``picture``, which is in the file once."""

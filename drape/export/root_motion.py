@@ -24,11 +24,11 @@ class RootMotion:
         return rotvec_to_matrix(self.turn[frame])
 
     def towards_root(self, points: np.ndarray, frame: int) -> np.ndarray:
-        """``points`` (V, 3) [m] of the world in the root's frame."""
+        """Returns ``points`` (V, 3) [m] of the world, moved into the frame of the root in ``frame``."""
         return (points - self.place[frame]) @ self.rotation(frame)
 
     def places_of(self, point: np.ndarray) -> np.ndarray:
-        """Places (F, 3) [m] in the world of the ``point`` (3,) of the root's frame."""
+        """Returns where the ``point`` (3,) [m] of the root's frame is in the world [m] (F, 3)."""
         return self.place + rotvec_to_matrix(self.turn) @ point
 
 
@@ -42,7 +42,7 @@ def keys(turn: np.ndarray) -> np.ndarray:
 
 
 def quaternion_keys(turns: np.ndarray) -> np.ndarray:
-    """The same of quaternions wxyz (F, ..., 4)."""
+    """Returns the keys that ``keys`` does, for quaternions wxyz (F, ..., 4)."""
     wxyz = np.array(turns)
     for frame in range(1, len(wxyz)):
         wxyz[frame] *= np.where((wxyz[frame] * wxyz[frame - 1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)

@@ -58,7 +58,7 @@ class MovingGarment:
 
 
 class Counted(Protocol):
-    """What has vertices: a ``Surface``, or a garment in service."""
+    """Something with a number of vertices: a ``Surface``, or a garment in service."""
 
     @property
     def vertex_count(self) -> int: ...

@@ -18,7 +18,7 @@ POINT_BYTES = 28  # about
 
 
 def usda_pieces(layers: Sequence[MovingGarment], fps: float, *, point: np.ndarray | None = None) -> Iterator[bytes]:
-    """The file, in pieces; vertices count from ``point`` [m] (3,), the origin by default."""
+    """Yields the text of the file in pieces. Vertices count from ``point`` [m] (3,), the origin by default."""
     x, y, z = np.zeros(3).tolist() if point is None else point.tolist()
     yield (
         f'#usda 1.0\n(\n    defaultPrim = "clip"\n    endTimeCode = {len(layers[0].vertices) - 1}\n'
@@ -83,13 +83,13 @@ def _listed(numbers: np.ndarray) -> Iterator[bytes]:
 
 def identifiers(names: Sequence[str]) -> list[str]:
     """``names`` as USD names prims: letters, digits and underscores of ASCII, each once."""
-    found: list[str] = []
+    names_so_far: list[str] = []
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name) or "_"
         plain = f"_{plain}" if plain[0].isdigit() else plain
         number, unique = 1, plain
-        while unique in found:
+        while unique in names_so_far:
             number += 1
             unique = f"{plain}_{number}"
-        found.append(unique)
-    return found
+        names_so_far.append(unique)
+    return names_so_far

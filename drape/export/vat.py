@@ -57,11 +57,9 @@ def vat_files(layers: Sequence[MovingGarment], fps: float, name: str) -> dict[st
         got, cure = f"{len(frames)} of {len(corners.source):,} vertices", "Cut the clip, or take fewer frames a second."
         raise InputError("vertex animation texture", expected=f"at most {most} frames", got=got, cure=cure)
     texels, reach, first_normals = _texels(whole, corners)
-    told = {
+    remap = {
         "os-remap": {"Min": (-reach).tolist(), "Max": reach.tolist(), "Frames": len(frames)},
-        "animations": {
-            "clip": {"startFrame": 0, "endFrame": len(frames) - 1, "framerate": fps, "looping": False},
-        },
+        "animations": {"clip": {"startFrame": 0, "endFrame": len(frames) - 1, "framerate": fps, "looping": False}},
         "about": {
             "unit": "metre",
             "mesh_up": "y",
@@ -73,7 +71,7 @@ def vat_files(layers: Sequence[MovingGarment], fps: float, name: str) -> dict[st
     mesh = _mesh(whole, corners, first_normals, texels.shape[:2]).to_bytes()
     return {
         f"{name}.glb": mesh, f"{name}{ENDING}{SUFFIX}": _picture(texels),
-        f"{name}-remap_info.json": json.dumps(told, indent=1).encode(),
+        f"{name}-remap_info.json": json.dumps(remap, indent=1).encode(),
     }  # fmt: skip
 
 

@@ -39,8 +39,8 @@ class FbxMesh:
 
 @dataclass(frozen=True, eq=False)
 class FbxScene:
-    """``meshes``, ``materials`` as ``fbx_process`` tells them, and of each picture its names and bytes, maybe none.
-    ``unit_m`` was the file's unit."""
+    """What an FBX file shows: ``meshes``; ``materials`` as ``fbx_process`` tells them; ``pictures``, each by its names
+    with its bytes, which may be empty; and ``unit_m``, the unit of the file [m]."""
 
     meshes: list[FbxMesh]
     materials: list[dict[str, Any]]

@@ -101,13 +101,13 @@ def _told(scene: Any) -> dict[str, np.ndarray]:
         content = _of(texture, "content") or (b"" if video is None else _of(video, "content"))
         arrays[f"picture.{number}"] = np.frombuffer(bytes(content), dtype=np.uint8)
         files.append([texture.relative_filename, texture.filename, texture.absolute_filename])
-    told = {
+    description = {
         "unit_m": _of(scene, "settings").original_unit_meters,
         "meshes": meshes,
         "materials": looks,
         "pictures": files,
     }
-    return arrays | {"told": np.frombuffer(json.dumps(told).encode(), dtype=np.uint8)}
+    return arrays | {"told": np.frombuffer(json.dumps(description).encode(), dtype=np.uint8)}
 
 
 def _motion(scene: Any, clip: str | None = None) -> dict[str, np.ndarray]:
@@ -140,7 +140,7 @@ def _motion(scene: Any, clip: str | None = None) -> dict[str, np.ndarray]:
 
 def _arrays(node: Any, mesh: Any) -> dict[str, np.ndarray]:
     uv = _of(mesh, "vertex_uv")
-    found = {
+    arrays = {
         "vertices": np.array(_of(mesh, "vertices"), dtype=np.float64).reshape(-1, 3),
         "corners": np.array(_of(mesh, "vertex_indices"), dtype=np.int64),
         "polygons": np.array(_of(mesh, "faces"), dtype=np.int64).reshape(-1, 2),
@@ -149,30 +149,30 @@ def _arrays(node: Any, mesh: Any) -> dict[str, np.ndarray]:
     }
     if uv.exists:
         values = np.array(_of(uv, "values"), dtype=np.float64).reshape(-1, 2)
-        found["uv"] = values[np.array(_of(uv, "indices"), dtype=np.int64)]
-    return found
+        arrays["uv"] = values[np.array(_of(uv, "indices"), dtype=np.int64)]
+    return arrays
 
 
 def _look(material: Any, textures: list[Any]) -> dict[str, Any]:
     """The numbers of ``material``, and which of ``textures`` its maps show; those that are new are added."""
     sides = {name: _of(material, name) for name in ("pbr", "fbx")}
-    told: dict[str, Any] = {"name": material.name, "pictures": {}}
+    look: dict[str, Any] = {"name": material.name, "pictures": {}}
     colour = _of(sides["pbr"], "base_color")
-    told["base_color"] = list(_of(colour, "value_vec4"))[:3] if colour.has_value else None
+    look["base_color"] = list(_of(colour, "value_vec4"))[:3] if colour.has_value else None
     for name in NUMBERS:
         held = _of(sides["pbr"], name)
-        told[name] = _of(held, "value_vec4")[0] if held.has_value else None
+        look[name] = _of(held, "value_vec4")[0] if held.has_value else None
     for name, places in MAPS.items():
         for held in (_of(sides[side], name) for side in places):
             texture = _of(held, "texture") if held.texture_enabled else None
             files = [] if texture is None else _all(_of(texture, "file_textures"))  # of layers the lowest
-            if files and name not in told["pictures"]:
+            if files and name not in look["pictures"]:
                 known = [one.element_id for one in textures]
                 if files[0].element_id not in known:
                     textures.append(files[0])
                     known.append(files[0].element_id)
-                told["pictures"][name] = known.index(files[0].element_id)
-    return told
+                look["pictures"][name] = known.index(files[0].element_id)
+    return look
 
 
 if __name__ == "__main__":

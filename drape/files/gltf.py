@@ -53,7 +53,8 @@ class GltfFile:
         }
 
     def item(self, key: str, index: Any, said: str = "") -> Any:
-        """Entry ``index`` of the document's list ``key``, which ``said``, another field, tells of."""
+        """Returns entry ``index`` of the document's list ``key``. Refuses an index that the list does not have, by the
+        name ``said`` of the field that has it."""
         rows = getattr(self.document, key)
         if type(index) is not int or not 0 <= index < len(rows):
             raise self._fault(said or key, f"an index of {key} below {len(rows)}", shown(index))
@@ -72,18 +73,18 @@ class GltfFile:
             got = ", ".join(shown(accessor.get(key)) for key in ("componentType", "type", "count"))
             raise self._fault(f"accessors[{index}]", f"numbers of a known type, at most {MOST_NUMBERS:,}", got)
         if index in self._draco:
-            found = self._from_draco(index, count, width, kind)
+            values = self._from_draco(index, count, width, kind)
         elif "bufferView" in accessor:
-            found = self._rows(accessor["bufferView"], accessor.get("byteOffset", 0), count, width, kind)
+            values = self._rows(accessor["bufferView"], accessor.get("byteOffset", 0), count, width, kind)
         else:
-            found = np.zeros((count, width), kind)
+            values = np.zeros((count, width), kind)
         if "sparse" in accessor:
-            found = self._with_sparse(found, accessor["sparse"], kind)
+            values = self._with_sparse(values, accessor["sparse"], kind)
         if accessor.get("normalized") and kind is not np.float32:
-            return np.maximum(found.astype(np.float64) / np.iinfo(kind).max, -1.0)
-        if kind is np.float32 and not np.isfinite(found).all():
+            return np.maximum(values.astype(np.float64) / np.iinfo(kind).max, -1.0)
+        if kind is np.float32 and not np.isfinite(values).all():
             raise self._fault(f"accessors[{index}]", "finite numbers", "NaN or infinity")
-        return found
+        return values
 
     def _from_draco(self, index: Any, count: int, width: int, kind: Any) -> np.ndarray:
         """Accessor ``index`` of a primitive that Draco packed."""
@@ -92,19 +93,20 @@ class GltfFile:
             told = primitive.extensions[DRACO]
             view = told.get("bufferView") if isinstance(told, dict) else None
             self._unpacked |= draco_parts(self.view(view, "Draco's bufferView"), primitive, f"{self.label}: Draco")
-        found = self._unpacked.get(index)
-        if found is None or found.shape != (count, width):
-            got = "nothing" if found is None else f"{found.shape}"
+        unpacked = self._unpacked.get(index)
+        if unpacked is None or unpacked.shape != (count, width):
+            got = "nothing" if unpacked is None else f"{unpacked.shape}"
             raise self._fault(f"accessors[{index}]", f"{count} rows of {width} from Draco", got)
-        return found.astype(kind)
+        return unpacked.astype(kind)
 
     def picture(self, index: Any) -> bytes | None:
-        """The file of image ``index`` as it came; None where it lies nowhere."""
+        """Returns the file of image ``index`` as it came; None if the image has no bytes anywhere."""
         held = self.item("images", index, "textures.source")
         return self.view(held["bufferView"], "images") if "bufferView" in held else self._named(held.get("uri"))
 
     def view(self, index: Any, said: str) -> bytes:
-        """The bytes of buffer view ``index``, which ``said``, another field, tells of; unpacked if they are packed."""
+        """Returns the bytes of buffer view ``index``, unpacked if they are packed. Refuses an index that does not
+        exist, by the name ``said`` of the field that has it."""
         held = self.item("buffer_views", index, said)
         if index not in self._views:
             extensions = held.get("extensions")

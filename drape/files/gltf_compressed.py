@@ -34,23 +34,24 @@ def draco_parts(payload: bytes, primitive: Primitive, label: str) -> dict[int, n
     try:
         mesh = library.decode(payload)
         held = {one["unique_id"]: one["data"] for one in mesh.attributes}
-        found = {
+        arrays = {
             primitive.attributes[name]: np.atleast_2d(held[number].T).T
             for name, number in (ids if isinstance(ids, dict) else {}).items()
             if name in primitive.attributes and number in held
         }
         if primitive.indices is not None:
-            found[primitive.indices] = np.asarray(mesh.faces).reshape(-1, 1)
+            arrays[primitive.indices] = np.asarray(mesh.faces).reshape(-1, 1)
     except MemoryError:
         raise
     except Exception as error:  # a broken file can raise anything inside the library
         got = f"{type(error).__name__}: {error}"[:80]
         raise MeshError(label, expected="a mesh that can be unpacked", got=got, cure=EXPORT) from error
-    return found
+    return arrays
 
 
 def meshopt_view(payload: bytes, told: dict[str, Any], label: str) -> bytes:
-    """The bytes of a buffer view that meshoptimizer packed, as ``told`` in its extension."""
+    """Returns the unpacked bytes of a buffer view; ``told`` is the extension's entry, which says how meshoptimizer has
+    packed it."""
     count, stride = (one if type(one := told.get(key)) is int else 0 for key in ("count", "byteStride"))
     mode, filter_name = told.get("mode"), told.get("filter", "NONE")
     wide = mode == "ATTRIBUTES"

@@ -165,15 +165,15 @@ def document_of(text: bytes, label: str) -> Document:
     except (ValueError, RecursionError) as error:
         raise MeshError(f"{label}: JSON", expected="JSON that can be read", got=str(error)[:60], cure=EXPORT) from error
     try:
-        found = Document.model_validate(document)
+        checked = Document.model_validate(document)
     except ValidationError as error:
         raise _refusal(error, label) from error
-    for name in found.extensions_required:
+    for name in checked.extensions_required:
         if not READ_WITHOUT.fullmatch(name):
             cure = "Export without extensions."
             expected = "no required extension that changes meshes"
             raise MeshError(f"{label}: extensionsRequired", expected=expected, got=name[:60], cure=cure)
-    return found
+    return checked
 
 
 def _refusal(error: ValidationError, label: str) -> MeshError:

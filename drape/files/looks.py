@@ -93,7 +93,8 @@ def looks_of(told: dict[str, Any], content: np.ndarray) -> Looks:
 
 
 def kept_pictures(looks: Looks, cleaned: Sequence[bytes | None]) -> Looks:
-    """``looks`` with ``cleaned`` pictures in the place of its own; where there is None, no material has it."""
+    """Returns ``looks`` with the pictures ``cleaned`` in place of its own. A picture that is None there is taken from
+    its materials."""
     kept = [number for number, one in enumerate(cleaned) if one is not None]
 
     def changed(one: Material | None) -> Material | None:

@@ -39,10 +39,10 @@ def packed(arrays: Mapping[str, np.ndarray], *, quick: bool = False) -> bytes:
 
 
 def read_packed(path: Path, *, part: str = "") -> tuple[dict[str, Any], dict[str, Any]]:
-    """The JSON object in the bytes of the array ``header`` of the npz at ``path``, and its other arrays by name: of
-    those that are called PART.NAME where a ``part`` is asked for, else of the others.
+    """Returns the JSON object in the array ``header`` of the npz at ``path``, and the other arrays by name.
 
-    Raises one of ``UNREADABLE`` where there is no such file.
+    With ``part`` these are the arrays called PART.NAME, without it those of no part. Raises one of ``UNREADABLE`` where
+    there is no such file.
     """
     with np.load(path, allow_pickle=False) as stored:
         keys = {key.rpartition(".")[2]: key for key in stored.files if key.rpartition(".")[0] == part}

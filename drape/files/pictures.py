@@ -6,12 +6,14 @@ import io
 from typing import TYPE_CHECKING
 
 from drape.errors import MeshError
+from drape.files.ktx2 import SIGNATURE, ktx2_picture
 from drape.files.looks import Looks, kept_pictures
 
 if TYPE_CHECKING:
     from PIL import Image
 
 READ = ("PNG", "JPEG", "WEBP", "TGA", "BMP")
+KINDS = ", ".join((*READ, "KTX2"))
 Channel = tuple[bytes, int]
 MOST_PIXELS = 2**26  # 8192 x 8192
 LARGEST_SIDE = 2048
@@ -19,14 +21,12 @@ MOST_BYTES = 48 * 2**20  # of the pictures of a garment, made anew
 
 
 def remade(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
-    """The picture in ``payload`` as PNG, or as JPEG if it was one or a WebP without alpha; no side is longer than
-    ``side``. Refuses (``MeshError``) other formats, damaged files and more than ``MOST_PIXELS``."""
+    """The picture in ``payload`` as PNG, or as JPEG if it was one, or a WebP or KTX2 without alpha; no side is longer
+    than ``side``. Refuses (``MeshError``) other formats, damaged files and more than ``MOST_PIXELS``."""
     from PIL import Image
 
-    if payload[1:7] == b"KTX 20":
-        raise MeshError(label, expected=", ".join(READ), got="KTX2", cure="Export pictures as PNG or JPEG.")
     try:
-        with Image.open(io.BytesIO(payload), formats=READ) as image:
+        with _opened(payload, side, label) as image:
             kind, (width, height) = image.format, image.size
             if width * height <= MOST_PIXELS:
                 image.draft("RGB", (side, side))  # of a JPEG that is larger only what is needed
@@ -37,18 +37,26 @@ def remade(payload: bytes, *, label: str, side: int = LARGEST_SIDE) -> bytes:
                 plain.thumbnail((side, side))
                 plain.info.clear()  # comments and profiles would be written again
                 out = io.BytesIO()
-                if kind in ("JPEG", "WEBP") and plain.mode == "RGB":
+                if kind in ("JPEG", "WEBP", None) and plain.mode == "RGB":
                     plain.save(out, "JPEG", quality=92)
                 else:
                     plain.save(out, "PNG")
                 return out.getvalue()
-    except MemoryError:
+    except (MemoryError, MeshError):
         raise
     except Exception as error:  # a broken file can raise anything inside the library
         got = "too many pixels" if isinstance(error, Image.DecompressionBombError) else f"{type(error).__name__}"
-        raise MeshError(label, expected=f"a whole {', '.join(READ)}", got=got, cure="Export it again.") from error
+        raise MeshError(label, expected=f"a whole {KINDS}", got=got, cure="Export it again.") from error
     got = f"{width} x {height}"
     raise MeshError(label, expected=f"at most {MOST_PIXELS >> 20} million pixels", got=got, cure="Shrink the picture.")
+
+
+def _opened(payload: bytes, side: int, label: str) -> Image.Image:
+    from PIL import Image
+
+    if payload.startswith(SIGNATURE):
+        return ktx2_picture(payload, side=side, most_pixels=MOST_PIXELS, label=label)
+    return Image.open(io.BytesIO(payload), formats=READ)
 
 
 def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
@@ -57,12 +65,12 @@ def with_remade(looks: Looks) -> tuple[Looks, tuple[str, ...]]:
     notes, size = [], 0
     for number, picture in enumerate(looks.pictures, start=1):
         try:
-            made = remade(picture, label=f"picture {number}")
-            size += len(made)
+            png = remade(picture, label=f"picture {number}")
+            size += len(png)
             if size > MOST_BYTES:
                 most, cure = f"at most {MOST_BYTES >> 20} MiB of pictures", "Export them smaller."
                 raise MeshError(f"picture {number}", expected=most, got="more", cure=cure)
-            cleaned.append(made)
+            cleaned.append(png)
         except MeshError as error:
             notes.append(f"warning: a picture is left out: {error}")
             cleaned.append(None)

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from drape.body.model import BodyModel
-from drape.body.skeleton import JOINT_NAMES
+from drape.body.skeleton import BONE_ENDS, JOINT_NAMES
 from drape.garment.contours import open_contours
 from drape.garment.files.mesh import GarmentMesh
+from drape.garment.jewellery import jewellery_on
 from drape.garment.sheets import pieces_of
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
@@ -32,6 +33,11 @@ SHAFT = 0.4  # of a boot's area at the shank: a longer shaft bends at the ankle,
 NECK_M = 0.05  # an opening that reaches as far below the head's joint is round the neck: a hood is cloth
 
 
+def bones_that_carry(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[str, ...]:
+    """``carriers_of`` a ``mesh`` [m], or those of jewellery (``jewellery_on``)."""
+    return carriers_of(mesh, skin, body) or jewellery_on(mesh, skin, body)
+
+
 def carriers_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[str, ...]:
     """The bones that carry the pieces of ``mesh`` [m] on ``body`` with the skin (V, 3); none where it is cloth."""
     label, area = pieces_of(mesh.vertices, mesh.faces)
@@ -46,12 +52,17 @@ def carriers_of(mesh: GarmentMesh, skin: np.ndarray, body: BodyModel) -> tuple[s
 
 
 def carried_rows(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, bones: Sequence[str]) -> np.ndarray:
-    """The number (V,) of the bone that carries each vertex: for its piece that of ``bones`` whose joint is nearest."""
+    """The number (V,) of the bone that carries each vertex: for its piece that of ``bones`` which is nearest."""
     piece = mesh_graphs.connected_components(faces, len(vertices))
     count = np.bincount(piece)
     middle = np.stack([np.bincount(piece, column) for column in vertices.T], axis=1) / np.maximum(count, 1)[:, None]
     numbers = np.array([JOINT_NAMES.index(bone) for bone in bones])
-    nearest = np.linalg.norm(middle[:, None] - joints[numbers][None], axis=2).argmin(axis=1)
+    ends = np.array(BONE_ENDS)[numbers]
+    start = joints[numbers]
+    way = np.where(ends[:, None] < 0, 0.0, joints[ends] - start)
+    length = np.maximum(np.einsum("bc,bc->b", way, way), 1e-12)
+    share = np.clip(np.einsum("nbc,bc->nb", middle[:, None] - start, way) / length, 0.0, 1.0)
+    nearest = np.linalg.norm(middle[:, None] - start - share[..., None] * way, axis=2).argmin(axis=1)
     return numbers[nearest][piece]
 
 

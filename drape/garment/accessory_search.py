@@ -93,7 +93,8 @@ def accessory_wearer(mesh: GarmentMesh, body: BodyModel, told: ToldReading = NOT
 
 
 def seated(mesh: GarmentMesh, wearer: Wearer) -> Wearer:
-    """``wearer`` moved so that the ``mesh`` is on its seat, where a bone carries it; others as they are."""
+    """Returns ``wearer`` moved so that the ``mesh`` is on its seat, if a bone carries it; otherwise ``wearer`` as it
+    is."""
     extent = float(np.ptp(mesh.vertices[mesh.faces], axis=(0, 1)).max()) * wearer.reading.scale
     if extent > EXTENT_M[1]:
         return wearer

@@ -39,7 +39,7 @@ def borders(mesh: GarmentMesh) -> list[Loop]:
     for _ in range(SMOOTHINGS):  # noise tilts single normals
         normals = normals + averaging @ normals
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    found = []
+    loops = []
     for loop in meshes.boundary_loops(mesh.faces):
         points = mesh.vertices[loop]
         way = np.roll(points, -1, axis=0) - points
@@ -47,17 +47,18 @@ def borders(mesh: GarmentMesh) -> list[Loop]:
         axis = 0.5 * np.cross(points - points.mean(axis=0), way).sum(axis=0)
         axis = axis / max(float(np.linalg.norm(axis)), 1e-300)
         flatness = float((length * np.abs(normals[loop] @ axis)).sum() / max(float(length.sum()), 1e-300))
-        found.append(Loop(loop, float(length.sum()), flatness, axis))
-    return sorted(found, key=lambda one: -one.length)
+        loops.append(Loop(loop, float(length.sum()), flatness, axis))
+    return sorted(loops, key=lambda one: -one.length)
 
 
 def plainly_hole(one: Loop, mesh: GarmentMesh) -> bool:
-    """Whether a border is a hole without asking where the body is: very short, or a hole in the middle of the cloth."""
+    """Returns whether a border is a hole, as far as the cloth alone tells: it is very short, or lies in the middle of
+    the cloth."""
     root = float(np.sqrt(meshes.face_areas(mesh.vertices, mesh.faces).sum()))
     lies = one.flatness > LIES_IN_CLOTH and one.length < LONG_SHARE * root
     return one.length < SHORT_SHARE * root or lies
 
 
 def plainly_opening(one: Loop) -> bool:
-    """Whether a border is an opening without asking where the body is: the cloth at it looks sideways."""
+    """Returns whether a border is an opening, as far as the cloth alone tells: the cloth at it looks sideways."""
     return one.flatness < LOOKS_SIDEWAYS

@@ -92,19 +92,25 @@ class Drawer:
 
 
 def bind(
-    mesh: GarmentMesh, places: np.ndarray, cloth: np.ndarray, faces: np.ndarray, row: np.ndarray, part: np.ndarray
+    mesh: GarmentMesh,
+    places: np.ndarray,
+    cloth: np.ndarray,
+    faces: np.ndarray,
+    row: np.ndarray,
+    part: np.ndarray,
+    beyond: np.ndarray | None = None,
 ) -> BoundMesh:
     """``mesh`` with its vertices at ``places`` [m] (D, 3), hung on ``cloth`` [m] (V, 3) of ``faces`` (F, 3).
 
     ``row`` (D,): the cloth's vertex that a drawn one is, else -1. ``part`` (D,): the number of the stiff part that it
-    belongs to, else -1.
+    belongs to, else -1. ``beyond`` (D, 3) [m]: where to look for the cloth of each, if not at its place.
     """
     count = len(places)
     weight, kind = np.tile([1.0, 0.0, 0.0], (count, 1)), np.full(count, ON, dtype=np.uint8)
     corner, offset = np.repeat(np.maximum(row, 0)[:, None], 3, axis=1), np.zeros((count, 3))
     loose = np.flatnonzero(row < 0)
     if len(loose):
-        face, shares = _triangles(places[loose], cloth, faces, part[loose])
+        face, shares = _triangles((places if beyond is None else beyond)[loose], cloth, faces, part[loose])
         corner[loose], weight[loose] = faces[face], shares
         normals = meshes.vertex_normals(cloth, faces)
         base = np.einsum("nk,nkc->nc", shares, cloth[faces[face]])

@@ -150,18 +150,20 @@ class Garment(Atlas):
 
     @cached_property
     def drawer(self) -> Drawer:
-        """Draws ``drawn``, which is there."""
+        """The ``Drawer`` of ``drawn``; the garment must have that mesh."""
         assert self.drawn is not None
         return Drawer(self.drawn, self.faces)
 
     def skin_weights(self, body: BodyModel) -> np.ndarray:
-        """Bone weights (N, 24) of plain skinning on ``body``, that which the garment was made for; found once."""
+        """Returns the bone weights (N, 24) of plain skinning on ``body``, for which the garment was made. They are
+        computed once."""
         if "_skin_weights" not in self.__dict__:
             self.__dict__["_skin_weights"] = self.binding(body).weights.astype(np.float32)
         return self.__dict__["_skin_weights"]
 
     def binding(self, body: BodyModel) -> BodyBinding:
-        """Bone weights and shape movement of all vertices on ``body``, that which the garment was made for."""
+        """Returns the bone weights and the shape movement of all vertices on ``body``, for which the garment was
+        made."""
         return bind_to_body(self.vertices, self.fine_faces, body, arm=self.arm_share)
 
     def rest_state(self) -> RestState:

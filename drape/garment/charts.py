@@ -87,12 +87,7 @@ def blend_charts(graph: scipy.sparse.csr_matrix, seeds: np.ndarray, *, spacing_m
     return ChartBlend(patch, full / full.sum(axis=1, keepdims=True))
 
 
-def patch_frames(
-    label: np.ndarray,
-    normals: np.ndarray,
-    area: np.ndarray,
-    bone_direction: np.ndarray,
-) -> np.ndarray:
+def patch_frames(label: np.ndarray, normals: np.ndarray, area: np.ndarray, bone_direction: np.ndarray) -> np.ndarray:
     """Frames (K, 3, 3), columns u axis, v axis, normal.
 
     The normal is the mean normal of the cluster and the u axis the blended bone

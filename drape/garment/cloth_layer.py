@@ -42,6 +42,7 @@ SMALL_M2, SMALL_SHARE, NEAR_M = 0.02, 0.05, 0.03  # a small thing near cloth: it
 SEWN_M, SEWN_SHARE, TRIM_SHARE = 0.004, 0.4, 0.15  # of a collar's border on its garment, and its area over that
 HUNG = ("corner", "weight", "offset", "kind")  # the arrays of a bound mesh that tell what a vertex hangs on
 LARGE_M = 0.25  # of what goes round a trunk
+WOUND_ALIKE = 0.7  # mean cosine between normals of a drawn piece and of its cloth
 STIFF_M = 0.06  # parts up to this size turn as a whole
 VERTEX_LIMIT = 12_000
 THINNED_M = 0.012  # edges of thinned cloth
@@ -49,9 +50,11 @@ SIMPLIFIED = (5 * VERTEX_LIMIT, 19 * VERTEX_LIMIT // 10)  # faces that quadrics 
 
 
 def joined(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` as sheets: copies of a vertex are one, faces without area, drawn twice or closing the end of a tube are
-    left out, and edges have two faces at most. Where that changes it, the vertices of the sheets follow those of
-    ``mesh``."""
+    """Returns ``mesh`` as sheets of cloth: copies of a vertex become one, and no edge has more than two faces.
+
+    Faces without area, faces drawn twice, and discs that close the end of a tube are left out. If that changes the
+    mesh, the vertices of the sheets follow those of ``mesh``.
+    """
     sheets = cut_branches(without_flat_faces(without_cracks(without_copies(weld(mesh)))))
     if not (keep := without_caps(sheets.vertices, sheets.faces)).all():
         sheets = with_used_vertices(sheets.take_faces(keep)).noted(f"{int((~keep).sum())} faces close ends of tubes")
@@ -62,10 +65,10 @@ def joined(mesh: GarmentMesh) -> GarmentMesh:
 
 
 def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None = None) -> GarmentMesh:
-    """The cloth of ``sheets`` [m] (``joined``), which lie round a body with the points ``skin`` [m] (S, 3).
+    """Returns the cloth of ``sheets`` [m] (``joined``), which lie round a body with the points ``skin`` [m] (S, 3);
+    ``sheets`` themselves, if all of them is cloth.
 
-    ``outer`` (F,): their ``outer_sides``, where these are known. ``sheets`` themselves are returned where all of them
-    is cloth.
+    ``outer`` (F,) bool: their ``outer_sides``, if these are known.
     """
     points, faces, notes = sheets.vertices, sheets.faces, []
     keep = outer_sides(points, faces, KDTree(skin)) if outer is None else outer.copy()
@@ -83,7 +86,8 @@ def hung(mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh, joints: np.n
     distance, row = KDTree(cloth.vertices).query(places)
     row = np.where(distance <= SAME_M, row, -1)
     part, label = _stiff_parts(mesh, places, row)
-    bound = bind(mesh, places, cloth.vertices, cloth.faces, row, part)
+    beyond = _through_walls(mesh, places, cloth, row, label)
+    bound = bind(mesh, places, cloth.vertices, cloth.faces, row, part, beyond)
     beside = _loops_of_trunk(mesh, places, (row < 0) & (part < 0), label, joints, skin)
     if not beside.any():
         return bound
@@ -94,18 +98,39 @@ def hung(mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh, joints: np.n
     return replace(bound, **mixed)
 
 
+def _through_walls(
+    mesh: GarmentMesh, places: np.ndarray, cloth: GarmentMesh, row: np.ndarray, label: np.ndarray
+) -> np.ndarray:
+    """Where [m] (D, 3) the ``cloth`` of each vertex is looked for: of those on the inner side of a wall, in a piece of
+    the ``label`` (D,) that has vertices of the cloth (``row``), by its thickness through the wall.
+
+    By nearness alone the inner side of a sleeve hangs on the trunk that its arm hung by, and makes webs.
+    """
+    beyond, hung_on = places.copy(), row >= 0
+    normals = meshes.vertex_normals(places, mesh.faces)
+    along = meshes.vertex_normals(cloth.vertices, cloth.faces)[np.maximum(row, 0)]
+    agreed = np.einsum("dc,dc->d", normals, along)
+    for number in np.unique(label[hung_on]):
+        own, inner = (label == number) & hung_on, np.flatnonzero((label == number) & ~hung_on)
+        sense = float(agreed[own].mean())
+        if len(inner) and abs(sense) > WOUND_ALIKE:
+            thick_m = float(np.median(closest_point(places[inner], cloth.vertices, cloth.faces).distance))
+            beyond[inner] -= np.sign(sense) * thick_m * normals[inner]
+    return beyond
+
+
 def _loops_of_trunk(
     mesh: GarmentMesh, places: np.ndarray, loose: np.ndarray, label: np.ndarray, joints: np.ndarray, skin: np.ndarray
 ) -> np.ndarray:
     """Which vertices (D,) of the pieces ``label`` (D,) that are ``loose`` belong to a large one without sleeves, as a
     belt: it hangs on the trunk, however near to it arms hang."""
-    found = np.zeros(len(label), dtype=bool)
+    on_trunk = np.zeros(len(label), dtype=bool)
     for number in np.unique(label[loose]):
         own = label == number
         if np.ptp(places[own], axis=0).max() > LARGE_M and loose[own].all():
             used, faces = meshes.in_use(mesh.faces[own[mesh.faces].all(axis=1)])
-            found |= own & (not sleeve_of(places[used], faces, joints, skin).any())
-    return found
+            on_trunk |= own & (not sleeve_of(places[used], faces, joints, skin).any())
+    return on_trunk
 
 
 def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
@@ -117,8 +142,10 @@ def _bearing(points: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndar
 
 
 def bearing_pieces(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The piece (F,) of every face, the largest first, the areas (P,) of the pieces [m^2], and which (P,) are cloth by
-    themselves: they do not lie on other cloth, are not sewn to a much larger piece, and are no small things near it.
+    """Returns the number (F,) of the piece that each face belongs to, the largest being 0, the pieces' areas (P,)
+    [m^2], and which pieces (P,) bool are cloth by themselves.
+
+    A piece is not, if it lies on other cloth, is sewn to a much larger piece, or is a small thing near one.
     """
     piece, area = pieces_of(points, faces)
     small = area < min(SMALL_M2, SMALL_SHARE * area[0])

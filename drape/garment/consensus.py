@@ -121,12 +121,12 @@ def _anchors(patch: np.ndarray, uv: np.ndarray, weight: np.ndarray, count: int) 
 
 def _farthest_first(points: np.ndarray) -> np.ndarray:
     """Rows of up to ``ANCHORS_PER_PATCH`` of ``points`` (n, 2), from the one nearest to the origin on."""
-    taken = [int(np.argmin(np.sum(points * points, axis=1)))]
-    distance = np.sum((points - points[taken[0]]) ** 2, axis=1)
-    while len(taken) < min(ANCHORS_PER_PATCH, len(points)):
-        taken.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.sum((points - points[taken[-1]]) ** 2, axis=1))
-    return np.array(taken)
+    anchors = [int(np.argmin(np.sum(points * points, axis=1)))]
+    distance = np.sum((points - points[anchors[0]]) ** 2, axis=1)
+    while len(anchors) < min(ANCHORS_PER_PATCH, len(points)):
+        anchors.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.sum((points - points[anchors[-1]]) ** 2, axis=1))
+    return np.array(anchors)
 
 
 assert CHARTS_PER_VERTEX * ANCHORS_PER_PATCH < MEMBERS

@@ -74,14 +74,14 @@ def open_contours(vertices: np.ndarray, faces: np.ndarray) -> list[Contour]:
     check_shape("vertices", vertices, (None, 3), error=MeshError)
     check_finite("vertices", vertices, error=MeshError)
     faces = meshes.check_faces(faces, len(vertices))
-    found = []
+    contours = []
     for loop in meshes.boundary_loops(faces):
         points = vertices[loop]
         following = np.roll(points, -1, axis=0)
         lengths = np.linalg.norm(following - points, axis=1)
         centre = (lengths[:, None] * 0.5 * (points + following)).sum(axis=0) / max(lengths.sum(), 1e-300)
-        found.append(Contour(loop, points, float(lengths.sum()), centre))
-    return sorted(found, key=lambda contour: -contour.length_m)
+        contours.append(Contour(loop, points, float(lengths.sum()), centre))
+    return sorted(contours, key=lambda contour: -contour.length_m)
 
 
 def bone_chains(joints: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
@@ -163,14 +163,14 @@ def place_of(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> P
 
 def _nearest(point: np.ndarray, chain: np.ndarray) -> tuple[float, float, np.ndarray]:
     """Distance [m] of ``point`` to the line ``chain`` (n, 3), arc length of the nearest point, direction there."""
-    found, run = [], 0.0
+    candidates, run = [], 0.0
     for start, end in pairwise(chain):
         length = max(float(np.linalg.norm(end - start)), 1e-300)
         way = (end - start) / length
         share = float(np.clip((point - start) @ way, 0.0, length))
-        found.append((float(np.linalg.norm(point - start - share * way)), run + share, way))
+        candidates.append((float(np.linalg.norm(point - start - share * way)), run + share, way))
         run += length
-    return min(found, key=lambda one: one[0])
+    return min(candidates, key=lambda one: one[0])
 
 
 def match_contours(source: list[Contour], target: list[Contour], joints: np.ndarray) -> tuple[list[Match], list[int]]:

@@ -39,13 +39,13 @@ def eases(
     """The ease by the names of ``Levels`` of a garment, ``faces`` (F, 3) of the cloth ``rest``, that is draped at
     ``vertices`` [m] (V, 3) on ``body`` in its rest pose and the shape ``betas``; only levels that it goes around."""
     place, skin, joints = landmarks(body), body.rest_vertices(betas), body.rest_joints(betas)
-    found = {}
+    by_name = {}
     for name, level in place.levels(skin)._asdict().items():
         middle = joints[JOINT_NAMES.index(_MIDDLE[name])][[0, 2]]
         girth = girth_around(faces, rest, vertices, y=level, middle=middle)
         if girth is not None:
-            found[name] = Ease(section_girth(skin, place.trunk, level), girth)
-    return found
+            by_name[name] = Ease(section_girth(skin, place.trunk, level), girth)
+    return by_name
 
 
 def girth_around(

@@ -70,7 +70,7 @@ class FitReport(NamedTuple):
     tension: Tension
 
 
-class Worn(NamedTuple):
+class JudgedDrape(NamedTuple):
     """A drape that is judged: vertices [m] (V, 3) in the rest pose, and in the pose (24, 3) [rad] that is asked about.
 
     ``vertices`` are all those of ``fine_faces``; ``pose`` and ``posed`` are None where that is the rest pose too.
@@ -82,7 +82,7 @@ class Worn(NamedTuple):
     posed: np.ndarray | None = None
 
 
-def fit_report(garment: Garment, body: BodyModel, worn: Worn, *, fabric: Fabric | None = None) -> FitReport:
+def fit_report(garment: Garment, body: BodyModel, worn: JudgedDrape, *, fabric: Fabric | None = None) -> FitReport:
     """How ``garment`` fits ``body``: ease in the rest pose, strain and pressure in the pose of ``worn``.
 
     ``fabric`` is the garment's own if left out.
@@ -118,7 +118,7 @@ def region_figures(
     named: np.ndarray, area: np.ndarray, tension: Tension, *, touching: np.ndarray, gap_m: np.ndarray
 ) -> dict[str, Region]:
     """The figures of each region of ``named`` (V,) that has cloth, means by the vertices' ``area`` [m^2] (V,)."""
-    found = {}
+    regions = {}
     for number, name in enumerate(REGIONS):
         rows = named == number
         total = float(area[rows].sum())
@@ -127,7 +127,7 @@ def region_figures(
         share = area[rows] / total
         lies = float(touching[rows] @ share)
         stretched = np.maximum(tension.warp[rows], tension.weft[rows])
-        found[name] = Region(
+        regions[name] = Region(
             total,
             float(tension.warp[rows] @ share),
             float(tension.weft[rows] @ share),
@@ -136,7 +136,7 @@ def region_figures(
             float(tension.pressure[rows] @ share) / lies if lies > 0.0 else 0.0,
             float(gap_m[rows] @ share),
         )
-    return found
+    return regions
 
 
 def _quantile(values: np.ndarray, share: np.ndarray) -> float:
@@ -148,19 +148,19 @@ def _quantile(values: np.ndarray, share: np.ndarray) -> float:
 
 def fit_words(regions: Mapping[str, Region], ease: Mapping[str, Ease]) -> list[str]:
     """Sentences that say where a garment is tight, too small or loose; one that says that it fits where it is not."""
-    said = [sentence for name, region in regions.items() for sentence in _tight(name, region)]
+    sentences = [sentence for name, region in regions.items() for sentence in _tight(name, region)]
     for level, girths in ease.items():
         name, width_cm = _ROUND[level], 100.0 * girths.ease_m
         if girths.ease_m < -SMALL_M:
-            said.append(f"too small at the {name}: {-width_cm:.0f} cm less than the body")
+            sentences.append(f"too small at the {name}: {-width_cm:.0f} cm less than the body")
         elif girths.ease_m > LOOSE_SHARE * girths.body_m:
-            said.append(f"loose at the {name}: {width_cm:.0f} cm of ease")
-    said += [
+            sentences.append(f"loose at the {name}: {width_cm:.0f} cm of ease")
+    sentences += [
         f"loose around the {name}: {100.0 * region.gap_m:.0f} cm off the skin"
         for name, region in regions.items()
         if name in _LIMBS and region.gap_m > LOOSE_GAP_M
     ]
-    return said or ["fits: nothing pulls, and nothing stands far off"]
+    return sentences or ["fits: nothing pulls, and nothing stands far off"]
 
 
 def _tight(name: str, region: Region) -> Sequence[str]:

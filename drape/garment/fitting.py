@@ -26,7 +26,7 @@ DEFAULT_SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class RestSurface:
     """A garment mesh at rest: ``vertices`` (N, 3) [m], ``faces`` (G, 3) of the subdivided mesh."""
 
     vertices: np.ndarray
@@ -61,7 +61,7 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class RestGarment(Surface):
+class RestGarment(RestSurface):
     """A garment mesh at rest on the ``body`` with what does not depend on its partition: ``binding`` its skin weights
     and shape movement."""
 
@@ -135,7 +135,9 @@ def patch_fields(
     }  # fmt: skip
 
 
-def patch_labels(rest: Surface, count: int | None = None, share: float = 1.0, seed: int = DEFAULT_SEED) -> np.ndarray:
+def patch_labels(
+    rest: RestSurface, count: int | None = None, share: float = 1.0, seed: int = DEFAULT_SEED
+) -> np.ndarray:
     """The patch (N,) of each vertex of ``rest``, with ``count``, ``share`` and ``seed`` as in ``patch_fields``."""
     count = min(patch_count_for(float(rest.areas.sum()), share) if count is None else count, len(rest.vertices))
     return partition(rest.vertices, rest.faces, rest.areas, count, seed=seed, graph=rest.graph)
@@ -222,7 +224,7 @@ def fit_garment(
     its triangles. ``count``, ``share`` and ``like`` as in ``patch_fields``, ``arm`` as in ``bind_to_body``;
     ``shapes`` [m] (K, N, 3) are those of a mantle.
     """
-    surface = Surface(np.asarray(vertices, dtype=np.float64), fine_faces)
+    surface = RestSurface(np.asarray(vertices, dtype=np.float64), fine_faces)
     makes: list[Callable[[], Any]] = [lambda: skin.bind_to_body(surface.vertices, fine_faces, body, arm=arm)]
     if like is None:
         makes.append(lambda: patch_labels(surface, count, share))

@@ -141,9 +141,10 @@ def _flatten(
 def lay_alike(
     placed: np.ndarray, before: np.ndarray, points: np.ndarray, triangles: np.ndarray, weight: np.ndarray
 ) -> np.ndarray | None:
-    """Places (n, 2) for ``points`` (n, 3) from those of ``before`` (n, 3), ``placed`` (n, 2).
+    """Returns places (n, 2) in the plane for ``points`` (n, 3), laid as an earlier state ``before`` (n, 3) of the same
+    cloth was, which was ``placed`` at (n, 2).
 
-    None where these fold, as in caches of before charts were laid flat, or where jets fit them clearly worse there.
+    None if the cloth folds over there, as in caches of before charts were laid flat, or if jets fit it clearly worse.
     """
     found = _settled(placed, points[:, :2], points, triangles)
     folds = (signed_areas(found, triangles) <= 0.0).any() or (found is placed and rims_cross(placed, triangles))

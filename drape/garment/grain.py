@@ -102,14 +102,14 @@ def read_grain(
         return nothing
     edges = on_corners.corners[:, 1:] - on_corners.corners[:, :1]  # (G, 2, 2)
     double = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
-    told = np.abs(double) > SMALLEST_AREA_SHARE * np.abs(double).mean()
-    if not told.any():
+    sound = np.abs(double) > SMALLEST_AREA_SHARE * np.abs(double).mean()
+    if not sound.any():
         return nothing
     area = meshes.face_areas(modelled, faces)
     inverse = np.zeros_like(edges)
-    inverse[told] = np.linalg.inv(edges[told])
+    inverse[sound] = np.linalg.inv(edges[sound])
     slope = _slope(modelled, faces, inverse)
-    scale = _median(np.sqrt(2.0 * area[told] / np.abs(double[told])), area[told])
+    scale = _median(np.sqrt(2.0 * area[sound] / np.abs(double[sound])), area[sound])
     large, small = _singular_values(slope)
     if uv_unit_m is not None and not 1.0 / UNIT_LIMIT < scale / uv_unit_m < UNIT_LIMIT:
         raise InputError(
@@ -118,11 +118,11 @@ def read_grain(
             got=f"{uv_unit_m:g}",
             cure="Correct the unit, or leave it out: lengths are then those of the mesh.",
         )
-    true = told & (large < STRETCH_LIMIT * scale) & (small * STRETCH_LIMIT > scale)
+    true = sound & (large < STRETCH_LIMIT * scale) & (small * STRETCH_LIMIT > scale)
     whole = np.bincount(on_corners.island, area)
     flat = np.bincount(on_corners.island, area * true) >= FLAT_SHARE * whole
     flat |= uv_unit_m is not None
-    good = told & flat[on_corners.island]
+    good = sound & flat[on_corners.island]
     upright = slope @ np.array(UP) / scale  # (G, 2): how steeply u and v climb
     mean = np.stack([np.bincount(on_corners.island, area * upright[:, k]) for k in (0, 1)], axis=1) / whole[:, None]
     on_side = (np.abs(mean[:, 0]) > np.abs(mean[:, 1]) + TURNED) & (not on_corners.grain_along_v)

@@ -90,14 +90,14 @@ def fit_inside(
     trunk = body.joints_template[0]
     start = np.array([0.5 * (low[0] + high[0]) - trunk[0], high[1] - top_m, 0.5 * (low[2] + high[2]) - trunk[2]])
     contours = tube_ends(mesh)
-    found = []
+    fits = []
     for number, (lift, rise) in enumerate(product(ARM_LIFTS_RAD, RISES_M)):
         tick(f"start {number + 1} of {len(ARM_LIFTS_RAD) * len(RISES_M)}")
         first = start_parameters(body, lift, start + np.array([0.0, rise, 0.0]))
-        found.append(fit_from(body, points, normals, contours, first, FIRST_STEPS, wanted=wanted))
-    best = sorted(found, key=lambda one: one[1])[:FINALISTS]
-    found = [fit_from(body, points, normals, contours, one, STEPS, wanted=wanted, neutral=start) for one, _ in best]
-    parameters, cost = min(found, key=lambda one: one[1])
+        fits.append(fit_from(body, points, normals, contours, first, FIRST_STEPS, wanted=wanted))
+    best = sorted(fits, key=lambda one: one[1])[:FINALISTS]
+    fits = [fit_from(body, points, normals, contours, one, STEPS, wanted=wanted, neutral=start) for one, _ in best]
+    parameters, cost = min(fits, key=lambda one: one[1])
     distance = closest.signed_distance(points, posed_by(body, parameters), body.faces)
     inside = distance < 0.0
     depth = 1e3 * float(np.quantile(-distance[inside], 0.95)) if inside.any() else 0.0
@@ -256,7 +256,7 @@ def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray, wan
     joints = body.posed_joints(pose[None], betas)[0] + trans
     number = {name: joint for joint, name in enumerate(JOINT_NAMES)}
     trunk = bone_chains(joints)[TRUNK][0]
-    found, taken = [], set()
+    cuffs, taken = [], set()
     for contour in contours:
         limbs = [
             (float(np.linalg.norm(_perpendicular(contour.centre, joints[a], joints[b]))), a, b, part)
@@ -271,9 +271,9 @@ def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray, wan
         inner = min(float(np.linalg.norm(_perpendicular(contour.centre, *bone))) for bone in pairwise(trunk))
         beside = JOINT_NAMES[a].endswith("hip") and near > contour.length_m / (2.0 * np.pi)
         if near < inner and not beside:
-            found.append((contour.centre, a, b))
+            cuffs.append((contour.centre, a, b))
             taken.add(part)
-    return found
+    return cuffs
 
 
 def _perpendicular(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ from drape.errors import InputError, refusing
 from drape.files.pictures import with_remade
 from drape.forked import each
 from drape.garment import avatars
-from drape.garment.accessories import carriers_of
+from drape.garment.accessories import bones_that_carry
 from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
 from drape.garment.clearance import CLEARANCE_M
 from drape.garment.cloth_layer import joined
@@ -50,7 +50,7 @@ from drape.garment.strays import without_strays
 from drape.garment.wearer_pictures import pictured
 
 # Raised when cloth that was not modelled on the standard body comes to rest otherwise, as when another wearer is found.
-MOVED_VERSION = 7
+MOVED_VERSION = 8
 INTAKE_VERSION = 5  # raised when a change here changes the garments that come out
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")  # at their defaults they leave older digests as they were
 
@@ -203,7 +203,7 @@ def _made(file: _File, body: BodyModel, say: Report, begins: Report, *, whole: b
     mesh = mesh if sewn is not None else without_strays(mesh)
     sheets, model, wearer = modelled_on(mesh if sewn is not None else joined(mesh), body, options, file.meaning)
     unnamed = "" if file.meaning is not None else " (none was named)"
-    carriers = () if sewn is not None else carriers_of(with_used_vertices(sheets), model.vertices, body)
+    carriers = () if sewn is not None else bones_that_carry(with_used_vertices(sheets), model.vertices, body)
     alone, outer = sewn is not None or bool(carriers), None
     if not alone:
         sheets, outer = with_sewn_panels(sheets, model.vertices)

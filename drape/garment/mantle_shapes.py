@@ -47,15 +47,15 @@ def pose_of(direction: np.ndarray) -> np.ndarray:
 def shares_of(rotations: np.ndarray) -> np.ndarray:
     """The shares (F, 2, K) of ``DIRECTIONS`` for the left and right arm, of bones with ``rotations`` (F, 24, 3, 3)."""
     trunk = rotations[:, JOINT_NAMES.index("spine3")]
-    found = []
+    directions = []
     for side, sign in SIDES.items():
         arm = sign * rotations[:, JOINT_NAMES.index(f"{side}_shoulder"), :, 0]
-        found.append(np.einsum("fba,fb->fa", trunk, arm) * [sign, 1.0, 1.0])
+        directions.append(np.einsum("fba,fb->fa", trunk, arm) * [sign, 1.0, 1.0])
     count = len(DIRECTIONS)
     system = np.ones((count + 1, count + 1))
     system[:count, :count] = np.linalg.norm(DIRECTIONS[:, None] - DIRECTIONS, axis=-1)
     system[count, count] = 0.0
-    far = np.linalg.norm(np.stack(found, axis=1)[:, :, None] - DIRECTIONS, axis=-1)
+    far = np.linalg.norm(np.stack(directions, axis=1)[:, :, None] - DIRECTIONS, axis=-1)
     sides = np.concatenate([far, np.ones((*far.shape[:2], 1))], axis=-1)
     return np.linalg.solve(system, sides.reshape(-1, count + 1).T).T.reshape(sides.shape)[..., :count]
 

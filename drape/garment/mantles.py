@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
-from drape.cloth.hanging import HangingCloth, Skin
+from drape.cloth.hanging import HangingCloth, HoldingSkin
 from drape.garment.avatars import Avatar
 from drape.garment.mantle_shapes import DIRECTIONS, SPREAD, pose_of
 from drape.garment.rest_pose import (
@@ -72,7 +72,7 @@ def _led(cloth: HangingCloth, x: np.ndarray, body: BodyModel, before: np.ndarray
     for number in range(1, count + 1):
         near = KDTree(skins[number - 1]).query(x)[1]
         x = x + smooth((skins[number] - skins[number - 1])[near])
-        x = cloth.hung(x, Skin(skins[number], body.faces, firm), STEPS if number < count else LAST_STEPS)
+        x = cloth.hung(x, HoldingSkin(skins[number], body.faces, firm), STEPS if number < count else LAST_STEPS)
     return x
 
 

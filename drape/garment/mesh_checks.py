@@ -26,7 +26,7 @@ Unit = Literal["auto", "m", "cm", "dm", "mm", "inch"]
 Up = Literal["auto", "y", "z"]
 VERTEX_MINIMUM = 24
 AREA_MINIMUM = 0.02  # m^2: less cloth than a glove
-EXTENT_M = (0.1, 2.6)
+EXTENT_M = (0.015, 2.6)
 FLAT_ALTITUDE = 1e-5  # a triangle lower than this share of its longest edge has no normal
 # Misfit of the seven real garments on their own avatars: 0.01 to 0.06; in another unit or far away: from 0.07.
 MISFIT_LIMIT, MISFIT_LIMIT_UNNAMED = 0.25, 0.06

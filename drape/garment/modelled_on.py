@@ -28,14 +28,14 @@ def modelled_on(
     ``MeshError`` where the mesh is no cloth or no human body fits in it, and ``BodyError`` for an avatar that is none.
     """
     check_options(options.unit, options.up)
-    told, meaning = told_reading(meaning)
+    given, meaning = told_reading(meaning)
     checked = check_surface(mesh)
     if meaning is not None:
-        worn = _on_named(checked, body, options, told, meaning)
-    elif told == NOTHING_TOLD and (placed := on_standard(checked, body, options)) is not None:
+        worn = _on_named(checked, body, options, given, meaning)
+    elif given == NOTHING_TOLD and (placed := on_standard(checked, body, options)) is not None:
         return placed, standard_avatar(body), None
     else:
-        worn = worn_by(checked, body, options, told)
+        worn = worn_by(checked, body, options, given)
     placed, avatar, wearer = worn
     keep = without_pits(placed.vertices, placed.faces, body.regressor @ avatar.vertices)
     if not keep.all():  # what is delivered stays in its places, as ``cloth_layer.joined`` has it

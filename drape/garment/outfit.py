@@ -59,8 +59,8 @@ def garments_in(sheets: GarmentMesh, skin: np.ndarray, body: BodyModel) -> np.nd
 
 
 def parted(mesh: GarmentMesh, sheets: GarmentMesh, label: np.ndarray) -> list[tuple[GarmentMesh, GarmentMesh]]:
-    """For each garment its part of the delivered ``mesh``, and of its ``sheets`` (``cloth_layer.joined``, which may lie
-    elsewhere); ``label`` (F,) is that of ``garments_in``."""
+    """Returns for each garment its part of the delivered ``mesh``, and its part of ``sheets`` (``cloth_layer.joined``,
+    which may lie elsewhere). ``label`` (F,) is what ``garments_in`` returned for the sheets."""
     if label.max(initial=0) == 0:
         return [(mesh, sheets)]
     count = len(mesh.vertices)
@@ -80,7 +80,8 @@ def parted(mesh: GarmentMesh, sheets: GarmentMesh, label: np.ndarray) -> list[tu
 
 
 def part_names(mesh: GarmentMesh, parts: Sequence[GarmentMesh]) -> list[str]:
-    """A name for each of the ``parts`` of ``mesh``: that of its only material where no other has it, else a number."""
+    """Returns a name for each of the ``parts`` of ``mesh``: the name of its material, if it has one that no other part
+    has; otherwise a number."""
     if len(parts) == 1:
         return [mesh.name]
     used = [np.unique(part.face_material) for part in parts]

@@ -27,10 +27,12 @@ END = 0.05  # of an edge: a vertex nearer to its end, or to the one before, does
 
 
 def with_sewn_panels(sheets: GarmentMesh, skin: np.ndarray) -> tuple[GarmentMesh, np.ndarray]:
-    """``sheets`` [m] (``cloth_layer.joined``) round a body with the points ``skin`` [m] (S, 3), without the inner sides
-    of walls, and its panels sewn, themselves where no two pieces have a seam; and the ``outer_sides`` (F,) of that.
+    """Returns ``sheets`` [m] with the panels of a pattern sewn to each other, and the ``outer_sides`` (F,) of the faces
+    that they had.
 
-    Vertices stay in their places and their order; those that become one follow them.
+    ``sheets`` (``cloth_layer.joined``) lie round a body with the points ``skin`` [m] (S, 3). Inner sides of walls are
+    left out. ``sheets`` themselves are returned if no two pieces have a seam. Vertices keep their places and their
+    order; those that become one follow them.
     """
     points = sheets.vertices
     outer = outer_sides(points, sheets.faces, KDTree(skin))
@@ -54,29 +56,29 @@ def _with_split_borders(mesh: GarmentMesh, piece: np.ndarray) -> GarmentMesh:
     halves = meshes.half_edges(mesh.faces)
     used, cut, uv_cut, parent = set(), [], [], []
     uv, count = [mesh.uv], len(mesh.uv)
-    for half, found in sorted(_vertices_on_borders(mesh, halves, piece).items(), key=lambda item: -len(item[1])):
+    for half, inserted in sorted(_vertices_on_borders(mesh, halves, piece).items(), key=lambda item: -len(item[1])):
         face, corner = divmod(half, 3)
         if face in used:  # of a face with two such edges one is cut
             continue
         used.add(face)
         start, end, top = halves[half]
-        cut += [[a, b, top] for a, b in pairwise([start, *(vertex for _, vertex in found), end])]
-        parent += [face] * (len(found) + 1)
+        cut += [[a, b, top] for a, b in pairwise([start, *(vertex for _, vertex in inserted), end])]
+        parent += [face] * (len(inserted) + 1)
         if len(mesh.uv_faces):
             first, last, above = np.roll(mesh.uv_faces[face], -corner)
-            share = np.array([along for along, _ in found])[:, None]
+            share = np.array([along for along, _ in inserted])[:, None]
             uv.append((1.0 - share) * mesh.uv[first] + share * mesh.uv[last])
-            uv_cut += [[a, b, above] for a, b in pairwise([first, *range(count, count + len(found)), last])]
-            count += len(found)
+            uv_cut += [[a, b, above] for a, b in pairwise([first, *range(count, count + len(inserted)), last])]
+            count += len(inserted)
     if not cut:
         return mesh
     stays = np.setdiff1d(np.arange(len(mesh.faces)), list(used))
-    taken = mesh.take_faces(np.concatenate([stays, parent]).astype(np.int64))
+    kept = mesh.take_faces(np.concatenate([stays, parent]).astype(np.int64))
     faces = np.concatenate([mesh.faces[stays], np.array(cut, dtype=mesh.faces.dtype)])
     if not uv_cut:
-        return replace(taken, faces=faces)
+        return replace(kept, faces=faces)
     uv_faces = np.concatenate([mesh.uv_faces[stays], np.array(uv_cut, dtype=mesh.uv_faces.dtype)])
-    return replace(taken, faces=faces, uv=np.concatenate(uv), uv_faces=uv_faces)
+    return replace(kept, faces=faces, uv=np.concatenate(uv), uv_faces=uv_faces)
 
 
 def _vertices_on_borders(
@@ -98,11 +100,11 @@ def _vertices_on_borders(
     fits = (off < SEAM_M) & (along > END) & (along < 1.0 - END)
     fits &= piece[edge[near] // 3] != piece[edge[at] // 3][:, None]
     fits &= (halves[edge[near], :2] != loose[:, None, None]).all(axis=2)
-    found: dict[int, list[tuple[float, int]]] = {}
+    by_half: dict[int, list[tuple[float, int]]] = {}
     for v in np.flatnonzero(fits.any(axis=1)):
         k = int(np.where(fits[v], off[v], np.inf).argmin())
-        found.setdefault(int(edge[near[v, k]]), []).append((float(along[v, k]), int(loose[v])))
-    return {half: _apart(sorted(inserted)) for half, inserted in found.items()}
+        by_half.setdefault(int(edge[near[v, k]]), []).append((float(along[v, k]), int(loose[v])))
+    return {half: _apart(sorted(inserted)) for half, inserted in by_half.items()}
 
 
 def _apart(found: list[tuple[float, int]]) -> list[tuple[float, int]]:

@@ -168,13 +168,13 @@ def distortion(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 
 def _refuse_round(cloth: RestCloth) -> None:
-    found = distortion(cloth.modelled, cloth.faces)
-    if found > DISTORTION_LIMIT:
+    ratio = distortion(cloth.modelled, cloth.faces)
+    if ratio > DISTORTION_LIMIT:
         raise MeshError(
             "rest",
             expected=f"a garment that lies flat: panels of {200 * PANEL_RADIUS_M:.0f} cm with areas within "
             f"{100 * (DISTORTION_LIMIT - 1.0):.0f} % of each other, for half the cloth",
-            got=f"{100 * (found - 1.0):.0f} %",
+            got=f"{100 * (ratio - 1.0):.0f} %",
             cure="Take rest auto or modelled, or give the garment uv that are its panels.",
         )
 

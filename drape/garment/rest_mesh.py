@@ -8,7 +8,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
-from drape.garment.accessories import carried_rows, carriers_of
+from drape.garment.accessories import bones_that_carry, carried_rows
 from drape.garment.avatars import Avatar
 from drape.garment.bound import BoundMesh
 from drape.garment.cache import Garment
@@ -82,7 +82,7 @@ def rest_mesh(
     if sheets is None:
         sheets = place(check_surface(joined(mesh)), avatar, unit=options.unit, up=options.up)
     if carriers is None:
-        carriers = () if sewn else carriers_of(with_used_vertices(sheets), avatar.vertices, body)
+        carriers = () if sewn else bones_that_carry(with_used_vertices(sheets), avatar.vertices, body)
     cloth = sheets if sewn else cloth_layer(sheets, avatar.vertices, outer)
     whole = cloth is sheets and len(sheets.vertices) == len(mesh.vertices)
     checked = check_mesh(cloth if whole else with_used_vertices(cloth), avatar, placed=True, carried=bool(carriers))

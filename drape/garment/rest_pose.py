@@ -130,9 +130,10 @@ def own_skin_weights(
 
 
 def surface_weights(points: np.ndarray, avatar: Avatar, counts: np.ndarray | None = None) -> scipy.sparse.csr_matrix:
-    """Rows (V, body V) that average the body near each point: a Gaussian round it, over skin that faces its way.
+    """Returns weights (V, body V), rows summing to one, by which the body near each point is averaged: a Gaussian round
+    the point, over skin that faces its way.
 
-    Only the skin that ``counts`` (body V,) does, if given.
+    ``counts`` (body V,) bool: the skin that counts, all by default.
     """
     counts = np.ones(len(avatar.vertices), dtype=bool) if counts is None else counts
     skin, faces = np.flatnonzero(counts), avatar.faces[counts[avatar.faces].all(axis=1)]

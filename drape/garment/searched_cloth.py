@@ -48,7 +48,7 @@ class SearchedCloth:
         self.loops = np.array(picked[:LOOP_COUNT]).reshape(-1, LOOP_POINTS, 3)
 
     def may_be(self, scale: float) -> bool:
-        """Whether it has the extent and the area of a garment in a unit of ``scale`` [m]."""
+        """Returns whether the cloth is as large as a garment, if the file's unit is ``scale`` [m]."""
         return EXTENT_M[0] <= self.extent * scale <= EXTENT_M[1] and self.area * scale**2 >= AREA_MINIMUM
 
     def contours(self, reading: Reading) -> list[Contour]:
@@ -65,7 +65,8 @@ class SearchedCloth:
         return unthreaded(reading.apply(self.loops.reshape(-1, 3)).reshape(self.loops.shape), joints)
 
     def covers(self, reading: Reading, bones: Bones, *, move: np.ndarray | float = 0.0) -> bool:
-        """Whether it covers the arms of a body and has no sleeves, moved by ``move`` [m] (3,)."""
+        """Returns whether the cloth, read by ``reading`` and moved by ``move`` [m] (3,), covers the arms of the body
+        with ``bones`` and has no sleeves."""
         return covers_arms(reading.apply(self.many) + move, bones)
 
     @cached_property
@@ -76,7 +77,8 @@ class SearchedCloth:
         return np.array([tree.query(one)[0].mean() for one in mirrored]) / self.extent
 
     def oddness(self, reading: Reading) -> float:
-        """What it costs that it is small, and other on the left than on the right."""
+        """Returns the cost of ``reading``: of cloth that is small then, and of cloth that differs between left and
+        right."""
         small = SMALL * max(0.0, float(np.log(SMALL_M2 / (self.area * reading.scale**2))))
         across = float(np.abs(reading.turn[0]) @ self.lopsided)
         return small + LOPSIDED * (across - float(self.lopsided.min()))

@@ -128,12 +128,12 @@ def agreeing(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
     odd = odd + odd.T
     turn = np.zeros(count, dtype=bool)
     number, piece = csgraph.connected_components(graph, directed=False)
-    for one in range(number):
-        order, before = csgraph.breadth_first_order(graph, int((piece == one).argmax()), directed=False)
+    for label in range(number):
+        order, before = csgraph.breadth_first_order(graph, int((piece == label).argmax()), directed=False)
         step = np.asarray(odd[order[1:], before[order[1:]]]).reshape(-1) > 0
         for face, parent, turned in zip(order[1:].tolist(), before[order[1:]].tolist(), step.tolist(), strict=True):
             turn[face] = turn[parent] ^ turned
-        mine = piece == one
+        mine = piece == label
         if 2 * int(turn[mine].sum()) > int(mine.sum()):
             turn[mine] = ~turn[mine]
     faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
@@ -204,12 +204,12 @@ def _bends(vertices: np.ndarray, halves: np.ndarray, group: np.ndarray) -> np.nd
 def _smoothest(group: np.ndarray, cost: np.ndarray) -> np.ndarray:
     """Pairs (P, 2) of the half-edges ``group`` at one edge, of the least ``cost`` (n, n) first."""
     cost = cost + 6.0 * np.eye(len(group))
-    found = []
-    while len(group) - 2 * len(found) >= 2:
+    pairs = []
+    while len(group) - 2 * len(pairs) >= 2:
         a, b = np.unravel_index(int(cost.argmin()), cost.shape)
-        found.append((group[a], group[b]))
+        pairs.append((group[a], group[b]))
         cost[[a, b]] = cost[:, [a, b]] = 9.0
-    return np.array(found)
+    return np.array(pairs)
 
 
 def pieces_of(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

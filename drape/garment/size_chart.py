@@ -54,7 +54,8 @@ def deciding(measures: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def advice(girths: Mapping[str, float], standard: Mapping[str, float], levels: tuple[str, ...]) -> Advice:
-    """The size for a body of ``girths`` [m] by the largest of ``levels``, where ``standard`` is the middle of M."""
+    """Returns the size for a body of ``girths`` [m], and why. The level in ``levels`` decides that asks for the largest
+    size; ``standard`` are the girths [m] of the middle of M."""
     steps = {name: (girths[name] - standard[name]) / GIRTH_STEP_M for name in levels}
     name = max(levels, key=lambda level: steps[level])
     wanted = int(np.ceil(steps[name] - 0.5))

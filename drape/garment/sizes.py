@@ -213,10 +213,10 @@ def garment_measures(garment: Garment, body: BodyModel) -> dict[str, float]:
         garment.vertices.astype(np.float64),
         garment.rest_state(),
     )
-    found = {name: ease.garment_m for name, ease in eases(faces, rest, vertices, body).items()}
-    if not found.keys() & {"chest_m", "waist_m"}:
+    measured = {name: ease.garment_m for name, ease in eases(faces, rest, vertices, body).items()}
+    if not measured.keys() & {"chest_m", "waist_m"}:
         top = max(meshes.boundary_loops(faces), key=lambda loop: float(vertices[loop, 1].mean()))
         y, middle = float(vertices[top, 1].min()) - 1e-3, vertices[top][:, [0, 2]].mean(axis=0)
         girth = girth_around(faces, rest, vertices, y=y, middle=middle)
-        found = ({} if girth is None else {"waist_m": girth}) | found
-    return found | {"length_m": float(np.ptp(vertices[:, 1]))}
+        measured = ({} if girth is None else {"waist_m": girth}) | measured
+    return measured | {"length_m": float(np.ptp(vertices[:, 1]))}

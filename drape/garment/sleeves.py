@@ -40,7 +40,7 @@ def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin:
     edges = meshes.unique_edges(faces)
     lengths = np.maximum(meshes.edge_lengths(vertices, edges), 1e-9)
     graph = mesh_graphs.edge_matrix(edges, lengths, len(vertices))
-    found = np.zeros(len(vertices), dtype=np.int64)
+    sleeve = np.zeros(len(vertices), dtype=np.int64)
     for number, side in enumerate(("left", "right"), start=1):
         own = np.array(bones.part) == f"{side} arm"
         chain = np.concatenate([joints[[JOINT_NAMES.index(f"{side}_shoulder")]], bones.at[own]])
@@ -56,17 +56,18 @@ def sleeve_of(vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, skin:
             length = float(from_shoulder[cloth].max())
             cuff = cloth[from_shoulder[cloth] > length - CUFF_M]
             far = csgraph.dijkstra(graph, directed=False, indices=cuff, min_only=True, limit=length + CUFF_M)
-            found = np.where(far < length - ARMHOLE_M, number, np.where((far < np.inf) & (found == 0), SHOULDER, found))
-    if found.any():  # buttons are pieces of their own
+            rest = np.where((far < np.inf) & (sleeve == 0), SHOULDER, sleeve)
+            sleeve = np.where(far < length - ARMHOLE_M, number, rest)
+    if sleeve.any():  # buttons are pieces of their own
         label = mesh_graphs.connected_components(faces, len(vertices))
-        loose = ~np.isin(label, label[found > 0])
+        loose = ~np.isin(label, label[sleeve > 0])
         cloth = np.flatnonzero(~loose)
         away, near = nearest_vertices(vertices, vertices[cloth])
-        beside = np.where(loose & (away < LOOSE_M), found[cloth[near]], 0)
+        beside = np.where(loose & (away < LOOSE_M), sleeve[cloth[near]], 0)
         for number in (1, 2, SHOULDER):  # as a whole: a belt that an arm hangs by is not torn
             share = np.bincount(label, beside == number) / np.maximum(np.bincount(label), 1)
-            found[loose & (share[label] > 0.5)] = number
-    return found
+            sleeve[loose & (share[label] > 0.5)] = number
+    return sleeve
 
 
 def covers_arms(points: np.ndarray, bones: Bones) -> bool:

@@ -50,14 +50,14 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
         garment.name, cleared[:count], garment.faces.astype(np.int64), garment.uv, garment.uv_faces.astype(np.int64),
         garment.material_names, garment.face_material, looks=garment.looks,
     )  # fmt: skip
-    made = fit_garment(
+    bound = fit_garment(
         mesh, cleared, faces, wearer, digest=tailored_digest(garment, wearer), manifest=dict(garment.manifest),
         count=garment.patch_count, like=garment, arm=garment.arm_share,
     )  # fmt: skip
     rest = garment.rest_state()
     edges = stretched(rest.edges, standing, cleared, faces)
     return replace(
-        made,
+        bound,
         fabric=garment.fabric,
         rest_edges=edges.astype(np.float32),
         rest_angle=rest.hinge_angle.astype(np.float32),

@@ -24,12 +24,13 @@ class ToldReading:
 
     @property
     def reading(self) -> Reading | None:
-        """The reading, if all of it is told."""
+        """The reading of the file, if unit and both axes are told; otherwise None."""
         return None if self.unit is None or not (self.up and self.front) else Reading(*self.unit, self.up, self.front)
 
     @property
     def turned(self) -> Reading | None:
-        """A reading in metres with the axes that are told, the usual ones where one is left out; None without any."""
+        """A reading in metres with the axes that are told, and the usual one for an axis that is left out. None if no
+        axis is told."""
         if self.up is None and self.front is None:
             return None
         up = self.up or ("+y" if self.front and self.front[1] != "y" else "+z")
@@ -48,15 +49,15 @@ def told_reading(meaning: Any) -> tuple[ToldReading, Any]:
     if not isinstance(meaning, dict) or not set(KEYS) & set(meaning):
         return NOTHING_TOLD, meaning
     unit, up, front = (meaning.get(key) for key in KEYS)
-    told = ToldReading(
+    reading = ToldReading(
         None if unit is None else _unit(unit),
         None if up is None else _axis(up),
         None if front is None else _axis(front),
     )
-    if told.up and told.front and told.up[1] == told.front[1]:
+    if reading.up and reading.front and reading.up[1] == reading.front[1]:
         cure = 'Give for example {"up": "z", "facing": "-y"}.'
-        raise BodyError("avatar facing", expected=f"an axis across {told.up}", got=told.front, cure=cure)
-    return told, {key: value for key, value in meaning.items() if key not in KEYS} or None
+        raise BodyError("avatar facing", expected=f"an axis across {reading.up}", got=reading.front, cure=cure)
+    return reading, {key: value for key, value in meaning.items() if key not in KEYS} or None
 
 
 def _unit(value: Any) -> tuple[str, float]:

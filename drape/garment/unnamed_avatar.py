@@ -11,6 +11,7 @@ from drape.garment.avatars import Avatar, standard_avatar
 from drape.garment.contours import pierced_parts
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake_options import IntakeOptions
+from drape.garment.jewellery import check_cloth, jewellery_wearer
 from drape.garment.mesh_checks import UNITS_M, place
 from drape.garment.registration import posed_by
 from drape.garment.told_reading import NOTHING_TOLD, ToldReading
@@ -26,7 +27,8 @@ DEEP_M, DEEP_SHARE, BARE_SHARE = 0.01, 0.01, 0.15
 
 
 def on_standard(mesh: GarmentMesh, body: BodyModel, options: IntakeOptions) -> GarmentMesh | None:
-    """The checked ``mesh`` in metres, if it lies close on the standard body in T-pose, every limb in its cloth."""
+    """Returns the checked ``mesh`` in metres if it lies close on the standard body in T-pose, with every limb in its
+    cloth; otherwise None."""
     avatar = standard_avatar(body)
     try:
         placed = place(mesh, avatar, unit=options.unit, up=options.up, named=False)
@@ -48,12 +50,15 @@ def worn_by(
 
     Raises ``MeshError`` where no human body fits.
     """
-    said = ToldReading(
+    reading = ToldReading(
         (options.unit, UNITS_M[options.unit]) if told.unit is None and options.unit != "auto" else told.unit,
         f"+{options.up}" if told.up is None and options.up != "auto" else told.up,
         told.front,
     )
-    wearer = accessory_wearer(mesh, body, said) or seated(mesh, the_wearer(mesh, body, said))
+    wearer = jewellery_wearer(mesh, body, reading) or accessory_wearer(mesh, body, reading)
+    if wearer is None:
+        check_cloth(mesh)
+        wearer = seated(mesh, the_wearer(mesh, body, reading))
     vertices = posed_by(body, wearer.parameters)
     source = f"found in the cloth: {wearer.words}; sure {wearer.sure:.2f}"
     turned = replace(mesh, vertices=wearer.reading.apply(mesh.vertices))

@@ -38,8 +38,8 @@ SAMPLED_FACES = 4000
 
 
 def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarray:
-    """Which ``faces`` (F,) of the mesh with ``points`` [m] (N, 3) stay, round a body with the points of ``skin``: not
-    the inner side of a wall, nor its rim."""
+    """Returns which ``faces`` (F,) bool are no inner side of a wall, nor its rim. ``points`` [m] (N, 3) are the mesh's
+    vertices, and ``skin`` the points of the body inside."""
     keep, piece = np.ones(len(faces), dtype=bool), mesh_graphs.connected_components(faces, len(points))[faces[:, 0]]
     middles, normals = points[faces].mean(axis=1), meshes.face_normals(points, faces)
     areas = meshes.face_areas(points, faces)
@@ -65,7 +65,7 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
         alone = (areas[own] * (within >= 0)).sum() > OWN_SHARE * (areas[own] * walled[own]).sum()
         if alone and (closed or (high <= EVEN * low and np.median(np.abs(side[own][walled[own]])) > OVER)):
             phi = _sides(faces[own], normals[own], within, side[own])
-            keep[own] = _outer(points, faces[own], walled[own], phi)
+            keep[own] = _outer(points, faces[own], walled[own], within, phi)
     return keep
 
 
@@ -85,14 +85,16 @@ def _sides(faces: np.ndarray, normals: np.ndarray, other: np.ndarray, side: np.n
     return phi
 
 
-def _outer(points: np.ndarray, faces: np.ndarray, walled: np.ndarray, phi: np.ndarray) -> np.ndarray:
-    """Which ``faces`` (F,) of a piece stay: the outer side of a wall, and what is no wall away from it."""
+def _outer(points: np.ndarray, faces: np.ndarray, walled: np.ndarray, other: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """Which ``faces`` (F,) of a piece stay: the outer side of a wall, and what is no wall away from it. Where neither
+    side is plainly the outer one, as in an armpit, that which is more so stays: cloth has no hole there."""
     outside = walled & (phi > 0.0)
     if not outside.any() or not (walled & (phi < 0.0)).any():
         return np.ones(len(faces), dtype=bool)
     outer = phi > OUTER * np.median(phi[outside])
     near, _ = KDTree(points[np.unique(faces[outside])]).query(points[faces])
-    return outer | (~walled & (near.max(axis=1) > RIM_M))
+    kept = outer | (~walled & (near.max(axis=1) > RIM_M))
+    return kept | ((other >= 0) & ~kept[other] & (phi > phi[other]))
 
 
 def _opposite_faces(

@@ -38,7 +38,8 @@ HELD_LIMIT = 0.25  # without what hangs away from the skin, up to which a train 
 
 
 def judge(cloth: SearchedCloth, reading: Reading, body: BodyModel, parameters: np.ndarray, odd_arms: float) -> Wearer:
-    """How the cloth lies on the body with ``parameters``, of whose arms the start was as odd as ``odd_arms``."""
+    """Returns the ``Wearer`` that says how the cloth, read by ``reading``, lies on ``body`` with ``parameters``.
+    ``odd_arms`` is the cost of the arms that the fit started from."""
     points, skin = reading.apply(cloth.points), posed_by(body, parameters)
     distance = _distance(points, skin, body)
     band = points[:, 1] > points[:, 1].max() - BAND_M

@@ -137,7 +137,8 @@ class Wearer:
         return self._facts() | {"others": others}
 
     def unlike(self, other: Wearer) -> str:
-        """What ``words`` leave out of how it differs from ``other``, such as ", the cloth 9 cm lower"."""
+        """Returns words for how it differs from ``other`` where ``words`` are alike, such as ", the cloth 9 cm lower";
+        empty if in nothing."""
         if (self.reading.up, self.reading.front) != (other.reading.up, other.reading.front):
             return f", facing {self.reading.front.lstrip('+')}"
         rise_cm = round(100.0 * float(self.trans[1] - other.trans[1]))

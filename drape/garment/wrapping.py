@@ -4,10 +4,13 @@ A delivered triangle is a chord: with corners on the fine cloth it cuts off what
 cloth over it. Of the fine cloth x with normals n, and W, which places every fine vertex in a delivered triangle, the
 corners c start on the cloth and then go out until no triangle lies below it, by a few steps of
 
-    r = max(0, n . (x - W c)),    c += 1.5 D^-1 W^T (r n),    D = diag(W^T W 1).
+    r = max(0, n . (x - W c)),    c += s D^-1 W^T (q r n),    D = diag(W^T q).
 
-D is not below W^T W, so that each step is a bounded descent on r^2 / 2, and half of it more: what is far enough out
-counts no longer, so that steps alone fall short. The rows of W sum to one, hence D is W's sums by column.
+The first steps have q = 1 and s = 1.5: the rows of W sum to one, hence D is not below W^T W and each step is a bounded
+descent on r^2 / 2, and half of it more. What is far enough out counts there too, so that a corner of large triangles,
+of which a few places lie below, hardly goes. So in the last steps q = r and s = 1: a corner goes by the mean of what is
+still missing, in which the most counts most. More of these leave nothing below, and let corners jump from frame to
+frame.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from drape.engine.calls import call_with_scratch
 from drape.garment.cache import Garment
 from drape.garment.fine import corner_weights
 
-STEPS, RELAXATION = 5, 1.5
+STEPS, DEEP_STEPS, RELAXATION = 5, 2, 1.5
 
 
 class Wrapping:
@@ -26,7 +29,7 @@ class Wrapping:
 
     def __init__(self, garment: Garment) -> None:
         placing = corner_weights(garment)
-        self._stride = RELAXATION / np.asarray(placing.sum(axis=0)).ravel()
+        self._counted = np.asarray(placing.sum(axis=0)).ravel() / RELAXATION
         added = placing[garment.vertex_count :]  # those before are corners
         row = np.repeat(np.arange(added.shape[0]), np.diff(added.indptr))
         column = np.arange(added.nnz) - added.indptr[row]
@@ -37,8 +40,8 @@ class Wrapping:
     def wrap(self, fine: np.ndarray) -> np.ndarray:
         """Delivered vertices [m] (V, 3) around the ``fine`` ones [m] (N, 3), of the same type."""
         fine, dtype = np.ascontiguousarray(fine), fine.dtype
-        corners = np.empty((len(self._stride), 3), dtype)
-        weight, stride = self._weight.astype(dtype), self._stride.astype(dtype)
-        placed = self._corner, weight, stride, len(corners), STEPS, corners
-        call_with_scratch("wrap", dtype, fine, len(fine), self._faces, len(self._faces), *placed)
+        corners = np.empty((len(self._counted), 3), dtype)
+        placed = self._corner, self._weight.astype(dtype), self._counted.astype(dtype), len(corners)
+        steps = STEPS, DEEP_STEPS, corners
+        call_with_scratch("wrap", dtype, fine, len(fine), self._faces, len(self._faces), *placed, *steps)
         return corners

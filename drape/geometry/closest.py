@@ -45,7 +45,8 @@ def nearest_vertices(points: np.ndarray, vertices: np.ndarray, count: int = 1) -
 
 
 def on_border(found: ClosestPoints, faces: np.ndarray) -> np.ndarray:
-    """Which of the nearest points (N,) lie on an edge that one triangle alone has: the cloth ends there."""
+    """Returns which of the nearest points ``found`` (N,) bool lie on an edge of one triangle alone: the cloth ends
+    there."""
     corners = np.asarray(faces, dtype=np.int64)
     count = int(corners.max()) + 1
     border = boundary_edges(corners)

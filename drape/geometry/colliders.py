@@ -43,7 +43,7 @@ def capsule(start: ArrayLike, end: ArrayLike, radius_m: float) -> np.ndarray:
 
 
 def seen_from(colliders: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """``colliders`` (M, 16), whose centres count from ``origin`` [m] (3,) instead."""
+    """Returns ``colliders`` (M, 16) with centres that count from ``origin`` [m] (3,)."""
     if not len(colliders):
         return colliders
     moved = colliders.copy()
@@ -54,12 +54,12 @@ def seen_from(colliders: np.ndarray, origin: np.ndarray) -> np.ndarray:
 def distances(colliders: np.ndarray, points: np.ndarray) -> np.ndarray:
     """The distance [m] (P,) of each of ``points`` [m] (P, 3) to the nearest of ``colliders`` (M, 16): negative inside,
     infinite where there are none."""
-    found = np.full(len(points), np.inf)
+    nearest = np.full(len(points), np.inf)
     for row in colliders:
         q = np.abs((points - row[CENTRE:AXES]) @ row[AXES:HALF].reshape(3, 3).T) - row[HALF:RADIUS]
         outside = np.linalg.norm(np.maximum(q, 0.0), axis=-1)
-        found = np.minimum(found, outside + np.minimum(q.max(axis=-1), 0.0) - row[RADIUS])
-    return found
+        nearest = np.minimum(nearest, outside + np.minimum(q.max(axis=-1), 0.0) - row[RADIUS])
+    return nearest
 
 
 def _axes_about(along: np.ndarray) -> np.ndarray:

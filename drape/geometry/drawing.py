@@ -15,7 +15,7 @@ def drawn(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int | np.ra
 
 
 def within(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A point (N, 3) drawn evenly from each of the triangles ``corners`` (N, 3, 3)."""
+    """Returns a point (N, 3) in each of the triangles ``corners`` (N, 3, 3), drawn evenly by ``rng``."""
     root, share = np.sqrt(rng.random(len(corners))), rng.random(len(corners))
     weights = np.stack([1.0 - root, root * (1.0 - share), root * share], axis=1)
     return np.einsum("nk,nkc->nc", weights, corners)

@@ -15,7 +15,8 @@ def connected_components(faces: np.ndarray, vertex_count: int) -> np.ndarray:
 
 
 def joined_parts(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The number (``count``,) of the part that each thing is in, where things ``a`` and ``b`` (n,) belong together."""
+    """Returns for each of ``count`` things the number (``count``,) of its part: thing ``a[i]`` and thing ``b[i]`` (n,)
+    are in the same part."""
     graph = scipy.sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
     return csgraph.connected_components(graph, directed=False)[1]
 

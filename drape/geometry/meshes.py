@@ -62,7 +62,8 @@ def _edge_keys(ends: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def edges_of_halves(halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The number (n,) of every half-edge's edge, whose ends come first, and how many ``halves`` each edge (E,) has."""
+    """Returns the number (n,) of each half-edge's edge, and how many ``halves`` each edge (E,) has. The first two
+    columns of ``halves`` are the ends."""
     _, inverse, counts = np.unique(_edge_keys(halves[:, :2])[0], return_inverse=True, return_counts=True)
     return inverse.reshape(-1), counts
 
@@ -79,7 +80,8 @@ def boundary_vertices(faces: np.ndarray) -> np.ndarray:
 
 
 def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Half-edges (3F, 3), and two index arrays of those that share an edge; m faces on one edge give m - 1 pairs."""
+    """Returns the half-edges (3F, 3), and two arrays of rows of these: the half-edges of a pair lie on one edge. m
+    faces on one edge give m - 1 pairs."""
     halves = half_edges(faces)
     ends = np.sort(halves[:, :2], axis=1)
     order = np.lexsort((ends[:, 1], ends[:, 0]))

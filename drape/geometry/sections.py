@@ -61,13 +61,13 @@ def closed_rings(section: Section, vertices: np.ndarray) -> list[Ring]:
     links = scipy.sparse.coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(place), len(place)))
     parts, part = connected_components(links, directed=False)
     of_segment = part[ends[:, 0]]
-    found = []
+    rings = []
     for number in range(parts):
         hull = convex_hull(place[part == number]) if (count[part == number] == 2).all() else None
         if hull is not None:
             rows = np.flatnonzero(of_segment == number)
-            found.append(Ring(float(length_m[rows].sum()), hull, rows))
-    return found
+            rings.append(Ring(float(length_m[rows].sum()), hull, rows))
+    return rings
 
 
 def convex_hull(points: np.ndarray) -> ConvexHull | None:

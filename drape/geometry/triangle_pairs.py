@@ -40,8 +40,11 @@ def pairs_within(
 
 
 def near_boxes(x: np.ndarray, first: np.ndarray, second: np.ndarray, reach_m: float) -> np.ndarray:
-    """Numbers (N, 2) of rows of ``first`` and ``second``, vertices of elements, that share none of them and whose boxes
-    are at most ``reach_m`` apart along every axis; of one set of elements each pair once, the lower number first.
+    """Returns pairs (N, 2) of rows of ``first`` and ``second`` whose boxes are at most ``reach_m`` [m] apart along
+    every axis.
+
+    A row has the vertices of an element; elements that share one are no pair. If both are the same elements, each pair
+    comes once, the lower number first.
     """
     if not len(second):
         return np.zeros((0, 2), np.int32)

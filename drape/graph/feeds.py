@@ -53,7 +53,7 @@ def body_feed(
     relative = translations - joints[:, :1]
     shapes = np.broadcast_to(shape_numbers(body, betas), (count, BETA_COUNT))
     static = static_features(rotvec_to_matrix(poses), rotations).reshape(count, feature_count())
-    found = BodyTensors(
+    tensors = BodyTensors(
         features=np.concatenate([static, shapes], axis=1),
         rotation=rotations,
         translation=relative,
@@ -62,12 +62,12 @@ def body_feed(
         joints=(rotations @ joints[..., None])[..., 0] + relative,
         skin=shaped_skin(body).table(rotations, relative, shapes) if skin else None,
     )
-    return BodyInputs(_arrays(found.flat()), trans + joints[:, 0])
+    return BodyInputs(_arrays(tensors.flat()), trans + joints[:, 0])
 
 
 def shape_numbers(body: BodyModel, betas: np.ndarray | None) -> np.ndarray:
-    """``betas`` (S,) or (F, S) as graphs take them, (10,) or (F, 10): zeros where ``body`` has fewer numbers or none
-    are given."""
+    """Returns ``betas`` (S,) or (F, S) as graphs take them, (10,) or (F, 10). Numbers that ``body`` does not have, or
+    that are not given, are zero."""
     if betas is None:
         return np.zeros(BETA_COUNT)
     betas = np.asarray(betas, dtype=np.float64)
@@ -138,7 +138,7 @@ def _agreement(atlas: Atlas, local: np.ndarray) -> dict[str, np.ndarray]:
     anchor = tables.anchor
     basis = jets.basis(atlas.chart_uv[anchor].astype(np.float64), jets.HEIGHT_ORDER)
     row = np.concatenate([np.ones((*basis.shape[:2], 1)), local[anchor], basis], axis=-1)
-    found = AgreementTensors(
+    tensors = AgreementTensors(
         anchor_patch=atlas.chart_patch[anchor],
         anchor_row=atlas.chart_weight[anchor].astype(np.float64)[..., None] * row,
         member=tables.member,
@@ -147,7 +147,7 @@ def _agreement(atlas: Atlas, local: np.ndarray) -> dict[str, np.ndarray]:
         tangent=tables.tangent,
         orthonormal=tables.orthonormal,
     )
-    return found.flat() | {"patch_slot": tables.slot}
+    return tensors.flat() | {"patch_slot": tables.slot}
 
 
 _GROUPS = (BodyTensors, PatchTensors, ChartTensors, AgreementTensors)

@@ -50,7 +50,7 @@ class LayerFeed(Tensors):
 
 
 def sheet(garment: Garment) -> Sheet:
-    """The delivered mesh of ``garment`` as what others lie over."""
+    """Returns the delivered mesh of ``garment`` as a collider for the garments over it."""
     vertices, faces = garment.vertices[: garment.vertex_count].astype(np.float64), garment.faces.astype(np.int64)
     return Sheet(vertices, faces, cloth_samples(vertices, faces))
 
@@ -119,16 +119,18 @@ def check_layers(garments: Sequence[Garment]) -> None:
 def push_over(
     vertices: Array, under: Array, skin: Array, feed: LayerFeed, clearance_m: Array | float = CLEARANCE_M
 ) -> Array:
-    """The vertices [m] (F, V, 3) of ``push_over_in_parts``."""
+    """Returns the pushed vertices [m] (F, V, 3) of ``push_over_in_parts``."""
     return push_over_in_parts(vertices, under, skin, feed, clearance_m).vertices
 
 
 def push_over_in_parts(
     vertices: Array, under: Array, skin: Array, feed: LayerFeed, clearance_m: Array | float = CLEARANCE_M
 ) -> Pushed:
-    """``vertices`` [m] (F, V, 3) out of the bodies and of the garments below, draped to ``under`` (F, U, 3).
+    """Pushes ``vertices`` [m] (F, V, 3) out of the bodies and of the garments below. Returns what was pushed, part by
+    part.
 
-    ``skin`` (F, R, 12, 8) are the bodies' samples (``drape.contact.skin.skin_table``).
+    ``under`` [m] (F, U, 3) are the draped vertices of the garments below, ``skin`` (F, R, 12, 8) the bodies' samples
+    (``drape.contact.skin.skin_table``).
     """
     xp = namespace(vertices)
     frames = vertices.shape[0]
@@ -138,7 +140,8 @@ def push_over_in_parts(
 
 
 def cloth_table(under: Array, feed: LayerFeed) -> Array:
-    """The regions (F, 4 Q, 96) of ``sample_table`` on the garments draped to ``under`` [m] (F, U, 3)."""
+    """Returns the samples on the garments draped to ``under`` [m] (F, U, 3), as regions (F, 4 Q, 96) of a
+    ``sample_table``."""
     xp = namespace(under)
     frames, (parts, clusters, count) = under.shape[0], feed.cloth_member.shape
     taken = take(under, xp.reshape(feed.cloth_member, (-1,)), axis=1)

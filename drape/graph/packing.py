@@ -39,7 +39,8 @@ KINDS = {spec.name: spec.dtype for kind in (StoredPatches, StoredTiles) for spec
 
 
 def pass_name(index: int) -> str:
-    """Output of the packed graph that holds the jets after ``index`` corrections, before the closing fit."""
+    """Returns the name of the packed graph's output that holds the jets after ``index`` corrections, before the closing
+    fit."""
     return f"pass_{index}"
 
 
@@ -54,7 +55,8 @@ class PackedBody:
     root: np.ndarray
 
     def rows(self, poses: np.ndarray) -> dict[str, np.ndarray]:
-        """Inputs of the packed graph for ``poses`` (F, 24, 3) [rad], float32."""
+        """Returns the inputs of the packed graph that depend on the pose, by name, float32: a row for each of ``poses``
+        (F, 24, 3) [rad]."""
         quaternion = np.empty((len(poses), JOINT_COUNT + 1, 4), dtype=np.float32)
         quaternion[:, :JOINT_COUNT] = joint_rotations(poses)[0]
         quaternion[:, JOINT_COUNT] = (1.0, 0.0, 0.0, 0.0)  # the ancestor of joints that have none
@@ -71,7 +73,7 @@ def _repeated(array: np.ndarray, count: int) -> np.ndarray:
 
 
 def pack_body(body: BodyModel, betas: np.ndarray | None = None) -> PackedBody:
-    """``body`` in the shape ``betas``."""
+    """Returns ``body`` in the shape ``betas`` as the packed graph takes it."""
     rest = body.rest_joints(betas)
     return PackedBody(rest.astype(np.float32), shape_numbers(body, betas).astype(np.float32), rest[0])
 
@@ -281,7 +283,8 @@ class Composition:
 
 
 def compose(items: Sequence[tuple[PackedGarment, Place, int]]) -> Composition:
-    """Index tensors of ``items``: garment, its place in the store, row of its body."""
+    """Returns the index tensors of ``items``. An item is a garment, the place of its constants in store, and the row of
+    its body."""
     patch_stored, patch_body, patch_bone, tile_stored, tile_patch, charts = ([] for _ in range(6))
     anchor_charts, member_anchor = [], []
     patches, vertices = [], []

@@ -19,8 +19,11 @@ _LOGITS = np.log(np.arange(OTHER_STEPS + 1) / OTHER_STEPS + OTHER_LEAST)  # of s
 
 @dataclass(frozen=True, eq=False)
 class PushConstants:
-    """The ``feed`` of a garment, contiguous; ``logits`` (256,) of samples, by how much these are other parts. And of a
-    garment over others what the samples of these are made of, as in ``LayerFeed``."""
+    """The constants with which the engine pushes a garment: its ``feed``, contiguous, and ``logits`` (256,), by how
+    much samples belong to other parts.
+
+    Of a garment over others also what their samples are made of, as in ``LayerFeed``.
+    """
 
     feed: PushFeed
     logits: np.ndarray
@@ -30,7 +33,7 @@ class PushConstants:
 
     @classmethod
     def of(cls, feed: PushFeed | LayerFeed) -> PushConstants:
-        """Those of ``feed``."""
+        """Returns the constants that the engine needs of ``feed``."""
         push = (feed.push if isinstance(feed, LayerFeed) else feed).each(np.ascontiguousarray)
         logits, none = _LOGITS.astype(push.patch_fit.dtype), np.empty(0, np.int32)
         if not isinstance(feed, LayerFeed):
@@ -52,10 +55,11 @@ def push_frames(
     under: np.ndarray | None = None,
     jets: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """``vertices`` [m] (F, V, 3) out of the bodies with the samples ``skin`` (F, R, 12, 8), frame by frame, and the way
-    [m] (F, V) of each; then ``coefficients`` (F, K, 3, 10) and ``left_m`` (F,) of ``Pushed``, which hold for ``jets``.
+    """Pushes ``vertices`` [m] (F, V, 3), frame by frame, out of the bodies with the samples ``skin`` (F, R, 12, 8).
 
-    Of a garment over others out of these too, whose pushed vertices are ``under`` [m] (F, U, 3).
+    Returns the pushed vertices, the way [m] (F, V) of each, and ``coefficients`` (F, K, 3, 10) and ``left_m`` (F,) of
+    ``Pushed``, which hold only for ``jets``. A garment over others is pushed out of these too; ``under`` [m] (F, U, 3)
+    are their pushed vertices.
     """
     kind, (frames, count) = constants.feed.patch_fit.dtype, vertices.shape[:2]
     pushed, way = np.empty((frames, count, 3), kind), np.empty((frames, count), kind)

@@ -42,7 +42,7 @@ def pack_push(
 
 
 class SkinShapes:
-    """The skin of ``body`` in any shape; the shapes used last are kept (a megabyte each)."""
+    """The skin of ``body`` in any shape. The shapes used last are kept; each takes a megabyte."""
 
     def __init__(self, body: BodyModel) -> None:
         self._skin = shaped_skin(body)
@@ -50,11 +50,12 @@ class SkinShapes:
 
     @property
     def counts(self) -> np.ndarray:
-        """How many bones of each part count (P,): ``ShapedSkin``."""
+        """How many bones move the skin of each part (P,), as ``ShapedSkin.counts``."""
         return self._skin.counts
 
     def feed(self, betas: np.ndarray) -> dict[str, np.ndarray]:
-        """``skin_rows`` (U, P, n, 4, 144), ``skin_bones`` (P, n) and ``body_shape`` (B,) for ``betas`` (B, 10)."""
+        """Returns the inputs of the packed graph for the skins of bodies with ``betas`` (B, 10), of U different shapes:
+        ``skin_rows`` (U, P, n, 4, 144), ``skin_bones`` (P, n) and ``body_shape`` (B,), the shape of each body."""
         if len(betas) == 1:  # most frames of a stream
             rows = self._rows(np.asarray(betas, np.float32).tobytes())[None]
             return {"skin_rows": rows, "skin_bones": self._skin.bones, "body_shape": np.zeros(1, np.int32)}
@@ -82,11 +83,11 @@ def push_feed(garment: Garment, body: BodyModel) -> PushFeed:
 
 
 def pushed_jets(jet: Array, rotation: Array, scale: Array, coefficients: Array) -> Array:
-    """Jets (F, K, 45) in their frames with the push-out in them, for a stream of jets.
+    """Returns the jets (F, K, 45) of a stream with the push-out added to them, in their patches' frames.
 
-    ``jet`` (F, K, 27 or 45) and frames ``rotation`` (F, K, 3, 3) are a drape's, ``scale`` [m] (K,) the patches',
-    ``coefficients`` (F, K, 3, 10) those of ``drape.contact.projection.Pushed``. A cubic is part of a full jet of order
-    4, so vertices of these jets are exactly those of ``jet`` and the blend of ``coefficients``.
+    ``jet`` (F, K, 27 or 45) and the frames' ``rotation`` (F, K, 3, 3) are the drape's, ``scale`` [m] (K,) is the
+    patches'. ``coefficients`` (F, K, 3, 10) are those of ``drape.contact.projection.Pushed``. A cubic is part of a full
+    jet of order 4, so the sum is exact.
     """
     xp = namespace(jet)
     local = (xp.matrix_transpose(rotation) @ coefficients) / scale[:, None, None]

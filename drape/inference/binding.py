@@ -66,18 +66,21 @@ class BoundSession(Session):
 
     @property
     def buckets(self) -> int:
-        """Sets of shapes that have memory."""
+        """The number of buckets: sets of shapes that have memory."""
         return len(self._buckets)
 
     @property
     def bytes(self) -> int:
-        """Memory of all buckets."""
+        """The memory of all buckets [bytes]."""
         return sum(bucket.bytes for bucket in self._buckets.values())
 
     def run(
         self, outputs: Sequence[str], feed: Mapping[str, Value], *, unchanging: Collection[str] = ()
     ) -> list[np.ndarray]:
-        """``outputs`` for ``feed``; an array named in ``unchanging`` is written once and not again while it is fed."""
+        """Returns the arrays of ``outputs`` for ``feed``, in their order.
+
+        An array that ``unchanging`` names is copied in once, and not again while the same array is fed.
+        """
         bucket = self._bucket(tuple(outputs), feed)
         for name, value in bucket.inputs.items():
             array = feed[name]
@@ -123,22 +126,22 @@ class BoundSession(Session):
         options = onnxruntime.RunOptions()
         options.add_run_config_entry("gpu_graph_id", str(capture_id))
         binding, sizes = self._opened.io_binding(), self._sizes(feed)
-        made: dict[str, onnxruntime.OrtValue] = {}
+        values_in: dict[str, onnxruntime.OrtValue] = {}
         fixed = []
         for name, value in feed.items():
             if isinstance(value, np.ndarray):
-                value = made[name] = self._device.empty(value.shape, value.dtype)
+                value = values_in[name] = self._device.empty(value.shape, value.dtype)
             else:
                 fixed.append(value)
             binding.bind_ortvalue_input(name, value)
-        found = {}
+        values_out = {}
         for name in outputs:
             tensor = self._outputs[name]
             shape = [size if isinstance(size, int) else sizes[size] for size in tensor.shape]
-            found[name] = self._device.empty(shape, np.dtype(tensor.dtype))
-            binding.bind_ortvalue_output(name, found[name])
-        size = sum(value.tensor_size_in_bytes() for value in (*made.values(), *found.values()))
-        return _Bucket(binding, options, capture_id, made, found, tuple(fixed), size)
+            values_out[name] = self._device.empty(shape, np.dtype(tensor.dtype))
+            binding.bind_ortvalue_output(name, values_out[name])
+        size = sum(value.tensor_size_in_bytes() for value in (*values_in.values(), *values_out.values()))
+        return _Bucket(binding, options, capture_id, values_in, values_out, tuple(fixed), size)
 
     def _sizes(self, feed: Mapping[str, Value]) -> dict[str, int]:
         """Lengths of the named axes in ``feed``; refuses (``ArtifactError``) inputs that do not agree."""

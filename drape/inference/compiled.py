@@ -42,7 +42,8 @@ class GarmentRows(NamedTuple):
 
 
 class CompiledNetwork:
-    """A network of ``parameters`` by their names, which ``network`` describes."""
+    """The network on a processor: its ``parameters`` by their names, and ``network``, the manifest's description of
+    it."""
 
     def __init__(self, parameters: Mapping[str, np.ndarray], network: Mapping[str, Any]) -> None:
         self.weights = weights_of(parameters, float(network["output_gain"]))
@@ -52,7 +53,7 @@ class CompiledNetwork:
         self._code_size = int(network["body_code_size"])
 
     def first(self, features: np.ndarray) -> np.ndarray:
-        """The garment encoder's output for patches with ``features`` (K, m), (K, n) float32."""
+        """Returns the garment encoder's output (K, n) float32 for patches with ``features`` (K, m)."""
         return encoded(self._garments, features)
 
     def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,8 +68,11 @@ class CompiledNetwork:
         return GarmentRows(patch_rows(garment, garment.stored[FIRST]), Tiles.of(garment), garment.vertex_count)
 
     def body(self, feed: Mapping[str, np.ndarray], row: int, skin_counts: np.ndarray) -> PosedBody:
-        """The body of a ``row`` of ``feed``, which has the packed graph's inputs; its ``skin`` where that is given.
-        ``skin_counts``: of ``ShapedSkin``."""
+        """Returns the body in ``row`` of ``feed``, the inputs of the packed graph, posed by the engine.
+
+        ``skin_counts`` is ``counts`` of ``ShapedSkin``. A posed skin in ``feed`` is taken as it is; otherwise the bones
+        pose it.
+        """
         bones = feed["skin_bones"]
         if SKIN in feed:
             skin = np.ascontiguousarray(feed[SKIN][row], np.float32).reshape(-1, 8)
@@ -85,8 +89,11 @@ class CompiledNetwork:
     def drape(
         self, garment: GarmentRows, body: PosedBody, passes: int | None, *, vertices: bool
     ) -> tuple[dict[str, np.ndarray], bool]:
-        """The posed jets of ``garment`` on ``body`` as the packed graph's outputs, with its ``vertices`` where these
-        are asked for, and whether they are finite; ``passes`` corrections run, None all of them."""
+        """Drapes ``garment`` on ``body`` with ``passes`` corrections, None for all. Returns arrays by the names of the
+        packed graph's outputs, and whether all their numbers are finite.
+
+        The arrays are the posed jets and the ``vertices`` [m] (V, 3), which are (0, 3) if not asked for.
+        """
         count = self.corrections if passes is None else passes
         drawn = np.empty((garment.vertex_count if vertices else 0, 3), np.float32)
         jets, finite = checked_jets(self.weights, garment.patches, body, count, len(garment.tiles.scale))
@@ -95,8 +102,10 @@ class CompiledNetwork:
         return dict(zip(JETS, (jets.jet, jets.rotation, jets.centre), strict=True)) | {"vertices": drawn}, finite
 
     def records(self, garment: GarmentRows, passes: int | None) -> dict[str, Any]:
-        """What a client computes the network of ``garment`` by, with ``passes`` corrections, None all of them: records
-        of the engine by their names, without tiles, which its processor has not."""
+        """Returns the records of the engine, by their names, from which a client computes the network for ``garment``.
+
+        ``passes``: how many corrections run, None for all. The records have no tiles: the client's processor has none.
+        """
         weights, count = self.weights, self.corrections if passes is None else passes
         layers = {"body": weights.body, "trunk": weights.trunk, "heads": weights.heads}
         corrections = {"first": weights.first[:count], "second": weights.second[:count]}

@@ -142,7 +142,8 @@ class Engine:
             )
 
     def first(self, garment: Garment, fabric: Fabric | None = None) -> np.ndarray:
-        """The encoder's output for a garment's patches, (K, n) float32: constant per garment, fabric and model."""
+        """Returns the garment encoder's output (K, n) float32 for the patches of ``garment`` made of ``fabric``: a
+        constant of garment, fabric and model."""
         wanted = self.manifest.graphs[ENCODER].inputs[0].shape[-1]
         features = encoder_features(garment, int(wanted), fabric)
         if self.compiled is not None:
@@ -189,12 +190,13 @@ class Engine:
 
     @property
     def pass_count(self) -> int:
-        """Corrections of which a scene may choose how many run; 0 where the model leaves no choice."""
+        """The number of corrections, of which a scene may choose how many run; 0 if the model leaves no choice."""
         outputs = _names(self._drapes.outputs)
         return next(count for count in range(len(outputs) + 1) if pass_name(count + 1) not in outputs)
 
     def check_passes(self, passes: int | None) -> int | None:
-        """``passes``, None where that is all of them; refuses (``InputError``) what the model cannot do."""
+        """Returns ``passes``, or None if that is all of them. Refuses (``InputError``) a number that the model does not
+        have."""
         count = self.pass_count
         if passes is not None and not 0 <= passes <= count:
             expected = f"0 to {count}" if count else f"none: the passes of model {self.manifest.name} are fixed"
@@ -210,10 +212,11 @@ class Engine:
         passes: int | None = None,
         given: Collection[str] = (),
     ) -> Session:
-        """The session of what ``outputs`` of ``graph`` need and nothing else (``graphs.subgraph``), or of a graph as it
-        is where that is ``whole``; opened once.
+        """Returns the session that computes ``outputs`` of ``graph`` and nothing else (``drape.inference.subgraph``).
+        It is opened once. A model whose graphs are used ``whole`` gets a session of the whole graph.
 
-        The packed graph runs ``passes`` corrections, all by default. ``given`` outputs become inputs.
+        ``direct`` and ``given`` are those of ``subgraph.cut``. Of the packed graph ``passes`` corrections run, all by
+        default.
         """
         passes = self.check_passes(passes)
         key = graph, tuple(outputs), tuple(direct), passes, tuple(given)
@@ -237,13 +240,13 @@ class Engine:
         capture = device.captures and per_frame
         session = open_session(f"{name}/{spec.file}", model, self._weights, device, capture=capture)
         self.nodes_off_provider += nodes_off_provider(session, device)
-        found = {t.name: t.type for t in session.get_inputs()}
-        taken = (*spec.inputs, *(t for t in spec.outputs if t.name in given))
-        _compare(name, graph, "inputs", {t.name: t.dtype for t in taken if t.name in found}, found)
-        found = {t.name: t.type for t in session.get_outputs()}
-        _compare(name, graph, "outputs", {t.name: t.dtype for t in spec.outputs if t.name in found}, found)
+        types = {t.name: t.type for t in session.get_inputs()}
+        tensors = (*spec.inputs, *(t for t in spec.outputs if t.name in given))
+        _compare(name, graph, "inputs", {t.name: t.dtype for t in tensors if t.name in types}, types)
+        types = {t.name: t.type for t in session.get_outputs()}
+        _compare(name, graph, "outputs", {t.name: t.dtype for t in spec.outputs if t.name in types}, types)
         bound = self.bound and per_frame
-        return BoundSession(session, device, taken, spec.outputs) if bound else Session(session, device)
+        return BoundSession(session, device, tensors, spec.outputs) if bound else Session(session, device)
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
         """``array`` where the graphs compute; on the CPU it shares the array's memory."""
@@ -251,7 +254,8 @@ class Engine:
 
     @property
     def held_bytes(self) -> int:
-        """Memory where the graphs compute that sessions hold between calls, besides weights and workspace."""
+        """The memory [bytes] that sessions hold between calls where the graphs compute, weights and workspace not
+        counted."""
         return sum(session.bytes for session in tuple(self._opened.values()))
 
     @property
@@ -260,7 +264,7 @@ class Engine:
         return sum(session.buckets for session in tuple(self._opened.values()))
 
     def forget(self, graph: str) -> None:
-        """Makes the sessions of ``graph`` drop what they hold: constants that were fed are about to go."""
+        """Makes the sessions of ``graph`` drop the constants that they hold: these are about to go."""
         for (name, *_), session in tuple(self._opened.items()):
             if name == graph:
                 session.forget()

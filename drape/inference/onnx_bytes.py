@@ -34,7 +34,7 @@ class Field:
         return self.content.decode()
 
     def named(self, number: int) -> str:
-        """The text of the field ``number`` in this one's message, empty where it has none."""
+        """Returns the text of the field ``number`` of the message that this field holds; empty if that has none."""
         return next((part.text() for part in fields_of(self.content) if part.number == number), "")
 
 
@@ -60,7 +60,7 @@ def fields_of(data: bytes) -> Iterator[Field]:
 
 
 def read_varint(data: bytes, position: int) -> tuple[int, int]:
-    """A base-128 number, low digits first, and the position after it."""
+    """Returns the base-128 number, low digits first, at ``position`` of ``data``, and the position after it."""
     value = shift = 0
     while True:
         byte = data[position]
@@ -72,12 +72,12 @@ def read_varint(data: bytes, position: int) -> tuple[int, int]:
 
 
 def written(number: int, content: bytes) -> bytes:
-    """A field that holds ``content``."""
+    """Returns the bytes of a field ``number`` that holds ``content``."""
     return varint(number << 3 | BYTES) + varint(len(content)) + content
 
 
 def varint(value: int) -> bytes:
-    """A base-128 number, low digits first."""
+    """Returns ``value`` as a base-128 number, low digits first."""
     digits = bytearray()
     while value >= 0x80:
         digits.append(value & 0x7F | 0x80)

@@ -73,7 +73,7 @@ class Device:
 
 
 class Session:
-    """An opened part of a graph. It takes memory for every call anew, which costs nothing on a CPU."""
+    """An opened part of a graph. Every call takes its memory anew, which costs nothing on a CPU."""
 
     def __init__(self, opened: onnxruntime.InferenceSession, device: Device) -> None:
         self.inputs = tuple(tensor.name for tensor in opened.get_inputs())
@@ -81,28 +81,26 @@ class Session:
 
     @property
     def bytes(self) -> int:
-        """Memory that it holds between calls, besides its weights and workspace."""
+        """The memory [bytes] that it holds between calls, weights and workspace not counted."""
         return 0
 
     @property
     def buckets(self) -> int:
-        """Sets of shapes that it holds memory for."""
+        """The number of sets of shapes that it holds memory for."""
         return 0
 
     def run(
         self, outputs: Sequence[str], feed: Mapping[str, Value], *, unchanging: Collection[str] = ()
     ) -> list[np.ndarray]:
-        """``outputs`` for ``feed``, numpy arrays or values where the graph computes.
-
-        Arrays named in ``unchanging`` are never written to by their owner.
-        """
+        """Returns the arrays of ``outputs`` for ``feed``, whose values are numpy arrays, or values where the graph
+        computes. The owner of an array that ``unchanging`` names never writes to it."""
         values = {name: self._device.value(v) if isinstance(v, np.ndarray) else v for name, v in feed.items()}
         with self._device.computing():
             found = self._opened.run_with_ort_values(list(outputs), values)
         return [value.numpy() for value in found]
 
     def forget(self) -> None:
-        """Drops what it holds: values that were fed are about to go."""
+        """Drops the constants that it holds: these are about to go."""
 
 
 def check_distributions() -> str:
@@ -111,23 +109,23 @@ def check_distributions() -> str:
     Both put their files in the same folder: the last one installed wins, and
     removing one breaks the other (microsoft/onnxruntime#10685).
     """
-    found = {name: version for name in DISTRIBUTIONS if (version := _version(name))}
-    if len(found) == 2:
-        listed = " and ".join(f"{name} {version}" for name, version in found.items())
+    installed = {name: version for name in DISTRIBUTIONS if (version := _version(name))}
+    if len(installed) == 2:
+        listed = " and ".join(f"{name} {version}" for name, version in installed.items())
         raise Unavailable(
             "onnxruntime",
             expected="one of onnxruntime and onnxruntime-gpu",
             got=f"both: {listed}",
             cure=f"Uninstall both, then install one: {HOW_TO_INSTALL}.",
         )
-    if not found:
+    if not installed:
         raise Unavailable(
             "onnxruntime",
             expected="one of onnxruntime and onnxruntime-gpu",
             got="none installed",
             cure=f"A GPU needs it, and a model that the engine does not compute. Install one: {HOW_TO_INSTALL}.",
         )
-    return next(iter(found))
+    return next(iter(installed))
 
 
 def _version(name: str) -> str | None:

@@ -38,11 +38,7 @@ if TYPE_CHECKING:
     from drape.inference.onnx_runtime import Session, Value
 
 Shape = Literal["vertices", "jets", "both"]
-OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
-    "vertices": ("vertices",),
-    "jets": JETS,
-    "both": ("vertices", *JETS),
-}
+OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {"vertices": ("vertices",), "jets": JETS, "both": ("vertices", *JETS)}
 SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
 TILES_PER_BUCKET = 65536  # of devices with memory of their own
@@ -114,17 +110,17 @@ class Packer:
 
     @property
     def store(self) -> Store:
-        """Constants of the garments; change it through this class."""
+        """The constants of the garments; change them through this class alone."""
         return self._store
 
     @property
     def held_bytes(self) -> int:
-        """Memory of the garments' constants."""
+        """The memory of the garments' constants [bytes]."""
         return self._store.bytes
 
     @property
     def kept_bytes(self) -> int:
-        """Memory of the index tensors that are kept."""
+        """The memory of the index tensors that are kept [bytes]."""
         return self._kept_bytes
 
     def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray] | None = None) -> None:
@@ -138,9 +134,10 @@ class Packer:
             self._forget()
 
     def dressed(self, key: str, fabric: Fabric) -> str:
-        """The key of the garment ``key`` made of ``fabric``, put in store the first time, in ten milliseconds.
+        """Returns the key of the garment ``key`` made of ``fabric``.
 
-        The ``FABRICS_KEPT`` latest used are kept.
+        The first time this stores it in that fabric, which takes ten milliseconds. The ``FABRICS_KEPT`` latest used are
+        kept.
         """
         name = f"{key} of {fabric.digest}"
         with self._lock:
@@ -200,7 +197,7 @@ class Packer:
         return results
 
     def records(self, key: str, *, passes: int | None) -> dict[str, Any]:
-        """What a client computes the network of the garment ``key`` by: ``CompiledNetwork.records``."""
+        """Returns what ``CompiledNetwork.records`` does, of the garment ``key``."""
         network = self._engine.compiled
         assert network is not None
         return network.records(self.rows(key), passes)
@@ -219,7 +216,7 @@ class Packer:
             return self._rows[key]
 
     def body_feed(self, shape: PackedBody) -> BodyFeed:
-        """What poses a body of one ``shape`` at rest in a compiled network, whose pose is left open."""
+        """Returns the engine's input for a body of one ``shape``, its pose left open."""
         assert self._skins is not None
         with self._lock:
             skins = self._skins.feed(shape.betas[None])

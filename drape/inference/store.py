@@ -41,19 +41,20 @@ class Store:
         self._arrays = {}
 
     def garment(self, key: str) -> Garment:
-        """The garment ``key``; refuses one that is not in store."""
+        """Returns the garment stored under ``key``; refuses (``NotFound``) one that is not in store."""
         self.packed(key)
         return self._garments[key].garment
 
     def dress(self, key: str, name: str, patch_first: np.ndarray) -> None:
-        """Puts the garment ``key`` in store once more, as ``name`` in another fabric: its tiles are shared."""
+        """Stores the garment ``key`` once more, under ``name``: in another fabric, with ``patch_first`` (K, n), the
+        encoder's output for it. Both share their tiles."""
         packed = self.packed(key)
         packed = replace(packed, stored=packed.stored | {FIRST: patch_first})
         self._garments[name] = _Stored(self._garments[key].garment, packed, key)
         self._arrays = {}
 
     def remove(self, key: str) -> None:
-        """Forgets the garment ``key``, in all fabrics; or of one that ``dress`` put there this one."""
+        """Forgets the garment ``key`` with all its fabrics. A name that ``dress`` stored forgets that fabric alone."""
         self.packed(key)
         self._undress(key)
         del self._garments[key]
@@ -64,7 +65,7 @@ class Store:
             del self._garments[name]
 
     def packed(self, key: str) -> PackedGarment:
-        """The garment ``key``; refuses one that is not in store."""
+        """Returns the constants of the garment ``key``; refuses (``NotFound``) one that is not in store."""
         if key not in self._garments:
             raise NotFound(
                 "garment", expected=", ".join(self._garments) or "one in store", got=key, cure="Add the garment first."
@@ -72,7 +73,7 @@ class Store:
         return self._garments[key].packed
 
     def place(self, key: str) -> Place:
-        """First rows of the garment ``key`` in ``arrays``."""
+        """Returns the first rows of the garment ``key`` in ``arrays``."""
         self.arrays()
         return self._places[key]
 
@@ -85,7 +86,7 @@ class Store:
 
     @property
     def bytes(self) -> int:
-        """Memory of everything in store."""
+        """The memory of everything in store [bytes]."""
         whole = sum(stored.packed.bytes for stored in self._garments.values() if stored.of is None)
         return whole + sum(stored.packed.stored[FIRST].nbytes for stored in self._garments.values() if stored.of)
 

@@ -36,7 +36,8 @@ from drape.inference.onnx_bytes import (
 
 
 def misexported(what: str, *, expected: str, got: str) -> ArtifactError:
-    """The refusal of a model whose export is not what this release reads."""
+    """Returns the refusal of a model whose export is not what this release reads: ``what`` should be ``expected`` and
+    is ``got``."""
     return ArtifactError(what, expected=expected, got=got, cure="Export the model again.")
 
 
@@ -71,11 +72,11 @@ def cut(
         place = next(i for i, field in enumerate(fields) if field.number == MODEL_GRAPH)
         graph = fields[place].value
         assert isinstance(graph, bytes)
-        made = _cut_graph(list(fields_of(graph)), outputs, set(direct), dict(instead or {}), set(given))
+        part = _cut_graph(list(fields_of(graph)), outputs, set(direct), dict(instead or {}), set(given))
     except (IndexError, StopIteration, AssertionError, UnicodeDecodeError) as error:
         raise misexported("model", expected="an ONNX model", got="bytes of another kind") from error
     parts = [field.raw for field in fields]
-    parts[place] = written(MODEL_GRAPH, made)
+    parts[place] = written(MODEL_GRAPH, part)
     return b"".join(parts)
 
 

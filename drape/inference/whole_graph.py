@@ -96,11 +96,11 @@ class WholeGraph:
             feed = {name: np.ascontiguousarray(array[rows]) for name, array in arrays.items()} | self._feed(key)
             found = self._session.run(OUTPUTS, {name: feed[name] for name in self._session.inputs})
             for place, row in enumerate(rows):
-                one = {name: array[place] for name, array in zip(OUTPUTS, found, strict=True)}
-                finite = all(bool(np.isfinite(array).all()) for array in one.values())
+                answer = {name: array[place] for name, array in zip(OUTPUTS, found, strict=True)}
+                finite = all(bool(np.isfinite(array).all()) for array in answer.values())
                 if plan.skin:
-                    one[SKIN] = arrays["body_skin"][row]
-                results[key, row] = Result({name: one[name] for name in plan.outputs}, finite)
+                    answer[SKIN] = arrays["body_skin"][row]
+                results[key, row] = Result({name: answer[name] for name in plan.outputs}, finite)
         return [results[item] for item in items]
 
     def _garment(self, key: str) -> Garment:

@@ -38,8 +38,12 @@ def lower(ceiling: np.ndarray, other: np.ndarray) -> np.ndarray:
 def pressed(
     vertices: np.ndarray, inner: LaidCloth, own: np.ndarray, ground: np.ndarray, ceiling: np.ndarray
 ) -> np.ndarray:
-    """The ``vertices`` [m] (V, 3) of the garment ``inner`` below the ``ceiling`` (S, 5) over ``ground`` (S, 8), with
-    the cloth around; themselves where nothing is too high. ``own`` (P,) is the sample that each place is at."""
+    """Returns the ``vertices`` [m] (V, 3) of the garment ``inner``, moved below the ``ceiling`` (S, 5) together with
+    the cloth around them.
+
+    ``ground`` (S, 8) are the samples that the garment rests on, and ``own`` (P,) is the sample that each place is at.
+    Where nothing is too high, ``vertices`` themselves are returned.
+    """
     dtype = inner.dtype
     x, samples = np.ascontiguousarray(vertices, dtype), np.ascontiguousarray(ground, dtype)
     out, planes = np.empty_like(x), np.ascontiguousarray(ceiling, dtype)

@@ -36,8 +36,8 @@ class Frame:
 
 
 def writable(array: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """``array`` in C order and of ``dtype``, as kernels are compiled for it: such that it may be written. It is copied
-    only where it is not so."""
+    """Returns ``array`` in C order and of ``dtype``, in memory that may be written, as kernels want it. It is copied
+    only if it is not so already."""
     fits = array.dtype == dtype and array.flags.c_contiguous and array.flags.writeable
     return array if fits else np.array(array, dtype, order="C")
 

@@ -26,10 +26,11 @@ WIDER, POLE, TINY = 1.05, 1e-4, 1e-9
 def coarse_weights(
     vertices: np.ndarray, faces: np.ndarray, kept: np.ndarray, edge_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which of ``kept`` (n,), by number, each of ``vertices`` [m] (V, 3) takes from and how much: (V, ``NEAREST``) int
-    and float, the weights with the sum 1.
+    """Returns from which coarse vertices each fine one takes its movement, and how much: numbers (V, ``NEAREST``) int
+    into ``kept``, and weights (V, ``NEAREST``) whose rows sum to 1.
 
-    ``edge_m`` [m] is the mean edge of the coarse cloth. A kept vertex takes all from itself.
+    ``vertices`` [m] (V, 3) and ``faces`` (F, 3) are the fine cloth; ``kept`` (n,) are the fine vertices that the coarse
+    cloth has. ``edge_m`` [m] is the mean edge of the coarse cloth. A kept vertex takes all from itself.
     """
     count, number = len(vertices), np.full(len(vertices), -1)
     number[kept] = np.arange(len(kept))
@@ -55,8 +56,10 @@ def coarse_weights(
 
 
 def in_lists(begins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The list, and the place in it, of each entry (E,) of lists that lie one after the other from ``begins`` (n + 1,)
-    on."""
+    """Returns the number of the list (E,) and the place in that list (E,) of each of E entries.
+
+    The lists lie one after the other; list i has the entries from ``begins[i]`` to ``begins[i + 1]`` (n + 1,).
+    """
     lengths = np.diff(begins)
     row = np.repeat(np.arange(len(lengths)), lengths)
     return row, np.arange(len(row)) - np.repeat(begins[:-1], lengths)

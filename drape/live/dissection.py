@@ -20,8 +20,8 @@ Graph = tuple[np.ndarray, np.ndarray]
 
 
 class Costs(NamedTuple):
-    """About how many cycles a run of columns takes: for each ``row`` of sixteen entries of a column, for each
-    ``column``, for each row of ``members``, and for the ``run`` itself."""
+    """The cycles of processor time that parts of a run of columns cost, roughly: each ``row`` of sixteen entries of a
+    column, each ``column``, each row of ``members``, and the ``run`` itself."""
 
     row: float
     column: float

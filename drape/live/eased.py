@@ -31,9 +31,12 @@ class LiftMemory(FrameMemory):
 
 
 class FineLevel(NamedTuple):
-    """The fine cloth's ``sheet``. Its places take from coarse ones: ``near`` and ``weight``, flat, ``NEAREST`` rows of
-    ``LANES`` numbers a block; ``parent`` (P,) is the coarse place that each takes most from. ``tangles``: the triangles
-    that may cross."""
+    """The fine cloth of two levels, its ``sheet``, and how its places follow coarse ones.
+
+    ``near`` and ``weight`` are flat, ``NEAREST`` rows of ``LANES`` numbers a block: the coarse places from which each
+    place takes its movement, and how much. ``parent`` (P,) is the coarse place that it takes most from. ``tangles`` are
+    the triangles that may cross.
+    """
 
     sheet: Sheet
     near: np.ndarray
@@ -54,8 +57,10 @@ class Levels(Recorded):
 def lifted_alone(
     levels: Levels, memory: LiftMemory | None, frame: Frame, effort: FoldEffort
 ) -> tuple[np.ndarray, LiftMemory, FoldReport]:
-    """The vertices [m] (V, 3) of ``frame``, eased, lifted up to the clearance and out of its colliders, the memory for
-    the next frame, and a report."""
+    """Returns the vertices [m] (V, 3) of ``frame`` after easing and lift, the memory for the next frame, and a report.
+
+    The vertices are up to the clearance off the skin, and out of the scene's colliders.
+    """
     return framed(lift_call(levels, memory, frame.time_s), frame, effort)
 
 

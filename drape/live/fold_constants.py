@@ -66,8 +66,8 @@ class WornCloth:
 
 @dataclass(frozen=True, eq=False)
 class LaidCloth(Recorded):
-    """What garments over and below a cloth read of it: its ``sheet``, the skin's ``graph``, and the sample nearest to
-    each place at rest, ``index`` (P,)."""
+    """The constants of a cloth that garments over and below it read: its ``sheet``, the skin's ``graph``, and ``index``
+    (P,), the sample nearest to each place at rest."""
 
     sheet: Sheet
     graph: SkinGraph
@@ -75,7 +75,7 @@ class LaidCloth(Recorded):
 
     @property
     def dtype(self) -> np.dtype:
-        """The type of its numbers."""
+        """The type of the sheet's floats, float32 or float64."""
         return self.sheet.own.dtype
 
 
@@ -110,12 +110,12 @@ class FoldConstants(Recorded):
 
     @property
     def nbytes(self) -> int:
-        """Memory of the arrays."""
+        """The memory of the arrays [bytes]."""
         return array_bytes(self)
 
     @cached_property
     def laid(self) -> LaidCloth:
-        """As garments over and below it read it."""
+        """Returns the part of these constants that garments over and below the cloth read."""
         return LaidCloth(self.sheet, self.graph, self.index)
 
 
@@ -163,7 +163,7 @@ def leash_n_per_m(vertices: np.ndarray, area: np.ndarray, skin: Samples, index: 
 
 
 def array_bytes(value: object) -> int:
-    """Memory of the arrays in nested tuples and dataclasses."""
+    """Returns the memory [bytes] of all arrays in nested tuples and dataclasses."""
     if isinstance(value, np.ndarray):
         return value.nbytes
     if is_dataclass(value):

@@ -40,8 +40,10 @@ class FoldMemory(FrameMemory):
     turn: int
 
     def arrays(self, fine: np.ndarray) -> Record:
-        """Its arrays and the ``fine`` places as the engine reads them, without a time: where a frame left both, it left
-        that too."""
+        """Returns the memory's arrays and the ``fine`` places as the record that the engine reads, without a time.
+
+        Where a frame has left both, that frame's record is returned again.
+        """
         left: Record | None = vars(self).get("left")
         if left is None or left.arrays[-1] is not fine:
             given = FoldArrays(self.network, self.residual, self.velocity, self.grip, *self.touched, fine)
@@ -79,8 +81,11 @@ class FoldEffort(NamedTuple):
 
 
 class FoldArrays(NamedTuple):
-    """What a frame goes on from, or leaves, as the engine has it: the arrays of ``FoldMemory`` and the ``fine`` places
-    [m] (P, 3), or none of them. The past is ``step_s`` [s] before; infinite where there is none."""
+    """The arrays of ``FoldMemory`` and the ``fine`` places [m] (P, 3), or none of these, as the engine reads them
+    before a frame or writes them after it.
+
+    The past that they hold is ``step_s`` [s] before the frame; infinite where there is none.
+    """
 
     network: np.ndarray
     residual: np.ndarray
@@ -94,7 +99,8 @@ class FoldArrays(NamedTuple):
 
 
 def empty_arrays(places: int, fine_places: int, dtype: np.dtype) -> tuple[FoldArrays, Record]:
-    """Room for a frame of so many places, of the coarse cloth and of the fine one, and its record."""
+    """Returns arrays for a frame of so many ``places`` of the coarse cloth and ``fine_places`` of the fine one, not yet
+    written, and the record that points to them."""
     points, samples = np.empty((4, places, 3), dtype), np.empty((2, places), np.int32)
     fine = np.empty((fine_places, 3), dtype) if fine_places else no_places(dtype)
     (network, residual, velocity, grip), (own, other) = points, samples
@@ -105,8 +111,11 @@ def empty_arrays(places: int, fine_places: int, dtype: np.dtype) -> tuple[FoldAr
 
 
 class FoldCall(NamedTuple):
-    """A frame of folds as the engine is asked for it: the ``name`` of its function, the ``constants``, what it goes on
-    from and what it leaves; ``remembered`` gives the memory of that, for the turn of the next frame."""
+    """A frame of folds as the engine is asked for it: the ``name`` of its function, the ``constants``, the ``past``
+    that it reads and the arrays ``after`` that it writes.
+
+    ``remembered(turn)`` returns the memory of the frame once it is computed; ``turn`` is that of the next frame.
+    """
 
     name: str
     constants: Recorded
@@ -134,7 +143,8 @@ def fold_call(constants: FoldConstants, memory: FoldMemory | None, time_s: float
 
 
 def past_of(memory: FoldMemory | None, time_s: float, fine: np.ndarray) -> Record:
-    """What ``memory``, and the ``fine`` places, say to a frame at ``time_s`` [s]."""
+    """Returns the record of what a frame at ``time_s`` [s] goes on from: ``memory`` and the ``fine`` places. An empty
+    one if there is no memory, or if the frame does not follow it."""
     if memory is None or not memory.leads_to(time_s):
         return no_past(fine.dtype)
     return memory.arrays(fine).ending(memory.turn, step_between(memory.time_s, time_s))
@@ -142,24 +152,25 @@ def past_of(memory: FoldMemory | None, time_s: float, fine: np.ndarray) -> Recor
 
 @cache
 def no_places(dtype: np.dtype) -> np.ndarray:
-    """Those of the fine cloth where there is none, or none that a frame goes on from."""
+    """Returns an array (0, 3) of ``dtype``: the fine places of a cloth of one level, or of a frame without a past."""
     return np.empty((0, 3), dtype)
 
 
 @cache
 def no_arrays(dtype: np.dtype) -> FoldArrays:
-    """Arrays of no places."""
+    """Returns the arrays of a frame with no places."""
     return empty_arrays(0, 0, dtype)[0]
 
 
 @cache
 def no_past(dtype: np.dtype) -> Record:
-    """A past of ``dtype`` that is none."""
+    """Returns the record of a frame that goes on from nothing, floats of ``dtype``."""
     return Record("FoldMemory", no_arrays(dtype), dtype)
 
 
 def memory_of(time_s: float, after: FoldArrays, turn: int, left: Record) -> FoldMemory:
-    """The memory of a frame at ``time_s`` [s], whose arrays are the record ``left``."""
+    """Returns the memory of a frame at ``time_s`` [s] from the arrays ``after`` that the engine wrote; ``left`` is the
+    record of these arrays."""
     touched = TouchedSamples(after.own, after.other)
     memory = FoldMemory(time_s, after.network, after.residual, after.velocity, touched, after.grip, turn)
     vars(memory)["left"] = left
@@ -167,8 +178,10 @@ def memory_of(time_s: float, after: FoldArrays, turn: int, left: Record) -> Fold
 
 
 def framed(call: FoldCall, frame: Frame, effort: FoldEffort) -> tuple[np.ndarray, Any, FoldReport]:
-    """The vertices [m] (V, 3) that the engine makes of ``frame`` by ``call``, the memory for the next frame, and a
-    report. Where nothing led to a fold the vertices are the network's."""
+    """Runs ``call`` for ``frame``. Returns the vertices [m] (V, 3), the memory for the next frame, and a report.
+
+    Where no fold came out, even without a past, the vertices are the network's.
+    """
     dtype = call.after.arrays[0].dtype
     vertices, around = np.ascontiguousarray(frame.vertices, dtype), frame.around(dtype)
     out, told = np.empty_like(vertices), np.empty(OUTCOME, np.int64)
@@ -181,8 +194,8 @@ def framed(call: FoldCall, frame: Frame, effort: FoldEffort) -> tuple[np.ndarray
 
 
 def read_outcome(told: np.ndarray) -> tuple[int, bool, FoldReport]:
-    """The turn of the next frame, whether nothing led to a fold, and the report, of what the engine ``told``
-    (OUTCOME,) int64."""
+    """Reads the numbers that the engine writes of a frame, ``told`` (OUTCOME,) int64. Returns the turn of the next
+    frame, whether no fold came out, and the report."""
     settled, reset, lost, turn = told[:4].tolist()
     _, share, far_m = told[4:].view(np.float64).tolist()
     return turn, bool(lost), FoldReport(bool(settled), bool(reset), share, far_m)
@@ -190,5 +203,5 @@ def read_outcome(told: np.ndarray) -> tuple[int, bool, FoldReport]:
 
 @lru_cache
 def recorded(effort: FoldEffort) -> Record:
-    """``effort`` as the engine reads it."""
+    """Returns ``effort`` as the record that the engine reads."""
     return Record("FoldEffort", effort)

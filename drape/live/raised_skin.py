@@ -15,7 +15,8 @@ from drape.live.fold_constants import LaidCloth
 
 
 def raised(skin: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """``skin`` (..., S, 8), a ``drape.contact.samples.sample_table``, ``height`` [m] (..., S) out along its normals."""
+    """Returns the sample table (..., S, 8) of ``skin`` (..., S, 8), each sample moved out by its ``height`` [m] (...,
+    S) along its normal."""
     normal = skin[..., 4:7]
     return np.ascontiguousarray(sample_table(skin[..., :3] + height[..., None] * normal, normal))
 

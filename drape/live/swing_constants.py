@@ -21,10 +21,8 @@ STIFFEST_N_PER_M = 300.0  # a few sweeps cannot follow stiffer cloth
 
 
 def swing_constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> SwingConstants | None:
-    """The constants of the delivered mesh of ``garment`` on ``body``, made of ``fabric`` or else its own.
-
-    None where nothing hangs freely. Takes a second at most.
-    """
+    """Returns the constants of swing for the delivered mesh of ``garment`` on ``body``, made of ``fabric`` or else its
+    own. None if no cloth hangs freely. It takes a second at most."""
     made_of = fabric_named(garment.fabric) if fabric is None else fabric
     material, count, skin = Material.of(made_of), garment.vertex_count, body_skin(body)
     rest = garment.vertices[:count].astype(np.float64)

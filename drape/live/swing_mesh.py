@@ -57,12 +57,7 @@ class SwingMesh(NamedTuple):
 
 
 def swing_mesh(
-    cloth: ClothMesh,
-    material: Material,
-    rest: np.ndarray,
-    held: np.ndarray,
-    *,
-    dtype: type[np.floating] = np.float32,
+    cloth: ClothMesh, material: Material, rest: np.ndarray, held: np.ndarray, *, dtype: type[np.floating] = np.float32
 ) -> SwingMesh | None:
     """The coarse mesh of ``cloth`` of ``material`` that lies at ``rest`` [m] (V, 3), floats of ``dtype``.
 

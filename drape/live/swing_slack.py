@@ -1,4 +1,4 @@
-"""How much wider a garment is than the body in it. A wide skirt lies near the legs in places and does not go with them.
+"""How much wider a garment is than the body in it: a wide skirt does not go with the legs that it lies near in places.
 
 A horizontal plane cuts the cloth at rest in rings. One closed ring at a height goes around the trunk or both legs, two
 rings go around a limb each.

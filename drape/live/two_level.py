@@ -75,7 +75,7 @@ class OneLevel:
 
     @property
     def laid(self) -> LaidCloth:
-        """The cloth as garments over and below it read it."""
+        """The part of the constants that garments over and below the cloth read."""
         return self.constants.laid
 
     def own(self, memory: Memory) -> np.ndarray:
@@ -86,7 +86,7 @@ class OneLevel:
     def fold(
         self, memory: Memory | None, frame: Frame, effort: FoldEffort
     ) -> tuple[np.ndarray, FoldMemory, FoldReport]:
-        """``fold_step.fold``; a memory of two levels is none."""
+        """``fold_step.fold``. A memory that two levels have left counts as none."""
         return framed(self.call(memory, frame.time_s, effort), frame, effort)
 
     def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
@@ -94,13 +94,14 @@ class OneLevel:
         return fold_call(self.constants, memory if isinstance(memory, FoldMemory) else None, time_s)
 
     def begins(self, memory: Memory | None, effort: FoldEffort) -> bool:
-        """Whether ``fold`` reads the network's drape for a past: never."""
+        """Returns False: cloth of one level is never lifted alone."""
         return False
 
 
 @dataclass(frozen=True, eq=False)
 class TwoLevel:
-    """The ``levels``, and the fine cloth as garments over and below it read it."""
+    """The constants of folds on two ``levels``; ``laid`` is the part of the fine cloth that garments over and below it
+    read."""
 
     levels: Levels
     laid: LaidCloth
@@ -119,20 +120,21 @@ class TwoLevel:
     def fold(
         self, memory: Memory | None, frame: Frame, effort: FoldEffort
     ) -> tuple[np.ndarray, TwoLevelMemory | LiftMemory, FoldReport]:
-        """``fold_two_level``, or the lift alone where there are neither steps nor folds that fade; a memory of one
-        level is none."""
+        """``fold_two_level``; or ``lifted_alone``, if there are neither steps nor folds of before that fade. A memory
+        that one level has left counts as none."""
         if self.begins(memory, effort):
             return fold_two_level(self, memory, frame, effort)
         return framed(self.call(memory, frame.time_s, effort), frame, effort)
 
     def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
-        """The call of ``fold`` for a frame at ``time_s`` [s] that does not ``begin``."""
+        """Returns the call of ``fold`` for a frame at ``time_s`` [s], of which ``begins`` is false."""
         if effort.steps or isinstance(memory, TwoLevelMemory):
             return two_level_call(self.levels, memory if isinstance(memory, TwoLevelMemory) else None, time_s)
         return lift_call(self.levels, memory if isinstance(memory, LiftMemory) else None, time_s)
 
     def begins(self, memory: Memory | None, effort: FoldEffort) -> TypeGuard[LiftMemory]:
-        """Whether cloth that was lifted alone begins to fold, for which ``fold`` reads the network's drape."""
+        """Returns whether this frame takes the first steps after frames that were lifted alone. ``fold`` then reads the
+        network's drape; ``call`` cannot make such a frame."""
         return effort.steps > 0 and isinstance(memory, LiftMemory)
 
 
@@ -142,7 +144,8 @@ def one_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -
 
 
 def two_level(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> TwoLevel:
-    """The same of its coarse cloth and the fine one; takes half a second to one."""
+    """Returns the constants of two levels for ``garment`` on ``body``, made of ``fabric`` or else its own. It takes
+    half a second to one."""
     worn = worn_cloth(garment, body, fabric)
     vertices = garment.vertices[: garment.vertex_count].astype(np.float64)
     made = coarse_mesh(garment.delivered_rest(), vertices, worn.cloth.faces, least=LEAST)

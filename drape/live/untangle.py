@@ -34,7 +34,8 @@ class Tangles(NamedTuple):
 
 
 def tangles_of(faces: np.ndarray, place: np.ndarray) -> Tangles:
-    """Those of the triangles ``faces`` (F, 3), whose vertices are at ``place`` (V,)."""
+    """Returns the triangles ``faces`` (F, 3) as untangling takes them; ``place`` (V,) is the place of each vertex in
+    the sheet."""
     halves, first, second = meshes.edge_pairs(faces)  # half-edge 3 f + n begins at a corner of face f
     graph = scipy.sparse.coo_matrix(
         (np.ones(2 * len(first)), np.concatenate([[first, second], [second, first]], axis=1) // 3),

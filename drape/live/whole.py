@@ -98,15 +98,13 @@ def stiffness(cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray) ->
 
 
 def stiffness_factor(cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray, sheet: Sheet) -> StiffnessFactor:
-    """The factor of the K of ``cloth``, for kernels on its ``sheet``; floats of the same type."""
+    """Returns the factor of the stiffness K of ``cloth`` of ``material``, in the order of places of ``sheet`` and with
+    floats of the sheet's type. ``band_n_per_m`` (V,) are the springs that hold its vertices."""
     matrix = stiffness(cloth, material, band_n_per_m).tocsr()
     order = dissected(matrix.indptr, matrix.indices)
     # A symmetric positive matrix needs no pivots, and without them U is D L^T.
     lu = scipy.sparse.linalg.splu(
-        matrix[order][:, order].tocsc(),
-        permc_spec="NATURAL",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
+        matrix[order][:, order].tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )
     lower = scipy.sparse.tril(lu.L, -1).tocsc()
     lower.sort_indices()

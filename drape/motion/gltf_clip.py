@@ -25,7 +25,8 @@ WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
 class Target(Part):
-    """What a channel moves."""
+    """The target of a channel: the ``node`` that it moves, and the ``path``: translation, rotation, scale or
+    weights."""
 
     node: Index | None = None
     path: Text
@@ -39,7 +40,8 @@ class Channel(Part):
 
 
 class Sampler(Part):
-    """The accessors of keys, their times and their values, and what lies between them."""
+    """The accessors of a channel's keys: ``input`` their times, ``output`` their values; ``interpolation`` says how
+    values lie between them."""
 
     input: Index
     output: Index
@@ -81,7 +83,7 @@ def _animations(file: GltfFile, clip: str | None) -> list[Animation]:
     """The animations of ``file``, or those called ``clip``."""
     held = file.document.animations
     try:
-        found = [Animation.model_validate(one) for one in held]
+        animations = [Animation.model_validate(one) for one in held]
     except ValidationError as error:
         first = error.errors()[0]
         got, place = f"{first['msg']}", ".".join(map(str, first["loc"]))
@@ -89,13 +91,13 @@ def _animations(file: GltfFile, clip: str | None) -> list[Animation]:
             f"{file.label}: animations.{place[:60]}", expected="a glTF animation", got=got, cure=EXPORT
         ) from error
     if clip is not None:
-        names = ", ".join(repr(one.name) for one in found[:40])
-        found = [one for one in found if one.name == clip]
-        if not found:
+        names = ", ".join(repr(one.name) for one in animations[:40])
+        animations = [one for one in animations if one.name == clip]
+        if not animations:
             raise MotionError(f"{file.label}: clip", expected=f"one of {names}", got=repr(clip)[:60], cure="Name one.")
-    if not found:
+    if not animations:
         raise MotionError(file.label, expected="an animation", got="none", cure="Export it with its animation.")
-    return found
+    return animations
 
 
 Tracks = dict[tuple[int, str], Keys]
@@ -103,7 +105,7 @@ Tracks = dict[tuple[int, str], Keys]
 
 def _tracks(file: GltfFile, animation: Animation) -> Tracks:
     """The keys of each node and path that ``animation`` moves."""
-    found: Tracks = {}
+    tracks: Tracks = {}
     for channel in animation.channels:
         width = WIDTHS.get(channel.target.path)
         if width is None or channel.target.node is None:  # morphs, and what extensions move
@@ -117,10 +119,10 @@ def _tracks(file: GltfFile, animation: Animation) -> Tracks:
         if values.shape != (rows, width) or (np.diff(times) < 0.0).any():
             got = f"{values.shape[0]} rows of {values.shape[1]} for {len(times)} keys"
             raise _fault(file, f"rising times and {rows} rows of {width}", got)
-        found[channel.target.node, channel.target.path] = times, values, sampler.interpolation
-    if not found:
+        tracks[channel.target.node, channel.target.path] = times, values, sampler.interpolation
+    if not tracks:
         raise _fault(file, "nodes that move", f"none in {animation.name!r}")
-    return found
+    return tracks
 
 
 def _fault(file: GltfFile, expected: str, got: str) -> MotionError:

@@ -95,15 +95,15 @@ def match_joints(names: Sequence[str], parents: Sequence[int], *, label: str) ->
     plain = {}
     for index, name in enumerate(names):
         plain.setdefault(_plain(name), index)
-    found = max(
+    sources = max(
         (_limbs(plain, scheme) for scheme in _SCHEMES.values()), key=lambda limbs: (not _lacks(limbs), len(limbs))
     )
-    missing = _lacks(found)
+    missing = _lacks(sources)
     if missing:
         raise _too_few(label, f"no {', '.join(missing)} among {', '.join(names[:40])}")
-    found = with_trunk(found, parents, label=label)
-    trunk = _trunk(parents, found)
-    return found | {
+    sources = with_trunk(sources, parents, label=label)
+    trunk = _trunk(parents, sources)
+    return sources | {
         joint: plain[word]
         for joint, words in (("neck", _NECK), ("head", _HEAD))
         for word in words[::-1]
@@ -112,16 +112,17 @@ def match_joints(names: Sequence[str], parents: Sequence[int], *, label: str) ->
 
 
 def with_trunk(limbs: dict[str, int], parents: Sequence[int], *, label: str) -> dict[str, int]:
-    """``limbs``, joints with a side, and the pelvis and the spine that hold them; refused where there is no trunk."""
+    """Returns ``limbs``, joints with a side, together with the pelvis and the spine that hold them. Refuses nodes
+    without a trunk."""
     left, right = (ancestors(parents, limbs[f"{side}_hip"]) for side in ("left", "right"))
     pelvis = next((joint for joint in left[1:] if joint in right[1:]), None)
     if pelvis is None:
         raise _too_few(label, "no joint above both legs")
-    found = {**limbs, "pelvis": pelvis}
-    trunk = _trunk(parents, found)
+    sources = {**limbs, "pelvis": pelvis}
+    trunk = _trunk(parents, sources)
     if not trunk:
         raise _too_few(label, "no joint between the pelvis and the arms")
-    return found | {f"spine{k}": trunk[-(-k * len(trunk) // 3) - 1] for k in (1, 2, 3)}
+    return sources | {f"spine{k}": trunk[-(-k * len(trunk) // 3) - 1] for k in (1, 2, 3)}
 
 
 def is_whole(found: Mapping[str, int]) -> bool:
@@ -137,15 +138,15 @@ def _plain(name: str) -> str:
 
 
 def _limbs(plain: dict[str, int], scheme: dict[str, tuple[str, ...]]) -> dict[str, int]:
-    found = {}
+    joints = {}
     for side, *marks in _SIDES:
         for joint, words in scheme.items():
             before = [mark + word for mark in marks for word in words]
             after = [word + mark for mark in marks for word in words]
             for key in before + after:
                 if key in plain:
-                    found.setdefault(f"{side}_{joint}", plain[key])
-    return found
+                    joints.setdefault(f"{side}_{joint}", plain[key])
+    return joints
 
 
 def _lacks(found: Mapping[str, int]) -> list[str]:

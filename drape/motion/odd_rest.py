@@ -40,7 +40,8 @@ _SPINE = ("spine1", "spine2", "spine3")
 def trunk_ends(
     rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]
 ) -> tuple[dict[str, int], np.ndarray | None]:
-    """By a trunk's joint the file's joint that its bone points to, and the pelvis' up (3,); ``rest`` are places (J, 3).
+    """Returns for each joint of the trunk the file's joint that its bone points to, and the up direction (3,) of the
+    pelvis. ``rest`` are the joints' places (J, 3).
 
     A bent trunk is told bone by bone. A straight one is told from joint to joint of ours, and its up is None.
     """
@@ -73,9 +74,9 @@ def trunk_ends(
 
 
 def arms_across(rest: np.ndarray, sources: Mapping[str, int]) -> np.ndarray | None:
-    """The line (3,) from the right arm to the left; None where a rest pose tells none.
+    """Returns the line (3,) from the right arm to the left; None if the rest pose shows none.
 
-    It joins the shoulders, or where collars do not point apart their own places, which turn with the chest.
+    It joins the shoulders. If the collars do not point apart, it joins their own places, which turn with the chest.
     """
     left, right = (rest[sources[f"{side}_shoulder"]] for side in ("left", "right"))
     if "left_collar" in sources and "right_collar" in sources:
@@ -87,8 +88,8 @@ def arms_across(rest: np.ndarray, sources: Mapping[str, int]) -> np.ndarray | No
 
 
 def odd_limbs(rest: np.ndarray, sources: Mapping[str, int], alignment: np.ndarray) -> set[str]:
-    """The joints of limbs that no person holds as the rest positions ``rest`` (J, 3) have them."""
-    found = set()
+    """Returns the names of the limbs' joints that no person holds as they are at the rest positions ``rest`` (J, 3)."""
+    odd = set()
     for limb in [[f"{side}_{joint}" for joint in limb] for side in ("left", "right") for limb in _LIMBS]:
         for name in limb:
             bone, part = rest_bone(rest, sources, name), name.split("_")[1]
@@ -97,8 +98,8 @@ def odd_limbs(rest: np.ndarray, sources: Mapping[str, int], alignment: np.ndarra
             seen = alignment[PARENTS[JOINT_INDEX[name]]].T @ bone
             far = seen @ np.array(BONE_DIRECTIONS[name]) < np.cos(_FAR[part])
             if far or abs(seen[0]) > _ASIDE.get(part, 2.0) or (part == "knee" and seen[2] > _ASIDE["knee"]):
-                found |= set(limb)
-    return found
+                odd |= set(limb)
+    return odd
 
 
 def tips_of(rest: np.ndarray, parents: Sequence[int], sources: Mapping[str, int]) -> dict[str, np.ndarray]:
@@ -117,7 +118,7 @@ def turn_tips(turned: np.ndarray, tips: Mapping[str, np.ndarray], alignment: np.
 
     Those of limbs that are not ``odd`` stay, unless no person holds them so at rest and through the clip.
     """
-    found = set()
+    turned_limbs = set()
     for name, tip in tips.items():
         joint = JOINT_INDEX[name]
         carrier = alignment[PARENTS[joint]]
@@ -127,8 +128,8 @@ def turn_tips(turned: np.ndarray, tips: Mapping[str, np.ndarray], alignment: np.
             own = least_turn(expected, tip, carrier) @ carrier
             turned[:, joint] @= alignment[joint].T @ own
             alignment[joint] = own
-            found.add(name)
-    return found
+            turned_limbs.add(name)
+    return turned_limbs
 
 
 def keep_mean_twists(

@@ -12,10 +12,7 @@ from drape.motion.clip import MotionClip
 from drape.motion.fbx_clip import read_fbx_motion
 from drape.motion.gltf_clip import read_gltf_motion
 
-_OF_SCENES = {
-    **dict.fromkeys((".glb", ".gltf", ".vrm", ".vrma"), read_gltf_motion),
-    ".fbx": read_fbx_motion,
-}
+_OF_SCENES = {**dict.fromkeys((".glb", ".gltf", ".vrm", ".vrma"), read_gltf_motion), ".fbx": read_fbx_motion}
 _READERS: dict[str, Callable[[Path], MotionClip]] = {".npz": read_amass, ".bvh": read_bvh}
 MOTION_SUFFIXES = (*_READERS, *_OF_SCENES)
 

@@ -41,12 +41,15 @@ class Capsules:
 
 
 def tails(springs: Springs, heads: np.ndarray, rest_tails: np.ndarray, fps: float, capsules: Capsules) -> np.ndarray:
-    """Where the tails are (F, ..., E, 3) of springs with ``heads`` (F, E, 3) whose tails would be at ``rest_tails``
-    (F, E, 3) if they were stiff. In the first frame they are there, at rest."""
+    """Returns the tails (F, ..., E, 3) of springs with ``heads`` (F, E, 3), frame by frame.
+
+    ``rest_tails`` (F, E, 3) are where the tails would be if the springs were stiff; in the first frame they are there,
+    at rest.
+    """
     steps = max(1, round(RATE_HZ / fps))
     step_s, shape = 1.0 / (fps * steps), np.broadcast_shapes(*(np.shape(one) for one in vars(springs).values()))
     now = np.broadcast_to(rest_tails[0], (*shape[:-1], *rest_tails[0].shape)).copy()
-    before, found = now.copy(), [now]
+    before, frames = now.copy(), [now]
     for frame in range(1, len(heads)):
         for part in np.arange(1, steps + 1) / steps:
             head, rest, starts, ends = (
@@ -58,14 +61,14 @@ def tails(springs: Springs, heads: np.ndarray, rest_tails: np.ndarray, fps: floa
                 out = pushed_out(after, starts[one], ends[one], capsules.radii[one] + np.asarray(springs.radius))
                 after = np.where(capsules.felt[:, one, None], on_sphere(out, head, rest), after)
             now, before = after, now
-        found.append(now)
-    return np.stack(found)
+        frames.append(now)
+    return np.stack(frames)
 
 
 def step(
     springs: Springs, now: np.ndarray, before: np.ndarray, head: np.ndarray, rest: np.ndarray, step_s: float
 ) -> np.ndarray:
-    """The tails (..., E, 3) after a step that no collider hinders."""
+    """Returns the tails (..., E, 3) after a step of ``step_s`` [s], without colliders."""
     axis = (rest - head) / np.linalg.norm(rest - head, axis=-1, keepdims=True)
     stiffness, gravity, drag = (
         np.asarray(one)[..., None] for one in (springs.stiffness, springs.gravity, springs.drag)

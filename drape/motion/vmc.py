@@ -47,7 +47,7 @@ class VmcPoses:
         self.count = 0
 
     def take(self, address: str, values: Sequence[object]) -> bool:
-        """Whether a message was a bone or the root, which is kept; all else, and what is no turn, is left out."""
+        """Keeps what a message says, if it is a turn of a bone or of the root. Returns whether it was."""
         name, *numbers = values[:8] or ("",)
         if len(numbers) != 7 or not all(isinstance(one, float) for one in numbers):
             return False

@@ -39,7 +39,8 @@ class PosedBody(Recorded):
 
 
 def posed_body(weights: Weights, feed: BodyFeed, skin: np.ndarray) -> PosedBody:
-    """The ``PosedBody`` of ``feed``. Its ``skin`` (S, 8) is written, or given where ``feed`` has no rows for it."""
+    """Returns the ``PosedBody`` of ``feed``. ``skin`` (S, 8) is written here, or is given already posed where ``feed``
+    has no rows for it."""
     kind = skin.dtype
     quaternion, rotation, translation, place = (np.empty((JOINT_COUNT, size), kind) for size in (4, 9, 3, 3))
     code, region = np.empty(len(weights.from_body.bias), kind), np.empty((len(skin) // REGION_SIZE, 4), kind)
@@ -49,7 +50,8 @@ def posed_body(weights: Weights, feed: BodyFeed, skin: np.ndarray) -> PosedBody:
 
 
 def moments(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> Kinematics:
-    """``drape.graph.feeds.kinematics`` of one shape: ``poses`` (F, 24, 3) [rad], ``trans`` (F, 3) [m]."""
+    """Returns what ``drape.graph.feeds.kinematics`` does, of a body of one shape: ``poses`` (F, 24, 3) [rad], ``trans``
+    (F, 3) [m]."""
     count = len(poses)
     static, joints = np.empty((count, JOINT_COUNT, STATIC_PER_JOINT)), np.empty((count, JOINT_COUNT, 3))
     rotations = np.empty((count, JOINT_COUNT, 3, 3))

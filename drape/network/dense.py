@@ -68,7 +68,7 @@ def run_layer(made: Layer, inputs: Rows, outputs: Rows, added: Rows | None = Non
 
 
 def rows_of(values: np.ndarray) -> np.ndarray:
-    """``values`` (K, ...) of patches as rows (blocks, n, 16). The last block is filled up with the last patch."""
+    """Returns ``values`` (K, ...) of K patches as rows (blocks, n, 16). The last patch fills up the last block."""
     flat = values.reshape(len(values), -1)
     filled = np.concatenate([flat, np.repeat(flat[-1:], -len(flat) % LANES, axis=0)])
     return np.ascontiguousarray(filled.reshape(-1, LANES, flat.shape[1]).swapaxes(1, 2))

@@ -30,7 +30,7 @@ _NO_STEPS = np.empty((0, 3), np.uint16)
 
 
 class FrameParts(NamedTuple):
-    """The record of that name: ``Worn`` as the engine reads it."""
+    """The record that the engine reads of a ``FrameGarment``."""
 
     weights: Weights
     kept: KeptPoses | None
@@ -47,7 +47,7 @@ class FrameParts(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Worn:
+class FrameGarment:
     """What drapes a garment: the network's ``weights`` with so many ``passes``, the garment's ``patches`` and
     ``tiles``, its ``swing`` by a ``share``, and its ``folds`` by ``efforts``, of which the second is for novel poses;
     ``kept``: the poses that the network was trained on. None: no such part. It has ``vertex_count`` vertices, whose
@@ -67,12 +67,12 @@ class Worn:
 
     @property
     def effort(self) -> FoldEffort:
-        """That of a frame whose pose is not novel."""
+        """The effort of a frame whose pose is like training."""
         return self.efforts[0]
 
     @cached_property
     def record(self) -> Record:
-        """As the engine reads it."""
+        """The record that the engine reads of it."""
         folds, (effort, novel_effort) = self.folds, map(recorded, self.efforts)
         given = FrameParts(
             self.weights,
@@ -92,7 +92,8 @@ class Worn:
 
 
 class Past(NamedTuple):
-    """What a frame leaves to the next one; None: no such part, or no frame before."""
+    """The memories of swing and of folds that a frame leaves to the next one. None: the garment has no such part, or
+    there was no frame before."""
 
     swung: SwingMemory | None
     folded: Memory | None
@@ -110,8 +111,12 @@ class Moment(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """A frame: what it leaves, the report of its folds, the ``novelty`` of its pose, 0 where no poses are kept, low
-    corner and step size (3,) of the coordinates, and the ticks that each of the ``PARTS`` took."""
+    """A frame that the engine has computed: the memories ``past`` that it leaves, the ``report`` of its folds, the
+    ``novelty`` of its pose (0 where no poses are kept), and the ``low`` corner and the ``step`` size (3,) of its
+    coordinates.
+
+    ``ticks``: the processor's ticks that each of ``PARTS`` took.
+    """
 
     past: Past
     report: FoldReport | None
@@ -122,7 +127,7 @@ class Drawn(NamedTuple):
 
 
 class FrameCall(NamedTuple):
-    """The record of that name: what the engine reads of a frame, and where it writes."""
+    """The record that the engine reads of a frame, with the addresses at which it writes."""
 
     parts: Record
     body: BodyFeed
@@ -137,13 +142,15 @@ class FrameCall(NamedTuple):
     steps: np.ndarray
 
 
-def draw(worn: Worn, past: Past, at: Moment, vertices: np.ndarray, steps: np.ndarray = _NO_STEPS) -> Drawn | None:
-    """The frame ``at`` a moment, whose ``vertices`` [m] (V, 3) are written, and ``steps`` (V, 3) where room for them is
-    given; None where the network's numbers are not finite.
+def draw(
+    worn: FrameGarment, past: Past, at: Moment, vertices: np.ndarray, steps: np.ndarray = _NO_STEPS
+) -> Drawn | None:
+    """Computes the frame ``at`` a moment and returns it; None if the network's numbers are not finite.
 
-    Cloth that was lifted alone may not ``begin`` to fold here. ``past`` is not written to.
+    ``vertices`` [m] (V, 3) are written, and ``steps`` (V, 3) if given. ``past`` is not written to. The frame must not
+    be one that ``begins`` to fold after the lift alone.
     """
-    told = np.empty(_BOX + 3, np.int64)
+    outcome = np.empty(_BOX + 3, np.int64)
     swung = before = folding = None
     if worn.swing is not None:
         swung, before = empty_memory(worn.swing, at.time_s, at.origin, at.colliders), past.swung or NO_PAST
@@ -162,12 +169,12 @@ def draw(worn: Worn, past: Past, at: Moment, vertices: np.ndarray, steps: np.nda
         vertices,
         steps,
     )
-    if not call_with_scratch("frame", _FLOAT, Record("FrameCall", call, _FLOAT), told):
+    if not call_with_scratch("frame", _FLOAT, Record("FrameCall", call, _FLOAT), outcome):
         return None
     folded = report = None
     if folding is not None:
-        turn, _, report = read_outcome(told[:OUTCOME])
+        turn, _, report = read_outcome(outcome[:OUTCOME])
         folded = folding.remembered(turn)
-    novelty = float(told[OUTCOME : OUTCOME + 1].view(np.float64)[0])
-    box = told[_BOX:].view(np.float32)
-    return Drawn(Past(swung, folded), report, novelty, box[:3], box[3:], told[OUTCOME + 1 : _BOX].tolist())
+    novelty = float(outcome[OUTCOME : OUTCOME + 1].view(np.float64)[0])
+    box = outcome[_BOX:].view(np.float32)
+    return Drawn(Past(swung, folded), report, novelty, box[:3], box[3:], outcome[OUTCOME + 1 : _BOX].tolist())

@@ -23,8 +23,11 @@ def tiles_of(weight: np.ndarray) -> np.ndarray:
 
 
 def split(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The upper halves nearest to ``values`` (..., 2 n) float32, and to what these lack, uint32 (..., n): the first of
-    two numbers in the lower half of each."""
+    """Splits ``values`` (..., 2 n) float32 into two numbers of 16 bits each: the nearest one, and the nearest to what
+    it lacks.
+
+    Returns both as uint32 (..., n); the lower half of each holds the first of two numbers.
+    """
     high = _upper(values)
     low = _upper(values - high.view(np.float32))
     return _pairs(high), _pairs(low)

@@ -65,7 +65,8 @@ def weights_of(parameters: Mapping[str, np.ndarray], output_gain: float) -> Weig
 
 
 def layers_of(parameters: Mapping[str, np.ndarray], start: str) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Weights and biases, zeros where there are none, of the layers whose names begin with ``start``, in order."""
+    """Returns weights and biases of the layers whose names in ``parameters`` begin with ``start``, in order; zeros for
+    a layer without biases."""
     numbers = sorted({int(name[len(start) :].split(".")[0]) for name in parameters if name.startswith(start)})
     weights = [(number, parameters[f"{start}{number}.weight"]) for number in numbers]
     return [

@@ -30,9 +30,11 @@ PLAIN_RAD = 7.0  # no rotation vector of such coordinates or smaller ones goes b
 class PoseInput:
     """Checked poses (F, 24, 3) [rad], translations (F, 3) [m] and the shape (S,) of one client's body.
 
-    ``times_s`` (F,): its clock; ``memories``: what the stages keep of the frames before. ``sequence`` is the first
-    frame's; ``dropped`` and ``arrived_s`` (monotonic, None where nobody waits) go into the header of its message.
-    ``shown``: the message of the frame that the client shows, where it can be told that it still holds.
+    ``times_s`` (F,): the frames' times [s] by the client's clock. ``memories``: what the stages keep of the frames
+    before. ``sequence``: the number of the first frame. ``dropped``: poses of the stream that newer ones replaced;
+    ``arrived_s`` [s]: when the pose came, by a monotonic clock, None where nobody waits; both go into the message's
+    header. ``shown``: the message of the frame that the client shows now; None if the client does not take the word
+    that it still holds (SAME).
     """
 
     poses: np.ndarray
@@ -172,9 +174,10 @@ class Quality:
 class Batch:
     """Frames of several clients under one plan, one input's after the other, and what the stages have made so far.
 
-    ``memories`` of each input, after its frames; ``codes`` (F, C) of a moving body; ``skin`` (F, R, 12, 8) posed, where
-    a stage needs it; ``layers`` of the garments; ``root`` [m] (F, 3) float64; ``messages`` of the frames; ``steps`` of
-    the vertices of each frame where these have been made (``drape.kernels.quantised``).
+    ``memories``: those of each input, after its frames. ``codes`` (F, C): the codes of moving bodies. ``skin`` (F, R,
+    12, 8): the posed skin samples, where a stage needs them. ``layers``: the garments, the innermost first. ``root``
+    [m] (F, 3) float64: the places of the root joints. ``messages``: the frames' messages. ``steps``: each frame's
+    vertices in steps of their box, where the engine has made these (``drape.wire.quantised``).
     """
 
     plan: Plan
@@ -245,16 +248,17 @@ class Batch:
     @property
     def vertices(self) -> np.ndarray:
         """The vertices [m] (F, V, 3) of the visible layers, one layer after the other, relative to the root."""
-        return joined([layer.vertices for layer in self.shown])
+        return concatenated([layer.vertices for layer in self.shown])
 
     @property
     def jets(self) -> Jets:
         """The posed patches of the visible layers, one layer after the other."""
         jets = [layer.jets for layer in self.shown if layer.jets is not None]
-        return Jets(*(joined([getattr(one, name) for one in jets]) for name in ("jet", "rotation", "centre")))
+        return Jets(*(concatenated([getattr(one, name) for one in jets]) for name in ("jet", "rotation", "centre")))
 
     def placed(self, origin: Origin) -> Placed:
-        """The vertices of an answer, which count from ``origin``."""
+        """Returns the vertices of the answer: from the world's origin, or relative to the root and with the roots,
+        as ``origin`` says."""
         return Placed(self.world()) if origin == "world" else Placed(self.vertices, self.root)
 
     def world(self) -> np.ndarray:
@@ -274,7 +278,7 @@ def stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
     return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
 
 
-def joined(parts: Sequence[np.ndarray | None], axis: int = 1) -> np.ndarray:
+def concatenated(parts: Sequence[np.ndarray | None], axis: int = 1) -> np.ndarray:
     """``parts`` one after the other; one alone is itself."""
     arrays = [part for part in parts if part is not None]
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)

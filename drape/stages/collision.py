@@ -25,7 +25,7 @@ from drape.graph.layer_feed import LayerFeed, Sheet, pack_layer
 from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import pack_push, pushed_jets
 from drape.inference.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
-from drape.stages.batch import Batch, Jets, Layer, changed, joined
+from drape.stages.batch import Batch, Jets, Layer, changed, concatenated
 from drape.stages.plan import Plan
 from drape.stages.stage import KeptConstants, Make, Stage, StageSetup, call_here
 from drape.wire.options import DrapeOptions
@@ -80,16 +80,16 @@ class Collision(Stage):
         layers: list[Layer] = []
         ways, left = [], []
         for count, seen in enumerate(batch.plan.visible, start=1):
-            under = joined([layer.vertices for layer in layers]) if layers else None
+            under = concatenated([layer.vertices for layer in layers]) if layers else None
             before = batch.layers[count - 1].jets if seen else None
             parts = [self._pushed(batch, count, under, rows, before) for _, rows in batch.rows()]
-            held = None if before is None else replace(before, jet=joined([part.jet for part in parts], axis=0))
-            layers.append(Layer(joined([part.vertices for part in parts], axis=0), held))
+            held = None if before is None else replace(before, jet=concatenated([part.jet for part in parts], axis=0))
+            layers.append(Layer(concatenated([part.vertices for part in parts], axis=0), held))
             if seen:
-                ways.append(joined([part.way_m for part in parts], axis=0))
+                ways.append(concatenated([part.way_m for part in parts], axis=0))
             if held is not None:
-                left.append(joined([part.left_m for part in parts], axis=0))
-        way = joined(ways)
+                left.append(concatenated([part.left_m for part in parts], axis=0))
+        way = concatenated(ways)
         share, furthest = (way > MOVED_M).mean(axis=1), way.max(axis=1)
         left_m = np.max(left, axis=0) if left else batch.quality.left_m
         quality = changed(batch.quality, pushed_share=share, push_max_m=furthest, left_m=left_m)
@@ -139,12 +139,7 @@ class Pusher:
     """
 
     def __init__(
-        self,
-        engine: Engine,
-        body: BodyModel,
-        clearance_m: float = CLEARANCE_M,
-        *,
-        make: Make = call_here,
+        self, engine: Engine, body: BodyModel, clearance_m: float = CLEARANCE_M, *, make: Make = call_here
     ) -> None:
         self._engine, self._make = engine, make
         self._skin = body_skin(body)
@@ -171,10 +166,10 @@ class Pusher:
         self._layers.forget(key)
 
     def prepare(self, keys: Sequence[str], *, jets: bool = False) -> None:
-        """Makes the constants of every garment of an outfit over those before it, where they are missing, and opens
-        what pushes them, and their ``jets`` where asked.
+        """Makes what is missing of the constants of every garment of an outfit over those before it, and opens what
+        pushes them; with ``jets`` also what pushes jets.
 
-        Takes a second per garment, and may be called from any thread.
+        It takes a second for each garment, and may be called from any thread.
         """
         self._alone(self._get(keys[0]))
         for count in range(1, len(keys)):
@@ -194,11 +189,11 @@ class Pusher:
         under: np.ndarray | None = None,
         posed: Jets | None = None,
     ) -> Pushed:
-        """The last garment of ``keys``, whose ``vertices`` [m] (F, V, 3) are relative to the root, out of the samples
-        ``skin`` (F, R, 12, 8) of the posed body and out of the other garments, innermost first.
+        """Pushes the last garment of ``keys`` out of the posed body and of the other garments, the innermost first.
 
-        ``under`` [m] (F, U, 3) holds the pushed vertices of these. With the jets ``posed`` of ``vertices`` these are
-        pushed too. Refuses (``NotFound``) a garment not in store.
+        ``vertices`` [m] (F, V, 3) are relative to the root; ``skin`` (F, R, 12, 8) are the body's samples and ``under``
+        [m] (F, U, 3) the pushed vertices of the other garments. If ``posed`` jets of the same vertices are given, they
+        are pushed too. Refuses (``NotFound``) a garment that is not in store.
         """
         stored = self._get(keys[-1])
         vertices = np.ascontiguousarray(vertices, dtype=np.float32)

@@ -121,14 +121,18 @@ def answer_again(plan: Plan, one: PoseInput, idle: Idle | None) -> tuple[bytes, 
 
 
 def shown_message(memories: Memories) -> bytes | None:
-    """The computed message whose frame a client shows that has taken all of a stream with ``memories``."""
+    """Returns the computed message that the client of a stream with ``memories`` shows once it has taken all frames;
+    None if there is none."""
     idle: Idle | None = memories.get(KEY)
     return None if idle is None else idle.message
 
 
 def remember(plan: Plan, one: PoseInput, before: Idle | None, memories: Memories, message: bytes) -> Memories:
-    """``memories`` after the computed frame of ``one``, with what ``idle_before`` tells of it next time; ``before`` is
-    what this told of the frame before."""
+    """Returns ``memories`` with the entry that ``idle_before`` reads at the next frame of the stream.
+
+    ``one`` is the input of the frame that was just computed, and ``message`` its message. ``before`` is what
+    ``idle_before`` returned for it: the time since when the body stands still goes on from there, or begins now.
+    """
     now_s = float(one.times_s[0])
     since_s, frames = (now_s, 0) if before is None else (before.since_s, before.frames)
     idle = Idle(one.poses[0], one.trans[0], one.betas, plan, since_s, now_s, frames + 1, message)

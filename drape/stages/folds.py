@@ -35,11 +35,12 @@ Constants = OneLevel | TwoLevel
 
 
 class Folds(Stage):
-    """Lowers the cloth's energy over the body and, unless a scene says otherwise, with ``cloth_contact``: over itself
-    and the layers below; without it each layer is by itself, and what is between them is for the push-out.
+    """Takes steps of folds: lowers the energy of the cloth over the body, from what the frame before has left.
 
-    A garment that was delivered coarse folds on its subdivided mesh, around which the delivered one is then wrapped.
-    With ``coarse`` folds are those of a coarse cloth, and without steps it lifts the network's drape off the skin.
+    With ``cloth_contact``, the default, a garment also keeps off itself and off the layers below. Without it each layer
+    is folded by itself, and the push-out parts the layers. A garment that was delivered coarse folds on its subdivided
+    mesh, and the delivered mesh is then wrapped around that. With ``coarse`` a coarse cloth takes the steps; with no
+    steps the network's drape is only eased and lifted off the skin.
     """
 
     name = "folds"
@@ -270,7 +271,8 @@ class Told:
         self.resets, self.lifted, self.lifted_max_m, self.vertices = [0.0] * frames, [0.0] * frames, [0.0] * frames, 0
 
     def add(self, reports: Sequence[FoldReport], vertices: int, *, seen: bool) -> None:
-        """Adds a layer of so many ``vertices``, whose lift is told where it is ``seen``."""
+        """Adds the ``reports`` of a layer of so many ``vertices``; of a layer that is not ``seen`` only the folds begun
+        anew count."""
         self.vertices += vertices if seen else 0
         for row, report in enumerate(reports):
             self.resets[row] += report.reset

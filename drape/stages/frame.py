@@ -15,7 +15,7 @@ import numpy as np
 from drape.geometry.colliders import seen_from
 from drape.inference.packing import check_finite
 from drape.live.fold_step import FoldEffort
-from drape.network.frame import PARTS, Drawn, Moment, Past, Worn, draw
+from drape.network.frame import PARTS, Drawn, FrameGarment, Moment, Past, draw
 from drape.stages.batch import Batch, Layer, changed
 from drape.stages.encode import Encode, coordinate_bits
 from drape.stages.folds import Folds, Told, read_layers
@@ -43,8 +43,10 @@ class AtOnce(NamedTuple):
 
 
 def at_once(plan: Plan) -> AtOnce | None:
-    """The stages of ``plan`` that ``drawn`` runs in one call a frame; None where the engine has not all that is asked
-    for: it drapes a single garment, and nobody behind may read jets or the skin."""
+    """Returns the stages of ``plan`` that ``drawn`` runs in one call a frame; None if the engine cannot.
+
+    It drapes a single garment, and later stages may read neither jets nor the skin.
+    """
     if "at_once" not in plan.kept:
         plan.kept["at_once"] = _at_once(plan)
     return plan.kept["at_once"]
@@ -65,10 +67,10 @@ def _at_once(plan: Plan) -> AtOnce | None:
 def drawn(
     batch: Batch, stages: AtOnce, took: Callable[[str, float], None] = lambda name, s: None
 ) -> Iterator[Batch] | None:
-    """``batch`` after each frame, the last with what ``stages`` make; None where these must run by themselves, since a
-    stream begins to fold what was lifted, or the network has threads for its frames.
+    """Yields ``batch`` after each frame, the last one with all that ``stages`` make.
 
-    ``took`` is told the name of each stage and its share of the time [s].
+    Returns None where the stages must run by themselves: cloth that was lifted alone begins to fold, or the network
+    shares the frames out between threads. ``took`` is called with the name of each stage and its share of the time [s].
     """
     plan = batch.plan
     worn, (key,) = _worn(plan, stages), plan.draped_keys
@@ -80,18 +82,18 @@ def drawn(
     return _drawn(batch, stages, worn, pasts, took)
 
 
-def _worn(plan: Plan, stages: AtOnce) -> Worn:
+def _worn(plan: Plan, stages: AtOnce) -> FrameGarment:
     """What drapes the garment of ``plan``: made anew where constants are others than in the frame before."""
     (key,), (fabric,), options = plan.draped_keys, plan.fabrics, plan.options
     rows = stages.network.rows(plan)
     swing = None if stages.swing is None else stages.swing.constants(key, fabric)
     folds = None if stages.folds is None else stages.folds.constants(key, fabric, coarse=options.coarse)
-    known: Worn | None = plan.kept.get("worn")
+    known: FrameGarment | None = plan.kept.get("worn")
     if known is not None and known.patches is rows.patches and known.swing is swing and known.folds is folds:
         return known
     compiled = stages.network.engine.compiled
     assert compiled is not None
-    made = plan.kept["worn"] = Worn(
+    made = plan.kept["worn"] = FrameGarment(
         weights=compiled.weights,
         passes=compiled.corrections if options.passes is None else options.passes,
         patches=rows.patches,
@@ -117,7 +119,7 @@ def _step_count(plan: Plan, stages: AtOnce) -> int:
 
 
 def _drawn(
-    batch: Batch, stages: AtOnce, worn: Worn, pasts: list[Past], took: Callable[[str, float], None]
+    batch: Batch, stages: AtOnce, worn: FrameGarment, pasts: list[Past], took: Callable[[str, float], None]
 ) -> Iterator[Batch]:
     colliders, spent_s = batch.plan.colliders, [0.0] * len(PARTS)
     root, vertices = np.empty((batch.count, 3)), np.empty((batch.count, worn.vertex_count, 3), np.float32)
@@ -147,7 +149,7 @@ def _drawn(
             took(name, spent)
 
 
-def _told(batch: Batch, stages: AtOnce, worn: Worn, frames: list[Drawn], pasts: list[Past]) -> Batch:
+def _told(batch: Batch, stages: AtOnce, worn: FrameGarment, frames: list[Drawn], pasts: list[Past]) -> Batch:
     """``batch`` with what its ``frames`` leave and tell, wrapped around finer cloth where that was draped."""
     (key,), (sent,), quality, layers = batch.plan.draped_keys, batch.plan.keys, batch.quality, batch.layers
     if stages.novelty is not None:

@@ -74,14 +74,18 @@ class Motion(Stage):
         return bool(plan.options.knob) and plan.options.inertia == "network"
 
     def rested(self, memory: Memory, time_s: float) -> Memory:
-        """The last moments, as long apart as they were."""
+        """Returns ``memory`` with its moments moved on to ``time_s`` [s], as long apart as they were."""
         if not memory.moments:
             return memory
         later_s = time_s - memory.moments[0].time_s
         return replace(memory, moments=tuple(replace(one, time_s=one.time_s + later_s) for one in memory.moments))
 
     def run(self, batch: Batch) -> Batch:
-        """Frame by frame, since each needs the state after the one before; the inputs of a frame go together."""
+        """Returns the batch with the code of each frame (F, C), multiplied by the knob.
+
+        Frames are computed one after the other, since each needs the state after the one before. The inputs of one
+        frame go through the network together.
+        """
         knob = np.float32(batch.plan.options.knob)
         memories = [memory or Memory.empty(self.engine) for memory in batch.remembered(self.key)]
         bodies = [moments(self.body, one.poses, one.trans, one.betas) for one in batch.inputs]

@@ -21,7 +21,7 @@ from drape.inference.packing import Packer, Result, ScenePlan, Shape, check_fini
 from drape.inference.whole_graph import WholeGraph
 from drape.network.bodies import BodyFeed
 from drape.network.novelty import kept_poses, novelty
-from drape.stages.batch import Batch, Jets, Layer, changed, joined, stacked
+from drape.stages.batch import Batch, Jets, Layer, changed, concatenated, stacked
 from drape.stages.plan import Plan
 from drape.stages.scene import check_known
 from drape.stages.stage import Stage, StageSetup
@@ -50,7 +50,7 @@ class Novelty(Stage):
 
     def run(self, batch: Batch) -> Batch:
         assert self.kept_poses is not None
-        found = novelty(self.kept_poses, joined([one.poses for one in batch.inputs], axis=0))
+        found = novelty(self.kept_poses, concatenated([one.poses for one in batch.inputs], axis=0))
         return changed(batch, quality=changed(batch.quality, novelty=found))
 
 
@@ -101,9 +101,10 @@ class Network(Stage):
         return self.packer.held_bytes
 
     def records(self, plan: Plan) -> dict[str, Any]:
-        """What a client computes the network of the one garment of ``plan`` by: records of the engine by their names.
+        """Returns the records of the engine, by their names, from which a client computes the network for the one
+        garment of ``plan``.
 
-        Refuses (``ArtifactError``) a model of a kind that the engine has not.
+        Refuses (``ArtifactError``) a model of a kind that the engine does not compute.
         """
         if self.engine.compiled is None:
             name, cure = self.engine.manifest.name, "Stream its vertices from a service."
@@ -123,7 +124,8 @@ class Network(Stage):
         return not isinstance(self.packer, Packer) or self.packer.one_thread
 
     def posed_by(self, betas: np.ndarray) -> tuple[BodyFeed, np.ndarray]:
-        """What poses a body of the shape ``betas`` (S,) in the engine, and the rest place of its root [m] (3,)."""
+        """Returns the engine's input for a body of the shape ``betas`` (S,), its pose left open, and the rest place of
+        its root [m] (3,)."""
         key = np.asarray(betas, np.float64).tobytes()
         feed = self._feed(key)
         assert feed is not None
@@ -139,8 +141,8 @@ class Network(Stage):
         plan, needs = batch.plan, batch.plan.needs
         shapes = [self._shape(np.asarray(one.betas, np.float64).tobytes()) for one in batch.inputs]
         parts = [shape.rows(one.poses) for shape, one in zip(shapes, batch.inputs, strict=True)]
-        bodies = {name: joined([part[name] for part in parts], axis=0) for name in parts[0]}
-        root = joined([one.trans + shape.root for shape, one in zip(shapes, batch.inputs, strict=True)], axis=0)
+        bodies = {name: concatenated([part[name] for part in parts], axis=0) for name in parts[0]}
+        root = concatenated([one.trans + shape.root for shape, one in zip(shapes, batch.inputs, strict=True)], axis=0)
         if batch.codes is not None:
             bodies["dynamic_code"] = batch.codes
         skin = None

@@ -47,7 +47,10 @@ class Placed:
         return b"" if self.roots is None else self.roots.astype("<f8").tobytes()
 
     def counted_from(self, root: np.ndarray) -> Placed:
-        """With one point for all frames, and no roots: the ``root`` [m] (3,), or where there are none the origin."""
+        """Returns the same vertices, counted from one point for all frames and without roots.
+
+        The point is ``root`` [m] (3,) if they count from roots, and the world's origin if they do not.
+        """
         if self.roots is None:
             return self
         return Placed((self.vertices + (self.roots - root)[:, None]).astype(np.float32))

@@ -47,7 +47,7 @@ class Plan:
 
     @cached_property
     def kept(self) -> dict[str, Any]:
-        """What is made once for its frames (``drape.stages.frame``)."""
+        """A store for what is made once for all frames of this plan (``drape.stages.frame``); empty at first."""
         return {}
 
     @cached_property
@@ -63,23 +63,24 @@ class Plan:
 
     @cached_property
     def lifted(self) -> bool:
-        """Whether folds bring the cloth off the skin, and off the layers below: as far as they feel these."""
+        """Whether folds bring all cloth off the skin and off the layers below. They do for one garment, and for several
+        if these feel each other (``cloth_contact``)."""
         folded = self.options.folds or self.options.coarse
         return bool(folded) and (bool(self.options.cloth_contact) or len(self.scene.layers) == 1)
 
     @cached_property
     def projected(self) -> bool:
-        """Whether the collision projection brings the cloth out: where that is asked for and folds do not."""
+        """Whether the collision projection brings the cloth out: it is asked for, and folds do not do it."""
         return bool(self.options.push_out) and not self.lifted
 
     @cached_property
     def colliders(self) -> np.ndarray:
-        """Those of the scene (M, 16), in the world (``drape.geometry.colliders``)."""
+        """The colliders of the scene as rows (M, 16), in the world (``drape.geometry.colliders``)."""
         return collider_rows(self.options.colliders)
 
     @cached_property
     def visible(self) -> tuple[bool, ...]:
-        """Which layers of the scene come."""
+        """Whether each layer of the scene is in the answer; hidden ones are not."""
         hidden = self.options.hidden or ()
         return tuple(entry.id not in hidden for entry in self.scene.layers)
 

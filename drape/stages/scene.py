@@ -65,22 +65,22 @@ class Entry:
 
     @property
     def layers(self) -> tuple[Entry, ...]:
-        """Itself: what an outfit has several of."""
+        """The layers of the scene: this garment alone. An outfit has several."""
         return (self,)
 
     def only(self, ids: Sequence[str]) -> Entry:
-        """Itself, of which nothing can be left out."""
+        """Returns the garment itself: ``ids`` leave nothing out of a scene of one garment."""
         return self
 
     @cached_property
     def fine(self) -> Entry:
-        """With all of the cloth delivered; itself where that is what is drawn."""
+        """The entry with the subdivided mesh as its delivered one; itself if nothing was subdivided."""
         garment = fine_garment(self.garment)
         return self if garment is self.garment else replace(self, garment=garment)
 
     @property
     def vertex_count(self) -> int:
-        """The number that is drawn."""
+        """The number of vertices that are drawn."""
         return self.garment.surface.vertex_count
 
     @property
@@ -119,17 +119,18 @@ class Outfit:
     layers: tuple[Entry, ...]
 
     def only(self, ids: Sequence[str]) -> Outfit:
-        """Its layers of ``ids``; of one alone it is still told whose it is."""
+        """Returns the outfit with only its layers of ``ids``. It stays an outfit if one is left, so that the answer
+        names the garment."""
         return Outfit(tuple(entry for entry in self.layers if entry.id in ids))
 
     @property
     def fine(self) -> Outfit:
-        """With the subdivided mesh of every layer."""
+        """The outfit with the subdivided mesh of every layer."""
         return Outfit(tuple(entry.fine for entry in self.layers))
 
     @property
     def vertex_count(self) -> int:
-        """The number of all layers together."""
+        """The number of vertices of all layers together."""
         return sum(entry.vertex_count for entry in self.layers)
 
     @property
@@ -142,7 +143,8 @@ Scene = Entry | Outfit
 
 
 def layer_list(scene: Scene, *, patches: bool = False) -> list[dict[str, str | int]]:
-    """Id and vertices, and ``patches``, of each layer, in the order in which an answer holds them."""
+    """Returns what an answer says of each layer, in the order of its vertices: ``id``, ``vertices`` and, if asked for,
+    ``patches``."""
     layers: list[dict[str, str | int]] = [{"id": entry.id, "vertices": entry.vertex_count} for entry in scene.layers]
     for layer, entry in zip(layers, scene.layers, strict=True):
         if patches:
@@ -183,11 +185,11 @@ def check_known(fabrics: Sequence[Fabric | None], *, known: bool, model: str) ->
 
 
 def narrowed(scene: Scene, options: DrapeOptions, *, felt: bool, pressed: bool) -> tuple[list[int], DrapeOptions]:
-    """Which layers of ``scene`` must be draped, and ``options`` for these.
+    """Returns the numbers of the layers of ``scene`` that must be draped, and ``options`` for these.
 
-    A hidden garment must be where a visible one lies over it, if layers are ``felt``, and where one lies below it, if
-    layers are ``pressed`` by those above them. Refuses (``InputError``) hidden garments that are not worn, and an
-    outfit of which nothing comes.
+    A hidden layer must be draped where a visible one lies over it, if layers are ``felt`` by those above; and where a
+    visible one lies below it, if layers are ``pressed`` by those above. Refuses (``InputError``) hidden garments that
+    are not worn, and an outfit that is hidden as a whole.
     """
     worn = [layer.id for layer in scene.layers]
     if options.hidden is None:

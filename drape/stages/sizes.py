@@ -37,25 +37,29 @@ class Sizes:
         self._one = threading.Lock()
 
     def measures(self, entry: Entry) -> Mapping[str, Mapping[str, float]]:
-        """The measures [m] of ``entry`` by size; empty where it comes in one."""
+        """Returns the measures [m] of ``entry`` by size and name; empty if the garment has one size only."""
         table = self._tables.get(entry.garment.digest)
         return {} if table is None else table.measures
 
     def cut_for(self, entry: Entry, size: str) -> dict[str, tuple[float, float]]:
-        """Least and greatest girth [m] of bodies that ``size`` of ``entry`` is cut for, at the levels that decide."""
+        """Returns the least and the greatest girth [m] of the bodies that ``size`` of ``entry`` is cut for, by the
+        levels that decide its size."""
         return cut_for(size, {name: self._standard[name] for name in deciding(self.measures(entry)["M"])})
 
     def advice(self, entry: Entry, shape: np.ndarray) -> Advice:
-        """The size of ``entry`` for the body in ``shape``; refuses (``NotFound``) a garment that comes in one."""
+        """Returns the size of ``entry`` that fits the body in ``shape`` (S,), and why. Refuses (``NotFound``) a garment
+        that has one size only."""
         found = self.measures(entry)
         if not found:
             raise _one_size(entry, "one to be found")
         return advice(measures(self._body, shape)._asdict(), self._standard, deciding(found["M"]))
 
     def wear(self, scene: Scene, size: SizeChoice) -> Scene:
-        """``scene`` in ``size``, of all garments or a list of them by layer; seconds for each that nobody ever wore.
+        """Returns ``scene`` with its garments in ``size``: one size for all layers, or a list with one for each (None:
+        M).
 
-        Refuses a size that there is not (``NotFound``), naming the nearest, and a list of another length.
+        A size that nobody has worn yet takes seconds to make. Refuses (``NotFound``) a size that the garment does not
+        have, naming the nearest, and (``InputError``) a list of another length.
         """
         layers, each = scene.layers, [size] * len(scene.layers) if size is None or isinstance(size, str) else list(size)
         if len(each) != len(layers):

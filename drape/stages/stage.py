@@ -27,7 +27,7 @@ Key = tuple[str, ...]  # digests of garments and of a fabric
 
 
 def call_here(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """``function(*arguments, **named)``."""
+    """Returns ``function(*arguments, **named)``, called at once, in this thread."""
     return function(*arguments, **named)
 
 
@@ -97,7 +97,8 @@ class Stage:
         return None
 
     def rested(self, memory: Any, time_s: float) -> Any:
-        """``memory`` as after another frame at ``time_s`` of a body and of cloth that do not move."""
+        """Returns ``memory`` as it would be after another frame, at ``time_s`` [s], of a body and of cloth that stand
+        still."""
         return memory
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
@@ -119,14 +120,16 @@ class Stage:
         raise NotImplementedError
 
     def steps(self, batch: Batch) -> Iterator[Batch]:
-        """``batch`` after each part of ``run``, between which other frames may be computed; the last is its result."""
+        """Yields ``batch`` after each part of ``run``; the last one is its result. Other frames may be computed between
+        the parts."""
         yield self.run(batch)
 
 
 def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
-    """The ``memories`` that still hold when the plan ``before`` becomes ``after``.
+    """Returns those of ``memories`` that still hold when the plan ``before`` becomes ``after``.
 
-    Their stage goes on, on the same options, and their body or garment is worn on.
+    A memory holds if its stage runs in both plans, on the same options (``Stage.depends_on``), and its body or garment
+    is worn in both.
     """
     old = {stage.name: stage.depends_on(before) for stage in before.stages}
     new = {stage.name: stage.depends_on(after) for stage in after.stages}
@@ -139,9 +142,9 @@ def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
 
 
 class KeptConstants(Generic[Constants]):
-    """Constants by their keys; the longest unused ones go while there are ``too_many``.
+    """Constants by their keys. Those that were not used for longest are dropped while there are ``too_many``.
 
-    One thread makes constants at a time. A thread whose constants are there does not wait for it.
+    One thread makes constants at a time; a thread whose constants are there does not wait for it.
     """
 
     def __init__(self, too_many: Callable[[Collection[Constants]], bool] = lambda kept: False) -> None:

@@ -70,7 +70,7 @@ class Swing(Stage):
         return last
 
     def steps(self, batch: Batch) -> Iterator[Batch]:
-        """Layer after layer."""
+        """Yields the batch after each layer."""
         plan, layers = batch.plan, list(batch.layers)
         assert batch.skin is not None
         skin = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])

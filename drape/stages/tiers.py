@@ -79,10 +79,11 @@ def read_tiers(rows: Sequence[Mapping[str, Any]]) -> tuple[Tier, ...]:
 
 
 def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: TierSettings, pass_count: int) -> DrapeOptions:
-    """``options`` with passes and folds, and no tier: what a client named, else its tier, else the settings.
+    """Returns ``options`` with passes and folds filled in, and no tier.
 
-    ``pass_count``: the passes that the model leaves to choose; a tier asks for no more. Refuses (``InputError``) the
-    tier exact, which no stream and no answer waits for.
+    A number that the client named wins, then its tier, then the service's ``settings``. ``pass_count`` is the number of
+    passes that the model leaves to choose; a tier gets no more. Refuses (``InputError``) the tier exact, which is a job
+    and neither a stream nor an answer.
     """
     if options.tier == EXACT:
         cure = "POST /drape with tier exact: the answer is a job. Or ask for accurate here."
@@ -111,7 +112,8 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: TierSettings,
 
 
 def capped(options: DrapeOptions, tier: Tier) -> DrapeOptions:
-    """``options``, as ``chosen`` gives them, with no more than ``tier`` computes: never more than was asked."""
+    """Returns ``options``, which ``chosen`` has filled in, lowered to what ``tier`` computes where they ask for
+    more."""
     most = tier.passes if options.folds else tier.alone
     passes = options.passes if _at_most(options.passes, most) else most
     folds = options.folds or 0
@@ -122,8 +124,11 @@ def capped(options: DrapeOptions, tier: Tier) -> DrapeOptions:
 
 
 def spared(options: DrapeOptions) -> DrapeOptions:
-    """``options`` of one garment, as ``chosen`` gives them, without what folds can do without for a while: cloth that
-    feels itself. The push-out stays: in a squat stiff shorts show skin without it."""
+    """Returns ``options`` of one garment, which ``chosen`` has filled in, without cloth contact: folds can do without
+    it for a while.
+
+    The push-out stays: without it stiff shorts show skin in a squat.
+    """
     return options.model_copy(update={"cloth_contact": False}) if options.folds else options
 
 
@@ -137,7 +142,8 @@ def _safe_folds(options: DrapeOptions, folds: int, tiers: Sequence[Tier]) -> int
 
 
 def tier_of(options: DrapeOptions, tiers: Sequence[Tier], pass_count: int) -> str:
-    """The name of the tier that ``options``, as ``chosen`` gives them, are; "custom" where they are none."""
+    """Returns the name of the tier that ``options``, which ``chosen`` has filled in, are equal to; "custom" if to
+    none."""
     folding = options.geometry == "vertices" or options.folds_by == "client"
     for tier in tiers:
         if not tier.folds and not folding:  # those of the next one

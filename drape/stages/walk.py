@@ -14,10 +14,10 @@ Took = Callable[[str, float], None]
 
 
 def walk(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Iterator[Batch]:
-    """All frames of ``inputs``, which may differ in shape, through the stages of ``plan``: the batch after every step.
+    """Yields the batch of all ``inputs``, which may differ in shape, after every step through the stages of ``plan``.
 
-    A step is what others may have to wait for: a frame in one call, a stage, or a part of one that is long. ``took`` is
-    told the name of each stage and how long it took [s].
+    A step is what others may have to wait for: a frame in one call, a stage, or a part of a long stage. ``took`` is
+    called with the name of each stage and the time [s] that it took.
     """
     batch = Batch.of(plan, inputs)
     first, rest = at_once(plan), plan.stages
@@ -30,7 +30,7 @@ def walk(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: N
 
 
 def by_stages(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: None) -> Iterator[Batch]:
-    """``walk`` stage by stage: the same bits."""
+    """Yields what ``walk`` does, stage by stage; the bits are the same."""
     return _through(Batch.of(plan, inputs), plan.stages, took)
 
 

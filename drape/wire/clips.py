@@ -25,7 +25,7 @@ HEADER_BYTES = _HEADER.size
 
 
 def of_rig(poses: np.ndarray) -> bool:
-    """Whether ``poses`` are quaternions (F, N, 4) of a rig, and no rotation vectors (F, 24, 3)."""
+    """Returns whether ``poses`` are quaternions (F, N, 4) of a rig; otherwise they are rotation vectors (F, 24, 3)."""
     return poses.ndim == 3 and poses.shape[2] == 4
 
 

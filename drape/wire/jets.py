@@ -35,7 +35,8 @@ class JetFrame:
 
     ``jet`` (K, 45) [patch scales] is the change of each patch's rest surface in its frame, the push-out included;
     ``rotation`` (K, 3, 3) and ``centre`` (K, 3) [m], relative to ``root`` (3,) float64 [m], are the frames. ``left_m``:
-    the longest way that a vertex still lacks to the push-out's own place; other numbers are those of ``wire.Frame``.
+    the longest way that a vertex still lacks to the push-out's own place; other numbers are those of
+    ``drape.wire.messages.Frame``.
     """
 
     sequence: int

@@ -24,8 +24,11 @@ MESH_HEADER_BYTES, BODY_HEADER_BYTES = _MESH.size, _BODY.size
 
 
 def pack_mesh(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray, uv_faces: np.ndarray) -> bytes:
-    """The MESH of ``vertices`` (V, 3) [m] and ``faces`` (F, 3) with texture coordinates ``uv`` (T, 2), none if empty,
-    and their corners ``uv_faces`` (F, 3). The places of the vertices do not travel: frames bring them."""
+    """Returns the MESH of a garment: its ``faces`` (F, 3), its texture coordinates ``uv`` (T, 2) with corners
+    ``uv_faces`` (F, 3), none if empty, and copies of vertices at seams.
+
+    ``vertices`` (V, 3) [m] say which copies are needed; the places themselves do not travel, since frames bring them.
+    """
     prefix = (wire.MAGIC, wire.WIRE_VERSION, wire.MESH, 0, 0, len(vertices))
     if not len(uv):
         return _MESH.pack(*prefix, 0, len(faces), 0.0, 0.0) + _whole(faces, 1)

@@ -101,7 +101,7 @@ _CODES = {"u8": "B", "u16": "H", "u32": "I", "f32": "f", "f64": "d"}
 
 
 def record(layout: Layout) -> struct.Struct:
-    """The fields of ``layout`` as bytes."""
+    """Returns the ``Struct`` of the fields of ``layout``, little endian."""
     return struct.Struct("<" + "".join(f"{count}{_CODES[kind]}" for _, kind, count in layout))
 
 
@@ -180,7 +180,8 @@ def pack_pose(pose: Pose) -> bytes:
 
 
 def posed(message: bytes) -> bytes:
-    """The bytes of translation and pose in a POSE or RIG_POSE ``message``: the same while the body stands still."""
+    """Returns the bytes of translation and pose in a POSE or RIG_POSE ``message``. They are equal for two messages if
+    the body stands still."""
     return message[STAMP_BYTES:]
 
 
@@ -241,7 +242,7 @@ Quantise = Callable[[np.ndarray, int], tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def dequantise(steps: np.ndarray, low: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """The quantised columns (V, n), float32."""
+    """Returns the numbers (V, n) float32 that ``steps`` (V, n) stand for: ``low`` (n,) + ``steps`` * ``step`` (n,)."""
     return low + step * steps.astype(np.float32)
 
 
@@ -278,14 +279,15 @@ def unpack_same(message: bytes) -> Answer:
 
 
 def resent(message: bytes, answer: Answer) -> bytes:
-    """The FRAME or JETS ``message`` with the numbers of ``answer``: the same frame for another pose."""
+    """Returns the FRAME or JETS ``message`` with the numbers of ``answer`` in its header: the same frame, as the answer
+    to another pose."""
     kind = {FRAME: "FRAME", JETS: "JETS"}[message_kind(message)]
-    said = asdict(answer) | {"residence_us": min(answer.residence_us, 0xFFFFFFFF)}
+    values = asdict(answer) | {"residence_us": min(answer.residence_us, 0xFFFFFFFF)}
     again, offset = bytearray(message), 0
     for name, number, count in LAYOUTS[kind]:
         form = struct.Struct(f"<{count}{_CODES[number]}")
-        if name in said:
-            form.pack_into(again, offset, said[name])
+        if name in values:
+            form.pack_into(again, offset, values[name])
         offset += form.size
     return bytes(again)
 

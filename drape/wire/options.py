@@ -27,7 +27,7 @@ Resolution = Literal["delivered", "fine"]
 FoldsBy = Literal["server", "client"]
 
 
-class Worn(BaseModel):
+class WornGarments(BaseModel):
     """The garment that is draped, or several worn over each other, and in which size."""
 
     garment: Identifier | None = None
@@ -153,8 +153,7 @@ class DrapeOptions(BaseModel):
         "The service computes of a hidden garment only what a visible one touches.",
     )
     colliders: Annotated[tuple[Collider, ...], Len(0, COLLIDER_LIMIT), FIRST_ONLY] | None = Field(
-        default=None,
-        description="Planes, boxes and capsules that the cloth collides with, in the world's coordinates.",
+        default=None, description="Planes, boxes and capsules that the cloth collides with, in the world's coordinates."
     )
     geometry: Geometry = Field(
         default="vertices",

@@ -28,11 +28,13 @@ class Charts(WithTables):
         return frames.out @ torch.addmm(self.frame_only, jet, placed).reshape(-1, 4, COLUMNS)
 
     def agreed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames) -> Tensor:
-        """``training.consensus.agreed_jets`` (P, 27) of what each chart says of its members (P, 3, 56)."""
+        """Returns the jets (P, 27) of charts fitted to their blend, as ``training.consensus.agreed_jets`` does.
+        ``said`` (P, 3, 56) is where each chart puts its members."""
         return self._fitted(said, stored, index, frames, self.fit_choice)
 
     def closed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames) -> Tensor:
-        """``training.consensus.closing_jets`` (P, 45), likewise."""
+        """Returns the full jets (P, 45) of charts fitted to their blend, as ``training.consensus.closing_jets``
+        does."""
         return self._fitted(said, stored, index, frames, self.full_choice)
 
     def _fitted(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames, choice: Tensor) -> Tensor:

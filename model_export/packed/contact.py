@@ -10,7 +10,7 @@ from torch import Tensor
 from drape.arrays import count_of
 from drape.contact.field import attend, queries, surface
 from drape.contact.projection import REGION_BIAS_M2, REGION_COUNT
-from drape.contact.proximity import GAP_M, UNIT_M, attend_others, from_halves, plane_share
+from drape.contact.proximity import GAP_M, HELD_M, SOFT_M, UNIT_M, attend_others, from_halves, plane_share
 from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.contact.skin import skin_table
 from drape.garment.consensus import STRAIN_POINTS, strain_points
@@ -66,11 +66,11 @@ class Contact(WithTables):
         world = (frames.rotation * frames.scale) @ points.reshape(-1, 3, PLACES) + frames.centre
         middle = torch.addmm(self.middle_last, world.reshape(-1, 3 * PLACES), self.middle_terms)
         means = near_means(world[:, :, :STRAIN_POINTS].mT, middle, skin, lists, patch_body)
-        found = surface(world, means)
-        share = plane_share(found)
+        nearest = surface(world, means)
+        share = plane_share(nearest)
         unit = frames.scale.reshape(-1, 1) * (-1.0 / UNIT_M)
-        normal = (frames.rotation.mT @ found.normal).reshape(-1, 3 * PLACES) * unit
-        offset = (GAP_M - found.distance) * (1.0 / UNIT_M) - (normal * points) @ self.axis_sums
+        normal = (frames.rotation.mT @ nearest.normal).reshape(-1, 3 * PLACES) * unit
+        offset = (GAP_M - nearest.distance) * (1.0 / UNIT_M) - (normal * points) @ self.axis_sums
         return NearPlanes(normal, offset, share, share / unit)
 
     def forward(self, points: Tensor, near: NearPlanes) -> list[Tensor]:
@@ -79,6 +79,13 @@ class Contact(WithTables):
         pull = (near.pull * torch.relu(missing)) @ self.axis_copies
         # A quarter of the force, softened, which takes four times its argument.
         return [near.share * torch.tanh(missing), softsign((pull * near.normal) @ self.point_terms.mT)]
+
+    def held(self, before: Tensor, after: Tensor, near: NearPlanes) -> Tensor:
+        """The share (P, 1) that patches go of a correction from ``before`` to ``after`` (P, 42): ``held_share``."""
+        missing = torch.addmm(near.offset, near.normal * before, self.axis_sums)
+        deeper = near.share * ((near.normal * (after - before)) @ self.axis_sums)
+        room = torch.relu((GAP_M + HELD_M) / UNIT_M - missing) + SOFT_M / UNIT_M
+        return torch.amin(room / torch.maximum(deeper + SOFT_M / UNIT_M, room), dim=-1, keepdim=True)
 
 
 def tables() -> dict[str, Tensor]:
@@ -89,11 +96,11 @@ def tables() -> dict[str, Tensor]:
     for axis, count in enumerate((jets.IN_PLANE_COUNT, jets.IN_PLANE_COUNT, jets.HEIGHT_COUNT)):
         terms[first : first + count, axis] = basis.T[:count, None]
         first += count
-    each = torch.eye(STRAIN_POINTS).repeat(1, 2)
+    axes = torch.eye(STRAIN_POINTS).repeat(1, 2)
     own = torch.tensor([1.0 / STRAIN_POINTS] * STRAIN_POINTS + [0.0] * STRAIN_POINTS)[:, None]
     return {
         "point_terms": terms.reshape(jets.JET_COUNT, -1),
-        "twice": torch.kron(torch.eye(3), each),
+        "twice": torch.kron(torch.eye(3), axes),
         "axis_sums": torch.eye(PLACES).repeat(3, 1),
         "axis_copies": torch.eye(PLACES).repeat(1, 3),
         "middle_terms": torch.kron(torch.eye(3, 4), own),

@@ -95,7 +95,8 @@ class PosedPatches:
 
 
 class FirstGraph(nn.Module):
-    """Patch features -> patch embedding, and the garment half of the decoder's first layer; run once per garment."""
+    """The graph that runs once per garment: of the features of patches it computes their embedding and, of that, the
+    garment's share of the decoder's first layer."""
 
     def __init__(self, model: OneFit) -> None:
         super().__init__()
@@ -171,7 +172,8 @@ class PackedGraph(nn.Module):
             points = self.contact.points(jet, places)
             near = self.contact.near(points, skin, felt, index.body, frames) if near is None else near
             inputs = [hidden, *self.strain(jet, stretch), jet, *self.contact(points, near)]
-            jet = jet + correction(torch.cat(inputs, dim=-1))
+            change = correction(torch.cat(inputs, dim=-1))
+            jet = jet + self.contact.held(points, self.contact.points(jet + change, places), near) * change
             passes.append(jet)
         jet = charts.closed(charts.posed(frames, jet) @ columns, stored, index, frames)
         kept = tuple(passes) if len(passes) > 1 else ()

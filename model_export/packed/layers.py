@@ -18,11 +18,11 @@ def surroundings_layer(layer: nn.Linear) -> nn.Parameter:
     count = 3 * JOINT_COUNT
     weight = layer.weight.detach()
     base = weight[:, count + 3 :].T
-    made = torch.zeros(count + 9 + len(base), layer.out_features)
-    made[count + 9 :] = base
-    made[:count] = weight[:, :count].reshape(-1, JOINT_COUNT, 3).permute(2, 1, 0).reshape(count, -1)
-    made[count + 3 : count + 6] = -weight[:, count : count + 3].T  # gravity is minus the second row of the rotation
-    return nn.Parameter(made, requires_grad=False)
+    matrix = torch.zeros(count + 9 + len(base), layer.out_features)
+    matrix[count + 9 :] = base
+    matrix[:count] = weight[:, :count].reshape(-1, JOINT_COUNT, 3).permute(2, 1, 0).reshape(count, -1)
+    matrix[count + 3 : count + 6] = -weight[:, count : count + 3].T  # gravity is minus the second row of the rotation
+    return nn.Parameter(matrix, requires_grad=False)
 
 
 def merged_heads(heads: nn.ModuleDict, gain: float) -> nn.Sequential:
@@ -42,11 +42,11 @@ def merged_heads(heads: nn.ModuleDict, gain: float) -> nn.Sequential:
 def correction_layers(correction: nn.Module, gain: float) -> nn.Sequential:
     """A ``training.layers.Correction`` with the output gain in its weights."""
     first, last = _linears(correction)
-    made = nn.Linear(last.in_features, last.out_features)
+    scaled = nn.Linear(last.in_features, last.out_features)
     with torch.no_grad():
-        made.weight.copy_(gain * last.weight)
-        made.bias.copy_(gain * last.bias)
-    return nn.Sequential(copy.deepcopy(first), nn.LeakyReLU(SLOPE), made).requires_grad_(False)
+        scaled.weight.copy_(gain * last.weight)
+        scaled.bias.copy_(gain * last.bias)
+    return nn.Sequential(copy.deepcopy(first), nn.LeakyReLU(SLOPE), scaled).requires_grad_(False)
 
 
 def _linears(head: nn.Module) -> list[nn.Linear]:
@@ -56,10 +56,10 @@ def _linears(head: nn.Module) -> list[nn.Linear]:
 def _side_by_side(a: nn.Linear, b: nn.Linear, *, shared: bool) -> nn.Linear:
     """One layer with the outputs of both, which read the same input if it is ``shared``, else one each."""
     start = 0 if shared else a.in_features
-    made = nn.Linear(start + b.in_features, a.out_features + b.out_features)
+    layer = nn.Linear(start + b.in_features, a.out_features + b.out_features)
     with torch.no_grad():
-        made.weight.zero_()
-        made.weight[: a.out_features, : a.in_features] = a.weight
-        made.weight[a.out_features :, start:] = b.weight
-        made.bias[: a.out_features], made.bias[a.out_features :] = a.bias, b.bias
-    return made
+        layer.weight.zero_()
+        layer.weight[: a.out_features, : a.in_features] = a.weight
+        layer.weight[a.out_features :, start:] = b.weight
+        layer.bias[: a.out_features], layer.bias[a.out_features :] = a.bias, b.bias
+    return layer

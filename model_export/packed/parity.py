@@ -30,11 +30,11 @@ def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Gar
     first = np.asarray(session(encoder).run(["patch_first"], {"patch_features": features})[0])
     garments, places, patch, tile = [], [], 0, 0
     for feed in feeds:
-        made = pack_garment(feed, first)
-        garments.append(made)
+        packed_garment = pack_garment(feed, first)
+        garments.append(packed_garment)
         places.append(Place(patch, tile))
-        patch, tile = patch + made.patch_count, tile + made.tile_count
-    stored = {name: np.concatenate([made.stored[name] for made in garments]) for name in garments[0].stored}
+        patch, tile = patch + packed_garment.patch_count, tile + packed_garment.tile_count
+    stored = {name: np.concatenate([one.stored[name] for one in garments]) for name in garments[0].stored}
     poses = hard_poses(FRAMES, seed=3)
     betas = [np.zeros(body.shape_count), np.random.default_rng(0).normal(size=body.shape_count)]
     shape_of = [frame % 2 for frame in range(FRAMES)]

@@ -77,7 +77,8 @@ class Strain(WithTables):
         super().__init__(tables())
 
     def stretch(self, tangent: Tensor, unit: Tensor) -> Stretch:
-        """From the stored ``strain_tangent`` (P, 42) and ``strain_unit`` (P, 3, 7)."""
+        """Returns the constants of a call's patches from the stored ``strain_tangent`` (P, 42) and ``strain_unit`` (P,
+        3, 7)."""
         factors = unit.reshape(-1, 3 * STRAIN_POINTS)
         return Stretch(tangent @ self.directions, (factors @ self.first_factor) * (factors @ self.second_factor))
 

@@ -63,7 +63,8 @@ class LayerTensors(Drapes):
 
 
 class PushGraph(nn.Module):
-    """``drape.contact.projection.push_out`` with the skin posed by its bones, or given: it is an output too."""
+    """The graph of ``drape.contact.projection.push_out``. Bones pose the skin, or it is given posed; the posed skin is
+    an output too."""
 
     inputs = PushTensors.specs()
 
@@ -74,7 +75,7 @@ class PushGraph(nn.Module):
 
 
 class LayerGraph(nn.Module):
-    """``drape.graph.layer_feed.push_over``, likewise."""
+    """The graph of ``drape.graph.layer_feed.push_over``, with the skin as in ``PushGraph``."""
 
     inputs = LayerTensors.specs()
 
@@ -100,7 +101,8 @@ def write_push(name: str, folder: Path) -> GraphSpec:
 
 
 def stored(name: str) -> Path:
-    """The file of the graph ``name`` that lies beside this one. An export holds it against the reference in NumPy."""
+    """Returns the path of the traced graph ``name`` beside this file. Every export compares it with the reference in
+    NumPy."""
     return Path(__file__).with_name(f"{name}.onnx")
 
 

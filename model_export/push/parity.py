@@ -56,11 +56,11 @@ def _skinned(garment: Garment, poses: np.ndarray, clearance_m: float) -> Drapes:
     rotations, translations = body.bones(poses)
     rest = np.broadcast_to(garment.vertices[:count], (len(poses), count, 3)).astype(np.float64)
     vertices = skin_points(rest, garment.skin_weights(body)[:count].astype(np.float64), rotations, translations)
-    made = Drapes(
+    drapes = Drapes(
         vertices=vertices,
         rotation=rotations,
         translation=translations,
         clearance=np.full(1, clearance_m),
         skin=body_skin(body).on_bones(body),
     )
-    return made.each(lambda array: array.astype(np.float32) if array.dtype == np.float64 else array)
+    return drapes.each(lambda array: array.astype(np.float32) if array.dtype == np.float64 else array)

@@ -27,7 +27,7 @@ from recovery.catalogue.garments import CATALOGUE
 from recovery.catalogue.size_tables import grade
 from recovery.commands import ended, parser_of
 from recovery.pattern.measurements import measure
-from recovery.pattern.sizes import PATTERN_STEPS
+from recovery.pattern.size_grades import PATTERN_STEPS
 from recovery.progress import watched
 
 
@@ -59,19 +59,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.command == "list":
         measurements = measure(load_body())
         for name in CATALOGUE:
-            made = design(name, measurements)
-            ease = ", ".join(f"{where} {100 * much:+.0f} cm" for where, much in made.ease_m.items())
-            print(f"{name:14s} {made.fabric:14s} {len(made.pattern.panels):2d} panels; {ease}")
+            draft = design(name, measurements)
+            ease = ", ".join(f"{where} {100 * much:+.0f} cm" for where, much in draft.ease_m.items())
+            print(f"{name:14s} {draft.fabric:14s} {len(draft.pattern.panels):2d} panels; {ease}")
         return 0
     if given.command == "grade":
         return _grade(given.names or list(CATALOGUE), given.garments)
     body = load_body(given.body)
     options = QUICK if given.quick else BuildOptions(fine_m=given.edge_length)
     measurements = measure(body)
-    made = {name: design(name, measurements, given.size) for name in given.names or CATALOGUE}
+    designs = {name: design(name, measurements, given.size) for name in given.names or CATALOGUE}
     skin = body_distance(body, options)
     moving = []
-    for name, one in made.items():
+    for name, one in designs.items():
         called = name if given.size == "M" else f"{name}_{given.size.lower()}"
         print(f"--- {called}, {one.fabric}")
         garment = build(one, skin, options, report=print)

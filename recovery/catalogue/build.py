@@ -18,11 +18,11 @@ from recovery.catalogue.closing import on_finer_mesh, sew_design
 from recovery.catalogue.fall import SETTLING, Fall
 from recovery.catalogue.garments import CATALOGUE
 from recovery.drape.pattern_drape import stretch_figures
-from recovery.drape.sewing import in_numpy
+from recovery.drape.seam_threads import in_numpy
 from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
-from recovery.pattern.sizes import in_size
+from recovery.pattern.size_grades import in_size
 from recovery.sim.sdf import GridDistance, SignedDistance
 
 Report = Callable[[str], None]
@@ -65,10 +65,8 @@ def body_distance(body: BodyModel, options: BuildOptions = BuildOptions()) -> Gr
 
 
 def design(name: str, body: BodyMeasurements, size: str = "M") -> Design:
-    """The catalogue's garment ``name`` drafted in ``size``; ``body`` are the measurements of size M.
-
-    Raises ``NotFound`` for a garment or a size that is not there.
-    """
+    """Returns the catalogue's garment ``name`` drafted in ``size``. ``body`` are the measurements of the body that size
+    M fits. Raises ``NotFound`` for a garment or a size that the catalogue does not have."""
     if name not in CATALOGUE:
         raise NotFound("garment", expected=f"one of {', '.join(CATALOGUE)}", got=name, cure="Check the name.")
     return CATALOGUE[name](in_size(body, size))
@@ -77,10 +75,10 @@ def design(name: str, body: BodyMeasurements, size: str = "M") -> Design:
 def build(
     made: Design, skin: SignedDistance, options: BuildOptions = BuildOptions(), *, report: Report | None = None
 ) -> SewnGarment:
-    """``made`` sewn round the body whose distance is ``skin``, and at rest on it.
+    """Sews the design ``made`` round the body whose signed distance is ``skin``, lets it fall, and returns it at rest.
 
-    Raises ``InputError`` for seams that do not match, panels that the cloth is too narrow for, and a garment that
-    cannot close round the body.
+    Raises ``InputError`` for seams that do not match, for panels wider than the cloth, and for a garment that cannot
+    close round the body.
     """
     say = report or (lambda line: None)
     check_seams(made)

@@ -8,7 +8,7 @@ from drape.cloth.relaxation import Distance
 from drape.errors import InputError
 from drape.geometry import closest
 from recovery.drape.placement import moved_clear
-from recovery.drape.sewing import SEWING_GAP_M, Sewn, sew
+from recovery.drape.seam_threads import SEWING_GAP_M, Sewn, sew
 from recovery.pattern.design import Design
 from recovery.pattern.pattern_mesh import PatternMesh
 
@@ -26,7 +26,8 @@ def start_positions(design: Design, mesh: PatternMesh, distance: Distance) -> np
 
 
 def sew_design(design: Design, mesh: PatternMesh, distance: Distance) -> Sewn:
-    """The sewn garment; raises ``InputError`` where a seam cannot close round the body."""
+    """Returns ``design`` sewn on ``mesh`` round the body with this signed ``distance``. Raises ``InputError`` where a
+    seam cannot close."""
     folded = [number for number, name in enumerate(design.seam_names) if name in design.seam_angles]
     creases = np.unique(mesh.node_of_panel_vertex[mesh.seam_pairs[np.isin(mesh.seam_of_pair, folded)]])
     over = [panel.name in design.over for panel in design.pattern.panels]

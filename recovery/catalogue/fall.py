@@ -43,17 +43,11 @@ class Settled:
 
 
 class Fall:
-    """The garment ``design`` on ``mesh``, of ``fabric``, over the body ``skin``; nothing but the body holds it up, and
-    the nodes ``held`` (n,), which stay where they are."""
+    """A fall of the garment ``design`` on ``mesh``, made of ``fabric``, over the body whose signed distance is
+    ``skin``. The body alone holds it up; the nodes ``held`` (n,) stay where they are."""
 
     def __init__(
-        self,
-        design: Design,
-        mesh: PatternMesh,
-        fabric: Fabric,
-        skin: SignedDistance,
-        *,
-        held: np.ndarray | None = None,
+        self, design: Design, mesh: PatternMesh, fabric: Fabric, skin: SignedDistance, *, held: np.ndarray | None = None
     ) -> None:
         self.model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, fixed=held)
         self.model.rest_angle = torch.from_numpy(seam_angles(design, mesh, self.model))
@@ -123,10 +117,10 @@ def seam_angles(design: Design, mesh: PatternMesh, model: ClothModel) -> np.ndar
 def _hinge_edges(mesh: PatternMesh, model: ClothModel) -> list[np.ndarray]:
     """Rest edges [m] (H, 2) of the hinges, as the panel on each side has them."""
     sides = meshes.hinge_faces(mesh.faces)
-    found = []
+    edges = []
     for side in range(2):
         faces, panel = mesh.faces[sides[:, side]], mesh.panel_faces[sides[:, side]]
         ends = [(faces == model.hinge_nodes[:, k, None]).argmax(axis=1) for k in range(2)]
         rows = np.arange(len(faces))
-        found.append(mesh.rest[panel[rows, ends[1]]] - mesh.rest[panel[rows, ends[0]]])
-    return found
+        edges.append(mesh.rest[panel[rows, ends[1]]] - mesh.rest[panel[rows, ends[0]]])
+    return edges

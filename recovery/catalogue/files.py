@@ -24,17 +24,17 @@ def edge_kind(name: str) -> str:
 
 
 def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
-    """The content of ``NAME.json``."""
-    made, mesh = garment.design, garment.mesh
-    sewn = {ref for stitch in made.pattern.stitches for ref in (stitch.first, stitch.second)}
+    """Returns the content of ``NAME.json`` for ``garment`` in ``size`` on ``body``."""
+    design, mesh = garment.design, garment.mesh
+    sewn = {ref for stitch in design.pattern.stitches for ref in (stitch.first, stitch.second)}
     seams = []
-    for number, (stitch, seam) in enumerate(zip(made.pattern.stitches, made.seam_names, strict=True)):
+    for number, (stitch, seam) in enumerate(zip(design.pattern.stitches, design.seam_names, strict=True)):
         pairs = mesh.seam_pairs[mesh.seam_of_pair == number]
         panels = (stitch.first.panel, stitch.second.panel)
         nodes = mesh.node_of_panel_vertex[pairs[:, 0]].tolist()
-        seams.append(Seam(seam, panels, made.seam_angles.get(seam, 0.0), nodes, pairs.T.tolist()))
+        seams.append(Seam(seam, panels, design.seam_angles.get(seam, 0.0), nodes, pairs.T.tolist()))
     edges = []
-    for ref, named in made.edge_names.items():
+    for ref, named in design.edge_names.items():
         if ref not in sewn:
             line = np.asarray(mesh.edge_vertices[ref])
             edges.append(
@@ -44,15 +44,15 @@ def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
         name=name,
         size=size,
         body=body,
-        fabric=made.fabric,
+        fabric=design.fabric,
         mesh=f"{name}.obj",
         uv_unit_m=1.0,
         hem_bending=HEM_BENDING,
         hem_width_m=HEM_M,
-        panels=[panel.name for panel in made.pattern.panels],
+        panels=[panel.name for panel in design.pattern.panels],
         seams=seams,
         edges=edges,
-        ease_m=dict(made.ease_m),
+        ease_m=dict(design.ease_m),
         figures=garment.figures,
     )
 

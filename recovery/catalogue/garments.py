@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import TypedDict
 
 from recovery.pattern.design import Design
-from recovery.pattern.legs import LegCut, trousers
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.shirts import shirt
 from recovery.pattern.skirts import SkirtCut, a_line, circle
 from recovery.pattern.tops import Sleeve, TopCut, top
+from recovery.pattern.trousers import LegCut, trousers
 
 
 class _Neck(TypedDict):

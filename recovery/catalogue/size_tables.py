@@ -67,19 +67,20 @@ def grade(
     report: Report,
     options: BuildOptions = FULL,
 ) -> SizeTable:
-    """The table of the catalogue's garment ``name``, whose M the service has as ``garment``, on ``body``.
+    """Returns the size table of the catalogue's garment ``name``.
 
-    Raises ``InputError`` where ``garment`` is not what the catalogue sews in M.
+    ``garment`` is its size M as the service has it, on ``body`` with these ``measurements``; ``skin`` is the body's
+    signed distance. Raises ``InputError`` if ``garment`` is not what the catalogue sews in M.
     """
-    made = {size: design(name, measurements, size) for size in SIZES}
-    for one in made.values():
+    designs = {size: design(name, measurements, size) for size in SIZES}
+    for one in designs.values():
         check_seams(one)
         check_laid_flat(one)
-    fine = mesh_pattern(made["M"].pattern, options.fine_m)
+    fine = mesh_pattern(designs["M"].pattern, options.fine_m)
     if not np.array_equal(fine.faces, garment.fine_faces):
         cure = "Sew it again: python -m recovery.catalogue build --garments."
         raise InputError(f"garment {name}", expected="the catalogue's mesh in M", got="another", cure=cure)
-    graded = fallen(made, garment, body, fine, skin, report=report, options=options)
+    graded = fallen(designs, garment, body, fine, skin, report=report, options=options)
     return table_of(garment, body, fine.rest, graded, report=report)
 
 
@@ -93,7 +94,12 @@ def fallen(
     report: Report,
     options: BuildOptions,
 ) -> dict[str, Graded]:
-    """Every other size at rest, on the nodes of ``fine``, M's mesh."""
+    """Lets the designs ``made``, one for each size, fall on ``body``. Returns for every size but M how far it lies from
+    M.
+
+    Both are on the nodes of ``fine``, the mesh of M. ``skin`` is the body's signed distance, and ``report`` is called
+    with a line on each fall.
+    """
     coarse = mesh_pattern(made["M"].pattern, options.coarse_m)
     nodes = {"M": on_finer_mesh(fine, garment.vertices.astype(np.float64), coarse)}
     band = waistband(nodes["M"], coarse.faces, body)
@@ -115,7 +121,8 @@ def fallen(
 def table_of(
     garment: Garment, body: BodyModel, panels: np.ndarray, graded: dict[str, Graded], *, report: Report
 ) -> SizeTable:
-    """The table that gives ``graded`` back; ``panels`` [m] (P, 2) are M's, in the order of the garment's uv."""
+    """Returns the table whose splines give ``graded`` back. ``panels`` [m] (P, 2) are the panel vertices of M, in the
+    order of the garment's uv."""
     standing, uv = garment.vertices.astype(np.float64), garment.uv.astype(np.float64)
     moved = np.concatenate([graded[size].moved for size in OTHERS], axis=1)
     grown = np.concatenate([graded[size].panels - panels for size in OTHERS], axis=1)
@@ -138,7 +145,7 @@ def table_of(
         def plate(points: np.ndarray, rows: np.ndarray, values: np.ndarray, faces: np.ndarray = alone) -> np.ndarray:
             return field_in_panels(points, faces, rows, values)
 
-        found = chosen(
+        centres = chosen(
             uv[mine],
             grown[mine],
             plate,
@@ -147,7 +154,7 @@ def table_of(
             most=MOST_CORNERS,
             apart=APART_M["panel"],
         )
-        corners.append(mine[found])
+        corners.append(mine[centres])
     corner = np.concatenate(corners)
     table = SizeTable(
         garment.digest,
@@ -170,22 +177,26 @@ def table_of(
 def chosen(
     points: np.ndarray, values: np.ndarray, field: Field, *, step: float, within: float, most: int, apart: float
 ) -> np.ndarray:
-    """Rows (A,) of ``points`` (N, D) whose ``values`` (N, C), in whole ``step``s, give all others back ``within`` that
-    error or as near as ``most`` rows do: first far ones, then those that are missed most, ``apart`` from each other."""
+    """Returns the rows (A,) of ``points`` (N, D) from which ``field`` gives all ``values`` (N, C) back within the error
+    ``within``, or as near as ``most`` rows come. Values are stored in whole ``step``s.
+
+    The first rows are far from each other. Then those whose values are missed most are added, ``apart`` from each
+    other.
+    """
     rows = [int(points[:, 1].argmax())]
     while len(rows) < min(2 * points.shape[1] + 2, len(points)):
         rows.append(int(KDTree(points[rows]).query(points)[0].argmax()))
     while True:
-        taken = np.unique(rows)
-        off = np.abs(field(points, taken, rounded(values[taken], step)) - values).max(axis=1)
-        if off.max() < within or len(taken) >= min(most, len(points)):
-            return taken
-        for _ in range(min(max(4, len(taken) // 4), most - len(taken))):
+        centres = np.unique(rows)
+        off = np.abs(field(points, centres, rounded(values[centres], step)) - values).max(axis=1)
+        if off.max() < within or len(centres) >= min(most, len(points)):
+            return centres
+        for _ in range(min(max(4, len(centres) // 4), most - len(centres))):
             worst = int(off.argmax())
             rows.append(worst)
             off[np.linalg.norm(points - points[worst], axis=1) < apart] = 0.0
 
 
 def rounded(values: np.ndarray, step: float) -> np.ndarray:
-    """``values`` in whole ``step``s."""
+    """Returns ``values`` rounded to whole multiples of ``step``."""
     return step * np.rint(values / step)

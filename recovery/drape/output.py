@@ -60,10 +60,10 @@ def write_shape(
 def write_rest(
     folder: Path, name: str, draped: Draped, body: BodyModel, *, avatar: Any, garment: bool, report: Report
 ) -> list[Path]:
-    """Writes the drape in the T-pose as NAME_rest.obj, and with ``garment`` as a cache; returns their paths.
+    """Writes the drape in the T-pose as NAME_rest.obj, and with ``garment`` also the garment cache. Returns the paths.
 
-    The cache holds the rest garment, which a pose is skinned from. It is moved to ``body`` from the ``avatar`` (as
-    ``intake`` takes one) that it was draped on.
+    The cache holds the garment at rest, from which the service drapes. It is moved to ``body`` from ``avatar``, on
+    which it was draped (``drape.garment.intake``).
     """
     texture = panel_texture(draped.mesh)
     rest = obj_text(draped.mesh, draped.rest.nodes, texture)

@@ -16,11 +16,11 @@ from drape.cloth.relaxation import principal_stretches
 from drape.errors import InputError
 from drape.geometry import meshes
 from recovery import progress
-from recovery.drape.placement import Axes, Placed, place_panels, scaled
+from recovery.drape.placement import Axes, PlacedPanels, place_panels, scaled
 from recovery.drape.posing import to_pose
 from recovery.drape.repair import uncrossed
+from recovery.drape.seam_threads import Sewn, in_numpy, sew
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
-from recovery.drape.sewing import Sewn, in_numpy, sew
 from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
@@ -30,7 +30,7 @@ Report = Callable[[str], None]
 
 
 class Hold(StrEnum):
-    """The support of a garment: a belt at its topmost opening, the body alone, or the one that its cut asks for."""
+    """What holds a garment up: a belt at its topmost opening, the body alone, or whichever its cut asks for."""
 
     AUTO = "auto"
     BELT = "belt"
@@ -86,10 +86,11 @@ def hanging(name: str, longer: float = HANGS_LONGER) -> OrthotropicMaterial:
 
 @dataclass(frozen=True, eq=False)
 class Draped:
-    """The garment at ``rest`` in the T-pose and, if a pose was asked for, ``posed``; with what led there."""
+    """A garment at ``rest`` in the T-pose and, if a pose was asked for, ``posed``; with the mesh, the placed panels and
+    the sewn shape that came before, and ``figures`` on how it went."""
 
     mesh: PatternMesh
-    placed: Placed
+    placed: PlacedPanels
     sewn: Sewn
     rest: Drape
     posed: Drape | None

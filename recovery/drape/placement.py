@@ -17,7 +17,7 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.cloth.relaxation import Distance
 from drape.errors import InputError
 from drape.geometry.meshes import boundary_loops
-from recovery.drape.sleeves import limb_openings, round_spread_arms
+from recovery.drape.limb_openings import limb_openings, round_spread_arms
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern, Placement
 from recovery.pattern.pattern_mesh import PatternMesh
@@ -41,7 +41,7 @@ class Axes(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedPanels:
     """Panel vertices ``positions`` [m] (P, 3) round the body, clear of it.
 
     ``axes`` were taken, the panels lifted by ``lift_m`` beyond them, and moved outward by at most ``outward_m``.
@@ -71,7 +71,7 @@ def scaled(pattern: Pattern, factor: float) -> Pattern:
     return replace(pattern, panels=panels)
 
 
-def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes: Axes = Axes.AUTO) -> Placed:
+def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes: Axes = Axes.AUTO) -> PlacedPanels:
     """The panels of ``mesh`` round ``body`` in the T-pose, whose signed distance is ``distance``.
 
     The height is the one at which the fewest straight threads between sewn edges pass through the body. Sleeves drawn
@@ -118,7 +118,7 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
         cuffs = np.concatenate(list(openings.values()))
         stood[~still, 1] += joints["left_elbow"][1] - mesh.nodes_from(stood)[cuffs, 1].mean()
     positions, outward = moved_clear(mesh, stood, distance)
-    return Placed(positions, chosen, lift, outward, hold, turned, tuple(openings))
+    return PlacedPanels(positions, chosen, lift, outward, hold, turned, tuple(openings))
 
 
 def check_placed(pattern: Pattern) -> None:
@@ -149,10 +149,8 @@ def best_lift(positions: np.ndarray, pairs: np.ndarray, distance: Distance) -> f
 def moved_clear(
     mesh: PatternMesh, positions: np.ndarray, distance: Distance, *, leave: Collection[str] = ()
 ) -> tuple[np.ndarray, float]:
-    """``positions`` (P, 3) with every panel moved along its normal until it is clear, and the longest way [m].
-
-    Panels named in ``leave`` stay where they are.
-    """
+    """Returns ``positions`` [m] (P, 3) with every panel moved along its normal until it is clear of the body, and the
+    longest way [m]. Panels named in ``leave`` stay where they are."""
     moved, longest = positions.copy(), 0.0
     for number, panel in enumerate(mesh.pattern.panels):
         if panel.name in leave:

@@ -15,7 +15,7 @@ from drape.garment.rest_pose import WEIGHT_SMOOTHING_M, smoother, surface_weight
 from drape.geometry.skinning import skin_points
 from drape.motion.readers import read_motion
 from drape.motion.samples import SAMPLES
-from recovery.drape.sewing import in_numpy, sewn_relaxation
+from recovery.drape.seam_threads import in_numpy, sewn_relaxation
 from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.sim.sdf import GridDistance
 

@@ -112,15 +112,15 @@ def to_rest(
 
     def drape(state: ClothState, limit: int) -> tuple[ClothState, Report]:
         nonlocal total
-        found, report = equilibrium(
+        settled, report = equilibrium(
             model, state, parameters, contact=contact, tolerance_n=tolerance_n, iteration_limit=limit
         )
         total += report.iterations
-        return found, report
+        return settled, report
 
-    found = [drape(start, iteration_limit)]
-    if not found[0][1].converged:
-        found.append(drape(start, 0))
+    drapes = [drape(start, iteration_limit)]
+    if not drapes[0][1].converged:
+        drapes.append(drape(start, 0))
         state = start
         for dt in PATIENT_DT_S:
             if progress.over():
@@ -135,11 +135,11 @@ def to_rest(
                 iteration_limit=min(PATIENT_LIMIT, iteration_limit),
             )
             total += step.iterations
-            found.append(drape(state, 0))
-            if found[-1][1].residual_n <= PATIENT_TOLERANCE * tolerance_n:
+            drapes.append(drape(state, 0))
+            if drapes[-1][1].residual_n <= PATIENT_TOLERANCE * tolerance_n:
                 break
-        found.append(drape(state, iteration_limit))
-    state, report = min(found, key=lambda one: one[1].residual_n)
+        drapes.append(drape(state, iteration_limit))
+    state, report = min(drapes, key=lambda one: one[1].residual_n)
     return state, report._replace(iterations=total)
 
 

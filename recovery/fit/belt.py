@@ -29,10 +29,11 @@ from recovery.sim.sdf import SignedDistance
 
 
 class Belt(NamedTuple):
-    """Nodes ``held`` (H,) in their order along the pattern's waist, and where they lie on the ``line`` [m] (m, 3).
+    """The nodes ``held`` (H,) by a belt, in their order along the pattern's waist, and where they lie on the closed
+    ``line`` [m] (m, 3).
 
-    ``edges`` (H, 2) are the panel vertices at the ends of the edge from each node to the next. The closed line is
-    longer by as many times as ``direction`` (1 or -1) says the way; ``origin_m`` is the arc length that their mean has.
+    ``edges`` (H, 2) are the panel vertices at the ends of the edge from each node to the next. The nodes follow the
+    line in ``direction`` (1 or -1); ``origin_m`` [m] is the place along it at which their mean lies.
     """
 
     held: np.ndarray
@@ -85,7 +86,8 @@ def belt_on(mesh: PatternMesh, nodes: np.ndarray, held: np.ndarray, line: np.nda
 
 
 def belt_of(draped: Draped, matches: list[Match], there: list[Contour]) -> Belt | None:
-    """The belt that ``draped`` hangs from, on its match among the target's contours ``there``; None without one."""
+    """Returns the belt that ``draped`` hangs from, laid on the contour of the target that is its match; ``there`` are
+    the target's contours. None if it hangs from none."""
     found = _waist(draped, matches, there)
     return None if found is None else belt_on(draped.mesh, draped.nodes, draped.rest.held, found[1].points)
 

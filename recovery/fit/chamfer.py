@@ -25,7 +25,8 @@ class Chamfer(NamedTuple):
 
     @classmethod
     def of(cls, forth: np.ndarray, back: np.ndarray) -> Chamfer:
-        """From the distances [m] of the points of each set to the nearest of the other."""
+        """Returns the distance of two sets of points from the distances [m] ``forth`` and ``back`` of each set's points
+        to the other set."""
         squared = float((forth**2).mean() + (back**2).mean())
         return cls(1e4 * squared, 0.5e3 * float(forth.mean() + back.mean()))
 

@@ -13,10 +13,8 @@ from recovery.fit.objective import CORNERS, Objective, on_line
 
 
 def gauss_newton_matrix(objective: Objective, x: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Matrix (Z, Z) [m^2 per m^2]: second derivative of the loss at nodes ``x`` [m] (N, 3).
-
-    ``moves`` (N, 3, Z) are their derivatives by the Z unknowns.
-    """
+    """Returns the matrix (Z, Z) [m^2 per m^2] of second derivatives of the loss by the Z unknowns, at nodes ``x`` [m]
+    (N, 3). ``moves`` (N, 3, Z) are the derivatives of the nodes."""
     faces, target = objective.mesh.faces, objective.target
     points = (CORNERS @ x[faces]).reshape(-1, 3)
     there = closest.closest_point(points, target.vertices, target.faces)

@@ -63,11 +63,11 @@ class RestDrape:
         return state.x, report
 
     def begun(self, nodes: np.ndarray) -> np.ndarray:
-        """The nodes [m] (N, 3) that a search from the drape ``nodes`` (N, 3) begins at."""
+        """Returns the nodes [m] (N, 3) at which a search begins, from the drape ``nodes`` (N, 3)."""
         return nodes
 
     def ended(self, mesh: PatternMesh, nodes: np.ndarray) -> np.ndarray:
-        """The drape [m] (N, 3) of ``mesh`` that a search found as ``nodes`` (N, 3)."""
+        """Returns the drape [m] (N, 3) of ``mesh``, which a search has left at ``nodes`` (N, 3)."""
         return nodes
 
     def sensitivity(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:
@@ -110,8 +110,8 @@ class RestDrape:
 
     def _held_moves(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:
         """Derivatives (N, 3, Z) of the nodes that the belt holds along ``moves``; zero at the others."""
-        found = np.zeros((*nodes.shape, moves.shape[2]))
+        held = np.zeros((*nodes.shape, moves.shape[2]))
         if self.belt is not None:
             slopes = torch.autograd.functional.jacobian(self.belt.places, rest)
-            found[self.belt.held] = np.einsum("hcpd,pdz->hcz", slopes.numpy(), moves)  # type: ignore[union-attr]
-        return found
+            held[self.belt.held] = np.einsum("hcpd,pdz->hcz", slopes.numpy(), moves)  # type: ignore[union-attr]
+        return held

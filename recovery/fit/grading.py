@@ -71,11 +71,11 @@ def grade(
     """
     pattern = mesh.pattern
     unknowns = _Unknowns(mesh, nodes, symmetries)
-    told = [*_contour_equations(unknowns, contours, matches), *_seam_equations(unknowns)]
-    equations = [*told, *_priors(unknowns)]
+    measured = [*_contour_equations(unknowns, contours, matches), *_seam_equations(unknowns)]
+    equations = [*measured, *_priors(unknowns)]
     rows, rights, weights = (np.array(part) for part in zip(*equations, strict=True))
-    found = np.linalg.lstsq(weights[:, None] * rows, weights * rights, rcond=1e-10)[0]
-    own = found[: unknowns.count]
+    solution = np.linalg.lstsq(weights[:, None] * rows, weights * rights, rcond=1e-10)[0]
+    own = solution[: unknowns.count]
     numbers = own.reshape(-1, NUMBERS)
     factors = 1.0 + numbers[:, :2]
     if factors.min() < SMALLEST or factors.max() > LARGEST:
@@ -85,7 +85,7 @@ def grade(
             got=f"panels of {factors.min():.2f} to {factors.max():.2f} times",
             cure="Check the target's unit, and take a base pattern nearer to it.",
         )
-    off = np.abs(rows[: len(told)] @ found - rights[: len(told)])
+    off = np.abs(rows[: len(measured)] @ solution - rights[: len(measured)])
     leaders = _leaders(pattern, symmetries)
     order = sorted(set(leaders))
     of_panel = numbers[[order.index(leader) for leader in leaders]]

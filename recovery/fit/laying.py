@@ -83,7 +83,7 @@ class LaidDrape(RestDrape):
         return self._step(x, given, stiffness), Report(steps + 1, 0.0, True)
 
     def begun(self, nodes: np.ndarray) -> np.ndarray:
-        """``nodes`` [m] (N, 3) laid on the target, in one step with each of ``SPRINGS_N_M3``."""
+        """Returns ``nodes`` [m] (N, 3) laid on the target: one implicit step with each of ``SPRINGS_N_M3``."""
         x = torch.from_numpy(np.ascontiguousarray(nodes))
         with torch.no_grad():
             for number, stiffness in enumerate(SPRINGS_N_M3):
@@ -94,7 +94,7 @@ class LaidDrape(RestDrape):
         return x.numpy()
 
     def ended(self, mesh: PatternMesh, nodes: np.ndarray) -> np.ndarray:
-        """The drape [m] (N, 3) of ``mesh`` let go from ``nodes`` (N, 3)."""
+        """Returns the drape [m] (N, 3) of ``mesh`` after its springs are let go at ``nodes`` (N, 3)."""
         return fallen(mesh, nodes, self.contact.body, self.cloth).nodes
 
     def _step(self, x: Tensor, parameters: Parameters, stiffness: float) -> Tensor:
@@ -176,31 +176,32 @@ def fallen(mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: Or
 
 
 def laid(draped: Draped, target: Target, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
-    """``draped`` where springs lay it on the ``target``; ``skin`` is the body's distance in the drape's pose."""
+    """Returns ``draped`` where springs have laid it on the ``target``. ``skin`` is the body's signed distance in the
+    drape's pose, ``cloth`` what it is made of."""
     return _with_nodes(draped, LaidDrape(draped.mesh, skin, cloth, target).begun(draped.nodes))
 
 
 def hung_as(
     draped: Draped, mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial
 ) -> Draped:
-    """``draped`` let go from the folds that another mesh of its pattern, ``mesh``, has at ``nodes`` [m] (N, 3)."""
+    """Returns ``draped`` hung in the folds of another mesh of its pattern, ``mesh`` at ``nodes`` [m] (N, 3), and let go
+    from there."""
     return let_go(_with_nodes(draped, on_finer_mesh(mesh, nodes, draped.mesh)), skin, cloth)
 
 
 def hung_at_rest(
     draped: Draped, mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial
 ) -> Draped:
-    """``hung_as``, and from there at rest without friction, as what does not gather is draped."""
+    """Returns what ``hung_as`` does, brought to rest from there without friction, as garments are that do not
+    gather."""
     hung, forward = hung_as(draped, mesh, nodes, skin, cloth), RestDrape(draped.mesh, skin, cloth)
     state, report = to_rest(forward.model, forward.model.state(hung.nodes), forward.parameters, forward.contact)
     return _lying(hung, Drape(state.x.numpy(), draped.rest.held, report, 0))
 
 
 def put_on(draped: Draped, mesh: PatternMesh, nodes: np.ndarray, hold: Callable[[Draped], Draped]) -> Draped:
-    """``draped`` put on as another mesh of its pattern, ``mesh`` at ``nodes`` [m] (N, 3), its belt laid by ``hold``.
-
-    Itself if it does not come to rest so.
-    """
+    """Returns ``draped`` put where another mesh of its pattern lies, ``mesh`` at ``nodes`` [m] (N, 3), with its belt
+    laid by ``hold``, and at rest from there. ``draped`` itself, if it does not come to rest so."""
     placed = _with_nodes(draped, on_finer_mesh(mesh, nodes, draped.mesh))
     worn = hold(placed)
     return draped if worn is placed else worn
@@ -216,7 +217,7 @@ def in_other_folds(draped: Draped, mesh: PatternMesh, nodes: np.ndarray) -> bool
 
 
 def let_go(draped: Draped, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
-    """``draped`` as ``fallen`` from where it is."""
+    """Returns ``draped`` after ``fallen``, begun where it is."""
     return _lying(draped, fallen(draped.mesh, draped.nodes, skin, cloth))
 
 

@@ -83,12 +83,7 @@ class Target:
 
     @classmethod
     def from_mesh(
-        cls,
-        vertices: np.ndarray,
-        faces: np.ndarray,
-        contours: list[Contour],
-        *,
-        known: np.ndarray | None = None,
+        cls, vertices: np.ndarray, faces: np.ndarray, contours: list[Contour], *, known: np.ndarray | None = None
     ) -> Target:
         """The target of a mesh, of which the faces ``known`` (F,) count, all by default."""
         weights = fold_weights(mean_curvature(vertices, faces))
@@ -172,10 +167,8 @@ def on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor, Tensor, Tenso
 
 
 def nearest_on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor]:
-    """The segment (n,) of a closed polyline ``line`` (m, 3) nearest to each of ``points`` (n, 3), and the place on it.
-
-    Places (n,) run from 0 to 1. Neither is differentiated.
-    """
+    """Returns for each of ``points`` (n, 3) the number (n,) of the nearest segment of the closed polyline ``line`` (m,
+    3), and the place (n,) on it, from 0 to 1. Neither is differentiated."""
     with torch.no_grad():
         along = torch.roll(line, -1, dims=0) - line
         squared = torch.clamp((along * along).sum(dim=1), min=1e-30)

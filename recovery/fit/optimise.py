@@ -146,7 +146,7 @@ class PatternSearch:
         return replace(self.mesh, pattern=fitted.pattern, rest=self.mesh.rest_at(fitted.positions))
 
     def rests(self, nodes: np.ndarray) -> bool:
-        """Whether the simulator finds a drape of the pattern as it is from ``nodes`` [m] (N, 3)."""
+        """Returns whether the simulator finds a drape of the unchanged pattern, begun at ``nodes`` [m] (N, 3)."""
         return self.evaluate(np.zeros(self.free.count), nodes) is not None
 
     def evaluate(self, values: np.ndarray, near: np.ndarray) -> Evaluation | None:
@@ -256,11 +256,11 @@ class PatternSearch:
         for halved in range(HALVINGS):
             if watch.over():
                 return state
-            found = self._tried(state.now.values + 0.5**halved * step, state.now.nodes)
-            if found is not None:
-                best = found if found.terms[0] < state.best.terms[0] else state.best
-                history = np.concatenate([state.history, [[*found.terms, float(halved)]]])
-                return _State(found, best, mean, square, state.damping, count, history, False)
+            point = self._tried(state.now.values + 0.5**halved * step, state.now.nodes)
+            if point is not None:
+                best = point if point.terms[0] < state.best.terms[0] else state.best
+                history = np.concatenate([state.history, [[*point.terms, float(halved)]]])
+                return _State(point, best, mean, square, state.damping, count, history, False)
         return state if watch.over() else state._replace(stuck=True)
 
     def _close(self, state: _State) -> _State:
@@ -274,11 +274,11 @@ class PatternSearch:
             if watch.over():
                 return state
             step = ways @ np.linalg.solve(matrix + damping * scale * np.eye(len(matrix)), -gradient)
-            found = self._tried(start.values + step, start.nodes)
-            if found is not None and found.terms[0] < start.terms[0]:
-                history = np.concatenate([state.history, [[*found.terms, float(tried)]]])
+            point = self._tried(start.values + step, start.nodes)
+            if point is not None and point.terms[0] < start.terms[0]:
+                history = np.concatenate([state.history, [[*point.terms, float(tried)]]])
                 damping = max(0.2 * damping, DAMPING_RANGE[0]) if tried == 0 else damping
-                return state._replace(now=found, best=found, damping=damping, step=state.step + 1, history=history)
+                return state._replace(now=point, best=point, damping=damping, step=state.step + 1, history=history)
             damping = min(10.0 * damping, DAMPING_RANGE[1])
         return state if watch.over() else state._replace(stuck=True, damping=damping)
 

@@ -33,13 +33,13 @@ class Sewn(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One search: the drape at its ``start``, how contours were paired there, and what was ``fitted``.
+    """One search for the pattern: the drape at its ``start``, the ``matches`` of its contours with the target's, and
+    what it ``fitted``.
 
-    ``sewn`` is the pattern that it found sewn anew, which the next round starts from; ``sewn_m2`` is the squared
-    distance [m^2] of that from the target, both directions summed. Where nothing could be sewn it is None and infinite.
-    Its mesh was asked for with ``edge_length_m`` [m]. It took ``seconds`` by the clock and ``processor_s`` of the
-    processor, over all threads; its mesh and the drape at its start count with it. Base and grading count with the
-    first round.
+    ``sewn``: the pattern that it found, sewn anew from flat panels; the next round starts from that. ``sewn_m2`` [m^2]:
+    the squared distance of that from the target, both directions summed. If nothing could be sewn they are None and
+    infinite. ``edge_length_m`` [m] is the mesh's. ``seconds`` by the clock and ``processor_s`` over all threads include
+    the mesh and the drape at its start; those of the first round include base and grading.
     """
 
     start: Draped
@@ -54,7 +54,8 @@ class Round:
 
     @property
     def least(self) -> np.ndarray:
-        """The row of the search's history that its pattern is of."""
+        """The row of the search's history at which its pattern was found: total loss, surface, contours, and
+        halvings."""
         return self.fitted.history[self.fitted.history[:, 0].argmin()]
 
     @cached_property
@@ -64,12 +65,13 @@ class Round:
 
     @property
     def apart_m2(self) -> float:
-        """The loss of its pattern but for the reach, which may differ from round to round."""
+        """The loss [m^2] of its pattern without the factor of the reach, which differs from round to round."""
         return self.surface_m2 + float(self.least[2])
 
     @property
     def rank(self) -> tuple[float, float]:
-        """What the best round has least of: a pattern that falls into other folds when it is sewn is of no use."""
+        """The numbers by which rounds are compared; the least is the best. A pattern that falls into other folds when
+        it is sewn comes last."""
         return self.apart_m2 + self.sewn_m2, self.apart_m2
 
 
@@ -99,12 +101,13 @@ class Recovered:
 
 
 def clocks() -> np.ndarray:
-    """Seconds of the clock and of the processor."""
+    """Returns the time [s] of the clock and that of the processor."""
     return np.array([time.perf_counter(), time.process_time()])
 
 
 def why_left(rounds: Sequence[Round], start: Draped) -> str:
-    """Why no search from ``start`` follows the last of ``rounds``; empty if one does."""
+    """Returns a sentence on why no further search begins at ``start``, after the ``rounds`` so far; empty if one
+    does."""
     if not start.at_rest:
         return NOT_AT_REST
     last = rounds[-1]

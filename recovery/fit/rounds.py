@@ -239,11 +239,7 @@ class _Task:
         return held_as_target(draped, self.matches(draped)[0], self.target.contours, self.skin, cloth)
 
     def search(
-        self,
-        start: Draped,
-        centre: Pattern,
-        cloth: OrthotropicMaterial,
-        reach_m: float,
+        self, start: Draped, centre: Pattern, cloth: OrthotropicMaterial, reach_m: float
     ) -> tuple[PatternSearch, list[Match]]:
         """The search from ``start`` in ``cloth`` with this reach [m], and how its contours are paired.
 

@@ -24,7 +24,8 @@ RANK = 1e-9  # of the largest singular value: mirrored stitches say the same twi
 
 
 def wanted_ratios(base: Pattern) -> np.ndarray:
-    """The first edge's length over the second's (S,) that the stitches of ``base`` ask for; 1 where it has no ease."""
+    """Returns for each stitch of ``base`` the ratio (S,) of its first edge's length to its second's; 1 where the base
+    has no ease."""
     ratio = np.array([seam.first_m / seam.second_m for seam in geometry.seams(base)])
     return np.where(np.abs(ratio - 1.0) <= EVEN, 1.0, ratio)
 
@@ -57,11 +58,11 @@ class SeamConstraint:
         rows = np.concatenate([self.free.origin.reshape(-1, 1), self.free.basis], axis=1).reshape(
             len(self.free.controls), 2, -1
         )
-        found = np.zeros((len(refs), *rows.shape[1:]))
+        chords = np.zeros((len(refs), *rows.shape[1:]))
         for number, ref in enumerate(refs):
             corners = np.flatnonzero(self.free.controls.panel == self._number[ref.panel])
-            found[number] = rows[corners[(ref.edge + 1) % len(corners)]] - rows[corners[ref.edge]]
-        return found
+            chords[number] = rows[corners[(ref.edge + 1) % len(corners)]] - rows[corners[ref.edge]]
+        return chords
 
     def apart(self, values: np.ndarray) -> np.ndarray:
         """g (S,) at ``values`` [m] (Z,): the relative difference of every seam from what is asked for."""
@@ -84,7 +85,8 @@ class SeamConstraint:
         return ways[rank:].T
 
     def kept(self, values: np.ndarray) -> np.ndarray | None:
-        """The values [m] (Z,) near ``values`` whose seams are as asked for; None where Newton's method finds none."""
+        """Returns the values [m] (Z,) nearest to ``values`` at which all seams have their ratios; None where Newton's
+        method finds none."""
         values = np.array(values, dtype=np.float64)
         for _ in range(NEWTON_LIMIT):
             apart = self.apart(values)

@@ -50,11 +50,11 @@ class Start:
 def worn_drape(
     pattern: Pattern, start: Start, *, rest: bool = True, mended: Callable[[Draped], Draped] = lambda one: one
 ) -> Draped:
-    """The drape of ``pattern``, on a mesh a little finer or coarser where a part is lost or, with ``rest``, it moves.
+    """Returns a drape of ``pattern`` in which every part of the body is in its opening, as ``mended`` has made of it.
 
-    Where a part is lost a much finer one is tried first. Each is judged, and given, as it is ``mended``.
-    The best of them where none is right: one with all parts before one at rest. Raises ``InputError`` where the
-    pattern cannot be sewn on any.
+    If a part is lost, or with ``rest`` if the cloth still moves, other meshes are tried: a much finer one first for a
+    lost part, then a little finer and coarser ones. If none is right, the best is returned: one with all parts before
+    one at rest. Raises ``InputError`` where the pattern cannot be sewn on any.
     """
     tried: list[tuple[tuple[int, int, int], Draped]] = []
     refused: list[InputError] = []
@@ -80,9 +80,10 @@ def worn_drape(
 
 
 def needed_length(draped: Draped, options: DrapeOptions) -> float:
-    """The longest edges [m] on which a garment like ``draped`` is worn; infinite where those of ``options`` will do.
+    """Returns the longest edges [m] on which a garment like ``draped`` is worn; infinite if the mesh of ``options``
+    will do.
 
-    What a coarse mesh lost once it would lose in every drape of a search.
+    A part of the body that a coarse mesh has lost once would be lost in every drape of a search.
     """
     length = draped.figures["edge_length_m"]
     return length if length <= FINER * options.edge_length_m else math.inf
@@ -90,13 +91,13 @@ def needed_length(draped: Draped, options: DrapeOptions) -> float:
 
 def drape_at_rest(pattern: Pattern, start: Start) -> Draped:
     """``worn_drape`` of ``pattern``. Raises ``InputError`` where it does not come to rest."""
-    found = worn_drape(pattern, start)
-    if not found.at_rest:
-        left = max(one.report.residual_n for one in (found.rest, found.posed) if one is not None)
+    draped = worn_drape(pattern, start)
+    if not draped.at_rest:
+        left = max(one.report.residual_n for one in (draped.rest, draped.posed) if one is not None)
         raise InputError(
             "graded pattern",
             expected="a drape at rest to start from",
             got=f"{left:.1e} N left at a node, on the best of {len(LENGTHS_TRIED)} meshes",
             cure="Take another mesh (edge_length_m), more iterations, or a base nearer to the target.",
         )
-    return found
+    return draped

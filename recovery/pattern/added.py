@@ -41,8 +41,8 @@ def with_ribs(pattern: Pattern, name: str, width_m: float, shorter: float) -> Pa
     bands = {panel.name for panel in pattern.panels if panel.name.endswith(f"_{word}")}
     held = set()
     for stitch in pattern.stitches:
-        for one, other in ((stitch.first, stitch.second), (stitch.second, stitch.first)):
-            if one.panel in bands and other.panel not in bands:
+        for band, other in ((stitch.first, stitch.second), (stitch.second, stitch.first)):
+            if band.panel in bands and other.panel not in bands:
                 held.add(other)
     pattern = replace(
         pattern,

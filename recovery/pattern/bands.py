@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from recovery.pattern import geometry
+from recovery.pattern.bent_panels import Tube, Vector, draft_round
 from recovery.pattern.design import Assembly
 from recovery.pattern.drafting import Drafted, Side
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.wrapping import Tube, Vector, draft_round
 
 WAISTBAND_SHORTER = 0.02  # the waist is eased into it
 UP: Vector = (0.0, 1.0, 0.0)
@@ -29,10 +29,10 @@ def sew_band(
     free: str = "opening",
     seam: str | None = None,
 ) -> Drafted:
-    """A strip of ``width_m`` sewn to the edges ``to``, listed as they follow each other along the tube's u.
+    """Sews a strip of ``width_m`` [m] to the edges ``to``, which follow each other along the tube's u, and returns it.
 
-    It is ``shorter`` than they are by that share, and stands ``above`` them (a waistband) or hangs below (a cuff).
-    Its free edge is named ``free`` and its name, its seam ``seam`` or after it.
+    It is shorter than they are by the share ``shorter``. It stands ``above`` them, as a waistband does, or hangs below,
+    as a cuff. ``free`` and ``name`` name its free edge and the panel; ``seam`` its seam, by default after the name.
     """
     lengths = [(1.0 - shorter) * geometry.edge_length(drafted.panel, drafted.numbers[side]) for drafted, side in to]
     total = sum(lengths)

@@ -13,12 +13,12 @@ from drape.errors import InputError, NotFound
 from recovery.pattern.design import Design
 from recovery.pattern.dresses import DressCut
 from recovery.pattern.dresses import dress as draft_dress
-from recovery.pattern.legs import LegCut
-from recovery.pattern.legs import trousers as draft_trousers
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.model import Pattern
 from recovery.pattern.skirts import SkirtCut, fitted
 from recovery.pattern.tops import Sleeve, TopCut, top
+from recovery.pattern.trousers import LegCut
+from recovery.pattern.trousers import trousers as draft_trousers
 
 LONGEST_M = 3.0  # that a setting may be
 POSITIVE = ("length", "depth", "girth", "inseam")  # words in the names of settings that are no differences
@@ -123,7 +123,7 @@ BASES = {base.cut.name: base for base in (tshirt, tank, dress, sleeved_dress, tr
 
 
 def whole(value: float) -> int:
-    """The number of panels that a setting says. Raises ``InputError`` for none that a skirt has."""
+    """Returns the setting ``value`` as a number of panels. Raises ``InputError`` for a number that no skirt has."""
     if value not in range(2, MOST_PANELS + 1):
         raise InputError(
             COUNT, expected=f"a whole number from 2 to {MOST_PANELS}", got=f"{value:g}", cure="Count the target's."

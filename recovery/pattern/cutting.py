@@ -85,7 +85,7 @@ def slits(polygon: np.ndarray, reach_m: float, mitre: float) -> list[tuple[np.nd
     tips = polygon[np.roll(turn, 1) < -TIP_RAD]
     clear = (np.linalg.norm(centre[:, None] - tips, axis=2) > TIP_M).all(axis=1)
     kept = np.flatnonzero((low > NARROWEST_M) & (faces | corner) & clear)
-    found = []
+    cuts = []
     for run in np.split(kept, np.flatnonzero(np.diff(number[kept]) > 1) + 1):
         if len(run) > 1 and (faces[run] & (low[run] < reach_m)).any():
             # Beyond a neck the hollow widens: the cut goes on to where there is room.
@@ -94,5 +94,5 @@ def slits(polygon: np.ndarray, reach_m: float, mitre: float) -> list[tuple[np.nd
                 first -= 1
             while last + 1 < len(low) and number[last + 1] == number[last] + 1 and low[last + 1] > low[last]:
                 last += 1
-            found.append((centre[first : last + 1], min(0.5 * SLIT_M, 0.5 * float(low[run].min()))))
-    return found
+            cuts.append((centre[first : last + 1], min(0.5 * SLIT_M, 0.5 * float(low[run].min()))))
+    return cuts

@@ -56,13 +56,14 @@ def _point(place: np.ndarray) -> Point:
 
 
 def sew_darts(work: Assembly, drafted: Drafted) -> None:
-    """Closes every dart of a panel."""
+    """Sews both legs of every dart in the panel ``drafted`` to each other."""
     for side in drafted.numbers:
         if side.endswith("_in"):
             work.sew(f"dart_{drafted.panel.name}_{side[:-3]}", drafted, side, drafted, side[:-3] + "_out")
 
 
 def waist_pieces(drafted: Drafted, name: str) -> list[tuple[Drafted, str]]:
-    """The pieces of the waist ``name`` as a band above them meets them, from the viewer's left to his right."""
+    """Returns the pieces of the waist ``name`` in the order in which a band above meets them, from the viewer's left to
+    the right: each the panel and the name of its side."""
     pieces = [side for side in drafted.numbers if side.startswith(f"{name}_") and side[len(name) + 1 :].isdigit()]
     return [(drafted, side) for side in reversed(pieces)]

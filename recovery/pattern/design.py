@@ -10,10 +10,10 @@ import numpy as np
 
 from drape.errors import InputError
 from recovery.pattern import geometry
+from recovery.pattern.bent_panels import Wrap
 from recovery.pattern.drafting import Drafted
 from recovery.pattern.model import EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.pieces import CLOTH_WIDTH_M
-from recovery.pattern.wrapping import Wrap
 
 SEAM_TOLERANCE = 0.02  # of the mean length; what is eased in or gathered on purpose is named
 EASE_SLACK = 0.03  # by which a named ease may be missed
@@ -106,7 +106,8 @@ class Assembly:
 
 
 def check_seams(design: Design) -> None:
-    """Refuses a seam whose edges differ by more than 2 % of their length, or not by its named ease."""
+    """Refuses (``InputError``) a seam whose edges differ by more than 2 % of their length, or, if it is eased, by
+    something else than its ease."""
     for seam, name in zip(geometry.seams(design.pattern), design.seam_names, strict=True):
         wanted = design.eased.get(name, 0.0)
         share = seam.second_m / seam.first_m - 1.0

@@ -106,5 +106,6 @@ def before_and_behind(body: BodyMeasurements) -> tuple[tuple[str, tuple[float, f
 
 
 def root(function: Callable[[float], float], low: float, high: float) -> float:
-    """The zero of ``function`` between ``low`` and ``high``, where it has different signs, within a nanometre."""
+    """Returns where ``function`` is zero between ``low`` and ``high``, at which it has different signs, to a
+    nanometre."""
     return float(brentq(function, low, high, xtol=1e-9))  # pyright: ignore[reportArgumentType]

@@ -17,7 +17,7 @@ from ezdxf.document import Drawing
 from ezdxf.layouts import BlockLayout, Modelspace
 
 from drape.errors import InputError
-from recovery.pattern.pieces import NOTCH_DEPTH_M, Piece, Sheet, cut_count
+from recovery.pattern.pieces import NOTCH_DEPTH_M, CuttingSheet, Piece, cut_count
 
 CUT, TURN_POINT, CURVE_POINT, NOTCH, GRAIN, INTERNAL, SEW, ANNOTATION = "1", "2", "3", "4", "7", "8", "14", "15"
 LAYERS = (CUT, TURN_POINT, CURVE_POINT, NOTCH, GRAIN, INTERNAL, SEW, ANNOTATION)
@@ -27,7 +27,7 @@ UNITS_MM = (1.0, 10.0)
 DIALECTS = ("aama", "gerber")
 
 
-def write_dxf(sheet: Sheet, path: Path, *, unit_mm: float = 1.0, dialect: str = "aama") -> None:
+def write_dxf(sheet: CuttingSheet, path: Path, *, unit_mm: float = 1.0, dialect: str = "aama") -> None:
     """Writes ``sheet`` to ``path`` with drawing units of ``unit_mm``.
 
     R12 files state no unit, and what "METRIC" means differs: most readers ask, some take centimetres (10).

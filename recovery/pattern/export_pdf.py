@@ -8,7 +8,7 @@ import numpy as np
 from reportlab.pdfgen.canvas import Canvas
 
 from drape.errors import InputError
-from recovery.pattern.pieces import FOOTER_M, MARGIN_M, NOTCH_DEPTH_M, SCALE_SQUARE_M, Piece, Sheet
+from recovery.pattern.pieces import FOOTER_M, MARGIN_M, NOTCH_DEPTH_M, SCALE_SQUARE_M, CuttingSheet, Piece
 from recovery.pattern.triangulate import inside
 
 POINT_MM = 25.4 / 72.0
@@ -20,7 +20,7 @@ FORM = "pieces"
 CAPITAL = 0.72  # height of Helvetica's capitals over its size
 
 
-def write_pdf(sheet: Sheet, path: Path, *, page: str = "A4") -> int:
+def write_pdf(sheet: CuttingSheet, path: Path, *, page: str = "A4") -> int:
     """Writes ``sheet`` to ``path`` and returns the number of pages; A4 pages beside the pieces are left out."""
     if page not in PAGES:
         raise InputError("page", expected=f"one of {PAGES}", got=page, cure="Choose one of them.")
@@ -59,7 +59,7 @@ def write_pdf(sheet: Sheet, path: Path, *, page: str = "A4") -> int:
     return used
 
 
-def _is_used(sheet: Sheet, low: np.ndarray, high: np.ndarray) -> bool:
+def _is_used(sheet: CuttingSheet, low: np.ndarray, high: np.ndarray) -> bool:
     """Whether a piece of ``sheet`` or the scale square reaches into the box from ``low`` to ``high`` [m]."""
     if low[0] < MARGIN_M + SCALE_SQUARE_M and low[1] < FOOTER_M:
         return True
@@ -96,7 +96,7 @@ def _tile(canvas: Canvas, corner: np.ndarray, tile: np.ndarray, name: str, title
     canvas.showPage()
 
 
-def _draw_sheet(canvas: Canvas, sheet: Sheet) -> None:
+def _draw_sheet(canvas: Canvas, sheet: CuttingSheet) -> None:
     for piece, place in zip(sheet.pieces, sheet.offsets, strict=True):
         _draw_piece(canvas, piece, place)
     low = _points(np.array([MARGIN_M, MARGIN_M]))

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from recovery.pattern.model import EdgeKind, Panel
-from recovery.pattern.pieces import FOOTER_M, MARGIN_M, NOTCH_DEPTH_M, SCALE_SQUARE_M, Piece, Sheet
+from recovery.pattern.pieces import FOOTER_M, MARGIN_M, NOTCH_DEPTH_M, SCALE_SQUARE_M, CuttingSheet, Piece
 
 MM = 1000.0
 ARROW_MM = 6.0
@@ -20,12 +20,12 @@ STYLE = (
 )
 
 
-def write_svg(sheet: Sheet, path: Path) -> None:
+def write_svg(sheet: CuttingSheet, path: Path) -> None:
     """Writes ``sheet`` to ``path``: a group per piece with cut, sew, grain and notch lines by class."""
     ElementTree.ElementTree(drawing(sheet)).write(path, encoding="utf-8", xml_declaration=True)
 
 
-def drawing(sheet: Sheet) -> ElementTree.Element:
+def drawing(sheet: CuttingSheet) -> ElementTree.Element:
     """``sheet`` as the element that ``write_svg`` writes."""
     width, height = MM * sheet.width_m, MM * sheet.height_m
     root = ElementTree.Element(

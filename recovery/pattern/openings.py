@@ -49,14 +49,14 @@ def openings(pattern: Pattern) -> list[Opening]:
             place[root(one)] = root(other)
     sewn = partners(pattern)
     left = [ref for ref in pattern.edge_refs() if ref not in sewn]
-    found = []
+    rings = []
     while left:
         loop = [left.pop(0)]
         while (following := _from(left, root(ends(loop[-1])[1]), ends, root)) is not None:
             left.remove(following)
             loop.append(following)
-        found.append(Opening(tuple(loop), centre_of(pattern, loop)))
-    return found
+        rings.append(Opening(tuple(loop), centre_of(pattern, loop)))
+    return rings
 
 
 def _from(
@@ -102,12 +102,12 @@ def openings_by_name(pattern: Pattern) -> dict[str, list[Opening]]:
 
 def openings_called(pattern: Pattern, name: str, part: str) -> list[Opening]:
     """The openings called ``name``, at which the ``part`` is to be."""
-    found = openings_by_name(pattern)
-    if not found.get(name):
+    by_name = openings_by_name(pattern)
+    if not by_name.get(name):
         raise InputError(
             f"--style {part}",
             expected=f"a garment with a {name}",
-            got=f"one with {' and '.join(key for key, ones in found.items() if ones)}",
+            got=f"one with {' and '.join(key for key, ones in by_name.items() if ones)}",
             cure="Leave it out.",
         )
-    return found[name]
+    return by_name[name]

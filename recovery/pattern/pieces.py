@@ -68,7 +68,7 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
+class CuttingSheet:
     """Pieces on a sheet of ``width_m`` by ``height_m``, y up; ``offsets`` [m] are the origins of the panels' frames."""
 
     title: str
@@ -78,7 +78,7 @@ class Sheet:
     height_m: float
 
 
-def make_sheet(pattern: Pattern, *, allowance_m: float = SEAM_M, hem_m: float | None = None) -> Sheet:
+def make_sheet(pattern: Pattern, *, allowance_m: float = SEAM_M, hem_m: float | None = None) -> CuttingSheet:
     """All pieces of ``pattern`` with ``allowance_m`` around each, in rows no wider than the cloth where they fit.
 
     Hems have ``hem_m`` [m]: by default 25 mm, or the seams' where that is more; nothing without a seam allowance.
@@ -107,7 +107,7 @@ def make_sheet(pattern: Pattern, *, allowance_m: float = SEAM_M, hem_m: float | 
     highs = lows[:, 1] + sizes[:, 1]
     offsets[:, 1] = height - MARGIN_M - offsets[:, 1] - highs
     used = max(used, SCALE_SQUARE_M + 0.25)
-    return Sheet(pattern.name, tuple(pieces), offsets, used, height)
+    return CuttingSheet(pattern.name, tuple(pieces), offsets, used, height)
 
 
 def sewn_edges(pattern: Pattern) -> set[EdgeRef]:
@@ -127,7 +127,7 @@ def hems(pattern: Pattern) -> set[EdgeRef]:
     chord, and if it lies in the lower half of its panel, as placed, or stands upright like the cuff of a spread arm.
     """
     sewn = sewn_edges(pattern)
-    found = set()
+    edges = set()
     for ref in pattern.edge_refs():
         panel = pattern.panel(ref.panel)
         edge = panel.edges[ref.edge]
@@ -144,8 +144,8 @@ def hems(pattern: Pattern) -> set[EdgeRef]:
             bend = np.abs(geometry.relative_curve(edge, np.linspace(0.0, 1.0, 9))[:, 1]).max()
             if bend > HEM_BEND or (above and not upright):
                 continue
-        found.add(ref)
-    return found
+        edges.add(ref)
+    return edges
 
 
 def side_of(panel: Panel) -> str:

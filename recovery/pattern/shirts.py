@@ -6,21 +6,11 @@ import numpy as np
 
 from recovery.pattern import geometry
 from recovery.pattern.bands import sew_band
+from recovery.pattern.bent_panels import Cone, Tube, Vector, draft_round
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import (
-    BACK,
-    FRONT,
-    Drafted,
-    Point,
-    Side,
-    before_and_behind,
-    draft,
-    on_ring,
-    ring_handles,
-)
+from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, before_and_behind, draft, on_ring, ring_handles
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.tops import HOLLOWS, TopCut, bodice, lines, set_sleeves
-from recovery.pattern.wrapping import Cone, Tube, Vector, draft_round
 
 NECK_LEAN_DEG = 24.0  # of the neckline's plane: lower in front
 BUTTONS_APART_M = 0.004  # from the middle to each front

@@ -9,21 +9,12 @@ import numpy as np
 
 from drape.errors import InputError
 from recovery.pattern.bands import sew_waistband
+from recovery.pattern.bent_panels import Flutes, draft_round
 from recovery.pattern.darts import waist_pieces
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import (
-    STAND_OFF_M,
-    Drafted,
-    Point,
-    Side,
-    before_and_behind,
-    draft,
-    on_ring,
-    ring_handles,
-)
+from recovery.pattern.drafting import STAND_OFF_M, Drafted, Point, Side, before_and_behind, draft, on_ring, ring_handles
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.model import Placement
-from recovery.pattern.wrapping import Flutes, draft_round
 
 QUARTER = 0.5 * np.pi
 WAIST_DIPS_M = (0.012, 0.018)  # of a fitted skirt's waist in the middle, in front and behind
@@ -174,7 +165,7 @@ def _spread_panel(
         angle, radius = point[0] * spread, 1.0 / spread + top - point[1]
         return radius * float(np.sin(angle)), top + 1.0 / spread - radius * float(np.cos(angle))
 
-    found = []
+    turned_sides = []
     for side, following in zip(sides, (*sides[1:], sides[0]), strict=True):
         ends = np.array([turned(side.start), turned(following.start)])
         handles = tuple(turned(handle) for handle in side.handles)
@@ -182,17 +173,18 @@ def _spread_panel(
             middle = 0.5 * np.array(side.handles[0]) + 0.25 * (np.array(side.start) + np.array(following.start))
             x, y = 2.0 * np.array(turned((float(middle[0]), float(middle[1])))) - 0.5 * ends.sum(axis=0)
             handles = ((float(x), float(y)),)
-        found.append(replace(side, start=turned(side.start), handles=handles))
-    return found
+        turned_sides.append(replace(side, start=turned(side.start), handles=handles))
+    return turned_sides
 
 
 def below_waist(
     waist: Point, hips: Point, hem: float, *, flare: float, dip: float, curved: bool, upper: str = "opening_waist"
 ) -> list[Side]:
-    """The sides of a skirt's panel from ``waist`` and ``hips`` on the viewer's right to the height ``hem`` [m].
+    """Returns the sides of a skirt's panel below the ``waist``, down to the height ``hem`` [m].
 
-    The hem is ``flare`` wider on either side. Its ends swing up so that it stays square to the sides. The edge
-    ``upper`` sinks by ``dip`` in the middle; from there to the hips the side is ``curved`` or straight.
+    ``waist`` and ``hips`` are points on the viewer's right. The hem is ``flare`` wider on either side, and its ends
+    swing up so that it stays square to the sides. The edge ``upper`` sinks by ``dip`` in the middle; from there to the
+    hips the side is ``curved`` or straight.
     """
     (x, top), (wide, hip_y) = waist, hips
     lift = flare * flare / (2.0 * (hip_y - hem)) + 0.05 * flare

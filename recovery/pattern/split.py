@@ -103,7 +103,8 @@ def seam_length(pattern: Pattern, ref: EdgeRef, sewn: Mapping[EdgeRef, Stitch]) 
 def divided(
     pattern: Pattern, places: Mapping[EdgeRef, Sequence[float]]
 ) -> tuple[Pattern, dict[EdgeRef, list[EdgeRef]]]:
-    """``pattern`` with corners at ``places``, shares of the lengths of edges, and the pieces of every edge before.
+    """Returns ``pattern`` with new corners at ``places``, shares of the lengths of edges, and for each edge of before
+    the pieces that it is now.
 
     Partners of sewn edges are divided at the same shares, and a seam becomes as many seams.
     """
@@ -133,11 +134,11 @@ def divided(
 
 def _apart(shares: Sequence[float]) -> list[float]:
     """``shares`` in order, each once, without those at the ends."""
-    found: list[float] = []
+    apart: list[float] = []
     for share in sorted(shares):
-        if SAME < share < 1.0 - SAME and (not found or share - found[-1] > SAME):
-            found.append(share)
-    return found
+        if SAME < share < 1.0 - SAME and (not apart or share - apart[-1] > SAME):
+            apart.append(share)
+    return apart
 
 
 def _divided(curve: Curve, shares: Sequence[float]) -> list[Curve]:
@@ -152,19 +153,20 @@ def _divided(curve: Curve, shares: Sequence[float]) -> list[Curve]:
 def parted(
     pattern: Pattern, name: str, ends: tuple[int, int], line: Sequence[Curve], called: str
 ) -> tuple[Pattern, Callable[[EdgeRef], EdgeRef]]:
-    """The panel ``name`` in two, sewn along ``line``; and where an edge of before is now.
+    """Returns ``pattern`` with the panel ``name`` cut in two along ``line`` and sewn there again, and a function from
+    an edge of before to that edge now.
 
     ``ends`` are edges: those from the first up to the second become the panel ``called``, which stands after the rest.
-    ``line`` runs from the start of the second end to the start of the first. Raises ``InputError`` for one that leaves
-    the panel.
+    ``line`` runs from the start of the second end to the start of the first. Raises ``InputError`` for a line that
+    leaves the panel.
     """
     panel, (first, last) = pattern.panel(name), ends
     outline = curves(panel)
     count = len(outline)
-    taken = [(first + n) % count for n in range((last - first) % count)]
+    edges = [(first + n) % count for n in range((last - first) % count)]
     left = [(last + n) % count for n in range((first - last) % count)]
     parts = [
-        panel_of(panel, called, [*(outline[n] for n in taken), *line]),
+        panel_of(panel, called, [*(outline[n] for n in edges), *line]),
         panel_of(panel, name, [*(outline[n] for n in left), *(curve.reversed() for curve in line[::-1])]),
     ]
     middles = np.concatenate([curve.at(np.linspace(0.0, 1.0, SAMPLES + 2)[1:-1]) for curve in line])
@@ -176,7 +178,7 @@ def parted(
             got="one that leaves it",
             cure="Take a smaller width, or another panel.",
         )
-    moved = {EdgeRef(name, old): EdgeRef(called, new) for new, old in enumerate(taken)}
+    moved = {EdgeRef(name, old): EdgeRef(called, new) for new, old in enumerate(edges)}
     moved |= {EdgeRef(name, old): EdgeRef(name, new) for new, old in enumerate(left)}
 
     def now(ref: EdgeRef) -> EdgeRef:
@@ -184,7 +186,7 @@ def parted(
 
     sewn = [replace(one, first=now(one.first), second=now(one.second)) for one in pattern.stitches]
     for n in range(len(line)):
-        sewn.append(Stitch(EdgeRef(called, len(taken) + n), EdgeRef(name, len(left) + len(line) - 1 - n)))
+        sewn.append(Stitch(EdgeRef(called, len(edges) + n), EdgeRef(name, len(left) + len(line) - 1 - n)))
     place = [one.name for one in pattern.panels].index(name)
     panels = [*pattern.panels[:place], parts[1], parts[0], *pattern.panels[place + 1 :]]
     order = None if pattern.panel_order is None else (*pattern.panel_order, called)
@@ -223,22 +225,19 @@ def strips(pattern: Pattern, chains: Sequence[Chain], width_m: float) -> Pattern
             places[ref].append(width_m / length if from_start else 1.0 - width_m / length)
     borders = [beside(pattern, chain) for chain in chains]
     pattern, pieces = divided(pattern, places)
-    found: list[list[EdgeRef]] = []
+    cuts: list[list[EdgeRef]] = []
     for chain, (before, after) in zip(chains, borders, strict=True):
         inner = [piece for ref in chain.refs for piece in pieces[ref]]
-        found.append([pieces[before][-1], *inner, pieces[after][0]])
+        cuts.append([pieces[before][-1], *inner, pieces[after][0]])
     for number, chain in enumerate(chains):
-        refs = found[number]
+        refs = cuts[number]
         name, outline = refs[0].panel, curves(pattern.panel(refs[0].panel))
         ends = refs[0].edge, (refs[-1].edge + 1) % len(outline)
         line = parallel(
-            [outline[ref.edge] for ref in refs[1:-1]],
-            width_m,
-            outline[ends[0]].points[0],
-            outline[ends[1]].points[0],
+            [outline[ref.edge] for ref in refs[1:-1]], width_m, outline[ends[0]].points[0], outline[ends[1]].points[0]
         )
         pattern, now = parted(pattern, name, ends, [curve.reversed() for curve in line[::-1]], chain.called)
-        found = [[now(ref) for ref in refs] for refs in found]
+        cuts = [[now(ref) for ref in refs] for refs in cuts]
     return pattern
 
 
@@ -264,15 +263,15 @@ def parallel(chain: Sequence[Curve], width_m: float, start: np.ndarray, end: np.
         a, b = before[-1], after[0]
         corners.append(one.points[0] + width_m * (a + b) / (1.0 + float(a @ b)))
     corners.append(end)
-    found = []
+    offsets = []
     for curve, normal, low, high in zip(chain, normals, corners[:-1], corners[1:], strict=True):
         if curve.kind is EdgeKind.LINE:
-            found.append(Curve(EdgeKind.LINE, np.array([low, high])))
+            offsets.append(Curve(EdgeKind.LINE, np.array([low, high])))
             continue
         points = curve.at(t) + width_m * normal
         points += np.outer(1.0 - t, low - points[0]) + np.outer(t, high - points[-1])
-        found.append(Curve(EdgeKind.CUBIC, fitted(points)))
-    return found
+        offsets.append(Curve(EdgeKind.CUBIC, fitted(points)))
+    return offsets
 
 
 def fitted(points: np.ndarray) -> np.ndarray:
@@ -331,7 +330,7 @@ def cut_level(pattern: Pattern, name: str, y_m: float, called: str) -> Pattern:
     return parted(pattern, name, ends, [line], called)[0]
 
 
-def joined(pattern: Pattern, number: int, called: str) -> Pattern:
+def joined_panels(pattern: Pattern, number: int, called: str) -> Pattern:
     """The two panels of stitch ``number`` as one panel ``called``, in the frame and place of the first.
 
     Raises ``InputError`` where their edges do not lie on each other within ``JOIN_M``.
@@ -364,7 +363,8 @@ def joined(pattern: Pattern, number: int, called: str) -> Pattern:
 
 
 def laid_on(edge: Curve, other: Curve) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
-    """The rigid motion of points [m] (N, 2) that lays ``other`` on ``edge``, chord on chord, and their distance [m]."""
+    """Returns the rigid motion of points [m] (N, 2) that lays the edge ``other`` on ``edge``, chord on chord, and how
+    far [m] the two are apart then."""
     chords = [complex(*(curve.points[-1] - curve.points[0])) for curve in (edge, other)]
     turn = chords[0] / chords[1] / abs(chords[0] / chords[1])
     rotation = np.array([[turn.real, turn.imag], [-turn.imag, turn.real]])

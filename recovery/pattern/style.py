@@ -16,7 +16,7 @@ from recovery.pattern.added import COLLAR, with_collar, with_ribs
 from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
 from recovery.pattern.openings import Opening, centre_of, openings_called
 from recovery.pattern.pieces import FACED, side_of
-from recovery.pattern.split import JOIN_M, Chain, beside, curves, cut_level, joined, laid_on, partners, strips
+from recovery.pattern.split import JOIN_M, Chain, beside, curves, cut_level, joined_panels, laid_on, partners, strips
 
 WIDEST_M = 0.5  # of any part
 BANDS = {"waistband": "waist", "neckband": "neck", "cuffs": "cuff", "hemband": "hem"}  # and the openings they are at
@@ -123,7 +123,7 @@ def _band(pattern: Pattern, name: str, opening: str, width_m: float) -> Pattern:
             parts = [chain.called for chain in chains if chain.refs[0].panel == panel]
             while (number := _between(pattern, parts)) is not None:
                 ends = pattern.stitches[number].first.panel, pattern.stitches[number].second.panel
-                pattern = joined(pattern, number, min(ends))
+                pattern = joined_panels(pattern, number, min(ends))
                 parts.remove(max(ends))
     return pattern
 
@@ -184,7 +184,7 @@ def _whole_sleeves(pattern: Pattern) -> Pattern:
         other, called = name.replace("_front", "_back"), name.replace("_front", "")
         seams = [n for n, one in enumerate(pattern.stitches) if {one.first.panel, one.second.panel} == {name, other}]
         if seams:
-            pattern = joined(pattern, max(seams, key=lambda n: _height(pattern, n)), called)
+            pattern = joined_panels(pattern, max(seams, key=lambda n: _height(pattern, n)), called)
             count += 1
     if not count:
         raise InputError(
@@ -198,7 +198,7 @@ def _whole_sleeves(pattern: Pattern) -> Pattern:
 
 def cap_corners_deg(pattern: Pattern) -> dict[str, float]:
     """By the names of one-piece sleeves how far [deg] their caps turn at a corner, at most: halves that met there."""
-    sewn, found = partners(pattern), {}
+    sewn, corners = partners(pattern), {}
     for panel in pattern.panels:
         there = [sewn.get(EdgeRef(panel.name, number)) for number in range(len(panel.edges))]
         on_body = [one is not None and not one.second.panel.startswith(panel.name) for one in there]
@@ -210,8 +210,8 @@ def cap_corners_deg(pattern: Pattern) -> dict[str, float]:
             a = geometry.edge_tangents(panel, number, np.array([1.0]))[0]
             b = geometry.edge_tangents(panel, following, np.array([0.0]))[0]
             turns.append(float(np.degrees(np.abs(np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b)))))
-        found[panel.name] = max(turns)
-    return found
+        corners[panel.name] = max(turns)
+    return corners
 
 
 def _height(pattern: Pattern, number: int) -> float:
@@ -238,7 +238,7 @@ def _whole_band(pattern: Pattern, word: str) -> Pattern:
                 seams.append((float(centre_of(pattern, sides)[2]), number))
         for _, number in sorted(seams, reverse=True):
             called = pattern.stitches[number].first.panel
-            found = joined(pattern, number, called)
+            found = joined_panels(pattern, number, called)
             if geometry.first_crossing(geometry.outline(found.panel(called))) is None:
                 pattern = found
                 break
@@ -272,7 +272,7 @@ def _whole_yoke(pattern: Pattern) -> Pattern:
             return pattern
         if ends[number][0] != whole:
             pattern = _turned(pattern, number)
-        pattern, whole = joined(pattern, number, "yoke"), "yoke"
+        pattern, whole = joined_panels(pattern, number, "yoke"), "yoke"
 
 
 def _turned(pattern: Pattern, number: int) -> Pattern:

@@ -103,7 +103,7 @@ def _best(pattern: Pattern, p: int, q: int, tolerance_m: float) -> Symmetry | No
     if len(first.edges) != len(second.edges):
         return None
     count = len(first.edges)
-    found: list[Symmetry] = []
+    symmetries: list[Symmetry] = []
     # Within a panel only reflections are asked for: left and right, as in the paper.
     for kind in (Kind.REFLECTION,) if p == q else (Kind.REFLECTION, Kind.ROTATION):
         for shift in range(count):
@@ -115,11 +115,11 @@ def _best(pattern: Pattern, p: int, q: int, tolerance_m: float) -> Symmetry | No
                 continue
             matrix, error = procrustes(*_matched(first, second, candidate), reflect=kind is Kind.REFLECTION)
             if error <= tolerance_m:
-                found.append(replace(candidate, matrix=matrix, error_m=error))
-    if not found:
+                symmetries.append(replace(candidate, matrix=matrix, error_m=error))
+    if not symmetries:
         return None
-    least = min(s.error_m for s in found)
-    good = [s for s in found if s.error_m <= least + TIE_SHARE * tolerance_m]
+    least = min(s.error_m for s in symmetries)
+    good = [s for s in symmetries if s.error_m <= least + TIE_SHARE * tolerance_m]
     return max(good, key=lambda s: (round(float(s.matrix[1, 1]), 2), s.kind is Kind.REFLECTION, -s.error_m))
 
 

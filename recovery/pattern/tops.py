@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.bands import FORWARD, UP, Edge, sew_band
+from recovery.pattern.bent_panels import Tube, draft_round
 from recovery.pattern.design import Assembly, Design
 from recovery.pattern.drafting import FRONT, STAND_OFF_M, Drafted, Point, Side, before_and_behind, draft, root
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.wrapping import Tube, draft_round
 
 NECK_SLOPE = 0.6
 CAP_EASE = 0.015  # by which a cap is longer than its armhole
@@ -25,10 +25,12 @@ HOLLOWS = (0.75, 0.6)  # how far towards the shoulder the armhole runs level, in
 
 @dataclass(frozen=True)
 class Sleeve:
-    """``length_m`` from the shoulder's tip, band included; widths as ease over upper arm and wrist or as a hem girth.
+    """The measures of a sleeve, lengths [m].
 
-    ``cuff_m`` is the width of a band that is a share ``cuff_shorter`` shorter than the sleeve's hem. With ``halves``
-    the sleeve is cut in two along the top of the arm, without cuffs: its panels start flat.
+    ``length_m`` runs from the shoulder's tip to the end, band included. ``arm_ease_m`` is what the sleeve is wider than
+    the upper arm, ``hem_girth_m`` its girth at the end. ``cuff_m`` is the width of a band that is shorter than the end
+    by the share ``cuff_shorter``; 0 for none. With ``halves`` the sleeve is cut in two along the top of the arm,
+    without cuffs: its panels start flat.
     """
 
     length_m: float
@@ -79,7 +81,8 @@ class TopCut:
 
 
 def lines(body: BodyMeasurements, cut: TopCut) -> tuple[Point, Point, Point, Point]:
-    """Neck, shoulder tip, armpit and hem on the wearer's left [m]. Raises ``InputError`` for lines that do not meet."""
+    """Returns neck, shoulder tip, armpit and hem [m] on the wearer's left, as points of the panel. Raises
+    ``InputError`` for lines that do not meet."""
     half = 0.25 * (body.chest_girth + cut.chest_ease_m)
     # Beside the neck the body falls away by about NECK_SLOPE.
     neck = (body.neck_half_width + cut.neck_out_m, body.neck_y - NECK_SLOPE * cut.neck_out_m)
@@ -122,7 +125,8 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
 def bodices_to(
     work: Assembly, body: BodyMeasurements, cut: TopCut, bottom: Point, lower: str, prefix: str = ""
 ) -> tuple[Drafted, Drafted]:
-    """Front and back down to ``bottom`` on the wearer's left [m], sewn, with sleeves where ``cut`` has them.
+    """Returns front and back, drafted down to ``bottom`` on the wearer's left [m] and sewn, with sleeves if ``cut`` has
+    them.
 
     ``lower`` names their lower edges, ``prefix`` begins the names of the panels.
     """
@@ -153,7 +157,12 @@ def bodices_to(
 def bodice(
     neck: Point, tip: Point, underarm: Point, hem: Point, *, depth: float, hollow: float, inset: float, lower: str
 ) -> list[Side]:
-    """Front or back; the armhole runs level for ``hollow`` of the way to the shoulder; ``lower`` names the hem."""
+    """Returns the sides of a front or back panel, from ``neck``, shoulder ``tip``, ``underarm`` and ``hem`` [m] on one
+    side of it.
+
+    The armhole runs level for the share ``hollow`` of the way to the shoulder, and hollows in by ``inset``; ``lower``
+    names the hem.
+    """
     middle = (0.0, neck[1] - depth)
     level = (underarm[0] + hollow * (tip[0] - underarm[0]), underarm[1])
     upright = (tip[0] - inset * (underarm[0] - tip[0]), tip[1] + 0.55 * (underarm[1] - tip[1]))

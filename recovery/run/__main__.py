@@ -28,7 +28,7 @@ from recovery.drape.pattern_drape import DrapeOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.optimise import REACH_M, FitOptions
 from recovery.pattern.bases import BASES
-from recovery.pattern.sizes import PATTERN_STEPS
+from recovery.pattern.size_grades import PATTERN_STEPS
 from recovery.run.job import run_job
 from recovery.run.task import MINUTES, Job
 from recovery.scan.places import ScanFault
@@ -123,11 +123,7 @@ def job_of(given: argparse.Namespace) -> Job:
         betas=None if given.betas is None else read_betas(given.betas),
         pose=None if given.pose is None else read_pose(given.pose),
         style=style_of(given),
-        drape=DrapeOptions(
-            edge_length_m=given.edge_length,
-            fabric=given.fabric,
-            grid_m=given.grid,
-        ),
+        drape=DrapeOptions(edge_length_m=given.edge_length, fabric=given.fabric, grid_m=given.grid),
         fit=FitOptions(iterations=given.adam, closing=given.closing),
         reach_m=reach_of(given),
     )

@@ -16,15 +16,7 @@ from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
 from recovery.fit.chamfer import SurfaceDistance, surface_distance
-from recovery.fit.laying import (
-    OTHER_FOLDS_MM,
-    LaidDrape,
-    hung_as,
-    hung_at_rest,
-    in_other_folds,
-    laying_options,
-    put_on,
-)
+from recovery.fit.laying import OTHER_FOLDS_MM, LaidDrape, hung_as, hung_at_rest, in_other_folds, laying_options, put_on
 from recovery.fit.recovered import Recovered
 from recovery.fit.starts import LENGTHS_TRIED
 from recovery.pattern.model import Pattern
@@ -34,10 +26,12 @@ BELT_M = 0.005
 
 
 class SewnAnew(NamedTuple):
-    """The drape ``draped`` and its ``distance`` from that of the report, both in the wearer's pose.
+    """The pattern sewn anew: the drape ``draped`` and its ``distance`` from that of the report, both in the wearer's
+    pose.
 
-    ``by_itself`` is the distance before its belt was laid on the report's waist, which lies ``belt_moved_m`` [m]
-    higher, or before it was hung or put on as the report shows it; else the same distance, and zero without a belt.
+    ``by_itself``: the distance at which it came to rest by itself, before its belt was laid on the report's waist or
+    before it was hung or put on as the report shows it; the same as ``distance`` if nothing was done. ``belt_moved_m``
+    [m]: by how much the belt was moved up, zero without one.
     """
 
     draped: Draped
@@ -73,16 +67,16 @@ def sewn_anew(
         length = share * options.edge_length_m
         try:
             if number == 0 and found.sewn is not None and pattern is own:
-                one = _beside(found, *found.sewn)
+                candidate = _beside(found, *found.sewn)
             else:
-                one = _sewn(found, body, replace(options, edge_length_m=length), pose, pattern, parts)
+                candidate = _sewn(found, body, replace(options, edge_length_m=length), pose, pattern, parts)
         except InputError as error:
             refused.append(error)
             continue
-        draped = one.draped
+        draped = candidate.draped
         lost = lost_parts(draped.nodes, draped.mesh.faces, posed_joints(body, pose), parts)
-        rank = (bool(lost) or not draped.at_rest, one.distance.mean_mm)
-        tried.append((rank, one))
+        rank = (bool(lost) or not draped.at_rest, candidate.distance.mean_mm)
+        tried.append((rank, candidate))
         if rank <= (False, ANEW_MM) or watch.over():
             break
     if not tried:

@@ -35,10 +35,10 @@ KINDS = {2: "skirt", 3: "trousers", 4: "tshirt"}  # by the number of openings, w
 
 @dataclass(frozen=True)
 class Cut:
-    """The base taken, whether it was ``told`` by the target, the settings it was drafted with, and ``differs``.
+    """The cut that a recovery starts from: the ``base``, and whether the target ``told`` it, or the user named it.
 
-    These are sentences on what of the target's cut the base does not have. The target's collar is ``collar_m`` wide
-    [m], 0 for none.
+    ``settings``: those that the base was drafted with. ``differs``: sentences on what of the target's cut the base does
+    not have. ``collar_m`` [m]: the width of the target's collar, 0 for none.
     """
 
     base: str
@@ -54,9 +54,10 @@ class Cut:
 
 
 def kind_of(mesh: GarmentMesh) -> str:
-    """A base with as many openings as ``mesh`` has long borders, before a body and a unit are known.
+    """Returns the name of a base with as many openings as ``mesh`` has long borders, before its body and unit are
+    known.
 
-    Where there are more than a top has, some are holes, as long as not more than those are plainly openings.
+    If there are more than a top has, the borders that are not plainly openings count as holes.
     """
     count = len(long_contours(mesh))
     count = max(min(count, max(KINDS)), sum(map(plainly_opening, borders(mesh)[:count])))
@@ -71,7 +72,8 @@ def kind_of(mesh: GarmentMesh) -> str:
 
 
 def told_base(seen: Seen, body: BodyMeasurements) -> str:
-    """The base whose openings lie where those of the target do. Raises ``InputError`` where none has them."""
+    """Returns the name of the base whose openings lie where those of the target do. Raises ``InputError`` if none
+    does."""
     counts = seen.counts()
     fitting = [name for name, wanted in OPENINGS.items() if wanted == counts]
     top = seen.openings[TRUNK][0].centre[1] if fitting else 0.0
@@ -122,31 +124,32 @@ def collarless(
     seen = Seen(mesh.vertices, mesh.faces, joints, wearer.joints_template)
     if not has_collar(mesh, seen, measure(wearer)):
         return mesh, (), 0.0
-    found, gone = without_collar(mesh, joints)
-    found, after = opened(found, joints, there)
+    bare, gone = without_collar(mesh, joints)
+    bare, after = opened(bare, joints, there)
     if after != there:
         return mesh, ("The target has a collar, which no base has: the neckline is drawn to its edge",), 0.0
     words = f"The target has a collar, which no base has: it was cut off at the neck, {gone:.0%} of the cloth"
-    neck = Seen(found.vertices, found.faces, joints, wearer.joints_template).openings[TRUNK][0].contour
+    neck = Seen(bare.vertices, bare.faces, joints, wearer.joints_template).openings[TRUNK][0].contour
     width = gone * float(meshes.face_areas(mesh.vertices, mesh.faces).sum()) / neck.length_m
     if not COLLARS_M[0] <= width <= COLLARS_M[1]:
-        return found, (f"{words}; the pattern ends at the neckline",), 0.0
-    return found, (f"{words}, about {100 * width:.0f} cm wide",), width
+        return bare, (f"{words}; the pattern ends at the neckline",), 0.0
+    return bare, (f"{words}, about {100 * width:.0f} cm wide",), width
 
 
 def panel_count(base: str, shown: int | None) -> dict[str, float]:
-    """The setting of a skirt whose texture shows its gores; nothing for other bases or where it is the base's."""
+    """Returns the setting ``panels`` of a skirt whose texture has ``shown`` so many gores; empty for another base, or
+    if it is the base's own number."""
     return {COUNT: float(shown)} if base == "skirt" and shown is not None and 2 < shown <= MOST_PANELS else {}
 
 
 def ring_panels(pattern: Pattern) -> list[str]:
     """Names of panels that are sewn to themselves to a ring, as bands and one-piece sleeves; darts are none."""
-    found = []
+    panels = []
     for stitch in pattern.stitches:
         panel, apart = stitch.first.panel, abs(stitch.first.edge - stitch.second.edge)
         if panel == stitch.second.panel and 1 < apart < len(pattern.panel(panel).edges) - 1:
-            found.append(panel)
-    return found
+            panels.append(panel)
+    return panels
 
 
 def differences(base: str, pattern: Pattern, seen: Seen, body: BodyMeasurements, shown: int | None) -> tuple[str, ...]:
@@ -154,21 +157,21 @@ def differences(base: str, pattern: Pattern, seen: Seen, body: BodyMeasurements,
 
     ``shown`` is the number of panels that its texture shows, None for none.
     """
-    found = []
+    sentences = []
     if base in OPENINGS:
         nearest = told_base(seen, body)
         if nearest != base:
-            found.append(f"The target looks like a {nearest.replace('_', ' ')}: its base is --base {nearest}")
+            sentences.append(f"The target looks like a {nearest.replace('_', ' ')}: its base is --base {nearest}")
     elif rings := ring_panels(pattern):
-        found.append(
+        sentences.append(
             f"Of the base {', '.join(rings)} begin flat and are closed to a ring: they may close beside waist or arm; "
             "take a base without them, and --style"
         )
     panels = len(pattern.panels)
     if shown is None:
-        found.append("The target does not show its seams: panels and seams are the base's")
+        sentences.append("The target does not show its seams: panels and seams are the base's")
     elif shown != panels:
-        found.append(
+        sentences.append(
             f"The target's texture is laid out in {shown} panels, this pattern has {panels}: seams lie elsewhere"
         )
-    return tuple(found)
+    return tuple(sentences)

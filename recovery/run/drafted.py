@@ -12,10 +12,10 @@ import numpy as np
 from drape.errors import InputError
 from drape.garment.contours import TRUNK
 from recovery.pattern.bases import BASES, COUNT, OF_SLEEVE
-from recovery.pattern.legs import thigh_girth
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.model import Pattern
 from recovery.pattern.tops import NECK_SLOPE
+from recovery.pattern.trousers import thigh_girth
 from recovery.run.seen import Opening, Seen
 
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of the way from a base's own settings to what the target tells
@@ -60,9 +60,10 @@ RANGES: dict[str, Range] = {  # that a reading may lie in; beyond it something e
 
 
 def drafted(name: str, body: BodyMeasurements, seen: Seen, given: dict[str, float]) -> tuple[Pattern, dict[str, float]]:
-    """The base ``name`` for ``body``, drafted near the target ``seen``, and its settings; those ``given`` stay.
+    """Returns the base ``name`` for ``body``, drafted near the target ``seen``, and the settings that it was drafted
+    with. Those in ``given`` stay as they are.
 
-    Where what is read makes no garment, a share of the way from the base's own settings does.
+    If the settings that are read off the target make no garment, they go a share of the way from the base's own ones.
     """
     base = BASES[name]
     told = {key: value for key, value in read_settings(name, body, seen).items() if key not in given}
@@ -80,13 +81,13 @@ def own_settings(name: str, body: BodyMeasurements, told: dict[str, float]) -> d
     """The base's own values of the settings in ``told``."""
     cut = BASES[name].cut
     ankles = body.crotch_y - body.ankle_y  # an inseam of None
-    found = {}
+    settings = {}
     for key in told:
         part = getattr(cut, "sleeve", None) if key.startswith(OF_SLEEVE) else cut
         value = getattr(part, key.removeprefix(OF_SLEEVE))
         unset = told[key] if key == "knee_girth_m" else ankles
-        found[key] = unset if value is None else float(value)
-    return found
+        settings[key] = unset if value is None else float(value)
+    return settings
 
 
 def read_settings(name: str, body: BodyMeasurements, seen: Seen) -> dict[str, float]:
@@ -112,7 +113,7 @@ def _of_top(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> To
     shoulder = neck.points[np.abs(neck.points[:, 0] - neck.centre[0]) > SIDES * wide].mean(axis=0)
     back = neck.points[neck.points[:, 2].argmin()]
     strapless = "neck_depth_m" not in settings
-    told: Told = {
+    measures: Told = {
         "length_m": body.neck_y - float(hem.centre[1]) + (0.0 if strapless else OVER_CHEST_M),
         "neck_out_m": out,
         "neck_depth_m": float(np.hypot(*(front - shoulder)[1:])),
@@ -120,30 +121,30 @@ def _of_top(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> To
     }
     arms = [opening for part in ("left_arm", "right_arm") for opening in seen.openings.get(part, ())]
     if "sleeve_length_m" in settings:
-        told |= _of_sleeves(body, seen, arms)
+        measures |= _of_sleeves(body, seen, arms)
         low = body.underarm_y
     elif strapless:
         low = float(neck.points[:, 1].min()) - BELOW_UNDERARM_M  # planes across tilted bones are clear of the edge
-        told["armhole_drop_m"] = body.underarm_y - float(neck.centre[1])
+        measures["armhole_drop_m"] = body.underarm_y - float(neck.centre[1])
     else:
         tops = [one.points[one.points[:, 1].argmax()] for one in arms]
-        told["shoulder_out_m"] = float(np.mean([abs(point[0]) for point in tops])) - body.shoulder_x
+        measures["shoulder_out_m"] = float(np.mean([abs(point[0]) for point in tops])) - body.shoulder_x
         low = float(np.mean([one.points[:, 1].min() for one in arms]))
-        told["armhole_drop_m"] = body.underarm_y - low + UNDER_ARM_M
+        measures["armhole_drop_m"] = body.underarm_y - low + UNDER_ARM_M
     chest = _ease(seen, low - BELOW_UNDERARM_M, lambda y: body.chest_girth)
-    told["chest_ease_m"] = chest
+    measures["chest_ease_m"] = chest
     upper = 0.25 * (body.chest_girth + (chest or 0.0))
     if "waist_drop_m" in settings:
-        waist, told["gather"] = gathered(body, seen, low)
-        drawn = waist - (OVER_CHEST_M if told["gather"] else 0.0)
-        told["waist_drop_m"] = body.waist_y - drawn
-        told["waist_ease_m"] = _ease(
-            seen, waist + (GATHERS_M if told["gather"] else 0.0), lambda y: body.girth_at(drawn)
+        waist, measures["gather"] = gathered(body, seen, low)
+        drawn = waist - (OVER_CHEST_M if measures["gather"] else 0.0)
+        measures["waist_drop_m"] = body.waist_y - drawn
+        measures["waist_ease_m"] = _ease(
+            seen, waist + (GATHERS_M if measures["gather"] else 0.0), lambda y: body.girth_at(drawn)
         )
-        told["hip_ease_m"] = hips = _ease(seen, body.hip_y, lambda y: body.hip_girth)
+        measures["hip_ease_m"] = hips = _ease(seen, body.hip_y, lambda y: body.hip_girth)
         upper = 0.25 * (body.hip_girth + max(0.0, hips or 0.0))
-    told["flare_m"] = 0.25 * hem.contour.length_m - upper
-    return told
+    measures["flare_m"] = 0.25 * hem.contour.length_m - upper
+    return measures
 
 
 def _of_sleeves(body: BodyMeasurements, seen: Seen, arms: list[Opening]) -> Told:

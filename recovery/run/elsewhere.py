@@ -23,10 +23,11 @@ POSES = ("reach:110", "stretch:60")
 
 
 @dataclass(frozen=True, eq=False)
-class Worn:
-    """A garment somewhere else: ``nodes`` [m] (N, 3) and ``faces`` on ``skin`` [m] (V, 3); or why not (``refusal``).
+class WornElsewhere:
+    """A garment on another body or in another pose: ``nodes`` [m] (N, 3) and ``faces`` on ``skin`` [m] (V, 3), or the
+    ``refusal`` that says why not.
 
-    ``lost`` are the parts of the body that should go through an opening and do not: an arm beside its sleeve.
+    ``lost``: parts of the body that should go through an opening and do not, such as an arm beside its sleeve.
     """
 
     what: str
@@ -48,11 +49,11 @@ def retargeted(
     parts: Sequence[str] = (),
     *,
     cloth: OrthotropicMaterial,
-) -> Iterator[Worn]:
+) -> Iterator[WornElsewhere]:
     """``pattern`` sewn and draped on two other shapes of ``standard``, and taken to two poses of ``body``.
 
     ``sewn`` is its drape on ``body`` in the T-pose; ``parts`` of the body should go through its openings;
-    ``cloth`` is what it is made of. A drape that is refused becomes a ``Worn`` that says why.
+    ``cloth`` is what it is made of. A drape that is refused becomes a ``WornElsewhere`` that says why.
     """
     wearers = [(what, shaped_body(standard, np.array(betas)), None) for what, betas in BODIES.items()]
     wearers += [(f"pose {text}", body, read_pose(text)) for text in POSES]
@@ -67,7 +68,7 @@ def retargeted(
                 nodes, faces = posed.nodes, sewn.mesh.faces
         except InputError as error:
             nothing = np.zeros((0, 3))
-            yield Worn(what, skin, wearer.faces, nothing, nothing.astype(np.int64), {}, refusal=str(error))
+            yield WornElsewhere(what, skin, wearer.faces, nothing, nothing.astype(np.int64), {}, refusal=str(error))
             continue
         lost = lost_parts(nodes, faces, posed_joints(wearer, pose), parts)
-        yield Worn(what, skin, wearer.faces, nodes, faces, figures, lost=lost)
+        yield WornElsewhere(what, skin, wearer.faces, nodes, faces, figures, lost=lost)

@@ -74,7 +74,8 @@ def shape_basis(basis: np.ndarray, panel: np.ndarray, positions: np.ndarray) -> 
 
 
 def from_curvature(cloth: np.ndarray, curvature: np.ndarray, across: np.ndarray, tolerance_m: float) -> Identifiability:
-    """Identifiability for singular values ``cloth`` (M,) and the loss's ``curvature`` (M, M) by moves ``across``."""
+    """Returns the identifiability that follows from singular values ``cloth`` (M,), the loss's ``curvature`` (M, M),
+    and the moves ``across`` to which they belong."""
     value, vector = np.linalg.eigh(0.5 * (curvature + curvature.T))
     value = np.maximum(value, BLIND * max(float(value.max()), 1e-300))
     modes = (across @ vector).T.reshape(len(value), -1, 2)

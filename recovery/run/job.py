@@ -23,7 +23,7 @@ from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
 from recovery.pattern.style import Style
 from recovery.run.anew import SewnAnew, sewn_anew
-from recovery.run.elsewhere import Worn, retargeted
+from recovery.run.elsewhere import WornElsewhere, retargeted
 from recovery.run.identify import Identifiability, identifiability
 from recovery.run.nested import in_other_size
 from recovery.run.styled import styled
@@ -35,7 +35,8 @@ Say = Callable[[str], None]
 
 
 class Written(NamedTuple):
-    """The recovered pattern with the lines of ``style``; ``made`` and ``files`` have all that is drafted."""
+    """The recovered pattern as it was written: ``with_lines``, the pattern with the lines of ``style``, and ``made``,
+    the same with all that is drafted besides; the ``files``."""
 
     with_lines: Pattern
     made: Pattern
@@ -44,7 +45,8 @@ class Written(NamedTuple):
 
 
 class Nearness(NamedTuple):
-    """How near the garment lies to the target, how near the base lay ``before``, and what the target ``told``."""
+    """How near the garment lies to the target: its ``distance``, that of the base ``before``, the ``chamfer`` distance
+    and its ``floor``; and what of the pattern the target ``told``."""
 
     distance: SurfaceDistance
     before: SurfaceDistance
@@ -61,7 +63,7 @@ class Sewn(NamedTuple):
 
     anew: SewnAnew | None
     distance: SurfaceDistance | None
-    worn: list[Worn]
+    worn: list[WornElsewhere]
     files: list[Path]
 
 
@@ -93,9 +95,10 @@ class Outcome:
 
 
 def run_job(job: Job, *, progress: Say = lambda line: None, say: Say = print) -> Outcome:
-    """Does ``job``; writes pattern and garment as soon as they are found. Raises ``InputError`` for what it refuses.
+    """Does ``job`` and returns its outcome. Pattern and garment are written as soon as they are found.
 
-    ``progress`` gets a line on how far it is every few seconds, ``say`` what was found.
+    ``progress`` is called every few seconds with a line on how far it is, ``say`` with what was found. Raises
+    ``InputError`` for what it refuses.
     """
     with watch.watched(write=progress, limit_s=60.0 * job.minutes) as clock:
         try:
@@ -117,13 +120,13 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
     for note in task.warnings:
         say(f"note      {note}")
     say(f"target    {len(task.mesh.vertices):,} vertices, {len(task.mesh.faces):,} triangles, on {task.wearer.source}")
-    found = searched(task, say)
+    search = searched(task, say)
     if clock.stopped_in:
         task.warnings.append(stopped_words(job.minutes, clock.stopped_in))
-    written = write_pattern(task, found)
-    near = measured(task, found, say)
-    sewn = sewn_and_worn(task, found, written.with_lines, say)
-    return Outcome(task, found, written, near, sewn, time.perf_counter() - started)
+    written = write_pattern(task, search)
+    near = measured(task, search, say)
+    sewn = sewn_and_worn(task, search, written.with_lines, say)
+    return Outcome(task, search, written, near, sewn, time.perf_counter() - started)
 
 
 def searched(task: Task, say: Say) -> Recovered:
@@ -149,8 +152,8 @@ def searched(task: Task, say: Say) -> Recovered:
 def write_pattern(task: Task, found: Recovered) -> Written:
     """Writes the pattern in all of its sizes, and the garment of the search."""
     job, cut, fitted, wearer = task.job, task.cut, found.fitted, task.wearer
-    style, with_lines, made = styled(job.style, cut, fitted.pattern, task.warnings)
-    files = export_pattern(made, job.out)
+    style, with_lines, pattern = styled(job.style, cut, fitted.pattern, task.warnings)
+    files = export_pattern(pattern, job.out)
     for size in job.sizes:
         graded = in_other_size(fitted.pattern, cut.base, measure(wearer.shaped), cut.settings, size)
         graded = styled(style, replace(cut, collar_m=0.0), graded, told := [])[2]
@@ -158,7 +161,7 @@ def write_pattern(task: Task, found: Recovered) -> Written:
         files += export_pattern(replace(graded, name=f"{task.name}_{size}"), job.out)
     cloth = found.search.mesh_of(fitted)
     files += write_shape(job.out, task.name, cloth, fitted.nodes + wearer.trans, panel_texture(cloth))
-    return Written(with_lines, made, style, files)
+    return Written(with_lines, pattern, style, files)
 
 
 def measured(task: Task, found: Recovered, say: Say) -> Nearness:
@@ -207,7 +210,7 @@ def sewn_and_worn(task: Task, found: Recovered, pattern: Pattern, say: Say) -> S
 
 def _worn_elsewhere(
     task: Task, found: Recovered, pattern: Pattern, draped: Draped, parts: list[str], say: Say
-) -> list[Worn]:
+) -> list[WornElsewhere]:
     """The garment on other bodies and in other poses, where these are asked for and time is left."""
     job, wearer = task.job, task.wearer
     if not job.retarget:
@@ -232,7 +235,7 @@ def stopped_words(minutes: float, stage: str) -> str:
     )
 
 
-def describe_worn(place: Worn) -> str:
+def describe_worn(place: WornElsewhere) -> str:
     """A phrase on how the garment lies there."""
     figures = place.figures
     end = "at rest" if figures["converged"] else f"not at rest ({figures['force_left_n']:.1e} N left)"

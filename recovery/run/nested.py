@@ -10,7 +10,7 @@ from recovery.pattern.bases import BASES
 from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.model import Pattern
-from recovery.pattern.sizes import in_size
+from recovery.pattern.size_grades import in_size
 from recovery.pattern.symmetry import find_symmetries
 
 

@@ -20,7 +20,7 @@ from drape.geometry.raster import CLOTH, SKIN, Surface, render
 from recovery.pattern import geometry
 from recovery.pattern.model import Panel, Pattern
 from recovery.pattern.symmetry import procrustes
-from recovery.run.elsewhere import Worn
+from recovery.run.elsewhere import WornElsewhere
 from recovery.run.identify import CAP_M, Identifiability
 
 DPI = 100
@@ -108,7 +108,8 @@ def panels_over_base(base: Pattern, found: Pattern) -> bytes:
 
 
 def what_is_told(found: Identifiability, pattern: Pattern) -> bytes:
-    """Discs at the corners as large as the corners are undetermined, and the spectrum of what the target shows."""
+    """Returns a PNG of what the target of ``found`` tells: a disc at each corner, as large as the corner is
+    undetermined, and the spectrum of what the target shows."""
     figure, axes = _panel_axes(pattern, more=1)
     first = 0
     for axis, panel in zip(axes, pattern.panels, strict=False):
@@ -147,7 +148,7 @@ def search_history(history: np.ndarray) -> bytes:
     return png(figure)
 
 
-def worn_elsewhere(places: list[Worn]) -> bytes:
+def worn_elsewhere(places: list[WornElsewhere]) -> bytes:
     """The garment on every body and in every pose it was taken to, front above back."""
     figure = Figure(figsize=(2.8 * len(places), 7.2), dpi=DPI, layout="constrained")
     axes = figure.subplots(2, len(places), squeeze=False)

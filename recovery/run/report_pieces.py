@@ -14,8 +14,8 @@ from recovery.pattern.model import EdgeRef, Panel, Pattern
 from recovery.pattern.pieces import (
     BACK_GAP_M,
     FACED,
+    CuttingSheet,
     Piece,
-    Sheet,
     cut_count,
     hems,
     is_of_back,
@@ -23,7 +23,7 @@ from recovery.pattern.pieces import (
     mirror_words,
     side_of,
 )
-from recovery.run.report import Page
+from recovery.run.report_page import Page
 
 EQUAL_MM = 0.05  # below: both edges are equally long, as far as a ruler shows
 PAGE_MM = 180.0  # of the drawing on paper
@@ -60,7 +60,7 @@ def add_pieces(page: Page, pattern: Pattern) -> None:
     page.signature(("Checked by", "Date", "Sample sewn"))
 
 
-def scaled_drawing(sheet: Sheet) -> tuple[str, str]:
+def scaled_drawing(sheet: CuttingSheet) -> tuple[str, str]:
     """The drawing of ``sheet`` as SVG text for a page, and its caption with the scale.
 
     Lines, names and numbers are as large on the page as at true size; of the labels the pieces' names are left.
@@ -97,12 +97,12 @@ def _piece_rows(pattern: Pattern) -> list[tuple[str, ...]]:
     rows = []
     for panel in pattern.panels:
         width, height = np.ptp(geometry.outline(panel), axis=0)
-        told = " ".join(twins.get(panel.name, ()))
+        mirrored = " ".join(twins.get(panel.name, ()))
         rows.append(
             (
                 panel.name,
                 side_of(panel),
-                f"{cut_count(panel)}" + (f", {told}" if told else ""),
+                f"{cut_count(panel)}" + (f", {mirrored}" if mirrored else ""),
                 f"{100 * width:.1f}",
                 f"{100 * height:.1f}",
                 f"{1e4 * geometry.area(panel):.0f}",
@@ -141,7 +141,7 @@ def _place(panel: Panel, edge: int) -> str:
     return f"{panel.name}, {' '.join(word for word in reversed(words) if word) or 'middle'}"
 
 
-def _open_rows(pattern: Pattern, sheet: Sheet) -> list[tuple[str, ...]]:
+def _open_rows(pattern: Pattern, sheet: CuttingSheet) -> list[tuple[str, ...]]:
     sewn = {ref for stitch in pattern.stitches for ref in (stitch.first, stitch.second)}
     turned_up = hems(pattern)
     rows = []

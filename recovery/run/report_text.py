@@ -16,7 +16,7 @@ from recovery.run import pictures
 from recovery.run.anew import ANEW_MM, anew_words
 from recovery.run.identify import CAP_M, corner_names, weak_words
 from recovery.run.job import Outcome, describe_worn
-from recovery.run.report import Page
+from recovery.run.report_page import Page
 from recovery.run.report_pieces import add_pieces
 
 SEAM_PCT = 0.5  # of length, beside the ease that the base asks for: more cannot be sewn as it is drawn
@@ -49,7 +49,7 @@ HEADS = ("cut", "from the target, mean", "Chamfer", "seams differ by", "sewn ane
 
 
 def key_figures(outcome: Outcome) -> tuple[str, ...]:
-    """The figures at the top of the record, as the first table of the page has them."""
+    """Returns the figures at the top of the record as texts, in the order of the page's first table."""
     top = top_of(outcome)
     return (
         top["cut"].split(". ")[0],  # the sentences stand below, before cutting
@@ -230,33 +230,36 @@ def _pattern(page: Page, outcome: Outcome) -> None:
 
 
 def _told(page: Page, outcome: Outcome) -> None:
-    told = outcome.near.told
+    limits = outcome.near.told
     page.section("What the target cannot tell")
-    sure = int((told.slack_m <= UNSURE_M).sum())
+    sure = int((limits.slack_m <= UNSURE_M).sum())
     page.say(
         f"A scan shows where the cloth is, not where along it a seam runs. If what the target shows may change by "
-        f"{1e3 * told.tolerance_m:.1f} mm (root mean square), {sure} of {len(told.slack_m)} corners are known to a "
+        f"{1e3 * limits.tolerance_m:.1f} mm (root mean square), {sure} of {len(limits.slack_m)} corners are known to a "
         "centimetre. These can go farthest:"
     )
     names = corner_names(outcome.pattern)
-    worst = np.argsort(-told.slack_m, kind="stable")[:8]
+    worst = np.argsort(-limits.slack_m, kind="stable")[:8]
     far = [
-        (names[k], f"more than {100 * CAP_M:.0f} cm" if told.slack_m[k] >= CAP_M else f"{1e3 * told.slack_m[k]:.0f} mm")
+        (
+            names[k],
+            f"more than {100 * CAP_M:.0f} cm" if limits.slack_m[k] >= CAP_M else f"{1e3 * limits.slack_m[k]:.0f} mm",
+        )
         for k in worst
     ]
     page.table(("corner", "may move by"), far)
     page.picture(
-        pictures.what_is_told(told, outcome.pattern),
+        pictures.what_is_told(limits, outcome.pattern),
         "Discs: how far [mm] each corner may move unseen. Right: how far the cloth moves, and how much of it the "
         "target shows, for every change of shape, strongest first. Openings and folds count more than flat cloth, so "
         "that the target can show more than the cloth moves on average.",
     )
     page.say("The changes of shape that the target shows least:")
-    page.notes(weak_words(told, outcome.pattern))
+    page.notes(weak_words(limits, outcome.pattern))
     page.say(
-        f"Of {len(told.seen)} independent changes of shape that the symmetries leave, the target shows the best one "
-        f"at {told.seen[-1]:.2g} and the poorest at {told.seen[0]:.2g} mm per mm (condition "
-        f"{_condition(told.seen):.0f}); the cloth itself moves by {told.cloth[0]:.2g} to {told.cloth[-1]:.2g}. "
+        f"Of {len(limits.seen)} independent changes of shape that the symmetries leave, the target shows the best one "
+        f"at {limits.seen[-1]:.2g} and the poorest at {limits.seen[0]:.2g} mm per mm (condition "
+        f"{_condition(limits.seen):.0f}); the cloth itself moves by {limits.cloth[0]:.2g} to {limits.cloth[-1]:.2g}. "
         "These are derivatives: they hold for small changes."
     )
 
@@ -317,7 +320,7 @@ def file_words(name: str) -> str:
 
 def record_of(outcome: Outcome) -> dict[str, Any]:
     """The report's numbers."""
-    told, fitted, mesh = outcome.near.told, outcome.found.fitted, outcome.found.search.mesh
+    limits, fitted, mesh = outcome.near.told, outcome.found.fitted, outcome.found.search.mesh
     anew = outcome.sewn.anew
     return {
         **top_of(outcome),
@@ -365,11 +368,11 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
             for seam in geometry.seams(outcome.written.made)
         ],
         "identifiability": {
-            "cloth": told.cloth.tolist(),
-            "seen": told.seen.tolist(),
-            "tolerance_m": told.tolerance_m,
+            "cloth": limits.cloth.tolist(),
+            "seen": limits.seen.tolist(),
+            "tolerance_m": limits.tolerance_m,
             "corners": dict(enumerate(corner_names(outcome.pattern))),
-            "slack_m": told.slack_m.tolist(),
+            "slack_m": limits.slack_m.tolist(),
         },
         "sewn_anew": None
         if anew is None

@@ -37,9 +37,10 @@ class Opening:
 
 
 class Seen:
-    """A garment, ``vertices`` [m] (V, 3) and ``faces``, on a wearer with ``joints`` (24, 3), at ``rest`` in the T-pose.
+    """What is seen of a garment, ``vertices`` [m] (V, 3) and ``faces``, on a wearer whose ``joints`` [m] (24, 3) are
+    known in its pose, and at ``rest`` in the T-pose.
 
-    ``openings`` are sorted by part of the body, those of the trunk from above.
+    ``openings``: by part of the body, those of the trunk from above.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, rest: np.ndarray) -> None:
@@ -62,7 +63,7 @@ class Seen:
         self.openings.get(TRUNK, []).sort(key=lambda one: -one.along_m)
 
     def counts(self) -> dict[str, int]:
-        """How many openings each part of the body has."""
+        """Returns how many openings each part of the body has."""
         return {part: len(found) for part, found in self.openings.items()}
 
     def girth(self, part: str, rest_axis: int, value_m: float) -> float | None:

@@ -14,17 +14,19 @@ FAIR_DEG = 5.0  # by which a cap may turn at a corner before it is worth a sente
 
 
 def styled(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tuple[Style, Pattern, Pattern]:
-    """The style of a recovered ``pattern``, that with its lines, and that with what is joined and drafted as well.
+    """Returns the style of a recovered ``pattern``, the pattern with its lines, and the same with all that is joined
+    and drafted besides.
 
-    The target's own collar is added unless another is ``asked`` for. Where the panels that were found have no room, all
-    is left out. ``warnings`` get a sentence on that, on a collar, and on caps that are not fair.
+    ``asked`` is the style that the user asked for; the target's own collar (``cut``) is added unless it has one. If the
+    panels have no room for the lines, all of them are left out. ``warnings`` get a sentence on that, on a collar, and
+    on caps that are not smooth.
     """
     style = asked
     if cut.collar_m and COLLAR not in asked.widths_m:
         style = replace(asked, widths_m={**asked.widths_m, COLLAR: cut.collar_m})
     try:
         with_lines = lined(pattern, style)
-        made = finished(with_lines, style)
+        cut_pattern = finished(with_lines, style)
     except InputError as error:
         warnings.append(f"The style lines ({style.words()}) were left out: {error}")
         return NO_STYLE, pattern, pattern
@@ -39,7 +41,7 @@ def styled(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tup
             f"Ribs are drafted: straight, in place of what was cut off, shorter than what holds them ({shorter}). "
             "They were neither draped nor fitted."
         )
-    if turned := {name: turn for name, turn in cap_corners_deg(made).items() if turn > FAIR_DEG}:
+    if turned := {name: turn for name, turn in cap_corners_deg(cut_pattern).items() if turn > FAIR_DEG}:
         words = " and ".join(f"that of {name} by {turn:.0f}" for name, turn in turned.items())
         warnings.append(f"Where halves of sleeves met, their caps turn at a corner, {words} degrees: draw them fair.")
-    return style, with_lines, made
+    return style, with_lines, cut_pattern

@@ -17,15 +17,7 @@ from drape.garment.avatars import Avatar
 from drape.garment.borders import Loop, borders, plainly_hole, plainly_opening
 from drape.garment.contours import TRUNK, bone_chains, open_contours, part_round, place_of
 from drape.garment.files.mesh import GarmentMesh, read_mesh, weld
-from drape.garment.mesh_checks import (
-    Unit,
-    Up,
-    check_area,
-    check_arrays,
-    orient_outward,
-    place,
-    without_flat_faces,
-)
+from drape.garment.mesh_checks import Unit, Up, check_area, check_arrays, orient_outward, place, without_flat_faces
 from drape.garment.sheets import agreeing, cut_branches, main_sheet, without_copies
 from drape.geometry import closest, meshes
 from recovery import progress
@@ -88,11 +80,11 @@ def mended(mesh: GarmentMesh) -> GarmentMesh:
         mesh = one_sheet(cut_branches(without_flat_faces(thin)))
     mesh = without_turned_hems(calmed(two_sided(mesh)))
     check_open(mesh, "a closed surface")
-    found = closed(mesh, lambda one: plainly_hole(one, mesh))
-    check_open(found.mesh, f"one that is closed once mended, with no border but holes ({found.holes})")
-    check_closed_round(found.mesh)
-    check_unworn(found.mesh)
-    return found.mesh if found.mesh is mesh else found.mesh.noted(*found.words(len(mesh.faces)))
+    closing = closed(mesh, lambda one: plainly_hole(one, mesh))
+    check_open(closing.mesh, f"one that is closed once mended, with no border but holes ({closing.holes})")
+    check_closed_round(closing.mesh)
+    check_unworn(closing.mesh)
+    return closing.mesh if closing.mesh is mesh else closing.mesh.noted(*closing.words(len(mesh.faces)))
 
 
 def check_open(mesh: GarmentMesh, otherwise: str) -> None:
@@ -203,11 +195,11 @@ def check_near(mesh: GarmentMesh, skin: Avatar) -> None:
 def opened(
     mesh: GarmentMesh, joints: np.ndarray, wanted: dict[str, int] | None = None
 ) -> tuple[GarmentMesh, dict[str, int]]:
-    """``mesh`` with all borders closed that are no openings, and how many openings each part of the body has.
+    """Returns ``mesh`` with all borders closed that are no openings, and how many openings each part of the body has.
 
-    ``joints`` [m] (24, 3) are the body's. An opening is a border that bones pass through, or a folded cuff beside
-    them. Where a part has more than ``wanted``, those that lie in the cloth are holes: a hole in front of a leg that
-    the body's fit is not sure of.
+    ``joints`` [m] (24, 3) are the body's. An opening is a border that bones pass through, or a folded cuff beside them.
+    If a part has more than ``wanted``, those that lie in the cloth are taken for holes: the body's fit may have put a
+    leg behind a hole.
     """
     chains = bone_chains(joints)
     loops = {one.loop.tobytes(): one for one in borders(mesh)}
@@ -231,7 +223,8 @@ def opened(
 
 
 def check_base(base: str, found: dict[str, int]) -> None:
-    """Refuses a target whose openings are not those of the base called ``base``; other bases are not known here."""
+    """Refuses (``InputError``) a target whose openings, ``found`` by part of the body, are not those of the base called
+    ``base``. A base that is no name of ours passes."""
     wanted = OPENINGS.get(base)
     if wanted is None:
         return
@@ -255,10 +248,11 @@ def describe_openings(found: dict[str, int]) -> str:
 
 
 def off_skin(mesh: GarmentMesh, skin: Avatar, known: np.ndarray) -> float:
-    """How much farther [m] off the skin the cloth of ``mesh`` rests than ours: its thickness, or its simulator's gap.
+    """Returns how much farther [m] off the skin the cloth of ``mesh`` rests than ours, since it has a thickness, or its
+    simulator kept a gap. 0 if that is less than a millimetre.
 
-    The distance below which ``LYING_SHARE`` of the area of the faces ``known`` (F,) lies, less our contact's gap; 0
-    where it is less than a millimetre, as with cloth that cuts the body.
+    It is the distance below which the share ``LYING_SHARE`` of the area of the ``known`` faces (F,) lies, less the gap
+    of our contact.
     """
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     distance = closest.signed_distance(middles, skin.vertices, skin.faces)

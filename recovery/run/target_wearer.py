@@ -122,11 +122,11 @@ def inside_wearer(
     front: Front = "auto",
     wanted: dict[str, int] | None = None,
 ) -> tuple[GarmentMesh, Wearer]:
-    """``mesh`` in metres, y up, and the shipped body fitted inside it; that of ``bases`` tells its size and place, all
-    drafted for that body, in which it fits best. ``wanted`` are the openings of its kind.
+    """Returns ``mesh`` in metres, y up, and the shipped body fitted inside it.
 
-    Openings tell the axis where ``up`` is "auto". The wearer looks along +z as in the file, or, where ``front`` is
-    "auto", the other way if the body and the upper opening say so.
+    ``bases`` are patterns of its kind, all drafted for that body; the one in which the body fits best tells size and
+    place. ``wanted``: the openings that its kind has. With ``up`` "auto" the openings tell the axis. The wearer looks
+    along +z as in the file or, with ``front`` "auto", the other way if the body and the upper opening say so.
     """
     if (up_axis(mesh) if up == "auto" else up) == "z":
         turned = np.stack([mesh.vertices[:, 0], mesh.vertices[:, 2], -mesh.vertices[:, 1]], axis=1)
@@ -163,17 +163,17 @@ def inside_wearer(
             ways = [fitted(mesh), fitted(about)]
             score = float(np.log(ways[0].cost_m2 / ways[1].cost_m2)) - LOWER_IN_FRONT * cue - kept
             turn = score > 0.0
-            found, doubt = ways[turn], abs(score) < UNSURE or (cue < 0) != turn
+            inside, doubt = ways[turn], abs(score) < UNSURE or (cue < 0) != turn
             other = "kept" if turn else "turned"
             words = f"front and back are not plain: pass --front {other} if it is worn back to front"
             mesh = (about if turn else mesh).noted(*[words] * doubt)
         else:
             mesh = about if front == "turned" else mesh
-            found = fitted(mesh)
-        check_inside(found)
+            inside = fitted(mesh)
+        check_inside(inside)
     source = (
-        f"body {body.name} fitted inside the target: cloth {found.mean_mm:.0f} mm from the skin on average "
-        f"and {found.band_mm:.0f} mm where it hangs, "
-        f"{found.inside_pct:.1f} % of it inside by up to {found.depth_mm:.0f} mm"
+        f"body {body.name} fitted inside the target: cloth {inside.mean_mm:.0f} mm from the skin on average "
+        f"and {inside.band_mm:.0f} mm where it hangs, "
+        f"{inside.inside_pct:.1f} % of it inside by up to {inside.depth_mm:.0f} mm"
     )
-    return mesh, Wearer(body, found.betas, found.pose, found.trans, source, found.mean_mm)
+    return mesh, Wearer(body, inside.betas, inside.pose, inside.trans, source, inside.mean_mm)

@@ -110,7 +110,8 @@ def read_base(source: str, wearer: Wearer, settings: Sequence[str] = ()) -> Patt
 
 
 def prepare(job: Job) -> Task:
-    """What a recovery begins with; all checks are here, and the drape's way off the skin is the target's."""
+    """Reads and checks all that ``job`` needs, and returns it as a task. The drape keeps cloth as far off the skin as
+    the target's lies."""
     try:
         mesh = read_target(job.target, label=job.label)
     except ScanFault as fault:

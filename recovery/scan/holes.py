@@ -66,11 +66,11 @@ def closed(
     mesh: GarmentMesh, is_hole: Callable[[Loop], bool], is_opening: Callable[[Loop], bool] = plainly_opening
 ) -> Closing:
     """``mesh`` with the bites of its openings and those borders that are holes closed. Faces agree in orientation."""
-    found = borders(mesh)
-    holes = [one for one in found if is_hole(one)]
+    loops = borders(mesh)
+    holes = [one for one in loops if is_hole(one)]
     rims, largest = [one.loop for one in holes], max((one.length for one in holes), default=0.0)
     bites = []
-    for one in found:
+    for one in loops:
         if is_opening(one) and not is_hole(one):
             bites += bites_of(mesh, one)
     patched = mesh
@@ -169,19 +169,19 @@ def _lips(flat: np.ndarray, count: int) -> np.ndarray:
 
 def _disjoint(candidates: list[tuple[float, int, int]], flat: np.ndarray, one: Loop) -> list[np.ndarray]:
     """The pockets that save most length first; each lies on the side of the cloth, and none over another."""
-    taken = np.zeros(len(one.loop), dtype=bool)
-    found = []
+    used = np.zeros(len(one.loop), dtype=bool)
+    rings = []
     for _, start, end in sorted(candidates, reverse=True):
         inner = np.arange(start, end) % len(one.loop)
-        if taken[inner].any():
+        if used[inner].any():
             continue
         way, off = flat[end] - flat[start], flat[start + 1 : end] - flat[start]
         left = way[0] * off[:, 1] - way[1] * off[:, 0]
         if (left < -1e-3 * one.length * np.linalg.norm(way)).any():
             continue  # the border goes out of the mouth: a tongue, no bite
-        taken[inner] = True
-        found.append(one.loop[np.arange(start, end + 1) % len(one.loop)])
-    return found
+        used[inner] = True
+        rings.append(one.loop[np.arange(start, end + 1) % len(one.loop)])
+    return rings
 
 
 def _mouth(rim: np.ndarray) -> np.ndarray:

@@ -14,7 +14,8 @@ WORDS = {"collar": "side of the neck", "spine3": "chest", "spine2": "ribs", "spi
 
 
 class ScanFault(MeshError):
-    """A fault of a scan that has no safe repair: the ``mesh`` and the ``points`` (P, 3) of it, in its coordinates."""
+    """A refusal of a scan with a fault that cannot be repaired safely. ``points`` (P, 3) are its places on the
+    ``mesh``, in the mesh's coordinates."""
 
     mesh: GarmentMesh | None = None
     points: np.ndarray = np.zeros((0, 3))
@@ -48,8 +49,7 @@ def on_body(point: np.ndarray, mesh: GarmentMesh, joints: np.ndarray) -> str:
     found = opening_names(mesh, joints)
     if found:
         nearest, away = min(
-            ((text, float(np.linalg.norm(line - point, axis=1).min())) for text, line in found),
-            key=lambda one: one[1],
+            ((text, float(np.linalg.norm(line - point, axis=1).min())) for text, line in found), key=lambda one: one[1]
         )
         words += f", {100 * away:.0f} cm from the {nearest}"
     return f"{words} at {point_words(point)} m"
@@ -58,13 +58,13 @@ def on_body(point: np.ndarray, mesh: GarmentMesh, joints: np.ndarray) -> str:
 def opening_names(mesh: GarmentMesh, joints: np.ndarray) -> list[tuple[str, np.ndarray]]:
     """The openings that the body goes through, by name, and their points [m] (n, 3)."""
     chains = bone_chains(joints)
-    trunk, found = [], []
+    trunk, named = [], []
     for contour in open_contours(mesh.vertices, mesh.faces):
         place = place_of(contour, chains)
         if place.part == TRUNK:
             trunk.append(contour)
         elif place.part is not None:
-            found.append((f"{place.part.replace('_', ' ')}'s opening", contour.points))
+            named.append((f"{place.part.replace('_', ' ')}'s opening", contour.points))
     trunk.sort(key=lambda contour: -contour.centre[1])
     names = ["upper opening", *["opening round the trunk"] * (len(trunk) - 2), "hem"][-len(trunk) :] if trunk else []
-    return found + [(name, contour.points) for name, contour in zip(names, trunk, strict=True)]
+    return named + [(name, contour.points) for name, contour in zip(names, trunk, strict=True)]

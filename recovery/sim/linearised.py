@@ -25,18 +25,14 @@ class Springs(NamedTuple):
 
 
 class LinearisedStep:
-    """(M + dt^2 K + dt D) dv = dt (f - dt K v - D v), K the definite part of -df/dx, D the drag of friction.
+    """The equations of a step: (M + dt^2 K + dt D) dv = dt (f - dt K v - D v), with K the definite part of -df/dx and D
+    the drag of friction.
 
-    With the whole of -df/dx the system is indefinite as soon as cloth is compressed.
+    With the whole of -df/dx the matrix would be indefinite as soon as cloth is compressed.
     """
 
     def __init__(
-        self,
-        model: ClothModel,
-        contact: SkinContact | None,
-        *,
-        dt_s: float,
-        pairs: Springs | None = None,
+        self, model: ClothModel, contact: SkinContact | None, *, dt_s: float, pairs: Springs | None = None
     ) -> None:
         self.model, self.contact, self.pairs, self.dt_s = model, contact, pairs, dt_s
         self._factor: Factor | None = None

@@ -143,15 +143,15 @@ class ClothModel:
 
 def _checked_faces(faces: np.ndarray, panel_faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Both as integers. Raises ``MeshError`` if they do not match, are empty, or leave vertices loose."""
-    found = [meshes.check_faces(each, int(np.max(each, initial=-1)) + 1) for each in (faces, panel_faces)]
-    if found[0].shape != found[1].shape or len(found[0]) == 0:
+    checked = [meshes.check_faces(each, int(np.max(each, initial=-1)) + 1) for each in (faces, panel_faces)]
+    if checked[0].shape != checked[1].shape or len(checked[0]) == 0:
         raise MeshError(
             "panel_faces",
-            expected=f"one panel triangle for each of {max(len(found[0]), 1)} or more sewn triangles",
-            got=f"{len(found[1])} for {len(found[0])}",
+            expected=f"one panel triangle for each of {max(len(checked[0]), 1)} or more sewn triangles",
+            got=f"{len(checked[1])} for {len(checked[0])}",
             cure="Pass the panels' triangles in the order of the sewn ones.",
         )
-    for name, used in zip(("faces", "panel_faces"), found, strict=True):
+    for name, used in zip(("faces", "panel_faces"), checked, strict=True):
         if loose := int(used.max()) + 1 - len(np.unique(used)):
             raise MeshError(
                 name,
@@ -159,7 +159,7 @@ def _checked_faces(faces: np.ndarray, panel_faces: np.ndarray) -> tuple[np.ndarr
                 got=f"{loose} loose vertices",
                 cure="Remove vertices that no triangle uses.",
             )
-    return found[0], found[1]
+    return checked[0], checked[1]
 
 
 def _sewn(faces: np.ndarray, panel_faces: np.ndarray) -> np.ndarray:

@@ -63,7 +63,7 @@ class Grown:
 
 
 def bare(body: SignedDistance) -> SignedDistance:
-    """``body`` as it was before it was grown."""
+    """Returns ``body`` without the skin by which it was ``Grown``."""
     return body.bare if isinstance(body, Grown) else body
 
 

@@ -14,7 +14,7 @@ class SingularMatrix(InputError):
 
 
 class Factor:
-    """A factor P A P^T = L U with the pivots of A's own diagonal."""
+    """A sparse symmetric matrix A, factored: P A P^T = L U with pivots on its diagonal and a permutation P."""
 
     def __init__(self, factor: SuperLU) -> None:
         self._factor = factor

@@ -40,7 +40,8 @@ MOST_WORN = 4
 
 
 class OwnFiles(NamedTuple):
-    """Caches of the garments that a character came in, and why others of its clothes are none."""
+    """What is stored of the clothes that a character came in: the caches ``made`` of them, and ``stiff``: why others
+    are no cloth, by their parts."""
 
     made: Sequence[Path]
     stiff: dict[str, str]
@@ -57,7 +58,8 @@ class AvatarRecord:
 
 @dataclass(frozen=True)
 class AvatarEntry:
-    """An avatar in service: ``told`` are its facts for clients, ``path`` its file; ``source`` the user's own file."""
+    """An avatar in service. ``path``: its stored file; ``source``: the file that the user sent; ``told``: its facts for
+    clients; ``owner``: the key that sent it."""
 
     id: str
     path: Path
@@ -67,7 +69,7 @@ class AvatarEntry:
 
     @cached_property
     def document(self) -> bytes:
-        """What clients are told of it, an ``AvatarInfo`` as JSON: thousands of nodes are written once."""
+        """The JSON text of its ``AvatarInfo``. It is written once, because a character may have thousands of nodes."""
         return AvatarInfo(id=self.id, **self.told.model_dump()).model_dump_json().encode()
 
     def own_files(self) -> list[Path]:
@@ -136,8 +138,10 @@ class Avatars:
         return entry
 
     def add(self, made: Path, source: Path, owner: str | None, own: OwnFiles | None = None) -> AvatarEntry:
-        """Puts the avatar stored at ``made``, read from the user's file ``source``, in service, with its ``own``
-        clothes where these are garments; the files move."""
+        """Puts the avatar stored at ``made`` in service and returns its entry; both files move into the folder.
+
+        ``source`` is the user's file that it was read from. ``own``: its own clothes, if these were made garments.
+        """
         wearer = load_wearer(made, self._body)
         name = wearer.name
         if owner is not None:
@@ -147,7 +151,8 @@ class Avatars:
         return self._stored(name, made, source, owner, wearer, own)
 
     def replaced(self, entry: AvatarEntry, made: Path, own: OwnFiles | None = None) -> AvatarEntry:
-        """``entry`` as the file ``made`` has it, whose joints were corrected."""
+        """Puts the file ``made``, in which joints or parts were corrected, in the place of that of ``entry``. Returns
+        the new entry."""
         wearer = load_wearer(made, self._body)
         self._undress(entry.id)
         return self._stored(entry.id, made, entry.source, entry.owner, wearer, own)
@@ -227,7 +232,8 @@ class Avatars:
         return read
 
     def own_garment(self, garment_id: str, viewer: str | None) -> Entry | None:
-        """The garment ``garment_id`` that an avatar came in, if ``viewer`` may know of that."""
+        """Returns the garment ``garment_id`` of the clothes that an avatar came in; None if there is none that the key
+        ``viewer`` may know of."""
         name, mark, _ = garment_id.partition(MARK)
         entry = self._entries.get(name) if mark else None
         if entry is None or not entry.seen_by(viewer):
@@ -235,7 +241,12 @@ class Avatars:
         return next((one for one in self.own(name) if one.id == garment_id), None)
 
     def with_own(self, name: str, scene: Scene | None) -> Scene:
-        """``scene`` with the garments that the avatar ``name`` came in, but for those that ``scene`` replaces."""
+        """Returns ``scene`` with the garments that the avatar ``name`` came in, below and over those of ``scene``, but
+        without those that these replace.
+
+        Refuses (``TooLarge``) more layers than are taken, and an avatar none of whose clothes is cloth, if ``scene`` is
+        None.
+        """
         layers: tuple[Entry, ...] = () if scene is None else scene.layers
         own = {one.garment.digest: one for one in self.own(name) if one not in layers}
         sides = dressed_in([one.garment for one in own.values()], self._halves(layers))
@@ -263,8 +274,8 @@ class Avatars:
         return Outfit(layers) if isinstance(scene, Outfit) else layers[0]
 
     def wears(self, name: str, entries: Sequence[Entry]) -> dict[str, str | None]:
-        """Why the avatar ``name`` cannot wear each of ``entries``, by their ids; None where it can: what ``dress`` then
-        never refuses."""
+        """Returns for each of ``entries``, by its id, why the avatar ``name`` cannot wear it; None if it can. ``dress``
+        refuses the same ones and no others."""
         body = self.wearer(name).body
         found = {entry.id: why_not(body, self._reach(entry), garment=entry.id) for entry in entries}
         return {key: None if refusal is None else str(refusal) for key, refusal in found.items()}
@@ -284,7 +295,7 @@ class Avatars:
 
 
 def check_own(layer: Entry, name: str) -> None:
-    """Refuses a garment that another avatar than ``name`` came in."""
+    """Refuses (``InputError``) a garment of the clothes that another avatar than ``name`` came in."""
     owner = layer.id.partition(MARK)[0]
     if owner != name:
         cure = "Upload it as a garment to wear it on others."

@@ -15,8 +15,8 @@ NICE = 5  # a third of the time of others that want it: a client waits for what 
 
 
 def step_back() -> None:
-    """Makes this process nice, and its session too, where it has one to itself: Linux shares processors out by session
-    first (``autogroup``)."""
+    """Makes this process nice, and its session too if it is alone in it: Linux shares processors out by session first
+    (``autogroup``)."""
     os.nice(NICE)
     if os.getsid(0) == os.getpid():
         with contextlib.suppress(OSError):

@@ -30,9 +30,9 @@ log = logging.getLogger("drape.service")
 
 
 class ConstantsProcess:
-    """Calls functions of modules in its process while that is ``wanted``, otherwise where it is asked.
+    """Calls functions of modules in a process of its own while that is ``wanted``, and otherwise in this process.
 
-    The process is started when it is first wanted. One call at a time; from any thread.
+    The process is started when it is first wanted. It makes one call at a time, for any thread.
     """
 
     def __init__(self, wanted: Callable[[], bool]) -> None:
@@ -41,7 +41,8 @@ class ConstantsProcess:
         self._process: Process | None = None
 
     def call(self, function: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
-        """``function(*arguments, **named)``, or what it raises; here as well where the process is lost."""
+        """Returns ``function(*arguments, **named)`` as the process computes it, or raises what it raised. If the
+        process is lost, the call is made here."""
         if not self._wanted():
             return function(*arguments, **named)
         try:
@@ -81,7 +82,7 @@ class ConstantsProcess:
                 file.close()  # pyright: ignore[reportOptionalMemberAccess]
 
     def close(self) -> None:
-        """Ends the process; a call that it had is made where it was asked."""
+        """Ends the process. A call that it was making is made in the process that asked."""
         if (process := self._process) is not None:
             kill(process)
         with self._one:

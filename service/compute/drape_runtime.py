@@ -44,9 +44,9 @@ log = logging.getLogger("drape.service")
 
 
 class DrapeRuntime(Runtime):
-    """Everything a start loads: body, model, garments, clips, and the threads that compute.
+    """Everything that a start loads: body, model, garments, clips, and the threads that compute.
 
-    The constants of garments are made ``at_once``, or when somebody wants them and by ``prepare_all``.
+    The constants of garments are made ``at_once``; otherwise when a request first needs them, or by ``prepare_all``.
     """
 
     def __init__(
@@ -91,8 +91,12 @@ class DrapeRuntime(Runtime):
         self.tracing.close()
 
     def warm_up(self) -> None:
-        """One frame of one garment, with all that its streams need, so that the first request pays for no lazy set-up;
-        where shapes have buckets, one frame and a chunk of every garment, in each way that frames are asked for."""
+        """Drapes one frame of one garment, with all that its streams need, so that the first request pays for no
+        set-up.
+
+        On a device whose shapes have buckets it drapes a frame and a chunk of every garment, in each way in which
+        frames are asked for.
+        """
         bound = self.engine.bound
         entries = self.garments.entries()
         for entry in entries if bound else entries[:1]:
@@ -131,8 +135,8 @@ class DrapeRuntime(Runtime):
         await asyncio.to_thread(lambda: [stage.prepare(plan) for stage in plan.stages])
 
     async def prepare_all(self) -> None:
-        """Gives the stages the garments that nobody has asked for yet, one after the other, beside frames; of the first
-        one all that its streams need."""
+        """Makes the constants of the garments that nobody has asked for yet, one garment after the other, beside
+        frames. Of the first one it makes all that streams need."""
         for number, entry in enumerate(self.garments.entries()):
             try:
                 plan = self.plan(entry, DrapeOptions(), messages=True)
@@ -149,16 +153,17 @@ class DrapeRuntime(Runtime):
                 await self.threads.aside(worn.add, garment, feed)
 
     async def made(self, function: Callable[..., Result], *arguments: object, **named: object) -> Result:
-        """``function(*arguments, **named)``, of a module and for one client: see ``ComputeThreads.apart`` and
-        ``ConstantsProcess.call``."""
+        """Returns ``function(*arguments, **named)``, a function of a module, computed for one client on a thread of
+        ``ComputeThreads.apart``, in the process of ``ConstantsProcess.call``."""
         return await self.threads.apart(lambda: self.constants_process.call(function, *arguments, **named))
 
     # --- frames ---
 
     async def stream_frames(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
-        """The message of each of ``inputs``, which have one frame each, and what it leaves behind.
+        """Returns for each of ``inputs``, of one frame each, its message or its refusal, and the memories that it
+        leaves.
 
-        Nothing is computed for idle bodies (``drape.stages.encode``).
+        Nothing is computed for bodies that stand still (``drape.stages.encode``).
         """
         self.threads.streamed_s = time.monotonic()
         idle = [idle_before(plan, one) for one in inputs]

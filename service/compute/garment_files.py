@@ -38,16 +38,17 @@ def stored(root: Path) -> dict[Path, tuple[int, int]]:
 
     In the order of arrival, so that ids given to equal names stay the same.
     """
-    found: list[tuple[int, str, Path, int]] = []
+    rows: list[tuple[int, str, Path, int]] = []
     for path in (*root.glob("*.npz"), *root.glob(f"{OWNED}*/*.npz")):
         written_ns = _written_ns(path)
         if written_ns:  # 0: another service has just removed it
-            found.append((written_ns, path.name, path, _written_ns(about_path(path))))
-    return {path: (written_ns, about_ns) for written_ns, _, path, about_ns in sorted(found)}
+            rows.append((written_ns, path.name, path, _written_ns(about_path(path))))
+    return {path: (written_ns, about_ns) for written_ns, _, path, about_ns in sorted(rows)}
 
 
 def told(root: Path) -> dict[Path, int]:
-    """Every file under ``root`` that tells of an avatar, with the time [ns] at which it was written; oldest first."""
+    """Returns every file under ``root`` that holds the facts of an avatar, with the time [ns] at which it was written;
+    the oldest first."""
     written = ((path, _written_ns(path)) for path in (*root.glob("*.json"), *root.glob(f"{OWNED}*/*.json")))
     return dict(sorted((one for one in written if one[1]), key=lambda one: one[1]))
 
@@ -61,13 +62,13 @@ def _written_ns(path: Path) -> int:
 
 def sizes(folders: Iterable[Path]) -> list[int]:
     """Bytes of every cache, and of every file of an avatar, directly in ``folders``."""
-    found: list[int] = []
+    bytes_each: list[int] = []
     for path in (path for folder in folders for kind in ("*.npz", "*.glb") for path in folder.glob(kind)):
         try:
-            found.append(path.stat().st_size)
+            bytes_each.append(path.stat().st_size)
         except FileNotFoundError:  # removed meanwhile
             continue
-    return found
+    return bytes_each
 
 
 def about_path(path: Path) -> Path:
@@ -76,7 +77,8 @@ def about_path(path: Path) -> Path:
 
 
 def read_about(path: Path) -> About:
-    """The ``About`` of the cache ``path``; refuses (``ArtifactError``) a file that does not say it."""
+    """Returns the ``About`` of the cache ``path``: what its owner changed. Refuses (``ArtifactError``) a file that
+    holds none."""
     try:
         return parsed_record(About, about_path(path))
     except FileNotFoundError:
@@ -110,8 +112,10 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def claim(path: Path, wanted: str) -> bool:
-    """Whether the id ``wanted`` is that of the cache ``path`` from now on: nobody has it, or the cache itself, or one
-    that is no longer there."""
+    """Claims the id ``wanted`` for the cache ``path``, and returns whether it is that cache's from now on.
+
+    It is if nobody has it, if the cache itself has it, or if the cache that has it is gone.
+    """
     folder = path.parent / IDS
     folder.mkdir(exist_ok=True)
     mine, fresh = folder / wanted, folder / f"{uuid.uuid4().hex}.new"

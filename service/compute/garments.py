@@ -34,10 +34,10 @@ log = logging.getLogger("drape.service")
 
 
 class Registry:
-    """Garments by id. With ``read``, which gives the garment of a file, stages get their constants when somebody wants
-    them first, and at once without.
+    """The garments in service by their ids.
 
-    Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health.
+    ``read`` returns the garment of a file; with it the stages get a garment's constants when it is first asked for, and
+    without it at once. Shipped caches must load. An uploaded one that does not is set aside and named in /health.
     """
 
     def __init__(
@@ -70,7 +70,8 @@ class Registry:
         return [entry for entry in self.entries() if entry.seen_by(viewer)]
 
     def get(self, name: str, viewer: str | None = None) -> Entry:
-        """The garment with the id ``name``; refuses an unknown one, and one that ``viewer`` may not know of."""
+        """Returns the garment with the id ``name``. Refuses (``NotFound``) an unknown one, and one that the key
+        ``viewer`` may not know of."""
         entry = self._entries.get(name) or self.others(name, viewer)
         if entry is None or not entry.seen_by(viewer):
             ids = sorted(entry.id for entry in self.visible(viewer))
@@ -80,9 +81,10 @@ class Registry:
         return entry
 
     def scene(self, garment: str | None, garments: Sequence[str] | None, viewer: str | None = None) -> Scene:
-        """The scene that is worn: the one ``garment``, or ``garments`` over each other, innermost first.
+        """Returns the scene of one ``garment``, or of ``garments`` worn over each other, the innermost first.
 
-        Refuses both and neither, unknown ones, one that is named twice, and more layers than ``DRAPE_MAX_LAYERS``.
+        Refuses both and neither, an unknown garment, one that is named twice, and more layers than
+        ``DRAPE_MAX_LAYERS``.
         """
         if garment is not None and garments is not None:
             cure = "Name one garment, or the layers of an outfit."
@@ -108,38 +110,39 @@ class Registry:
         return garment
 
     def add(self, garment: Garment, source: Source, path: Path | None = None) -> Entry:
-        """Puts a prepared garment in service under its name, or name and digest where the name is taken.
+        """Puts ``garment``, which ``prepare`` has checked, in service and returns its entry.
 
-        ``path`` is where it is stored; in the folder of a key it belongs to that, and its id tells nothing of others.
+        Its id is its name, or name and digest if that is taken. ``path`` is where it is stored. In the folder of a key
+        it belongs to that key, and its id tells nothing of others.
         """
         about = UNCHANGED if path is None else garment_files.read_about(path)
         owner = garment_files.owner_of(path)
         name = slug(garment.name)
-        taken = self._entries.get(name)
+        present = self._entries.get(name)
         if owner is not None:
             name = f"{name}-{hashlib.sha256(f'{owner} {garment.digest}'.encode()).hexdigest()[:8]}"
-        elif taken is not None and taken.garment.digest == garment.digest:
-            source, path = taken.source, path if taken.source == "user" else None
-        elif taken is not None or not (path is None or garment_files.claim(path, name)):
+        elif present is not None and present.garment.digest == garment.digest:
+            source, path = present.source, path if present.source == "user" else None
+        elif present is not None or not (path is None or garment_files.claim(path, name)):
             name = f"{name}-{garment.digest[:8]}"
         entry = self._entries[name] = Entry(name, garment, source, path, owner, about)
         return entry
 
     def change(self, entry: Entry, *, name: str | None, published: bool | None) -> Entry:
-        """``entry`` with another name or published, on disk and in service."""
+        """Returns ``entry`` with another ``name`` or ``published``, changed on disk and in service."""
         assert entry.path is not None
         title = entry.about.title if name is None else name
         garment_files.write_about(entry.path, About(title, entry.published if published is None else published))
         return self.read_again(entry)
 
     def read_again(self, entry: Entry) -> Entry:
-        """``entry`` as its file says it now."""
+        """Returns ``entry`` with what the file of its changes says now."""
         assert entry.path is not None
         changed = self._entries[entry.id] = replace(entry, about=garment_files.read_about(entry.path))
         return changed
 
     def withdraw(self, entry: Entry) -> None:
-        """Makes ``entry`` unknown to whoever asks from now on; what it holds goes with ``remove`` or ``forget``."""
+        """Makes ``entry`` unknown to later requests. ``remove`` or ``forget`` then frees what it holds."""
         self._entries.pop(entry.id, None)
 
     def remove(self, entry: Entry) -> None:
@@ -157,7 +160,8 @@ class Registry:
 
 
 def begin_reading(settings: Settings, body: BodyModel) -> Callable[[Path], Garment]:
-    """Begins to read all garments in a thread, and returns a function that waits for the checked garment of a file."""
+    """Begins to read all garments in a thread. Returns a function that takes a file, waits until it is read, and
+    returns its checked garment."""
     with_limit = partial(_read, body=body, max_vertices=settings.max_vertices)
     pool = ThreadPoolExecutor(1, "drape-reading")
     stored = [*_shipped(settings), *garment_files.stored(settings.garments_dir)]
@@ -171,7 +175,7 @@ def _shipped(settings: Settings) -> list[Path]:
 
 
 def set_aside(path: Path, error: Exception) -> str:
-    """A line, which the log has too, about the cache ``path``, which cannot be read."""
+    """Logs that the cache ``path`` cannot be read because of ``error``, and returns that line."""
     said = legible(f"{path.name}: {error if isinstance(error, DrapeError) else repr(error)[:200]}")
     log.warning("garment set aside: %s", said)
     return said

@@ -30,5 +30,6 @@ class Motions:
         return self._clips[name]
 
     def placed(self, name: str, body: BodyModel, betas: np.ndarray) -> MotionClip:
-        """The clip ``name`` with the soles of this body on the ground; ``trans`` is what /drape takes."""
+        """Returns the clip ``name`` with translations that put the soles of ``body`` in the shape ``betas`` on the
+        ground; ``trans`` is what POST /drape takes."""
         return placed_on_ground(self.get(name), body.rest_joints(betas), floor=body.floor_m(betas))

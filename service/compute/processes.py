@@ -63,10 +63,11 @@ def kill_all() -> None:
 async def running(
     lane: str, module: str, *arguments: str, write: Callable[[IO[bytes]], Any], folder: Path, quiet: bool = False
 ) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
-    """A process as a job of ``lane``, and what it says; it is killed with the block.
+    """Runs ``python -m module`` as a job of ``lane``; yields the process and its standard output. It is killed when the
+    block ends.
 
-    Its standard input is a file that ``write`` has written, which has no name in ``folder``: nobody need wait for the
-    process to read.
+    ``write`` writes its standard input into a file without a name in ``folder``, so that nobody waits until the process
+    reads.
     """
     with tempfile.TemporaryFile(dir=folder) as file:
         await asyncio.to_thread(write, file)

@@ -20,7 +20,8 @@ def parsed_record(kind: type[Kind], path: Path) -> Kind:
 
 
 def read_record(kind: type[Kind], path: Path) -> Kind | None:
-    """The same; None where there is none, and, named in the log, where it cannot be read."""
+    """Returns what ``parsed_record`` does. None if there is no file, or if it cannot be read, which the log then
+    says."""
     try:
         return parsed_record(kind, path)
     except FileNotFoundError:

@@ -75,20 +75,22 @@ class ComputeThreads:
             done.set()
 
     async def aside(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """``function(*arguments)`` on the thread of what streams do not wait for, not begun beside a stream's frame."""
+        """Returns ``function(*arguments)``, computed on the thread of what streams need not wait for. It begins only
+        when no frame of a stream is being computed."""
         await _given_way(self._frame_done)
         return await asyncio.get_running_loop().run_in_executor(self._aside, _here(function, *arguments))
 
     async def apart(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """``function(*arguments)``, of seconds and for one client, on one of ``APART`` threads: others need not wait
-        for these, and who leaves the queue is through."""
+        """Returns ``function(*arguments)``, which takes seconds for one client, computed on one of ``APART`` threads:
+        others need not wait for it. A client that leaves the queue is passed over."""
         return await asyncio.get_running_loop().run_in_executor(self._apart, _here(function, *arguments))
 
     async def in_chunks(self, frames: int, compute: Callable[[slice], Iterator[Result]]) -> AsyncIterator[Result]:
-        """The last of what ``compute`` gives of all ``frames``, slice after slice, each step of it in its turn.
+        """Yields for each chunk of ``frames`` the last result that ``compute`` yields of it; every step has its turn on
+        the thread of clips.
 
-        Refuses (``Busy``) one that has waited for streams and other clips for ``clip_wait_s`` and a second for every
-        ``CLIP_FPS`` frames that it has got.
+        Refuses (``Busy``) a clip that has waited for streams and other clips for ``clip_wait_s``, and a second more for
+        every ``CLIP_FPS`` frames that it has got.
         """
         frame_s, start = math.inf, 0  # until the first has told how long one takes
         waited_s = 0.0  # for a turn; not for whoever asks to read
@@ -168,7 +170,8 @@ class SlicedThread:
         return function(*arguments) if len(text) <= BRIEF_TEXT else await self.run(function, *arguments)
 
     async def each(self, pieces: Iterator[Result]) -> AsyncIterator[Result]:
-        """All of ``pieces``, one turn of the thread for each: other work comes between them, and frames come first."""
+        """Yields the results of ``pieces``, each computed in a turn of its own: other work comes between them, and
+        frames come first."""
         end, gives_way = object(), True
         while True:
             gives_way = gives_way and await _given_way(self._free)
@@ -178,8 +181,8 @@ class SlicedThread:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """While a stream's frame is computed, which asks for the lock some fifty times: no piece of ``each`` begins
-        until this one, or another beside it, is through."""
+        """Holds the thread back while a stream's frame is computed, which asks for the lock some fifty times. No piece
+        of ``each`` begins before the last such block has ended."""
         self._free.clear()
         try:
             yield

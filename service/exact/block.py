@@ -21,7 +21,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import DrapeError, Unavailable
-from drape.exact.frame import Lain, Sheet, exact
+from drape.exact.frame import ExactCloth, Lain, exact
 from drape.forked import end_with_parent
 from drape.garment.cache import Garment
 from service.compute.background import step_back
@@ -44,13 +44,14 @@ class Block:
 
 
 def run(block: Block, say: Any = print) -> None:
-    """Computes the frames of ``block`` that are not on disk, one after the other, and says each."""
+    """Computes the frames of ``block`` that are not on disk, one after the other, and calls ``say`` with the figures of
+    each."""
     sheet, before = None, None
     for number, (pose, start) in enumerate(zip(block.poses, block.starts, strict=True)):
         kept = read_frame(block.folder, number)
         if kept is None:
             if sheet is None:
-                sheet = Sheet.of(block.garment, block.fabric, block.model, block.betas, block.rest)
+                sheet = ExactCloth.of(block.garment, block.fabric, block.model, block.betas, block.rest)
             before, told = exact(sheet, pose, start, before)
             write_frame(block.folder, number, before.x.astype(np.float32), asdict(told))
             say(json.dumps({"frame": number, **asdict(told)}), flush=True)

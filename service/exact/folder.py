@@ -44,7 +44,7 @@ class Accepted:
     problem: dict[str, Any] | None = None
 
     def tried(self, folder: Path) -> Accepted:
-        """The same with one attempt more, written to ``folder``."""
+        """Returns the clip with one attempt more, written to ``folder``."""
         again = replace(self, attempts=self.attempts + 1)
         again.write(folder)
         return again
@@ -104,7 +104,8 @@ def stored_bytes(root: Path) -> int:
 
 
 def clear(folder: Path) -> None:
-    """Takes what was computed off the disk, and the request; what is told of the clip stays."""
+    """Removes the request and the computed frames of a clip from the disk. Its record stays, for clients that ask
+    later."""
     for path in folder.glob("*"):
         if path.name not in (ABOUT, LOCK):
             path.unlink(missing_ok=True)

@@ -50,7 +50,7 @@ class Work:
 
 @dataclass(eq=False)
 class ClipJob:
-    """One clip and how far it is; ``told`` has what is told of each of its frames."""
+    """One clip and how far it is. ``told``: the figures of each finished frame, by its number."""
 
     accepted: Accepted
     folder: Path
@@ -85,8 +85,11 @@ class ExactClips:
         self._begin.set()
 
     def start(self, opened: Callable[[bytes, str | None], Awaitable[Work]]) -> None:
-        """Takes over what ended processes had accepted, and begins to compute. ``opened`` makes of the message that
-        asked for a clip, and of whose it is, what is to be computed."""
+        """Takes over what ended processes had accepted, and begins to compute.
+
+        ``opened`` takes the message that asked for a clip and the key that sent it, and returns the ``Work`` to be
+        done.
+        """
         for folder in on_disk.folders(self._root):
             accepted = on_disk.read_accepted(folder)
             lock = Lock(folder)
@@ -126,7 +129,7 @@ class ExactClips:
 
     @property
     def runs(self) -> bool:
-        """Whether clips are computed."""
+        """Whether the workers that compute clips run."""
         return bool(self._workers) and not any(worker.done() for worker in self._workers)
 
     def find(self, job_id: str, viewer: str | None) -> ClipJob | None:
@@ -196,19 +199,19 @@ class ExactClips:
         return (job.folder / on_disk.CLIP).read_bytes()
 
     def vertices(self, job: ClipJob, plan: Plan) -> np.ndarray:
-        """The vertices [m] (F, V, 3) float32 of ``job``, which is done, relative to the roots, as ``plan`` delivers
-        them; refuses (``NotFound``) where frames are missing."""
+        """Returns the vertices [m] (F, V, 3) float32 of the finished ``job``, relative to the roots, on the mesh that
+        ``plan`` delivers. Refuses (``NotFound``) a clip of which frames are missing."""
         frames = [on_disk.read_frame(job.folder, number) for number in range(job.accepted.frames)]
-        found = [frame[0] for frame in frames if frame is not None]
-        if len(found) < len(frames):
-            got = f"{len(found)} of {len(frames)} frames"
+        drawn = [frame[0] for frame in frames if frame is not None]
+        if len(drawn) < len(frames):
+            got = f"{len(drawn)} of {len(frames)} frames"
             raise NotFound("clip", expected="all of its frames", got=got, cure=f"Ask GET /jobs/{job.accepted.id}.")
         (entry,) = plan.scene.layers
         garment = entry.garment
         if has_finer(garment):
             wrapping = Wrapping(garment)
-            found = [wrapping.wrap(x) for x in found]
-        return garment.drawn_vertices(np.stack(found))
+            drawn = [wrapping.wrap(x) for x in drawn]
+        return garment.drawn_vertices(np.stack(drawn))
 
     # --- work ---
 

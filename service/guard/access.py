@@ -41,7 +41,8 @@ class Access:
         return ANYONE if name is None else self._names.get(name, Client(name))
 
     def admit(self, headers: Headers, offered: Sequence[str] = (), *, stream: bool = False) -> Client:
-        """Who asks; refuses (``Unauthorized``) who has no key or ticket, and (``Busy``) who asks too often."""
+        """Returns the client that asks. Refuses (``Unauthorized``) one without a key or ticket, and (``Busy``) one that
+        asks too often."""
         if not self._clients:
             return ANYONE
         scheme, _, said = headers.get("authorization", "").partition(" ")
@@ -79,7 +80,7 @@ class Access:
 
     @contextmanager
     def using(self, client: Client, what: Literal["streams", "clips"]) -> Iterator[None]:
-        """One of the client's ``what``; refuses when its key has no more."""
+        """Counts one of the client's ``what`` as in use during the block. Refuses (``Busy``) if its key has no more."""
         if client.limits is None or client.name is None:
             yield
             return

@@ -28,18 +28,15 @@ def check_answer(size: int, what: str, settings: Settings) -> None:
     limit = settings.max_answer_bytes
     if size > limit:
         raise TooLarge(
-            "answer",
-            expected=f"at most {limit} bytes",
-            got=f"about {size} for {what}",
-            cure="Send the clip in pieces.",
+            "answer", expected=f"at most {limit} bytes", got=f"about {size} for {what}", cure="Send the clip in pieces."
         )
 
 
 class BodyLimit:
-    """Watches each body as it is read: its size, its pace, and what all requests hold together.
+    """Watches each request body as it is read: its size, its pace, and how much all requests hold together.
 
-    Nothing is read before the route asks for it, so a request that is refused by its head costs no memory. A file in
-    a raw body goes to disk piece by piece and is not held. A limit that a body breaks is raised where the body is read.
+    Nothing is read before the route asks for it, so a request that is refused by its head costs no memory. A file in a
+    raw body goes to disk piece by piece and is not held. Raises the refusal where the body is read.
     """
 
     def __init__(self, app: ASGIApp, settings: Settings, lifecycle: Lifecycle) -> None:

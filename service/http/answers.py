@@ -27,7 +27,8 @@ PIECE_NUMBERS = 4096  # half a millisecond of the encoder, which holds the inter
 
 
 def choose(accept: str | None, offered: Sequence[str]) -> str:
-    """The offered type that ``accept`` prefers, the first of ``offered`` among equals; refuses if there is none."""
+    """Returns the type of ``offered`` that the header ``accept`` prefers; the first one of several that are alike.
+    Refuses (``NotAcceptable``) if it takes none."""
     if accept is None or not accept.strip():
         return offered[0]
     ranges = [_parse(part) for part in accept.split(",") if part.strip()]

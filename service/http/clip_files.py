@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drape.avatar.covered import UNSEEN_M, covered_faces
-from drape.avatar.distilled import Draped, distil
+from drape.avatar.distilled import DrapedClip, distil
 from drape.avatar.file_skeleton import load_file_rig
 from drape.avatar.joint_file import Jointed, add_clip
 from drape.avatar.rig_file import Dressed, add_bare, add_dressed, add_nodes
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 def rest_file(garment: Garment) -> tuple[GlbFile, bytes]:
-    """The file, and what it begins with."""
+    """Returns a GLB of ``garment`` at rest, and the bytes that it begins with."""
     file = GlbFile()
     glb.add_garment(file, garment.surface, garment.drawn_at_rest()[None], fps=1.0)
     return file, file.head()
@@ -49,7 +49,8 @@ def rest_file(garment: Garment) -> tuple[GlbFile, bytes]:
 def garment_file(
     scene: Scene, placed: Placed, asked: ClipOptions, clip: PoseInput, model: BodyModel
 ) -> tuple[GlbFile, bytes]:
-    """The file, and what it begins with."""
+    """Returns a GLB of the garments of ``scene`` over ``clip``, where they are ``placed``, and the bytes that it begins
+    with. If it is ``asked``, the body ``model`` is in it too."""
     file, start = GlbFile(), 0
     vertices, point = placed.from_first()
     root_motion = None
@@ -87,8 +88,13 @@ def on_rig_file(
     quantised: bool,
     joints: int | None,
 ) -> tuple[GlbFile, bytes]:
-    """The file of ``layers`` on the rig of ``wearer``, which is ``stored``, and what it begins with; with so many
-    ``joints`` of each garment's own, or with morph targets. It has what is seen then by ``left``."""
+    """Returns a GLB of the garments ``layers`` on the rig of ``wearer``, whose file is ``stored``, over ``clip``, and
+    the bytes that it begins with.
+
+    ``turns`` (F, N, 4) are the quaternions of the rig's nodes, if the client sent these. The garments have ``joints``
+    joints of their own each, or morph targets if that is None. What ``left`` says is seen of the character is in it
+    too.
+    """
     quaternions, places = wearer.to_rig(clip.poses, clip.trans)
     # Nodes that no joint of ours moves turn as they were told.
     moves = RigClip(quaternions if turns is None else turns, places, fps)
@@ -99,7 +105,7 @@ def on_rig_file(
     else:
         motion, made = rig_motion(moves, wearer, rig.skeleton), []
         for one in layers:
-            draped = Draped(one.vertices, motion)
+            draped = DrapedClip(one.vertices, motion)
             made.append(
                 Jointed(one.garment.surface, distil(one.garment, [draped], wearer, rig, count=joints), one.colour)
             )
@@ -112,7 +118,7 @@ def on_rig_file(
 
 
 def body_file(body: BodyModel, clip: PoseInput, asked: PosedOptions) -> tuple[GlbFile, bytes]:
-    """The file, and what it begins with."""
+    """Returns a GLB of the posed ``body`` over ``clip``, and the bytes that it begins with."""
     file = GlbFile()
     point = clip.trans[0] + body.rest_joints(clip.betas)[0] if asked.origin == "root" else np.zeros(3)
     add_body(file, body, clip.betas, clip.poses, clip.trans - point, asked.fps)
@@ -122,8 +128,8 @@ def body_file(body: BodyModel, clip: PoseInput, asked: PosedOptions) -> tuple[Gl
 
 
 def moving(scene: Scene, placed: Placed) -> tuple[list[MovingGarment], np.ndarray]:
-    """The garments of ``scene`` where they are ``placed``; what has roots counts from the first, which is the point
-    [m] (3,)."""
+    """Returns the garments of ``scene`` where they are ``placed``, and the point [m] (3,) in the world that they count
+    from: the first frame's root, or the origin."""
     vertices, point = placed.from_first()
     layers = [
         MovingGarment(entry.garment.surface, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)])
@@ -147,8 +153,8 @@ def check_package(kind: str) -> None:
 
 
 def packed_scene(layers: list[MovingGarment], point: np.ndarray, fps: float, kind: str) -> bytes:
-    """``layers``, which count from ``point`` [m] (3,), as one file of ``kind``: USDZ, or a ZIP of those of a vertex
-    animation texture."""
+    """Returns ``layers``, which count from ``point`` [m] (3,), as one file of ``kind``: a USDZ, or a ZIP with the files
+    of a vertex animation texture."""
     if kind == USDZ:
         return usd_file(layers, fps, ".usdz", point=point)
     out, names = io.BytesIO(), "_".join(layer.surface.name for layer in layers)

@@ -44,8 +44,8 @@ class ClipJob:
     turns: np.ndarray | None = None
 
     def remember(self, memories: Memories, state: State, token: str | None = None) -> dict[str, str]:
-        """The header that names the end of the clip, which is kept with the ``memories`` of its last frame; empty where
-        nobody asked for it. ``token``: its name, a new one by default."""
+        """Keeps the ``memories`` of the clip's last frame under ``token``, a new one by default. Returns the header
+        that names it; none, if the request did not ask for that."""
         if not self.asked.keep:
             return {}
         token = token or state.continuations.token()

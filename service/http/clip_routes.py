@@ -120,14 +120,14 @@ async def exact_clip(job_id: str, request: Request, state: StateHere, client: Cl
     """Returns the finished clip of tier exact in any format of POST /drape. ``body``, ``origin`` and ``quantised`` are
     those of the request that made the job.
     """
-    found = state.exact.find(job_id, client.name)
-    if found is None:
+    stored = state.exact.find(job_id, client.name)
+    if stored is None:
         cure = "POST /drape with tier exact."
         raise NotFound("job", expected="the id of a clip of tier exact", got=job_id[:120], cure=cure)
     kind = choose(request.headers.get("accept"), FILES)
     check_package(kind)
     with state.access.using(client, "clips"), state.slot():
-        job, draped, headers = await exact_clips.finished(found, state, client)
+        job, draped, headers = await exact_clips.finished(stored, state, client)
         check_clip_size(job, kind, state.runtime.settings)
         return await _clip_answer(job, draped, kind, headers, state)
 
@@ -257,7 +257,7 @@ async def _clip(
 
 
 def check_rig_frames(rig_poses: Sized, trans: Sized | None, most: int) -> None:
-    """Refuses too many poses of a rig, and another number of places."""
+    """Refuses more than ``most`` poses of a rig, and another number of places ``trans`` than of poses."""
     frames = len(rig_poses)
     if frames > most:
         raise TooLarge("rig_poses", expected=f"at most {most} frames", got=str(frames), cure="Send fewer.")
@@ -267,7 +267,7 @@ def check_rig_frames(rig_poses: Sized, trans: Sized | None, most: int) -> None:
 
 
 def check_rig(asked: schemas.ClipOptions, kind: str) -> None:
-    """Refuses a file on a rig where there is none, and what such a file has no place for."""
+    """Refuses (``InputError``) a file on a rig for the standard body, and options that such a file cannot hold."""
     if not asked.rig:
         if asked.joints is not None:
             raise InputError(

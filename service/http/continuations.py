@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Continuation:
-    """The stages' memories after ``frames`` of a clip of ``plan``, on a body of the shape ``betas`` (S,)."""
+    """The end of a clip: the stages' ``memories`` after so many ``frames`` of a clip of ``plan`` at ``fps``, on a body
+    of the shape ``betas`` (S,)."""
 
     plan: Plan
     betas: np.ndarray
@@ -29,7 +30,8 @@ class Continuation:
     memories: Memories
 
     def followed_by(self, plan: Plan, clip: PoseInput, fps: float) -> PoseInput:
-        """``clip`` as the frames after these; refuses (``InputError``) one that is draped otherwise."""
+        """Returns ``clip`` as the input that goes on from here. Refuses (``InputError``) another plan, shape or number
+        of frames a second."""
         if plan != self.plan or fps != self.fps or not np.array_equal(clip.betas, self.betas):
             raise InputError(
                 "past",
@@ -63,7 +65,7 @@ class Continuations:
 
     @staticmethod
     def token() -> str:
-        """A name for a continuation that is yet to be."""
+        """Returns a new random name, under which a clip's end will be kept."""
         return secrets.token_urlsafe(18)
 
     def put(self, token: str, past: Continuation, owner: str | None) -> None:

@@ -6,7 +6,7 @@ from pydantic import BaseModel, Field
 
 
 class CoveredPrimitive(BaseModel):
-    """The covered triangles of one primitive of a character's file."""
+    """The triangles of one primitive of a character's file that garments cover or hide."""
 
     node: int = Field(description="The number in the file of the node that has the mesh.")
     name: str = Field(description="The name of that node.")

@@ -34,7 +34,7 @@ START = {"tier": "accurate", "knob": 0.0, "resolution": "fine"}  # the drape tha
 
 
 def check_exact(asked: schemas.ClipOptions) -> None:
-    """Refuses (``InputError``) what no clip of tier exact has."""
+    """Refuses (``InputError``) options that a clip of tier exact cannot have."""
     cure = "Leave it out, or ask for tier accurate."
     if asked.garments is not None and len(asked.garments) > 1:
         cure = "Ask for one garment, or for tier accurate."
@@ -49,7 +49,7 @@ def check_exact(asked: schemas.ClipOptions) -> None:
 
 
 async def submitted(asked: schemas.ClipOptions, clip: PoseInput, state: State, client: Client) -> ExactJob:
-    """The job of the ``clip`` that is ``asked`` for, checked and on disk."""
+    """Checks the ``clip`` that is ``asked`` for, stores the request, and returns its job."""
     check_exact(asked)
     scene = await state.worn(asked, client)
     state.runtime.plan(scene, asked.model_copy(update=START))  # refused now rather than in the job
@@ -74,7 +74,8 @@ async def _read(message: bytes, state: State, client: Client) -> ClipJob:
 
 
 def opener(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
-    """A function that reads what a stored request, of the key that asked, wants computed."""
+    """Returns a function that takes a stored request and the key that sent it, and returns the ``Work`` that it asks
+    for."""
 
     async def opened(message: bytes, owner: str | None) -> Work:
         job = await _read(message, state, state.access.client(owner))
@@ -85,7 +86,8 @@ def opener(state: State) -> Callable[[bytes, str | None], Awaitable[Work]]:
 
 
 async def finished(job: ExactJob, state: State, client: Client) -> tuple[ClipJob, Batch, dict[str, str]]:
-    """The clip of ``job`` as one that was draped, and the headers of its answer; refuses one that is not done."""
+    """Returns the request of ``job``, its finished frames, and the headers of the answer. Refuses (``Unavailable``) a
+    clip that is not done."""
     if job.state != "done":
         cure = f"Ask GET /jobs/{job.accepted.id} until it is done."
         raise Unavailable("clip", expected="one that is done", got=job.state, cure=cure)

@@ -13,7 +13,7 @@ from drape.body.model import BodyModel
 from drape.body.shape_of_measures import measure_ranges, shape_of_measures
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import BodyError, InputError, MotionError, NotFound, TooLarge
-from drape.garment.fit_report import FitReport, Worn, fit_report
+from drape.garment.fit_report import FitReport, JudgedDrape, fit_report
 from drape.stages.batch import Batch, PoseInput, motion_arrays, shape_array
 from drape.wire.options import DrapeOptions
 from service.errors import NotAcceptable, TooSlow
@@ -93,11 +93,11 @@ async def garment_fit(garment_id: str, request: Request, state: StateHere, clien
     with state.access.using(client, "clips"), state.slot():
         draped = await runtime.drape(plan, clip)
         garment, fabric = plan.scene.layers[0].garment, plan.fabrics[0]
-        found = await runtime.made(fit_report, garment, runtime.body, _worn(clip, draped), fabric=fabric)
+        report = await runtime.made(fit_report, garment, runtime.body, _worn(clip, draped), fabric=fabric)
     if kind == BINARY:
-        rows = np.stack(_of_delivered(found, entry), axis=1)
+        rows = np.stack(_of_delivered(report, entry), axis=1)
         return binary_answer(rows, state.sliced_thread, {"X-Drape-Vertices": str(len(rows))})
-    return json_answer(_document(found, entry, vertices=asked.vertices), state.sliced_thread)
+    return json_answer(_document(report, entry, vertices=asked.vertices), state.sliced_thread)
 
 
 @router.get("/garments/{garment_id}/size", responses=responses(InputError, NotFound, BodyError))
@@ -119,11 +119,11 @@ def _clip(asked: FitRequest, body: BodyModel) -> PoseInput:
     return PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(float(len(poses))))
 
 
-def _worn(clip: PoseInput, draped: Batch) -> Worn:
+def _worn(clip: PoseInput, draped: Batch) -> JudgedDrape:
     """The frames of ``draped`` in the world, float64."""
     vertices = draped.vertices.astype(np.float64) + draped.root[:, None]
     posed = (clip.poses[1], vertices[1]) if len(vertices) > 1 else (None, None)
-    return Worn(clip.betas, vertices[0], *posed)
+    return JudgedDrape(clip.betas, vertices[0], *posed)
 
 
 def _of_delivered(found: FitReport, entry: Entry) -> list[np.ndarray]:

@@ -22,7 +22,8 @@ Folded = tuple[Garment, BodyModel, Fabric | None, np.ndarray, bool, Drawer | Non
 
 
 def queried_fabric(text: str | None) -> FabricChoice | None:
-    """The fabric that a query names, or whose numbers it has as a JSON object; refuses other JSON."""
+    """Returns the fabric in a query: a name, or numbers if ``text`` is a JSON object; None if there is none. Refuses
+    other JSON."""
     if not text:
         return None
     return validated(FabricNumbers, document_of(text.encode())) if text.startswith("{") else text
@@ -31,8 +32,12 @@ def queried_fabric(text: str | None) -> FabricChoice | None:
 def packed(
     worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool, hung: Drawer | None
 ) -> bytes:
-    """The message of the garment ``worn`` on ``body`` of a ``shape``, of ``fabric`` or else its own, where a ``coarse``
-    cloth takes the steps or the fine one; with what is drawn of it, if that is ``hung`` on it; compressed."""
+    """Returns the compressed FOLDS message of the garment ``worn`` on ``body`` in ``shape``, made of ``fabric`` or else
+    its own.
+
+    ``coarse``: whether a coarse cloth takes the steps. ``hung``: whether the message also has the mesh that hangs on
+    the cloth.
+    """
     told = flat_records(fold_records(worn, body, fabric, shape, coarse=coarse))
     return packed_text(pack_folds(*(told if hung is None else with_hung(*told, hung.arrays()))))
 
@@ -40,7 +45,7 @@ def packed(
 def made_of(
     worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool, hung: Drawer | None
 ) -> bytes:
-    """What the message of ``packed`` depends on."""
+    """Returns bytes that are equal for two messages of ``packed`` if the messages are: all that these depend on."""
     named = "" if fabric is None else fabric.digest
     said = "|".join(
         (str(WIRE_VERSION), f"{HASH:x}", worn.digest, body.digest, named, str(coarse), "hung" * (hung is not None))

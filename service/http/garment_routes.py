@@ -194,11 +194,7 @@ async def garment_jets(
     responses=responses(InputError, NotFound, NotAcceptable, BodyError, kinds=(BINARY,)) | KNOWN,
 )
 async def garment_folds(
-    garment_id: str,
-    request: Request,
-    state: StateHere,
-    client: ClientHere,
-    asked: Annotated[FoldsAsked, Query()],
+    garment_id: str, request: Request, state: StateHere, client: ClientHere, asked: Annotated[FoldsAsked, Query()]
 ) -> Response:
     """Returns a FOLDS message (docs/reference/wire.md). A client needs it to compute swing and folds by itself."""
     kind = choose(request.headers.get("accept"), (BINARY,))

@@ -91,11 +91,7 @@ async def bodies(state: StateHere) -> list[schemas.BodyInfo]:
 
 def _body_info(body: BodyModel) -> schemas.BodyInfo:
     return schemas.BodyInfo(
-        id=body.name,
-        digest=body.digest,
-        vertices=body.vertex_count,
-        faces=len(body.faces),
-        shapes=body.shape_count,
+        id=body.name, digest=body.digest, vertices=body.vertex_count, faces=len(body.faces), shapes=body.shape_count
     )
 
 
@@ -117,12 +113,7 @@ async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.B
     response_model=schemas.MeshDocument,
     responses=responses(InputError, NotFound, NotAcceptable, BodyError, kinds=(GLB, BINARY)) | KNOWN,
 )
-async def body_mesh(
-    body_id: str,
-    request: Request,
-    state: StateHere,
-    betas: Betas = None,
-) -> Response:
+async def body_mesh(body_id: str, request: Request, state: StateHere, betas: Betas = None) -> Response:
     """Returns the body at rest as JSON. With the right Accept header it returns a GLB or a BODY message
     (docs/reference/wire.md) instead; both have the 24 joints as a skeleton.
     """

@@ -31,7 +31,8 @@ Asked = TypeVar("Asked", bound=BaseModel)
 
 
 def clip_marks(max_frames: int) -> int:
-    """Marks that a clip of ``max_frames`` may have, and a quarter more: that long it is refused by its frames."""
+    """Returns how many marks a clip of ``max_frames`` may have, and a quarter more: a clip that is a little too long is
+    then refused by its number of frames."""
     return 5 * max_frames * FRAME_MARKS // 4 + SMALL_MARKS
 
 
@@ -79,7 +80,7 @@ def parsed(text: bytes, *, otherwise: str = NO_JSON) -> Any:
 
 
 def validated(model: type[Asked], document: Any) -> Asked:
-    """``document`` as a ``model``; refuses the first thing that is wrong with it."""
+    """Returns ``document`` as a ``model``. Refuses (``InputError``) the first field that is wrong."""
     known = set(wire_names(model).values())
     if isinstance(document, dict):
         for unknown in [key for key in document if key not in known][1:]:

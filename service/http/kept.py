@@ -44,9 +44,12 @@ class Kept:
         cache: str = A_DAY,
         packed: bool = True,
     ) -> Response:
-        """The answer of media type ``kind`` with what ``make`` makes where it is not kept, 304 where the headers
-        ``asked`` say that the client has it. ``made_of``: all that the content depends on. ``packed``: ``make`` gives
-        it compressed (``packed_text``), and so it is sent to who takes that."""
+        """Returns an answer of the media type ``kind``, whose content is kept, or else made by ``make``; 304 if the
+        headers ``asked`` say that the client has it.
+
+        ``made_of``: all that the content depends on. ``cache``: the header Cache-Control. ``packed``: ``make`` returns
+        compressed content (``packed_text``), which is sent as it is to a client that takes it.
+        """
         tag = f'W/"{hashlib.sha256(made_of).hexdigest()[:24]}"'
         headers = {"ETag": tag, "Cache-Control": cache} | ({"Vary": "Accept-Encoding"} if packed else {})
         if tag_is_known(tag, asked.get("if-none-match", "")):

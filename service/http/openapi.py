@@ -23,17 +23,18 @@ KNOWN: Responses = {304: {"description": "The client's copy is current."}}
 
 
 def responses(*refusals: type[DrapeError], kinds: Sequence[str] = ()) -> Responses:
-    """The ``responses`` of a route that may refuse as ``refusals``; ``kinds`` are media types of its 200 besides."""
-    said: Responses = {}
+    """Returns the ``responses`` of a route that may refuse as ``refusals``; ``kinds`` are the media types of its 200
+    besides JSON."""
+    answers: Responses = {}
     for kind in refusals:
         rule = rule_for(kind)
-        titles = [said[rule.status]["description"]] if rule.status in said else []
+        titles = [answers[rule.status]["description"]] if rule.status in answers else []
         titles += [rule.title] if rule.title not in titles else []
         content = {PROBLEM: {"schema": {"$ref": REFERENCE.format(model=Problem.__name__)}}}
-        said[rule.status] = {"description": " / ".join(titles), "content": content}
+        answers[rule.status] = {"description": " / ".join(titles), "content": content}
     if kinds:
-        said[200] = {"content": {kind: {} if kind == JSON else {"schema": BYTES} for kind in kinds}}
-    return said
+        answers[200] = {"content": {kind: {} if kind == JSON else {"schema": BYTES} for kind in kinds}}
+    return answers
 
 
 def body_schema(model: type[Schema], **others: dict[str, Any]) -> dict[str, Any]:

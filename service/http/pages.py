@@ -21,10 +21,7 @@ from service.errors import problem, rule_for
 from service.http.encodings import accepts
 
 PAGE_MISSING = Unavailable(
-    "page",
-    expected="its built files",
-    got="none",
-    cure="Run make page in a clone (needs Node.js), then reload.",
+    "page", expected="its built files", got="none", cure="Run make page in a clone (needs Node.js), then reload."
 )
 REFERENCE_PACKAGE = "fastapi_offline"  # carries the files of Swagger UI; its code is not used
 REFERENCE_FILES = ("swagger-ui-bundle.js", "swagger-ui.css", "favicon.png")
@@ -76,7 +73,7 @@ class Page(StaticFiles):
         self._index = folder / "index.html"
 
     async def check_config(self) -> None:
-        """Nothing to check: the folder may appear later."""
+        """Checks nothing: the folder may appear after the start."""
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         if path == "." and not self._index.is_file():
@@ -99,7 +96,7 @@ class Page(StaticFiles):
     def file_response(
         self, full_path: str | os.PathLike[str], stat_result: os.stat_result, scope: Scope, status_code: int = 200
     ) -> Response:
-        """The file, compressed where the build has left it so and the client takes that."""
+        """Returns the file, compressed if the build has left it so and the client takes that."""
         asked = Headers(scope=scope).get("accept-encoding", "")
         for encoding, suffix in PACKED.items():
             packed = f"{full_path}{suffix}"

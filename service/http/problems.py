@@ -36,7 +36,7 @@ _HTTP_REFUSALS: dict[int, tuple[type[DrapeError], str, str]] = {
 
 
 def install(app: FastAPI) -> None:
-    """Makes every refusal of ``app`` a problem document; faults of ours ``service.watch.logs`` does."""
+    """Makes every refusal of ``app`` a problem document. Faults of ours are left to ``service.watch.logs``."""
 
     @app.exception_handler(DrapeError)
     async def on_refusal(request: Request, error: DrapeError) -> JSONResponse:
@@ -57,9 +57,9 @@ def install(app: FastAPI) -> None:
 
 
 def validation_refusal(errors: Sequence[Any], known: Iterable[str] = ()) -> InputError:
-    """The refusal for the first of pydantic's ``errors``; ``known`` are the fields that there are.
+    """Returns the refusal for the first of pydantic's ``errors``; ``known`` are the fields that exist.
 
-    A field that may be one of several kinds has a complaint of each kind; the one that came furthest is meant.
+    A field that may be of several kinds has a complaint of each kind. The one that came furthest is meant.
     """
     first = max((one for one in errors if one["loc"][:1] == errors[0]["loc"][:1]), key=lambda one: len(one["loc"]))
     location = _without_kinds([part for part in first["loc"] if part not in ("query", "path", "header")], first["type"])

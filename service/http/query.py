@@ -17,7 +17,8 @@ Betas = Annotated[
 
 
 def queried_shape(text: str | None, body: BodyModel) -> np.ndarray:
-    """The shape (S,) that ``betas`` of a query ask for, zeros where there are none; refuses what is no shape."""
+    """Returns the shape (S,) of ``body`` in the query's ``betas``; zeros if there are none. Refuses text that is no
+    shape."""
     try:
         numbers = [float(part) for part in text.split(",")] if text else []
     except ValueError as error:

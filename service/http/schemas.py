@@ -13,7 +13,7 @@ from drape.graph.feeds import BETA_COUNT
 from drape.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from drape.stages.placing import Origin
 from drape.stages.tiers import Tier
-from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
+from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, WornGarments
 from service.http.size_schemas import SizeInfo
 from service.http.wearer_schemas import WearerFound
 
@@ -37,13 +37,13 @@ Betas = Annotated[list[_number(BETA_LIMIT)], Len(0, BETA_COUNT), FIRST_ONLY]
 
 
 class Request(BaseModel):
-    """Base of what clients send: unknown fields are refused, so that a typing mistake is not ignored."""
+    """Base of what clients send. Unknown fields are refused, so that a typing mistake is not ignored."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 class PosedOptions(Request):
-    """All but the poses of a body in motion: its shape, and the origin of the answer."""
+    """The shape of a body in motion and the origin of the answer: all but its poses."""
 
     betas: Betas | None = Field(default=None, description="The shape coefficients of the body. Left out: zeros.")
     fps: Annotated[float, Field(ge=0.001, le=1000.0, allow_inf_nan=False)] = 30.0
@@ -79,8 +79,8 @@ class OnAvatar(BaseModel):
     )
 
 
-class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
-    """All but the poses of a garment, or several over each other, on a body in motion."""
+class ClipOptions(DrapeOptions, WornGarments, OnAvatar, PosedOptions):
+    """The options of a garment, or of several over each other, on a body in motion: all but the poses."""
 
     body: bool = Field(default=False, description="Whether a GLB also holds the body, as a skinned mesh.")
     rig: bool = Field(
@@ -106,8 +106,7 @@ class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
         description="Whether the service keeps the state of the cloth after the last frame. X-Drape-Past names it.",
     )
     past: Annotated[str, Field(max_length=120)] | None = Field(
-        default=None,
-        description="The X-Drape-Past of the piece before this one. The clip goes on from its last frame.",
+        default=None, description="The X-Drape-Past of the piece before this one. The clip goes on from its last frame."
     )
     quantised: bool = Field(
         default=True,
@@ -133,7 +132,7 @@ class RigDrapeRequest(ClipOptions):
     )
 
 
-class OpenRequest(DrapeOptions, Worn, OnAvatar, Request):
+class OpenRequest(DrapeOptions, WornGarments, OnAvatar, Request):
     """The first message of a stream."""
 
     type: Literal["open"]

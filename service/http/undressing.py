@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 async def undressed_avatar(avatar_id: str, scene: Scene, state: State, client: Client) -> tuple[Wearer, Undressed]:
-    """The avatar, and what the garments of ``scene``, which it wears, leave of it."""
+    """Returns the avatar that wears ``scene``, and what its garments leave of its own surface to be drawn."""
     wearer = await state.wearer(avatar_id, client)
     ours = [(await state.garment(one.id, client)).garment for one in scene.layers if MARK not in one.id]
     worn = [one.garment for one in scene.layers]

@@ -101,8 +101,8 @@ def _name_and_format(name: str | None, file_format: str | None, content_type: st
 
 def job_info(job: Job) -> schemas.JobInfo:
     made = job.made[-1] if job.made else None
-    told = {"stage": job.stage, "share": round(job.share, 2), job.kind: made, "problem": job.problem}
-    told |= {"notes": list(job.notes), "wearer": job.wearer}
+    fields = {"stage": job.stage, "share": round(job.share, 2), job.kind: made, "problem": job.problem}
+    fields |= {"notes": list(job.notes), "wearer": job.wearer}
     if job.kind == "garment":
-        told["garments"] = list(job.made)
-    return schemas.JobInfo(id=job.id, name=job.name, state=job.state, **told)
+        fields["garments"] = list(job.made)
+    return schemas.JobInfo(id=job.id, name=job.name, state=job.state, **fields)

@@ -45,7 +45,8 @@ _CURE = "Open the stream without it: it begins anew."
 
 @dataclass(frozen=True, eq=False)
 class Brought:
-    """The state of a stream: the stages' memories, the poses dropped so far, the tier that streams were held to."""
+    """The state that a stream has brought from another process: the stages' ``memories``, the number of poses
+    ``dropped`` so far, and the ``tier`` that streams were held to there."""
 
     memories: Memories
     dropped: int
@@ -61,8 +62,8 @@ class Handover:
         self._held = 0
 
     def state(self, session: Session, client: Client, tier: int, *, now_s: float | None = None) -> bytes:
-        """The signed state of ``session``, streams held to ``tier``; empty where no other process could read it, or it
-        would be longer than ``DRAPE_STREAM_STATE_BYTES``."""
+        """Returns the signed state of ``session``, while streams are held to ``tier``. Empty if no other process could
+        read it, or if it is longer than ``DRAPE_STREAM_STATE_BYTES``."""
         if not self._tickets.shared:
             return b""
         head = self._bound(client, session.plan, session.betas)
@@ -102,7 +103,7 @@ class Handover:
         return Brought({(stage, owner): memory for stage, owner, memory in kept}, head["dropped"], head["tier"])
 
     async def send_away(self, socket: WebSocket, session: Session, client: Client, tier: int) -> None:
-        """Sends the state of ``session``, streams held to ``tier``, and where to go with it, and closes; the client has
+        """Sends the state of ``session`` and the address to go to, and closes the connection. The client has
         ``DRAPE_STREAM_SEND_S`` to take it."""
         settings, reason = self._runtime.settings, Draining()
         blob = self.state(session, client, tier)
@@ -123,7 +124,8 @@ class Handover:
         self._runtime.metrics.moved.labels(str(bool(pieces)).lower()).inc()
 
     def resume(self, pieces: Incoming, session: Session, client: Client) -> Brought | None:
-        """Lets ``session`` go on from what came in ``pieces``; None where nothing came or it does not fit."""
+        """Lets ``session`` go on from the state in ``pieces`` and returns that; None if there is none, or if it does
+        not fit."""
         if not pieces.messages:
             return None
         try:
@@ -151,7 +153,7 @@ class Handover:
 
     @contextmanager
     def incoming(self) -> Iterator[Incoming]:
-        """Room for the pieces of one state, until the end of the block."""
+        """Yields room for the pieces of one state, which are counted until the block ends."""
         pieces = Incoming(self)
         try:
             yield pieces
@@ -159,7 +161,8 @@ class Handover:
             self._held -= pieces.size
 
     def hold(self, size: int, more: int) -> None:
-        """Counts ``more`` bytes of a state of which ``size`` have come; refuses what is too much, of it or of all."""
+        """Counts ``more`` bytes of a state of which ``size`` bytes have come. Refuses (``TooLarge``, ``Busy``) what is
+        too much for one state or for all together."""
         limits = self._runtime.settings
         if size + more > limits.stream_state_bytes + PIECE_BYTES:
             expected = f"at most {limits.stream_state_bytes} bytes"
@@ -179,7 +182,7 @@ class Incoming:
         self.size = 0
 
     def take(self, message: bytes) -> None:
-        """One piece more."""
+        """Adds one piece, a STATE message."""
         self._handover.hold(self.size, len(message))
         self.size += len(message)
         self.messages.append(message)

@@ -79,7 +79,7 @@ class Replica:
         return {AGE: self._load.age_s, STREAMS: float(streams)}
 
     async def here(self) -> int:
-        """The id of this process."""
+        """Returns the id of this process."""
         return os.getpid()
 
     @property
@@ -182,7 +182,7 @@ def start_ray(address: str | None = None, **more: Any) -> None:
 
 
 def run(serving: Application, settings: Settings, address: str | None) -> None:
-    serve, told = _serve(), threading.Event()
+    serve, stopped = _serve(), threading.Event()
     import ray  # pyright: ignore[reportMissingImports]
 
     free_outputs(settings.log_format)
@@ -191,9 +191,9 @@ def run(serving: Application, settings: Settings, address: str | None) -> None:
         serve.start(http_options={"host": settings.host, "port": settings.port, "location": "HeadOnly"})
         serve.run(serving, name=NAME)
         for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: told.set())
+            signal.signal(number, lambda *_: stopped.set())
         print(f"drape on http://{settings.host}:{settings.port} with model {settings.model}, on Ray", flush=True)
-        told.wait()
+        stopped.wait()
     except RuntimeError as error:  # of a replica that does not start Ray tells no more
         cure = "Start python -m service with the same settings: it says why."
         raise Unavailable("replicas", expected="ones that start", got=str(error)[:300], cure=cure) from error

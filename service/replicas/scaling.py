@@ -33,7 +33,8 @@ class FrameAges:
         self._seen: deque[tuple[float, np.ndarray]] = deque()
 
     def p99_s(self, now_s: float | None = None) -> float:
-        """The age [s], linear within its bucket and never above the last bound; 0 where no frame left."""
+        """Returns the 99th percentile [s] of the ages, linear within its bucket and never above the last bound; 0 if no
+        frame left."""
         now = time.monotonic() if now_s is None else now_s
         bounds, counts = self._counts()
         self._seen.append((now, counts))

@@ -49,7 +49,7 @@ LEVEL = 6  # of compression
 
 @dataclass(frozen=True)
 class Asked:
-    """The garment, the clips that the folder holds, how it is draped, and the shape of the body."""
+    """What a folder shall hold: the garment, the clips, the options of the drape, and the body's shape."""
 
     garment: str
     motions: tuple[str, ...]
@@ -130,7 +130,8 @@ def check_inertia(options: DrapeOptions) -> None:
 
 
 def check_jets(manifest: Manifest) -> None:
-    """Refuses a model whose jets are not those of the wire: the client reads them as the graph gives them."""
+    """Refuses (``ArtifactError``) a model whose jets differ from those of the wire, which the client's reader takes for
+    granted."""
     (jet,) = (tensor for tensor in manifest.graphs[PACKED].outputs if tensor.name == "jet")
     if jet.shape[-1] != jets.FULL_COUNT:
         raise ArtifactError(

@@ -31,9 +31,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Opening:
-    """What a client asks of its stream: ``steps`` are the plan as each tier holds it, the least first. One that
-    ``moves`` can go on at another process, one that takes the ``same`` frame again need not get it twice. ``wearer``:
-    the avatar, where it shows one, whose rig may send poses."""
+    """What a client asks of its stream.
+
+    ``steps``: ``plan`` as each tier holds it, the one that computes least first. ``moves``: the stream can go on at
+    another process. ``same``: the client takes the word that its frame still holds in place of the frame. ``wearer``:
+    the avatar that the stream shows, whose own rig may then send poses; None for our body.
+    """
 
     plan: Plan
     betas: np.ndarray
@@ -44,7 +47,7 @@ class Opening:
 
 
 async def first_text(socket: WebSocket, pieces: Incoming, settings: Settings) -> str:
-    """The text that opens a stream; what comes before it of the stream's state goes to ``pieces``."""
+    """Returns the text that opens a stream. STATE messages that come before it go to ``pieces``."""
     begun_s = time.monotonic()
     while True:
         until_s = begun_s + settings.stream_open_s + pieces.size / settings.body_bytes_s
@@ -75,7 +78,7 @@ def text_of(message: Any) -> str:
 
 
 async def read_opening(text: str, state: State, client: Client) -> Opening:
-    """What ``text`` asks for, with all that its frames need made."""
+    """Returns what ``text`` asks for, once all that its frames need has been made."""
     asked = validated(OpenRequest, document_of(text.encode()))
     runtime = state.runtime
     scene = await state.worn(asked, client)
@@ -89,7 +92,7 @@ async def read_opening(text: str, state: State, client: Client) -> Opening:
 
 
 def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str:
-    """The answer to an opening that got ``plan``, on ``wearer``."""
+    """Returns the answer to an opening that got ``plan``, on ``wearer`` or our body."""
     scene, options = plan.shown, plan.options
     jets = options.geometry == "jets"
     worn = {"garments": layer_list(scene, patches=jets)} if isinstance(scene, Outfit) else {"garment": scene.id}

@@ -51,13 +51,14 @@ class Waiting:
 
 @dataclass(eq=False)
 class Session:
-    """One client's stream. ``generation`` counts openings: what was begun for an earlier one is thrown away.
+    """One client's stream.
 
-    ``steps``: the plan as each tier holds it, the least first; ``memories``: what the stages keep of the frames so far
-    (``drape.stages``). Of ``dropped`` poses those that are ``late`` waited for a worker alone. One that ``moves``
-    can go on at another process; while it is ``leaving`` nothing is begun for it here. A client that takes ``same``
-    need not get a frame again that it has: ``shown``, the message that was computed for it. ``link`` leads to its
-    request. ``wearer``: the avatar that it shows.
+    ``steps``: ``plan`` as each tier holds it, the one that computes least first. ``memories``: what the stages keep of
+    the frames so far. ``generation``: the number of openings; a result that was begun for an earlier one is thrown
+    away. ``dropped``: poses that newer ones replaced; of these ``late`` waited for nothing but a worker. ``moves``: it
+    can go on at another process; while it is ``leaving`` nothing is begun for it here. ``same``: the client takes the
+    word that its frame still holds; ``shown`` is the message of that frame. ``wearer``: the avatar that it shows.
+    ``link`` leads to its request's span.
     """
 
     plan: Plan
@@ -106,7 +107,7 @@ class Session:
         return self.due() and not self.computing
 
     def due(self) -> bool:
-        """Whether a pose waits for nothing but a worker, if only for the one that computes the frame before."""
+        """Whether a pose waits for nothing but a worker; the one that computes the frame before counts too."""
         free = len(self.under_way) < self.credit and self.outbox is None and not self.leaving
         return self.waiting is not None and free
 
@@ -121,7 +122,7 @@ class Session:
         return self.outbox is None and not self.computing
 
     def held_to(self, tier: int) -> Plan:
-        """Its plan with no more than the step of that index computes."""
+        """Returns its plan as the step with the index ``tier`` holds it."""
         return self.steps[tier] if tier < len(self.steps) else self.plan
 
     def take(self) -> Waiting:

@@ -3,11 +3,11 @@
 A session (``service.stream.routes``) is served as soon as a worker is free, the frame before is through and the client
 has credit: frames that wait in a kernel buffer only grow old. There is no timer.
 
-Streams step down by one tier as soon as a share of the poses was late, that is replaced by newer ones while only the
-worker was in the way, and by as many as it takes to spare that share; up again after a while without, where what the
-next step takes leaves room, and after twice as long where the last try failed. Nothing is ever computed that was not
-asked for: ``compute.tiers.capped``. Below the least tier there is what it can spare, ``compute.tiers.spared``, and
-below that its folds are carried along.
+A pose is late if a newer one replaced it while only the worker was in the way. Streams step down as soon as a share of
+the poses was late: by one tier, or by as many as it takes to spare that share. They come up again after a while without
+late poses, if what the next step takes leaves room, and after twice as long if the last try failed. Nothing is ever
+computed that was not asked for (``drape.stages.tiers.capped``). Below the least tier there is what that can spare
+(``drape.stages.tiers.spared``), and below that its folds are carried along.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ class Streams:
 
     @property
     def tier(self) -> int:
-        """The index in ``DrapeRuntime.steps`` of the most that streams get; past the last one nothing holds them."""
+        """The index in ``DrapeRuntime.steps`` of the step that streams are held to; one past the last while nothing
+        holds them."""
         steps = self._step_down
         return steps.level if self._runtime.settings.stream_step_down else steps.top
 
@@ -110,13 +111,14 @@ class Streams:
             session.news.set()
 
     def release(self, count: int) -> None:
-        """Lets ``count`` of the streams that ``moves``, or as many as there are, go on at another process."""
+        """Lets ``count`` of the streams that ``moves`` go on at another process, or all of these if there are fewer."""
         for session in [one for one in self._sessions if one.moves and not one.leaving][:count]:
             session.leaving = True
             session.news.set()
 
     def add(self, session: Session, tier: int | None = None) -> None:
-        """Takes ``session`` in; the first is held to the ``tier`` that it was held to where it comes from."""
+        """Takes ``session`` in. If it is the only one, streams are held to ``tier``, as they were where it comes
+        from."""
         self.check_place()
         if tier is not None and not self._sessions:
             self._step_down.hold(tier, time.monotonic())
@@ -194,10 +196,8 @@ def _pose_input(session: Session, waiting: Waiting) -> PoseInput:
 
 
 class StepDown:
-    """``level``: the index of the highest tier that streams get; ``top``, how many there are, where nothing holds them.
-
-    Times are seconds of one monotonic clock.
-    """
+    """Decides to which step streams are held. ``level``: the index of the highest one that they get, equal to ``top``
+    while nothing holds them. Times are seconds of one monotonic clock."""
 
     def __init__(self, top: int, now_s: float) -> None:
         self.top = self.level = top
@@ -211,7 +211,7 @@ class StepDown:
         self._start_s, self._frames, self._late, self._busy_s = now_s, 0, 0, 0.0
 
     def hold(self, level: int, now_s: float) -> None:
-        """Goes down to ``level``, as if it had stepped there now."""
+        """Goes down to ``level`` at ``now_s``."""
         if level < self.level:
             self.level = level
             self._quiet_since_s = now_s

@@ -110,13 +110,14 @@ def taken_over(root: Path, own: Path, *, shared: bool = False) -> Iterator[tuple
 
 
 def touch(own: Path) -> None:
-    """Says that the process that has the staging folder ``own`` runs."""
+    """Gives the staging folder ``own`` the time of now, which tells other services that its process still runs."""
     if own.is_dir():
         os.utime(own)
 
 
 def elsewhere(root: Path, own: Path, job_id: str) -> tuple[Accepted, Path] | None:
-    """The upload ``job_id`` that waits or runs in another service under ``root``, and its folder."""
+    """Returns the upload ``job_id`` and its folder, if it waits or runs in another service under ``root``; otherwise
+    None."""
     for folder in root.glob(f"{STAGING}*/{job_id}"):
         accepted = None if folder.parent == own else read(folder)
         if accepted is not None:

@@ -16,12 +16,11 @@ EXAMPLE = 'Send for example {"gender": 1.0, "age": 0.667}'
 
 
 def upload_avatar(told: str | None, name: str, garments_dir: Path) -> str | None:
-    """The avatar for the intake as text; None leaves it the standard body.
+    """Returns the avatar for the intake as text; None if the intake shall find the wearer.
 
-    ``told`` is a phenotype or SMPL parameters as JSON, ``standard``, or a name of a table;
-    a path is refused, for it would name a file of this machine. Untold, the longest entry with
-    which ``name`` begins counts. Tables: avatars.json in the folder of uploads, in DRAPE_DATA/garments, and the
-    shipped one.
+    ``told`` is a phenotype or SMPL parameters as JSON, ``standard``, or a name of a table. A path is refused, for it
+    would name a file of this machine. If nothing is told, the longest entry with which ``name`` begins counts. Tables:
+    avatars.json in the folder of uploads, in DRAPE_DATA/garments, and the shipped one.
     """
     folders = [folder for folder in (garments_dir, data_folder("garments"), SHIPPED_FOLDER) if folder is not None]
     if told is None:

@@ -58,10 +58,7 @@ async def run_sandbox(
             await ended(process)
     except TimeoutError:
         raise TooLarge(
-            label,
-            expected=f"an intake within {settings.intake_wall_s:g} s",
-            got="no end by then",
-            cure=thing.smaller,
+            label, expected=f"an intake within {settings.intake_wall_s:g} s", got="no end by then", cure=thing.smaller
         ) from None
     if report is not None and "problem" in report:
         raise _refusal(report["problem"])

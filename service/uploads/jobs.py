@@ -174,9 +174,9 @@ class Uploads:
         return Job(kept.id, kept.name, kept.owner, kept.state, kind, *told)
 
     async def cancel(self, job: Job) -> None:
-        """Ends ``job`` and removes its files; one that has ended is forgotten, and its garment stays.
+        """Ends ``job`` and removes its files. One that has ended is only forgotten, and its garment stays.
 
-        One of another service is ended by that, within ``DRAPE_GARMENTS_LOOK_S``.
+        A job of another service ends within ``DRAPE_GARMENTS_LOOK_S``.
         """
         if job.ended:
             self._jobs.pop(job.id, None)
@@ -255,7 +255,7 @@ class Uploads:
         return job
 
     async def stored(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
-        """How many bytes ``pieces`` are, which are written to ``file`` as they come."""
+        """Writes ``pieces`` to ``file`` as they come. Returns how many bytes they were."""
         try:
             file.parent.mkdir(parents=True)
         except OSError as error:
@@ -338,13 +338,13 @@ class Uploads:
     ) -> str:
         """The id of the avatar whose wearer, and the garments that it came in, are those of the ``report``, in ``out``,
         with the user's ``file``, now in service."""
-        avatars, (made, *own) = self._runtime.avatars, [out / str(name) for name in report["files"]]
-        self._check_room(client, sum(one.stat().st_size for one in (made, file, *own)))
+        avatars, (avatar, *own) = self._runtime.avatars, [out / str(name) for name in report["files"]]
+        self._check_room(client, sum(one.stat().st_size for one in (avatar, file, *own)))
         clothes = OwnFiles(own, report["stiff"]) if "stiff" in report else None
         if accepted.replaces is not None:
             entry = avatars.get(accepted.replaces, client.name)
-            return (await asyncio.to_thread(avatars.replaced, entry, made, clothes)).id
-        return (await asyncio.to_thread(avatars.add, made, file, client.name, clothes)).id
+            return (await asyncio.to_thread(avatars.replaced, entry, avatar, clothes)).id
+        return (await asyncio.to_thread(avatars.add, avatar, file, client.name, clothes)).id
 
     async def _publish(self, made: Path, client: Client) -> str:
         """The id of the garment whose cache ``made`` is: checked, on disk in the folder of ``client``, in service.

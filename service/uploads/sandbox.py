@@ -84,13 +84,13 @@ def avatar_files(file: Path, out: Path, *, told: str | None, body: str) -> tuple
     from drape.body.assets import load_body
     from drape.garment.cache import save_garment
 
-    said, payload = json.loads(told) if told else {}, file.read_bytes()
+    meaning, payload = json.loads(told) if told else {}, file.read_bytes()
     wearer = read_wearer(
-        payload, name=wearer_name(file.stem), body=load_body(body), told=said.get("joints"),
-        kinds=said.get("parts"), begun=_say,
+        payload, name=wearer_name(file.stem), body=load_body(body), told=meaning.get("joints"),
+        kinds=meaning.get("parts"), begun=_say,
     )  # fmt: skip
     own = None
-    if said.get("alive"):
+    if meaning.get("alive"):
         _say("cloth")
         own = own_garments(payload, wearer)
     _say("store")
@@ -105,12 +105,12 @@ def motion_file(file: Path, out: Path, *, clip: str | None) -> Path:
     """
     from drape.motion.readers import read_motion
 
-    made = read_motion(file, clip=clip)
-    if made.frame_count > MOST_FRAMES:
+    motion = read_motion(file, clip=clip)
+    if motion.frame_count > MOST_FRAMES:
         expected, cure = f"at most {MOST_FRAMES} frames", THINGS["motion"].smaller
-        raise TooLarge(file.name, expected=expected, got=str(made.frame_count), cure=cure)
+        raise TooLarge(file.name, expected=expected, got=str(motion.frame_count), cure=cure)
     path = out / "motion.npz"
-    made.save(path)
+    motion.save(path)
     return path
 
 
@@ -133,14 +133,14 @@ def main() -> int:
     set_limits(memory_mb=options.memory_mb, cpu_s=options.cpu_s)
     may_fork(min(MOST_PROCESSES, processor_count()) - 1)
     try:
-        said = sys.stdin.buffer.read().decode() or None
+        meaning = sys.stdin.buffer.read().decode() or None
         stiff = None
         if options.kind == "avatar":
-            made, stiff = avatar_files(options.file, options.out, told=said, body=options.body)
+            files, stiff = avatar_files(options.file, options.out, told=meaning, body=options.body)
         elif options.kind == "motion":
-            made = [motion_file(options.file, options.out, clip=said).name]
+            files = [motion_file(options.file, options.out, clip=meaning).name]
         else:
-            made = intake_files(options.file, options.out, avatar=said, body=options.body)
+            files = intake_files(options.file, options.out, avatar=meaning, body=options.body)
     except DrapeError as error:
         return _refuse(options.out, error)
     except Exception as error:
@@ -151,20 +151,20 @@ def main() -> int:
         else:  # a fault of ours that a strange file found: whoever sent it is told of the file
             expected, got, cure = f"{thing.words} that can be read", f"one at which it fails: {error!r}"[:120], CURE
         return _refuse(options.out, thing.refusal(options.file.name, expected=expected, got=got, cure=cure))
-    print(json.dumps({"files": made} | ({} if stiff is None else {"stiff": stiff})))
+    print(json.dumps({"files": files} | ({} if stiff is None else {"stiff": stiff})))
     return 0
 
 
 def _refuse(out: Path, error: DrapeError) -> int:
     shutil.rmtree(out, ignore_errors=True)
-    said = {
+    problem = {
         "kind": type(error).__name__,
         "name": error.name,
         "expected": error.expected,
         "got": error.got,
         "cure": error.cure,
     }
-    print(json.dumps({"problem": said}))
+    print(json.dumps({"problem": problem}))
     return 2
 
 

@@ -27,8 +27,11 @@ log = logging.getLogger("drape.service")
 
 
 class SharedFolder:
-    """Looks into the folder every ``DRAPE_GARMENTS_LOOK_S``, and where a garment or an avatar is asked for that this
-    service does not know; 0 never, as for a service that has its folder alone."""
+    """Takes over what other services change in the shared folder of uploads.
+
+    It looks every ``DRAPE_GARMENTS_LOOK_S``, and when a request names a garment or an avatar that this service does not
+    know. At 0 it never looks: the service has its folder alone.
+    """
 
     def __init__(self, runtime: DrapeRuntime, streams: Streams, uploads: Uploads) -> None:
         self._runtime, self._streams, self._uploads = runtime, streams, uploads
@@ -51,11 +54,11 @@ class SharedFolder:
 
     @property
     def runs(self) -> bool:
-        """Whether it looks, where it should."""
+        """Whether it looks; true as well where it need not."""
         return self._task is None or not self._task.done()
 
     async def found(self, asked: Callable[[], Found]) -> Found:
-        """``asked()``; where that refuses a garment or an avatar as unknown, again after a look."""
+        """Returns ``asked()``. If that refuses a garment or an avatar as unknown, it is called again after a look."""
         try:
             return asked()
         except NotFound:

@@ -78,7 +78,7 @@ class Metrics:
         registry.register(_DroppedLines())
 
     def watch(self, **gauges: Callable[[], float]) -> None:
-        """Reads these gauges, by their attribute, from functions from now on."""
+        """Makes the gauges of these names read their values from these functions from now on."""
         for name, function in gauges.items():
             getattr(self, name).set_function(function)
 
@@ -90,7 +90,7 @@ class Metrics:
             self.frames_on_time.inc()
 
     def drawn(self, pushed_share: np.ndarray, push_max_m: np.ndarray, left_m: np.ndarray, resets: np.ndarray) -> None:
-        """Counts draped frames (F,), by what was done to each."""
+        """Counts draped frames by what was done to each; all arrays are (F,)."""
         self.frames.inc(len(pushed_share))
         self.folds_resets.inc(float(resets.sum()))
         for series, values in (

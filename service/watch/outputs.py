@@ -94,11 +94,11 @@ def _hand_on(source: int, target: int, form: str, counts: int, place: int) -> No
 
     def write() -> None:
         nonlocal size, stalled
-        told, begun = 0, b""  # the latter ends a line that the disk took a part of
+        reported, begun = 0, b""  # the latter ends a line that the disk took a part of
         while True:
             with news:
                 news.wait_for(lambda: len(kept) > 0)
-                line, missing = kept.popleft(), dropped - told
+                line, missing = kept.popleft(), dropped - reported
             left = whole = begun + _note(missing, form) + line if missing else line
             while left:
                 try:
@@ -114,7 +114,7 @@ def _hand_on(source: int, target: int, form: str, counts: int, place: int) -> No
                 if left:
                     drop()
                 else:
-                    told += missing
+                    reported += missing
 
     def fits() -> bool:
         return size <= KEPT_BYTES

@@ -61,8 +61,8 @@ class Tracing:
 
     @contextmanager
     def work(self, name: str, links: Sequence[Link | None] = (), **attributes: str | int | float) -> Iterator[None]:
-        """Work for others than its caller: a trace of its own, with ``links`` (``here``) to theirs. The span of work
-        that fails holds only the class of the error."""
+        """Traces work that is done for others than its caller: a trace of its own, with ``links`` (``here``) to theirs.
+        If it fails, its span holds only the class of the error."""
         if self._tracer is None:
             yield
             return
@@ -113,7 +113,7 @@ class Tracing:
 
 
 class Answered:
-    """A request's span, to be told how it was answered."""
+    """The open span of a request; ``told`` names it by how the request was answered."""
 
     def __init__(self, span: Span | None) -> None:
         self._span = span

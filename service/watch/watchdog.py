@@ -44,7 +44,8 @@ def spent_s(number: int, *, thread: bool = False) -> float:
 
 @dataclass(eq=False)
 class Job:
-    """What runs in a ``lane``. ``clocks``: of the processor time [s] that it takes; ``thread``: whose stack is told."""
+    """What runs in a ``lane``. ``clocks`` return the processor time [s] that it takes; ``thread`` is the one whose
+    stack is told."""
 
     lane: str
     clocks: list[Callable[[], float]]
@@ -86,7 +87,7 @@ def waits_for(clock: Callable[[], float]) -> None:
 
 
 class Lane(ThreadPoolExecutor):
-    """Threads whose calls are jobs of the lane ``name``; ``brief``: each is one move."""
+    """Threads whose calls are jobs of the lane ``name``. In a ``brief`` lane each call counts as one move."""
 
     def __init__(self, name: str, threads: int | None = None, *, brief: bool = False, **more: Any) -> None:
         super().__init__(threads, thread_name_prefix=f"drape-{name}", **more)
@@ -97,12 +98,12 @@ class Lane(ThreadPoolExecutor):
 
     def _run(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Any:
         clock = partial(spent_s, threading.get_native_id(), thread=True)
-        one = _here.job = Job(self._name, [clock], threading.get_ident(), silent=not self._brief)
-        JOBS.add(one)
+        job = _here.job = Job(self._name, [clock], threading.get_ident(), silent=not self._brief)
+        JOBS.add(job)
         try:
             return function(*arguments, **named)
         finally:
-            JOBS.discard(one)
+            JOBS.discard(job)
 
 
 class Watchdog:
@@ -133,16 +134,16 @@ class Watchdog:
     def _look(self, now_s: float) -> None:
         self._loop.moved_s = now_s - self._life.loop_still_s
         jobs, still = (self._loop, *JOBS), dict.fromkeys(self._life.still, 0.0)
-        for one in jobs:
-            one.look(now_s)
-            still[one.lane] = max(still.get(one.lane, 0.0), now_s - one.moved_s)
+        for job in jobs:
+            job.look(now_s)
+            still[job.lane] = max(still.get(job.lane, 0.0), now_s - job.moved_s)
         for lane, waited_s in still.items():
             self._metrics.lane_still.labels(lane).set(waited_s)
         self._life.still = still  # who sees it there finds it in the metrics
-        before, self._told = self._told, {one for one in jobs if now_s - one.moved_s > self._stuck_s}
-        for one in self._told - before:  # last: a log may keep who writes it waiting
-            stack = "".join(traceback.format_list(one.stack())) or "It is a process of its own.\n"
-            log.error("%s: a job has not moved for %.1f s\n%s", one.lane, now_s - one.moved_s, stack)
+        before, self._told = self._told, {job for job in jobs if now_s - job.moved_s > self._stuck_s}
+        for job in self._told - before:  # last: a log may keep who writes it waiting
+            stack = "".join(traceback.format_list(job.stack())) or "It is a process of its own.\n"
+            log.error("%s: a job has not moved for %.1f s\n%s", job.lane, now_s - job.moved_s, stack)
 
 
 def end_when_told() -> None:

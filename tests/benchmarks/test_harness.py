@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from benchmarks import harness
+from benchmarks.clock import timed
 from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.tables import text_table
 from drape.errors import InputError, Unavailable
@@ -101,6 +102,12 @@ def test_no_git_is_no_commit(monkeypatch, tmp_path):
 
 
 def test_the_command_is_the_module_that_runs(monkeypatch):
-    spec = importlib.util.find_spec("benchmarks.latency")
+    spec = importlib.util.find_spec("benchmarks.frame")
     monkeypatch.setattr(sys.modules["__main__"], "__spec__", spec)
-    assert harness.command("anything", []) == "python -m benchmarks.latency"
+    assert harness.command("anything", []) == "python -m benchmarks.frame"
+
+
+def test_a_clock_counts_every_call():
+    calls = []
+    assert timed(lambda: calls.append(1), seconds=0.0) > 0.0
+    assert len(calls) == 15  # five of them warm it up

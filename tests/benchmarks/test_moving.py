@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from benchmarks import moving, stills
-from benchmarks.scenes import FPS, Clip
+from benchmarks.scenes import FPS, Clip, lively_clips
 from drape.body.model import BodyModel
+from drape.motion.clip import MotionClip
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.garments import shipped
@@ -65,9 +66,46 @@ def test_crumpled_cloth_has_more_curvature_than_its_still(drapery: DrapeRuntime,
     assert crumpled["curvature"] > 2.0 and crumpled["strain_pct"] > same["strain_pct"]
 
 
-def _standing(skin: moving.Skin) -> moving.Skin:
+def test_cloth_in_the_body_is_counted(drapery: DrapeRuntime, clip: Clip):
+    garment, skin = shipped("tank"), _standing(moving.Skin(clip), 0)
+    worn, looks = garment.vertices[: garment.vertex_count].astype(float), stills.looks_of(garment)
+    at_rest = {11: stills.figures(looks, worn)}
+    outside, inside = (
+        moving.moving_row(looks, np.repeat(x[None], 12, axis=0), skin, at_rest, {})
+        for x in (worn, worn - [0.0, 0.0, 0.05])
+    )
+    assert outside["inside"] == outside["inside_worst"] == 0.0
+    assert inside["inside_worst"] >= inside["inside"] > 100.0 and inside["depth_mm"] > moving.DEEP_MM
+
+
+def test_of_captured_clips_the_liveliest_frames_are_worn(body: BodyModel, tmp_path: Path):
+    """An arm swings in the second of three seconds; what the head does is no movement of limbs."""
+    poses = np.zeros((90, 24, 3))
+    poses[30:60, 16, 0] = np.sin(np.arange(30.0))
+    poses[60:, 15, 0] = 2.0 * np.sin(np.arange(30.0))
+    MotionClip(poses, np.zeros((90, 3)), FPS, "swung").save(tmp_path / "swung.npz")
+    (clip,) = lively_clips([str(tmp_path / "swung.npz")], 32, body)
+    assert clip.name in ("swung@28", "swung@29", "swung@30") and len(clip.poses) == 32
+    assert len(lively_clips([str(tmp_path)], 500, body)[0].poses) == 90
+    assert lively_clips([], 32, body) == []
+
+
+def test_captured_clips_have_means_of_their_own(body: BodyModel, tmp_path: Path):
+    poses = np.zeros((12, 24, 3))
+    poses[:, 16, 2] = np.linspace(0.0, -0.5, 12)
+    MotionClip(poses, np.zeros((12, 3)), FPS, "raised").save(tmp_path / "raised.npz")
+    words = ["--garments", "tank", "--motions", "walk", "--frames", "11", "--tiers", "fast"]
+    record = moving.main(
+        [*words, "--captured", str(tmp_path), "--captured-garments", "tank", "--captured-frames", "11"]
+    )
+    (walk,), (raised,) = ([row for row in record["rows"] if row["clip"].startswith(one)] for one in ("walk", "raised@"))
+    for means, row in (("means", walk), ("captured", raised)):
+        assert record[means][0]["curvature"] == pytest.approx(row["curvature"], rel=1e-5)
+
+
+def _standing(skin: moving.Skin, frame: int = 11) -> moving.Skin:
     """The skin of a body that only trembles, so that jitter has a measure."""
     clip = skin.clip
-    poses = np.repeat(clip.poses[11:], 12, axis=0)
+    poses = np.repeat(clip.poses[frame : frame + 1], 12, axis=0)
     poses[:, 18, 0] += 0.1 * np.sin(np.arange(12.0) ** 2)
     return moving.Skin(replace(clip, poses=poses))

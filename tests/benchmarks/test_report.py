@@ -29,7 +29,7 @@ def test_what_was_not_measured_is_a_dash_and_the_source_stands_below():
     columns = {"garment": ("garment", "s"), "gain": ("gain", ".2f"), "jitter": ("jitter", ".2f")}
     row = {"garment": "sash", "gain": 0.731, "jitter": None}
     assert cells({"garment": "sash"}, columns) == ["sash", "-", "-"]
-    assert rows_table(columns, [row], WHERE).split("\n") == [
+    assert rows_table({**columns, "newer": ("of a newer record", "d")}, [row], WHERE).split("\n") == [
         "| garment | gain | jitter |",
         "|---|---|---|",
         "| sash | 0.73 | - |",

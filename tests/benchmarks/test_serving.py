@@ -58,8 +58,5 @@ def test_single_frames_are_posted(live: str):
 
 
 def test_a_server_that_does_not_start_is_told():
-    with (
-        pytest.raises(RuntimeError, match=r"json\.tool did not start"),
-        server("json.tool"),
-    ):
+    with pytest.raises(RuntimeError, match=r"json\.tool did not start"), server("json.tool"):
         pass

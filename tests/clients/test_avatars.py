@@ -11,7 +11,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
 from clients.cli import main
 from clients.client import DrapeClient
 from drape.body.model import BodyModel
@@ -19,6 +18,7 @@ from drape.catalog import find_garments, open_garment
 from drape.errors import InputError, NotFound, Unavailable
 from tests.clients.node import answer_of
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.dressed_characters import dressed_character, dressed_parts
 from tests.fixtures.glb_reader import Reader
 
 BETAS = np.array([-1.0, *np.zeros(9)])  # a smaller body

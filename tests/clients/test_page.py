@@ -14,9 +14,9 @@ from drape.catalog import find_motions
 from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
 from tests.clients.browser import Page, open_page, violations
+from tests.clients.people import person
 from tests.clients.test_vmc import bridge, packets, send
 from tests.drape.motion.node_files import T_POSE, glb, moved
-from tests.drape.motion.people import person
 
 pytestmark = pytest.mark.browser
 

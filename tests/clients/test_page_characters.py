@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.measure.dressed_characters import Worn, dressed_character, dressed_parts
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
 from tests.clients.browser import Page
 from tests.clients.test_page import click, more_frames, page, share, stage
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.dressed_characters import Worn, dressed_character, dressed_parts
 from tests.fixtures.glb_reader import Reader
 from tests.fixtures.patience import PATIENT_S
 
@@ -72,10 +72,7 @@ def test_own_clothes_of_a_character_move_and_stay_and_say_why(page: Page, body: 
     more_frames(page)
     assert page.evaluate(
         "[document.getElementById('alive').checked, document.querySelectorAll('#worn li').length]"
-    ) == [
-        True,
-        0,
-    ]
+    ) == [True, 0]
     assert page.evaluate("document.getElementById('alive-words').textContent") == "Top of Doll."
     assert "One bone moves all of it, as armour." in page.evaluate("document.getElementById('stiff').textContent")
     page.wait_for_picture(lambda now: share(stage(now), "b") > 0.02, "its own top in its own colour")

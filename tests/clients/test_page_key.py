@@ -20,10 +20,7 @@ def test_the_page_asks_for_a_key_and_streams_with_it(make_settings: Callable[...
     file = tmp_path / "keys.json"
     file.write_text(json.dumps({"shop": {"sha256": digest("drape_key"), "rate": 100}}))
     settings = make_settings(keys_file=file)
-    with (
-        served(settings) as url,
-        open_page(url + "/?garment=tube&clip=reach") as page,
-    ):
+    with served(settings) as url, open_page(url + "/?garment=tube&clip=reach") as page:
         page.wait_for("document.body?.dataset.state === 'locked' && !document.getElementById('door').hidden")
         for key, until in (("wrong", "'locked'"), ("drape_key", "'open' && Number(document.body.dataset.frames) >= 3")):
             entered = f"window.stale = true; document.getElementById('key').value = {key!r};"

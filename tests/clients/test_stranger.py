@@ -17,8 +17,8 @@ from drape.motion.readers import read_motion
 from service.settings import Settings
 from tests.architecture.repository import ROOT
 from tests.clients.browser import open_page
+from tests.clients.people import person
 from tests.clients.test_page import share
-from tests.drape.motion.people import person
 from tests.fixtures.serving import served
 
 pytestmark = pytest.mark.browser

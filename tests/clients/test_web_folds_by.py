@@ -54,8 +54,7 @@ console.log(JSON.stringify({ by: wearing.foldsBy, told, opened, frames: wearing.
 
 
 @pytest.mark.parametrize(
-    ("took_ms", "slow"),
-    [([8], False), ([33], False), ([50], True), ([8, 8, 200], False), ([60, 60, 8], True)],
+    ("took_ms", "slow"), [([8], False), ([33], False), ([50], True), ([8, 8, 200], False), ([60, 60, 8], True)]
 )
 def test_a_device_is_slow_whose_usual_frame_takes_longer_than_it_may(took_ms: list[int], slow: bool, tmp_path: Path):
     found = answer_of(WATCHED, {"tookMs": took_ms, "frames": 200}, tmp_path)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
 from drape.avatar.own_clothes import Halves, bare_faces, taken_off
 from drape.avatar.own_garments import Undressed, undressed
 from drape.avatar.rig_file import bare_file
@@ -27,6 +26,7 @@ from service.http.schemas import FabricInfo
 from tests.clients.node import page_answer
 from tests.drape.motion.rigs import rig_names
 from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.dressed_characters import dressed_character, dressed_parts
 
 BORDERS = """
 const { unpackMesh } = await import(`${WEB}/lib/src/meshes.js`);

@@ -17,14 +17,7 @@ from drape.garment.contours import Contour, Match, Place, open_contours
 from recovery.fit.belt import belt_on
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
-from recovery.fit.objective import (
-    Objective,
-    Target,
-    fold_weights,
-    mean_curvature,
-    nearest_on_line,
-    polyline_chamfer,
-)
+from recovery.fit.objective import Objective, Target, fold_weights, mean_curvature, nearest_on_line, polyline_chamfer
 from recovery.fit.optimise import Evaluation, FitOptions, PatternSearch
 from recovery.pattern.bases import tshirt
 from recovery.pattern.coordinates import control_points, with_controls

@@ -17,17 +17,17 @@ from drape.geometry.closest import closest_point
 from recovery.catalogue.garments import CATALOGUE
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES, dress, skirt, sleeved_dress, tank, trousers, tshirt
+from recovery.pattern.bent_panels import Cone, Flutes, Tube
 from recovery.pattern.darts import Dart, waist_with_darts
 from recovery.pattern.design import Design, check_laid_flat, check_seams
-from recovery.pattern.legs import LegCut
-from recovery.pattern.legs import trousers as legs
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import mesh_pattern
-from recovery.pattern.sizes import GROWTH_M, in_size
+from recovery.pattern.size_grades import GROWTH_M, in_size
 from recovery.pattern.skirts import SkirtCut, a_line, circle, fitted
 from recovery.pattern.tops import CAP_EASE, Sleeve, TopCut, cap, lines, top
-from recovery.pattern.wrapping import Cone, Flutes, Tube
+from recovery.pattern.trousers import LegCut
+from recovery.pattern.trousers import trousers as legs
 from recovery.run.target_wearer import shaped_body
 from tests.recovery.pattern_setup import default_measurements
 

@@ -25,7 +25,7 @@ from recovery.pattern.export_pdf import write_pdf
 from recovery.pattern.export_svg import write_svg
 from recovery.pattern.garmentcode import read_pattern, write_pattern
 from recovery.pattern.model import EdgeKind, EdgeRef, Panel, Pattern
-from recovery.pattern.pieces import Sheet, make_sheet
+from recovery.pattern.pieces import CuttingSheet, make_sheet
 from recovery.pattern.style import Style, finished, lined
 from recovery.pattern.triangulate import boundary_distance
 from tests.recovery.pattern_setup import (
@@ -186,7 +186,7 @@ def media_boxes_mm(path: Path) -> np.ndarray:
     return np.array(found, dtype=float) * 25.4 / 72.0
 
 
-def checked_form(path: Path, sheet: Sheet) -> None:
+def checked_form(path: Path, sheet: CuttingSheet) -> None:
     (form,) = [
         stream for stream in pdf_streams(path) if sheet.title in stream and " l" in stream and "Do" not in stream
     ]

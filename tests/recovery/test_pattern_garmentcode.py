@@ -72,12 +72,7 @@ def test_lengths_become_metres_and_every_form_of_curve_is_read():
     front = pattern.panel("front")
     assert_allclose(front.vertices, [[-0.2, 0], [0.2, 0], [0.2, 0.5], [-0.2, 0.5]])
     assert_allclose(front.placement.translation_m, (0, 0.9, 0.25))
-    assert [edge.kind for edge in front.edges] == [
-        EdgeKind.LINE,
-        EdgeKind.CUBIC,
-        EdgeKind.CIRCLE,
-        EdgeKind.QUADRATIC,
-    ]
+    assert [edge.kind for edge in front.edges] == [EdgeKind.LINE, EdgeKind.CUBIC, EdgeKind.CIRCLE, EdgeKind.QUADRATIC]
     assert front.label == "body" and front.edges[3].label == "side"
     # Radius 25 over a chord of 40: the arc rises by 25 - 15 to the left, into the panel.
     assert_allclose(front.edges[2].handles, [(0.5, 0.25)])
@@ -226,8 +221,7 @@ def test_comments_are_skipped_but_not_inside_strings(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"),
-    [("tee.json", "tee"), ("tee_specification.json", "tee"), ("template.json", "jacket")],
+    ("name", "expected"), [("tee.json", "tee"), ("tee_specification.json", "tee"), ("template.json", "jacket")]
 )
 def test_a_pattern_is_named_by_its_file_or_a_generic_file_by_its_folder(name, expected, tmp_path):
     path = tmp_path / "jacket" / name

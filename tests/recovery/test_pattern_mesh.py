@@ -11,13 +11,7 @@ from numpy.testing import assert_allclose
 from drape.errors import InputError, MeshError
 from drape.geometry import meshes
 from recovery.pattern import geometry
-from recovery.pattern.coordinates import (
-    boundary_matrix,
-    control_points,
-    edge_matrix,
-    mean_value_weights,
-    with_controls,
-)
+from recovery.pattern.coordinates import boundary_matrix, control_points, edge_matrix, mean_value_weights, with_controls
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.pattern_mesh import mesh_pattern

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
-from recovery.pattern.split import JOIN_M, Chain, Curve, curves, cut_level, divided, fitted, joined, strips
+from recovery.pattern.split import JOIN_M, Chain, Curve, curves, cut_level, divided, fitted, joined_panels, strips
 from tests.recovery.pattern_setup import curved, rectangle, tube
 
 
@@ -155,7 +155,7 @@ def test_a_join_takes_a_cut_back():
     number = next(n for n, one in enumerate(cut.stitches) if {one.first.panel, one.second.panel} == {"front", "band"})
     stitches = list(cut.stitches)
     stitches[number] = Stitch(stitches[number].second, stitches[number].first)  # in the frame of the front
-    again = joined(replace(cut, panels=tuple(panels), stitches=tuple(stitches)), number, "whole")
+    again = joined_panels(replace(cut, panels=tuple(panels), stitches=tuple(stitches)), number, "whole")
     assert [panel.name for panel in again.panels] == ["whole", "back"]
     assert_allclose(geometry.area(again.panel("whole")), 0.24, rtol=1e-12)
     assert_allclose(np.ptp(again.panel("whole").vertices, axis=0), [0.4, 0.6], rtol=0.0, atol=1e-12)
@@ -170,13 +170,13 @@ def test_curved_edges_that_lie_on_each_other_are_joined():
         "b", rectangle().vertices, (Edge(0, 1), Edge(1, 2), Edge(2, 3), Edge(3, 0, EdgeKind.QUADRATIC, ((0.5, -0.1),)))
     )
     whole = Pattern("two", (bent, other), (Stitch(EdgeRef("a", 1), EdgeRef("b", 3)),))
-    found = joined(whole, 0, "ab")
+    found = joined_panels(whole, 0, "ab")
     assert_allclose(geometry.area(found.panels[0]), area(whole), rtol=1e-12)
     assert_allclose(np.ptp(found.panels[0].vertices, axis=0), [0.8, 0.6], rtol=0.0, atol=1e-12)
     # Mirrored, the edges leave a gap between them.
     mirrored = replace(whole, panels=(bent, replace(other, edges=(*other.edges[:3], other.edges[3].reflected()))))
     with pytest.raises(InputError, match="mm apart"):
-        joined(mirrored, 0, "ab")
+        joined_panels(mirrored, 0, "ab")
 
 
 NOTCHED = polygon("notched", [(0.0, 0.0), (1.0, 0.0), (1.0, 0.5), (0.5, 0.02), (0.0, 0.5)])
@@ -194,10 +194,12 @@ NOTCHED = polygon("notched", [(0.0, 0.0), (1.0, 0.0), (1.0, 0.5), (0.5, 0.02), (
         (lambda: cut_level(tube(), "back", 0.4, "yoke"), "0 crossings"),
         (lambda: cut_level(Pattern("n", (NOTCHED,)), "notched", 0.3, "yoke"), "4 crossings"),
         (
-            lambda: joined(replace(tube(), stitches=(replace(tube().stitches[0], right_to_wrong=True),)), 0, "x"),
+            lambda: joined_panels(
+                replace(tube(), stitches=(replace(tube().stitches[0], right_to_wrong=True),)), 0, "x"
+            ),
             "right",
         ),
-        (lambda: joined(tube(rectangle("front", height=0.6 + 3.0 * JOIN_M)), 0, "x"), "lie on each other"),
+        (lambda: joined_panels(tube(rectangle("front", height=0.6 + 3.0 * JOIN_M)), 0, "x"), "lie on each other"),
     ],
 )
 def test_lines_that_no_panel_has_room_for_are_refused(cut, message):

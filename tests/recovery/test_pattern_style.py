@@ -15,14 +15,14 @@ from recovery.pattern.__main__ import main
 from recovery.pattern.bases import BASES
 from recovery.pattern.export_dxf import write_dxf
 from recovery.pattern.garmentcode import read_pattern, write_pattern
-from recovery.pattern.legs import LegCut
-from recovery.pattern.legs import trousers as draft_trousers
 from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
 from recovery.pattern.openings import openings, openings_by_name
 from recovery.pattern.pieces import FACED, cut_count, hems, make_sheet, mirror_words
 from recovery.pattern.split import Curve, curves, divided, parted
 from recovery.pattern.style import NO_STYLE, RIB_SHORTER, Style, cap_corners_deg, finished, lined
 from recovery.pattern.symmetry import find_symmetries, symmetrised
+from recovery.pattern.trousers import LegCut
+from recovery.pattern.trousers import trousers as draft_trousers
 from tests.recovery.pattern_setup import bent_cap, default_measurements, tube
 
 STYLES = {

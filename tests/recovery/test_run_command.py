@@ -41,7 +41,7 @@ from recovery.run.drafted import own_settings
 from recovery.run.elsewhere import retargeted
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
 from recovery.run.job import describe_worn, run_job
-from recovery.run.report import Page
+from recovery.run.report_page import Page
 from recovery.run.report_pieces import add_pieces, scaled_drawing
 from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, summary, verdicts
 from tests.drape.cloth.cloth_shapes import round_tube

@@ -22,7 +22,7 @@ from recovery.pattern.bases import BASES
 from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.pattern.shirts import FALL_M, STAND_M
-from recovery.pattern.sizes import in_size
+from recovery.pattern.size_grades import in_size
 from recovery.pattern.style import NO_STYLE, Style
 from recovery.run.cut import Cut, collarless, differences, has_collar, kind_of, panel_count, ring_panels, told_base
 from recovery.run.drafted import RANGES, drafted, own_settings, read_settings

@@ -147,10 +147,7 @@ def test_centimetres_z_up_and_inside_out_are_repaired_and_noted():
 
 @pytest.mark.parametrize(
     ("mesh", "got"),
-    [
-        (skirt_tube(radius=0.35), "cm away"),
-        (skirt_tube(radius=0.09, top=0.4, bottom=-0.05), "cm inside"),
-    ],
+    [(skirt_tube(radius=0.35), "cm away"), (skirt_tube(radius=0.09, top=0.4, bottom=-0.05), "cm inside")],
 )
 def test_a_target_off_its_body_is_refused(mesh, got):
     with pytest.raises(InputError, match=got):

@@ -7,9 +7,9 @@ import numpy as np
 from drape.live.fold_constants import WornCloth
 from drape.live.skin_walks import SkinGraph, TouchedSamples
 
-STEPS, TURNS, NEARER, REACH_M = 3, 4, 0.8, 0.03  # of walks and of searches for other parts
+STEPS, TURNS, NEARER, REACH_M = 3, 4, 0.8, 0.045  # of walks and of searches for other parts
 BESIDE, FREE, HOLLOW_M, APART_M = 1.5, 2.5, 0.05, 0.12
-BEYOND_M, THROUGH_M, BEFORE_M = 0.045, 0.015, 0.005  # below planes: cloth that came through a part of the body
+BEYOND_M, THROUGH_M, BEFORE_M = 0.02, 0.015, 0.005  # below planes: in a part of the body, or through it
 
 
 def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples) -> TouchedSamples:
@@ -31,7 +31,8 @@ def touch(
 ) -> tuple[TouchedSamples, TouchedSamples]:
     """The samples that ``x`` [m] (V, 3) is at, and ``touched`` moved on.
 
-    Walks lead from the network's samples, and searches find other parts that the ``network``'s places are not beyond.
+    Walks lead from the network's samples, and searches find other parts: of one that the ``network``'s place is in only
+    the side that faces the own sample.
     Where a search finds a nearer sample of the same part the next walk starts there.
     """
     own, other, begins = touched.own.copy(), touched.other.copy(), touched.own.copy()
@@ -40,7 +41,8 @@ def touch(
         apart = np.linalg.norm(graph.rest - graph.rest[own[v]], axis=1)
         hollow = (apart > HOLLOW_M) & ((skin[:, :3] - skin[own[v], :3]) @ skin[own[v], 4:7] > 0.0)
         distance = np.linalg.norm(skin[:, :3] - point, axis=1)
-        beyond = ((network[v] - skin[:, :3]) * skin[:, 4:7]).sum(axis=1) < -BEYOND_M
+        two = np.stack([network[v], skin[own[v], :3]])[:, None]
+        beyond = (((two - skin[:, :3]) * skin[:, 4:7]).sum(axis=2) < -BEYOND_M).all(axis=0)
         allowed = (distance < REACH_M) & (hollow | (apart > APART_M)) & ~beyond
         if turn < 0 or v % TURNS == turn:
             other[v] = np.where(allowed, distance, np.inf).argmin() if allowed.any() else -1

@@ -19,18 +19,7 @@ from tests.fixtures.streams import raw_stream
 
 ROOT = Path(service.__file__).parent
 # A room may import those before it. Files beside the folders are rooms of their own; ``app`` stands above all folders.
-ORDER = (
-    "errors",
-    "settings",
-    "watch",
-    "compute",
-    "guard",
-    "state",
-    "uploads",
-    "exact",
-    "http",
-    "stream",
-)
+ORDER = ("errors", "settings", "watch", "compute", "guard", "state", "uploads", "exact", "http", "stream")
 ABOVE = ("server", "app", "ray_app", "keys", "static", "__main__")
 # Files whose code runs between a pose's coming and its frame's leaving: thirteen that make the frame, four that watch.
 ROAD = {

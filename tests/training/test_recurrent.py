@@ -10,14 +10,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from tests.training.training_setup import TINY
-from training.recurrent import (
-    REFERENCE_DT_S,
-    CalmingGRU,
-    DynamicEncoder,
-    MotionScale,
-    pendulums,
-    root_mean_square,
-)
+from training.recurrent import REFERENCE_DT_S, CalmingGRU, DynamicEncoder, MotionScale, pendulums, root_mean_square
 
 NEVER_S = 1e9
 

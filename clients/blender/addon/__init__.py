@@ -23,7 +23,7 @@ started: list[LocalService] = []  # the service of this Blender
 
 
 def named(name: str, which: str, description: str = "") -> Any:
-    """A name that a list of the service has; others may be typed."""
+    """Returns a property for a name that one of the service's lists has; a user may type another one."""
     listed = {"search": lambda self, context, text: known[which], "search_options": {"SUGGESTION"}}
     return StringProperty(name=name, description=description, **listed)
 

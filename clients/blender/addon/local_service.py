@@ -46,11 +46,11 @@ class LocalService:
 
     def ready(self) -> bool:
         """Whether it listens; refuses where it has ended."""
-        ended, said = self._process.poll() is not None, self._log.read_text(encoding="utf-8", errors="replace")
+        ended, output = self._process.poll() is not None, self._log.read_text(encoding="utf-8", errors="replace")
         if ended:
-            got = f'"{(said.split(chr(10))[-2:] or [""])[0][:200]}"'
+            got = f'"{(output.split(chr(10))[-2:] or [""])[0][:200]}"'
             raise Refusal("service", expected="one that runs", got=got, cure=f"{CURE} Its log is {self._log}.")
-        if found := re.search(r"drape on (http://\S+)", said):
+        if found := re.search(r"drape on (http://\S+)", output):
             self.url = found[1]
         return bool(self.url)
 

@@ -54,7 +54,8 @@ class Service:
 
     @contextmanager
     def asked(self, method: str, path: str, content: bytes | None = None, *, accept: str = JSON) -> Iterator[Any]:
-        """The open answer to a request; raises the service's refusal, and one where no whole answer comes."""
+        """Yields the open answer to a request. Raises the service's refusal, and a refusal where no whole answer
+        comes."""
         headers = {**self._headers, "Accept": accept, "Content-Type": BINARY}
         request = urllib.request.Request(self.url + path, content, headers, method=method)
         try:
@@ -107,8 +108,11 @@ def avatar_of(service: Service, glb: bytes, name: str, told: Told) -> dict[str, 
 
 
 def draped(service: Service, about: dict[str, Any], turns: np.ndarray, places: np.ndarray, told: Told) -> np.ndarray:
-    """The vertices [m] (F, V, 3) of a garment, y up, over a clip: ``turns`` are poses (F, 24, 3) [rad], or quaternions
-    (F, N, 4), xyzw, of the nodes of an avatar; ``places`` (F, 3) [m]. What is longer than a request goes in pieces."""
+    """Returns the vertices [m] (F, V, 3) of a garment over a clip, y up.
+
+    ``turns`` are poses (F, 24, 3) [rad], or quaternions (F, N, 4), xyzw, of an avatar's nodes; ``places`` (F, 3) [m]
+    the translations. A clip that is longer than a request may be goes in pieces.
+    """
     health = service.json("health")
     frame_bytes = 8 * (turns[0].size + 3)
     most = max(1, min(health["max_frames"], (health["max_body_bytes"] - OPTION_BYTES) // frame_bytes))

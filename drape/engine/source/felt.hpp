@@ -7,7 +7,7 @@
 //     E11 = (aa g_uu - 1) / 2,   E22 = (bb g_uu + 2 bc g_uv + cc g_vv - 1) / 2,   2 E12 = ab g_uu + ac g_uv.
 //
 // Proximity (drape.contact.proximity, in the patches' own frames). Tangent planes of the body are looked up once, in
-// the world; each pass moves points along the axes of their patch.
+// the world; each pass moves points along the axes of their patch, and none deep below a plane.
 #pragma once
 #include "patches.hpp"
 
@@ -24,6 +24,7 @@ constexpr double BANDWIDTH_M = 0.014, PER_BANDWIDTH = 1.0 / (BANDWIDTH_M * BANDW
 // so far beside samples is beyond their end
 constexpr double BESIDE_LOW_M2 = 0.026 * 0.026, BESIDE_HIGH_M2 = 0.016 * 0.016;
 constexpr double AGREE_LOW = 0.35, AGREE_HIGH = 0.65;  // where mixed normals agree less, two surfaces are mixed
+constexpr double HELD_M = 0.004, SOFT_M = 0.001;  // below a plane, where corrections are held, and how gently
 constexpr double FELT_GAP_M = 0.006, UNIT_M = 0.01, DEEP_LOW_M = -0.060, DEEP_HIGH_M = -0.045;
 constexpr double REGION_BIAS_M2 = 0.002;  // squared distance [m^2] that one logit of a region outweighs
 
@@ -238,6 +239,30 @@ void feel_body(const Weights<T>& weights, const Rows<T>& jets, const PatchRows<T
       add_force<T>(force, push, weights.basis + HEIGHT * p);
     }
     for (int i = 0; i < JETS; ++i) put(to + LANES * (2 * POINTS + i), soft<T>(row_at(force + LANES * i)));
+  }
+}
+
+// Takes back from jets what a correction, from jets before, takes deeper below the planes than it may.
+template <class T>
+void hold_corrections(const Weights<T>& weights, const Rows<T>& before, const PatchRows<T>& rows, const T* planes,
+    int64_t blocks, const Rows<T>& jets) {
+  const T soft_ = T(SOFT_M / UNIT_M), held = T((FELT_GAP_M + HELD_M) / UNIT_M);
+  for (int64_t block = 0; block < blocks; ++block) {
+    const T *was = before.at(block), *place = rows.place + LANES * 3 * POINTS * block;
+    T* jet = jets.at(block);
+    Row<T> share = row_of(T(1));
+    for (int p = 0; p < POINTS; ++p) {
+      const Points<T> at = felt_point<T>(weights, was, place, p), way = felt_point<T>(weights, jet, place, p) - at;
+      for (int side = 0; side < 2; ++side) {
+        const T* near = planes + LANES * (PLANES_FELT * block + 6 * (POINTS * side + p));
+        const Points<T> n = rows3_at(near);
+        const Row<T> missing = row_at(near + 3 * LANES) + dot(n, at), deeper = row_at(near + 4 * LANES) * dot(n, way);
+        const Row<T> room = most<T>(held - missing, row_of(T(0))) + soft_;
+        share = least<T>(share, room / most<T>(deeper + soft_, room));
+      }
+    }
+    for (int i = 0; i < JETS; ++i)
+      put(jet + LANES * i, row_at(was + LANES * i) + share * (row_at(jet + LANES * i) - row_at(was + LANES * i)));
   }
 }
 

@@ -36,10 +36,10 @@
     return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
   EXPORT int64_t drape_wrap_##suffix(const T* fine, int64_t fine_count, const int32_t* faces, int64_t face_count,      \
-                                     const int32_t* corner, const T* weight, const T* stride, int64_t count,           \
-                                     int64_t steps, T* corners, Scratch* scratch) {                                    \
+                                     const int32_t* corner, const T* weight, const T* counted, int64_t count,          \
+                                     int64_t steps, int64_t deep, T* corners, Scratch* scratch) {                      \
     const Flushed flushed;                                                                                             \
-    wrapping::wrap(fine, fine_count, faces, face_count, corner, weight, stride, count, steps, corners, *scratch);      \
+    wrapping::wrap(fine, fine_count, faces, face_count, corner, weight, counted, count, steps, deep, corners, *scratch);\
     return -scratch->overflowed;                                                                                       \
   }
 

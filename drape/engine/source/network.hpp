@@ -67,6 +67,7 @@ bool pose_jets(const Weights<T>& weights, const PatchRows<T>& rows, const PosedB
         put(felt.at(block) + LANES * (force + JETS + i), row_at(jet.at(block) + LANES * i));
     run_layer(weights.first[number], felt, nothing, hidden, blocks, scratch);
     run_layer(weights.second[number], hidden, jet, jet, blocks, scratch);
+    hold_corrections(weights, from(felt, force + JETS), rows, planes, blocks, jet);
   }
   say(jet, frames, rows, blocks, said);
   place_anchors(said, rows.anchor, anchors);

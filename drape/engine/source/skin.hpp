@@ -13,8 +13,9 @@
 // the own sample, as no sample of the same limb does.
 //
 // Through. What stretched cloth pulls through an arm in a frame is held by no plane: its sample is on the side that it
-// left. Where the network has it before that side, a frame begins at the network's place. A sample of another part
-// whose plane the network's place is far below is on the far side of that part: it holds nothing.
+// left. Where the network has it before that side, a frame begins at the network's place. The network itself lays cloth
+// of the chest into an arm before it. The way out is that to the side which faces the own sample: a sample of another
+// part below whose plane both the network's place and the own sample are holds nothing.
 //
 // Planes. One tangent plane for all that lies nearest to a sample would give limbs facets. The plane of a sample s is
 // blended with those of its neighbours n, with weights that end at the samples' spacing r,
@@ -33,9 +34,9 @@
 constexpr int NEIGHBOURS = 8;
 constexpr int WALK_STEPS = 3;  // from the network's sample to the fold's: too few to reach the far side of an arm
 constexpr int TURNS = 4;       // frames until every vertex has looked for other parts
-constexpr double REACH_M = 0.03;  // how near another part must come: no vertex is deeper in one than that
+constexpr double REACH_M = 0.045;  // how near another part must come: half of an arm
 constexpr double PER_CELL = 1.0 / (2.0 * REACH_M);
-constexpr double BEYOND_M = 0.045;  // below the plane of another part: more than half of an arm
+constexpr double BEYOND_M = 0.020;  // below the plane of another part: in it
 constexpr double THROUGH_M = 0.015, BEFORE_M = 0.005;  // below a sample's plane: what came through it, what did not
 constexpr double NEARER = 0.8;  // of the squared distance to the own sample: one of its part so near takes its place
 constexpr double BESIDE = 1.5, FREE = 2.5;  // squared ways aside of a sample, times r^2, between which a plane ends
@@ -220,9 +221,10 @@ template <class T> DEVICE const T* in_cells(const Skin<T>& skin, const Grid& gri
   return laid;
 }
 
-// Whether the network's place [m] is so far below the plane of a sample that cloth beside it came through its part.
-template <class T> INLINE bool is_beyond(const Skin<T>& skin, int32_t sample, Vector<T> network) {
-  return dot(skin.normal_of(sample), network - skin.point_of(sample)) < T(-BEYOND_M);
+// Whether the network's place [m] is in the part of a sample, of which that is not the side before the own sample.
+template <class T> INLINE bool is_beyond(const Skin<T>& skin, int32_t own, int32_t sample, Vector<T> network) {
+  const Vector<T> normal = skin.normal_of(sample), at = skin.point_of(sample);
+  return dot(normal, network - at) < T(-BEYOND_M) && dot(normal, skin.point_of(own) - at) < T(-BEYOND_M);
 }
 
 struct NearSamples { int32_t other, same; };
@@ -252,7 +254,7 @@ INLINE NearSamples near_samples(Vector<T> at, Vector<T> network, const Skin<T>& 
           const T square = number_in(far, k);
           if (!(square < (nearest > beside ? nearest : beside))) continue;
           if (is_other(skin, own, s)) {
-            if (square < nearest && !is_beyond(skin, s, network)) found.other = s, nearest = square;
+            if (square < nearest && !is_beyond(skin, own, s, network)) found.other = s, nearest = square;
           } else if (square < beside) {
             found.same = s, beside = square;
           }
@@ -327,7 +329,8 @@ DEVICE void touch(const T* x, const T* network, int64_t places, const Skin<T>& s
       } else if (found >= 0) {
         found = walked(at, skin, found, WALK_STEPS);
         const bool far = square_to(at, skin, found) >= T(REACH_M * REACH_M);
-        if (far || !is_other(skin, walks.sample[k], found) || is_beyond(skin, found, wanted)) found = -1;
+        const int32_t mine = walks.sample[k];
+        if (far || !is_other(skin, mine, found) || is_beyond(skin, mine, found, wanted)) found = -1;
       }
       other[v] = found;
       if (found >= 0) late.add(v, found);

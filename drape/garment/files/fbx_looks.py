@@ -44,11 +44,11 @@ def fbx_looks(
         found = [None if one is None else content(one) for one in (metal, roughness)]
         channels = [None if one is None else (one, 0) for one in found]
         try:
-            made = metallic_roughness(*channels, label="picture of roughness") if any(channels) else None
+            picture = metallic_roughness(*channels, label="picture of roughness") if any(channels) else None
         except MeshError as error:
             notes.append(f"warning: a picture is left out: {error}")
-            made = None
-        return kept((metal, roughness), made)
+            picture = None
+        return kept((metal, roughness), picture)
 
     def material(told: dict[str, Any] | None) -> Material | None:
         if told is None:

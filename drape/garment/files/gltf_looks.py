@@ -20,11 +20,11 @@ def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str
 
     def picture(texture: Any) -> int | None:
         try:
-            told = file.item("textures", _object(texture).get("index"), "materials")
-            others = _object(told.get("extensions"))
+            entry = file.item("textures", _object(texture).get("index"), "materials")
+            others = _object(entry.get("extensions"))
             source = next((_object(one).get("source") for one in others.values() if "source" in _object(one)), None)
             # The picture that every program reads, where there is one.
-            image = told.get("source", source)
+            image = entry.get("source", source)
             if shown(image) not in pictures:
                 content = file.picture(image)
                 if content is None:
@@ -37,11 +37,11 @@ def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str
             return None
 
     def material(number: int) -> Material | None:
-        told = _object(file.item("materials", number, "primitives.material"))
-        surface = _object(told.get("pbrMetallicRoughness"))
-        glossy = _object(_object(told.get("extensions")).get("KHR_materials_pbrSpecularGlossiness"))
+        document = _object(file.item("materials", number, "primitives.material"))
+        surface = _object(document.get("pbrMetallicRoughness"))
+        glossy = _object(_object(document.get("extensions")).get("KHR_materials_pbrSpecularGlossiness"))
         base = surface.get("baseColorTexture") or glossy.get("diffuseTexture")
-        found: dict[Slot, Any] = {"base_colour": base, "normal": told.get("normalTexture")}
+        found: dict[Slot, Any] = {"base_colour": base, "normal": document.get("normalTexture")}
         found["metallic_roughness"] = surface.get("metallicRoughnessTexture")
         placed = _object(_object(_object(base).get("extensions")).get("KHR_texture_transform"))
         numbers = {slot: picture(one) for slot, one in found.items() if one is not None}
@@ -49,14 +49,14 @@ def gltf_looks(file: GltfFile, used: list[int | None]) -> tuple[Looks, tuple[str
             "base_colour": surface.get("baseColorFactor", glossy.get("diffuseFactor", (1.0,) * 4)),
             "metallic": surface.get("metallicFactor", 0.0 if glossy else 1.0),
             "roughness": surface.get("roughnessFactor", 1.0),
-            "alpha_mode": told.get("alphaMode", "OPAQUE"),
-            "alpha_cutoff": told.get("alphaCutoff", 0.5),
-            "double_sided": told.get("doubleSided", False),
+            "alpha_mode": document.get("alphaMode", "OPAQUE"),
+            "alpha_cutoff": document.get("alphaCutoff", 0.5),
+            "double_sided": document.get("doubleSided", False),
             "pictures": {slot: one for slot, one in numbers.items() if one is not None},
         }
         fields |= {key: placed[key] for key in ("offset", "rotation", "scale") if key in placed}
         try:
-            return Material(**fields) if len(told.keys() - {"name", "extras"}) else None
+            return Material(**fields) if len(document.keys() - {"name", "extras"}) else None
         except ValidationError as error:
             where = error.errors(include_url=False)[0]
             notes.append(f"warning: the look of material {number} is left out: {where['loc'][0]}: {where['msg']}"[:200])

@@ -120,14 +120,14 @@ def read_mesh(
 def read_payload(payload: bytes, *, name: str, kind: str, vertex_limit: int, beside: Beside) -> GarmentMesh:
     """The mesh of format ``kind`` with its pictures as they came; ``beside`` gives files that a mesh file names."""
     kind = "glb" if kind == "vrm" else kind
-    found = next((one for one in MESH_FORMATS if one.name == kind), None)
-    if found is None:
+    form = next((one for one in MESH_FORMATS if one.name == kind), None)
+    if form is None:
         raise mesh_fault(name, listed(), f".{kind}", "Export the mesh as one of these.")
     if not payload.strip():
         raise mesh_fault(name, "a mesh", "an empty file")
-    module, _, function = found.reader.partition(".")
+    module, _, function = form.reader.partition(".")
     read = getattr(import_module(f"{__package__}.{module}"), function)
-    more = {"beside": beside} if found.names_others else {}
+    more = {"beside": beside} if form.names_others else {}
     return read(payload, name=name, vertex_limit=vertex_limit, **more)
 
 

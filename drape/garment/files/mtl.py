@@ -17,7 +17,7 @@ _NUMBERS = re.compile(r"[-+.\dEe]+\Z|(on|off)\Z")
 
 def mtl_looks(libraries: list[str], beside: Beside, names: tuple[str, ...]) -> tuple[Looks, tuple[str, ...]]:
     """The looks of the materials ``names``, as the ``libraries`` beside tell them, and notes of what is not there."""
-    told, pictures, missing = dict[str, dict[str, str]](), dict[str, int](), list[str]()
+    keywords, pictures, missing = dict[str, dict[str, str]](), dict[str, int](), list[str]()
     held: list[bytes] = []
     for library in list(dict.fromkeys(libraries))[:MOST_LIBRARIES]:
         content = beside(library)
@@ -28,7 +28,7 @@ def mtl_looks(libraries: list[str], beside: Beside, names: tuple[str, ...]) -> t
         for line in content.decode("utf-8", errors="replace").splitlines():
             keyword, _, rest = line.strip().partition(" ")
             if keyword.lower() == "newmtl":
-                current = told.setdefault(rest.strip(), {})
+                current = keywords.setdefault(rest.strip(), {})
             else:
                 current[keyword.lower()] = rest.strip()
 
@@ -63,7 +63,7 @@ def mtl_looks(libraries: list[str], beside: Beside, names: tuple[str, ...]) -> t
         rgba = (colour[0], colour[1], colour[2], alpha[0])
         return Material(rgba, metallic=metal[0], roughness=shiny[0], alpha_mode=mode, pictures=used)
 
-    looks = tuple(material(told[name]) if name in told else None for name in names)
+    looks = tuple(material(keywords[name]) if name in keywords else None for name in names)
     notes = [f"warning: {name!a:.80} is not beside the mesh: send it in the same zip" for name in missing[:20]]
     return Looks(looks, tuple(held)), tuple(notes)
 

@@ -127,7 +127,7 @@ class _ObjReader:
         if len(parts) > 3 or any(part and not _INTEGER.match(part) for part in parts) or not parts[0]:
             raise self.fault(number, "corners like 1, 1/2, 1//3 or 1/2/3", repr(word))
         counts = (len(self.vertices), len(self.uv), self.normal_count)
-        found = []
+        indices = []
         for part, count, what in zip(parts, counts, ("vertex", "texture coordinate", "normal"), strict=False):
             index = int(part) if part else None
             if index == 0 or (index is not None and index < -count):
@@ -135,8 +135,8 @@ class _ObjReader:
                     number, f"a {what} index from 1, or from -{count} to -1", str(index), "Repair the face."
                 )
             # Positive indices may point ahead: they are checked when all vertices are known.
-            found.append(-1 if index is None else index - 1 if index > 0 else count + index)
-        return found[0], found[1] if len(found) > 1 else -1
+            indices.append(-1 if index is None else index - 1 if index > 0 else count + index)
+        return indices[0], indices[1] if len(indices) > 1 else -1
 
     def finish(self, *, is_binary: bool) -> GarmentMesh:
         if not self.vertices and not self.faces and is_binary:

@@ -128,11 +128,11 @@ class _Reader:
         if not pairs:
             return None
         try:
-            made = metallic_roughness(pairs.get("metallic"), pairs.get("roughness"), label="picture of roughness")
+            picture = metallic_roughness(pairs.get("metallic"), pairs.get("roughness"), label="picture of roughness")
         except MeshError as error:
             self.notes.append(f"warning: a picture is left out: {error}")
             return None
-        return self.held_as(key, made)
+        return self.held_as(key, picture)
 
 
 def _surface(prim: Any) -> Any | None:

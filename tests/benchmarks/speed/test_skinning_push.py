@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from benchmarks.speed.skinning_push import Collider
+from benchmarks.speed.skinning_push import Collider, SkinningPush
 from drape.body.assets import load_body
 from drape.cloth.contact import nearest_vertex_push
+from tests.fixtures.garments import shipped
 from tests.fixtures.poses import random_motion
 
 
@@ -26,3 +27,10 @@ def test_two_passes_by_parts_are_the_two_passes_of_the_core(rng):
     pushed, way = collider.push(near, poses, betas, 0.002)
     assert_allclose(pushed, whole, rtol=0, atol=1e-6)
     assert (way > 0.0).any() and (way == 0.0).any()
+
+
+def test_skinning_at_rest_is_the_garment():
+    garment, body = shipped("shorts"), load_body()
+    skinned = SkinningPush(garment, body).skin(np.zeros((1, 24, 3)))[0]
+    rest = garment.vertices[: garment.vertex_count] - body.joints_template[0]
+    assert_allclose(skinned, rest, rtol=0, atol=1e-6)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.measure.dressed_characters import MAKERS, Worn, dressed_character, dressed_parts
 from drape.avatar.attire import Attire, attire_of
 from drape.avatar.attire_words import KINDS, WORDS, kind_of_names
 from drape.avatar.character import character_in
@@ -18,6 +17,7 @@ from drape.errors import NotFound
 from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
 from tests.fixtures.characters import with_json
+from tests.fixtures.dressed_characters import MAKERS, Worn, dressed_character, dressed_parts
 
 RIGHT = 0.95
 

@@ -118,10 +118,7 @@ FAULTS: dict[str, tuple[Change, str]] = {
     "beyond the buffer": (lambda j: j["bufferViews"][0].update(byteOffset=10**9), "expected at most"),
     "a negative offset": (lambda j: j["bufferViews"][0].update(byteOffset=-4), "whole numbers"),
     "another file": (lambda j: j["buffers"][0].update(uri="body.bin"), "bytes in the file or beside it"),
-    "an extension": (
-        lambda j: j.update(extensionsRequired=["ACME_unknown"]),
-        "extensionsRequired: expected no",
-    ),
+    "an extension": (lambda j: j.update(extensionsRequired=["ACME_unknown"]), "extensionsRequired: expected no"),
     "too many nodes": (lambda j: j["nodes"].extend([{}] * 5000), "nodes: expected at most 4096 items, got a list of"),
     "no joints": (lambda j: j["skins"][0].update(joints=[]), "1 to 400 joints"),
     "few binds": (lambda j: j["skins"][0].update(joints=j["skins"][0]["joints"][:3]), "(3, 16)"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.avatar.distilled import Distilled, Draped, distil, to_world
+from drape.avatar.distilled import Distilled, DrapedClip, distil, to_world
 from drape.avatar.file_skeleton import FileRig
 from drape.avatar.joint_file import Jointed, add_clip, node_motions
 from drape.avatar.rig_file import add_nodes
@@ -64,22 +64,22 @@ def swaying(tube: Garment, worn: Wearer, poses: np.ndarray, trans: np.ndarray, *
 
 
 @pytest.fixture(scope="module")
-def clips(tube: Garment, worn: Wearer, rig: FileRig) -> list[Draped]:
+def clips(tube: Garment, worn: Wearer, rig: FileRig) -> list[DrapedClip]:
     """Two clips: weights are fitted to the first."""
     found = []
     for seed in (0, 1):
         motion, poses, trans = moved(worn, rig, seed)
-        found.append(Draped(swaying(tube, worn, poses, trans, seed=seed), motion))
+        found.append(DrapedClip(swaying(tube, worn, poses, trans, seed=seed), motion))
     return found
 
 
 @pytest.fixture(scope="module")
-def made(clips: list[Draped], tube: Garment, worn: Wearer, rig: FileRig) -> Distilled:
+def made(clips: list[DrapedClip], tube: Garment, worn: Wearer, rig: FileRig) -> Distilled:
     return distil(tube, clips[:1], worn, rig, count=COUNT)
 
 
 def test_joints_follow_a_clip_that_the_weights_have_not_seen(
-    made: Distilled, clips: list[Draped], tube: Garment, worn: Wearer, rig: FileRig
+    made: Distilled, clips: list[DrapedClip], tube: Garment, worn: Wearer, rig: FileRig
 ):
     seen, unseen = (made.error_m(one, made.fitted(one, worn.scale), worn.scale) for one in clips)
     assert seen < 2e-3 and unseen < 4e-3
@@ -89,7 +89,7 @@ def test_joints_follow_a_clip_that_the_weights_have_not_seen(
     assert unseen < 0.3 * carried < 0.02  # what nothing fits hangs on the rig
 
 
-def written(layers: list[Jointed], clip: Draped, worn: Wearer) -> bytes:
+def written(layers: list[Jointed], clip: DrapedClip, worn: Wearer) -> bytes:
     """The garments on the nodes of the rig, all where ``clip`` has them."""
     file = GlbFile()
     nodes = add_nodes(file, clip.motion.skeleton)
@@ -102,7 +102,7 @@ def test_no_vertex_has_more_joints_than_players_know(made: Distilled):
     assert_allclose(made.weights.sum(axis=1), 1.0, atol=1e-9)
 
 
-def test_a_player_shows_what_was_distilled(made: Distilled, clips: list[Draped], tube: Garment, worn: Wearer):
+def test_a_player_shows_what_was_distilled(made: Distilled, clips: list[DrapedClip], tube: Garment, worn: Wearer):
     clip = clips[1]
     file = Reader(written([Jointed(tube.surface, made, COLOUR)], clip, worn))
     want = to_world(clip.motion, made.placed(clip.motion, made.fitted(clip, worn.scale)), worn.scale)
@@ -112,7 +112,7 @@ def test_a_player_shows_what_was_distilled(made: Distilled, clips: list[Draped],
 
 
 def test_without_tracks_it_hangs_on_the_rig(
-    made: Distilled, clips: list[Draped], tube: Garment, worn: Wearer, rig: FileRig
+    made: Distilled, clips: list[DrapedClip], tube: Garment, worn: Wearer, rig: FileRig
 ):
     """A player that moves the character's own joints alone shows the garment carried."""
     clip = clips[1]
@@ -126,7 +126,7 @@ def test_without_tracks_it_hangs_on_the_rig(
 
 
 def test_the_khronos_validator_has_no_complaint(
-    made: Distilled, clips: list[Draped], tube: Garment, worn: Wearer, tmp_path: Path
+    made: Distilled, clips: list[DrapedClip], tube: Garment, worn: Wearer, tmp_path: Path
 ):
     content = written([Jointed(tube.surface, made, COLOUR)] * 2, clips[0], worn)
     assert khronos_complaints(content, tmp_path) == []

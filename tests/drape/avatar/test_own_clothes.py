@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.measure.dressed_characters import COLOURS, dressed_character, dressed_parts
 from drape.avatar.character import character_in
 from drape.avatar.own_clothes import Halves, _without_skin, bare_faces, taken_off, tucked
 from drape.avatar.own_garments import Undressed, undressed
@@ -25,6 +24,7 @@ from drape.garment.cache import Garment
 from drape.garment.tailor import tailored
 from drape.geometry.closest import closest_point, nearest_vertices, signed_distance
 from tests.fixtures.characters import character
+from tests.fixtures.dressed_characters import COLOURS, dressed_character, dressed_parts
 
 CATALOGUE = {
     "tshirt": ((True, False), False), "tank": ((True, False), False), "longsleeve": ((True, False), False),

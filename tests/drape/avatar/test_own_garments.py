@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import drape
-from benchmarks.measure.dressed_characters import MAKERS, Worn, dressed_character, dressed_parts
 from drape.avatar.attire_words import CLOTHES
 from drape.avatar.own_clothes import Halves, halves_of
 from drape.avatar.own_garments import (
@@ -34,6 +33,7 @@ from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.tailor import tailored
 from drape.geometry.closest import closest_point, signed_distance
+from tests.fixtures.dressed_characters import MAKERS, Worn, dressed_character, dressed_parts
 from tests.fixtures.glb_reader import Reader
 
 SPINE = np.eye(len(JOINT_NAMES))[JOINT_NAMES.index("spine3")]
@@ -90,10 +90,7 @@ def test_they_keep_their_materials(own: OwnGarments):
 
 def test_what_is_no_cloth_stays_on_the_skin_and_says_why(own: OwnGarments, wearer: Wearer):
     told = {part.kind: own.stiff[part.name] for part in wearer.attire.parts if part.name in own.stiff}
-    assert told == {
-        "skirt": "One bone moves all of it, as armour.",
-        "dress": "It has 12 faces, too few to fold.",
-    }
+    assert told == {"skirt": "One bone moves all of it, as armour.", "dress": "It has 12 faces, too few to fold."}
 
 
 def test_clothes_of_the_skins_own_mesh_are_painted_on_it(wearer: Wearer, file: bytes):

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from drape.avatar.affine_maps import compose
 from drape.avatar.character import tree_of
-from drape.avatar.distilled import Draped, distil, pelvis_places, to_world
+from drape.avatar.distilled import DrapedClip, distil, pelvis_places, to_world
 from drape.avatar.joint_file import Jointed
 from drape.avatar.joint_springs import JointSprings, fit_springs
 from drape.avatar.rig_motion import RigClip, rig_motion
@@ -56,21 +56,21 @@ def worn(payload: bytes, body: BodyModel) -> Wearer:
 
 
 @pytest.fixture(scope="module")
-def clip(worn: Wearer, tube: Garment) -> Draped:
+def clip(worn: Wearer, tube: Garment) -> DrapedClip:
     poses, trans = smooth_motion(np.arange(FRAMES) / 30.0)
     assert worn.file is not None
     motion = rig_motion(RigClip(*worn.to_rig(poses, trans), 60.0), worn, worn.file.skeleton)
-    return Draped(swaying(tube, worn, poses, trans, seed=0), motion)
+    return DrapedClip(swaying(tube, worn, poses, trans, seed=0), motion)
 
 
 @pytest.fixture(scope="module")
-def made(worn: Wearer, clip: Draped, tube: Garment) -> tuple[Jointed, JointSprings]:
+def made(worn: Wearer, clip: DrapedClip, tube: Garment) -> tuple[Jointed, JointSprings]:
     assert worn.file is not None
     distilled = distil(tube, [clip], worn, worn.file, count=COUNT)
     return Jointed(tube.surface, distilled, COLOUR), fit_springs(distilled, [clip], worn)
 
 
-def test_what_the_file_had_stays(payload: bytes, made: tuple[Jointed, JointSprings], clip: Draped, worn: Wearer):
+def test_what_the_file_had_stays(payload: bytes, made: tuple[Jointed, JointSprings], clip: DrapedClip, worn: Wearer):
     was = Reader(payload)
     for content in (
         worn_glb(payload, made[:1], [clip.vertices], clip.motion, worn.scale).to_bytes(),
@@ -95,7 +95,7 @@ def tube_materials(layer: Jointed) -> tuple[str, ...]:
 
 
 def test_the_glb_shows_character_and_garment_in_the_clip(
-    payload: bytes, made: tuple[Jointed, JointSprings], clip: Draped, worn: Wearer, tmp_path: Path
+    payload: bytes, made: tuple[Jointed, JointSprings], clip: DrapedClip, worn: Wearer, tmp_path: Path
 ):
     content = worn_glb(payload, made[:1], [clip.vertices], clip.motion, worn.scale).to_bytes()
     file, distilled = Reader(content), made[0].distilled
@@ -108,7 +108,7 @@ def test_the_glb_shows_character_and_garment_in_the_clip(
 
 @pytest.mark.parametrize("hindered", [False, True])
 def test_three_vrm_moves_the_springs_as_we_do(
-    payload: bytes, made: tuple[Jointed, JointSprings], clip: Draped, tmp_path: Path, hindered: bool
+    payload: bytes, made: tuple[Jointed, JointSprings], clip: DrapedClip, tmp_path: Path, hindered: bool
 ):
     """With legs so thick that tails are in them, VRM 0's spheres are not quite our capsules."""
     layer, springs = made
@@ -139,17 +139,17 @@ def loose(springs: JointSprings) -> JointSprings:
     return replace(springs, numbers=numbers, sprung=np.ones(COUNT, dtype=bool))
 
 
-def stiff_tails(springs: JointSprings, clip: Draped) -> np.ndarray:
+def stiff_tails(springs: JointSprings, clip: DrapedClip) -> np.ndarray:
     """Where the tails (F, E, 3) are in the world of joints that only follow the rig."""
     at = compose(pelvis_places(clip.motion)[:, None], springs.distilled.carried(clip.motion))
     return np.einsum("feab,eb->fea", at[..., :3], springs.tails) + at[..., 3]
 
 
-def test_numbers_of_springs_are_found_again(made: tuple[Jointed, JointSprings], clip: Draped, worn: Wearer):
+def test_numbers_of_springs_are_found_again(made: tuple[Jointed, JointSprings], clip: DrapedClip, worn: Wearer):
     """Cloth that swings by the law is followed by what is fitted to it far better than by the rig."""
     distilled, springs = made[0].distilled, loose(made[1])
     swung = to_world(clip.motion, distilled.placed(clip.motion, springs.moves(clip.motion)), worn.scale)
-    draped = Draped(swung, clip.motion)
+    draped = DrapedClip(swung, clip.motion)
     fitted = fit_springs(distilled, [draped], worn)
     errors = [
         distilled.error_m(draped, moves, worn.scale)

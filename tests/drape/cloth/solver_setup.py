@@ -31,13 +31,7 @@ class Scene(NamedTuple):
     x: np.ndarray
 
 
-def crumpled(
-    material: str = "isotropic",
-    *,
-    flat_rest: bool = False,
-    springs: bool = True,
-    noise_m=0.001,
-) -> Scene:
+def crumpled(material: str = "isotropic", *, flat_rest: bool = False, springs: bool = True, noise_m=0.001) -> Scene:
     """A bent and stretched grid, its grain turned by 0.4, half of it in contact, with all springs or none."""
     rng = np.random.default_rng(7)
     rest, faces = grid(6, 5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from drape.cloth.hanging import GAP_M, GRAVITY_M_S2, STEP_S, HangingCloth, Skin
+from drape.cloth.hanging import GAP_M, GRAVITY_M_S2, STEP_S, HangingCloth, HoldingSkin
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid, round_tube
 
@@ -17,8 +17,8 @@ def ball(radius_m: float = 0.15) -> tuple[np.ndarray, np.ndarray]:
     return round_tube(radius_m * np.cos(turns), radius_m * np.sin(turns), 64)
 
 
-def skin(vertices: np.ndarray, faces: np.ndarray) -> Skin:
-    return Skin(vertices, faces, np.zeros(len(vertices)))
+def skin(vertices: np.ndarray, faces: np.ndarray) -> HoldingSkin:
+    return HoldingSkin(vertices, faces, np.zeros(len(vertices)))
 
 
 def sheet() -> tuple[np.ndarray, np.ndarray]:

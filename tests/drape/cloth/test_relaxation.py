@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from drape.cloth.relaxation import LONGEST_MOVE_M, Relaxation, nearest_isometry, principal_stretches
 from drape.errors import MeshError
-from recovery.drape.sewing import in_numpy
+from recovery.drape.seam_threads import in_numpy
 from recovery.sim.sdf import Plane
 from tests.recovery.sim_setup import strip
 

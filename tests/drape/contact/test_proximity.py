@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -18,6 +19,7 @@ from drape.contact.proximity import (
     Planes,
     body_proximity,
     from_halves,
+    held_share,
     in_halves,
     patch_skin,
     planes,
@@ -76,6 +78,30 @@ def test_a_plane_is_felt_as_its_closed_form():
     assert_allclose(closeness[0, 0], np.concatenate([np.tanh(missing), 0.25 * np.tanh(missing)]), rtol=0, atol=1e-12)
     assert_allclose(force[0, 0, :, 1], 1.25 * np.maximum(missing, 0.0), rtol=0, atol=1e-12)
     assert_array_equal(force[0, 0, :, [0, 2]], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("height_m", "way_m", "share", "expected"),
+    [
+        (0.010, -0.010, 1.0, 1.0),  # comes to the skin
+        (0.010, 0.030, 1.0, 1.0),  # goes away
+        (-0.020, 0.010, 1.0, 1.0),  # comes out
+        (0.010, -0.041, 1.0, 0.015 / 0.042),  # would be 31 mm deep, and is some 4
+        (-0.020, -0.009, 1.0, 0.1),  # is deep already
+        (0.010, -0.041, 0.25, 1.0),  # below a plane that is hardly there
+    ],
+)
+def test_no_correction_takes_a_point_deep_below_a_plane(height_m, way_m, share, expected):
+    """One of three points, and one of two planes, tells for all of the patch."""
+    before = np.tile([0.0, 0.5, 0.0], (1, 2, 3, 1))
+    before[0, 0, 1, 1] += height_m - 0.1
+    after = before.copy()
+    after[0, 0, 1, 1] += way_m
+    up = np.broadcast_to(np.array([0.0, 1.0, 0.0])[:, None], (1, 2, 2, 3, 3)).copy()
+    shares = np.stack([np.zeros((1, 2, 3)), np.full((1, 2, 3), share)], axis=2)
+    given = before, after, up, np.full((1, 2, 2, 3), -0.4), shares
+    for one, other, *near in (given, [torch.from_numpy(array) for array in given]):
+        assert_allclose(held_share(one, other, Planes(*near)), [[expected, 1.0]], rtol=1e-9)
 
 
 def test_the_own_plane_at_rest_is_the_skin():

@@ -15,7 +15,7 @@ from benchmarks.scenes import FPS, at_rate
 from benchmarks.served import Stream, plan_of
 from drape.catalog import find_motions
 from drape.engine.calls import call, call_with_scratch
-from drape.engine.card import Frames, Placed
+from drape.engine.card import CardRecord, Frames
 from drape.engine.library import LANES
 from drape.engine.packer import Record, address_of
 from drape.live import fold_step
@@ -66,16 +66,16 @@ class Emulated:
 
 
 def drawn(
-    name: str, vertices: np.ndarray, past: Record, around: Record, cloth: Placed, effort: Record, after: Record
+    name: str, vertices: np.ndarray, past: Record, around: Record, cloth: CardRecord, effort: Record, after: Record
 ) -> list[list[np.ndarray]]:
     """What both orders leave of a frame: vertices, what is told in whole numbers, and the memory after it."""
     found = []
     for backwards in (False, True):
         memory = Emulated()
-        memory.backwards, left = backwards, Placed(memory, after)
+        memory.backwards, left = backwards, CardRecord(memory, after)
         frames = Frames(memory)
-        before = [Placed(memory, one) for one in (past, around)]
-        frames.add(name, vertices, *before, cloth, Placed(memory, effort), left)
+        before = [CardRecord(memory, one) for one in (past, around)]
+        frames.add(name, vertices, *before, cloth, CardRecord(memory, effort), left)
         frames.draw(THREADS)
         ((folded, told),) = frames.drawn()
         found.append([folded, told[:4], *left.arrays()])
@@ -87,7 +87,7 @@ class Beside:
 
     def __init__(self) -> None:
         self.off_m, self.frames, self.names = 0.0, 0, set[str]()
-        self._placed = cache(lambda cloth: Placed(self._memory, for_card(cloth)))
+        self._placed = cache(lambda cloth: CardRecord(self._memory, for_card(cloth)))
         self._memory = Emulated()
 
     def __call__(self, name: str, dtype: Any, *given: Any) -> int:
@@ -150,7 +150,7 @@ def test_threads_that_race_give_other_numbers(tank: TwoLevel, still: Frame):  # 
     around, effort = Record("Surroundings", still.around(np.dtype(np.float32))), FoldEffort(1, settle=1)
     for cloth, is_same in ((levels, True), (torn, False)):
         asked = two_level_call(cloth, None, 0.0)
-        placed = Placed(Emulated(), cloth)
+        placed = CardRecord(Emulated(), cloth)
         one, other = drawn(
             asked.name, still.vertices, asked.past, around, placed, fold_step.recorded(effort), asked.after
         )

@@ -34,7 +34,7 @@ SAME = {
     ("felt", "model_export.packed.strain"): "SOFTENING",
     ("felt", "training.layers"): "STRAIN=STRAIN_COUNT",
     ("felt", "drape.contact.field"): "BANDWIDTH_M",
-    ("felt", "drape.contact.proximity"): "UNIT_M FELT_GAP_M=GAP_M DEEP_LOW_M,DEEP_HIGH_M=DEEP_M",
+    ("felt", "drape.contact.proximity"): "UNIT_M HELD_M SOFT_M FELT_GAP_M=GAP_M DEEP_LOW_M,DEEP_HIGH_M=DEEP_M",
     ("felt", "drape.contact.projection"): "BESIDE_LOW_M2,BESIDE_HIGH_M2=BESIDE_M2 AGREE_LOW,AGREE_HIGH=AGREEMENT "
     "REGION_BIAS_M2",
     ("push", "drape.contact.projection"): "CHARTS=CHARTS_PER_VERTEX TERMS PUSH_WIDTH=TILE_WIDTH HAS_OTHER JET_OVER "

@@ -12,7 +12,7 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric_table import fabric
 from drape.errors import MeshError
 from drape.exact import frame
-from drape.exact.frame import Lain, Sheet, exact
+from drape.exact.frame import ExactCloth, Lain, exact
 from drape.exact.path import WAY_M, Body, between, followed, poses_between
 from drape.garment.cache import Garment
 from drape.geometry.triangle_pairs import crossing_pairs
@@ -22,12 +22,12 @@ POSE[3] = [0.0, 0.0, 0.15]  # the trunk leans
 
 
 @pytest.fixture(scope="module")
-def sheet(tube: Garment, body: BodyModel) -> Sheet:
+def sheet(tube: Garment, body: BodyModel) -> ExactCloth:
     betas = np.zeros(body.shape_count)
-    return Sheet.of(tube, fabric("jersey"), body, betas, tube.vertices - body.rest_joints(betas)[0])
+    return ExactCloth.of(tube, fabric("jersey"), body, betas, tube.vertices - body.rest_joints(betas)[0])
 
 
-def tangled(sheet: Sheet, x: np.ndarray) -> np.ndarray:
+def tangled(sheet: ExactCloth, x: np.ndarray) -> np.ndarray:
     """``x`` (V, 3) with one vertex pushed through the triangle that is farthest up from it among those beside it."""
     x = x.copy()
     vertex = int(x[:, 1].argmin())
@@ -42,14 +42,14 @@ def tangled(sheet: Sheet, x: np.ndarray) -> np.ndarray:
     return x
 
 
-def test_a_start_that_is_apart_comes_to_rest(sheet: Sheet):
+def test_a_start_that_is_apart_comes_to_rest(sheet: ExactCloth):
     lain, told = exact(sheet, np.zeros((24, 3)), sheet.rest)
     assert told.start_crossings == told.crossings == 0 and told.force_share <= 0.01
     assert told.energy_j < told.start_j and 0 < told.steps < 100
     assert_array_equal(lain.x.astype(np.float32), lain.x)  # what is stored is what the next frame comes from
 
 
-def test_a_start_that_crosses_comes_to_rest_apart(sheet: Sheet):
+def test_a_start_that_crosses_comes_to_rest_apart(sheet: ExactCloth):
     start = tangled(sheet, sheet.body.carried(sheet.rest, np.zeros((24, 3)), POSE))
     lain, told = exact(sheet, POSE, start)
     assert told.start_crossings > 0 and told.crossings == 0 and told.force_share <= 0.01
@@ -60,7 +60,7 @@ def test_a_start_that_crosses_comes_to_rest_apart(sheet: Sheet):
     assert told.crossings == 0 and np.linalg.norm(near.x - lain.x, axis=1).mean() < 0.01
 
 
-def test_no_frame_ends_above_its_start(sheet: Sheet, monkeypatch: pytest.MonkeyPatch):
+def test_no_frame_ends_above_its_start(sheet: ExactCloth, monkeypatch: pytest.MonkeyPatch):
     start = tangled(sheet, sheet.body.carried(sheet.rest, np.zeros((24, 3)), POSE))
     monkeypatch.setattr(frame, "led", lambda *_: 2.0 * sheet.rest)  # a way that leads astray
     monkeypatch.setattr(frame, "drawn_to", lambda cloth, contact, posed, x, goal, band: x)
@@ -69,7 +69,9 @@ def test_no_frame_ends_above_its_start(sheet: Sheet, monkeypatch: pytest.MonkeyP
     assert told.energy_j <= told.start_j and told.start_crossings > 0
 
 
-def test_a_frame_comes_from_the_one_before_it_unless_only_that_crosses(sheet: Sheet, monkeypatch: pytest.MonkeyPatch):
+def test_a_frame_comes_from_the_one_before_it_unless_only_that_crosses(
+    sheet: ExactCloth, monkeypatch: pytest.MonkeyPatch
+):
     start = sheet.body.carried(sheet.rest, np.zeros((24, 3)), POSE)
     wrong, came = tangled(sheet, sheet.rest), []
 
@@ -85,7 +87,7 @@ def test_a_frame_comes_from_the_one_before_it_unless_only_that_crosses(sheet: Sh
     assert len(came) == 1 and came[0] is sheet.rest
 
 
-def test_cloth_follows_the_motion_that_it_is_given(sheet: Sheet):
+def test_cloth_follows_the_motion_that_it_is_given(sheet: ExactCloth):
     motion = np.zeros_like(sheet.rest)
     motion[:, 1] = np.where(sheet.rest[:, 1] < np.median(sheet.rest[:, 1]), -0.004, 0.0)
     still = np.zeros((24, 3))
@@ -94,11 +96,13 @@ def test_cloth_follows_the_motion_that_it_is_given(sheet: Sheet):
     assert (off < 1e-6).mean() > 0.9  # all but what lies in the skin
 
 
-def test_cloth_that_crosses_at_rest_and_numbers_that_are_none_are_refused(sheet: Sheet, tube: Garment, body: BodyModel):
+def test_cloth_that_crosses_at_rest_and_numbers_that_are_none_are_refused(
+    sheet: ExactCloth, tube: Garment, body: BodyModel
+):
     wrong = tangled(sheet, tube.vertices.astype(np.float64))
     betas = np.zeros(body.shape_count)
     with pytest.raises(MeshError, match=r"pairs of triangles that cross.*tier accurate"):
-        Sheet.of(replace(tube, vertices=wrong.astype(np.float32)), fabric("jersey"), body, betas, wrong)
+        ExactCloth.of(replace(tube, vertices=wrong.astype(np.float32)), fabric("jersey"), body, betas, wrong)
     with pytest.raises(MeshError, match="start of a frame"):
         exact(sheet, POSE, np.full_like(sheet.rest, np.nan))
 

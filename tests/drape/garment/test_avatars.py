@@ -13,14 +13,7 @@ from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import ArtifactError, BodyError, DrapeError, NotFound
 from drape.garment import registration
-from drape.garment.avatars import (
-    load_phenotypes,
-    mesh_avatar,
-    parse_avatar,
-    phenotype_avatar,
-    read_avatar,
-    smpl_avatar,
-)
+from drape.garment.avatars import load_phenotypes, mesh_avatar, parse_avatar, phenotype_avatar, read_avatar, smpl_avatar
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import obj_text

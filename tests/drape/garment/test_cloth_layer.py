@@ -229,3 +229,19 @@ def test_a_belt_that_arms_hang_by_hangs_on_the_trunk_and_a_cuff_on_its_sleeve():
         mesh = plain_mesh("both", np.concatenate([points, piece]), np.concatenate([cloth.faces, faces + len(points)]))
         corner = hung(mesh, mesh.vertices, cloth, joints, skin).corner[len(points) :]
         assert np.isin(sleeve[corner], (1, 2)).any() != trunk
+
+
+def test_the_inner_side_of_a_wall_hangs_on_its_own_cloth_not_on_what_it_is_nearer_to():
+    """The inner side of a coat's sleeves hung on the trunk beside them: webs spread when the arms went up."""
+    thick_m, beside_m = 0.006, 0.01
+    points, sheet = tube(24, 12, radius_m=0.1, height_m=0.4)
+    inner, near = (points * [1.0 - gap / 0.1, 1.0, 1.0 - gap / 0.1] for gap in (thick_m, beside_m))
+    border, count = meshes.boundary_edges(sheet), len(points)
+    rims = np.concatenate([np.stack([border[:, 0], border[:, 1], border[:, 0] + count], axis=1),
+                           np.stack([border[:, 1], border[:, 1] + count, border[:, 0] + count], axis=1)])  # fmt: skip
+    wall = np.concatenate([sheet, sheet[:, ::-1] + count, rims])
+    mesh = plain_mesh("walls", np.concatenate([points, inner, near]), np.concatenate([wall, sheet + 2 * count]))
+    cloth = plain_mesh("cloth", np.concatenate([points, near]), np.concatenate([sheet, sheet + count]))
+    drawn = hung(mesh, mesh.vertices, cloth, BODY.regressor @ SKIN, SKIN)
+    assert (drawn.corner[count : 2 * count] < count).all()
+    assert_allclose(Drawer(drawn, cloth.faces).draw(cloth.vertices), mesh.vertices, rtol=0, atol=1e-3)

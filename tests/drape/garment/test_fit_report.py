@@ -12,7 +12,7 @@ from drape.cloth.fabric_table import fabric
 from drape.cloth.tension import Tension
 from drape.garment.cache import Garment
 from drape.garment.ease import Ease
-from drape.garment.fit_report import REGIONS, Region, Worn, fit_report, fit_words, region_figures, regions_of
+from drape.garment.fit_report import REGIONS, JudgedDrape, Region, fit_report, fit_words, region_figures, regions_of
 from tests.fixtures.garments import shipped
 
 EVEN = Region(area_m2=0.2, warp=0.0, weft=0.0, high=0.0, touching=0.5, pressure_n_per_m2=0.0, gap_m=0.01)
@@ -71,7 +71,7 @@ def test_words_say_what_is_too_small_or_loose():
 
 
 def test_a_tube_as_it_is_fits_loosely(body: BodyModel, tube: Garment):
-    found = fit_report(tube, body, Worn(np.zeros(10), tube.vertices.astype(np.float64)))
+    found = fit_report(tube, body, JudgedDrape(np.zeros(10), tube.vertices.astype(np.float64)))
     assert_allclose([found.tension.warp, found.tension.weft], 0.0, atol=1e-5)
     assert found.words == [f"loose at the waist: {100 * found.ease['waist_m'].ease_m:.0f} cm of ease"]
     assert set(found.regions) <= {"chest", "waist", "hips"}
@@ -82,11 +82,11 @@ def test_a_tube_that_is_stretched_by_the_body_is_tight_and_presses(body: BodyMod
     rest = tube.vertices.astype(np.float64)
     tight = (rest - middle) * [1.08, 1.0, 1.08] + middle
     wide = np.array([2.0, 0.0, 0.0])  # a body that comes to lie at the cloth and beyond it
-    found = fit_report(tube, body, Worn(wide, tight))
+    found = fit_report(tube, body, JudgedDrape(wide, tight))
     assert_allclose(found.tension.weft, 0.08, atol=1e-5)
     assert any(word.startswith("tight across the ") and word.endswith(": 8 % along the weft") for word in found.words)
     assert found.tension.pressure.max() > 0.0
-    stiff = fit_report(tube, body, Worn(wide, tight), fabric=fabric("denim"))
+    stiff = fit_report(tube, body, JudgedDrape(wide, tight), fabric=fabric("denim"))
     assert stiff.tension.pressure.max() > found.tension.pressure.max()
     assert stiff.ease == found.ease
 
@@ -96,6 +96,6 @@ def test_strain_is_that_of_the_pose_and_ease_that_of_rest(body: BodyModel, tube:
     pose[0, 1] = 0.5 * np.pi  # the body turns and the cloth is longer
     turned = body.posed_vertices(pose[None])[0]
     assert np.abs(turned - body.v_template).max() > 0.1
-    found = fit_report(tube, body, Worn(np.zeros(10), rest, pose, rest * [1.0, 1.1, 1.0]))
+    found = fit_report(tube, body, JudgedDrape(np.zeros(10), rest, pose, rest * [1.0, 1.1, 1.0]))
     assert_allclose(found.tension.warp, 0.1, atol=1e-5)
-    assert found.ease == fit_report(tube, body, Worn(np.zeros(10), rest)).ease
+    assert found.ease == fit_report(tube, body, JudgedDrape(np.zeros(10), rest)).ease

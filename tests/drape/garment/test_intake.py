@@ -20,14 +20,7 @@ from drape.garment.cache import OWN_GARMENTS_DIR, load_garment
 from drape.garment.clearance import CLEARANCE_M
 from drape.garment.cloth_layer import VERTEX_LIMIT
 from drape.garment.files.mesh import plain_mesh
-from drape.garment.intake import (
-    IntakeOptions,
-    garment_name,
-    intake,
-    main,
-    read_fabric,
-    with_rest_state,
-)
+from drape.garment.intake import IntakeOptions, garment_name, intake, main, read_fabric, with_rest_state
 from drape.garment.mesh_checks import UNITS_M
 from drape.garment.rest_detail import Rest, RestCloth, rest_of
 from drape.garment.rest_mesh import rest_mesh, with_unused, without_unused
@@ -123,7 +116,7 @@ def test_a_garment_has_as_many_patches_as_are_asked_for(garment, folder: Path):
 def test_a_digest_of_before_rest_states_stays():
     options = asdict(IntakeOptions())
     kept = {name: options[name] for name in ("unit", "up")} | {"repair": False, "clearance_m": CLEARANCE_M}
-    header = {"name": "a", "avatar": STANDARD, "body": BODY.digest, "options": kept, "versions": [1, 4]}
+    header = {"name": "a", "avatar": STANDARD, "body": BODY.digest, "options": kept, "versions": [1, 5]}
     text = json.dumps(header, sort_keys=True).encode() + b"\0" + b"mesh"
     assert intake_module.garment_digest(b"mesh", STANDARD, BODY, IntakeOptions(), "a") == sha256(text).hexdigest()
 

@@ -73,11 +73,15 @@ def test_a_sample_that_is_hardly_nearer_is_no_reason_to_leave():
         assert_array_equal(touched_by(x, point, point)[0].own, own)
 
 
-@pytest.mark.parametrize(("below_m", "other"), [(0.99 * BEYOND_M, 1), (1.01 * BEYOND_M, -1)])
-def test_a_part_that_the_network_is_far_behind_holds_no_cloth(below_m: float, other: int):
-    x, point = np.zeros(3), np.array([[0.004, 0.0, 0.0], [0.0, 0.01, 0.0]])
+@pytest.mark.parametrize(
+    ("below_m", "behind_m", "other"),
+    [(0.9 * BEYOND_M, 1.1 * BEYOND_M, 1), (1.1 * BEYOND_M, 0.9 * BEYOND_M, 1), (1.1 * BEYOND_M, 1.1 * BEYOND_M, -1)],
+)
+def test_of_a_part_that_the_network_is_in_the_side_before_the_own_skin_holds(below_m, behind_m, other):
+    """The network is ``below_m`` in another part, whose side is ``behind_m`` above the own sample."""
+    x, point = np.zeros(3), np.array([[0.004, 0.0, 0.0], [0.0, behind_m, 0.0]])
     rest = point + np.array([[0.0, 0.0, 0.0], [2.0 * APART_M, 0.0, 0.0]])
-    network = np.array([0.2, 0.01 - below_m, 0.0])
+    network = np.array([0.2, behind_m - below_m, 0.0])
     for turn, touched in ((-1, -1), (0, 1)):  # by the search, and by the walk of what was there
         found, _ = touched_by(x, point, rest, network=network, turn=turn, other=touched)
         assert_array_equal(found.other, other)

@@ -28,11 +28,7 @@ def _values(name: str, turn: Rotation, place: np.ndarray) -> list:
 
 
 def messages(
-    pose: np.ndarray,
-    trans: np.ndarray,
-    *,
-    root: tuple[Rotation, np.ndarray] | None = None,
-    missing: Sequence[str] = (),
+    pose: np.ndarray, trans: np.ndarray, *, root: tuple[Rotation, np.ndarray] | None = None, missing: Sequence[str] = ()
 ) -> Iterator[tuple[str, list]]:
     """Address and values of a root and of each bone but the ``missing`` ones, for a pose (24, 3) [rad] and the pelvis's
     place (3,) [m]."""

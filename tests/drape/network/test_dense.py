@@ -76,10 +76,7 @@ def test_a_layer_of_a_body(inputs: int, dtype: type):
     weight, bias = draw.normal(size=(20, inputs)).astype(dtype), draw.normal(size=20).astype(dtype)
     x = draw.normal(size=(3, inputs)).astype(dtype)
     want = x.astype(np.float64) @ weight.T
-    for made, expected in (
-        (body_layer(weight, bias, SLOPE), bent(want + bias, SLOPE)),
-        (body_layer(weight), want),
-    ):
+    for made, expected in ((body_layer(weight, bias, SLOPE), bent(want + bias, SLOPE)), (body_layer(weight), want)):
         found = run_body_layer(made, x)
         assert_allclose(found[:, :20], expected, rtol=0, atol=ROUNDING[dtype])
         assert_array_equal(found[:, 20:], 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from drape.wire.options import DrapeOptions, Worn, options_document
+from drape.wire.options import DrapeOptions, WornGarments, options_document
 
 
 def test_names_on_the_wire_are_the_aliases_and_only_what_was_chosen_is_said():
@@ -54,6 +54,6 @@ def test_values_out_of_range_are_refused(document: dict):
 
 
 def test_an_outfit_has_a_garment():
-    assert Worn(garments=["tube"]).garments == ["tube"]
+    assert WornGarments(garments=["tube"]).garments == ["tube"]
     with pytest.raises(ValidationError):
-        Worn(garments=[])
+        WornGarments(garments=[])

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
 from drape.avatar import wears
 from drape.avatar.own_clothes import Halves
 from drape.avatar.own_garments import own_garments
@@ -22,6 +21,7 @@ from drape.stages.scene import Entry
 from service.compute import avatars as in_service
 from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.characters import character
+from tests.fixtures.dressed_characters import dressed_character, dressed_parts
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from drape.cloth import metrics
 from drape.errors import InputError, NotFound, TooLarge
 from drape.garment.cache import Garment
 from drape.inference.engine import Engine
-from drape.stages.batch import Batch, PoseInput, joined
+from drape.stages.batch import Batch, PoseInput, concatenated
 from drape.stages.collision import KEPT_OUTFITS, Pusher
 from drape.stages.plan import Plan
 from drape.stages.scene import Outfit
@@ -227,7 +227,7 @@ def test_visible_garments_are_to_the_bit_those_of_the_whole_outfit(
 ):
     whole, less = draped(planned(runtime, **options)), draped(planned(runtime, hidden=hidden, **options))
     seen = [layer.vertices for layer, name in zip(whole.layers, WORN, strict=True) if name not in hidden]
-    assert_array_equal(less.vertices, joined(seen))
+    assert_array_equal(less.vertices, concatenated(seen))
 
 
 def test_messages_hold_the_visible_garments_alone(runtime: DrapeRuntime, tube: Garment):

@@ -29,7 +29,12 @@ def bodies() -> dict[str, np.ndarray]:
 
 def make_packer(threads: int = 1, *, compiled: bool = False, **options: int) -> Packer:
     """A packer of ``KINDS``."""
-    packer = Packer(Engine(exported()[1], device=Device(threads=threads), compiled=compiled), load_body(), **options)
+    return packer_of(Engine(exported()[1], device=Device(threads=threads), compiled=compiled), **options)
+
+
+def packer_of(engine: Engine, **options: int) -> Packer:
+    """A packer of ``KINDS`` on ``engine``."""
+    packer = Packer(engine, load_body(), **options)
     for kind in KINDS:
         packer.add(kind, garment(kind))
     return packer

@@ -13,7 +13,6 @@ from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
 from drape.contact.skin import posed_table
 from drape.errors import ArtifactError
-from drape.graph.packing import pack_body
 from drape.inference.binding import BoundSession
 from drape.inference.engine import Engine
 from drape.inference.graph_names import PACKED
@@ -27,28 +26,11 @@ from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.garments import ship
 from tests.fixtures.packed import KINDS, exported, garment
 from tests.fixtures.poses import random_motion
+from tests.service.graphs.packers import BODIES, bodies, make_packer, packer_of
 from tests.service.graphs.test_push import added, drawn
 
 PLANS = [ScenePlan("both", skin=True), ScenePlan("jets"), ScenePlan(passes=1)]
-BODIES = 12
-
-
-@pytest.fixture(scope="module")
-def bodies() -> dict[str, np.ndarray]:
-    """Clients, each with its own pose and shape."""
-    body = load_body()
-    poses, _ = random_motion(BODIES, seed=4)
-    shapes = np.random.default_rng(1).normal(size=(BODIES, body.shape_count))
-    rows = [pack_body(body, shapes[i]).rows(poses[i : i + 1]) for i in range(BODIES)]
-    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
-
-
-def made(engine: Engine) -> Packer:
-    """A packer of ``KINDS``."""
-    packer = Packer(engine, load_body())
-    for kind in KINDS:
-        packer.add(kind, garment(kind))
-    return packer
+__all__ = ["bodies"]  # a fixture
 
 
 def mixes(count: int) -> list[list[tuple[str, int]]]:
@@ -62,7 +44,7 @@ def mixes(count: int) -> list[list[tuple[str, int]]]:
 
 @pytest.mark.slow
 def test_buckets_change_no_bit_of_any_plan_alone_and_in_any_mix(bodies: dict[str, np.ndarray]):
-    plain, bound = made(Engine(exported()[1], compiled=False)), made(Engine(exported()[1], bound=True))
+    plain, bound = make_packer(), packer_of(Engine(exported()[1], bound=True))
     for plan in PLANS:
         for items in mixes(7):
             pairs = zip(plain.run(plan, bodies, items), bound.run(plan, bodies, items), strict=True)
@@ -76,7 +58,7 @@ def test_buckets_change_no_bit_of_any_plan_alone_and_in_any_mix(bodies: dict[str
 
 @pytest.mark.slow
 def test_a_bucket_is_taken_again_and_answers_do_not_share_its_memory(bodies: dict[str, np.ndarray]):
-    packer, plan = made(Engine(exported()[1], bound=True)), ScenePlan()
+    packer, plan = packer_of(Engine(exported()[1], bound=True)), ScenePlan()
     first = packer.run(plan, bodies, [("tank", 0), ("shorts", 1)])
     kept, buckets = [result.arrays["vertices"].copy() for result in first], packer._engine.buckets
     assert buckets == 1
@@ -220,8 +202,8 @@ def test_nodes_that_run_elsewhere_are_counted():
 @pytest.mark.slow
 @pytest.mark.gpu
 def test_captured_graphs_drape_as_the_cpu(bodies: dict[str, np.ndarray]):
-    plain = made(Engine(exported()[1], compiled=False))
-    on_gpu = made(Engine(exported()[1], device=Device("cuda")))
+    plain = make_packer()
+    on_gpu = packer_of(Engine(exported()[1], device=Device("cuda")))
     for plan in PLANS:
         for items in mixes(5):
             want = plain.run(plan, bodies, items)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from benchmarks.measure.depth import depths_mm
 from drape.artifacts import MODELS_DIR, load_manifest
 from drape.body.assets import load_body
 from drape.cloth.fabric_table import fabric
@@ -57,6 +58,24 @@ def test_the_shipped_network_drapes_as_its_graph(passes: int | None):
         for name in ("vertices", "frame_centre", "frame_rotation", "skin"):
             assert_allclose(got.arrays[name], want.arrays[name], rtol=0, atol=4 * ROUNDING_M, err_msg=name)
         assert_allclose(got.arrays["vertices"], want.arrays["vertices"], rtol=0, atol=ROUNDING_M)
+
+
+def test_a_garment_of_the_shipped_model_takes_less_than_three_megabytes():
+    store = packers()[0].store
+    assert store.packed("shorts").vertex_count > 4500 and store.bytes < 2 * 3e6
+
+
+def test_corrections_take_no_cloth_through_arms_beside_the_trunk():
+    """As learnt they do: up to 40 mm."""
+    body, pose, packer = load_body(), np.zeros((1, 24, 3)), Packer(Engine(SHIPPED), load_body())
+    pose[0, [16, 17], 2] = -1.3, 1.3  # shoulders
+    skin, rows = body.posed_vertices(pose)[0], pack_body(body, np.zeros(body.shape_count)).rows(pose)
+    packer.add("tshirt", shipped("tshirt"))
+    still = rows | {"dynamic_code": np.zeros((1, 256), np.float32)}
+    for passes in (0, 1, None):
+        (found,) = packer.run(ScenePlan(passes=passes), still, [("tshirt", 0)])
+        world = found.arrays["vertices"][: shipped("tshirt").vertex_count] + body.rest_joints()[0]
+        assert depths_mm(world.astype(np.float64), skin, body.faces).max() < 10.0
 
 
 def test_an_item_has_the_same_bits_alone_and_in_two_threads():

@@ -113,9 +113,7 @@ def stream(url: str, offered: list[str], headers: dict[str, str] | None = None, 
     async def talk() -> dict:
         try:
             async with connect(
-                stream_address(url),
-                subprotocols=[Subprotocol(one) for one in offered],
-                additional_headers=headers,
+                stream_address(url), subprotocols=[Subprotocol(one) for one in offered], additional_headers=headers
             ) as socket:
                 assert socket.response is not None
                 assert socket.response.headers["Sec-WebSocket-Protocol"] == wire.SUBPROTOCOL

@@ -310,7 +310,7 @@ def test_a_point_cache_has_the_layers_one_after_the_other(outfit_url: str, tmp_p
 def test_a_scene_has_a_mesh_for_each_layer(outfit_url: str, origin: str):
     plain = np.frombuffer(exports_ask(outfit_url, EXPORTS_BINARY).content, "<f4").reshape(3, 432, 3)
     scene = read_usda(exports_ask(outfit_url, USDA, origin=origin).text)
-    assert scene.head["timeCodesPerSecond"] == "25.0"
+    assert scene.stage.GetTimeCodesPerSecond() == 25.0
     assert (np.abs(scene.translate) > 5.0).any() == (origin == "root")
     assert list(scene.meshes) == ["coat", "tube"]
     for mesh, own in zip(scene.meshes.values(), np.split(plain, 2, axis=1), strict=True):

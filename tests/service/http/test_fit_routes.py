@@ -12,7 +12,7 @@ from drape.body.model import BodyModel
 from drape.body.shape_of_measures import measure_ranges, shape_of_measures
 from drape.garment.cache import Garment
 from drape.garment.ease import Ease
-from drape.garment.fit_report import Region, Worn, fit_report
+from drape.garment.fit_report import JudgedDrape, Region, fit_report
 from service.http.fit_schemas import EaseNumbers, LevelNumbers, MeasureNumbers, RegionNumbers, ShapeRequest
 
 BINARY = {"Accept": "application/octet-stream"}
@@ -84,7 +84,7 @@ def test_a_fit_is_that_of_the_smooth_drape(api: httpx.Client, body: BodyModel, t
     betas = [0.3, -0.2]
     drawn = {"garment": "tube", "poses": np.zeros((1, 24, 3)).tolist(), "betas": betas, "push_out": False, "motion": 0}
     draped = np.frombuffer(api.post("/drape", json=drawn, headers=BINARY).content, "<f4").reshape(-1, 3)
-    want = fit_report(tube, body, Worn(body.check_betas(np.array(betas)), draped.astype(np.float64)))
+    want = fit_report(tube, body, JudgedDrape(body.check_betas(np.array(betas)), draped.astype(np.float64)))
     found = api.post("/garments/tube/fit", json={"betas": betas, "vertices": True}).json()
     assert found["garment"] == "tube"
     assert found["words"] == want.words

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from benchmarks.measure.dressed_characters import dressed_character, dressed_parts
 from drape.avatar.character import character_in
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
 from drape.files.gltf import GltfFile
 from service.settings import Settings
 from tests.fixtures.avatar_calls import NUMBERS, POSES, ended, sent, stream_of
+from tests.fixtures.dressed_characters import dressed_character, dressed_parts
 from tests.fixtures.glb_reader import Reader
 from tests.fixtures.serving import files_in
 from tests.fixtures.streams import PROTOCOLS

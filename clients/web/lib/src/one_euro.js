@@ -1,4 +1,5 @@
 // The One Euro filter (Casiez, Roussel, Vogel, CHI 2012): little jitter while points rest, little lag while they move.
+// A first-order low pass whose cut-off frequency [Hz] grows with the speed v: minCutoff + beta |v|; v is smoothed at dCutoff.
 import { length, less } from "./turns.js";
 
 const share = (cutoffHz, dtS) => 1 - 1 / (2 * Math.PI * cutoffHz * dtS + 1);

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
+import sys
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +21,7 @@ from drape.errors import ArtifactError, MeshError
 from drape.export.glb import add_garment
 from drape.export.glb_file import GlbFile
 from drape.files import pictures
+from drape.files.ktx2 import ktx2_picture
 from drape.files.looks import Looks, Material, looks_of, media_type
 from drape.garment.cache import Garment, load_garment, save_garment
 from drape.garment.files import archive
@@ -26,6 +30,15 @@ from tests.drape.garment.garment_files import FACES, UV, VERTICES, as_gltf, glb_
 from tests.fixtures.glb_reader import khronos_complaints
 
 RED = (200, 30, 20)
+KTX2 = [zlib.decompress(base64.b85decode(packed)) for packed in (  # 8 x 8, of (200, 40, 40)
+    # UASTC
+    r"c-mX-9TK5nWU!l;ONxsD2pEBw1BzjQ5sE<|1Bi8icnXw82M3_E0~!re%fz6;u#Az3fti_sK>)6+9?tp?1oA){=&bUh%#ze12B*a0"
+    r"%wmPmyv(xHqT<9H1tUE}0|o{bkS?G$aY@#v_9u?P^^?j603f&`PX",
+    # ETC1S, with its halves
+    r"c-mX-9TK5nWU!l;ONxsD2pEBw1Bzh)B*p@zHvq8?5Z?h}6__Lt?1!p7#E8&?3=ZNDKY&AgKMrvnD9yy6!LXQ-iGi6J*{$|))_)+7"
+    r"2hu?Al^11}q!uwaB^GBED}?4{mZcUIC*~*^=@}Y;%x7fK1gc{NVqG-5(CsEyjPU>qgz<=Jh7g$Hu!)(effFL=!e9VV+yGT}&;=qP"
+    r"^l*PDTuy*VjRow_2|mgUJ`gV}FfjrF3jn{-Bj*",
+)]  # fmt: skip
 GENERATED = "MESH_PRIMITIVE_GENERATED_TANGENT_SPACE"
 
 
@@ -110,6 +123,29 @@ def test_pictures_are_made_anew_as_png_or_jpeg(kind: str):
     assert_allclose(colour_of(made), RED, atol=6)  # JPEG
 
 
+@pytest.mark.parametrize("packed", KTX2)
+def test_a_texture_of_ktx2_alone_is_read(packed: bytes):
+    def change(document: dict) -> None:
+        document["textures"][0] = {"extensions": {"KHR_texture_basisu": {"source": 1}}}
+        document["images"][1] = {"uri": "data:image/ktx2;base64," + base64.b64encode(packed).decode()}
+
+    mesh = read_mesh(changed(glb_of(whole()), change))
+    assert mesh.notes == ()
+    (made,) = (one for one in mesh.looks.pictures if media_type(one) == "image/jpeg")
+    assert_allclose(colour_of(made), (200, 40, 40), atol=6)
+
+
+def test_of_a_large_ktx2_the_size_that_is_enough_is_read():
+    assert Image.open(io.BytesIO(pictures.remade(KTX2[1], label="", side=3))).size == (3, 3)
+    assert ktx2_picture(KTX2[1], side=3, most_pixels=64, label="").size == (4, 4)
+
+
+def test_without_its_package_a_ktx2_tells_what_to_install(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "opengl_basisu", None)
+    with pytest.raises(MeshError, match="the package opengl-basisu"):
+        pictures.remade(KTX2[0], label="picture")
+
+
 def test_what_else_a_picture_carries_goes_and_alpha_stays():
     told = PngImagePlugin.PngInfo()
     told.add_text("Author", "somebody-secret")
@@ -124,7 +160,8 @@ def test_what_else_a_picture_carries_goes_and_alpha_stays():
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"\xabKTX 20\xbb\r\n\x1a\n", "KTX2"),
+        (KTX2[0][:-40], "a whole PNG"),
+        (KTX2[0][:20] + b"\xff\xff\0\0" * 2 + KTX2[0][28:], "too many pixels"),
         (b"<svg onload='x'/>", "a whole PNG"),
         (picture()[:-40], "a whole PNG"),
         (picture(size=(8193, 8192)), "64 million pixels, got 8193 x 8192"),

@@ -16,12 +16,12 @@ from drape.cloth.material import FABRICS, MEASURED
 from drape.cloth.relaxation import Distance
 from drape.errors import InputError
 from drape.garment.contours import lost_parts
+from recovery.drape.limb_openings import limb_openings, sleeve_panels
 from recovery.drape.pattern_drape import hanging
 from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, moved_clear, place_panels, scaled
 from recovery.drape.repair import uncrossed
+from recovery.drape.seam_threads import SEWING_GAP_M, Sewn, in_numpy, sew
 from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle, to_rest, topmost_opening
-from recovery.drape.sewing import SEWING_GAP_M, Sewn, in_numpy, sew
-from recovery.drape.sleeves import limb_openings, sleeve_panels
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
 from recovery.pattern.garmentcode import read_pattern

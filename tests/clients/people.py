@@ -8,8 +8,20 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import PARENTS
 from drape.geometry.rigid import bone_transforms
 from drape.geometry.rotations import rotvec_to_matrix
-from drape.motion.key_points import LAYOUTS
 from drape.motion.t_pose import JOINT_INDEX
+
+SIDES = ("left", "right")
+LEFT_POINTS = {
+    "mediapipe": {"ear": 7, "shoulder": 11, "elbow": 13, "wrist": 15, "hip": 23, "knee": 25, "ankle": 27}
+    | {"heel": 29, "toe": 31},
+    "coco": {"ear": 3, "shoulder": 5, "elbow": 7, "wrist": 9, "hip": 11, "knee": 13, "ankle": 15},
+}
+INDEX = {
+    layout: {"nose": 0} | {f"{side}_{name}": at + k for name, at in left.items() for k, side in enumerate(SIDES)}
+    for layout, left in LEFT_POINTS.items()
+}
+COUNTS = {"mediapipe": 33, "coco": 17}
+SIGNS = {"mediapipe": [1.0, -1.0, -1.0], "coco": [1.0, 1.0, 1.0]}
 
 
 def skin_points(body: BodyModel) -> dict[str, tuple[int, np.ndarray]]:
@@ -29,13 +41,13 @@ def skin_points(body: BodyModel) -> dict[str, tuple[int, np.ndarray]]:
     return points
 
 
-def person(body: BodyModel, poses: np.ndarray, layout: str) -> np.ndarray:
+def person(body: BodyModel, poses: np.ndarray, layout: str = "mediapipe") -> np.ndarray:
     """Points (F, N, 3) [m] of poses (F, 24, 3), in the layout's order and axes; those it does not name are zero."""
     joints = body.rest_joints()
     rotations, translations = bone_transforms(rotvec_to_matrix(poses), joints, PARENTS)
-    kind, skin = LAYOUTS[layout], skin_points(body)
-    points = np.zeros((len(poses), kind.count, 3))
-    for name, at in kind.index.items():
+    skin = skin_points(body)
+    points = np.zeros((len(poses), COUNTS[layout], 3))
+    for name, at in INDEX[layout].items():
         bone, place = skin[name] if name in skin else (JOINT_INDEX[name], joints[JOINT_INDEX[name]])
-        points[:, at] = (rotations[:, bone] @ place + translations[:, bone]) * kind.signs
+        points[:, at] = (rotations[:, bone] @ place + translations[:, bone]) * SIGNS[layout]
     return points

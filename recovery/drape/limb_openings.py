@@ -47,10 +47,11 @@ def sleeve_panels(mesh: PatternMesh, cuff: np.ndarray) -> np.ndarray:
 def round_spread_arms(
     mesh: PatternMesh, openings: Mapping[str, np.ndarray], joints: Mapping[str, np.ndarray]
 ) -> tuple[PatternMesh, float]:
-    """``mesh`` whose sleeves point as the arms of a body with ``joints`` [m] (3,), and the largest turn [rad].
+    """Returns ``mesh`` with its sleeves turned to point as the arms do whose ``joints`` [m] (3,) are given by name, and
+    the largest turn [rad].
 
-    A sleeve points where its cloth ends in its cuff, one of the ``openings``. One that points elsewhere is turned about
-    the z axis and moved, in that plane, to its armhole. With no such sleeve the turn is 0.
+    A sleeve points to where its cloth ends in its cuff, one of the ``openings``. One that points elsewhere is turned
+    about the z axis and moved, in that plane, to its armhole. Without such a sleeve the turn is 0.
     """
     plane, panels, largest = mesh.placed() @ [1.0, 1.0j, 0.0], list(mesh.pattern.panels), 0.0
     for side in (limb.removesuffix("arm") for limb in openings if limb.endswith("arm")):

@@ -24,10 +24,8 @@ def most_frames(health: dict[str, Any], frame_bytes: int) -> int:
 
 
 def piece(call: Call[Answer], rows: slice, past: str | None) -> Call[tuple[Answer, str | None]]:
-    """``call`` for the frames ``rows`` of its clip, which follow the piece ``past``.
-
-    Its answer comes with the name of this piece, the past of the next one.
-    """
+    """Returns ``call`` for the frames ``rows`` of its clip, which follow the piece named ``past``. Its answer is that
+    of the frames and this piece's own name, the ``past`` of the next."""
     assert call.clip is not None
     more: dict[str, Any] = {}
     if call.path == DRAPE:  # a posed body remembers nothing
@@ -40,7 +38,7 @@ def piece(call: Call[Answer], rows: slice, past: str | None) -> Call[tuple[Answe
     return Call(call.method, call.path, read, call.params, call.headers, json=call.json | more, clip=part)
 
 
-def joined(answers: Sequence[Any]) -> Any:
+def joined_answers(answers: Sequence[Any]) -> Any:
     """The answer of the whole clip from those of its pieces: arrays of frames, lists of them by garment, or frames."""
     first = answers[0]
     if isinstance(first, np.ndarray):

@@ -28,11 +28,12 @@ ABOVE_ANKLE_M = 0.02
 
 @dataclass(frozen=True)
 class LegCut:
-    """Lengths [m]: ``rise_drop_m`` of the waistband's upper edge below the waist, ``inseam_m`` None to the ankles.
+    """The measures of trousers and shorts, lengths [m].
 
-    ``knee_girth_m`` and ``hem_girth_m`` of the cloth; shorts have no knee. ``waist_ease_m`` is negative where
-    the band is to sit tight; a ``band_m`` of 0 leaves the band out. Without ``darts`` the side seam takes in all
-    that the hips have more than the waist.
+    ``rise_drop_m``: of the waistband's upper edge below the waist. ``inseam_m``: None ends at the ankles.
+    ``knee_girth_m`` and ``hem_girth_m`` of the cloth; shorts have no knee. ``waist_ease_m`` is negative where the band
+    is to sit tight; a ``band_m`` of 0 leaves the band out. Without ``darts`` the side seams take in the whole
+    difference of hips and waist.
     """
 
     name: str
