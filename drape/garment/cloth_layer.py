@@ -18,6 +18,7 @@ from drape.cloth.coarse_mesh import coarse_mesh
 from drape.errors import MeshError
 from drape.garment.bound import BoundMesh, bind
 from drape.garment.caps import without_caps
+from drape.garment.facings import without_facings
 from drape.garment.files.mesh import GarmentMesh, plain_mesh, weld
 from drape.garment.mesh_checks import without_flat_faces
 from drape.garment.rest_detail import cloth_of, rest_of
@@ -75,6 +76,10 @@ def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None 
     if not keep.all():
         notes.append(f"{int((~keep).sum())} faces are the inner side of walls with a thickness")
     keep[keep] = _bearing(points, faces[keep], notes)
+    facing = np.flatnonzero(keep)[~without_facings(points, faces[keep], skin)]
+    if len(facing):
+        keep[facing] = False
+        notes.append(f"{len(facing)} faces are turned in below others and hang on them")
     cloth = sheets if keep.all() else sheets.take_faces(keep)
     cloth = _thinned(cloth, notes)
     return cloth if cloth is sheets else cloth.noted(*notes)

@@ -130,6 +130,8 @@ def agreeing(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
     number, piece = csgraph.connected_components(graph, directed=False)
     for label in range(number):
         order, before = csgraph.breadth_first_order(graph, int((piece == label).argmax()), directed=False)
+        if len(order) == 1:  # SciPy takes no entries by empty lists
+            continue
         step = np.asarray(odd[order[1:], before[order[1:]]]).reshape(-1) > 0
         for face, parent, turned in zip(order[1:].tolist(), before[order[1:]].tolist(), step.tolist(), strict=True):
             turn[face] = turn[parent] ^ turned

@@ -44,14 +44,14 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
     middles, normals = points[faces].mean(axis=1), meshes.face_normals(points, faces)
     areas = meshes.face_areas(points, faces)
     some = np.arange(0, len(faces), max(1, len(faces) // SAMPLED_FACES))  # of most garments they tell that it has none
-    walled = _opposite_faces(points, faces, some, middles, normals) >= 0
+    walled = opposite_faces(points, faces, some, middles, normals) >= 0
     seen = np.bincount(piece[some], areas[some], minlength=len(points))
     share = np.bincount(piece[some], walled * areas[some], minlength=len(points)) / np.maximum(seen, 1e-12)
     asked = np.flatnonzero((share > 0.7 * WALLED_SHARE)[piece] | (seen == 0.0)[piece])
     if not len(asked):
         return keep
     other = np.full(len(faces), -1)
-    other[asked] = _opposite_faces(points, faces, asked, middles, normals)
+    other[asked] = opposite_faces(points, faces, asked, middles, normals)
     walled, height = other >= 0, skin.query(middles)[0]
     gap = np.linalg.norm(middles - middles[np.maximum(other, 0)], axis=1)
     side = np.where(walled, (height - height[np.maximum(other, 0)]) / np.maximum(gap, SAME_M), 0.0)
@@ -64,12 +64,12 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
         within = np.where(np.isin(other[own], own), np.searchsorted(own, other[own]), -1)
         alone = (areas[own] * (within >= 0)).sum() > OWN_SHARE * (areas[own] * walled[own]).sum()
         if alone and (closed or (high <= EVEN * low and np.median(np.abs(side[own][walled[own]])) > OVER)):
-            phi = _sides(faces[own], normals[own], within, side[own])
+            phi = smoothed_sides(faces[own], normals[own], within, side[own])
             keep[own] = _outer(points, faces[own], walled[own], within, phi)
     return keep
 
 
-def _sides(faces: np.ndarray, normals: np.ndarray, other: np.ndarray, side: np.ndarray) -> np.ndarray:
+def smoothed_sides(faces: np.ndarray, normals: np.ndarray, other: np.ndarray, side: np.ndarray) -> np.ndarray:
     """The field phi (F,) of a piece; ``other`` (F,) is the opposite face of each, or -1, and ``side`` (F,) is s."""
     count, pairs = len(faces), meshes.edge_pairs(faces)
     weight = np.maximum(meshes.edge_cosines(pairs, normals), LEAST_COSINE) ** 2
@@ -97,7 +97,7 @@ def _outer(points: np.ndarray, faces: np.ndarray, walled: np.ndarray, other: np.
     return kept | ((other >= 0) & ~kept[other] & (phi > phi[other]))
 
 
-def _opposite_faces(
+def opposite_faces(
     points: np.ndarray, faces: np.ndarray, asked: np.ndarray, middles: np.ndarray, normals: np.ndarray
 ) -> np.ndarray:
     """The face (n,) opposite to each ``asked`` one (n,) within a wall, -1 where there is none."""
