@@ -27,7 +27,7 @@ from drape.garment.wearer_fields import DENSE_COUNT, bones_of, cloth_points
 from drape.geometry import meshes
 from drape.geometry.closest import nearest_vertices
 
-FINE_VERTEX_MINIMUM, FINE_VERTEX_ENOUGH, FINE_VERTEX_LIMIT = 3_000, 12_000, 40_000
+FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 3_000, 40_000
 CARRIED_SCALES, INSIDE_SHARE = 1.0 + 0.02 * np.arange(11), 0.001  # of a hat, and how much of it may be in the skin
 CARRIED_COUNT = 400  # points on it
 FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
@@ -98,9 +98,8 @@ def rest_mesh(
     else:
         moved = to_standard(compact.vertices, compact.faces, avatar, body)
     fine, fine_faces, origin = refine(
-        moved.vertices, compact.faces, at_least=FINE_VERTEX_MINIMUM, enough=FINE_VERTEX_ENOUGH,
-        at_most=FINE_VERTEX_LIMIT, edge_m=FINE_EDGE_M,
-    )  # fmt: skip
+        moved.vertices, compact.faces, at_least=FINE_VERTEX_MINIMUM, at_most=FINE_VERTEX_LIMIT, edge_m=FINE_EDGE_M
+    )
     if carriers:
         cleared = Cleared(fine, CLEARANCE_M, 0.0, 0)
     else:

@@ -42,7 +42,7 @@ TROUSERS_CROTCH_M = 0.08  # trousers hang at most this far below the body's crot
 SKIRT_SHARE = 0.2  # of a piece of cloth below the crotch that must lie at each leg for it to be a skirt
 HIP_BAND_M = 0.10
 PN_LIMIT = 0.15  # a subdivision vertex leaves its edge by at most this share of the edge's length
-DENSE, COARSE = 0.6, 1.4  # of the edge asked for: cloth so fine may have fewer vertices, and so coarse more
+DENSE = 0.6  # of the edge that is asked for: cloth so fine may have fewer vertices
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,10 +242,10 @@ def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarra
 
 
 def refine(
-    vertices: np.ndarray, faces: np.ndarray, *, at_least: int, enough: int, at_most: int, edge_m: float
+    vertices: np.ndarray, faces: np.ndarray, *, at_least: int, at_most: int, edge_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Subdivides until the mesh has a mean edge of ``edge_m`` and ``at_least`` vertices, or half of these where edges
-    are ``DENSE`` of that, but not past ``enough``, or past ``at_most`` where edges are ``COARSE`` of that.
+    are ``DENSE`` of that, but not past ``at_most``.
 
     Returns vertices (N, 3), faces (G, 3) and the delivered vertex that each one is nearest to by descent, (N,).
     """
@@ -254,8 +254,8 @@ def refine(
         edges = meshes.unique_edges(faces)
         mean_m = meshes.edge_lengths(vertices, edges).mean()
         wanted = at_least if mean_m > DENSE * edge_m else at_least // 2
-        most = at_most if mean_m > COARSE * edge_m else enough
-        if not ((len(vertices) < wanted or mean_m > edge_m) and len(vertices) + len(edges) <= most):
+        grown = len(vertices) + len(edges)
+        if not ((len(vertices) < wanted or mean_m > edge_m) and grown <= at_most):
             return vertices, faces, origin
         vertices, faces, parents = subdivide_smooth(vertices, faces)
         origin = origin[parents[:, 0]]

@@ -12,15 +12,7 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
 from drape.garment.avatars import Avatar, phenotype_avatar, smpl_avatar, standard_avatar
 from drape.garment.clearance import CLEARANCE_M, clear_body
-from drape.garment.rest_pose import (
-    COARSE,
-    bone_motions,
-    refine,
-    smoother,
-    subdivide_smooth,
-    surface_weights,
-    to_standard,
-)
+from drape.garment.rest_pose import bone_motions, refine, smoother, subdivide_smooth, surface_weights, to_standard
 from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
 from drape.geometry.rotations import rotvec_to_matrix
@@ -124,10 +116,10 @@ def test_subdivision_keeps_delivered_vertices_and_rounds_facets():
 
 def test_refine_reaches_its_count_and_respects_the_limit():
     vertices, faces = SHIRT
-    fine, _, origin = refine(vertices, faces, at_least=2 * len(vertices) + 2, enough=40_000, at_most=40_000, edge_m=0.1)
+    fine, _, origin = refine(vertices, faces, at_least=2 * len(vertices) + 2, at_most=40_000, edge_m=0.1)
     assert len(vertices) < len(fine) <= 40_000
     assert origin.max() < len(vertices) and len(origin) == len(fine)
-    same, _, _ = refine(vertices, faces, at_least=10**6, enough=0, at_most=len(vertices) + 5, edge_m=0.0)
+    same, _, _ = refine(vertices, faces, at_least=10**6, at_most=len(vertices) + 5, edge_m=0.0)
     assert len(same) == len(vertices)
 
 
@@ -135,19 +127,9 @@ def test_small_cloth_of_fine_triangles_is_not_refined_for_its_count():
     vertices, faces = SHIRT
     mean_m = meshes.edge_lengths(vertices, meshes.unique_edges(faces)).mean()
     wanted = len(vertices) + 1
-    coarse, _, _ = refine(vertices, faces, at_least=wanted, enough=40_000, at_most=40_000, edge_m=1.1 * mean_m)
-    dense, _, _ = refine(vertices, faces, at_least=wanted, enough=40_000, at_most=40_000, edge_m=mean_m / 0.5)
+    coarse, _, _ = refine(vertices, faces, at_least=wanted, at_most=40_000, edge_m=1.1 * mean_m)
+    dense, _, _ = refine(vertices, faces, at_least=wanted, at_most=40_000, edge_m=mean_m / 0.5)
     assert len(coarse) > 3 * len(dense) == 3 * len(vertices)
-
-
-def test_a_large_garment_is_refined_only_where_its_edges_are_much_too_long():
-    vertices, faces = SHIRT
-    mean_m = meshes.edge_lengths(vertices, meshes.unique_edges(faces)).mean()
-    sizes = [
-        len(refine(vertices, faces, at_least=0, enough=len(vertices), at_most=40_000, edge_m=mean_m / longer)[0])
-        for longer in (0.9 * COARSE, 1.1 * COARSE)
-    ]
-    assert sizes[0] == len(vertices) and sizes[1] > 3 * len(vertices)
 
 
 @pytest.mark.parametrize("depth_m", [0.0, 0.01, 0.02])
