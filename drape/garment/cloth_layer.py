@@ -71,12 +71,12 @@ def cloth_layer(sheets: GarmentMesh, skin: np.ndarray, outer: np.ndarray | None 
 
     ``outer`` (F,) bool: their ``outer_sides``, if these are known.
     """
-    points, faces, notes = sheets.vertices, sheets.faces, []
-    keep = outer_sides(points, faces, KDTree(skin)) if outer is None else outer.copy()
+    points, faces, notes, tree = sheets.vertices, sheets.faces, [], KDTree(skin)
+    keep = outer_sides(points, faces, tree) if outer is None else outer.copy()
     if not keep.all():
         notes.append(f"{int((~keep).sum())} faces are the inner side of walls with a thickness")
     keep[keep] = _bearing(points, faces[keep], notes)
-    facing = np.flatnonzero(keep)[~without_facings(points, faces[keep], skin)]
+    facing = np.flatnonzero(keep)[~without_facings(points, faces[keep], tree)]
     if len(facing):
         keep[facing] = False
         notes.append(f"{len(facing)} faces are turned in below others and hang on them")

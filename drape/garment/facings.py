@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from drape.garment.files.mesh import plain_mesh
 from drape.garment.sheets import agreeing
-from drape.garment.walls import FACING, SAME_M, opposite_faces, smoothed_sides
+from drape.garment.walls import FACING, farther, opposite_faces, smoothed_sides
 from drape.geometry import mesh_graphs, meshes
 
 SAMPLED_FACES, SAMPLED_SHARE = 1000, 0.01  # of most garments so few faces tell that nothing is turned in
@@ -20,9 +20,9 @@ LEAST_M2 = 0.002  # of a facing; what is smaller is a hem, and does no harm
 BORDER_SHARE = 0.3  # of its rim
 
 
-def without_facings(points: np.ndarray, faces: np.ndarray, skin: np.ndarray) -> np.ndarray:
+def without_facings(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarray:
     """Returns which ``faces`` (F,) bool of the cloth with the vertices ``points`` [m] (N, 3) are no facing. ``skin``
-    [m] (S, 3) are points of the body inside."""
+    holds points of the body inside."""
     keep, every = np.ones(len(faces), dtype=bool), np.arange(len(faces))
     wound, _ = agreeing(plain_mesh("cloth", points, faces))
     middles, normals = points[faces].mean(axis=1), meshes.face_normals(wound.vertices, wound.faces)
@@ -38,10 +38,8 @@ def without_facings(points: np.ndarray, faces: np.ndarray, skin: np.ndarray) -> 
     if (folded_from(some) >= 0).mean() < SAMPLED_SHARE:
         return keep
     other = folded_from(every)
-    double, height = other >= 0, KDTree(skin).query(middles)[0]
-    gap = np.linalg.norm(middles - middles[other], axis=1)
-    side = np.where(double, (height - height[other]) / np.maximum(gap, SAME_M), 0.0)
-    inner = np.flatnonzero(double & (smoothed_sides(faces, normals, other, side) < 0.0))
+    side = farther(middles, other, skin)
+    inner = np.flatnonzero((other >= 0) & (smoothed_sides(faces, normals, other, side) < 0.0))
     region = mesh_graphs.connected_components(faces[inner], len(points))[faces[inner, 0]]
     for number in np.unique(region):
         own = inner[region == number]

@@ -52,9 +52,7 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
         return keep
     other = np.full(len(faces), -1)
     other[asked] = opposite_faces(points, faces, asked, middles, normals)
-    walled, height = other >= 0, skin.query(middles)[0]
-    gap = np.linalg.norm(middles - middles[np.maximum(other, 0)], axis=1)
-    side = np.where(walled, (height - height[np.maximum(other, 0)]) / np.maximum(gap, SAME_M), 0.0)
+    walled, side = other >= 0, farther(middles, other, skin)
     depth = np.abs(np.einsum("fc,fc->f", normals, middles - middles[np.maximum(other, 0)]))
     share = np.bincount(piece, walled * areas) / np.maximum(np.bincount(piece, areas), 1e-12)
     for number in np.flatnonzero(share > WALLED_SHARE):
@@ -67,6 +65,13 @@ def outer_sides(points: np.ndarray, faces: np.ndarray, skin: KDTree) -> np.ndarr
             phi = smoothed_sides(faces[own], normals[own], within, side[own])
             keep[own] = _outer(points, faces[own], walled[own], within, phi)
     return keep
+
+
+def farther(middles: np.ndarray, other: np.ndarray, skin: KDTree) -> np.ndarray:
+    """s (F,) of faces with ``middles`` [m] (F, 3): how much farther from the ``skin`` each is than the face ``other``
+    (F,), over their distance; 0 where that is -1."""
+    height, gap = skin.query(middles)[0], np.linalg.norm(middles - middles[other], axis=1)
+    return np.where(other >= 0, (height - height[other]) / np.maximum(gap, SAME_M), 0.0)
 
 
 def smoothed_sides(faces: np.ndarray, normals: np.ndarray, other: np.ndarray, side: np.ndarray) -> np.ndarray:
