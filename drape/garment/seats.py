@@ -94,8 +94,14 @@ class Seat:
             deep = DEEP_COST * float((distance < -TIGHT_M).mean())
             return deep + (off + 0.5 * abs(way[2])) / RIM_COST_M
 
-        ways = [np.array([0.0, rise, depth]) for rise in RISES_M for depth in DEPTHS_M]
-        return min(ways, key=cost)
+        best, least = np.zeros(3), np.inf
+        for depth in sorted(DEPTHS_M, key=abs):  # a way costs as much as it goes forward or back at the least
+            if 0.5 * abs(depth) / RIM_COST_M >= least:
+                break
+            nearest = min((np.array([0.0, rise, depth]) for rise in RISES_M), key=cost)
+            if (found := cost(nearest)) < least:
+                best, least = nearest, found
+        return best
 
     def _round_foot(self, points: np.ndarray) -> np.ndarray:
         def cost(way: np.ndarray) -> float:
