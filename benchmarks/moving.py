@@ -11,7 +11,9 @@ angle of hinges; ``fine`` and ``middle``, the relief of waves below 2 cm and of 
 along hems; and ``area``. ``exact`` is that angle over the exact drape's, where the record has one. ``pop`` is the
 change of fine relief from frame to frame over that relief. Of every fifth frame are ``crossings`` and
 ``crossings_worst``, pairs of triangles of a garment that cross, for ten thousand of its triangles; ``depth_mm``, how
-deep it is in the skin at the most; ``inside`` and ``inside_worst``, vertices more than a centimetre in it, in the mean
+deep it is in the skin at the most; ``crossings_free`` and ``depth_free_mm``, the same without cloth within 3 cm of
+skin that crosses itself, as in a squat's lap, where no place is off the skin; ``inside`` and ``inside_worst``,
+vertices more than a centimetre in it, in the mean
 and the worst frame; and ``strain_pct``, the 99.9th percentile of edges. ``jitter`` is the third
 difference in time over the skin's. ``resets`` are frames begun anew. ``ms`` is a frame's processor time. Rows are
 printed with the worst first; ``--sheet`` draws the worst clip of every garment in each tier. Captured motion throws
@@ -27,10 +29,11 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.measure.depth import depths_mm
-from benchmarks.measure.intersections import intersection_count
+from benchmarks.measure.intersections import intersecting_pairs
 from benchmarks.measure.moving import Looks
 from benchmarks.measure.sheet import Picture, draw_sheet
 from benchmarks.scenes import FPS, Clip, lively_clips, read_clips
@@ -48,11 +51,13 @@ TIERS = ("fast", "balanced", "accurate")
 BEFORE = (0, 3, 6, 9)  # frames before that of the still whose means count
 EVERY = 5  # frames between two in which crossings and depth are counted
 DEEP_MM = 10.0  # in the skin: no lift hides such a vertex
+OVERLAP_M = 0.03  # from skin that crosses itself
 SHARES = {"curvature": "curvature", "dihedral": "dihedral_deg", "fine": "fine_mm", "middle": "middle_mm",
           "hem": "hem_mm", "area": "area_m2"}  # fmt: skip
 COLUMNS = {
     "garment": "s", "clip": "s", "tier": "s", **dict.fromkeys(SHARES, ".2f"), "area": ".3f", "exact": ".2f",
-    "pop": ".2f", "crossings": ".1f", "crossings_worst": ("worst", ".0f"), "depth_mm": ".1f", "inside": ".1f",
+    "pop": ".2f", "crossings": ".1f", "crossings_worst": ("worst", ".0f"), "crossings_free": ("free", ".1f"),
+    "depth_mm": ".1f", "depth_free_mm": ("free", ".1f"), "inside": ".1f",
     "inside_worst": ("worst", ".0f"), "strain_pct": ".0f", "jitter": ".2f", "resets": ".1f", "ms": ".2f",
 }  # fmt: skip
 NAMES = ("garment", "clip", "tier")
@@ -63,6 +68,7 @@ class Skin:
     """The skin of a body through a ``clip``."""
 
     clip: Clip
+    _crossing: dict[int, KDTree | None] = field(default_factory=dict)
 
     @cached_property
     def vertices(self) -> np.ndarray:
@@ -70,6 +76,15 @@ class Skin:
         chunks = np.array_split(np.arange(len(self.clip.poses)), max(1, len(self.clip.poses) // 20))
         posed = (self.clip.body.posed_vertices(self.clip.poses[rows], self.clip.trans[rows]) for rows in chunks)
         return np.concatenate([one.astype(np.float32) for one in posed])
+
+    def free(self, frame: int, points: np.ndarray) -> np.ndarray:
+        """Which of ``points`` [m] (N, 3) in the world are more than ``OVERLAP_M`` from skin that crosses itself."""
+        if frame not in self._crossing:
+            vertices, faces = self.vertices[frame].astype(np.float64), self.clip.body.faces
+            own = np.unique(intersecting_pairs(vertices, faces))
+            self._crossing[frame] = KDTree(vertices[faces[own]].mean(axis=1)) if len(own) else None
+        tree = self._crossing[frame]
+        return np.full(len(points), True) if tree is None else tree.query(points)[0] > OVERLAP_M
 
     @cached_property
     def third(self) -> float:
@@ -101,16 +116,21 @@ def moving_row(
         shares.append({name: np.mean([one[key] for one in near]) / still[key] for name, key in SHARES.items()})
         angles.append((exact.get(frame) or {}).get("dihedral_deg", np.nan) / still["dihedral_deg"])
     seen = np.arange(min(2 * EVERY, len(vertices) - 1), len(vertices), EVERY)
-    crossings = intersection_count(vertices[seen], looks.faces) * 1e4 / len(looks.faces)
-    body = skin.clip.body
+    pairs, body = [intersecting_pairs(vertices[i], looks.faces) for i in seen], skin.clip.body
+    middles = [vertices[i][looks.faces[one[:, 0]]].mean(axis=1) for i, one in zip(seen, pairs, strict=True)]
+    free = [skin.free(int(i), one).sum() for i, one in zip(seen, middles, strict=True)]
+    crossings, apart = (np.array(counts) * 1e4 / len(looks.faces) for counts in ([len(one) for one in pairs], free))
     depths = np.stack([depths_mm(vertices[i], skin.vertices[i].astype(float), body.faces) for i in seen])
     inside = (depths > DEEP_MM).sum(axis=1)
+    depths_free = depths * np.stack([skin.free(int(i), vertices[i]) for i in seen])
     return {name: float(np.mean([one[name] for one in shares])) for name in SHARES} | {
         "exact": float(np.mean([one["dihedral"] / angle for one, angle in zip(shares, angles, strict=True)])),
         "pop": looks.pop(vertices[-30:]),
         "crossings": float(crossings.mean()),
         "crossings_worst": float(crossings.max()),
+        "crossings_free": float(apart.mean()),
         "depth_mm": float(depths.max()),
+        "depth_free_mm": float(depths_free.max()),
         "inside": float(inside.mean()),
         "inside_worst": float(inside.max()),
         "strain_pct": looks.strain_pct(vertices[seen]),
