@@ -3,7 +3,7 @@
 From the sample that a vertex had in the frame before it walks to the nearest one, always on to the nearest neighbour. A
 frame moves a vertex by less than a few samples, so that the walk stays on the part where the vertex was: a sleeve keeps
 to its arm where the arm touches the trunk. A vertex without a past starts at the sample that is nearest at rest. The
-engine walks, and blends the planes below the vertices (``source/skin.hpp``).
+engine walks (``source/walks.hpp``), and blends the planes below the vertices (``source/skin.hpp``).
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from drape.live.fold_constants import WornCloth
 from drape.live.skin_walks import SkinGraph, TouchedSamples
 
 STEPS, TURNS, NEARER, REACH_M = 3, 4, 0.8, 0.045  # of walks and of searches for other parts
+ALONG_STEPS, ALONG = 16, 0.5  # of walks on over skin that faces alike
 BESIDE, FREE, HOLLOW_M, APART_M = 1.5, 2.5, 0.05, 0.12
 BEYOND_M, THROUGH_M, BEFORE_M = 0.02, 0.015, 0.005  # below planes: in a part of the body, or through it
 
@@ -31,13 +32,15 @@ def touch(
 ) -> tuple[TouchedSamples, TouchedSamples]:
     """The samples that ``x`` [m] (V, 3) is at, and ``touched`` moved on.
 
-    Walks lead from the network's samples, and searches find other parts: of one that the ``network``'s place is in only
-    the side that faces the own sample.
+    Walks lead from the network's samples, on over skin that faces as these do, and searches find other parts: of one
+    that the ``network``'s place is in only the side that faces the own sample.
     Where a search finds a nearer sample of the same part the next walk starts there.
     """
     own, other, begins = touched.own.copy(), touched.other.copy(), touched.own.copy()
     for v, point in enumerate(x):
+        facing = skin[:, 4:7] @ skin[own[v], 4:7] > ALONG
         own[v] = _walked(point, skin, graph, own[v], STEPS)
+        own[v] = _walked(point, skin, graph, own[v], ALONG_STEPS, facing)
         apart = np.linalg.norm(graph.rest - graph.rest[own[v]], axis=1)
         hollow = (apart > HOLLOW_M) & ((skin[:, :3] - skin[own[v], :3]) @ skin[own[v], 4:7] > 0.0)
         distance = np.linalg.norm(skin[:, :3] - point, axis=1)
@@ -54,10 +57,13 @@ def touch(
     return TouchedSamples(own, other), TouchedSamples(begins, other)
 
 
-def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int, steps: int) -> int:
-    """Where a walk from ``start`` ends, each of its ``steps`` to the nearest of sample and neighbours."""
+def _walked(
+    point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int, steps: int, allowed: np.ndarray | None = None
+) -> int:
+    """Where a walk from ``start`` ends, each of its ``steps`` to the nearest of sample and ``allowed`` neighbours."""
     for _ in range(steps):
-        around = np.append(start, graph.neighbour[start])
+        near = graph.neighbour[start]
+        around = np.append(start, near if allowed is None else near[allowed[near]])
         best = int(around[np.linalg.norm(skin[around, :3] - point, axis=1).argmin()])
         if best == start:
             break

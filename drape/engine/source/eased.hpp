@@ -15,8 +15,8 @@ constexpr double EASED_S = 0.65;  // in which what eased cloth comes down to 1/e
 // of what it was eased before, if anything. What is no fold is left out. The samples own are moved on, and those of
 // other parts are found.
 template <class T>
-DEVICE void ease_off(const T* under, const T* before, T share, int32_t* own, int32_t* other, const Skin<T>& skin,
-                     const FoldConstants<T>& cloth, int64_t steps, T* eased, T* off, Scratch& scratch) {
+DEVICE void ease_off(const T* under, const T* before, T share, int32_t* own, int32_t* other, int32_t* at,
+                     const Skin<T>& skin, const FoldConstants<T>& cloth, int64_t steps, T* eased, T* off, Scratch& scratch) {
   const int64_t mark = scratch.used, places = cloth.sheet.vertex.count, count = cloth.factor.place.count;
   T *x = scratch.take<T>(3 * places), *gradient = scratch.take<T>(3 * places);
   T *frames = scratch.take<T>(FRAMES * (places / LANES)), *planes = scratch.take<T>(PLANES * (places / LANES));
@@ -32,7 +32,7 @@ DEVICE void ease_off(const T* under, const T* before, T share, int32_t* own, int
   }
   hold_places<T>(cloth.sheet, nullptr, T(0), planes);
   for (int64_t p : each(places)) other[p] = -1;
-  touch(x, under, places, skin, cloth.sheet.vertex.begin, own, other, -1, planes, scratch);
+  touch(x, under, places, skin, cloth.sheet.vertex.begin, own, other, at, -1, planes, scratch);
   for (int64_t step = 0; step < steps; ++step) {
     gradient_at<T>(x, cloth.sheet, planes, under, T(HOLD), gradient);
     whole_step(x, cloth.factor, gradient, q, s);
@@ -47,15 +47,15 @@ DEVICE void ease_off(const T* under, const T* before, T share, int32_t* own, int
   scratch.used = mark;
 }
 
-// Lifts the fine cloth up to the clearance [m] over the skin and out of the colliders; own and other (C,) are the
+// Lifts the fine cloth up to the clearance [m] over the skin and out of the colliders; at and other (C,) are the
 // samples that the coarse places are at.
 template <class T>
-DEVICE void lift_off(const Laid<T>& laid, const int32_t* own, const int32_t* other, const Skin<T>& skin,
+DEVICE void lift_off(const Laid<T>& laid, const int32_t* at, const int32_t* other, const Skin<T>& skin,
                      const Array<double>& colliders, const FineLevel<T>& fine, T clearance) {
   const int64_t places = fine.sheet.vertex.count;
   for (int64_t block : each_block(places / LANES)) put(laid.lifted + LANES * block, T(0));
   for (int64_t block : each_block(PLANES / LANES * (places / LANES))) put(laid.planes + LANES * block, T(0));
-  put_own_planes(laid.x, places, skin, own, fine.parent.begin, laid.planes);
+  put_own_planes(laid.x, places, skin, at, fine.parent.begin, laid.planes);
   put_other_planes(laid.x, places, skin, other, fine.parent.begin, laid.planes);
   put_collider_planes(laid.x, places, colliders, laid.planes);
   leave_colliders(laid.x, places, colliders, laid.planes, clearance);
@@ -73,7 +73,7 @@ DEVICE FoldOutcome lift_alone(const T* vertices, const FoldMemory<T>& past, cons
   const int64_t places = fine.sheet.vertex.count, below = coarse.sheet.vertex.count;
   const Laid<T> laid(places, scratch);
   T *x = laid.x, *under = scratch.take<T>(3 * below), *off = scratch.take<T>(3 * below);
-  int32_t* other = scratch.take<int32_t>(below);
+  int32_t *other = scratch.take<int32_t>(below), *at = scratch.take<int32_t>(below);
   if (scratch.overflowed) return {};
   placed(vertices, fine.sheet.vertex, x);
   placed(vertices, levels.kept, under);
@@ -83,12 +83,12 @@ DEVICE FoldOutcome lift_alone(const T* vertices, const FoldMemory<T>& past, cons
   for (int64_t p : each(below)) after.own[p] = follows ? past.own[p] : coarse.index[p];
   follow(under, below, skin, after.own.begin);
   const double share = follows ? exponential_of(-past.step_s / EASED_S) : 0;
-  ease_off<T>(under, follows ? past.residual.begin : nullptr, T(share), after.own, other, skin, coarse,
+  ease_off<T>(under, follows ? past.residual.begin : nullptr, T(share), after.own, other, at, skin, coarse,
               follows ? 1 : effort.settle, after.residual, off, scratch);
   if (scratch.overflowed) return {};
   for (int64_t block : each_block(places / LANES))
     put_points(x + 3 * LANES * block, carried(points_in(x + 3 * LANES * block), off, fine, block));
-  lift_off<T>(laid, after.own, other, skin, around.colliders, fine, T(effort.clearance_m));
+  lift_off<T>(laid, at, other, skin, around.colliders, fine, T(effort.clearance_m));
   FoldOutcome outcome = {!follows, goes_on && !follows, 0, 0, 0, 0, 0};
   delivered(laid, fine.sheet.place, lifted_vertices, outcome);
   return outcome;

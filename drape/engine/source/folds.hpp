@@ -34,12 +34,13 @@ struct FoldOutcome {
 };
 
 // The cloth of a frame: where its places are and, if it goes on from a frame, came from [m] (P, 3), with room for one
-// number behind them, how far [m] each was lifted (P,), and the planes that held it.
+// number behind them, how far [m] each was lifted (P,), the planes that held it, and the samples (P,) that it is at.
 template <class T> struct Laid {
   T *x, *came, *lifted, *planes;
+  int32_t* at;
   INLINE_MEMBER Laid(int64_t places, Scratch& scratch)
       : x(scratch.take<T>(3 * places)), came(scratch.take<T>(3 * places)), lifted(scratch.take<T>(places)),
-        planes(scratch.take<T>(PLANES * (places / LANES))) {}
+        planes(scratch.take<T>(PLANES * (places / LANES))), at(scratch.take<int32_t>(places)) {}
 };
 
 template <class T> struct FoldSchedule {
@@ -117,10 +118,11 @@ DEVICE void descend_rounds(const Laid<T>& laid, T* way, const T* network, const 
   if (scratch.overflowed) return;
   for (int64_t c : each(clusters)) every[c] = int32_t(c);
   follow(network, places, skin, own);
+  for (int64_t p : each(places)) laid.at[p] = own[p];
   lay_back(x, network, places, skin, own, nullptr);
   hold_places(sheet, stuck, schedule.friction, planes);
   for (int64_t round = 0; round < schedule.rounds; ++round) {
-    touch(x, network, places, skin, sheet.vertex.begin, own, other, schedule.turn, planes, scratch);
+    touch(x, network, places, skin, sheet.vertex.begin, own, other, laid.at, schedule.turn, planes, scratch);
     put_collider_planes(x, places, around.colliders, planes);
     if (schedule.within) keep_apart(x, sheet, cloth.neighbours, planes, scratch);
     if (round == 0 && schedule.turn < 0)
@@ -139,7 +141,7 @@ DEVICE void descend_rounds(const Laid<T>& laid, T* way, const T* network, const 
       ease(x, network, crossed, T(EASE / WAY_M) * schedule.untangle, sheet, scratch);
   }
   if (schedule.rounds == 0 && (schedule.clearance > 0 || around.colliders.count))  // there are no planes yet
-    touch(x, network, places, skin, sheet.vertex.begin, own, other, schedule.turn, planes, scratch);
+    touch(x, network, places, skin, sheet.vertex.begin, own, other, laid.at, schedule.turn, planes, scratch);
   leave_colliders(x, places, around.colliders, planes, schedule.clearance);
   if (schedule.clearance > 0) lift(x, places, planes, schedule.clearance, laid.lifted);
   scratch.used = mark;

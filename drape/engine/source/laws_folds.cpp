@@ -53,10 +53,11 @@
                                              int64_t steps, T* eased, T* off, Scratch* scratch) {                      \
     const int64_t places = cloth->sheet.vertex.count;                                                                  \
     int32_t *here = scratch->take<int32_t>(places), *other = scratch->take<int32_t>(places);                           \
+    int32_t* at = scratch->take<int32_t>(places);                                                                      \
     if (scratch->overflowed) return -1;                                                                                \
     for (int64_t p = 0; p < places; ++p) here[p] = own[p];                                                             \
-    ease_off(under, before, T(share), here, other, skin_of(skin, samples, cloth->graph), *cloth, steps, eased, off,    \
-             *scratch);                                                                                                \
+    ease_off(under, before, T(share), here, other, at, skin_of(skin, samples, cloth->graph), *cloth, steps, eased,     \
+             off, *scratch);                                                                                           \
     return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
   EXPORT void drape_law_lift_##suffix(T* x, int64_t places, const T* planes, double clearance, T* way) {               \
@@ -110,8 +111,8 @@
   EXPORT int64_t drape_law_touch_##suffix(const T* x, const T* network, int64_t places,                                \
                                           const T* skin, int64_t samples,                                              \
                                           const SkinGraph<T>* graph, const int32_t* vertex, int32_t* own,              \
-                                          int32_t* other, int64_t turn, T* planes, Scratch* scratch) {                 \
-    touch(x, network, places, skin_of(skin, samples, *graph), vertex, own, other, turn, planes, *scratch);             \
+                                          int32_t* other, int32_t* at, int64_t turn, T* planes, Scratch* scratch) {    \
+    touch(x, network, places, skin_of(skin, samples, *graph), vertex, own, other, at, turn, planes, *scratch);         \
     return -scratch->overflowed;                                                                                       \
   }                                                                                                                    \
   EXPORT void drape_law_own_planes_##suffix(const T* x, int64_t places, const T* skin, int64_t samples,                \

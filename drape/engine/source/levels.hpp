@@ -92,7 +92,7 @@ DEVICE void settle_fine(const Laid<T>& laid, const Laid<T>& coarse, const T* net
   }
   lay_back(x, network, places, skin, after.own.begin, fine.parent.begin);
   hold_places<T>(fine.sheet, nullptr, T(0), planes);
-  put_own_planes<T>(x, places, skin, after.own, fine.parent, planes);
+  put_own_planes<T>(x, places, skin, coarse.at, fine.parent, planes);
   put_other_planes<T>(x, places, skin, after.other, fine.parent, planes);
   put_collider_planes(x, places, around.colliders, planes);
   const int64_t found = schedule.untangle > 0 ? close_clusters(coarse.planes, fine, close) : 0;

@@ -2,10 +2,8 @@
 //
 // The skin is a graph of samples (S, 8): point and its square, normal and normal times point.
 //
-// Own part. A walk leads from the sample that the network's vertex had to the one that it has now, always on to the
-// nearest neighbour, and the folded vertex goes a few steps from there; a fold that once crossed an arm would otherwise
-// stay on the far side. About a heel or an armpit a walk ends where no neighbour is nearer though others are. When the
-// grid shows a nearer sample of the same part, the next walk starts there.
+// Own part. Walks over the graph (walks.hpp) lead there from the sample that the network's vertex is at. When the grid
+// shows a nearer sample of the same part, the next walk starts there.
 //
 // Another part. A grid over the samples finds what else is near, the trunk near a sleeve or a thigh near a belly, for a
 // quarter of the vertices in each frame; in between the other ones walk. A sample counts where it is far from the own
@@ -30,9 +28,8 @@
 #include "frames.hpp"
 #include "grid.hpp"
 #include "sweeps.hpp"
+#include "walks.hpp"
 
-constexpr int NEIGHBOURS = 8;
-constexpr int WALK_STEPS = 3;  // from the network's sample to the fold's: too few to reach the far side of an arm
 constexpr int TURNS = 4;       // frames until every vertex has looked for other parts
 constexpr double REACH_M = 0.045;  // how near another part must come: half of an arm
 constexpr double PER_CELL = 1.0 / (2.0 * REACH_M);
@@ -41,98 +38,6 @@ constexpr double THROUGH_M = 0.015, BEFORE_M = 0.005;  // below a sample's plane
 constexpr double NEARER = 0.8;  // of the squared distance to the own sample: one of its part so near takes its place
 constexpr double BESIDE = 1.5, FREE = 2.5;  // squared ways aside of a sample, times r^2, between which a plane ends
 constexpr double HOLLOW_M = 0.05, APART_M = 0.12;  // at rest, from which skin may be hollow, and is another part
-
-// A posed skin and its graph.
-template <class T> struct Skin {
-  const T* samples;
-  int64_t count;
-  const int32_t* neighbour;  // (S, 8)
-  const T *reach_m2, *rest;  // (S,), (S, 3)
-  INLINE_MEMBER Vector<T> point_of(int64_t s) const { return point(samples + 8 * s, 0); }
-  INLINE_MEMBER Vector<T> normal_of(int64_t s) const { return point(samples + 8 * s + 4, 0); }
-};
-
-template <class T> INLINE Skin<T> skin_of(const T* samples, int64_t count, const SkinGraph<T>& graph) {
-  return {samples, count, graph.neighbour.begin, graph.reach_m2.begin, graph.rest.begin};
-}
-template <class T> INLINE Skin<T> skin_of(const Array<T>& samples, const SkinGraph<T>& graph) {
-  return skin_of(samples.begin, samples.count / 8, graph);
-}
-
-// The walks of a row at once: in each lane a place and the sample that it is at, whose neighbours are near, a row each.
-struct Walks { int32_t vertex[WIDTH], sample[WIDTH], near[NEIGHBOURS * WIDTH]; };
-
-INLINE void look_around(Walks& walks, const int32_t* neighbour) {
-  for (int k = 0; k < WIDTH; ++k)
-    for (int n = 0; n < NEIGHBOURS; ++n) walks.near[WIDTH * n + k] = neighbour[NEIGHBOURS * walks.sample[k] + n];
-}
-
-template <class T> INLINE Row<T> squares_to(Points<T> points, const T* samples, const int32_t* held) {
-  FourRows<T> s = samples_of(samples, held, 0);
-  Points<T> way = Points<T>{s.a, s.b, s.c} - points;
-  return dot(way, way);
-}
-template <class T> INLINE T square_to(Vector<T> point, const Skin<T>& skin, int64_t sample) {
-  Vector<T> way = point - skin.point_of(sample);
-  return dot(way, way);
-}
-
-// Moves the samples of all lanes on to the ones nearest to points, by so many steps at most.
-template <class T> INLINE void walk(Points<T> points, Walks& walks, const Skin<T>& skin, int64_t steps) {
-  Row<T> square = squares_to<T>(points, skin.samples, walks.sample);
-  for (int64_t step = 0; step < steps; ++step) {
-    look_around(walks, skin.neighbour);
-    Mask<T> which = (Mask<T>)(-1);
-#pragma clang loop unroll(disable)
-    for (int n = 0; n < NEIGHBOURS; ++n) {
-      Row<T> other = squares_to<T>(points, skin.samples, walks.near + WIDTH * n);
-      which = square > other ? (Mask<T>)(n) : which;
-      square = least<T>(square, other);
-    }
-    uint32_t moved = lanes_of<T>(which >= 0);
-    if (!moved) break;
-    for (; moved; moved &= moved - 1) {
-      int k = first_lane(moved);
-      walks.sample[k] = walks.near[WIDTH * number_in(which, k) + k];
-    }
-  }
-}
-
-// Where a walk of one point ends.
-template <class T> INLINE int32_t walked(Vector<T> point, const Skin<T>& skin, int32_t own, int steps) {
-  T nearest = square_to(point, skin, own);
-  for (int step = 0; step < steps; ++step) {
-    const int32_t here = own;
-    for (int n = 0; n < NEIGHBOURS; ++n) {
-      int32_t other = skin.neighbour[NEIGHBOURS * here + n];
-      T square = square_to(point, skin, other);
-      if (square < nearest) nearest = square, own = other;
-    }
-    if (own == here) break;
-  }
-  return own;
-}
-
-// Moves the samples own (P,) on to the ones nearest to the points x [m] (P, 3); P is a multiple of LANES.
-template <class T> DEVICE void follow(const T* x, int64_t places, const Skin<T>& skin, int32_t* own) {
-  Walks walks;
-  for (int64_t block : each_block((places + LANES - 1) / LANES)) {
-    const int64_t first = LANES * block, lanes = places - first < LANES ? places - first : LANES;
-    Points<T> points;
-    if (lanes == LANES) {
-      points = points_in(x + 3 * first);
-    } else {  // nodes of swing do not fill their last row: it repeats the last one
-      for (int k = 0; k < WIDTH; ++k) {
-        Vector<T> p = point(x, first + less<int64_t>(lane_of(k), lanes - 1));
-        set_number(points.x, k, p.x), set_number(points.y, k, p.y), set_number(points.z, k, p.z);
-      }
-    }
-    for (int k = 0; k < WIDTH; ++k) walks.sample[k] = own[first + less<int64_t>(lane_of(k), lanes - 1)];
-    walk(points, walks, skin, skin.count);
-    for (int k = 0; k < WIDTH; ++k)
-      if (lane_of(k) < lanes) own[first + lane_of(k)] = walks.sample[k];
-  }
-}
 
 // Whether points lie behind the samples own, in the body or beyond it, and the network's do not: they are more than
 // THROUGH_M below a sample's plane and no more aside of the sample than below.
@@ -293,13 +198,13 @@ template <class T> struct LatePlanes {
   }
 };
 
-// Moves other (P,) on to what is near x [m] (P, 3), which the network has at network [m] (P, 3), and writes both
-// tangent planes. The grid is asked for the vertices
-// whose number is turn modulo TURNS, for all of them where turn is negative. A plane is the foot of x on it and its
-// normal; where no other part is near the second normal is zero.
+// Moves other (P,) on to what is near x [m] (P, 3), which the network has at network [m] (P, 3) and at the samples own
+// (P,), and writes the samples at (P,) that x is at and both tangent planes. The grid is asked for the vertices whose
+// number is turn modulo TURNS, for all of them where turn is negative. A plane is the foot of x on it and its normal;
+// where no other part is near the second normal is zero.
 template <class T>
 DEVICE void touch(const T* x, const T* network, int64_t places, const Skin<T>& skin, const int32_t* vertex, int32_t* own,
-                  int32_t* other, int64_t turn, T* planes, Scratch& scratch) {
+                  int32_t* other, int32_t* at, int64_t turn, T* planes, Scratch& scratch) {
   const int64_t mark = scratch.used;
   const Grid grid = grid_of(skin.samples, skin.count, 8, PER_CELL, scratch);
   const T* laid = in_cells(skin, grid, scratch);
@@ -312,7 +217,12 @@ DEVICE void touch(const T* x, const T* network, int64_t places, const Skin<T>& s
     T* to = planes + PLANES * block;
     for (int k = 0; k < WIDTH; ++k) walks.sample[k] = own[first + lane_of(k)];
     Points<T> points = points_in(x + 3 * first);
-    walk(points, walks, skin, WALK_STEPS);
+    for (uint32_t far = walk(points, walks, skin, WALK_STEPS); far; far &= far - 1) {
+      const int k = first_lane(far);
+      const Vector<T> normal = skin.normal_of(own[first + lane_of(k)]);
+      walks.sample[k] = walked_along(point(x, first + lane_of(k)), skin, walks.sample[k], normal);
+    }
+    for (int k = 0; k < WIDTH; ++k) at[first + lane_of(k)] = walks.sample[k];
     Planes<T> below = planes_below(points, walks, skin);
     put3(to + OWN_PLANE, below.foot);
     put3(to + OWN_PLANE + 3 * LANES, below.unit);
@@ -320,15 +230,15 @@ DEVICE void touch(const T* x, const T* network, int64_t places, const Skin<T>& s
     put(to + NEAR_ROW, zero);
     for (int k = 0; k < WIDTH; ++k) {
       const int64_t v = first + lane_of(k);
-      const Vector<T> at = point(x, v), wanted = point(network, v);
+      const Vector<T> place = point(x, v), wanted = point(network, v);
       int32_t found = other[v];
       if (turn < 0 || vertex[v] % TURNS == turn) {
-        const NearSamples near = near_samples(at, wanted, skin, walks.sample[k], grid, laid);
+        const NearSamples near = near_samples(place, wanted, skin, walks.sample[k], grid, laid);
         found = near.other;
         if (near.same != walks.sample[k]) own[v] = near.same;
       } else if (found >= 0) {
-        found = walked(at, skin, found, WALK_STEPS);
-        const bool far = square_to(at, skin, found) >= T(REACH_M * REACH_M);
+        found = walked(place, skin, found, WALK_STEPS);
+        const bool far = square_to(place, skin, found) >= T(REACH_M * REACH_M);
         const int32_t mine = walks.sample[k];
         if (far || !is_other(skin, mine, found) || is_beyond(skin, mine, found, wanted)) found = -1;
       }
@@ -340,16 +250,16 @@ DEVICE void touch(const T* x, const T* network, int64_t places, const Skin<T>& s
   scratch.used = mark;
 }
 
-// The planes below points of a block, one step on from the samples own (C,) of what each place has in parent.
+// The planes below points of a block, a walk on from the samples own (C,) of what each place has in parent.
 template <class T>
 INLINE Planes<T> own_planes(Points<T> points, const int32_t* own, const int32_t* parent, Walks& walks,
                             const Skin<T>& skin) {
   for (int k = 0; k < WIDTH; ++k) walks.sample[k] = own[parent ? parent[lane_of(k)] : lane_of(k)];
-  walk(points, walks, skin, 1);
+  walk(points, walks, skin, WALK_STEPS);
   return planes_below(points, walks, skin);
 }
 
-// Writes the planes below x [m] (P, 3), one step on from the samples own (C,) of what each place has in parent (P,);
+// Writes the planes below x [m] (P, 3), a walk on from the samples own (C,) of what each place has in parent (P,);
 // of its own place where there is no parent.
 template <class T>
 DEVICE void put_own_planes(const T* x, int64_t places, const Skin<T>& skin, const int32_t* own, const int32_t* parent,

@@ -13,7 +13,7 @@ from drape.engine.packer import Record
 from drape.live.skin_walks import NEIGHBOURS, SkinGraph, TouchedSamples
 from tests.drape.live.folds_setup import PLANE_ROWS, arm, constants, rows_of, sleeve, spared
 from tests.reference import skin as reference
-from tests.reference.skin import APART_M, BESIDE, BEYOND_M, FREE, NEARER, REACH_M
+from tests.reference.skin import ALONG, ALONG_STEPS, APART_M, BESIDE, BEYOND_M, FREE, NEARER, REACH_M, STEPS
 
 SPACING_M = 0.02
 UP = np.array([0.0, 1.0, 0.0])
@@ -45,7 +45,7 @@ def touched_by(
     touched = TouchedSamples(np.zeros(len(places), np.int32), np.full(len(places), other, np.int32))
     call_with_scratch(
         "law_touch", np.float64, places, wanted, len(places), skin, count, Record("SkinGraph", graph),
-        made.sheet.vertex, *touched, turn, planes,
+        made.sheet.vertex, *touched, np.empty(len(places), np.int32), turn, planes,
     )  # fmt: skip
     rows = rows_of(planes)
     return touched, ((places - rows[:, :3]) * rows[:, 3:6]).sum(axis=1)
@@ -64,6 +64,26 @@ def test_a_walk_that_is_stuck_starts_at_a_nearer_sample_of_its_part():
     found, _ = touched_by(x, point, rest)
     assert_array_equal(found.own, 1)
     assert_array_equal(found.other, 2)
+
+
+def test_what_slid_far_along_the_skin_is_at_the_sample_below_it_but_not_round_an_edge():
+    made, count = constants(dtype=np.float64), 2 + ALONG_STEPS
+    point = SPACING_M * np.arange(count)[:, None] * [1.0, 0.0, 0.0]
+    near = np.clip(np.arange(count)[:, None] + [-1, 1, *[0] * (NEIGHBOURS - 2)], 0, count - 1).astype(np.int32)
+    graph = SkinGraph(near, np.full(count, SPACING_M**2), point)
+    for edge, end in ((count, count - 1), (6, 5)):
+        normal = np.where(np.arange(count)[:, None] < edge, UP, [0.9, ALONG - 0.1, 0.0])
+        skin = np.array(sample_table(point, normal / np.linalg.norm(normal, axis=1, keepdims=True)))
+        places = spared(np.tile(point[-1] + 0.01 * UP, (len(made.sheet.vertex), 1)))
+        touched = TouchedSamples(np.zeros(len(places), np.int32), np.full(len(places), -1, np.int32))
+        at, planes = np.empty(len(places), np.int32), np.zeros(PLANE_ROWS * len(places))
+        call_with_scratch(
+            "law_touch", np.float64, places, places, len(places), skin, count, Record("SkinGraph", graph),
+            made.sheet.vertex, *touched, at, 1, planes,
+        )  # fmt: skip
+        assert_array_equal(at, end)
+        asked = made.sheet.vertex % 4 == 1  # their next walk starts at the nearest sample of the part
+        assert_array_equal(touched.own[~asked], 0)
 
 
 def test_a_sample_that_is_hardly_nearer_is_no_reason_to_leave():
@@ -120,9 +140,12 @@ def test_fine_places_take_the_planes_of_their_parents_samples(rng):
 
     samples = np.maximum(samples, 0)
     call("law_own_planes", np.float64, *given, samples, parent, planes)
-    around = np.concatenate([samples[parent][:, None], worn.graph.neighbour[samples[parent]]], axis=1)
-    nearest = np.linalg.norm(skin[around, :3] - x[:, None], axis=2).argmin(axis=1)
-    assert nearest.any()
-    point, normal = reference.planes(x, skin, worn, np.take_along_axis(around, nearest[:, None], axis=1)[:, 0])
+    at = samples[parent]
+    for _ in range(STEPS):
+        around = np.concatenate([at[:, None], worn.graph.neighbour[at]], axis=1)
+        nearest = np.linalg.norm(skin[around, :3] - x[:, None], axis=2).argmin(axis=1)
+        assert nearest.any()
+        at = np.take_along_axis(around, nearest[:, None], axis=1)[:, 0]
+    point, normal = reference.planes(x, skin, worn, at)
     assert_allclose(rows_of(planes)[:, :3], point, rtol=0, atol=1e-12)
     assert_allclose(rows_of(planes)[:, 3:6], normal, rtol=0, atol=1e-12)
