@@ -29,7 +29,7 @@ FIRST_STEP_S = 1.0 / 30.0  # of a frame without a past
 SLIP_M, CLAMP_M = 1e-3, 0.02
 FORGET, LACK, HEM, MEND_M = 24.0, 0.003, 24.0, 0.03
 SPACING, KEPT, KEPT_M = 0.95, 0.5, 0.0085
-OTHER, DEEP_M, TOO_DEEP_M = 0.25, 0.025, 0.05  # of the lift
+OTHER, DEEP_M, TOO_DEEP_M = 0.25, 0.04, 0.06  # of the lift
 
 
 def fold(

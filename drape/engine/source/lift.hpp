@@ -15,7 +15,7 @@
 #include "skin.hpp"
 
 constexpr double OTHER_SHARE = 0.25;                  // of the way out of another part
-constexpr double DEEP_M = 0.025, TOO_DEEP_M = 0.05;  // below the clearance
+constexpr double DEEP_M = 0.04, TOO_DEEP_M = 0.06;  // below the clearance
 
 // The points after a share of their way up to the clearance over planes. Points that are higher or too deep stay. Where
 // there is no plane its normal is zero.
