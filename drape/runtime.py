@@ -78,7 +78,7 @@ class Runtime:
             else replace(make_plan(stages, plan.scene, options, messages=plan.messages), stepped=True)
             for options in held
         ]
-        carried = alone and bool(plan.options.folds)
+        carried = alone and bool(plan.options.advanced.folds)
         return (replace(steps[0], stepped=True, carried=True) if carried else steps[0], *steps)
 
     def add_missing(self, plan: Plan) -> None:

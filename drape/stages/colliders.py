@@ -37,7 +37,7 @@ class Colliders(Stage):
             )
 
     def wanted(self, plan: Plan) -> bool:
-        return bool(plan.options.colliders) and not plan.options.folds
+        return bool(plan.options.colliders) and not plan.options.advanced.folds
 
     def needs(self, plan: Plan) -> frozenset[str]:
         return frozenset({"vertices"})

@@ -51,7 +51,8 @@ class Collision(Stage):
         self.pusher = Pusher(self.engine, self.body, self.settings.clearance_m, make=self.make)
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        return {"push_out": self.settings.push_out if options.push_out is None else options.push_out}
+        asked = options.advanced.push_out
+        return {"push_out": self.settings.push_out if asked is None else asked}
 
     def wanted(self, plan: Plan) -> bool:
         return plan.projected

@@ -56,41 +56,42 @@ class Folds(Stage):
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         folding = options.geometry == "vertices" or options.folds_by == "client"
-        if not options.folds and not (options.coarse and folding):
+        asked = options.advanced
+        if not asked.folds and not (asked.coarse and folding):
             return {"folds": 0, "coarse": False, "safe_folds": None, "settle": None, "cloth_contact": None}
         return {
-            "coarse": bool(options.coarse),
-            "folds": options.folds or 0,
-            "safe_folds": max(options.folds, options.safe_folds or 0) if options.folds else None,
-            "settle": SETTLE if options.settle is None else options.settle,
-            "cloth_contact": options.cloth_contact is not False,
+            "coarse": bool(asked.coarse),
+            "folds": asked.folds or 0,
+            "safe_folds": max(asked.folds, asked.safe_folds or 0) if asked.folds else None,
+            "settle": SETTLE if asked.settle is None else asked.settle,
+            "cloth_contact": asked.cloth_contact is not False,
         }
 
     def check(self, plan: Plan) -> None:
         if plan.options.folds_by == "client":
             check_client_folds(plan)
-        elif plan.options.folds and plan.options.geometry == "jets":
+        elif plan.options.advanced.folds and plan.options.geometry == "jets":
             raise InputError(
                 "folds",
                 expected="0 with geometry jets, whose polynomials are smooth",
-                got=str(plan.options.folds),
+                got=str(plan.options.advanced.folds),
                 cure="Ask for vertices, leave folds out, or let the client make them (folds_by).",
             )
 
     def wanted(self, plan: Plan) -> bool:
-        return bool(plan.options.folds or plan.options.coarse) and plan.options.folds_by == "server"
+        return plan.folds and plan.options.folds_by == "server"
 
     def joins_layers(self, plan: Plan) -> bool:
-        return bool(plan.options.cloth_contact)
+        return bool(plan.options.advanced.cloth_contact)
 
     def presses_layers(self, plan: Plan) -> bool:
-        return bool(plan.options.cloth_contact)
+        return bool(plan.options.advanced.cloth_contact)
 
     def needs(self, plan: Plan) -> frozenset[str]:
         return frozenset({"vertices", SKIN, FINE})
 
     def depends_on(self, plan: Plan) -> object:
-        return plan.fabrics, plan.options.coarse
+        return plan.fabrics, plan.options.advanced.coarse
 
     def rested(self, memory: Memory, time_s: float) -> Memory:
         return memory.at(time_s)
@@ -104,7 +105,7 @@ class Folds(Stage):
 
     def prepare(self, plan: Plan) -> None:
         for key, fabric in zip(plan.draped_keys, plan.fabrics, strict=True):
-            self.constants(key, fabric, coarse=plan.options.coarse)
+            self.constants(key, fabric, coarse=plan.options.advanced.coarse)
         for entry, draped, read in zip(plan.scene.layers, plan.draped_keys, read_layers(plan), strict=True):
             if read and entry.garment.digest != draped:
                 self._wrapping(entry.garment)
@@ -125,7 +126,7 @@ class Folds(Stage):
         ceilings = self._ceilings(batch, ground) if felt else [None] * len(layers)
         for i, (key, fabric, ceiling) in enumerate(zip(plan.draped_keys, plan.fabrics, ceilings, strict=True)):
             memories = batch.remembered((self.name, key))
-            made = self.constants(key, fabric, coarse=plan.options.coarse)
+            made = self.constants(key, fabric, coarse=plan.options.advanced.coarse)
             layers[i], own, memories, reports = self._folded(batch, i, made, efforts, memories, ground)
             told.add(reports, len(made.laid.sheet.vertex), seen=plan.visible[i])
             lain.append(_Lain(made.laid, own, ground))
@@ -147,7 +148,7 @@ class Folds(Stage):
 
     def efforts(self, plan: Plan) -> tuple[FoldEffort, FoldEffort]:
         """The effort of a frame, and that of one whose pose is novel."""
-        options = plan.options
+        options = plan.options.advanced
         assert options.folds is not None and options.settle is not None
         clearance_m = self.settings.clearance_m if options.push_out else 0.0
         effort = FoldEffort(options.folds, options.settle, bool(options.cloth_contact), clearance_m)
@@ -190,7 +191,7 @@ class Folds(Stage):
         parts = zip(batch.layers, batch.plan.draped_keys, batch.plan.fabrics, strict=True)
         for layer, key, fabric in list(parts)[:0:-1]:
             assert layer.vertices is not None
-            outer = self.constants(key, fabric, coarse=batch.plan.options.coarse).laid
+            outer = self.constants(key, fabric, coarse=batch.plan.options.advanced.coarse).laid
             over = np.stack([ceiling_over(one, outer, below) for one, below in zip(layer.vertices, skin, strict=True)])
             made.append(over if made[-1] is None else lower(over, made[-1]))
         return made[::-1]
@@ -233,7 +234,7 @@ def check_client_folds(plan: Plan) -> None:
 
 def _feel_each_other(plan: Plan) -> bool:
     """Whether the layers of ``plan`` press on each other."""
-    return bool(plan.options.cloth_contact) and len(plan.draped) > 1
+    return bool(plan.options.advanced.cloth_contact) and len(plan.draped) > 1
 
 
 def read_layers(plan: Plan) -> list[bool]:

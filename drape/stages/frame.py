@@ -87,7 +87,7 @@ def _worn(plan: Plan, stages: AtOnce) -> FrameGarment:
     (key,), (fabric,), options = plan.draped_keys, plan.fabrics, plan.options
     rows = stages.network.rows(plan)
     swing = None if stages.swing is None else stages.swing.constants(key, fabric)
-    folds = None if stages.folds is None else stages.folds.constants(key, fabric, coarse=options.coarse)
+    folds = None if stages.folds is None else stages.folds.constants(key, fabric, coarse=options.advanced.coarse)
     known: FrameGarment | None = plan.kept.get("worn")
     if known is not None and known.patches is rows.patches and known.swing is swing and known.folds is folds:
         return known
@@ -95,7 +95,7 @@ def _worn(plan: Plan, stages: AtOnce) -> FrameGarment:
     assert compiled is not None
     made = plan.kept["worn"] = FrameGarment(
         weights=compiled.weights,
-        passes=compiled.corrections if options.passes is None else options.passes,
+        passes=compiled.corrections if (passes := options.advanced.passes) is None else passes,
         patches=rows.patches,
         tiles=rows.tiles,
         kept=None if stages.novelty is None else stages.novelty.kept_poses,

@@ -62,16 +62,20 @@ class Plan:
         return (*(self.scene.layers if self.projected else ()), *self.draped)
 
     @cached_property
+    def folds(self) -> bool:
+        """Whether steps of folds are taken, or cloth is at least eased and lifted as they would."""
+        return bool(self.options.advanced.folds or self.options.advanced.coarse)
+
+    @cached_property
     def lifted(self) -> bool:
         """Whether folds bring all cloth off the skin and off the layers below. They do for one garment, and for several
         if these feel each other (``cloth_contact``)."""
-        folded = self.options.folds or self.options.coarse
-        return bool(folded) and (bool(self.options.cloth_contact) or len(self.scene.layers) == 1)
+        return self.folds and (bool(self.options.advanced.cloth_contact) or len(self.scene.layers) == 1)
 
     @cached_property
     def projected(self) -> bool:
         """Whether the collision projection brings the cloth out: it is asked for, and folds do not do it."""
-        return bool(self.options.push_out) and not self.lifted
+        return bool(self.options.advanced.push_out) and not self.lifted
 
     @cached_property
     def colliders(self) -> np.ndarray:
@@ -102,11 +106,10 @@ def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, m
 
     Refuses (``InputError``) what the model cannot do.
     """
-    chosen = {name: getattr(options, name) for name in DrapeOptions.model_fields}
-    for stage in stages:
-        chosen |= stage.resolve(options)
+    chosen = {name: value for stage in stages for name, value in stage.resolve(options).items()}
     scene = scene.fine if options.resolution == "fine" else scene
-    known = DrapeOptions().model_copy(update=chosen)
+    own = {name: getattr(options, name) for name in DrapeOptions.model_fields}  # of a request, which has more
+    known = DrapeOptions().model_copy(update=own).updated(**chosen)
     plan = Plan(scene, known, messages, fabrics=layer_fabrics(known, len(scene.layers)))
     for stage in stages:
         stage.check(plan)

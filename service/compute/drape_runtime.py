@@ -22,7 +22,7 @@ from drape.stages.encode import Idle, answer_again, idle_before, remember
 from drape.stages.plan import Plan
 from drape.stages.sizes import Sizes
 from drape.stages.walk import run, walk
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.avatars import Avatars
 from service.compute.constants_process import ConstantsProcess
 from service.compute.garments import Registry, begin_reading
@@ -105,7 +105,9 @@ class DrapeRuntime(Runtime):
                     np.zeros((frames, 24, 3)), np.zeros((frames, 3)), np.zeros(self.body.shape_count), np.zeros(frames)
                 )
                 for geometry in ("vertices", "jets") if bound else ("vertices",):
-                    plan = self.plan(entry, DrapeOptions(push_out=True, geometry=geometry), messages=True)
+                    plan = self.plan(
+                        entry, DrapeOptions(advanced=Advanced(push_out=True), geometry=geometry), messages=True
+                    )
                     self.ready(plan)
                     run(plan, [rest])
 

@@ -93,7 +93,7 @@ async def read_opening(text: str, state: State, client: Client) -> Opening:
 
 def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str:
     """Returns the answer to an opening that got ``plan``, on ``wearer`` or our body."""
-    scene, options = plan.shown, plan.options
+    scene, options, numbers = plan.shown, plan.options, plan.options.advanced
     jets = options.geometry == "jets"
     worn = {"garments": layer_list(scene, patches=jets)} if isinstance(scene, Outfit) else {"garment": scene.id}
     if jets:  # an answer about vertices is what it was before there were jets
@@ -103,10 +103,10 @@ def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str
     if options.resolution == "fine":
         worn |= {"resolution": "fine"}
     if options.folds_by == "client":
-        clearance_m = state.runtime.settings.clearance_m if options.push_out else 0.0
-        how = {"settle": options.settle, "cloth_contact": options.cloth_contact, "clearance_m": clearance_m}
-        worn |= {"folds_by": "client", "inertia": options.inertia, "coarse": bool(options.coarse)}
-        worn |= how if options.folds or options.coarse else {}
+        clearance_m = state.runtime.settings.clearance_m if numbers.push_out else 0.0
+        how = {"settle": numbers.settle, "cloth_contact": numbers.cloth_contact, "clearance_m": clearance_m}
+        worn |= {"folds_by": "client", "inertia": numbers.inertia, "coarse": bool(numbers.coarse)}
+        worn |= how if plan.folds else {}
     return json.dumps(
         {
             "type": "opened",
@@ -115,12 +115,12 @@ def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str
             "model": state.runtime.engine.manifest.digest,
             "body": state.runtime.on(plan.scene).body.name,
             "credit": state.runtime.settings.stream_credit,
-            "push_out": options.push_out,
+            "push_out": numbers.push_out,
             "motion": options.knob,
             "tier": state.runtime.tier_of(plan),
-            "passes": state.runtime.engine.pass_count if options.passes is None else options.passes,
-            "folds": options.folds,
-            "safe_folds": options.safe_folds or 0,
+            "passes": state.runtime.engine.pass_count if numbers.passes is None else numbers.passes,
+            "folds": numbers.folds,
+            "safe_folds": numbers.safe_folds or 0,
             "bits": coordinate_bits(options),
             **more,
         }

@@ -129,11 +129,11 @@ def test_passes_are_chosen_and_the_service_runs_that_many(page: Page, runtime: D
     )
     for passes in (0, 2):
         set_control(page, "passes", "value", str(passes), "change")
-        assert last_opening(page)["passes"] == passes
+        assert last_opening(page)["advanced"]["passes"] == passes
         more_frames(page)
         assert passes in {passes for graph, _, _, passes, _ in runtime.engine._opened if graph == PACKED}
     set_control(page, "passes", "value", "", "change")
-    assert "passes" not in last_opening(page)
+    assert "passes" not in last_opening(page)["advanced"]
 
 
 def outside(picture: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -182,7 +182,7 @@ def test_a_quality_is_chosen_by_name_and_told(page: Page, runtime: DrapeRuntime)
     for name in ("fast", "balanced"):
         click_that_opens(page, f"#tier-{name}")
         opening = last_opening(page)
-        assert opening["tier"] == name and not {"passes", "folds"} & opening.keys()
+        assert opening["tier"] == name and not {"passes", "folds"} & opening["advanced"].keys()
         page.wait_for(f"document.getElementById('quality').textContent.includes('{name}')")
 
 

@@ -26,7 +26,7 @@ from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, message_bytes, pack_jets, split_jets, unpack_jets
 from drape.wire.layout import JetLayout, unpack_layout
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.guard.keys import ANYONE
 from service.http.answers import BINARY, GLB, JSON
@@ -209,9 +209,9 @@ def test_of_the_shipped_model_hard_poses_come_within_a_tenth_of_a_millimetre(shi
         layout = unpack_layout(entry.jet_layout)
         clip = PoseInput(poses, trans, betas, trans[:, 0])
         asked = [
-            DrapeOptions(geometry="jets", push_out=True),
-            DrapeOptions(push_out=True),
-            DrapeOptions(geometry="jets", push_out=False),
+            DrapeOptions(advanced=Advanced(push_out=True), geometry="jets"),
+            DrapeOptions(advanced=Advanced(push_out=True)),
+            DrapeOptions(advanced=Advanced(push_out=False), geometry="jets"),
         ]
         draped = [run(shipped.plan(entry, options), [clip]) for options in asked]
         jets, bare, vertices = draped[0].jets, draped[2].jets, draped[1].vertices

@@ -23,7 +23,7 @@ from websockets.exceptions import ConnectionClosed
 from clients.stream import DrapeStream
 from drape.errors import InputError, TooLarge
 from drape.wire import messages as wire
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from drape.wire.state import join_state, split_state
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
@@ -254,7 +254,7 @@ def test_a_state_is_for_its_key_scene_and_minute_only(runtime: DrapeRuntime):
     with pytest.raises(InputError, match="the same shape, got another"):
         read(betas=np.ones(10))
     with pytest.raises(InputError, match="the same options, got another"):
-        read(plan=runtime.plan(plan.scene, DrapeOptions(folds=1), messages=True))
+        read(plan=runtime.plan(plan.scene, DrapeOptions(advanced=Advanced(folds=1)), messages=True))
 
 
 def test_a_state_that_nobody_could_read_or_that_is_too_long_is_not_made(runtime: DrapeRuntime):

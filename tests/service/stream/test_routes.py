@@ -107,6 +107,8 @@ def test_frames_are_the_closed_form_to_half_a_step(live: str, body: BodyModel, t
 def test_push_out_is_said_in_the_header(live: str):
     async def talk(socket: ClientConnection) -> wire.Frame:
         assert (await opened(socket, push_out=None))["push_out"] is True
+        assert (await opened(socket, push_out=None, advanced={"push_out": False}))["push_out"] is False
+        assert (await opened(socket, push_out=None, advanced=None))["push_out"] is True
         await send(socket, 1, random_motion(1, spread_rad=0.5)[0][0])
         return await frame(socket)
 
