@@ -44,7 +44,8 @@ class Runtime:
 
     def on(self, scene: Scene) -> BodyStages:
         """Returns the stages of the body that wears ``scene``."""
-        return scene.layers[0].worn or self.worn
+        worn = scene.layers[0].worn
+        return worn if isinstance(worn, BodyStages) else self.worn
 
     def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
         """``make_plan`` with the stages of the body that wears ``scene``, and the passes and folds of its tier."""

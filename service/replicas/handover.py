@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from service.compute.drape_runtime import DrapeRuntime
     from service.guard.keys import Client
     from service.guard.tickets import Tickets
-    from service.stream.routes import Session
+    from service.stream.session import Session
 
 LIFE_S = 60.0
 _SIGNATURE_BYTES = 32

@@ -5,10 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from fastapi import WebSocket, WebSocketDisconnect
 
 from drape.errors import InputError
@@ -21,29 +19,13 @@ from service.errors import TooSlow
 from service.http.json_body import document_of, validated
 from service.http.schemas import OpenRequest
 from service.state import State
+from service.stream.session import Opening
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
     from service.guard.keys import Client
     from service.replicas.handover import Incoming
     from service.settings import Settings
-
-
-@dataclass(frozen=True, eq=False)
-class Opening:
-    """What a client asks of its stream.
-
-    ``steps``: ``plan`` as each tier holds it, the one that computes least first. ``moves``: the stream can go on at
-    another process. ``same``: the client takes the word that its frame still holds in place of the frame. ``wearer``:
-    the avatar that the stream shows, whose own rig may then send poses; None for our body.
-    """
-
-    plan: Plan
-    betas: np.ndarray
-    steps: tuple[Plan, ...] = ()
-    moves: bool = False
-    same: bool = False
-    wearer: Wearer | None = None
 
 
 async def first_text(socket: WebSocket, pieces: Incoming, settings: Settings) -> str:

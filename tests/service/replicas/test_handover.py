@@ -33,7 +33,7 @@ from service.guard.tickets import Tickets
 from service.replicas.handover import LIFE_S, Handover
 from service.replicas.memory_codec import decoded, encoded
 from service.settings import Settings
-from service.stream.routes import Session
+from service.stream.session import Session
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import serve, served
 from tests.fixtures.streams import PROTOCOLS, page_command, stream_address

@@ -30,8 +30,7 @@ from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
 from service.settings import Settings
-from service.stream.opening import Opening
-from service.stream.routes import Session
+from service.stream.session import Opening, Session
 from service.stream.workers import Streams
 from tests.fixtures.packed import MOVING
 from tests.fixtures.poses import smooth_motion

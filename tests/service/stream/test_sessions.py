@@ -18,7 +18,7 @@ from drape.wire.options import Advanced, DrapeOptions
 from service.compute.background import processor_count
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
-from service.stream.routes import Session
+from service.stream.session import Session
 from service.stream.workers import Streams
 
 REST = np.zeros((24, 3))

@@ -26,7 +26,7 @@ from service.app import create_app
 from service.errors import Draining
 from service.settings import Settings
 from service.state import State
-from service.stream.routes import Session
+from service.stream.session import Session
 from service.watch.probes import Lifecycle
 from tests.fixtures.fuzzing import examples
 from tests.fixtures.serving import serve

@@ -24,7 +24,7 @@ from websockets.asyncio.client import connect
 from drape.body.model import BodyModel
 from drape.wire import messages as wire
 from service.server import bind
-from service.stream.routes import Session
+from service.stream.session import Session
 from service.watch import metrics as service_metrics
 from service.watch.metrics import Metrics
 from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
