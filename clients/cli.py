@@ -25,7 +25,7 @@ from pydantic.fields import FieldInfo
 from clients.calls import DEFAULT_URL, sized
 from clients.client import DrapeClient
 from clients.meshes import surface_of
-from drape.errors import DrapeError, InputError
+from drape.errors import DrapeError, InputError, while_read
 from drape.export.clips import CACHES, SCENES, check_name, npy_head, write_pieces, write_scene
 from drape.export.glb import GARMENT_COLOURS
 from drape.export.mdd import mdd_frames, mdd_head
@@ -38,6 +38,7 @@ from drape.motion.readers import MOTION_SUFFIXES, read_motion
 from drape.wire.options import Advanced, DrapeOptions
 
 
+@while_read
 def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
