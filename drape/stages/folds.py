@@ -119,7 +119,7 @@ class Folds(Stage):
         plan = batch.plan
         effort, safe = self.efforts(plan)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty.tolist()]
-        layers, told, lain = list(batch.layers), Told(len(batch.root)), []
+        layers, told, lain = list(batch.layers), FoldFigures(len(batch.root)), []
         felt = _feel_each_other(plan)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
@@ -129,7 +129,7 @@ class Folds(Stage):
             made = self.constants(key, fabric, coarse=plan.options.advanced.coarse)
             layers[i], own, memories, reports = self._folded(batch, i, made, efforts, memories, ground)
             told.add(reports, len(made.laid.sheet.vertex), seen=plan.visible[i])
-            lain.append(_Lain(made.laid, own, ground))
+            lain.append(_FoldedLayer(made.laid, own, ground))
             batch = batch.remember((self.name, key), memories)
             if ceiling is not None:
                 layers[i] = lain[i].below(layers[i], ceiling)
@@ -243,7 +243,7 @@ def read_layers(plan: Plan) -> list[bool]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Lain:
+class _FoldedLayer:
     """A garment as it lies in F frames: the samples ``own`` (F, P) that its places are at, of the ``ground``
     (F, S, 8)."""
 
@@ -264,7 +264,7 @@ class _Lain:
         return np.stack([heights_over(one, self.made, *row) for one, *row in each])
 
 
-class Told:
+class FoldFigures:
     """Figures of F frames, added up over the layers: folds begun anew, vertices lifted off the skin, the furthest way
     of one [m], and the number of vertices."""
 

@@ -18,7 +18,7 @@ from drape.live.fold_step import FoldEffort
 from drape.network.frame import PARTS, Drawn, FrameGarment, Moment, Past, draw
 from drape.stages.batch import Batch, Layer, changed
 from drape.stages.encode import Encode, coordinate_bits
-from drape.stages.folds import Folds, Told, read_layers
+from drape.stages.folds import Folds, FoldFigures, read_layers
 from drape.stages.network import Network, Novelty
 from drape.stages.plan import SKIN, Plan
 from drape.stages.stage import Stage
@@ -158,7 +158,7 @@ def _told(batch: Batch, stages: AtOnce, worn: FrameGarment, frames: list[Drawn],
         batch = batch.remember(("swing", key), [past.swung for past in pasts])
     if stages.folds is not None and worn.folds is not None:
         batch = batch.remember(("folds", key), [past.folded for past in pasts])
-        told = Told(len(frames))
+        told = FoldFigures(len(frames))
         reports = [made.report for made in frames if made.report is not None]
         told.add(reports, len(worn.folds.laid.sheet.vertex), seen=batch.plan.visible[0])
         quality = told.quality(quality)
