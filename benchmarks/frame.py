@@ -285,7 +285,7 @@ def main(run: Run) -> None:
     poses = at_rate(read_motion(find_motions(options.motions or ["walk"])[0]), FPS).poses
 
     def bench(threads: int) -> Bench:
-        settings = Settings(models_dir=folder.parent, model=folder.name, threads=threads)
+        settings = Settings(model=str(folder), threads=threads)
         return Bench(DrapeRuntime(settings, body=body), poses, options.frames)
 
     alone, both = bench(1), bench(2)

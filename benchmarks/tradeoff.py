@@ -271,7 +271,7 @@ def main(run: Run) -> None:
     """Rows of every scene, their means, and the tiers."""
     options, body = run.options, load_body()
     folder = model_folder(options.model)
-    drapery = DrapeRuntime(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
+    drapery = DrapeRuntime(Settings(model=str(folder), threads=options.threads), body=body)
     networks = {name: Network.asked(options, body, passes=passes) for name, passes in STARTS.items()}
     knobs = combinations(options.folds)
     for scene in scenes(options, read_clips(options, body), body):

@@ -35,7 +35,6 @@ from drape.body.model import BodyModel
 from drape.body.pose_support import PoseSupport
 from drape.catalog import GARMENTS_DIR, MOTIONS_DIR, find_garments, find_motions, open_outfit, short_name
 from drape.cloth.fabric_table import FABRICS
-from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.export.glb import GARMENT_COLOURS
 from drape.export.surface import by_layer
@@ -68,10 +67,7 @@ class Defaults:
 
     tier: TierName = "balanced"
     folds: int | None = None
-    passes: int | None = None
-    push_out: bool = True
     inertia: Inertia = "mesh"
-    clearance_m: float = CLEARANCE_M
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from drape.cloth.fabric import Fabric
+from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
@@ -150,7 +151,7 @@ class Folds(Stage):
         """The effort of a frame, and that of one whose pose is novel."""
         options = plan.options.advanced
         assert options.folds is not None and options.settle is not None
-        clearance_m = self.settings.clearance_m if options.push_out else 0.0
+        clearance_m = CLEARANCE_M if options.push_out else 0.0
         effort = FoldEffort(options.folds, options.settle, bool(options.cloth_contact), clearance_m)
         if plan.carried:
             effort = effort._replace(steps=0)

@@ -18,7 +18,7 @@ from drape.live.fold_step import FoldEffort
 from drape.network.frame import PARTS, Drawn, FrameGarment, Moment, Past, draw
 from drape.stages.batch import Batch, Layer, changed
 from drape.stages.encode import Encode, coordinate_bits
-from drape.stages.folds import Folds, FoldFigures, read_layers
+from drape.stages.folds import FoldFigures, Folds, read_layers
 from drape.stages.network import Network, Novelty
 from drape.stages.plan import SKIN, Plan
 from drape.stages.stage import Stage

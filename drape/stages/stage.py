@@ -31,15 +31,10 @@ def call_here(function: Callable[..., Any], *arguments: Any, **named: Any) -> An
 
 
 class StageSettings(Protocol):
-    """What holds where options are left open: ``push_out`` and ``inertia``, and how far off the skin all cloth is
-    kept, ``clearance_m`` [m]."""
+    """What holds where options are left open: ``inertia``."""
 
     @property
-    def push_out(self) -> bool: ...
-    @property
     def inertia(self) -> Literal["network", "mesh"]: ...
-    @property
-    def clearance_m(self) -> float: ...
 
 
 @dataclass(frozen=True, eq=False)

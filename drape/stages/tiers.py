@@ -21,16 +21,12 @@ EXACT = "exact"  # a job of the service
 
 
 class TierSettings(Protocol):
-    """What holds where a client names neither a tier nor its numbers."""
+    """What holds where a client names neither a tier nor steps of folds."""
 
     @property
     def tier(self) -> TierName: ...
     @property
     def folds(self) -> int | None: ...
-    @property
-    def passes(self) -> int | None: ...
-    @property
-    def push_out(self) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -96,13 +92,11 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: TierSettings,
     lifts = folds is None and own is None and not tier.folds and folding
     if far:
         # A lift in place of a projection, which costs more than what is left; with neither nothing is looked at.
-        lifts = lifts and (settings.push_out if asked.push_out is None else asked.push_out)
+        lifts = lifts and asked.push_out is not False
         folds = 0 if folds is None else folds
         passes = _of_model(tiers[0].alone if passes is None and not folds else passes, pass_count)
     if folds is None:
         folds = 0 if not folding else tier.folds if own is None else own
-    if passes is None and not options.tier:
-        passes = settings.passes
     if passes is None:
         passes = _of_model(tier.passes if folds else tier.alone, pass_count)
     coarse = (tier.coarse if asked.coarse is None else asked.coarse) and (bool(folds) or lifts)

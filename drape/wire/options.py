@@ -119,7 +119,7 @@ class Advanced(BaseModel):
     push_out: bool | None = Field(
         default=None,
         description="Whether vertices are moved out of the body and of the garments below. With folds they are "
-        "lifted, without folds they are pushed. Left out: the service's setting.",
+        "lifted, without folds they are pushed. Left out: true.",
     )
     inertia: Inertia | None = Field(
         default=None,

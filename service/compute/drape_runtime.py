@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import DrapeError, NotFound
@@ -66,10 +67,7 @@ class DrapeRuntime(Runtime):
         self.tracing = tracing or make_tracing(settings.trace)
         engine = engine or _engine(settings)
         self.threads = ComputeThreads(
-            bound=engine.bound,
-            stream_threads=settings.stream_threads,
-            chunk_frames=settings.chunk_frames,
-            clip_wait_s=settings.clip_wait_s,
+            bound=engine.bound, stream_threads=settings.stream_threads, chunk_frames=settings.chunk_frames
         )
         self.constants_process = ConstantsProcess(lambda: self.threads.streaming)
         make, body = self.constants_process.call, body or load_body(settings.body)
@@ -245,6 +243,4 @@ class DrapeRuntime(Runtime):
 
 def _engine(settings: Settings) -> Engine:
     """The model that ``settings`` name, opened where they say."""
-    device = Device(settings.provider, settings.threads, settings.gpu_memory_mb, settings.capture)
-    folder = settings.models_dir / settings.model
-    return Engine(folder, device=device, half=settings.half, bound=settings.buckets)
+    return Engine(model_folder(settings.model), device=Device(settings.provider, settings.threads))

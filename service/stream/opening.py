@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fastapi import WebSocket, WebSocketDisconnect
 
+from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.stages.batch import shape_array
 from drape.stages.encode import coordinate_bits
@@ -16,29 +17,31 @@ from drape.stages.plan import Plan
 from drape.stages.scene import Outfit, layer_list
 from drape.wire import messages as wire
 from service.errors import TooSlow
+from service.guard.limits import PACE_BYTES_S
 from service.http.json_body import document_of, validated
 from service.http.schemas import OpenRequest
 from service.state import State
-from service.stream.session import Opening
+from service.stream.session import CREDIT, Opening
+
+OPEN_S = 5.0  # for the opening message
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
     from service.guard.keys import Client
     from service.replicas.handover import Incoming
-    from service.settings import Settings
 
 
-async def first_text(socket: WebSocket, pieces: Incoming, settings: Settings) -> str:
+async def first_text(socket: WebSocket, pieces: Incoming) -> str:
     """Returns the text that opens a stream. STATE messages that come before it go to ``pieces``."""
     begun_s = time.monotonic()
     while True:
-        until_s = begun_s + settings.stream_open_s + pieces.size / settings.body_bytes_s
+        until_s = begun_s + OPEN_S + pieces.size / PACE_BYTES_S
         try:
             message = await asyncio.wait_for(socket.receive(), max(0.0, until_s - time.monotonic()))
         except TimeoutError:
             raise TooSlow(
                 "open message",
-                expected=f"within {settings.stream_open_s:g} s",
+                expected=f"within {OPEN_S:g} s",
                 got="nothing" if not pieces.messages else f"{pieces.size} bytes of a state",
                 cure='Send {"type": "open", "garment": ...} first.',
             ) from None
@@ -85,7 +88,7 @@ def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str
     if options.resolution == "fine":
         worn |= {"resolution": "fine"}
     if options.folds_by == "client":
-        clearance_m = state.runtime.settings.clearance_m if numbers.push_out else 0.0
+        clearance_m = CLEARANCE_M if numbers.push_out else 0.0
         how = {"settle": numbers.settle, "cloth_contact": numbers.cloth_contact, "clearance_m": clearance_m}
         worn |= {"folds_by": "client", "inertia": numbers.inertia, "coarse": bool(numbers.coarse)}
         worn |= how if plan.folds else {}
@@ -96,7 +99,7 @@ def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str
             "vertices": scene.vertex_count,
             "model": state.runtime.engine.manifest.digest,
             "body": state.runtime.on(plan.scene).body.name,
-            "credit": state.runtime.settings.stream_credit,
+            "credit": CREDIT,
             "push_out": numbers.push_out,
             "motion": options.knob,
             "tier": state.runtime.tier_of(plan),

@@ -23,7 +23,7 @@ from service.errors import Draining, InternalError, TooSlow, close_reason, error
 from service.guard.access import OFFER
 from service.state import State
 from service.stream.opening import first_text, opened, read_opening, text_of
-from service.stream.session import Session
+from service.stream.session import ACK_S, CREDIT, SEND_S, Session
 
 if TYPE_CHECKING:
     from service.guard.keys import Client
@@ -39,7 +39,6 @@ log = logging.getLogger("drape.service")
 async def stream(socket: WebSocket) -> None:
     """One client, from its handshake to its close."""
     state: State = socket.app.state.drape
-    settings = state.runtime.settings
     offered = socket.scope.get("subprotocols", [])
     try:
         _check_protocol(offered)
@@ -57,10 +56,10 @@ async def stream(socket: WebSocket) -> None:
         return
     except DrapeError as error:
         state.runtime.metrics.evictions.labels(type(error).__name__).inc()
-        await _refuse(socket, error, settings.stream_send_s)
+        await _refuse(socket, error)
     except Exception:
         log.exception("a stream failed")
-        await _refuse(socket, InternalError(), settings.stream_send_s)
+        await _refuse(socket, InternalError())
 
 
 def _check_protocol(offered: list[str]) -> None:
@@ -75,14 +74,13 @@ def _check_protocol(offered: list[str]) -> None:
 
 async def _converse(socket: WebSocket, state: State, client: Client) -> None:
     """Opens the session and runs it until the client leaves or something is refused."""
-    settings = state.runtime.settings
     state.streams.check_place()
     with state.handover.incoming() as pieces:
-        asked = await read_opening(await first_text(socket, pieces, settings), state, client)
+        asked = await read_opening(await first_text(socket, pieces), state, client)
         session = Session(
             asked.plan,
             asked.betas,
-            settings.stream_credit,
+            CREDIT,
             asked.steps,
             moves=asked.moves,
             same=asked.same,
@@ -149,7 +147,6 @@ def _take(payload: bytes, session: Session, metrics: Metrics) -> None:
 
 
 async def _send(socket: WebSocket, session: Session, state: State, client: Client) -> None:
-    limit = state.runtime.settings.stream_send_s
     while not (session.leaving and session.settled and session.failure is None):
         await session.news.wait()
         session.news.clear()
@@ -160,12 +157,12 @@ async def _send(socket: WebSocket, session: Session, state: State, client: Clien
         if frame is None:
             continue
         try:
-            async with asyncio.timeout(limit):  # which, unlike wait_for, makes no task
+            async with asyncio.timeout(SEND_S):  # which, unlike wait_for, makes no task
                 await socket.send_bytes(frame)
         except TimeoutError:
             raise TooSlow(
                 "stream",
-                expected=f"a frame taken within {limit:g} s",
+                expected=f"a frame taken within {SEND_S:g} s",
                 got="a full connection",
                 cure="Read faster or ask for fewer frames.",
             ) from None
@@ -176,31 +173,31 @@ async def _send(socket: WebSocket, session: Session, state: State, client: Clien
 
 async def _watch(session: Session, state: State) -> None:
     """Raises when the client neither acknowledges nor sends."""
-    settings = state.runtime.settings
+    idle_s = state.runtime.settings.stream_idle_s
     while True:
-        await asyncio.sleep(min(WATCH_S, settings.stream_ack_s / 4, settings.stream_idle_s / 4))
+        await asyncio.sleep(min(WATCH_S, ACK_S / 4, idle_s / 4))
         now = time.monotonic()
-        if session.under_way and now - session.under_way[0][1] > settings.stream_ack_s:
+        if session.under_way and now - session.under_way[0][1] > ACK_S:
             raise TooSlow(
                 "stream",
-                expected=f"an acknowledgement within {settings.stream_ack_s:g} s",
+                expected=f"an acknowledgement within {ACK_S:g} s",
                 got="none",
                 cure="Acknowledge every frame that came.",
             )
-        if now - session.last_heard_s > settings.stream_idle_s:
+        if now - session.last_heard_s > idle_s:
             raise TooSlow(
                 "stream",
-                expected=f"a pose within {settings.stream_idle_s:g} s",
+                expected=f"a pose within {idle_s:g} s",
                 got="none",
                 cure="Open the stream again when there is motion.",
             )
 
 
-async def _refuse(socket: WebSocket, error: DrapeError, limit_s: float) -> None:
+async def _refuse(socket: WebSocket, error: DrapeError) -> None:
     """Says why in full, closes with the code of the error, and cuts the line if the client does not read."""
     log.info("stream refused: %s", error)
     try:
-        async with asyncio.timeout(limit_s):
+        async with asyncio.timeout(SEND_S):
             await socket.send_text(error_message(error))
             await socket.close(rule_for(error).close_code, close_reason(error))
     except (TimeoutError, RuntimeError, WebSocketDisconnect):

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 
     from drape.avatar.wearer import Wearer
 
+CREDIT = 2  # frames under way
+ACK_S = 3.0  # for an acknowledgement
+SEND_S = 1.0  # for taking a frame, a state or a refusal; then the connection is cut
+
 
 @dataclass(frozen=True, eq=False)
 class Opening:

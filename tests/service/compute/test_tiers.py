@@ -38,7 +38,7 @@ def own_settings(make_settings: Callable[..., Settings], body, tmp_path_factory)
     model = write_tiny_model(folder, body)
     manifest = replace(load_manifest(model), tiers=[asdict(tier) for tier in OWN])
     (model / "manifest.json").write_text(manifest.to_json())
-    return make_settings(models_dir=folder, folds=None)
+    return make_settings(model=str(folder / TINY), folds=None)
 
 
 @pytest.fixture
@@ -60,8 +60,7 @@ def values(options: DrapeOptions, pass_count: int = PASSES, **settings: object) 
         ({}, {}, (0, 2)),
         ({}, {"tier": "fast"}, (0, 1)),
         ({}, {"folds": 0}, (None, 0)),
-        ({}, {"passes": 3}, (3, 2)),
-        ({"tier": "accurate"}, {"tier": "fast", "passes": 3, "folds": 0}, (0, 4)),
+        ({"tier": "accurate"}, {"tier": "fast", "folds": 0}, (0, 4)),
         ({"passes": 2}, {}, (2, 2)),
         ({"folds": 0}, {}, (None, 0)),
         ({"tier": "fast", "folds": 0}, {}, (0, 0)),
@@ -177,7 +176,7 @@ def test_tiers_come_from_the_manifest_and_are_listed(runtime: DrapeRuntime):
 
 
 def test_the_default_of_the_product_is_folds(make_runtime: Callable[..., DrapeRuntime]):
-    assert (Settings().tier, Settings().folds, Settings().passes) == ("balanced", None, None)
+    assert (Settings().tier, Settings().folds) == ("balanced", None)
     made = make_runtime(folds=None)
     plan = made.plan(made.garments.get("tube"), DrapeOptions())
     assert made.engine.manifest.name == TINY and [stage.name for stage in plan.stages] == ["network", "folds"]

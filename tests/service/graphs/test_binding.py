@@ -113,7 +113,7 @@ def test_a_service_in_buckets_is_warm_and_answers_alike(make_settings, tmp_path:
     clip, found = PoseInput(poses, trans, np.zeros(10), np.zeros(3)), []
     for buckets in (None, True):
         settings = make_settings(shipped_garments_dir=tmp_path, chunk_frames=3)
-        engine = Engine(settings.models_dir / settings.model, compiled=False, bound=buckets)
+        engine = Engine(Path(settings.model), compiled=False, bound=buckets)
         runtime = DrapeRuntime(settings, engine=engine)
         ready = runtime.engine.buckets
         plans = [

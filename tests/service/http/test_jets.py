@@ -33,7 +33,6 @@ from service.http.answers import BINARY, GLB, JSON
 from service.http.clip_jobs import ClipJob
 from service.http.clip_routes import check_clip_size
 from service.http.schemas import ClipOptions
-from service.settings import Settings
 from tests.fixtures.garments import ship
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of
@@ -196,8 +195,8 @@ def test_an_answer_of_jets_has_the_same_limit(make_runtime: Callable[..., DrapeR
 @pytest.fixture(scope="module")
 def shipped(make_runtime: Callable[..., DrapeRuntime], tmp_path_factory) -> DrapeRuntime:
     """The shipped model with two of its garments."""
-    folder, models = ship(tmp_path_factory.mktemp("two"), "tank", "shorts"), Settings().models_dir
-    return make_runtime(models_dir=models, model="onefit", shipped_garments_dir=folder)
+    folder = ship(tmp_path_factory.mktemp("two"), "tank", "shorts")
+    return make_runtime(model="onefit", shipped_garments_dir=folder)
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drape.wire.clips import pack_clip
+from service import app as application
 from service.app import make_state
 from service.compute.drape_runtime import DrapeRuntime
 from service.errors import Busy
@@ -261,8 +262,9 @@ def test_more_clips_than_places_are_refused(make_runtime: Callable[..., DrapeRun
     assert state.clips == 0
 
 
-def test_the_page_that_is_not_built_says_how_to_build_it(make_settings: Callable[..., Settings], tmp_path):
-    with served(make_settings(page_dir=tmp_path / "none")) as url:
+def test_the_page_that_is_not_built_says_how_to_build_it(settings: Settings, tmp_path, monkeypatch):
+    monkeypatch.setattr(application, "PAGE", tmp_path / "none")
+    with served(settings) as url:
         response = httpx.get(url + "/")
         assert response.status_code == 503
         assert "make page" in response.text

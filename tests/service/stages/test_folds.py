@@ -58,10 +58,10 @@ def test_without_folds_the_stage_is_not_in_the_plan_and_nothing_changes(runtime:
 
 
 def test_folds_lift_the_cloth_off_the_skin_and_nothing_is_projected(
-    make_runtime: Callable[..., DrapeRuntime], body: BodyModel
+    runtime: DrapeRuntime, body: BodyModel, monkeypatch: pytest.MonkeyPatch
 ):
     high_m = 0.008  # more than contact keeps, so that there is something to lift
-    runtime = make_runtime(clearance_m=high_m)
+    monkeypatch.setattr(folds_stage, "CLEARANCE_M", high_m)
     entry = runtime.garments.get("tube")
     on, off = (
         runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=1, push_out=pushed, coarse=False)))

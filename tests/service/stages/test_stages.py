@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import httpx
 import numpy as np
@@ -32,7 +33,7 @@ from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve, served
 from tests.fixtures.streams import RawStream, raw_stream
-from tests.fixtures.tiny_model import TINY_DYNAMIC, write_tiny_model
+from tests.fixtures.tiny_model import TINY, TINY_DYNAMIC, write_tiny_model
 from training.pose_support import support_of, write_support
 
 __all__ = ["outfit_settings"]  # fixtures
@@ -132,7 +133,7 @@ def test_frames_open_no_session_once_their_plan_is_prepared(outfit_settings: Set
 
 def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[..., Settings]):
     settings = make_settings()
-    graph = Engine(settings.models_dir / settings.model, compiled=False)
+    graph = Engine(Path(settings.model), compiled=False)
     runtime = DrapeRuntime(settings, engine=graph)
     run(
         runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(push_out=False), geometry="jets")),
@@ -149,17 +150,14 @@ def test_what_is_left_open_is_the_services_own(runtime: DrapeRuntime, make_runti
     assert runtime.plan(entry, DrapeOptions()).options == DrapeOptions(
         advanced=Advanced(push_out=True, inertia="network", folds=0, coarse=False), motion=1.0
     )
-    other = make_runtime(push_out=False, passes=0)
+    other = make_runtime()
     entry = other.garments.get("tube")
-    plan = other.plan(entry, DrapeOptions())
-    still = DrapeOptions(
-        advanced=Advanced(push_out=False, passes=0, inertia="network", folds=0, coarse=False), motion=0.0
-    )
+    plan, every = (other.plan(entry, DrapeOptions(advanced=Advanced(passes=passes))) for passes in (None, 1))
+    still = DrapeOptions(advanced=Advanced(push_out=True, inertia="network", folds=0, coarse=False), motion=0.0)
     assert plan.options == still, "a static model has learned no motion"
-    assert plan == other.plan(entry, DrapeOptions(advanced=Advanced(passes=0))) and hash(plan) == hash(
-        other.plan(entry, DrapeOptions())
-    )
-    assert plan != other.plan(entry, DrapeOptions(advanced=Advanced(passes=1)))
+    assert plan == every and hash(plan) == hash(every), "all passes are the default"
+    assert plan != other.plan(entry, DrapeOptions(advanced=Advanced(passes=0)))
+    assert make_runtime(inertia="mesh").plan(entry, DrapeOptions()).options == still.updated(knob=1.0, inertia="mesh")
     with pytest.raises(InputError, match="passes: expected 0 to 1, got 9"):
         other.plan(entry, DrapeOptions(advanced=Advanced(passes=9)))
 
@@ -245,7 +243,7 @@ def novelty_runtime(make_runtime: Callable[..., DrapeRuntime], body, tmp_path_fa
     """Of a model that knows its poses."""
     folder = tmp_path_factory.mktemp("novelty")
     write_support(write_tiny_model(folder, body), support_of(SEEN, SEEN))
-    return make_runtime(models_dir=folder, folds=None)
+    return make_runtime(model=str(folder / TINY), folds=None)
 
 
 def draped(novelty_runtime: DrapeRuntime, poses: np.ndarray, **options: object) -> Batch:
