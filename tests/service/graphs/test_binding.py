@@ -21,7 +21,7 @@ from drape.inference.packing import Packer, ScenePlan
 from drape.stages.batch import Jets, PoseInput
 from drape.stages.collision import Pusher
 from drape.stages.walk import run
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.garments import ship
 from tests.fixtures.packed import KINDS, exported, garment
@@ -113,10 +113,13 @@ def test_a_service_in_buckets_is_warm_and_answers_alike(make_settings, tmp_path:
     clip, found = PoseInput(poses, trans, np.zeros(10), np.zeros(3)), []
     for buckets in (None, True):
         settings = make_settings(shipped_garments_dir=tmp_path, chunk_frames=3)
-        engine = Engine(settings.models_dir / settings.model, compiled=False, bound=buckets)
+        engine = Engine(Path(settings.model), compiled=False, bound=buckets)
         runtime = DrapeRuntime(settings, engine=engine)
         ready = runtime.engine.buckets
-        plans = [runtime.plan(runtime.garments.get(kind), DrapeOptions(push_out=True)) for kind in ("tank", "shorts")]
+        plans = [
+            runtime.plan(runtime.garments.get(kind), DrapeOptions(advanced=Advanced(push_out=True)))
+            for kind in ("tank", "shorts")
+        ]
         found.append([run(plan, [clip]) for plan in plans])
         assert runtime.engine.buckets == ready  # all that a clip takes was there before the first request
         assert (ready > 0) is bool(buckets)

@@ -17,7 +17,7 @@ from drape.garment.files.glb import read_glb
 from drape.geometry.closest import signed_distance
 from drape.stages.batch import Batch, PoseInput
 from drape.stages.walk import run
-from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
+from drape.wire.options import Advanced, DrapeOptions, FabricNumbers, Geometry
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.poses import random_motion
@@ -102,7 +102,9 @@ def runtime(make_settings: Callable[..., Settings]) -> DrapeRuntime:
 def test_push_out_brings_cloth_out_of_the_body_and_says_how_far(runtime: DrapeRuntime, body: BodyModel):
     poses, trans = random_motion(4, spread_rad=0.35)
     entry, clip = runtime.garments.get("tube"), PoseInput(poses, trans, np.zeros(10), np.arange(4) / 30.0)
-    plain, pushed = (run(runtime.plan(entry, DrapeOptions(push_out=push)), [clip]) for push in (False, True))
+    plain, pushed = (
+        run(runtime.plan(entry, DrapeOptions(advanced=Advanced(push_out=push))), [clip]) for push in (False, True)
+    )
     posed = body.posed_vertices(poses, trans, clip.betas)
 
     def inside(draped: Batch) -> np.ndarray:
@@ -124,7 +126,7 @@ def test_frames_do_not_depend_on_their_company(outfit_settings: Settings, worn: 
     """Alone, or in a batch with other shapes: the same bits."""
     runtime = DrapeRuntime(outfit_settings)
     poses, trans = random_motion(6)
-    options = DrapeOptions(push_out=True, geometry=geometry)
+    options = DrapeOptions(advanced=Advanced(push_out=True), geometry=geometry)
     plan = runtime.plan(runtime.garments.scene(None, worn), options)
     shapes = [np.zeros(10), np.full(10, 0.5), np.linspace(-1, 1, 10)]
     inputs = [PoseInput(poses[i : i + 2], trans[i : i + 2], shapes[i // 2], np.zeros(2)) for i in (0, 2, 4)]
@@ -146,7 +148,7 @@ def test_chunks_join_seamlessly(make_runtime: Callable[..., DrapeRuntime], api: 
     poses, trans = random_motion(9)
     runtime = make_runtime(chunk_frames=chunk)
     clip = PoseInput(poses, trans, np.zeros(10), np.arange(9) / 30.0)
-    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(push_out=True))
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(push_out=True)))
     draped = asyncio.run(runtime.drape(plan, clip))
     assert_array_equal(draped.world(), vertices_of(ask(api, poses=poses.tolist(), trans=trans.tolist(), push_out=True)))
 

@@ -16,6 +16,7 @@ import pytest
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
 from service.settings import Settings
+from service.uploads import motions
 from service.uploads.sandbox import MOST_FRAMES
 from tests.drape.motion.motion_files import BODY_PARENTS, scheme_names, t_pose_offsets, write_bvh
 from tests.drape.motion.node_files import CLIP, T_POSE, fbx, glb, moved
@@ -106,8 +107,9 @@ def slow_bvh() -> bytes:
     return (head + "Frames: 200000 Frame Time: 0.01\n").encode() + b"0.5 0.5 0.5 0.5 0.5 0.5\n" * 200_000
 
 
-def test_limits_end_the_reader_and_a_full_queue_is_refused(make_settings: Callable[..., Settings]):
-    settings = make_settings(motion_s=0.3, intake_queue=1)
+def test_limits_end_the_reader_and_a_full_queue_is_refused(make_settings: Callable[..., Settings], monkeypatch):
+    monkeypatch.setattr(motions, "READ_S", 0.3)
+    settings = make_settings(intake_queue=1)
     with served(settings) as url, httpx.Client(base_url=url, timeout=60.0) as api:
         late: list[httpx.Response] = []
         refused = threading.Event()

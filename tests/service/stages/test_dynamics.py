@@ -26,12 +26,11 @@ from drape.stages.motion import JUMP_M_S, STEP_LIMIT_S, Memory, Moment, Motion, 
 from drape.stages.plan import Plan
 from drape.stages.walk import run
 from drape.wire import messages as wire
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
 from service.settings import Settings
-from service.stream.opening import Opening
-from service.stream.routes import Session
+from service.stream.session import Opening, Session
 from service.stream.workers import Streams
 from tests.fixtures.packed import MOVING
 from tests.fixtures.poses import smooth_motion
@@ -79,7 +78,9 @@ def clip_of(times_s: np.ndarray = TIMES_S, *, seed: int = 0, bent: float = 0.0) 
 
 
 def plan_of(runtime: DrapeRuntime, knob: float = 1.0, *, messages: bool = False) -> Plan:
-    return runtime.plan(runtime.garments.get("tube"), DrapeOptions(push_out=False, motion=knob), messages=messages)
+    return runtime.plan(
+        runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(push_out=False), motion=knob), messages=messages
+    )
 
 
 def moved(memories: Memories) -> Memory | None:

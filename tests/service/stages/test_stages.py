@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import httpx
 import numpy as np
@@ -25,14 +26,14 @@ from drape.stages.tiers import FAR_PIXELS_PER_M, TIERS, capped, chosen
 from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve, served
 from tests.fixtures.streams import RawStream, raw_stream
-from tests.fixtures.tiny_model import TINY_DYNAMIC, write_tiny_model
+from tests.fixtures.tiny_model import TINY, TINY_DYNAMIC, write_tiny_model
 from training.pose_support import support_of, write_support
 
 __all__ = ["outfit_settings"]  # fixtures
@@ -52,7 +53,7 @@ class Counting(Stage):
         return frozenset({"vertices"})
 
     def depends_on(self, plan: Plan) -> object:
-        return plan.options.passes
+        return plan.options.advanced.passes
 
     def run(self, batch: Batch) -> Batch:
         for i, (key, layer) in enumerate(zip(batch.plan.keys, batch.layers, strict=True)):
@@ -132,9 +133,12 @@ def test_frames_open_no_session_once_their_plan_is_prepared(outfit_settings: Set
 
 def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[..., Settings]):
     settings = make_settings()
-    graph = Engine(settings.models_dir / settings.model, compiled=False)
+    graph = Engine(Path(settings.model), compiled=False)
     runtime = DrapeRuntime(settings, engine=graph)
-    run(runtime.plan(runtime.garments.get("tube"), DrapeOptions(geometry="jets", push_out=False)), [CLIP])
+    run(
+        runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(push_out=False), geometry="jets")),
+        [CLIP],
+    )
     (part,) = [s for (graph, outputs, *_), s in runtime.engine._opened.items() if (graph, outputs) == (PACKED, JETS)]
     assert "patch_first" in part.inputs
     assert not {"tile_positions", "vertex_charts", "tile_tangents"} & set(part.inputs)
@@ -144,17 +148,18 @@ def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[.
 def test_what_is_left_open_is_the_services_own(runtime: DrapeRuntime, make_runtime: Callable[..., DrapeRuntime]):
     entry = runtime.garments.get("tube")
     assert runtime.plan(entry, DrapeOptions()).options == DrapeOptions(
-        push_out=True, motion=1.0, inertia="network", folds=0, coarse=False
+        advanced=Advanced(push_out=True, inertia="network", folds=0, coarse=False), motion=1.0
     )
-    other = make_runtime(push_out=False, passes=0)
+    other = make_runtime()
     entry = other.garments.get("tube")
-    plan = other.plan(entry, DrapeOptions())
-    still = DrapeOptions(push_out=False, passes=0, motion=0.0, inertia="network", folds=0, coarse=False)
+    plan, every = (other.plan(entry, DrapeOptions(advanced=Advanced(passes=passes))) for passes in (None, 1))
+    still = DrapeOptions(advanced=Advanced(push_out=True, inertia="network", folds=0, coarse=False), motion=0.0)
     assert plan.options == still, "a static model has learned no motion"
-    assert plan == other.plan(entry, DrapeOptions(passes=0)) and hash(plan) == hash(other.plan(entry, DrapeOptions()))
-    assert plan != other.plan(entry, DrapeOptions(passes=1))
+    assert plan == every and hash(plan) == hash(every), "all passes are the default"
+    assert plan != other.plan(entry, DrapeOptions(advanced=Advanced(passes=0)))
+    assert make_runtime(inertia="mesh").plan(entry, DrapeOptions()).options == still.updated(knob=1.0, inertia="mesh")
     with pytest.raises(InputError, match="passes: expected 0 to 1, got 9"):
-        other.plan(entry, DrapeOptions(passes=9))
+        other.plan(entry, DrapeOptions(advanced=Advanced(passes=9)))
 
 
 def test_memories_go_where_what_they_hold_for_goes(counting: None, make_runtime: Callable[..., DrapeRuntime]):
@@ -165,8 +170,11 @@ def test_memories_go_where_what_they_hold_for_goes(counting: None, make_runtime:
     memories = {Motion.key: 1, own: 2, ("counting", "taken off"): 3}
     assert Motion.key == ("motion", BODY)
     assert carried(memories, plan, plan) == {Motion.key: 1, own: 2}
-    assert carried(memories, plan, runtime.plan(entry, DrapeOptions(push_out=False))) == {Motion.key: 1, own: 2}
-    assert carried(memories, plan, runtime.plan(entry, DrapeOptions(passes=0))) == {Motion.key: 1}
+    assert carried(memories, plan, runtime.plan(entry, DrapeOptions(advanced=Advanced(push_out=False)))) == {
+        Motion.key: 1,
+        own: 2,
+    }
+    assert carried(memories, plan, runtime.plan(entry, DrapeOptions(advanced=Advanced(passes=0)))) == {Motion.key: 1}
     assert carried(memories, plan, runtime.plan(entry, DrapeOptions(motion=0.0))) == {own: 2}
 
 
@@ -182,7 +190,7 @@ def lifts(frames: np.ndarray, plain: np.ndarray) -> np.ndarray:
 def test_a_new_stage_remembers_over_the_chunks_of_a_clip(outfit_settings: Settings):
     runtime = DrapeRuntime(outfit_settings.model_copy(update={"chunk_frames": 4}))
     scene = runtime.garments.scene(None, ["tube", "coat"])
-    plan = runtime.plan(scene, DrapeOptions(push_out=False))
+    plan = runtime.plan(scene, DrapeOptions(advanced=Advanced(push_out=False)))
     assert [stage.name for stage in plan.stages] == ["network", "counting"]
     plain = run(replace(plan, stages=plan.stages[:1]), [CLIP]).vertices
     whole = run(plan, [CLIP]).vertices
@@ -235,7 +243,7 @@ def novelty_runtime(make_runtime: Callable[..., DrapeRuntime], body, tmp_path_fa
     """Of a model that knows its poses."""
     folder = tmp_path_factory.mktemp("novelty")
     write_support(write_tiny_model(folder, body), support_of(SEEN, SEEN))
-    return make_runtime(models_dir=folder, folds=None)
+    return make_runtime(model=str(folder / TINY), folds=None)
 
 
 def draped(novelty_runtime: DrapeRuntime, poses: np.ndarray, **options: object) -> Batch:
@@ -261,12 +269,12 @@ def draped(novelty_runtime: DrapeRuntime, poses: np.ndarray, **options: object) 
 )
 def test_steps_of_unlike_poses_are_the_last_tiers_where_the_service_chooses(asked: dict, want: tuple):
     found = chosen(DrapeOptions(**asked), TIERS, Settings(), 4)
-    assert (found.folds, found.safe_folds) == want
+    assert (found.advanced.folds, found.advanced.safe_folds) == want
 
 
 def test_under_load_a_lower_tier_holds_safe_steps_too():
     asked = chosen(DrapeOptions(), TIERS, Settings(), 4)
-    assert [capped(asked, tier).safe_folds for tier in TIERS] == [0, 1, 4, 4]
+    assert [capped(asked, tier).advanced.safe_folds for tier in TIERS] == [0, 1, 4, 4]
 
 
 def test_only_the_frame_unlike_training_gets_more_steps(novelty_runtime: DrapeRuntime):
@@ -332,7 +340,7 @@ def views_draped(views_runtime: DrapeRuntime, **options: object) -> Batch:
 )
 def test_what_is_far_away_has_no_folds_and_8_bits_but_for_what_is_named(asked: dict, want: tuple):
     found = chosen(DrapeOptions(**asked), TIERS, Settings(), 4)
-    assert (found.folds, found.passes, coordinate_bits(found)) == want
+    assert (found.advanced.folds, found.advanced.passes, coordinate_bits(found)) == want
     assert found.pixels_per_m in (None, FAR_PIXELS_PER_M), "distances on one side of the limit are one plan"
 
 
@@ -340,9 +348,9 @@ def test_what_is_far_away_is_lifted_off_the_skin_as_the_least_tier_is():
     def found(**asked: object) -> DrapeOptions:
         return chosen(DrapeOptions.model_validate(asked), TIERS, Settings(), 4)
 
-    assert found(pixels_per_m=FAR).coarse and found(pixels_per_m=FAR, tier="accurate").coarse
+    assert found(pixels_per_m=FAR).advanced.coarse and found(pixels_per_m=FAR, tier="accurate").advanced.coarse
     for named in ({"push_out": False}, {"folds": 0}, {"geometry": "jets"}, {"coarse": False}):
-        assert not found(pixels_per_m=FAR, **named).coarse
+        assert not found(pixels_per_m=FAR, **named).advanced.coarse
     assert found(pixels_per_m=FAR) == found(tier="instant").model_copy(update={"pixels_per_m": FAR_PIXELS_PER_M})
 
 

@@ -23,6 +23,7 @@ from drape.body.model import BodyModel
 from drape.garment.cache import Garment
 from drape.wire import messages as wire
 from service.settings import Settings
+from service.stream import opening, routes
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import served
@@ -107,6 +108,8 @@ def test_frames_are_the_closed_form_to_half_a_step(live: str, body: BodyModel, t
 def test_push_out_is_said_in_the_header(live: str):
     async def talk(socket: ClientConnection) -> wire.Frame:
         assert (await opened(socket, push_out=None))["push_out"] is True
+        assert (await opened(socket, push_out=None, advanced={"push_out": False}))["push_out"] is False
+        assert (await opened(socket, push_out=None, advanced=None))["push_out"] is True
         await send(socket, 1, random_motion(1, spread_rad=0.5)[0][0])
         return await frame(socket)
 
@@ -268,7 +271,7 @@ def test_too_large_a_message_is_cut_off(live: str):
     assert run(live, talk) == 1009
 
 
-def test_silence_is_ended(make_settings: Callable[..., Settings]):
+def test_silence_is_ended(make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch):
     async def never_opens(socket: ClientConnection) -> tuple[int, str, dict]:
         return await shown_out(socket)
 
@@ -281,7 +284,9 @@ def test_silence_is_ended(make_settings: Callable[..., Settings]):
         await send(socket, 1)
         return await shown_out(socket)
 
-    with served(make_settings(stream_open_s=2.0, stream_ack_s=2.0, stream_idle_s=3.0)) as url:
+    monkeypatch.setattr(opening, "OPEN_S", 2.0)
+    monkeypatch.setattr(routes, "ACK_S", 2.0)
+    with served(make_settings(stream_idle_s=3.0)) as url:
         for talk, words in (
             (never_opens, "open message"),
             (opens_only, "a pose within 3 s"),
@@ -336,9 +341,11 @@ def test_its_own_page_and_named_origins_are_let_in(live: str, make_settings: Cal
         assert answer.headers["access-control-allow-origin"] == "https://shop.example"
 
 
-def test_a_client_that_stops_reading_is_cut_and_others_are_not_delayed(make_settings: Callable[..., Settings]):
+def test_a_client_that_stops_reading_is_cut_and_others_are_not_delayed(make_settings, monkeypatch: pytest.MonkeyPatch):
     """Its window is closed, so that even the refusal cannot be sent: only an abort frees the connection."""
-    with served(make_settings(stream_ack_s=0.4, stream_send_s=0.3, stream_credit=16)) as url:
+    for name, value in (("ACK_S", 0.4), ("SEND_S", 0.3), ("CREDIT", 16)):
+        monkeypatch.setattr(routes, name, value)
+    with served(make_settings()) as url:
         host, port = url.removeprefix("http://").split(":")
         stalled = socket.socket()
         stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
