@@ -33,12 +33,11 @@ from drape.garment.sizes import (
     sized,
 )
 from recovery.catalogue.build import BuildOptions, Report, design
-from recovery.catalogue.closing import on_finer_mesh
 from recovery.catalogue.fall import SETTLING, Fall
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern, on_finer_mesh
 from recovery.sim.sdf import SignedDistance
 
 Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # over points, from rows and their values

@@ -18,8 +18,7 @@ from drape.geometry import meshes
 from recovery import progress
 from recovery.drape.placement import Axes, PlacedPanels, place_panels, scaled
 from recovery.drape.posing import to_pose
-from recovery.drape.repair import uncrossed
-from recovery.drape.seam_threads import Sewn, in_numpy, sew
+from recovery.drape.seam_threads import Sewn, in_numpy, sew, uncrossed
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
 from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
@@ -144,7 +143,8 @@ def drape_pattern(
     knee = float(body.joints_template[JOINT_NAMES.index("left_knee"), 1])
     limit = options.iteration_limit
     progress.tick("the garment falls")
-    rest = settle(mesh, sewn.nodes, skin, cloth, belt=belt, lowest_top_m=knee, iteration_limit=limit)
+    held = "belt" if belt else None
+    rest = settle(mesh, sewn.nodes, skin, cloth, held=held, lowest_top_m=knee, iteration_limit=limit)
     fallen = float(sewn.nodes[:, 1].max() - rest.nodes[:, 1].max())
     figures: dict[str, Any] = {
         "repaired": list(notes),

@@ -15,6 +15,7 @@ import torch
 from drape.garment.contours import Match
 from recovery.drape.pattern_drape import Draped
 from recovery.fit.grading import Graded
+from recovery.fit.laying import Shown
 from recovery.fit.optimise import Fitted, PatternSearch
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.symmetry import Symmetries
@@ -24,7 +25,7 @@ NOT_AT_REST = "no drape at rest"
 SAME = "it would find the same"  # no fault
 
 
-class Sewn(NamedTuple):
+class Worn(NamedTuple):
     """A pattern sewn from flat panels: ``loose`` as it closes by itself, ``worn`` with its belt at the target's."""
 
     loose: Draped
@@ -49,7 +50,7 @@ class Round:
     edge_length_m: float
     seconds: float
     processor_s: float
-    sewn: Sewn | None = None
+    sewn: Worn | None = None
     sewn_m2: float = math.inf
 
     @property
@@ -94,10 +95,15 @@ class Recovered:
     search: PatternSearch
     fitted: Fitted
     edge_length_m: float
-    sewn: Sewn | None
+    sewn: Worn | None
     rounds: tuple[Round, ...]
     left: str
     fabric: str
+
+    @property
+    def shown(self) -> Shown:
+        """The drape of the pattern that was found."""
+        return Shown(self.search.mesh_of(self.fitted), self.fitted.nodes)
 
 
 def clocks() -> np.ndarray:

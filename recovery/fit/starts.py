@@ -48,15 +48,22 @@ class Start:
 
 
 def worn_drape(
-    pattern: Pattern, start: Start, *, rest: bool = True, mended: Callable[[Draped], Draped] = lambda one: one
+    pattern: Pattern,
+    start: Start,
+    *,
+    rest: bool = True,
+    mended: Callable[[Draped], Draped] = lambda one: one,
+    off_mm: Callable[[Draped], float] = lambda one: 0.0,
+    enough_mm: float = 0.0,
 ) -> Draped:
     """Returns a drape of ``pattern`` in which every part of the body is in its opening, as ``mended`` has made of it.
 
-    If a part is lost, or with ``rest`` if the cloth still moves, other meshes are tried: a much finer one first for a
-    lost part, then a little finer and coarser ones. If none is right, the best is returned: one with all parts before
-    one at rest. Raises ``InputError`` where the pattern cannot be sewn on any.
+    If a part is lost, if with ``rest`` the cloth still moves, or if ``off_mm`` says that it lies farther than
+    ``enough_mm`` [mm] from where it should, other meshes are tried: a much finer one first for a lost part, then a
+    little finer and coarser ones. If none is right, the best is returned: one with all parts before one at rest, and
+    that before a nearer one. Raises ``InputError`` where the pattern cannot be sewn on any.
     """
-    tried: list[tuple[tuple[int, int, int], Draped]] = []
+    tried: list[tuple[tuple[int, int, float, int], Draped]] = []
     refused: list[InputError] = []
     shares, number = list(LENGTHS_TRIED), -1
     while shares:
@@ -68,9 +75,9 @@ def worn_drape(
         except InputError as error:
             refused.append(error)
             continue
-        tried.append(((len(start.lost(one)), int(not one.at_rest), number), one))
-        lost, moves, _ = tried[-1][0]
-        if (not lost and not (rest and moves)) or watch.over():
+        lost, moves, off = len(start.lost(one)), int(not one.at_rest), off_mm(one)
+        tried.append(((lost, moves, off, number), one))
+        if (not lost and not (rest and moves) and off <= enough_mm) or watch.over():
             break
         if lost and number == 0:
             shares.insert(0, FINER)

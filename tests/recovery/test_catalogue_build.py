@@ -20,14 +20,12 @@ from drape.garment.intake import intake
 from drape.garment.sewing import sewing_beside, sewn_hinges
 from drape.geometry import meshes
 from recovery.catalogue.__main__ import main
-from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design
-from recovery.catalogue.closing import on_finer_mesh
+from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design, write_garment
 from recovery.catalogue.fall import HEM_BENDING, hinge_bending, seam_angles
-from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
 from recovery.drape.output import panel_texture
 from recovery.pattern.bases import skirt
-from recovery.pattern.pattern_mesh import mesh_pattern
+from recovery.pattern.pattern_mesh import mesh_pattern, on_finer_mesh
 from recovery.pattern.style import Style, lined
 from recovery.sim.model import ClothModel
 from tests.recovery.pattern_setup import default_measurements

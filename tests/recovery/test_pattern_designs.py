@@ -20,10 +20,9 @@ from recovery.pattern.bases import BASES, dress, skirt, sleeved_dress, tank, tro
 from recovery.pattern.bent_panels import Cone, Flutes, Tube
 from recovery.pattern.darts import Dart, waist_with_darts
 from recovery.pattern.design import Design, check_laid_flat, check_seams
-from recovery.pattern.measurements import measure
+from recovery.pattern.measurements import GROWTH_M, in_size, measure
 from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import mesh_pattern
-from recovery.pattern.size_grades import GROWTH_M, in_size
 from recovery.pattern.skirts import SkirtCut, a_line, circle, fitted
 from recovery.pattern.tops import CAP_EASE, Sleeve, TopCut, cap, lines, top
 from recovery.pattern.trousers import LegCut
