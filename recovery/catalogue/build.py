@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,10 +31,8 @@ from recovery.drape.seam_threads import SEWING_GAP_M, Sewn, in_numpy, sew
 from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.measurements import BodyMeasurements, in_size
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern, on_finer_mesh
+from recovery.progress import Say
 from recovery.sim.sdf import GridDistance, SignedDistance
-
-Report = Callable[[str], None]
-
 
 OVER_GAP_M = 0.032  # that panels over others keep from the skin while they are sewn
 
@@ -85,7 +82,7 @@ def design(name: str, body: BodyMeasurements, size: str = "M") -> Design:
 
 
 def build(
-    made: Design, skin: SignedDistance, options: BuildOptions = BuildOptions(), *, report: Report | None = None
+    made: Design, skin: SignedDistance, options: BuildOptions = BuildOptions(), *, report: Say | None = None
 ) -> SewnGarment:
     """Sews the design ``made`` round the body whose signed distance is ``skin``, lets it fall, and returns it at rest.
 
@@ -157,7 +154,6 @@ def edge_kind(name: str) -> str:
 def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
     """Returns the content of ``NAME.json`` for ``garment`` in ``size`` on ``body``."""
     design, mesh = garment.design, garment.mesh
-    sewn = {ref for stitch in design.pattern.stitches for ref in (stitch.first, stitch.second)}
     seams = []
     for number, (stitch, seam) in enumerate(zip(design.pattern.stitches, design.seam_names, strict=True)):
         pairs = mesh.seam_pairs[mesh.seam_of_pair == number]
@@ -166,7 +162,7 @@ def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
         seams.append(Seam(seam, panels, design.seam_angles.get(seam, 0.0), nodes, pairs.T.tolist()))
     edges = []
     for ref, named in design.edge_names.items():
-        if ref not in sewn:
+        if ref not in design.pattern.sewn:
             line = np.asarray(mesh.edge_vertices[ref])
             edges.append(
                 Edge(named, edge_kind(named), ref.panel, mesh.node_of_panel_vertex[line].tolist(), line.tolist())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -22,10 +21,10 @@ from recovery.drape.seam_threads import Sewn, in_numpy, sew, uncrossed
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
 from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.progress import Say
 from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
 
 HANGS_LONGER = 0.01  # cloth a metre long by its own weight, as a share
-Report = Callable[[str], None]
 
 
 class Hold(StrEnum):
@@ -101,6 +100,11 @@ class Draped:
         return self.rest.nodes if self.posed is None else self.posed.nodes
 
     @property
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes [m] (N, 3) in the pose that was asked for, and faces (F, 3)."""
+        return self.nodes, self.mesh.faces
+
+    @property
     def at_rest(self) -> bool:
         """Whether both drapes, or the one there is, came to rest."""
         return self.rest.report.converged and (self.posed is None or self.posed.report.converged)
@@ -114,7 +118,7 @@ def drape_pattern(
     pose: np.ndarray | None = None,
     cloth: OrthotropicMaterial | None = None,
     skin: SignedDistance | None = None,
-    report: Report | None = None,
+    report: Say | None = None,
 ) -> Draped:
     """``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
 

@@ -31,8 +31,6 @@ LEVELS_M = 0.01 * np.arange(-10, 16)  # heights that are tried beside the file's
 LEVEL_PRICE = 1e-3  # metres of depth that a metre of lift costs, so that a level that fits is left alone
 THREAD_SAMPLES = 9
 FAR_M = 0.30  # from neck and waist: the garment was drawn in other axes or for nobody's trunk
-
-
 BESIDE = 0.4  # of an opening's width, from the middle plane to its centre: half, if it touches that plane
 STANDS_RAD = 0.35  # between sleeve and arm: threads close nearer ones round the arm as they stand
 

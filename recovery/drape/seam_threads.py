@@ -26,8 +26,6 @@ OPEN_SEAM_M = 0.05  # a seam that stays open by more than this has the body betw
 MOST_STRETCH = (
     1.6  # of nine triangles in ten; threads are stronger than cloth, so a small garment is stretched, not open
 )
-
-
 CLEARLY_NEARER = 0.5  # of the distance before: no seam that is meant crosswise comes near this
 LENGTH_SLACK = 0.02  # by which the exchanged seams may fit worse
 

@@ -181,6 +181,13 @@ def laid(draped: Draped, target: Target, skin: SignedDistance, cloth: Orthotropi
     return _with_nodes(draped, LaidDrape(draped.mesh, skin, cloth, target).begun(draped.nodes))
 
 
+class Worn(NamedTuple):
+    """A pattern sewn from flat panels: ``loose`` as it closes by itself, ``worn`` with its belt at the target's."""
+
+    loose: Draped
+    worn: Draped
+
+
 class Shown(NamedTuple):
     """A drape that a pattern was found with: its ``mesh``, and ``nodes`` [m] (N, 3) in the pose of the target."""
 
@@ -245,7 +252,7 @@ def put_on(draped: Draped, shown: Shown, hold: Callable[[Draped], Draped]) -> Dr
 
 def in_other_folds(draped: Draped, shown: Shown) -> bool:
     """Whether ``draped``, which no belt holds, lies elsewhere than another mesh of its pattern, ``shown``."""
-    far = surface_distance((draped.nodes, draped.mesh.faces), shown.surface)
+    far = surface_distance(draped.surface, shown.surface)
     return not len(draped.rest.held) and far.mean_mm > OTHER_FOLDS_MM
 
 

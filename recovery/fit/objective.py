@@ -18,8 +18,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from drape.arrays import check_finite, check_shape
-from drape.errors import MeshError
 from drape.garment.contours import Contour, Match, open_contours
 from drape.geometry import closest, meshes
 from recovery.pattern.pattern_mesh import PatternMesh
@@ -45,10 +43,6 @@ def mean_curvature(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
     H is the mean of both principal curvatures: 1 / r on a sphere.
     """
-    vertices = np.asarray(vertices, dtype=np.float64)
-    check_shape("vertices", vertices, (None, 3), error=MeshError)
-    check_finite("vertices", vertices, error=MeshError)
-    faces = meshes.check_faces(faces, len(vertices))
     double = np.maximum(2.0 * meshes.face_areas(vertices, faces), 1e-30)
     total = np.zeros_like(vertices)
     for corner in range(3):

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from drape.arrays import check_shape
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError
 from drape.files.atomic import whole_file
@@ -124,17 +123,9 @@ class PatternSearch:
         likely: np.ndarray | None = None,
         reach_m: float = REACH_M,
     ) -> None:
-        if len(free.controls) != len(mesh.controls):
-            raise InputError(
-                "free controls",
-                expected=f"the {len(mesh.controls)} control points of the mesh",
-                got=f"{len(free.controls)}",
-                cure="Make both from the same pattern.",
-            )
         self.mesh, self.free, self.forward, self.objective = mesh, free, forward, objective
         self.constraint, self.reach_m = seams, reach_m
         self.likely = np.zeros(free.count) if likely is None else np.asarray(likely, dtype=np.float64)
-        check_shape("likely", self.likely, (free.count,))
         self._origin = torch.from_numpy(mesh.weights @ free.origin.reshape(-1))
         self._basis = torch.from_numpy(np.ascontiguousarray(mesh.weights @ free.basis))
 

@@ -7,7 +7,7 @@ that with the pattern. So each round meshes the pattern of the round before anew
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -29,12 +29,13 @@ from recovery.fit.grading import Graded, grade, graded_again, ungraded
 from recovery.fit.laying import EDGE_M, Dressing, LaidDrape, Shown, is_laid, laid, laying_options, let_go
 from recovery.fit.objective import Objective, Target
 from recovery.fit.optimise import DEFAULT_OPTIONS, REACH_M, FitOptions, PatternSearch
-from recovery.fit.recovered import NOT_AT_REST, SAME, Recovered, Round, Worn, apart_mm, clocks, why_left
+from recovery.fit.recovered import NOT_AT_REST, SAME, Recovered, Round, apart_mm, clocks, why_left
 from recovery.fit.seams import SeamConstraint, sewable
-from recovery.fit.starts import Start, drape_at_rest, needed_length, worn_drape
+from recovery.fit.starts import Start, drape_at_rest, dressed, needed_length, worn_drape
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls, symmetrised
+from recovery.progress import Say
 from recovery.sim.sdf import SignedDistance
 
 GRADINGS = 2  # one is linear: a second one mostly halves what the first one left
@@ -43,8 +44,6 @@ ROUNDS = 3
 # the search back: the next one has as many times more. Else what a drape hardly shows stays as in the graded base.
 START_FAR_MM, FAR_MM, REACH_GROWS = 10.0, 3.0, 3.0
 LAID_FAR_MM = 5.0  # a base that springs lay nearer (root mean square) is not graded: that narrows what is gathered
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -159,7 +158,7 @@ class _Rounds:
 
     def graded(self, before: Graded, draped: Draped) -> tuple[Graded, Draped]:
         """``before`` graded once more by its drape ``draped``, and the drape of that."""
-        contours = open_contours(draped.nodes, draped.mesh.faces)
+        contours = open_contours(*draped.surface)
         found = grade(draped.mesh, draped.nodes, contours, self.matches(draped)[0], self.symmetries)
         after = graded_again(before, found)
         after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
@@ -254,7 +253,7 @@ class _Rounds:
 
         The corners of ``centre`` are what the reach of the loss is counted from.
         """
-        contours = open_contours(start.nodes, start.mesh.faces)
+        contours = open_contours(*start.surface)
         matches, _ = self.matches(start)
         controls = free_controls(start.mesh.pattern, self.symmetries)
         belt = belt_of(start, matches, self.target.contours)
@@ -278,20 +277,14 @@ class _Rounds:
         Raises ``InputError`` where it cannot be sewn.
         """
         cloth, drape = last.fitted.cloth, replace(self.options.drape, edge_length_m=length_m)
-        start, pairs = self.start(drape, cloth), list[Worn]()
-        shown = Shown(last.search.mesh_of(last.fitted), last.fitted.nodes)
+        start, shown = self.start(drape, cloth), Shown(last.search.mesh_of(last.fitted), last.fitted.nodes)
 
         def far(one: Draped) -> float:
             return self.surface(one) if one.at_rest and not start.lost(one) else math.inf
 
         dressing = Dressing(self.skin, cloth, self.lays, lambda one: self.held(one, cloth), start.lost, far)
-
-        def mended(loose: Draped) -> Draped:
-            pairs.append(Worn(loose, dressing.worn_as(loose, shown)))
-            return pairs[-1].worn
-
-        worn = worn_drape(last.fitted.pattern, start, rest=not self.lays, mended=mended)
-        return replace(last, sewn=next(pair for pair in pairs if pair.worn is worn), sewn_m2=far(worn)), worn
+        pair = dressed(last.fitted.pattern, start, dressing, shown, rest=not self.lays)
+        return replace(last, sewn=pair, sewn_m2=far(pair.worn)), pair.worn
 
     def best_of(self, rounds: list[Round], left: str, base: Draped, graded: Graded) -> Recovered:
         """The best of ``rounds`` with all that led there."""
@@ -348,7 +341,7 @@ class _Rounds:
 
     def matches(self, draped: Draped) -> tuple[list[Match], list[int]]:
         """Pairs of the contours of a drape and those of the target, and the target's that are left."""
-        contours = open_contours(draped.nodes, draped.mesh.faces)
+        contours = open_contours(*draped.surface)
         return match_contours(contours, self.target.contours, posed_joints(self.body, self.pose))
 
     def surface(self, draped: Draped) -> float:

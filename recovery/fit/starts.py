@@ -16,9 +16,11 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from drape.garment.contours import lost_parts
 from recovery import progress as watch
-from recovery.drape.pattern_drape import Draped, DrapeOptions, Report, drape_pattern
+from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
+from recovery.fit.laying import Dressing, Shown, Worn
 from recovery.pattern.model import Pattern
+from recovery.progress import Say
 from recovery.sim.sdf import SignedDistance
 
 LENGTHS_TRIED = (1.0, 0.93, 1.07, 0.87)  # of the edge length asked for
@@ -39,12 +41,12 @@ class Start:
     skin: SignedDistance | None
     parts: tuple[str, ...] = ()
     cloth: OrthotropicMaterial | None = None
-    report: Report | None = None
+    report: Say | None = None
 
     def lost(self, draped: Draped) -> tuple[str, ...]:
         """Those of ``parts`` that are beside their openings."""
         parts = self.parts or draped.placed.limbs
-        return lost_parts(draped.nodes, draped.mesh.faces, posed_joints(self.body, self.pose), parts)
+        return lost_parts(*draped.surface, posed_joints(self.body, self.pose), parts)
 
 
 def worn_drape(
@@ -84,6 +86,28 @@ def worn_drape(
     if not tried:
         raise refused[0]
     return min(tried, key=lambda pair: pair[0])[1]
+
+
+def dressed(
+    pattern: Pattern,
+    start: Start,
+    dressing: Dressing,
+    shown: Shown,
+    *,
+    rest: bool = True,
+    off_mm: Callable[[Draped], float] = lambda one: 0.0,
+    enough_mm: float = 0.0,
+) -> Worn:
+    """``pattern`` sewn from flat panels as ``worn_drape`` does it, and put on as ``shown`` lies. Raises ``InputError``
+    where it cannot be sewn."""
+    pairs: list[Worn] = []
+
+    def mended(loose: Draped) -> Draped:
+        pairs.append(Worn(loose, dressing.worn_as(loose, shown)))
+        return pairs[-1].worn
+
+    worn = worn_drape(pattern, start, rest=rest, mended=mended, off_mm=off_mm, enough_mm=enough_mm)
+    return next(pair for pair in pairs if pair.worn is worn)
 
 
 def needed_length(draped: Draped, options: DrapeOptions) -> float:

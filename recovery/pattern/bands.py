@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from recovery.pattern import geometry
-from recovery.pattern.bent_panels import Tube, Vector, draft_round
 from recovery.pattern.design import Assembly
-from recovery.pattern.drafting import Drafted, Side
+from recovery.pattern.drafting import Drafted, Side, Tube, Vector, draft_round
 from recovery.pattern.measurements import BodyMeasurements
 
 WAISTBAND_SHORTER = 0.02  # the waist is eased into it

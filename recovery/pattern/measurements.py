@@ -19,8 +19,6 @@ from drape.geometry.sections import convex_hull, level_section
 
 STEP_M = 0.01  # between the heights at which the trunk is measured
 BESIDE_M = 1e-4  # planes beside the middle: vertices lie exactly on it
-
-
 # Patterns come in one more than garments that are sewn and stored.
 PATTERN_STEPS = STEPS | {"XXL": 3}
 # Growth [m] per size; girths whole, half widths half.

@@ -9,8 +9,7 @@ import numpy as np
 import scipy.sparse
 from scipy.sparse import csgraph
 
-from drape.arrays import check_shape
-from drape.errors import InputError, MeshError
+from drape.errors import MeshError
 from drape.geometry import closest, meshes
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import Controls, boundary_matrix, control_points, mean_value_weights
@@ -49,8 +48,6 @@ class PatternMesh:
 
     def rest_at(self, positions: np.ndarray) -> np.ndarray:
         """Panel vertices [m] (P, 2) for control points at ``positions`` [m] (K, 2)."""
-        positions = np.asarray(positions, dtype=np.float64)
-        check_shape("positions", positions, (len(self.controls), 2))
         return (self.weights @ positions.reshape(-1)).reshape(-1, 2)
 
     def folded(self, rest: np.ndarray) -> np.ndarray:
@@ -260,13 +257,6 @@ def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> 
     """
     there, here = ([panel.name for panel in mesh.pattern.panels] for mesh in (coarse, fine))
     whole = [_whole(name, there) for name in here]
-    if None in whole or not set(there) <= set(here):
-        raise InputError(
-            "meshes",
-            expected="two meshes of one pattern",
-            got=f"{coarse.pattern.name} and {fine.pattern.name}",
-            cure="Mesh the same pattern twice.",
-        )
     positions = np.zeros((len(fine.rest), 3))
     flat = np.column_stack([coarse.rest, np.zeros(len(coarse.rest))])
     for number, parent in enumerate(whole):

@@ -6,9 +6,22 @@ import numpy as np
 
 from recovery.pattern import geometry
 from recovery.pattern.bands import Band, sew_band
-from recovery.pattern.bent_panels import Cone, Tube, Vector, draft_round
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, before_and_behind, draft, on_ring, ring_handles
+from recovery.pattern.drafting import (
+    BACK,
+    FRONT,
+    Cone,
+    Drafted,
+    Point,
+    Side,
+    Tube,
+    Vector,
+    before_and_behind,
+    draft,
+    draft_round,
+    on_ring,
+    ring_handles,
+)
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.tops import HOLLOWS, TopCut, bodice, lines, set_sleeves
 

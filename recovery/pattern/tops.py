@@ -12,9 +12,19 @@ from dataclasses import dataclass, replace
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.bands import FORWARD, UP, Band, Edge, sew_band
-from recovery.pattern.bent_panels import Tube, draft_round
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import FRONT, STAND_OFF_M, Drafted, Point, Side, before_and_behind, draft, root
+from recovery.pattern.drafting import (
+    FRONT,
+    STAND_OFF_M,
+    Drafted,
+    Point,
+    Side,
+    Tube,
+    before_and_behind,
+    draft,
+    draft_round,
+    root,
+)
 from recovery.pattern.measurements import BodyMeasurements
 
 NECK_SLOPE = 0.6

@@ -33,8 +33,6 @@ DRESS_M = 0.12  # below the crotch: no shirt's hem
 COLLAR_M = 0.02  # that cloth stands above the edge of a neckline that is folded over
 STANDS_M = 0.04  # above the neck's joint: no neckline lies there
 COLLARS_M = (0.02, 0.12)  # widths that are drafted: what is narrower or wider is not a collar alone
-
-
 NECK_RADIUS_M = 0.13  # from the neck's axis; no collar's fold lies farther
 AHEAD, BEHIND = 0.6, 0.2  # that a neckline falls from the sides of the neck, over the way forward and backward
 RISE_M = 0.01  # of the neckline at the sides above the neck's joint: cloth lies off the skin

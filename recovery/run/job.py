@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -21,6 +20,7 @@ from recovery.pattern.export import export_pattern
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
 from recovery.pattern.style import Style
+from recovery.progress import Say
 from recovery.run.identify import Identifiability, identifiability
 from recovery.run.sewn import Sewn, sewn_and_worn
 from recovery.run.styled import in_other_size, styled
@@ -28,7 +28,6 @@ from recovery.run.task import Job, Task, prepare
 
 LEAST_TOLERANCE_M = 1e-3  # below a millimetre no scan tells
 SEARCH_SHARE = 0.7  # of the time until the best so far is taken; the rest is for sewing anew and for other bodies
-Say = Callable[[str], None]
 
 
 class Written(NamedTuple):

@@ -23,15 +23,15 @@ from recovery.drape.posing import posed_joints, read_pose
 from recovery.fit.belt import held_as_target
 from recovery.fit.chamfer import SurfaceDistance, surface_distance
 from recovery.fit.laying import OTHER_FOLDS_MM, Dressing, LaidDrape, Shown, laying_options
-from recovery.fit.recovered import Recovered, Worn
-from recovery.fit.starts import Start, worn_drape
+from recovery.fit.recovered import Recovered
+from recovery.fit.starts import Start, dressed
 from recovery.pattern.model import Pattern
+from recovery.progress import Say
 from recovery.run.target_wearer import shaped_body
 from recovery.run.task import Task
 
 ANEW_MM = OTHER_FOLDS_MM  # more between the report's drape and the pattern sewn anew is a warning
 BELT_M = 0.005
-Say = Callable[[str], None]
 # Shapes of the shipped body: its first component is height, its second how narrow the chest is over the hips.
 BODIES: dict[str, tuple[float, ...]] = {"a smaller body": (-0.7,), "a narrower chest": (0.0, 2.0)}
 POSES = ("reach:110", "stretch:60")
@@ -64,42 +64,46 @@ def sewn_anew(found: Recovered, start: Start, pattern: Pattern | None = None) ->
     coarser mesh is tried, and the nearest of those that are worn is taken. Raises ``InputError`` where the panels
     cannot be sewn.
     """
-    own, shown, cloth, pairs = found.fitted.pattern, found.shown, found.fitted.cloth, list[Worn]()
+    shown, tried = found.shown, [found.sewn] if found.sewn is not None and pattern is None else []
+
+    def off_mm(one: Draped) -> float:
+        return surface_distance(one.surface, shown.surface).mean_mm
 
     def rank(one: Draped) -> tuple[int, bool, float]:
-        return len(start.lost(one)), not one.at_rest, _beside(shown, one, one).distance.mean_mm
+        return len(start.lost(one)), not one.at_rest, off_mm(one)
 
-    if found.sewn is not None and pattern in (None, own):
-        pairs.append(found.sewn)
-    if not pairs or rank(pairs[0].worn) > (0, False, ANEW_MM):
-        body, pose, laid = start.body, start.pose, isinstance(found.search.forward, LaidDrape)
-        start = replace(start, drape=laying_options(start.drape) if laid else start.drape, cloth=cloth)
-        surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
-        skin = start.drape.skin(surface, body.faces)
-        there, joints = open_contours(*shown.surface), posed_joints(body, pose)
-
-        def held(one: Draped) -> Draped:
-            matches, _ = match_contours(open_contours(one.nodes, one.mesh.faces), there, joints)
-            return held_as_target(one, matches, there, skin, cloth)
-
-        dressing = Dressing(skin, cloth, laid, held, start.lost, rank)
-
-        def mended(loose: Draped) -> Draped:
-            pairs.append(Worn(loose, dressing.worn_as(loose, shown)))
-            return pairs[-1].worn
-
+    if not tried or rank(tried[0].worn) > (0, False, ANEW_MM):
+        dressing, start = _dressing(found, start, rank)
         try:
-            worn_drape(pattern or own, start, mended=mended, off_mm=lambda one: rank(one)[2], enough_mm=ANEW_MM)
+            tried.append(
+                dressed(pattern or found.fitted.pattern, start, dressing, shown, off_mm=off_mm, enough_mm=ANEW_MM)
+            )
         except InputError:
-            if not pairs:
+            if not tried:
                 raise
-    best = min(pairs, key=lambda pair: rank(pair.worn))
+    best = min(tried, key=lambda pair: rank(pair.worn))
     return _beside(shown, best.loose, best.worn)
+
+
+def _dressing(found: Recovered, start: Start, rank: Callable[[Draped], Any]) -> tuple[Dressing, Start]:
+    """How the pattern of ``found`` is put on, its belt laid on the report's waist, and ``start`` in its cloth."""
+    body, pose, cloth = start.body, start.pose, found.fitted.cloth
+    laid = isinstance(found.search.forward, LaidDrape)
+    start = replace(start, drape=laying_options(start.drape) if laid else start.drape, cloth=cloth)
+    surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
+    skin = start.drape.skin(surface, body.faces)
+    there, joints = open_contours(*found.shown.surface), posed_joints(body, pose)
+
+    def held(one: Draped) -> Draped:
+        matches, _ = match_contours(open_contours(*one.surface), there, joints)
+        return held_as_target(one, matches, there, skin, cloth)
+
+    return Dressing(skin, cloth, laid, held, start.lost, rank), start
 
 
 def _beside(shown: Shown, loose: Draped, worn: Draped) -> SewnAnew:
     """The garment ``worn`` beside that of the report, ``shown``; ``loose`` is what it was before its belt was laid."""
-    distance, by_itself = (surface_distance((one.nodes, one.mesh.faces), shown.surface) for one in (worn, loose))
+    distance, by_itself = (surface_distance(one.surface, shown.surface) for one in (worn, loose))
     held = loose.rest.held
     moved = float((worn.nodes[held] - loose.nodes[held])[:, 1].mean()) if len(held) else 0.0
     return SewnAnew(worn, distance, by_itself, moved)
@@ -194,9 +198,10 @@ def sewn_and_worn(task: Task, found: Recovered, pattern: Pattern, say: Say) -> S
     job, wearer = task.job, task.wearer
     parts = [match.place.part for match in found.matches if match.place.part is not None]
     options = replace(job.search.drape, edge_length_m=found.edge_length_m)
+    with_lines = None if pattern is found.fitted.pattern else pattern
     try:
         with watch.stage("sewn anew"):
-            anew = sewn_anew(found, Start(wearer.shaped, options, wearer.pose, None, tuple(parts)), pattern)
+            anew = sewn_anew(found, Start(wearer.shaped, options, wearer.pose, None, tuple(parts)), with_lines)
     except InputError as error:
         words = "The recovered pattern cannot be sewn from flat panels, so there is no garment cache"
         task.warnings.append(f"{words}: {error}")
@@ -210,7 +215,7 @@ def sewn_and_worn(task: Task, found: Recovered, pattern: Pattern, say: Say) -> S
         words = f"Sewn anew in the T-pose, {lost_words(lost)}"
         task.warnings.append(f"{words}: the garment cache is not worn as the target is.")
     worn = _worn_elsewhere(task, found, pattern, draped, parts, say)
-    distance = surface_distance((draped.nodes, draped.mesh.faces), task.surface, known=task.known)
+    distance = surface_distance(draped.surface, task.surface, known=task.known)
     say(f"sewn      {distance.mean_mm:.2f} mm from the target on average")
     # In the cache the garment of a body of another shape is moved to the standard one.
     avatar = {"betas": wearer.betas.tolist()} if wearer.betas.any() else "standard"

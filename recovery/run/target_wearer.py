@@ -30,15 +30,14 @@ from drape.garment.searched_cloth import SearchedCloth
 from drape.garment.told_reading import ToldReading
 from drape.garment.wearer_reading import Reading
 from drape.garment.wearer_search import find_wearers
-from drape.geometry import closest, meshes
+from drape.geometry import closest
 from recovery import progress
+from recovery.sim.sdf import check_closed
 
 # By which the body fits worse the other way: less is told as a doubt, and less than KEPT does not turn the garment. Of
 # 14 garments the right way fits better by 1.26 to 7.8, one by 0.96.
 KEPT, UNSURE = 1.1, 1.1
 Front = Literal["auto", "kept", "turned"]
-
-
 CUFF_SHARE = 0.12  # of the longest opening: cuffs have a fifth of a hem, and holes that were not closed less
 TURNED_RAD = 0.6  # that a garment may look aside; the body's fit finds that by itself
 
@@ -95,7 +94,7 @@ def read_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarra
             )
         return fitted_wearer(path, load_body())
     body = load_body(source)
-    check_closed(body.faces, body.name)
+    check_closed(body.v_template, body.faces, f"body {body.name}")
     betas = body.check_betas(np.zeros(0) if betas is None else betas)
     return Wearer(body, betas, pose, np.zeros(3), f"body {body.name}")
 
@@ -103,24 +102,12 @@ def read_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarra
 def fitted_wearer(path: Path, body: BodyModel) -> Wearer:
     """The shipped body fitted to the closed surface in ``path``."""
     mesh = weld(read_mesh(path, vertex_limit=AVATAR_VERTEX_LIMIT))
-    check_closed(mesh.faces, path.name)
+    check_closed(mesh.vertices, mesh.faces, f"body {path.name}")
     scale, vertices = body_units(mesh.vertices, name=path.name)
     found = fit_body(vertices, mesh.faces, body, name=path.name)
     unit = "" if scale == 1.0 else f", scaled by {scale:g}"
     source = f"body {body.name} fitted to {path.name}{unit}, {found.residual_mm:.1f} mm from it on average"
     return Wearer(body, found.betas, found.pose, found.trans, source, found.residual_mm)
-
-
-def check_closed(faces: np.ndarray, name: str) -> None:
-    """Refuses a body with holes, which has no inside."""
-    loops = meshes.boundary_loops(faces)
-    if loops:
-        raise BodyError(
-            f"body {name}",
-            expected="a closed surface",
-            got=f"{len(loops)} open borders, the longest of {len(loops[0])} vertices",
-            cure="Close its holes (neck, wrists, eyes), join copies of vertices, or take a body that ships (--body).",
-        )
 
 
 def inside_wearer(

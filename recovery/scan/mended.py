@@ -32,8 +32,6 @@ SCAN_VERTEX_LIMIT = 3_300_000  # 1,000,000 triangles of an STL, which does not s
 EXTENTS = (1e-3, 1e6)  # in a file's unit, whatever it is: squares and cubes stay far from the ends of the numbers
 OPEN_SHARE = 0.7  # of the height: no hem and no neckline, however deep, goes that far
 TWISTED_SHARE = 0.02  # of the faces: more edges to be cut, and the scan is no cloth
-
-
 ACROSS = 0.5  # cosine between an opening's axis and the normals of a hem that is turned in; a cuff's cloth has 0.2
 SMOOTH = 0.7  # cosine between neighbours of one strip: a fold is sharper
 WIDE_SHARE = 0.06  # of the root of the area: no hem is as wide, and the cloth about a hole is wider

@@ -67,10 +67,6 @@ class StaticAssembly:
 def _ones(target: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
     """The matrix (count, n) that adds entry i of a vector to ``target[i]``."""
     n = len(target)
-    if max(n, count) > np.iinfo(np.int32).max:
-        raise InputError(
-            "mesh", expected="fewer element entries than 2^31", got=str(n), cure="Simulate a coarser mesh."
-        )
     return scipy.sparse.csr_matrix((np.ones(n), (target, np.arange(n))), shape=(count, n))
 
 

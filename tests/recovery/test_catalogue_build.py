@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
 from drape.cloth.fabric_table import fabric
-from drape.errors import InputError, NotFound
+from drape.errors import NotFound
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.garment.grain import corner_uv
@@ -50,13 +50,6 @@ def test_a_shape_is_carried_to_a_finer_mesh_by_place_in_the_panels(style):
     far = fine.nodes_from(fine.placed())
     gap = np.linalg.norm(nodes - far, axis=1)[inner]
     assert np.quantile(gap, 0.5) < 1e-9
-
-
-def test_meshes_of_two_patterns_are_refused():
-    body = default_measurements()
-    coarse, fine = (mesh_pattern(CATALOGUE[name](body).pattern, 0.08) for name in ("skirt", "shorts"))
-    with pytest.raises(InputError, match="meshes: expected two meshes of one pattern"):
-        on_finer_mesh(coarse, coarse.nodes_from(coarse.placed()), fine)
 
 
 def test_hems_bend_twice_as_hard_and_the_collar_is_folded():

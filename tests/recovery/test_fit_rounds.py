@@ -39,7 +39,7 @@ def test_a_larger_base_finds_the_pattern_of_a_drape(body):
     target = drape_pattern(truth, body, COARSE)
     base = scaled(truth, 1.07)
     found = recover_pattern(
-        Target.from_mesh(target.nodes, target.mesh.faces),
+        Target.from_mesh(*target.surface),
         base,
         body,
         RoundsOptions(COARSE, FitOptions(iterations=0, closing=3), meshes_m=(0.05,)),
@@ -62,7 +62,7 @@ def test_rounds_go_on_from_each_other_in_the_fabric_that_is_named(body, tmp_path
     target = drape_pattern(truth, body, coarse)
     lines: list[str] = []
     found = recover_pattern(
-        Target.from_mesh(target.nodes, target.mesh.faces),
+        Target.from_mesh(*target.surface),
         scaled(truth, 1.05),
         body,
         RoundsOptions(
@@ -164,7 +164,7 @@ def test_a_pattern_that_no_mesh_can_be_sewn_of_is_refused(body, monkeypatch: pyt
 def test_a_belt_is_held_where_the_waist_of_the_target_is(body):
     lower_m = 0.01
     draped = drape_pattern(skirt(default_measurements()), body, DrapeOptions(edge_length_m=0.1, grid_m=0.02))
-    own = open_contours(draped.nodes, draped.mesh.faces)
+    own = open_contours(*draped.surface)
     # The target's waist is lower and wider: there the hips are.
     held = draped.rest.held
     middle = draped.nodes[held].mean(axis=0)

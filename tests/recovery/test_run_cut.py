@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,7 @@ CUTS = {
 }
 
 
+@cache
 def worn(name: str) -> GarmentMesh:
     """A garment of the catalogue on the shipped body in the T-pose."""
     (path,) = SHIPPED.glob(f"{name}-*.npz")

@@ -16,11 +16,12 @@ from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.geometry import closest, meshes
 from recovery.pattern.export import export_pattern
 from recovery.run.target import MOST_OFF_M, OPENINGS, check_base, check_near, off_skin, opened, placed_target
-from recovery.run.target_wearer import check_closed, inside_wearer, read_wearer, shaped_body
+from recovery.run.target_wearer import inside_wearer, read_wearer, shaped_body
 from recovery.run.task import Job, prepare, read_base
 from recovery.scan.holes import closed
 from recovery.scan.mended import mended, one_sheet, read_target
 from recovery.scan.places import ScanFault
+from recovery.sim.sdf import check_closed
 from tests.drape.cloth.cloth_shapes import grid, round_tube
 
 
@@ -224,10 +225,10 @@ def test_a_hole_is_noted_and_closed():
 
 
 def test_a_body_with_a_hole_is_refused(body, tmp_path):
-    with pytest.raises(BodyError, match=r"1 open borders.*Close its holes"):
-        check_closed(body.faces[1:], "mine")
+    with pytest.raises(MeshError, match=r"1 open borders.*Close its holes"):
+        check_closed(body.v_template, body.faces[1:], "mine")
     path = write_obj(tmp_path / "open.obj", plain_mesh("open", body.v_template, body.faces[1:]))
-    with pytest.raises(BodyError, match="a closed surface"):
+    with pytest.raises(MeshError, match="a closed surface"):
         read_wearer(str(path))
     with pytest.raises(BodyError, match="its own shape and pose"):
         read_wearer(str(path), pose=np.zeros((24, 3)))

@@ -49,7 +49,7 @@ def low_back() -> GarmentMesh:
         ("low back", 0.0, "auto", False),
         pytest.param("low back", 180.0, "auto", True, marks=pytest.mark.long),
         ("low back", 0.0, "turned", True),
-        ("tank", 180.0, "kept", False),
+        pytest.param("tank", 180.0, "kept", False, marks=pytest.mark.long),
     ],
 )
 def test_the_body_that_fits_inside_tells_front_from_back(mesh, delivered, front, turns):
