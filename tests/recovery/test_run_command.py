@@ -312,9 +312,8 @@ def test_a_pattern_whose_sleeve_misses_its_arm_is_sewn_on_another_mesh(lost_on, 
         lengths.append(options.edge_length_m)
         if len(lengths) == 2:
             raise InputError("stitch", expected="edges that meet", got="none", cure="Check it.")
-        x = 0.7 if len(lengths) in lost_on else 0.0
-        mesh = SimpleNamespace(faces=faces)
-        return SimpleNamespace(nodes=trunk + np.array([x, 0.0, 0.0]), mesh=mesh, at_rest=True, number=len(lengths))
+        surface = trunk + np.array([0.7 if len(lengths) in lost_on else 0.0, 0.0, 0.0]), faces
+        return SimpleNamespace(surface=surface, at_rest=True, number=len(lengths))
 
     monkeypatch.setattr("recovery.fit.starts.drape_pattern", drape)
     found = worn_drape(tube(), Start(body, COARSE, None, None, ("trunk",)))
