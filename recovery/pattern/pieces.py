@@ -204,10 +204,10 @@ def _piece(pattern: Pattern, panel: Panel, allowance_m: float, hem_m: float, twi
             point, inward = _inward(panel, EdgeRef(panel.name, n), np.array([end]))
             notches.append(Notch(point[0] - allowances[n] * inward[0], inward[0]))
     kept: list[Notch] = []
-    for notch in notches:
-        # In a hollow corner the foot of the perpendicular lies inside the piece, beside a hem outside of it.
-        on_line = boundary_distance(notch.point[None], cutting)[0] < 2e-4
-        if on_line and all(np.linalg.norm(notch.point - other.point) > NOTCH_GAP_M for other in kept):
+    # In a hollow corner the foot of the perpendicular lies inside the piece, beside a hem outside of it.
+    off_m = boundary_distance(np.array([notch.point for notch in notches]).reshape(-1, 2), cutting)
+    for notch in (one for one, off in zip(notches, off_m, strict=True) if off < 2e-4):
+        if all(np.linalg.norm(notch.point - other.point) > NOTCH_GAP_M for other in kept):
             kept.append(notch)
     words = [pattern.name, panel.name, f"cut {cut_count(panel)}{' on the fold' if folds else ''}", *twin]
     words += [pattern.material] if pattern.material else []

@@ -322,6 +322,7 @@ def test_a_search_whose_time_is_up_gives_the_best_so_far(monkeypatch):
 
 def test_a_command_that_runs_out_of_time_says_during_what(tmp_path, capsys):
     path: Path = write_obj(tmp_path / "t.obj", skirt_tube())
-    assert main([str(path), "--base", "skirt", "--out", str(tmp_path), "--minutes", "1e-6"]) == 2
+    coarse = ["--edge-length", "0.12", "--grid", "0.04", "--minutes", "1e-6"]
+    assert main([str(path), "--base", "skirt", "--out", str(tmp_path), *coarse]) == 2
     said = capsys.readouterr().err
     assert "--minutes: expected time for a first drape" in said and "over during: " in said
