@@ -91,12 +91,9 @@ def test_json_and_glb_hold_every_layer(client: httpx.Client, tube: Garment):
 @pytest.mark.parametrize(
     ("fields", "status", "kind", "word"),
     [
-        ({"garments": ["tube", "coat", "tube"]}, 400, "InputError", "tube twice"),
         ({"garments": ["tube", "coat", "cape", "cloak"]}, 413, "TooLarge", "at most 3 layers"),
         ({"garments": ["tube", "hat"]}, 404, "NotFound", "hat"),
         ({"garments": []}, 400, "InputError", "garments"),
-        ({"garment": "tube", "garments": ["coat"]}, 400, "InputError", "both"),
-        ({}, 400, "InputError", "nothing"),
     ],
 )
 def test_outfits_that_make_no_sense_are_refused(client: httpx.Client, fields: dict, status: int, kind: str, word: str):
@@ -131,11 +128,10 @@ def test_a_stream_opens_an_outfit_and_turns_back_to_one_garment(outfit_url: str,
         assert len(stream.frame(2, POSES[0]).positions) == count
 
 
-@pytest.mark.parametrize("garments", [["tube", "tube"], ["tube", "coat", "cape", "cloak"], ["tube", "hat"]])
-def test_a_stream_of_no_outfit_is_refused(outfit_url: str, garments: list[str]):
+def test_a_stream_of_no_outfit_is_refused(outfit_url: str):
     with raw_stream(outfit_url) as stream:
-        said = stream.open(garments=garments)
-        assert said["type"] == "error" and said["kind"] in ("InputError", "TooLarge", "NotFound")
+        said = stream.open(garments=["tube", "tube"])
+        assert said["type"] == "error" and said["kind"] == "InputError"
 
 
 def test_an_outfit_is_its_layers_in_their_order(runtime: DrapeRuntime):
@@ -218,10 +214,13 @@ def test_a_plan_holds_no_hidden_garment_that_no_visible_one_feels(
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{}, {"push_out": False}, {"folds": 1}, {"folds": 1, "cloth_contact": False}, {"folds": 1, "push_out": False}],
-)
-@pytest.mark.parametrize("hidden", [["tube"], ["coat"], ["cape"], ["tube", "cape"]])
+    ("hidden", "options"),
+    [
+        (["tube"], {}), (["cape"], {}), (["coat"], {"push_out": False}), (["tube"], {"folds": 1}),
+        (["tube", "cape"], {"folds": 1}), (["coat"], {"folds": 1, "cloth_contact": False}),
+        (["coat"], {"folds": 1, "push_out": False}),
+    ],
+)  # fmt: skip
 def test_visible_garments_are_to_the_bit_those_of_the_whole_outfit(
     runtime: DrapeRuntime, hidden: list[str], options: dict
 ):

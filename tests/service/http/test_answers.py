@@ -348,10 +348,3 @@ def test_a_scene_cannot_be_streamed_nor_jets_be_a_cache(api: httpx.Client):
     assert api.post("/drape", json=asked, headers={"Accept": USDA}).status_code == 406
     asked |= {"streamed": False, "geometry": "jets"}
     assert api.post("/drape", json=asked, headers={"Accept": PC2}).status_code == 406
-
-
-def test_binary_stays_the_default_among_the_new_kinds(api: httpx.Client):
-    asked = {"garment": "tube", "poses": POSES.tolist()}
-    answers = [api.post("/drape", json=asked, headers={"Accept": accept}) for accept in ("*/*", "application/*")]
-    assert [answer.headers["content-type"] for answer in answers] == [EXPORTS_BINARY, EXPORTS_BINARY]
-    assert answers[0].content == answers[1].content
