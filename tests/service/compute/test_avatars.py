@@ -20,14 +20,14 @@ from drape.garment.cache import save_garment
 from drape.stages.scene import Entry
 from service.compute import avatars as in_service
 from service.compute.drape_runtime import DrapeRuntime
-from tests.fixtures.characters import character
+from tests.fixtures.characters import bare_wearer
 from tests.fixtures.dressed_characters import dressed_character, dressed_parts
 
 
 @pytest.fixture(scope="module")
-def wearers(body: BodyModel) -> list[Wearer]:
+def wearers() -> list[Wearer]:
     """Two wearers of one name."""
-    one = read_wearer(character(body), name="twin", body=body)
+    one = replace(bare_wearer(), name="twin")
     return [one, replace(one, digest=one.digest[::-1])]
 
 
