@@ -31,12 +31,10 @@ from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.poses import random_motion, smooth_motion
-from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of
+from tests.fixtures.serving import vertices_of
 from tests.fixtures.streams import raw_stream
 from tests.fixtures.tiny_model import TINY
 from tests.service.graphs.test_push import added
-
-__all__ = ["client", "outfit_settings", "outfit_url"]  # fixtures
 
 BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "application/json"
 POSES = random_motion(2, spread_rad=0.2)[0]

@@ -37,9 +37,6 @@ from service.http.answers import (
 from service.http.clip_files import check_package
 from tests.fixtures.exports import Usd, UsdGeom, played, read_pc2, read_usda
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import outfit_settings, outfit_url
-
-__all__ = ["outfit_settings", "outfit_url"]  # fixtures
 
 SHAPES = [
     (0,),

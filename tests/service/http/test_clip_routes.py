@@ -22,10 +22,9 @@ from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import outfit_settings, vertices_of
+from tests.fixtures.serving import vertices_of
 from tests.fixtures.tiny_model import ROUNDING_M, expected_vertices
 
-__all__ = ["outfit_settings"]  # fixture
 BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "application/json"
 
 

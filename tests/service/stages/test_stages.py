@@ -29,12 +29,10 @@ from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.serving import outfit_settings, serve, served
+from tests.fixtures.serving import serve, served
 from tests.fixtures.streams import RawStream, raw_stream
 from tests.fixtures.tiny_model import TINY_DYNAMIC, write_tiny_model
 from training.pose_support import support_of, write_support
-
-__all__ = ["outfit_settings"]  # fixtures
 
 TIMES_S = np.arange(10) / 30.0
 POSES, TRANS = smooth_motion(TIMES_S)
