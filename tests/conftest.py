@@ -35,17 +35,18 @@ from tests.fixtures.run_folder import RUN_FOLDER
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# Seconds of a processor, which do not depend on what else runs; the table at the end tells what is over.
+# Seconds of a processor, which do not depend on what else runs. Two processes share them, so that half of their sum
+# stays well under the quarter of an hour that the whole suite may take; browsers' own are not among them.
 FOLDER_BUDGET_S = {
-    "architecture": 60,
-    "drape": 200,
-    "training": 120,
-    "model_export": 150,
-    "service": 150,
-    "clients": 90,
-    "recovery": 100,
-    "benchmarks": 70,
-    "extremes": 40,
+    "architecture": 30,
+    "drape": 350,
+    "training": 100,
+    "model_export": 30,
+    "service": 300,
+    "clients": 150,
+    "recovery": 200,
+    "benchmarks": 60,
+    "extremes": 15,
     "examples": 60,
 }
 LONGEST_FIRST = (
