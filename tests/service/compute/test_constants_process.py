@@ -31,9 +31,6 @@ from service.compute.background import NICE, thread_steps_back
 from service.compute.constants_process import ConstantsProcess, receive, send
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import ROOT, Settings
-from tests.fixtures.serving import outfit_settings
-
-__all__ = ["outfit_settings"]  # fixtures
 
 
 @pytest.fixture(scope="module")

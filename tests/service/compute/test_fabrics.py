@@ -21,10 +21,8 @@ from drape.wire.options import Advanced, DrapeOptions, FabricNumbers
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.serving import outfit_settings
 from tests.fixtures.tiny_model import ROUNDING_M, TINY, expected_vertices
 
-__all__ = ["outfit_settings"]  # fixture
 POSES, TRANS = smooth_motion(np.arange(3) / 30.0)
 CLIP = PoseInput(POSES, TRANS, np.zeros(10), np.arange(3) / 30.0)
 DENIM = fabric("denim")

@@ -16,10 +16,8 @@ from drape.wire.options import Advanced, DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from tests.fixtures.serving import outfit_settings, serve
+from tests.fixtures.serving import serve
 from tests.fixtures.tiny_model import TINY, write_tiny_model
-
-__all__ = ["outfit_settings"]  # a fixture
 
 PASSES = 4  # of a model that leaves the choice
 OWN = (

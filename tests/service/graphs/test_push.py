@@ -30,10 +30,8 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import outfit_settings
 from tests.fixtures.tiny_model import tiny_folder as model_folder
 
-__all__ = ["outfit_settings"]  # fixture
 POSES, BETAS = random_motion(2, spread_rad=0.35)[0], np.linspace(-1.0, 1.0, 10)
 CLEARANCE = np.float32(CLEARANCE_M)
 
@@ -62,14 +60,10 @@ def posed_jets(whole: Garment, rng: np.random.Generator) -> Jets:
     return Jets(jet, turned, turned[..., 0])
 
 
-BY = pytest.mark.parametrize("bound", [False, True], ids=["engine", "graph"])
-
-
-@BY
 @pytest.mark.slow
-def test_vertices_and_jets_are_pushed_as_the_formula_says(bound: bool, rng: np.random.Generator):
+def test_vertices_and_jets_are_pushed_by_the_graph_as_the_formula_says(rng: np.random.Generator):
     body, whole = load_body(), garment("shorts")
-    pusher = added(Pusher(Engine(model_folder(), bound=bound), body), whole)
+    pusher = added(Pusher(Engine(model_folder(), bound=True), body), whole)
     feed = pack_push(garment_feed(whole), whole.vertices[: whole.vertex_count], body_skin(body))
     vertices, skin, posed = drawn(whole, POSES, BETAS), posed_table(body, POSES, BETAS), posed_jets(whole, rng)
     alone, got = (pusher.push([whole.digest], vertices, skin, posed=jets) for jets in (None, posed))
@@ -90,11 +84,10 @@ def test_vertices_and_jets_are_pushed_as_the_formula_says(bound: bool, rng: np.r
     assert_array_equal(one.vertices[0], got.vertices[1])
 
 
-@BY
 @pytest.mark.slow
-def test_layers_are_pushed_as_the_formula_says(bound: bool, rng: np.random.Generator):
+def test_layers_are_pushed_by_the_engine_as_the_formula_says(rng: np.random.Generator):
     body, inner, outer = load_body(), garment("tank"), garment("shorts")
-    pusher = added(Pusher(Engine(model_folder(), bound=bound), body), inner, outer)
+    pusher = added(Pusher(Engine(model_folder()), body), inner, outer)
     keys, skin = (inner.digest, outer.digest), posed_table(body, POSES, BETAS)
     under, vertices = drawn(inner, POSES, BETAS), drawn(outer, POSES, BETAS)
     posed = posed_jets(outer, rng)

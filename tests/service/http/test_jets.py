@@ -35,10 +35,9 @@ from service.http.clip_routes import check_clip_size
 from service.http.schemas import ClipOptions
 from tests.fixtures.garments import ship
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of
+from tests.fixtures.serving import vertices_of
 from tests.fixtures.streams import RawStream, raw_stream
 
-__all__ = ["client", "outfit_settings", "outfit_url"]  # fixtures
 QUANTISED_M = 1e-4  # at the 99th percentile
 POSES, TRANS = random_motion(3, spread_rad=0.5)
 

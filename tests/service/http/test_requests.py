@@ -318,7 +318,7 @@ nested = st.recursive(
 
 
 @given(poses=nested, trans=nested, betas=nested, fps=nested)
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_noise_in_a_request_is_refused_politely(api: httpx.Client, poses, trans, betas, fps):
     response = drape(api, poses=poses, trans=trans, betas=betas, fps=fps)
     assert response.status_code in (400, 413, 422)
@@ -326,7 +326,7 @@ def test_noise_in_a_request_is_refused_politely(api: httpx.Client, poses, trans,
 
 
 @given(content=st.binary(max_size=200), kind=st.sampled_from(["application/json", "", "application/octet-stream"]))
-@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_noise_as_a_body_is_refused_politely(api: httpx.Client, content: bytes, kind: str):
     for path in ("/drape", "/bodies/anny_default/posed", "/garments"):
         response = api.post(path, content=content, headers={"Content-Type": kind})

@@ -75,8 +75,7 @@ def test_roots_follow_a_streamed_answer(own: httpx.Client):
     assert_allclose(vertices(rooted) + roots[:, None], vertices(drape(own, slice(0, 5))), rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("folds", [0, 1])
-@pytest.mark.parametrize("streamed", [True, False])
+@pytest.mark.parametrize(("folds", "streamed"), [(0, True), (1, False)])
 def test_pieces_are_the_whole_clip(own: httpx.Client, folds: int, streamed: bool):
     whole, found, past = vertices(drape(own, folds=folds)), [], {}
     for rows in (slice(0, 3), slice(3, 4), slice(4, 7), slice(7, 9)):

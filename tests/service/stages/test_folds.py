@@ -29,9 +29,8 @@ from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.serving import outfit_settings, serve
+from tests.fixtures.serving import serve
 
-__all__ = ["outfit_settings"]  # fixture
 TIMES_S = np.arange(6) / 30.0
 POSES, TRANS = smooth_motion(TIMES_S)
 CLIP = PoseInput(POSES, TRANS, np.zeros(10), TIMES_S)
