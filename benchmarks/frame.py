@@ -244,14 +244,14 @@ def views(bench: Bench) -> Iterator[View]:
     """Distance, hidden garments, and a body that stands."""
     walk, shirt, far = bench.pose, ["tshirt"], {"pixels_per_m": 50.0}
     yield View("distance", "far away", shirt, walk, {}, far)
-    yield View(
-        "distance", "far away, no motion, no push-out", shirt, walk, {}, far | {"motion": 0.0, "push_out": False}
-    )
-    for apart, said in (({}, ""), ({"cloth_contact": False}, ", layers do not feel each other")):
+    bare = {"motion": 0.0, "advanced": {"push_out": False}}
+    yield View("distance", "far away, no motion, no push-out", shirt, walk, {}, far | bare)
+    for unfelt, said in (({}, ""), ({"cloth_contact": False}, ", layers do not feel each other")):
+        apart = {"advanced": unfelt}
         for hidden in OUTFIT:
             yield View("hidden", f"{hidden}{said}", OUTFIT, walk, apart, apart | {"hidden": (hidden,)})
-        alone = apart | {"push_out": False}
-        if apart:
+        alone = {"advanced": unfelt | {"push_out": False}}
+        if unfelt:
             yield View("hidden", f"trousers{said}, no push-out", OUTFIT, walk, alone, alone | {"hidden": ("trousers",)})
     stands = lambda _: bench.poses[0]  # noqa: E731
     yield View("still", "stands, before its cloth rests", shirt, stands, {}, {}, moving=walk)
@@ -285,7 +285,7 @@ def main(run: Run) -> None:
     poses = at_rate(read_motion(find_motions(options.motions or ["walk"])[0]), FPS).poses
 
     def bench(threads: int) -> Bench:
-        settings = Settings(models_dir=folder.parent, model=folder.name, threads=threads)
+        settings = Settings(model=str(folder), threads=threads)
         return Bench(DrapeRuntime(settings, body=body), poses, options.frames)
 
     alone, both = bench(1), bench(2)

@@ -55,7 +55,7 @@ from service.settings import Settings
 LATE_S, WARM_S = 0.1, 1.0
 OVERLOADED_S = 3.0  # until streams that all come at once are held where they stay
 PAIR = ("tshirt", "dress")
-POST, POSTED = "POST /drape", {"passes": 0, "folds": 0}
+POST, POSTED = "POST /drape", {"advanced": {"passes": 0, "folds": 0}}
 CARRIED_PCT = 97.0  # goodput of streams that are carried
 COLUMNS = {
     "case": "s", "server": "s", "tier": "s", "clients": "d", "fps": ".0f", "goodput_pct": ".1f", "stepped_pct": ".0f",
@@ -304,7 +304,7 @@ def measure(bench: Bench, options: argparse.Namespace) -> dict[str, int]:
             carried[f"service {tier}"] = bench.carried(at, tier, options.clients)
         still = bench.standing()
         bench.posted(at)
-        bench.measure("two garments, folds 2", at, "balanced", 2, garments=PAIR, folds=2)
+        bench.measure("two garments, folds 2", at, "balanced", 2, garments=PAIR, advanced={"folds": 2})
         bench.measure("moving", at, "balanced")
         still.measure("still", at, "balanced")
     if options.quick:

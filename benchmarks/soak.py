@@ -23,7 +23,7 @@ from drape.errors import DrapeError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix, rotvec_to_quaternion, sixd_to_matrix
 from drape.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M, Batch, PoseInput
 from drape.wire import messages as wire
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
@@ -64,7 +64,7 @@ def soak_frames(
 ) -> tuple[int, str | None]:
     """How many of ``count`` frames were draped until ``time.monotonic`` was ``until_s``, and the first failure."""
     (entry,) = drapery.garments.entries()
-    plan = drapery.plan(entry, DrapeOptions(push_out=True, folds=folds, settle=2), messages=True)
+    plan = drapery.plan(entry, DrapeOptions(advanced=Advanced(push_out=True, folds=folds, settle=2)), messages=True)
     fuzz, stream = Fuzz(seed, drapery.body.shape_count), Stream(plan, drapery.body.shape_count)
     for number in range(count):
         if time.monotonic() >= until_s:

@@ -31,6 +31,7 @@ from drape.exact.frame import ExactCloth, exact
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.stages.batch import Batch, PoseInput
+from drape.wire.options import Advanced
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
@@ -109,7 +110,8 @@ class Stills:
         return self.rows.get(key)
 
     def _settled(self, garments: list[Garment], body: BodyModel, pose: PoseInput) -> Batch:
-        plan = plan_of(self._drapery, garments, resolution="fine", tier="accurate", folds=STEPS, settle=ROUNDS)
+        settled = Advanced(folds=STEPS, settle=ROUNDS)
+        plan = plan_of(self._drapery, garments, resolution="fine", tier="accurate", advanced=settled)
         return Stream(plan, body.shape_count).frame(pose)
 
 

@@ -40,7 +40,7 @@ from drape.artifacts import load_manifest, model_folder
 from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.stages.tiers import NAMES, Tier, read_tiers
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 
@@ -76,8 +76,9 @@ class Knobs:
         """As a request says it, of cloth that does not swing; ``pass_count`` are all passes."""
         passes = pass_count if self.passes is None else self.passes
         if not self.folds:
-            return DrapeOptions(tier="instant", passes=passes, motion=0.0, **others)
-        return DrapeOptions(passes=passes, folds=self.folds, coarse=self.coarse, motion=0.0, **others)
+            return DrapeOptions(tier="instant", motion=0.0, advanced=Advanced(passes=passes), **others)
+        chosen = Advanced(passes=passes, folds=self.folds, coarse=self.coarse)
+        return DrapeOptions(motion=0.0, advanced=chosen, **others)
 
     def __str__(self) -> str:
         passes = "all" if self.passes is None else self.passes
@@ -270,7 +271,7 @@ def main(run: Run) -> None:
     """Rows of every scene, their means, and the tiers."""
     options, body = run.options, load_body()
     folder = model_folder(options.model)
-    drapery = DrapeRuntime(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
+    drapery = DrapeRuntime(Settings(model=str(folder), threads=options.threads), body=body)
     networks = {name: Network.asked(options, body, passes=passes) for name, passes in STARTS.items()}
     knobs = combinations(options.folds)
     for scene in scenes(options, read_clips(options, body), body):

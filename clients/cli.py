@@ -25,7 +25,7 @@ from pydantic.fields import FieldInfo
 from clients.calls import DEFAULT_URL, sized
 from clients.client import DrapeClient
 from clients.meshes import surface_of
-from drape.errors import DrapeError, InputError
+from drape.errors import DrapeError, InputError, while_read
 from drape.export.clips import CACHES, SCENES, check_name, npy_head, write_pieces, write_scene
 from drape.export.glb import GARMENT_COLOURS
 from drape.export.mdd import mdd_frames, mdd_head
@@ -35,9 +35,10 @@ from drape.export.surface import MovingGarment
 from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
 from drape.motion.readers import MOTION_SUFFIXES, read_motion
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 
 
+@while_read
 def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
@@ -111,23 +112,24 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--float32", action="store_true", help="the GLB in float32, twice as large")
     for name, field in _options().items():
         flag = "--" + name.replace("_", "-")
-        kind, *others = (kind for kind in get_args(field.annotation) if kind is not type(None))
+        kind, *others = [kind for kind in get_args(field.annotation) if kind is not type(None)] or [None]
+        words = argparse.SUPPRESS if name in Advanced.model_fields else field.description  # those are old names
         if name == "hidden":
             drape.add_argument(flag, nargs="+", metavar="NAME", help=field.description)
         elif name == "fabric":
             drape.add_argument(flag, nargs="+", metavar="NAME", help="what it is made of: for all, or by layer")
         elif name == "colliders":
             drape.add_argument(flag, type=_read_json, metavar="FILE", help="a JSON list of what else cloth lies on")
+        elif name == "advanced":
+            drape.add_argument(flag, nargs="+", type=_named_value, metavar="NAME=VALUE", help=_advanced_help())
         elif isinstance(kind, str):
-            drape.add_argument(flag, choices=(kind, *others), help=field.description)
+            drape.add_argument(flag, choices=(kind, *others), help=words)
         elif get_origin(kind) is Literal:
-            drape.add_argument(
-                flag, choices=sum((get_args(each) for each in (kind, *others)), ()), help=field.description
-            )
+            drape.add_argument(flag, choices=sum((get_args(each) for each in (kind, *others)), ()), help=words)
         elif kind is bool:
-            drape.add_argument(flag, action=argparse.BooleanOptionalAction, help=field.description)
+            drape.add_argument(flag, action=argparse.BooleanOptionalAction, help=words)
         else:
-            drape.add_argument(flag, type=kind, help=field.description)
+            drape.add_argument(flag, type=kind, help=words)
     drape.set_defaults(run=_drape)
     return parser
 
@@ -142,7 +144,24 @@ def _read_json(path: str) -> Any:
 
 def _options() -> dict[str, FieldInfo]:
     """The options of a drape that are flags: all but what comes, which the name of the file says."""
-    return {name: field for name, field in DrapeOptions.model_fields.items() if name != "geometry"}
+    fields = DrapeOptions.model_fields | Advanced.model_fields
+    return {name: field for name, field in fields.items() if name != "geometry"}
+
+
+def _advanced_help() -> str:
+    told = (f"{name}: {field.description}" for name, field in Advanced.model_fields.items())
+    return f"{DrapeOptions.model_fields['advanced'].description} {' '.join(told)}"
+
+
+def _named_value(text: str) -> tuple[str, Any]:
+    """The name and the value of ``NAME=VALUE``; the value is JSON, or else the text."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"expected NAME=VALUE, as folds=3, got {text}")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
 
 
 def _health(client: DrapeClient, options: argparse.Namespace) -> None:
@@ -215,6 +234,7 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
     avatar = None if options.on is None else client.avatar(options.on, alive=options.alive).id
     clip = _clip(client, options, betas, avatar).resampled(options.fps)
     choices: dict[str, Any] = {name: getattr(options, name) for name in _options()}
+    choices["advanced"] = choices["advanced"] and dict(choices["advanced"])
     choices |= {"avatar": avatar, "alive": options.alive, "size": options.size}
     for name in ("fabric", "size"):  # one is for all layers
         if choices[name] is not None and len(choices[name]) == 1:

@@ -19,11 +19,14 @@ from __future__ import annotations
 
 import difflib
 import functools
+import os
+import select
 import sys
 from collections.abc import Callable, Iterable
 from typing import ParamSpec
 
 REFUSED_EXIT_CODE = 2
+UNREAD_EXIT_CODE = 128 + 13  # SIGPIPE
 
 P = ParamSpec("P")
 
@@ -90,9 +93,31 @@ class Unavailable(DrapeError):
     """Something that this installation or machine does not have."""
 
 
-def refusing(main: Callable[P, int]) -> Callable[P, int]:
-    """``main`` of a command, whose refusals (``DrapeError``) become their sentence and the status 2."""
+def while_read(main: Callable[P, int]) -> Callable[P, int]:
+    """``main`` of a command, which ends without a word, and with the status of SIGPIPE, where nobody reads its output
+    any more (``... | head``)."""
 
+    @functools.wraps(main)
+    def written(*args: P.args, **kwargs: P.kwargs) -> int:
+        try:
+            status = main(*args, **kwargs)
+            sys.stdout.flush()
+            return status
+        except BrokenPipeError:
+            look = select.poll()
+            look.register(sys.stdout.fileno())
+            if not any(event & select.POLLERR for _, event in look.poll(0)):
+                raise  # another pipe
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more at its end
+            return UNREAD_EXIT_CODE
+
+    return written
+
+
+def refusing(main: Callable[P, int]) -> Callable[P, int]:
+    """``main`` of a command, whose refusals (``DrapeError``) become their sentence and the status 2; ``while_read``."""
+
+    @while_read
     @functools.wraps(main)
     def guarded(*args: P.args, **kwargs: P.kwargs) -> int:
         try:

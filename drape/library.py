@@ -35,7 +35,6 @@ from drape.body.model import BodyModel
 from drape.body.pose_support import PoseSupport
 from drape.catalog import GARMENTS_DIR, MOTIONS_DIR, find_garments, find_motions, open_outfit, short_name
 from drape.cloth.fabric_table import FABRICS
-from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.export.glb import GARMENT_COLOURS
 from drape.export.surface import by_layer
@@ -55,7 +54,7 @@ from drape.stages.plan import Plan
 from drape.stages.scene import Entry, Outfit, Scene
 from drape.stages.sizes import SizeChoice, Sizes
 from drape.stages.walk import run
-from drape.wire.options import DrapeOptions, Inertia, TierName
+from drape.wire.options import Advanced, DrapeOptions, Inertia, TierName
 
 MODEL = "onefit"
 CHUNK_FRAMES = 8  # computed together; numbers do not depend on it
@@ -68,10 +67,7 @@ class Defaults:
 
     tier: TierName = "balanced"
     folds: int | None = None
-    passes: int | None = None
-    push_out: bool = True
     inertia: Inertia = "mesh"
-    clearance_m: float = CLEARANCE_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,14 +352,15 @@ def _checked(options: dict[str, Any]) -> DrapeOptions:
     """The ``options`` by name; refuses (``InputError``) the first that is none or has no such value."""
     known = DrapeOptions.model_fields
     for name in options:
-        if name not in known or name == "geometry":
+        if name not in (*known, *Advanced.model_fields) or name == "geometry":
             cure = "help(drape.DrapeOptions) has them."
             raise InputError("options", expected=f"some of: {', '.join(known)}", got=name, cure=cure)
     try:
         return DrapeOptions(**options)
     except ValidationError as error:
         first = error.errors()[0]
+        name = ".".join(map(str, first["loc"][: 2 if first["loc"][0] == "advanced" else 1]))
         expected = first["msg"].removeprefix("Input should be ")
         raise InputError(
-            str(first["loc"][0]), expected=expected, got=repr(first["input"])[:120], cure="help(drape.DrapeOptions)."
+            name, expected=expected, got=repr(first["input"])[:120], cure="help(drape.DrapeOptions)."
         ) from error

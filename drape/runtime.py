@@ -44,7 +44,8 @@ class Runtime:
 
     def on(self, scene: Scene) -> BodyStages:
         """Returns the stages of the body that wears ``scene``."""
-        return scene.layers[0].worn or self.worn
+        worn = scene.layers[0].worn
+        return worn if isinstance(worn, BodyStages) else self.worn
 
     def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
         """``make_plan`` with the stages of the body that wears ``scene``, and the passes and folds of its tier."""
@@ -78,7 +79,7 @@ class Runtime:
             else replace(make_plan(stages, plan.scene, options, messages=plan.messages), stepped=True)
             for options in held
         ]
-        carried = alone and bool(plan.options.folds)
+        carried = alone and bool(plan.options.advanced.folds)
         return (replace(steps[0], stepped=True, carried=True) if carried else steps[0], *steps)
 
     def add_missing(self, plan: Plan) -> None:

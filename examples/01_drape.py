@@ -15,7 +15,7 @@ pose[0, 16], pose[0, 17] = (0, 0, -1.1), (0, 0, 1.1)  # both shoulders: arms dow
 
 with DrapeClient(asked.parse_args().url) as client:
     print("garments:", [garment["id"] for garment in client.garments()])
-    vertices = client.drape("tshirt", pose, settle=16)  # a single pose settles; a clip need not
+    vertices = client.drape("tshirt", pose, advanced={"settle": 16})  # a single pose settles; a clip need not
     faces = np.array(client.mesh("tshirt")["faces"])
 
 with open("tshirt.obj", "w") as file:

@@ -7,8 +7,9 @@ import numpy as np
 
 from drape.body.assets import load_body
 from recovery.drape.pattern_drape import DrapeOptions, drape_pattern
+from recovery.fit.objective import Target
 from recovery.fit.optimise import FitOptions
-from recovery.fit.rounds import recover_pattern
+from recovery.fit.rounds import RoundsOptions, recover_pattern
 from recovery.pattern.bases import base_pattern
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.measurements import measure
@@ -22,9 +23,8 @@ true = base_pattern("skirt", measure(body), ["length_m=0.60", "flare_m=0.12"])
 target = drape_pattern(true, body, options)
 
 fit = FitOptions(iterations=0, closing=3)
-found = recover_pattern(
-    target.nodes, target.mesh.faces, base, body, drape=options, fit=fit, meshes_m=[EDGE_M], report=print
-)
+surface = Target.from_mesh(target.nodes, target.mesh.faces)
+found = recover_pattern(surface, base, body, RoundsOptions(options, fit, meshes_m=[EDGE_M]), report=print)
 
 
 def error_mm(pattern) -> float:

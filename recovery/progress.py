@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 EVERY_S = 5.0
-Write = Callable[[str], None]
+Say = Callable[[str], None]
 
 
 class Watch:
     """A clock with a stage and its detail; ``limit_s`` None is no limit. ``write`` takes a line."""
 
-    def __init__(self, write: Write, *, limit_s: float | None = None, every_s: float = EVERY_S) -> None:
+    def __init__(self, write: Say, *, limit_s: float | None = None, every_s: float = EVERY_S) -> None:
         self.write, self.limit_s, self.every_s = write, limit_s, every_s
         self.started = self.spoken = time.monotonic()
         self.stage, self.detail = "recovery", ""
@@ -70,7 +70,7 @@ def to_stderr(line: str) -> None:
 
 
 @contextmanager
-def watched(*, write: Write = to_stderr, limit_s: float | None = None, every_s: float = EVERY_S) -> Iterator[Watch]:
+def watched(*, write: Say = to_stderr, limit_s: float | None = None, every_s: float = EVERY_S) -> Iterator[Watch]:
     """Watches the work inside: at most about ``every_s`` [s] pass without a line, and ``over`` is true at the limit."""
     watch, done = Watch(write, limit_s=limit_s, every_s=every_s), threading.Event()
 

@@ -72,14 +72,14 @@ def requests(http: httpx.Client) -> Iterator[tuple[str, dict[str, Any]]]:
     shirt, outfit = {"garment": "tshirt"}, {"garments": OUTFIT}
     for name, worn in (("tshirt", shirt), ("outfit", outfit)):
         yield f"{name} shape", {**worn, **squat, "betas": SHAPE}
-        yield f"{name} plain", {**worn, **squat, "push_out": False}
-        yield f"{name} passes 0", {**worn, **walk, "passes": 0}
-        yield f"{name} passes 2", {**worn, **walk, "passes": 2}
+        yield f"{name} plain", {**worn, **squat, "advanced": {"push_out": False}}
+        yield f"{name} passes 0", {**worn, **walk, "advanced": {"passes": 0}}
+        yield f"{name} passes 2", {**worn, **walk, "advanced": {"passes": 2}}
         yield f"{name} still", {**worn, **turn, "motion": 0}
         yield f"{name} half motion", {**worn, **turn, "motion": 0.5}
         yield f"{name} jets", {**worn, **squat, "geometry": "jets"}
-        yield f"{name} jets plain", {**worn, **turn, "geometry": "jets", "push_out": False}
-        yield f"{name} jets shape", {**worn, **walk, "geometry": "jets", "betas": SHAPE, "passes": 2}
+        yield f"{name} jets plain", {**worn, **turn, "geometry": "jets", "advanced": {"push_out": False}}
+        yield f"{name} jets shape", {**worn, **walk, "geometry": "jets", "betas": SHAPE, "advanced": {"passes": 2}}
     yield "three layers", {"garments": ["shorts", "tank", "longsleeve"], **walk}
 
 
@@ -120,7 +120,8 @@ async def stream(url: str, opening: dict[str, Any], poses: np.ndarray, trans: np
         await socket.recv()
         for i, (pose, place) in enumerate(zip(poses, trans, strict=True)):
             if i == len(poses) // 2:
-                await socket.send(json.dumps({"type": "open", **opening, "motion": 0.5, "push_out": True}))
+                chosen = opening.get("advanced", {}) | {"push_out": True}
+                await socket.send(json.dumps({"type": "open", **opening, "motion": 0.5, "advanced": chosen}))
                 await socket.recv()
             prefix = struct.pack(PREFIX, MAGIC, 1, POSE, 0, i + 1, 1)
             await socket.send(prefix + struct.pack("<d3d72f", i / 30.0, *place, *pose.ravel()))
@@ -145,7 +146,7 @@ def dump(path: Path) -> None:
             "tshirt": {"garment": "tshirt"},
             "outfit": {"garments": OUTFIT, "betas": SHAPE},
             "jets": {"garment": "tshirt", "geometry": "jets"},
-            "plain": {"garment": "dress", "push_out": False, "passes": 1},
+            "plain": {"garment": "dress", "advanced": {"push_out": False, "passes": 1}},
         }
         for name, opening in openings.items():
             arrays[f"stream {name}: frames"] = np.stack(asyncio.run(stream(url, opening, poses, trans)))

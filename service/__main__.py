@@ -39,7 +39,7 @@ def _serve(overrides: dict[str, object]) -> int:
         from service.compute.background import give_back_memory, take_turns
         from service.compute.drape_runtime import DrapeRuntime
         from service.server import bind, make_server
-        from service.settings import check_exposed, load_settings
+        from service.settings import check_exposed, load_settings, unread_variables
         from service.watch.logs import set_up
         from service.watch.metrics import Metrics
         from service.watch.outputs import free_outputs
@@ -58,6 +58,8 @@ def _serve(overrides: dict[str, object]) -> int:
     check_exposed(settings)
     set_up(settings.log_format)
     free_outputs(settings.log_format)
+    for name in unread_variables():
+        logging.getLogger("drape.service").warning("%s is no setting; see docs/guide/operate.md", name)
     lifecycle, metrics = Lifecycle(stuck_s=settings.stuck_s), Metrics()
     listener = bind(settings.host, settings.port)
     with ExitStack() as opened:
@@ -70,7 +72,7 @@ def _serve(overrides: dict[str, object]) -> int:
         server = make_server(create_app(settings, runtime=runtime, lifecycle=lifecycle), settings)
         host, port = listener.getsockname()[:2]
         loaded = f"{len(runtime.garments.entries())} garments, {runtime.engine.provider}"
-        print(f"drape on http://{host}:{port} with model {settings.model}, {loaded}", flush=True)
+        print(f"drape on http://{host}:{port} with model {runtime.engine.manifest.name}, {loaded}", flush=True)
         # Parsing sets off full collections, which hold the interpreter lock for 50 ms to look through what never goes.
         gc.collect()
         gc.freeze()

@@ -36,7 +36,7 @@ from service.http.continuations import Continuations
 from service.http.encodings import BriefJson
 from service.http.kept import Kept
 from service.replicas.handover import Handover
-from service.settings import Settings, load_settings
+from service.settings import PAGE, Settings, load_settings
 from service.state import ADMITTED, State
 from service.stream import routes as stream_routes
 from service.stream.workers import Streams
@@ -122,7 +122,7 @@ def _add_routes(app: FastAPI, settings: Settings) -> None:
     for router in ROUTERS:
         app.include_router(router, dependencies=ADMITTED, responses=openapi.responses(*openapi.EVERYWHERE))
     app.include_router(stream_routes.router)
-    app.mount("/", pages.Page(settings.page_dir))
+    app.mount("/", pages.Page(PAGE))
 
 
 def make_state(runtime: DrapeRuntime, access: Access, life: Lifecycle) -> State:
@@ -139,7 +139,7 @@ def make_state(runtime: DrapeRuntime, access: Access, life: Lifecycle) -> State:
         access=access,
         handover=Handover(runtime, access.tickets),
         life=life,
-        continuations=Continuations(runtime.settings),
+        continuations=Continuations(),
         previews=Kept(garment_routes.PREVIEWS_KEPT),
         fold_messages=Kept(fold_messages.KEPT),
         meshes=Kept(MESHES_KEPT),

@@ -22,6 +22,7 @@ from service.stream.routes import ABORT
 from service.watch.watchdog import end_when_told, told_to_end
 
 SEND_BUFFER_BYTES = 256 * 1024  # what the kernel may hold back for a slow reader
+MESSAGE_BYTES = 64 * 1024  # of a message from a client
 END_S = 14  # from the beginning of the end, for what hangs
 LOOK_S = 0.25  # between two looks at whether the service should end
 
@@ -114,7 +115,7 @@ def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
             http=http_protocol(settings),
             ws=StreamProtocol,
             ws_per_message_deflate=False,  # 40 times slower for a few per cent
-            ws_max_size=settings.stream_message_bytes,
+            ws_max_size=MESSAGE_BYTES,
             ws_ping_interval=20.0,
             ws_ping_timeout=20.0,
             log_level="info",

@@ -6,6 +6,7 @@ Every field is described in docs/guide/operate.md.
 from __future__ import annotations
 
 import ipaddress
+import os
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal
@@ -13,10 +14,9 @@ from typing import Literal
 from pydantic import Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
+from drape.artifacts import DEFAULT_MODEL
 from drape.body.assets import DEFAULT_BODY
 from drape.catalog import MOTIONS_DIR
-from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.folders import CLONE
 from drape.garment.cache import GARMENTS_DIR, OWN_GARMENTS_DIR
@@ -28,6 +28,26 @@ ROOT = Path(__file__).resolve().parents[1]
 def built(page: str) -> Path:
     """The folder of a built ``page``: that of ``clients/web`` in a clone, elsewhere a copy in this package."""
     return ROOT / "clients/web" / page if CLONE else Path(str(files("service"))) / "pages" / page
+
+
+PAGE = built("dist")
+# Variables that begin as settings do and are read elsewhere in the product, and in its tests.
+OTHERS = ("BPY", "CACHE", "CURVATURE", "DATA", "ENGINE", "ISA", "KEY", "SYSTEM", "TEST_RUN", "URL")
+# Settings of before, and what to do where one is still set.
+GONE = dict.fromkeys(
+    (
+        *("BODY_BYTES_S", "BODY_IDLE_S", "BUCKETS", "CAPTURE", "CLEARANCE_M", "CLIP_WAIT_S", "EXACT_FRAME_S"),
+        *("GPU_MEMORY_MB", "HALF", "HEAD_S", "MAX_HELD_BYTES", "MAX_PASTS", "MOTION_S", "PAGE_DIR", "PAST_S", "READ_S"),
+        *("STREAM_ACK_S", "STREAM_CREDIT", "STREAM_MESSAGE_BYTES", "STREAM_OPEN_S", "STREAM_SEND_S"),
+        "STREAM_STATE_BYTES",
+    ),
+    "Unset it: it is the same for every service now.",
+) | {
+    "EXACT_QUEUE": "Set DRAPE_INTAKE_QUEUE, which holds for clips of tier exact too.",
+    "MODELS_DIR": "Name the model's folder in DRAPE_MODEL.",
+    "PASSES": "Set DRAPE_TIER, or let requests say advanced.passes.",
+    "PUSH_OUT": "Let requests say advanced.push_out.",
+}
 
 
 class Settings(BaseSettings):
@@ -46,41 +66,24 @@ class Settings(BaseSettings):
     trace: bool = False
 
     model: str = DEFAULT_MODEL
-    models_dir: Path = MODELS_DIR
     body: str = DEFAULT_BODY
     provider: Literal["cpu", "cuda"] = "cpu"
     threads: int = Field(default=1, ge=1, le=64)
-    gpu_memory_mb: int = Field(default=4096, ge=64)
-    buckets: bool | None = None
-    capture: bool = True
     chunk_frames: int = Field(default=8, ge=1, le=256)
 
     shipped_garments_dir: Path = GARMENTS_DIR
     garments_dir: Path = OWN_GARMENTS_DIR
     motions_dir: Path = MOTIONS_DIR
-    page_dir: Path = built("dist")
 
-    half: bool | None = None
     tier: TierName = "balanced"
-    passes: int | None = Field(default=None, ge=0)
     folds: int | None = Field(default=None, ge=0, le=16)
-    push_out: bool = True
     inertia: Inertia = "mesh"
-    clearance_m: float = Field(default=CLEARANCE_M, gt=0.0, le=0.05)
 
     max_connections: int = Field(default=512, ge=1)
     max_connections_per_address: int = Field(default=128, ge=1)
-    head_s: float = Field(default=10.0, gt=0.0)
-    body_idle_s: float = Field(default=10.0, gt=0.0)
-    body_bytes_s: int = Field(default=16384, ge=1)
-    read_s: float = Field(default=10.0, gt=0.0)
-    max_held_bytes: int = Field(default=80 * 2**20, ge=1024)
     max_body_bytes: int = Field(default=8 * 2**20, ge=1024)
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1024)
     max_clips: int = Field(default=8, ge=1)
-    clip_wait_s: float = Field(default=15.0, gt=0.0)
-    max_pasts: int = Field(default=32, ge=1)
-    past_s: float = Field(default=120.0, gt=0.0)
     max_frames: int = Field(default=1200, ge=1)
     max_vertices: int = Field(default=400_000, ge=3)
     max_layers: int = Field(default=4, ge=1, le=16)
@@ -91,25 +94,16 @@ class Settings(BaseSettings):
     intake_wall_s: float = Field(default=300.0, gt=0.0)
     intake_cpu_s: int = Field(default=300, ge=1)
     intake_memory_mb: int = Field(default=6144, ge=256)
-    motion_s: float = Field(default=60.0, gt=0.0)
     intake_workers: int = Field(default=1, ge=1, le=16)
     intake_queue: int = Field(default=8, ge=1)
     exact_workers: int = Field(default=1, ge=1, le=256)
-    exact_queue: int = Field(default=8, ge=1)
-    exact_frame_s: float = Field(default=3600.0, gt=0.0)
     garments_look_s: float = Field(default=0.0, ge=0.0)
 
     stream_step_down: bool = True
     stream_sessions: int = Field(default=64, ge=1)
     stream_threads: int | None = Field(default=None, ge=1, le=64)
-    stream_credit: int = Field(default=2, ge=1, le=16)
-    stream_open_s: float = Field(default=5.0, gt=0.0)
     stream_idle_s: float = Field(default=60.0, gt=0.0)
-    stream_ack_s: float = Field(default=3.0, gt=0.0)
-    stream_send_s: float = Field(default=1.0, gt=0.0)
     frame_deadline_s: float = Field(default=0.066, gt=0.0)
-    stream_message_bytes: int = Field(default=65536, ge=1024)
-    stream_state_bytes: int = Field(default=8 * 2**20, ge=0)
     successor: str = Field(default="", pattern=r"^(https?://[^\s/]+\S*)?$", max_length=200)
     allowed_origins: tuple[str, ...] = ()
     allowed_hosts: tuple[str, ...] = ()
@@ -135,7 +129,10 @@ def _is_loopback(host: str) -> bool:
 
 
 def load_settings(**overrides: object) -> Settings:
-    """The settings from the environment, ``overrides`` first; raises ``InputError`` for the first bad value."""
+    """The settings from the environment, ``overrides`` first; raises ``InputError`` for the first bad value, and for a
+    variable that is no setting any more."""
+    for name in GONE.keys() & _said():
+        raise InputError(f"DRAPE_{name}", expected="no such variable", got="one", cure=GONE[name])
     try:
         return Settings(**overrides)  # pyright: ignore[reportArgumentType]
     except ValidationError as error:
@@ -147,3 +144,14 @@ def load_settings(**overrides: object) -> Settings:
             got=repr(first.get("input")),
             cure="Correct or unset it; see docs/guide/operate.md.",
         ) from error
+
+
+def unread_variables() -> list[str]:
+    """The variables of the environment that begin as settings do and that nothing reads."""
+    known = {name.upper() for name in Settings.model_fields} | {*OTHERS}
+    return sorted(f"DRAPE_{name}" for name in _said() - known)
+
+
+def _said() -> set[str]:
+    """What follows ``DRAPE_`` in the names of the environment."""
+    return {name.upper().removeprefix("DRAPE_") for name in os.environ if name.upper().startswith("DRAPE_")}

@@ -82,7 +82,7 @@ class ExactCloth:
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class FrameFigures:
     """The figures of a frame.
 
     ``force_share``: the norm of the forces left at all vertices over the weight of the cloth, forces of contact with
@@ -101,7 +101,7 @@ class Told:
 
 
 @dataclass(frozen=True, eq=False)
-class Lain:
+class RestingFrame:
     """A frame that is done: its ``pose`` (24, 3) [rad], its cloth ``x`` [m] (V, 3), and the ``start`` (V, 3) of that.
 
     Cloth and start are relative to the root.
@@ -112,7 +112,9 @@ class Lain:
     start: np.ndarray
 
 
-def exact(sheet: ExactCloth, pose: np.ndarray, start: np.ndarray, before: Lain | None = None) -> tuple[Lain, Told]:
+def exact(
+    sheet: ExactCloth, pose: np.ndarray, start: np.ndarray, before: RestingFrame | None = None
+) -> tuple[RestingFrame, FrameFigures]:
     """Returns the drape of a ``pose`` (24, 3) [rad] and its figures.
 
     ``start`` [m] (V, 3), relative to the root, is the pose's drape of tier accurate. The cloth comes from the frame
@@ -132,7 +134,7 @@ def exact(sheet: ExactCloth, pose: np.ndarray, start: np.ndarray, before: Lain |
         end = _down(sheet, posed, start, band)  # never above the start, though what crosses there goes on to
     x = end.x.astype(np.float32).astype(np.float64)  # what is stored, and what the next frame comes from
     over = _over(sheet, posed, x, band)
-    report = Told(
+    report = FrameFigures(
         force_share=float(np.linalg.norm(end.force)) / sheet.cloth.weight_n,
         depth_m=max(over.deepest_m(), 0.0),
         energy_j=over.now.energy,
@@ -141,15 +143,17 @@ def exact(sheet: ExactCloth, pose: np.ndarray, start: np.ndarray, before: Lain |
         start_crossings=crossed,
         steps=end.steps,
     )
-    return Lain(pose, x, start), report
+    return RestingFrame(pose, x, start), report
 
 
-def _apart(sheet: ExactCloth, before: Lain | None) -> bool:
+def _apart(sheet: ExactCloth, before: RestingFrame | None) -> bool:
     """Whether there is a frame ``before``, and nothing crosses there."""
     return before is not None and not len(crossing_pairs(before.x, sheet.faces))
 
 
-def _arrived(sheet: ExactCloth, pose: np.ndarray, start: np.ndarray, before: Lain | None, crossed: bool) -> np.ndarray:
+def _arrived(
+    sheet: ExactCloth, pose: np.ndarray, start: np.ndarray, before: RestingFrame | None, crossed: bool
+) -> np.ndarray:
     """The cloth [m] (V, 3) over the ``pose`` (24, 3) that goes down from there."""
     cloth, contact, body = sheet.cloth, sheet.contact, sheet.body
     if before is not None:

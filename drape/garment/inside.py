@@ -8,8 +8,7 @@ bone goes through the middle of a cuff.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -17,26 +16,13 @@ from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
-from drape.errors import BodyError
 from drape.garment.borders import borders, plainly_opening
 from drape.garment.contours import LIMBS, TRUNK, Contour, bone_chains, open_contours
 from drape.garment.files.mesh import GarmentMesh
-from drape.garment.registration import (
-    ARM_LIFTS_RAD,
-    FREE_JOINTS,
-    parameter_jacobian,
-    posed_by,
-    posed_normals,
-    start_parameters,
-    unpack,
-)
-from drape.geometry import closest, meshes
+from drape.garment.registration import FREE_JOINTS, parameter_jacobian, posed_by, posed_normals, unpack
 
 BAND_M = 0.15  # from the top of a garment: there it hangs on the body; all of ours lie 7 to 10 mm from the skin
 BAND_PULL = 4.0  # of cloth outside in that band, against other cloth outside
-BAND_LIMIT_MM = 25.0  # median distance in that band: beyond, the body is beside the garment
-RISES_M = (-0.08, 0.0, 0.08)  # of the body, that are tried
-FIRST_STEPS, FINALISTS = 6, 2  # of every start, and how many of them go on
 LYING_GAP_M = 0.004  # between skin and cloth that lies on it
 LYING_SHARE, LYING_MOST_M, LOCK_REACH_M = 0.4, 0.008, 0.006
 PULL, PULL_REACH_M = 0.1, 0.03  # of cloth outside, against cloth inside; halved at that distance
@@ -46,87 +32,10 @@ LIMB_JOINTS = ("collar", "shoulder", "elbow", "hip", "knee")  # a sleeve without
 ROOT_PRIOR_M = 0.03
 PLACE_PRIOR_M = np.full(3, 1e-4)
 FLOOR = 0.05  # of a square metre between the sole and the floor
-POINT_COUNT = 1200
 STEPS = 25
 AGREEMENT = 0.2
-INSIDE_LIMIT_PCT = 15.0  # of the cloth inside the best body: none of ours fits
 
 Cuffs = list[tuple[np.ndarray, int, int]]  # middles [m] (3,) of cuffs, and the joints at the ends of their bones
-
-
-class InsideFit(NamedTuple):
-    """Shape ``betas`` (S,), ``pose`` (24, 3) [rad], ``trans`` [m] (3,); how the garment then lies on the skin.
-
-    ``mean_mm``: mean distance of the cloth from the skin; ``inside_pct`` of it is inside, by ``depth_mm`` at the 95th
-    percentile of that part. ``band_mm`` is the median distance where the garment hangs, in its uppermost 15 cm.
-    ``cost_m2`` is what the fit made least.
-    """
-
-    betas: np.ndarray
-    pose: np.ndarray
-    trans: np.ndarray
-    mean_mm: float
-    inside_pct: float
-    depth_mm: float
-    band_mm: float
-    cost_m2: float
-
-
-def fit_inside(
-    mesh: GarmentMesh,
-    body: BodyModel,
-    *,
-    top_m: float,
-    wanted: dict[str, int] | None = None,
-    tick: Callable[[str], None] = lambda words: None,
-) -> InsideFit:
-    """The standard body inside the garment ``mesh`` [m], y up, worn facing +z.
-
-    ``top_m`` is the height on the body in its own frame at which such a garment begins; ``wanted`` are the openings
-    round each part of the body that its kind has. ``tick`` hears how far it is.
-    """
-    points, normals = _sample(mesh.vertices, mesh.faces)
-    low, high = points.min(axis=0), points.max(axis=0)
-    trunk = body.joints_template[0]
-    start = np.array([0.5 * (low[0] + high[0]) - trunk[0], high[1] - top_m, 0.5 * (low[2] + high[2]) - trunk[2]])
-    contours = tube_ends(mesh)
-    fits = []
-    for number, (lift, rise) in enumerate(product(ARM_LIFTS_RAD, RISES_M)):
-        tick(f"start {number + 1} of {len(ARM_LIFTS_RAD) * len(RISES_M)}")
-        first = start_parameters(body, lift, start + np.array([0.0, rise, 0.0]))
-        fits.append(fit_from(body, points, normals, contours, first, FIRST_STEPS, wanted=wanted))
-    best = sorted(fits, key=lambda one: one[1])[:FINALISTS]
-    fits = [fit_from(body, points, normals, contours, one, STEPS, wanted=wanted, neutral=start) for one, _ in best]
-    parameters, cost = min(fits, key=lambda one: one[1])
-    distance = closest.signed_distance(points, posed_by(body, parameters), body.faces)
-    inside = distance < 0.0
-    depth = 1e3 * float(np.quantile(-distance[inside], 0.95)) if inside.any() else 0.0
-    return InsideFit(
-        *unpack(body, parameters),
-        mean_mm=1e3 * float(np.abs(distance).mean()),
-        inside_pct=100.0 * float(inside.mean()),
-        depth_mm=depth,
-        band_mm=1e3 * float(np.median(np.abs(distance[points[:, 1] > high[1] - BAND_M]))),
-        cost_m2=cost,
-    )
-
-
-def check_inside(fit: InsideFit) -> None:
-    """Refuses (``BodyError``) a fit whose cloth still cuts into the body, or hangs beside it."""
-    if fit.inside_pct > INSIDE_LIMIT_PCT:
-        raise BodyError(
-            "body in the target",
-            expected=f"cloth that a body fits in, at most {INSIDE_LIMIT_PCT:g} % of it inside",
-            got=f"{fit.inside_pct:.0f} % of the cloth inside by {fit.depth_mm:.0f} mm",
-            cure="Turn the target upright and facing +z, check its unit (--unit), or give the body (--body FILE).",
-        )
-    if fit.band_mm > BAND_LIMIT_MM:
-        raise BodyError(
-            "body in the target",
-            expected=f"a garment on its body, the top {100 * BAND_M:.0f} cm within {BAND_LIMIT_MM:g} mm of the skin",
-            got=f"{fit.band_mm:.0f} mm between them (median), {fit.mean_mm:.0f} mm over all the cloth",
-            cure="Take a base of the target's kind, which tells where it hangs, or give the body (--body FILE).",
-        )
 
 
 def tube_ends(mesh: GarmentMesh) -> list[Contour]:
@@ -134,16 +43,6 @@ def tube_ends(mesh: GarmentMesh) -> list[Contour]:
     flatness = {one.loop.tobytes(): one.flatness for one in borders(mesh) if plainly_opening(one)}
     ends = [one for one in open_contours(mesh.vertices, mesh.faces) if one.loop.tobytes() in flatness]
     return sorted(ends, key=lambda one: flatness[one.loop.tobytes()])
-
-
-def _sample(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points [m] (N, 3) on the cloth, evenly by area, and its normals there, outward by the sign of the volume."""
-    areas = meshes.face_areas(vertices, faces)
-    drawn = np.random.default_rng(0).choice(len(faces), size=POINT_COUNT, p=areas / areas.sum())
-    normals = meshes.face_normals(vertices, faces)
-    middle = vertices[faces].mean(axis=1)
-    volume = float(np.einsum("fc,fc->", meshes.area_vectors(vertices, faces), middle - middle.mean(axis=0)))
-    return middle[drawn], normals[drawn] * (1.0 if volume >= 0.0 else -1.0)
 
 
 def fit_from(
@@ -154,8 +53,6 @@ def fit_from(
     parameters: np.ndarray,
     steps: int,
     *,
-    wanted: dict[str, int] | None,
-    neutral: np.ndarray | None = None,
     likely: np.ndarray | None = None,
     shape_prior_m: float | np.ndarray = SHAPE_PRIOR_M,
     slack: float = 1.0,
@@ -165,15 +62,14 @@ def fit_from(
 ) -> tuple[np.ndarray, float]:
     """Parameters from one start, and the mean cost [m^2] with the priors.
 
-    ``neutral`` [m] (3,) is the likely place of the mean shape in T-pose; ``likely`` (P,) are other likely parameters.
+    ``likely`` (P,) are the likely parameters, by default the mean shape in T-pose, where it starts.
     ``slack`` is the pull of cloth outside that carries nothing, over the usual one. ``place_prior_m`` (3,) is what a
     metre from the likely place is worth. The vertex ``sole``, if given, stands on the floor. With a ``lock`` cloth lies
     as far from the skin as most of the band that carries it does, and what lies so pulls by that much either way.
     """
-    cuffs = _cuffs(body, contours, parameters, wanted)
+    cuffs = _cuffs(body, contours, parameters)
     if likely is None:
-        place = parameters[-3:] if neutral is None else neutral
-        likely = np.concatenate([np.zeros(len(parameters) - 3), place])
+        likely = np.concatenate([np.zeros(len(parameters) - 3), parameters[-3:]])
     prior = _prior(body, shape_prior_m, place_prior_m)
     fit = _Fit(body, points, normals, cuffs, prior, likely, slack, sole, lock)
     cost = np.inf
@@ -246,11 +142,11 @@ class _Fit(NamedTuple):
         return gap, np.maximum(weight, self.lock / (1.0 + (gap / LOCK_REACH_M) ** 2) ** 2)
 
 
-def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray, wanted: dict[str, int] | None) -> Cuffs:
+def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray) -> Cuffs:
     """Middles [m] (3,) of the openings that lie nearer to a limb than to the trunk at the start, with the bone.
 
     Arms and feet may be elsewhere than at the start; thighs are not, so what lies beside one is a pocket.
-    Each limb has one at most, the first of ``contours``, and none if the garment's kind has none there.
+    Each limb has one at most, the first of ``contours``.
     """
     betas, pose, trans = unpack(body, parameters)
     joints = body.posed_joints(pose[None], betas)[0] + trans
@@ -261,7 +157,7 @@ def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray, wan
         limbs = [
             (float(np.linalg.norm(_perpendicular(contour.centre, joints[a], joints[b]))), a, b, part)
             for part, names in LIMBS.items()
-            if part not in taken and (wanted is None or wanted.get(part))
+            if part not in taken
             for a, b in pairwise([number[n] for n in names])
             if JOINT_NAMES[a].partition("_")[2] != "collar"
         ]

@@ -371,7 +371,6 @@ def _fit(
         contours,
         start,
         steps,
-        wanted=None,
         likely=likely,
         shape_prior_m=np.resize(SHAPE_PRIOR_M, body.shape_count),
         slack=SLACK,

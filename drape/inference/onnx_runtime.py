@@ -27,22 +27,22 @@ DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
 HOW_TO_INSTALL = "pip install onnxruntime or pip install 'onnxruntime-gpu[cuda,cudnn]'"
 
 
+MEMORY_BYTES = 4 << 30  # of a session's workspace on a GPU
+
+
 @dataclass(frozen=True)
 class Device:
     """The processor or GPU on which graphs compute.
 
-    A CPU has ``threads``. On a GPU a session's workspace may take ``memory_mb`` [MB], and ``capture`` makes a CUDA
-    graph of the calls of one set of shapes.
+    A CPU has ``threads``. On a GPU the calls of one set of shapes become a CUDA graph.
     """
 
     provider: Provider = "cpu"
     threads: int = 1
-    memory_mb: int = 4096
-    capture: bool = True
 
     @property
     def captures(self) -> bool:
-        return self.provider == "cuda" and self.capture
+        return self.provider == "cuda"
 
     def computing(self) -> AbstractContextManager[None]:
         """The context in which a thread runs sessions; a session's own option holds for its own threads only."""
@@ -66,7 +66,7 @@ class Device:
             return {}
         return {
             "use_tf32": "0",
-            "gpu_mem_limit": str(self.memory_mb << 20),
+            "gpu_mem_limit": str(MEMORY_BYTES),
             "arena_extend_strategy": "kSameAsRequested",
             "enable_cuda_graph": "1" if capture else "0",
         }
@@ -167,7 +167,7 @@ def open_session(
             label,
             expected="a graph that ONNX Runtime opens" + (" and can capture" if capture else ""),
             got=str(error).splitlines()[0],
-            cure="Export the model again" + (", or set DRAPE_CAPTURE=false." if capture else "."),
+            cure="Export the model again" + (", or set DRAPE_PROVIDER=cpu." if capture else "."),
         ) from error
     # ONNX Runtime falls back to the CPU without a word (only a log line), so what counts is what it says it uses.
     used = session.get_providers()

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.geometry.colliders import seen_from
 from drape.live.colliders import leave
@@ -37,7 +38,7 @@ class Colliders(Stage):
             )
 
     def wanted(self, plan: Plan) -> bool:
-        return bool(plan.options.colliders) and not plan.options.folds
+        return bool(plan.options.colliders) and not plan.options.advanced.folds
 
     def needs(self, plan: Plan) -> frozenset[str]:
         return frozenset({"vertices"})
@@ -48,6 +49,6 @@ class Colliders(Stage):
             assert layer.vertices is not None
             vertices = np.array(layer.vertices, order="C")
             for x, root in zip(vertices, batch.root, strict=True):
-                leave(x, seen_from(batch.plan.colliders, root), self.settings.clearance_m)
+                leave(x, seen_from(batch.plan.colliders, root), CLEARANCE_M)
             layers.append(replace(layer, vertices=vertices))
         return replace(batch, layers=tuple(layers))

@@ -48,10 +48,10 @@ class Collision(Stage):
 
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
-        self.pusher = Pusher(self.engine, self.body, self.settings.clearance_m, make=self.make)
+        self.pusher = Pusher(self.engine, self.body, CLEARANCE_M, make=self.make)
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        return {"push_out": self.settings.push_out if options.push_out is None else options.push_out}
+        return {"push_out": options.advanced.push_out is not False}
 
     def wanted(self, plan: Plan) -> bool:
         return plan.projected

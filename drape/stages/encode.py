@@ -49,7 +49,7 @@ class Encode(Stage):
                     "root": batch.root[row],
                     "dropped": one.dropped,
                     "residence_us": int(1e6 * residence_s),
-                    "pushed": bool(batch.plan.options.push_out),
+                    "pushed": bool(batch.plan.options.advanced.push_out),
                     "stepped": batch.plan.stepped,
                     "novelty": float(batch.quality.novelty[row]),
                     "pushed_share": float(batch.quality.pushed_share[row]),

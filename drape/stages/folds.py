@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from drape.cloth.fabric import Fabric
+from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
@@ -56,41 +57,42 @@ class Folds(Stage):
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         folding = options.geometry == "vertices" or options.folds_by == "client"
-        if not options.folds and not (options.coarse and folding):
+        asked = options.advanced
+        if not asked.folds and not (asked.coarse and folding):
             return {"folds": 0, "coarse": False, "safe_folds": None, "settle": None, "cloth_contact": None}
         return {
-            "coarse": bool(options.coarse),
-            "folds": options.folds or 0,
-            "safe_folds": max(options.folds, options.safe_folds or 0) if options.folds else None,
-            "settle": SETTLE if options.settle is None else options.settle,
-            "cloth_contact": options.cloth_contact is not False,
+            "coarse": bool(asked.coarse),
+            "folds": asked.folds or 0,
+            "safe_folds": max(asked.folds, asked.safe_folds or 0) if asked.folds else None,
+            "settle": SETTLE if asked.settle is None else asked.settle,
+            "cloth_contact": asked.cloth_contact is not False,
         }
 
     def check(self, plan: Plan) -> None:
         if plan.options.folds_by == "client":
             check_client_folds(plan)
-        elif plan.options.folds and plan.options.geometry == "jets":
+        elif plan.options.advanced.folds and plan.options.geometry == "jets":
             raise InputError(
                 "folds",
                 expected="0 with geometry jets, whose polynomials are smooth",
-                got=str(plan.options.folds),
+                got=str(plan.options.advanced.folds),
                 cure="Ask for vertices, leave folds out, or let the client make them (folds_by).",
             )
 
     def wanted(self, plan: Plan) -> bool:
-        return bool(plan.options.folds or plan.options.coarse) and plan.options.folds_by == "server"
+        return plan.folds and plan.options.folds_by == "server"
 
     def joins_layers(self, plan: Plan) -> bool:
-        return bool(plan.options.cloth_contact)
+        return bool(plan.options.advanced.cloth_contact)
 
     def presses_layers(self, plan: Plan) -> bool:
-        return bool(plan.options.cloth_contact)
+        return bool(plan.options.advanced.cloth_contact)
 
     def needs(self, plan: Plan) -> frozenset[str]:
         return frozenset({"vertices", SKIN, FINE})
 
     def depends_on(self, plan: Plan) -> object:
-        return plan.fabrics, plan.options.coarse
+        return plan.fabrics, plan.options.advanced.coarse
 
     def rested(self, memory: Memory, time_s: float) -> Memory:
         return memory.at(time_s)
@@ -104,7 +106,7 @@ class Folds(Stage):
 
     def prepare(self, plan: Plan) -> None:
         for key, fabric in zip(plan.draped_keys, plan.fabrics, strict=True):
-            self.constants(key, fabric, coarse=plan.options.coarse)
+            self.constants(key, fabric, coarse=plan.options.advanced.coarse)
         for entry, draped, read in zip(plan.scene.layers, plan.draped_keys, read_layers(plan), strict=True):
             if read and entry.garment.digest != draped:
                 self._wrapping(entry.garment)
@@ -118,17 +120,17 @@ class Folds(Stage):
         plan = batch.plan
         effort, safe = self.efforts(plan)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty.tolist()]
-        layers, told, lain = list(batch.layers), Told(len(batch.root)), []
+        layers, told, lain = list(batch.layers), FoldFigures(len(batch.root)), []
         felt = _feel_each_other(plan)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
         ceilings = self._ceilings(batch, ground) if felt else [None] * len(layers)
         for i, (key, fabric, ceiling) in enumerate(zip(plan.draped_keys, plan.fabrics, ceilings, strict=True)):
             memories = batch.remembered((self.name, key))
-            made = self.constants(key, fabric, coarse=plan.options.coarse)
+            made = self.constants(key, fabric, coarse=plan.options.advanced.coarse)
             layers[i], own, memories, reports = self._folded(batch, i, made, efforts, memories, ground)
             told.add(reports, len(made.laid.sheet.vertex), seen=plan.visible[i])
-            lain.append(_Lain(made.laid, own, ground))
+            lain.append(_FoldedLayer(made.laid, own, ground))
             batch = batch.remember((self.name, key), memories)
             if ceiling is not None:
                 layers[i] = lain[i].below(layers[i], ceiling)
@@ -147,9 +149,9 @@ class Folds(Stage):
 
     def efforts(self, plan: Plan) -> tuple[FoldEffort, FoldEffort]:
         """The effort of a frame, and that of one whose pose is novel."""
-        options = plan.options
+        options = plan.options.advanced
         assert options.folds is not None and options.settle is not None
-        clearance_m = self.settings.clearance_m if options.push_out else 0.0
+        clearance_m = CLEARANCE_M if options.push_out else 0.0
         effort = FoldEffort(options.folds, options.settle, bool(options.cloth_contact), clearance_m)
         if plan.carried:
             effort = effort._replace(steps=0)
@@ -190,7 +192,7 @@ class Folds(Stage):
         parts = zip(batch.layers, batch.plan.draped_keys, batch.plan.fabrics, strict=True)
         for layer, key, fabric in list(parts)[:0:-1]:
             assert layer.vertices is not None
-            outer = self.constants(key, fabric, coarse=batch.plan.options.coarse).laid
+            outer = self.constants(key, fabric, coarse=batch.plan.options.advanced.coarse).laid
             over = np.stack([ceiling_over(one, outer, below) for one, below in zip(layer.vertices, skin, strict=True)])
             made.append(over if made[-1] is None else lower(over, made[-1]))
         return made[::-1]
@@ -233,7 +235,7 @@ def check_client_folds(plan: Plan) -> None:
 
 def _feel_each_other(plan: Plan) -> bool:
     """Whether the layers of ``plan`` press on each other."""
-    return bool(plan.options.cloth_contact) and len(plan.draped) > 1
+    return bool(plan.options.advanced.cloth_contact) and len(plan.draped) > 1
 
 
 def read_layers(plan: Plan) -> list[bool]:
@@ -242,7 +244,7 @@ def read_layers(plan: Plan) -> list[bool]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Lain:
+class _FoldedLayer:
     """A garment as it lies in F frames: the samples ``own`` (F, P) that its places are at, of the ``ground``
     (F, S, 8)."""
 
@@ -263,7 +265,7 @@ class _Lain:
         return np.stack([heights_over(one, self.made, *row) for one, *row in each])
 
 
-class Told:
+class FoldFigures:
     """Figures of F frames, added up over the layers: folds begun anew, vertices lifted off the skin, the furthest way
     of one [m], and the number of vertices."""
 

@@ -18,7 +18,7 @@ from drape.live.fold_step import FoldEffort
 from drape.network.frame import PARTS, Drawn, FrameGarment, Moment, Past, draw
 from drape.stages.batch import Batch, Layer, changed
 from drape.stages.encode import Encode, coordinate_bits
-from drape.stages.folds import Folds, Told, read_layers
+from drape.stages.folds import FoldFigures, Folds, read_layers
 from drape.stages.network import Network, Novelty
 from drape.stages.plan import SKIN, Plan
 from drape.stages.stage import Stage
@@ -87,7 +87,7 @@ def _worn(plan: Plan, stages: AtOnce) -> FrameGarment:
     (key,), (fabric,), options = plan.draped_keys, plan.fabrics, plan.options
     rows = stages.network.rows(plan)
     swing = None if stages.swing is None else stages.swing.constants(key, fabric)
-    folds = None if stages.folds is None else stages.folds.constants(key, fabric, coarse=options.coarse)
+    folds = None if stages.folds is None else stages.folds.constants(key, fabric, coarse=options.advanced.coarse)
     known: FrameGarment | None = plan.kept.get("worn")
     if known is not None and known.patches is rows.patches and known.swing is swing and known.folds is folds:
         return known
@@ -95,7 +95,7 @@ def _worn(plan: Plan, stages: AtOnce) -> FrameGarment:
     assert compiled is not None
     made = plan.kept["worn"] = FrameGarment(
         weights=compiled.weights,
-        passes=compiled.corrections if options.passes is None else options.passes,
+        passes=compiled.corrections if (passes := options.advanced.passes) is None else passes,
         patches=rows.patches,
         tiles=rows.tiles,
         kept=None if stages.novelty is None else stages.novelty.kept_poses,
@@ -158,7 +158,7 @@ def _told(batch: Batch, stages: AtOnce, worn: FrameGarment, frames: list[Drawn],
         batch = batch.remember(("swing", key), [past.swung for past in pasts])
     if stages.folds is not None and worn.folds is not None:
         batch = batch.remember(("folds", key), [past.folded for past in pasts])
-        told = Told(len(frames))
+        told = FoldFigures(len(frames))
         reports = [made.report for made in frames if made.report is not None]
         told.add(reports, len(worn.folds.laid.sheet.vertex), seen=batch.plan.visible[0])
         quality = told.quality(quality)

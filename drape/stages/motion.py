@@ -65,13 +65,13 @@ class Motion(Stage):
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         smooth = options.geometry == "jets" and options.folds_by == "server"
-        inertia = options.inertia or ("network" if smooth else self.settings.inertia)
+        inertia = options.advanced.inertia or ("network" if smooth else self.settings.inertia)
         knob = 1.0 if options.knob is None else options.knob
         moves = inertia == "mesh" or self.engine.dynamic
         return {"knob": knob if moves else 0.0, "inertia": inertia}
 
     def wanted(self, plan: Plan) -> bool:
-        return bool(plan.options.knob) and plan.options.inertia == "network"
+        return bool(plan.options.knob) and plan.options.advanced.inertia == "network"
 
     def rested(self, memory: Memory, time_s: float) -> Memory:
         """Returns ``memory`` with its moments moved on to ``time_s`` [s], as long apart as they were."""

@@ -73,7 +73,7 @@ class Network(Stage):
         self._feed = lru_cache(SHAPES_KEPT)(lambda betas: feed and feed(shape(betas)))
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        return {"passes": self.engine.check_passes(options.passes)}
+        return {"passes": self.engine.check_passes(options.advanced.passes)}
 
     def check(self, plan: Plan) -> None:
         model = self.engine.manifest
@@ -111,7 +111,7 @@ class Network(Stage):
             raise ArtifactError(name, expected="a network that the engine has", got="another kind", cure=cure)
         assert isinstance(self.packer, Packer)
         (key,) = self._dressed(plan)
-        return self.packer.records(key, passes=plan.options.passes)
+        return self.packer.records(key, passes=plan.options.advanced.passes)
 
     @property
     def in_engine(self) -> bool:
@@ -167,7 +167,7 @@ class Network(Stage):
 
     def _scene(self, plan: Plan) -> ScenePlan:
         """The outputs of the packed graph that ``plan`` needs."""
-        return _scene_plan(plan.needs, SKIN in plan.needs and self._skin_in_graph, plan.options.passes)
+        return _scene_plan(plan.needs, SKIN in plan.needs and self._skin_in_graph, plan.options.advanced.passes)
 
 
 @cache

@@ -5,21 +5,64 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from drape.stages.scene import Scene, layer_fabrics, narrowed
+from drape.stages.scene import Entry, Scene, layer_fabrics, narrowed
 from drape.wire.colliders import collider_rows
 from drape.wire.options import DrapeOptions
 
 if TYPE_CHECKING:
     from drape.cloth.fabric import Fabric
-    from drape.stages.scene import Entry
-    from drape.stages.stage import Stage
 
 FINE = "fine"  # what a stage needs where it computes on the subdivided meshes
 SKIN = "skin"  # what a stage needs where it reads the posed samples of the skin
+
+
+class StageRules:
+    """What a stage says of plans and of its memories; ``drape.stages.stage.Stage`` adds what it does to frames."""
+
+    name: ClassVar[str]
+    kept: ClassVar[tuple[type, ...]] = ()  # the classes of what it remembers, which streams take to other processes
+
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
+        """Options that this stage reads, by name, with the values that hold where clients left them open.
+
+        Refuses (``InputError``) what the model cannot do.
+        """
+        return {}
+
+    def check(self, plan: Plan) -> None:
+        """Refuses (``InputError``) a plan that this stage cannot follow."""
+
+    def wanted(self, plan: Plan) -> bool:
+        """Whether frames of ``plan`` take this stage."""
+        return True
+
+    def needs(self, plan: Plan) -> frozenset[str]:
+        """The network's outputs that it reads: "vertices", "jets", "skin"; and "fine" for the subdivided meshes."""
+        return frozenset()
+
+    def joins_layers(self, plan: Plan) -> bool:
+        """Whether a layer feels those below it here."""
+        return False
+
+    def presses_layers(self, plan: Plan) -> bool:
+        """Whether a layer gives way here to those above it."""
+        return False
+
+    def depends_on(self, plan: Plan) -> object:
+        """The part of the options that its memories hold for: they are forgotten where it changes."""
+        return None
+
+    def rested(self, memory: Any, time_s: float) -> Any:
+        """Returns ``memory`` as it would be after another frame, at ``time_s`` [s], of a body and of cloth that stand
+        still."""
+        return memory
+
+    def prepare(self, plan: Plan) -> None:
+        """Makes what the frames of ``plan`` need and takes long; called from any thread."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +81,7 @@ class Plan:
     scene: Scene
     options: DrapeOptions
     messages: bool = False
-    stages: tuple[Stage, ...] = ()
+    stages: tuple[StageRules, ...] = ()
     needs: frozenset[str] = frozenset()
     stepped: bool = False
     carried: bool = False
@@ -62,16 +105,20 @@ class Plan:
         return (*(self.scene.layers if self.projected else ()), *self.draped)
 
     @cached_property
+    def folds(self) -> bool:
+        """Whether steps of folds are taken, or cloth is at least eased and lifted as they would."""
+        return bool(self.options.advanced.folds or self.options.advanced.coarse)
+
+    @cached_property
     def lifted(self) -> bool:
         """Whether folds bring all cloth off the skin and off the layers below. They do for one garment, and for several
         if these feel each other (``cloth_contact``)."""
-        folded = self.options.folds or self.options.coarse
-        return bool(folded) and (bool(self.options.cloth_contact) or len(self.scene.layers) == 1)
+        return self.folds and (bool(self.options.advanced.cloth_contact) or len(self.scene.layers) == 1)
 
     @cached_property
     def projected(self) -> bool:
         """Whether the collision projection brings the cloth out: it is asked for, and folds do not do it."""
-        return bool(self.options.push_out) and not self.lifted
+        return bool(self.options.advanced.push_out) and not self.lifted
 
     @cached_property
     def colliders(self) -> np.ndarray:
@@ -97,16 +144,15 @@ class Plan:
         return tuple(entry.garment.digest for entry in self.draped)
 
 
-def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
+def make_plan(stages: Sequence[StageRules], scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
     """The plan for ``scene`` under ``options``: their values, the stages that they take, and the needs of these.
 
     Refuses (``InputError``) what the model cannot do.
     """
-    chosen = {name: getattr(options, name) for name in DrapeOptions.model_fields}
-    for stage in stages:
-        chosen |= stage.resolve(options)
+    chosen = {name: value for stage in stages for name, value in stage.resolve(options).items()}
     scene = scene.fine if options.resolution == "fine" else scene
-    known = DrapeOptions().model_copy(update=chosen)
+    own = {name: getattr(options, name) for name in DrapeOptions.model_fields}  # of a request, which has more
+    known = DrapeOptions().model_copy(update=own).updated(**chosen)
     plan = Plan(scene, known, messages, fabrics=layer_fabrics(known, len(scene.layers)))
     for stage in stages:
         stage.check(plan)

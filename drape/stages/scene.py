@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric
 from drape.errors import InputError, TooLarge
@@ -17,9 +18,6 @@ from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.wire.layout import JetLayout, pack_layout
 from drape.wire.options import DrapeOptions, FabricChoice
-
-if TYPE_CHECKING:
-    from drape.stages.body_stages import BodyStages
 
 PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
 Source = Literal["shipped", "user"]
@@ -36,6 +34,13 @@ class About:
 UNCHANGED = About()
 
 
+class BodyInService(Protocol):
+    """A body and what drapes on it: ``drape.stages.body_stages.BodyStages``."""
+
+    @property
+    def body(self) -> BodyModel: ...
+
+
 @dataclass(frozen=True, eq=False)
 class Entry:
     """A garment in service. ``owner`` is the key that uploaded it, if keys were asked for; ``worn``
@@ -47,7 +52,7 @@ class Entry:
     path: Path | None = None
     owner: str | None = None
     about: About = UNCHANGED
-    worn: BodyStages | None = None
+    worn: BodyInService | None = None
 
     @property
     def published(self) -> bool:

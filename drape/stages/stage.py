@@ -6,16 +6,15 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
 from drape.stages.batch import Batch, Memories
-from drape.stages.plan import Plan
+from drape.stages.plan import Plan, StageRules
 from drape.wanted import go_on
-from drape.wire.options import DrapeOptions
 
 if TYPE_CHECKING:
     from drape.inference.engine import Engine
@@ -32,15 +31,10 @@ def call_here(function: Callable[..., Any], *arguments: Any, **named: Any) -> An
 
 
 class StageSettings(Protocol):
-    """What holds where options are left open: ``push_out`` and ``inertia``, and how far off the skin all cloth is
-    kept, ``clearance_m`` [m]."""
+    """What holds where options are left open: ``inertia``."""
 
     @property
-    def push_out(self) -> bool: ...
-    @property
     def inertia(self) -> Literal["network", "mesh"]: ...
-    @property
-    def clearance_m(self) -> float: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,62 +47,21 @@ class StageSetup:
     make: Make = call_here
 
 
-class Stage:
+class Stage(StageRules):
     """One step of a frame's way, made once per service; ``drape.stages.STAGES`` names them in order.
 
     A stage holds its constants of garments (``add``, ``prepare``). Its memories of a stream or clip lie in the batch,
     under its name and the garment's digest or ``BODY``.
     """
 
-    name: ClassVar[str]
-    kept: ClassVar[tuple[type, ...]] = ()  # the classes of what it remembers, which streams take to other processes
-
     def __init__(self, setup: StageSetup) -> None:
         self.engine, self.body, self.settings, self.make = setup.engine, setup.body, setup.settings, setup.make
-
-    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        """Options that this stage reads, by name, with the values that hold where clients left them open.
-
-        Refuses (``InputError``) what the model cannot do.
-        """
-        return {}
-
-    def check(self, plan: Plan) -> None:
-        """Refuses (``InputError``) a plan that this stage cannot follow."""
-
-    def wanted(self, plan: Plan) -> bool:
-        """Whether frames of ``plan`` take this stage."""
-        return True
-
-    def needs(self, plan: Plan) -> frozenset[str]:
-        """The network's outputs that it reads: "vertices", "jets", "skin"; and "fine" for the subdivided meshes."""
-        return frozenset()
-
-    def joins_layers(self, plan: Plan) -> bool:
-        """Whether a layer feels those below it here."""
-        return False
-
-    def presses_layers(self, plan: Plan) -> bool:
-        """Whether a layer gives way here to those above it."""
-        return False
-
-    def depends_on(self, plan: Plan) -> object:
-        """The part of the options that its memories hold for: they are forgotten where it changes."""
-        return None
-
-    def rested(self, memory: Any, time_s: float) -> Any:
-        """Returns ``memory`` as it would be after another frame, at ``time_s`` [s], of a body and of cloth that stand
-        still."""
-        return memory
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         """Stores the constants of ``garment``, whose ``garment_feed`` is ``feed``."""
 
     def remove(self, garment: Garment) -> None:
         """Forgets the constants of ``garment``; no plan names it any more."""
-
-    def prepare(self, plan: Plan) -> None:
-        """Makes what the frames of ``plan`` need and takes long; called from any thread."""
 
     @property
     def held_bytes(self) -> int:

@@ -33,7 +33,7 @@ class Swing(Stage):
 
     def check(self, plan: Plan) -> None:
         here = plan.options.folds_by == "server"  # a client that folds swings as well
-        if plan.options.inertia == "mesh" and plan.options.geometry == "jets" and here:
+        if plan.options.advanced.inertia == "mesh" and plan.options.geometry == "jets" and here:
             raise InputError(
                 "inertia",
                 expected="network with geometry jets, whose polynomials have no nodes",
@@ -43,7 +43,7 @@ class Swing(Stage):
 
     def wanted(self, plan: Plan) -> bool:
         here = plan.options.folds_by == "server"
-        return bool(plan.options.knob) and plan.options.inertia == "mesh" and here
+        return bool(plan.options.knob) and plan.options.advanced.inertia == "mesh" and here
 
     def needs(self, plan: Plan) -> frozenset[str]:
         return frozenset({"vertices", SKIN})

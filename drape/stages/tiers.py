@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Any, Protocol, get_args
 
 from drape.errors import ArtifactError, InputError
-from drape.wire.options import DrapeOptions, TierName
+from drape.wire.options import Advanced, DrapeOptions, TierName
 
 FAR_PIXELS_PER_M = 100.0  # below it a pixel is more than a centimetre
 NAMES: tuple[str, ...] = get_args(TierName)  # the least first
@@ -21,16 +21,12 @@ EXACT = "exact"  # a job of the service
 
 
 class TierSettings(Protocol):
-    """What holds where a client names neither a tier nor its numbers."""
+    """What holds where a client names neither a tier nor steps of folds."""
 
     @property
     def tier(self) -> TierName: ...
     @property
     def folds(self) -> int | None: ...
-    @property
-    def passes(self) -> int | None: ...
-    @property
-    def push_out(self) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -88,39 +84,37 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: TierSettings,
     if options.tier == EXACT:
         cure = "POST /drape with tier exact: the answer is a job. Or ask for accurate here."
         raise InputError("tier", expected=f"one of {', '.join(NAMES)}", got=EXACT, cure=cure)
-    own = None if options.tier else settings.folds
-    folds, passes = options.folds, options.passes
+    asked, own = options.advanced, None if options.tier else settings.folds
+    folds, passes = asked.folds, asked.passes
     far = options.pixels_per_m is not None and options.pixels_per_m < FAR_PIXELS_PER_M
     tier = tiers[0 if far and folds is None else NAMES.index(options.tier or settings.tier)]
     folding = options.geometry == "vertices" or options.folds_by == "client"
     lifts = folds is None and own is None and not tier.folds and folding
     if far:
         # A lift in place of a projection, which costs more than what is left; with neither nothing is looked at.
-        lifts = lifts and (settings.push_out if options.push_out is None else options.push_out)
+        lifts = lifts and asked.push_out is not False
         folds = 0 if folds is None else folds
         passes = _of_model(tiers[0].alone if passes is None and not folds else passes, pass_count)
     if folds is None:
         folds = 0 if not folding else tier.folds if own is None else own
-    if passes is None and not options.tier:
-        passes = settings.passes
     if passes is None:
         passes = _of_model(tier.passes if folds else tier.alone, pass_count)
-    coarse = (tier.coarse if options.coarse is None else options.coarse) and (bool(folds) or lifts)
+    coarse = (tier.coarse if asked.coarse is None else asked.coarse) and (bool(folds) or lifts)
     seen = FAR_PIXELS_PER_M if far and options.geometry == "vertices" else None  # one plan for all that is far away
-    told = {"tier": None, "pixels_per_m": seen, "folds": folds, "passes": passes, "coarse": coarse}
-    return options.model_copy(update=told | {"safe_folds": _safe_folds(options, folds, tiers)})
+    safe = _safe_folds(asked, folds, tiers)
+    return options.updated(tier=None, pixels_per_m=seen, folds=folds, passes=passes, coarse=coarse, safe_folds=safe)
 
 
 def capped(options: DrapeOptions, tier: Tier) -> DrapeOptions:
     """Returns ``options``, which ``chosen`` has filled in, lowered to what ``tier`` computes where they ask for
     more."""
-    most = tier.passes if options.folds else tier.alone
-    passes = options.passes if _at_most(options.passes, most) else most
-    folds = options.folds or 0
-    safe = options.safe_folds if folds <= tier.folds else tier.folds  # a tier that is kept keeps its safe one
-    coarse = options.coarse or (tier.coarse and bool(folds))
-    held = {"passes": passes, "folds": min(folds, tier.folds), "safe_folds": safe, "coarse": coarse}
-    return options.model_copy(update=held)
+    asked = options.advanced
+    most = tier.passes if asked.folds else tier.alone
+    passes = asked.passes if _at_most(asked.passes, most) else most
+    folds = asked.folds or 0
+    safe = asked.safe_folds if folds <= tier.folds else tier.folds  # a tier that is kept keeps its safe one
+    coarse = asked.coarse or (tier.coarse and bool(folds))
+    return options.updated(passes=passes, folds=min(folds, tier.folds), safe_folds=safe, coarse=coarse)
 
 
 def spared(options: DrapeOptions) -> DrapeOptions:
@@ -129,29 +123,29 @@ def spared(options: DrapeOptions) -> DrapeOptions:
 
     The push-out stays: without it stiff shorts show skin in a squat.
     """
-    return options.model_copy(update={"cloth_contact": False}) if options.folds else options
+    return options.updated(cloth_contact=False) if options.advanced.folds else options
 
 
-def _safe_folds(options: DrapeOptions, folds: int, tiers: Sequence[Tier]) -> int:
+def _safe_folds(asked: Advanced, folds: int, tiers: Sequence[Tier]) -> int:
     """Steps of folds where a pose is unlike training: of the tier that leans least on the network, the last one."""
     if not folds:
         return 0
-    free = tiers[-1].folds if options.folds is None else 0
-    asked = free if options.safe_folds is None else options.safe_folds
-    return max(folds, asked)
+    free = tiers[-1].folds if asked.folds is None else 0
+    return max(folds, free if asked.safe_folds is None else asked.safe_folds)
 
 
 def tier_of(options: DrapeOptions, tiers: Sequence[Tier], pass_count: int) -> str:
     """Returns the name of the tier that ``options``, which ``chosen`` has filled in, are equal to; "custom" if to
     none."""
+    asked = options.advanced
     folding = options.geometry == "vertices" or options.folds_by == "client"
     for tier in tiers:
         if not tier.folds and not folding:  # those of the next one
             continue
         folds = tier.folds if folding else 0
         passes, coarse = tier.passes if folds else tier.alone, tier.coarse and folding
-        same = options.folds == folds and bool(options.coarse) == coarse
-        if same and options.passes == _of_model(passes, pass_count):
+        same = asked.folds == folds and bool(asked.coarse) == coarse
+        if same and asked.passes == _of_model(passes, pass_count):
             return tier.name
     return "custom"
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from typing import cast
 
 from drape.stages.batch import Batch, PoseInput
 from drape.stages.frame import at_once, drawn
-from drape.stages.plan import Plan
+from drape.stages.plan import Plan, StageRules
 from drape.stages.stage import Stage
 
 Took = Callable[[str, float], None]
@@ -40,8 +41,8 @@ def run(plan: Plan, inputs: Sequence[PoseInput], took: Took = lambda name, s: No
     return last
 
 
-def _through(batch: Batch, stages: Sequence[Stage], took: Took) -> Iterator[Batch]:
-    for stage in stages:
+def _through(batch: Batch, stages: Sequence[StageRules], took: Took) -> Iterator[Batch]:
+    for stage in cast("Sequence[Stage]", stages):  # a plan knows of them no more than it asks
         steps, spent_s = iter(stage.steps(batch)), 0.0
         while True:
             begun_s = time.perf_counter()

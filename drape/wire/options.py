@@ -1,20 +1,25 @@
 """Options of a drape, written once: REST, stream, Python client, command line and page read this file.
 
-A new option is a field here and the stage of the service that reads it. Left out, or null, an option is the service's
-own setting; older clients keep working.
+A new option is a field here and the stage of the service that reads it; what only experts and measurements set is a
+field of ``Advanced``. Left out, or null, an option is the service's own setting; older clients keep working. Release
+0.1 is the last that takes the fields of ``Advanced`` beside ``advanced`` too.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from functools import cache
+from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Len
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
 from drape.errors import did_you_mean
 from drape.wire.colliders import COLLIDER_LIMIT, Collider
 
+LOGGER = logging.getLogger(__name__)
 # Every list stops at its first mistake: the answer tells one, and a million of them take seconds to write down.
 FIRST_ONLY = Field(fail_fast=True)
 LAYER_LIMIT = 64  # far beyond what a service drapes, which says how many that is
@@ -65,36 +70,11 @@ class FabricNumbers(BaseModel):
 FabricChoice = Annotated[str, Field(min_length=1, max_length=40)] | FabricNumbers
 
 
-class DrapeOptions(BaseModel):
-    """The options of a drape. A field has its name in Python; an alias is its name on the wire."""
+class Advanced(BaseModel):
+    """What a tier and the service choose for most: experts and measurements set it."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
-    push_out: bool | None = Field(
-        default=None,
-        description="Whether vertices are moved out of the body and of the garments below. With folds they are "
-        "lifted, without folds they are pushed. Left out: the service's setting.",
-    )
-    knob: float | None = Field(
-        default=None,
-        alias="motion",
-        ge=0.0,
-        le=1.0,
-        allow_inf_nan=False,
-        description="How much inertia moves the cloth. 0: each frame is the drape of its pose at rest. 1: in full. "
-        "Left out: 1.",
-    )
-    inertia: Inertia | None = Field(
-        default=None,
-        description="Where inertia comes from. mesh: the cloth's own mass. network: the network, if the model is "
-        "dynamic. Left out: the service's setting; for jets network.",
-    )
-    tier: TierName | Literal["exact"] | None = Field(
-        default=None,
-        description="How much is computed: a name for values of passes, folds and coarse (GET /tiers). A value that "
-        "the request names wins over the tier's. Left out: the service's setting, balanced. exact is for "
-        "clips alone: the answer is a job that computes cloth at rest that does not pass through itself.",
-    )
     passes: int | None = Field(
         default=None,
         ge=0,
@@ -136,6 +116,44 @@ class DrapeOptions(BaseModel):
         strict=True,
         description="With folds: whether a garment keeps off itself and off the garments below it. Left out: true.",
     )
+    push_out: bool | None = Field(
+        default=None,
+        description="Whether vertices are moved out of the body and of the garments below. With folds they are "
+        "lifted, without folds they are pushed. Left out: true.",
+    )
+    inertia: Inertia | None = Field(
+        default=None,
+        description="Where inertia comes from. mesh: the cloth's own mass. network: the network, if the model is "
+        "dynamic. Left out: the service's setting; for jets network.",
+    )
+
+
+def _with_old_names(schema: dict[str, Any]) -> None:
+    """Tells in ``schema`` of the options of ``Advanced`` at their old place, as deprecated."""
+    for name, told in Advanced.model_json_schema()["properties"].items():
+        schema["properties"][name] = told | {"deprecated": True, "description": f"Old name of advanced.{name}."}
+
+
+class DrapeOptions(BaseModel):
+    """The options of a drape. A field has its name in Python; an alias is its name on the wire."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra=_with_old_names)
+
+    knob: float | None = Field(
+        default=None,
+        alias="motion",
+        ge=0.0,
+        le=1.0,
+        allow_inf_nan=False,
+        description="How much inertia moves the cloth. 0: each frame is the drape of its pose at rest. 1: in full. "
+        "Left out: 1.",
+    )
+    tier: TierName | Literal["exact"] | None = Field(
+        default=None,
+        description="How much is computed: a name for values of passes, folds and coarse (GET /tiers). A value of "
+        "advanced wins over the tier's. Left out: the service's setting, balanced. exact is for "
+        "clips alone: the answer is a job that computes cloth at rest that does not pass through itself.",
+    )
     folds_by: FoldsBy = Field(
         default="server",
         description="Who takes the steps of folds. server: the service. client: the client, which needs jets, one "
@@ -173,6 +191,49 @@ class DrapeOptions(BaseModel):
         "it gets tier instant, unless the request names passes or folds, and a stream's coordinates have "
         "8 bits. Left out: it is near.",
     )
+    advanced: Advanced = Field(
+        default_factory=Advanced,
+        description="What is computed, number by number, for those whom no tier suits. A value that is named here wins "
+        "over the tier's.",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lift(cls, given: Any) -> Any:
+        """Puts options of ``Advanced`` that stand beside ``advanced``, their place before, into it."""
+        if not isinstance(given, Mapping):
+            return given
+        flat = {name: given[name] for name in Advanced.model_fields if given.get(name) is not None}
+        others = {name: value for name, value in given.items() if name not in Advanced.model_fields}
+        nested = others.pop("advanced", None)
+        if not flat or not isinstance(nested, (Mapping, Advanced, type(None))):
+            return others | ({} if nested is None else {"advanced": nested})
+        Advanced.model_validate(flat)  # refused by the names that the client wrote
+        nested = {name: value for name, value in dict(nested or ()).items() if value is not None}
+        for name, value in flat.items():
+            _tell_moved(name)
+            if nested.get(name, value) != value:
+                raise _said_twice(name, value)
+        return others | {"advanced": flat | nested}
+
+    def updated(self, **values: Any) -> Self:
+        """Returns these options with ``values``, which are named as the fields here or as those of ``Advanced``."""
+        deep = {name: values.pop(name) for name in Advanced.model_fields if name in values}
+        return self.model_copy(update=values | {"advanced": self.advanced.model_copy(update=deep)})
+
+
+@cache
+def _tell_moved(name: str) -> None:
+    """Logs, once a process, that the option ``name`` has another place."""
+    LOGGER.warning("option %s: write advanced.%s; release 0.1 is the last that takes it as it came", name, name)
+
+
+def _said_twice(name: str, value: Any) -> ValidationError:
+    """The refusal of the option ``name`` that came at both places with different values."""
+    fault = PydanticCustomError(
+        "said_twice", "the value of advanced.{name}, or one of the two left out", {"name": name}
+    )
+    return ValidationError.from_exception_data("options", [{"type": fault, "loc": (name,), "input": value}])
 
 
 def wire_names(model: type[BaseModel]) -> dict[str, str]:
@@ -185,10 +246,11 @@ def options_document(options: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises ``TypeError`` for an option that does not exist, as Python does for an argument.
     """
-    unknown = options.keys() - DrapeOptions.model_fields.keys()
+    known = DrapeOptions.model_fields.keys()
+    unknown = options.keys() - known - Advanced.model_fields.keys()
     if unknown:
-        known, first = ", ".join(DrapeOptions.model_fields), min(unknown)
-        hint = did_you_mean(first, DrapeOptions.model_fields, f"There are {known}.")
+        there = f"There are {', '.join(known)}, and in advanced {', '.join(Advanced.model_fields)}."
+        hint = did_you_mean(min(unknown), [*known, *Advanced.model_fields], there)
         raise TypeError(f"no such option: {', '.join(sorted(unknown))}. {hint}")
     names = wire_names(DrapeOptions)
-    return {names[name]: value for name, value in options.items() if value is not None}
+    return {names.get(name, name): value for name, value in options.items() if value is not None}

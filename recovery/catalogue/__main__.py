@@ -21,13 +21,11 @@ from drape.errors import refusing
 from drape.garment.cache import GARMENTS_DIR
 from drape.garment.intake import intake
 from drape.garment.sizes import save_table, table_path
-from recovery.catalogue.build import QUICK, BuildOptions, body_distance, build, design
-from recovery.catalogue.files import write_garment
+from recovery.catalogue.build import QUICK, BuildOptions, body_distance, build, design, write_garment
 from recovery.catalogue.garments import CATALOGUE
 from recovery.catalogue.size_tables import grade
 from recovery.commands import ended, parser_of
-from recovery.pattern.measurements import measure
-from recovery.pattern.size_grades import PATTERN_STEPS
+from recovery.pattern.measurements import PATTERN_STEPS, measure
 from recovery.progress import watched
 
 

@@ -1,31 +1,40 @@
-"""From a design and a body to a sewn garment at rest: sewn on a coarse mesh, let fall, refined, let fall again."""
+"""From a design and a body to a sewn garment at rest: sewn on a coarse mesh, let fall, refined, let fall again.
+
+It is written as mesh files for intake, and a JSON for what a mesh file has no place for. ``NAME.obj``: v are nodes [m],
+vt the panels laid out side by side in metres, unscaled, the grain along +y; a corner's pair v/vt is the map of the
+seams. ``NAME.glb``: the same, split at the seams. ``NAME.json``: its ``Sewing``.
+"""
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import fabric
-from drape.cloth.relaxation import principal_stretches
+from drape.cloth.relaxation import Distance, principal_stretches
 from drape.errors import NotFound
+from drape.files.atomic import write_whole
+from drape.garment.sewing import Edge, Seam, Sewing
 from drape.geometry import meshes
-from recovery.catalogue.closing import on_finer_mesh, sew_design
-from recovery.catalogue.fall import SETTLING, Fall
+from recovery.catalogue.fall import HEM_BENDING, HEM_M, SETTLING, Fall
 from recovery.catalogue.garments import CATALOGUE
+from recovery.drape.output import panel_texture, write_shape
 from recovery.drape.pattern_drape import stretch_figures
-from recovery.drape.seam_threads import in_numpy
+from recovery.drape.placement import moved_clear
+from recovery.drape.seam_threads import SEWING_GAP_M, Sewn, in_numpy, sew
 from recovery.pattern.design import Design, check_laid_flat, check_seams
-from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
-from recovery.pattern.size_grades import in_size
+from recovery.pattern.measurements import BodyMeasurements, in_size
+from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern, on_finer_mesh
+from recovery.progress import Say
 from recovery.sim.sdf import GridDistance, SignedDistance
 
-Report = Callable[[str], None]
+OVER_GAP_M = 0.032  # that panels over others keep from the skin while they are sewn
 
 
 @dataclass(frozen=True)
@@ -73,7 +82,7 @@ def design(name: str, body: BodyMeasurements, size: str = "M") -> Design:
 
 
 def build(
-    made: Design, skin: SignedDistance, options: BuildOptions = BuildOptions(), *, report: Report | None = None
+    made: Design, skin: SignedDistance, options: BuildOptions = BuildOptions(), *, report: Say | None = None
 ) -> SewnGarment:
     """Sews the design ``made`` round the body whose signed distance is ``skin``, lets it fall, and returns it at rest.
 
@@ -112,3 +121,72 @@ def build(
         "cpu_seconds": round(seconds, 1),
     }
     return SewnGarment(made, fine, last.nodes, figures)
+
+
+def start_positions(design: Design, mesh: PatternMesh, distance: Distance) -> np.ndarray:
+    """Panel vertices [m] (P, 3) before sewing: wraps round their limbs, flat panels moved outward until clear."""
+    positions = moved_clear(mesh, mesh.placed(), distance, leave=design.wraps)[0]
+    for number, panel in enumerate(design.pattern.panels):
+        if panel.name in design.wraps:
+            mine = mesh.panel == number
+            positions[mine] = design.wraps[panel.name].place(mesh.rest[mine])
+    return positions
+
+
+def sew_design(design: Design, mesh: PatternMesh, distance: Distance) -> Sewn:
+    """Returns ``design`` sewn on ``mesh`` round the body with this signed ``distance``. Raises ``InputError`` where a
+    seam cannot close."""
+    folded = [number for number, name in enumerate(design.seam_names) if name in design.seam_angles]
+    creases = np.unique(mesh.node_of_panel_vertex[mesh.seam_pairs[np.isin(mesh.seam_of_pair, folded)]])
+    over = [panel.name in design.over for panel in design.pattern.panels]
+    gaps = np.where(np.array(over)[mesh.panel], OVER_GAP_M, SEWING_GAP_M)
+    return sew(mesh, start_positions(design, mesh, distance), distance, gap_m=gaps, creases=creases)
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def edge_kind(name: str) -> str:
+    """ "hem" for an edge that is turned up, "opening" for one that is bound or banded, "free" for any other."""
+    return next((kind for kind in ("hem", "opening") if name.startswith(kind)), "free")
+
+
+def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
+    """Returns the content of ``NAME.json`` for ``garment`` in ``size`` on ``body``."""
+    design, mesh = garment.design, garment.mesh
+    seams = []
+    for number, (stitch, seam) in enumerate(zip(design.pattern.stitches, design.seam_names, strict=True)):
+        pairs = mesh.seam_pairs[mesh.seam_of_pair == number]
+        panels = (stitch.first.panel, stitch.second.panel)
+        nodes = mesh.node_of_panel_vertex[pairs[:, 0]].tolist()
+        seams.append(Seam(seam, panels, design.seam_angles.get(seam, 0.0), nodes, pairs.T.tolist()))
+    edges = []
+    for ref, named in design.edge_names.items():
+        if ref not in design.pattern.sewn:
+            line = np.asarray(mesh.edge_vertices[ref])
+            edges.append(
+                Edge(named, edge_kind(named), ref.panel, mesh.node_of_panel_vertex[line].tolist(), line.tolist())
+            )
+    return Sewing(
+        name=name,
+        size=size,
+        body=body,
+        fabric=design.fabric,
+        mesh=f"{name}.obj",
+        uv_unit_m=1.0,
+        hem_bending=HEM_BENDING,
+        hem_width_m=HEM_M,
+        panels=[panel.name for panel in design.pattern.panels],
+        seams=seams,
+        edges=edges,
+        ease_m=dict(design.ease_m),
+        figures=garment.figures,
+    )
+
+
+def write_garment(garment: SewnGarment, folder: Path, *, name: str, size: str, body: str) -> list[Path]:
+    """Writes ``NAME.obj``, ``NAME.glb`` and ``NAME.json`` to ``folder`` and returns their paths."""
+    texture = panel_texture(garment.mesh, unit_m=1.0)
+    told = json.dumps(sewing(garment, name=name, size=size, body=body).to_json(), indent=1) + "\n"
+    path = write_whole(folder / f"{name}.json", told)
+    return [*write_shape(folder, name, garment.mesh, garment.nodes, texture), path]

@@ -32,13 +32,13 @@ from drape.garment.sizes import (
     panels_of,
     sized,
 )
-from recovery.catalogue.build import BuildOptions, Report, design
-from recovery.catalogue.closing import on_finer_mesh
+from recovery.catalogue.build import BuildOptions, design
 from recovery.catalogue.fall import SETTLING, Fall
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern, on_finer_mesh
+from recovery.progress import Say
 from recovery.sim.sdf import SignedDistance
 
 Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # over points, from rows and their values
@@ -64,7 +64,7 @@ def grade(
     measurements: BodyMeasurements,
     skin: SignedDistance,
     *,
-    report: Report,
+    report: Say,
     options: BuildOptions = FULL,
 ) -> SizeTable:
     """Returns the size table of the catalogue's garment ``name``.
@@ -91,7 +91,7 @@ def fallen(
     fine: PatternMesh,
     skin: SignedDistance,
     *,
-    report: Report,
+    report: Say,
     options: BuildOptions,
 ) -> dict[str, Graded]:
     """Lets the designs ``made``, one for each size, fall on ``body``. Returns for every size but M how far it lies from
@@ -119,7 +119,7 @@ def fallen(
 
 
 def table_of(
-    garment: Garment, body: BodyModel, panels: np.ndarray, graded: dict[str, Graded], *, report: Report
+    garment: Garment, body: BodyModel, panels: np.ndarray, graded: dict[str, Graded], *, report: Say
 ) -> SizeTable:
     """Returns the table whose splines give ``graded`` back. ``panels`` [m] (P, 2) are the panel vertices of M, in the
     order of the garment's uv."""

@@ -24,7 +24,7 @@ from drape.garment.contours import lost_parts, lost_words, pierced_parts
 from drape.garment.intake import garment_name
 from recovery.commands import ended, parser_of
 from recovery.drape.output import panel_texture, write_rest, write_shape
-from recovery.drape.pattern_drape import Draped, DrapeOptions, Hold, drape_pattern
+from recovery.drape.pattern_drape import Draped, DrapeOptions, Hold
 from recovery.drape.placement import Axes
 from recovery.drape.posing import read_pose
 from recovery.drape.settle import TOLERANCE_N
@@ -78,9 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         iteration_limit=given.iterations,
     )
     start = Start(body, options, pose, None, report=print)
-    draped = drape_pattern(pattern, body, options, pose=pose, report=print)
-    if start.lost(draped):
-        draped = worn_drape(pattern, start, rest=False)
+    draped = worn_drape(pattern, start, rest=False)
     check_worn(draped, start)
     files = write_shape(given.out, name, draped.mesh, draped.nodes, panel_texture(draped.mesh))
     cached = not given.no_garment

@@ -14,9 +14,10 @@ from drape.export.glb_file import GlbFile
 from drape.export.surface import MeshSurface
 from drape.files.atomic import write_whole
 from drape.garment.intake import IntakeOptions, intake
-from recovery.drape.pattern_drape import Draped, Report
+from recovery.drape.pattern_drape import Draped
 from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.pattern.pieces import make_sheet
+from recovery.progress import Say
 
 
 def panel_texture(mesh: PatternMesh, unit_m: float | None = None) -> tuple[np.ndarray, float]:
@@ -58,7 +59,7 @@ def write_shape(
 
 
 def write_rest(
-    folder: Path, name: str, draped: Draped, body: BodyModel, *, avatar: Any, garment: bool, report: Report
+    folder: Path, name: str, draped: Draped, body: BodyModel, *, avatar: Any, garment: bool, report: Say
 ) -> list[Path]:
     """Writes the drape in the T-pose as NAME_rest.obj, and with ``garment`` also the garment cache. Returns the paths.
 

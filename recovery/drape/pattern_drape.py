@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -18,15 +17,14 @@ from drape.geometry import meshes
 from recovery import progress
 from recovery.drape.placement import Axes, PlacedPanels, place_panels, scaled
 from recovery.drape.posing import to_pose
-from recovery.drape.repair import uncrossed
-from recovery.drape.seam_threads import Sewn, in_numpy, sew
+from recovery.drape.seam_threads import Sewn, in_numpy, sew, uncrossed
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
 from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.progress import Say
 from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
 
 HANGS_LONGER = 0.01  # cloth a metre long by its own weight, as a share
-Report = Callable[[str], None]
 
 
 class Hold(StrEnum):
@@ -102,6 +100,11 @@ class Draped:
         return self.rest.nodes if self.posed is None else self.posed.nodes
 
     @property
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes [m] (N, 3) in the pose that was asked for, and faces (F, 3)."""
+        return self.nodes, self.mesh.faces
+
+    @property
     def at_rest(self) -> bool:
         """Whether both drapes, or the one there is, came to rest."""
         return self.rest.report.converged and (self.posed is None or self.posed.report.converged)
@@ -115,7 +118,7 @@ def drape_pattern(
     pose: np.ndarray | None = None,
     cloth: OrthotropicMaterial | None = None,
     skin: SignedDistance | None = None,
-    report: Report | None = None,
+    report: Say | None = None,
 ) -> Draped:
     """``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
 
@@ -144,7 +147,8 @@ def drape_pattern(
     knee = float(body.joints_template[JOINT_NAMES.index("left_knee"), 1])
     limit = options.iteration_limit
     progress.tick("the garment falls")
-    rest = settle(mesh, sewn.nodes, skin, cloth, belt=belt, lowest_top_m=knee, iteration_limit=limit)
+    held = "belt" if belt else None
+    rest = settle(mesh, sewn.nodes, skin, cloth, held=held, lowest_top_m=knee, iteration_limit=limit)
     fallen = float(sewn.nodes[:, 1].max() - rest.nodes[:, 1].max())
     figures: dict[str, Any] = {
         "repaired": list(notes),

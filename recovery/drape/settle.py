@@ -7,7 +7,7 @@ node, and each longer step lets it go further.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -62,21 +62,20 @@ def settle(
     body: SignedDistance,
     cloth: OrthotropicMaterial,
     *,
-    belt: bool = False,
-    held: np.ndarray | None = None,
+    held: np.ndarray | Literal["belt"] | None = None,
     lowest_top_m: float = -np.inf,
     iteration_limit: int = ITERATION_LIMIT,
 ) -> Drape:
     """The garment at rest under its weight, from sewn ``nodes`` [m] (N, 3) near it, without friction.
 
-    With ``belt`` it first closes round the body without weight, and then its topmost opening is held there; ``held``
-    names nodes to hold instead. ``iteration_limit`` is Newton's; with 0 only the quasi-static steps are made. The
+    ``held`` are nodes that stay where they are. By a "belt" it first closes round the body without weight, and then its
+    topmost opening is held there. ``iteration_limit`` is Newton's; with 0 only the quasi-static steps are made. The
     report has converged if no node is left with more than ``TOLERANCE_N``. Raises ``InputError`` for a garment that
     fell off: its highest node ends below the height ``lowest_top_m``.
     """
     contact = SkinContact(body, friction=0.0)
     steps = 0
-    if belt:
+    if isinstance(held, str):
         model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, gravity_m_s2=0.0)
         nodes, steps = _quasi_static(model, model.parameters(mesh.rest, cloth), nodes, contact, STEP_LIMIT // 3)
         held = topmost_opening(mesh.faces, nodes)

@@ -125,6 +125,6 @@ def _waist(draped: Draped, matches: list[Match], there: list[Contour]) -> tuple[
     held = draped.rest.held
     if not len(held):
         return None
-    own = open_contours(draped.nodes, draped.mesh.faces)
+    own = open_contours(*draped.surface)
     match = next((match for match in matches if np.isin(held, own[match.source].loop).all()), None)
     return None if match is None else (own[match.source], there[match.target])

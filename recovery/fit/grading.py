@@ -53,7 +53,7 @@ def contour_edges(mesh: PatternMesh, contour: Contour) -> list[EdgeRef]:
     """The edges of the panels that ``contour`` of the sewn ``mesh`` consists of."""
     inside = np.zeros(mesh.node_count, dtype=bool)
     inside[contour.loop] = True
-    sewn = {ref for stitch in mesh.pattern.stitches for ref in (stitch.first, stitch.second)}
+    sewn = mesh.pattern.sewn
     return [
         ref
         for ref, vertices in mesh.edge_vertices.items()

@@ -12,7 +12,8 @@ a drape that does not move any more the derivative of one implicit step with the
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse
@@ -22,7 +23,6 @@ from torch import Tensor
 from drape.cloth.material import OrthotropicMaterial
 from drape.geometry import closest, meshes
 from recovery import progress
-from recovery.catalogue.closing import on_finer_mesh
 from recovery.drape.pattern_drape import Draped, DrapeOptions
 from recovery.drape.settle import Drape, to_rest
 from recovery.fit.chamfer import surface_distance
@@ -30,7 +30,7 @@ from recovery.fit.forward import RestDrape
 from recovery.fit.objective import Target
 from recovery.pattern import geometry
 from recovery.pattern.model import Pattern
-from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.pattern.pattern_mesh import PatternMesh, on_finer_mesh
 from recovery.sim.implicit import Problem
 from recovery.sim.linearised import LinearisedStep, Springs, damped_step, linearised_step
 from recovery.sim.model import ClothState, Parameters
@@ -181,39 +181,83 @@ def laid(draped: Draped, target: Target, skin: SignedDistance, cloth: Orthotropi
     return _with_nodes(draped, LaidDrape(draped.mesh, skin, cloth, target).begun(draped.nodes))
 
 
-def hung_as(
-    draped: Draped, mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial
-) -> Draped:
-    """Returns ``draped`` hung in the folds of another mesh of its pattern, ``mesh`` at ``nodes`` [m] (N, 3), and let go
-    from there."""
-    return let_go(_with_nodes(draped, on_finer_mesh(mesh, nodes, draped.mesh)), skin, cloth)
+class Worn(NamedTuple):
+    """A pattern sewn from flat panels: ``loose`` as it closes by itself, ``worn`` with its belt at the target's."""
+
+    loose: Draped
+    worn: Draped
 
 
-def hung_at_rest(
-    draped: Draped, mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial
-) -> Draped:
+class Shown(NamedTuple):
+    """A drape that a pattern was found with: its ``mesh``, and ``nodes`` [m] (N, 3) in the pose of the target."""
+
+    mesh: PatternMesh
+    nodes: np.ndarray
+
+    @property
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices [m] (N, 3) and faces (F, 3)."""
+        return self.nodes, self.mesh.faces
+
+
+@dataclass(frozen=True, eq=False)
+class Dressing:
+    """How a garment that was sewn from flat panels is put on, as hands arrange it, where it closed elsewhere.
+
+    ``skin`` is the body's signed distance in the garment's pose. Gathered cloth is ``laid``. ``hold`` lays a belt,
+    ``lost`` tells what of the body is beside its opening, and of two ways that with the least ``rank`` is taken.
+    """
+
+    skin: SignedDistance
+    cloth: OrthotropicMaterial
+    laid: bool
+    hold: Callable[[Draped], Draped]
+    lost: Callable[[Draped], Sequence[str]]
+    rank: Callable[[Draped], Any]
+
+    def worn_as(self, loose: Draped, shown: Shown) -> Draped:
+        """``loose`` as it is worn: hung in the folds of ``shown`` if it gathers or fell into others, its belt laid.
+
+        What hangs from a belt is laid on the target's waist and not hung so.
+        """
+        if self.laid:
+            return hung_as(loose, shown, self.skin, self.cloth)
+        belt = bool(len(loose.rest.held))
+        worn = put_on(loose, shown, self.hold) if belt and self.lost(loose) else self.hold(loose)
+        if belt or not (in_other_folds(worn, shown) or self.lost(worn) or not worn.at_rest):
+            return worn
+        return min((worn, hung_at_rest(loose, shown, self.skin, self.cloth)), key=self.rank)
+
+
+def hung_as(draped: Draped, shown: Shown, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
+    """Returns ``draped`` hung in the folds of another mesh of its pattern, ``shown``, and let go from there."""
+    return let_go(_placed_as(draped, shown), skin, cloth)
+
+
+def hung_at_rest(draped: Draped, shown: Shown, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
     """Returns what ``hung_as`` does, brought to rest from there without friction, as garments are that do not
     gather."""
-    hung, forward = hung_as(draped, mesh, nodes, skin, cloth), RestDrape(draped.mesh, skin, cloth)
+    hung, forward = hung_as(draped, shown, skin, cloth), RestDrape(draped.mesh, skin, cloth)
     state, report = to_rest(forward.model, forward.model.state(hung.nodes), forward.parameters, forward.contact)
     return _lying(hung, Drape(state.x.numpy(), draped.rest.held, report, 0))
 
 
-def put_on(draped: Draped, mesh: PatternMesh, nodes: np.ndarray, hold: Callable[[Draped], Draped]) -> Draped:
-    """Returns ``draped`` put where another mesh of its pattern lies, ``mesh`` at ``nodes`` [m] (N, 3), with its belt
-    laid by ``hold``, and at rest from there. ``draped`` itself, if it does not come to rest so."""
-    placed = _with_nodes(draped, on_finer_mesh(mesh, nodes, draped.mesh))
+def put_on(draped: Draped, shown: Shown, hold: Callable[[Draped], Draped]) -> Draped:
+    """Returns ``draped`` put where another mesh of its pattern lies, ``shown``, with its belt laid by ``hold``, and at
+    rest from there. ``draped`` itself, if it does not come to rest so."""
+    placed = _placed_as(draped, shown)
     worn = hold(placed)
     return draped if worn is placed else worn
 
 
-def in_other_folds(draped: Draped, mesh: PatternMesh, nodes: np.ndarray) -> bool:
-    """Whether ``draped`` lies elsewhere than another mesh of its pattern, ``mesh`` at ``nodes`` [m] (N, 3).
-
-    What hangs from a belt is laid on the target's waist and not hung so.
-    """
-    far = surface_distance((draped.nodes, draped.mesh.faces), (nodes, mesh.faces))
+def in_other_folds(draped: Draped, shown: Shown) -> bool:
+    """Whether ``draped``, which no belt holds, lies elsewhere than another mesh of its pattern, ``shown``."""
+    far = surface_distance(draped.surface, shown.surface)
     return not len(draped.rest.held) and far.mean_mm > OTHER_FOLDS_MM
+
+
+def _placed_as(draped: Draped, shown: Shown) -> Draped:
+    return _with_nodes(draped, on_finer_mesh(shown.mesh, shown.nodes, draped.mesh))
 
 
 def let_go(draped: Draped, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:

@@ -4,6 +4,9 @@ The paper measures from vertex to vertex, which leaves millimetres between two m
 compared with the nearest point of the other surface, so a surface is at distance zero from itself in any
 triangulation. The nearest points are held while differentiating. The gradient is exact all the same, because a nearest
 point moves at right angles to the distance; only the weight at the nearest point is taken as constant.
+
+In the Gauss-Newton matrix residuals are linear in the drape. A nearest point follows along a surface, so only motion
+along the normal counts; at a border only motion across it.
 """
 
 from __future__ import annotations
@@ -15,9 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from drape.arrays import check_finite, check_shape
-from drape.errors import MeshError
-from drape.garment.contours import Contour, Match
+from drape.garment.contours import Contour, Match, open_contours
 from drape.geometry import closest, meshes
 from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.pattern.triangulate import signed_areas
@@ -42,10 +43,6 @@ def mean_curvature(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
     H is the mean of both principal curvatures: 1 / r on a sphere.
     """
-    vertices = np.asarray(vertices, dtype=np.float64)
-    check_shape("vertices", vertices, (None, 3), error=MeshError)
-    check_finite("vertices", vertices, error=MeshError)
-    faces = meshes.check_faces(faces, len(vertices))
     double = np.maximum(2.0 * meshes.face_areas(vertices, faces), 1e-30)
     total = np.zeros_like(vertices)
     for corner in range(3):
@@ -82,16 +79,14 @@ class Target:
     known: np.ndarray
 
     @classmethod
-    def from_mesh(
-        cls, vertices: np.ndarray, faces: np.ndarray, contours: list[Contour], *, known: np.ndarray | None = None
-    ) -> Target:
+    def from_mesh(cls, vertices: np.ndarray, faces: np.ndarray, *, known: np.ndarray | None = None) -> Target:
         """The target of a mesh, of which the faces ``known`` (F,) count, all by default."""
         weights = fold_weights(mean_curvature(vertices, faces))
         seen = np.ones(len(faces)) if known is None else np.asarray(known, dtype=np.float64)
         area = seen * meshes.face_areas(vertices, faces)
         points = (CORNERS @ vertices[faces]).reshape(-1, 3)
         shares = np.repeat(area / area.sum() / 3.0, 3) * (weights[faces] @ CORNERS.T).reshape(-1)
-        return cls(vertices, faces, contours, weights, points, shares, seen)
+        return cls(vertices, faces, open_contours(vertices, faces), weights, points, shares, seen)
 
     def weights_at(self, there: closest.ClosestPoints) -> np.ndarray:
         """The weights (n,) of equation 7 at points of the surface; none where a hole was closed."""
@@ -114,7 +109,7 @@ class Objective:
 
     def __call__(self, x: Tensor) -> Terms:
         """The loss of nodes ``x`` [m] (N, 3)."""
-        surface, contours = self.surface(x), self.open_contours(x)
+        surface, contours = self.surface(x), self.contours(x)
         return Terms(surface + contours, surface, contours)
 
     def surface(self, x: Tensor) -> Tensor:
@@ -131,7 +126,7 @@ class Objective:
         back = torch.from_numpy(target.shares) @ ((nearest - torch.from_numpy(target.points)) ** 2).sum(dim=1)
         return forth + back
 
-    def open_contours(self, x: Tensor) -> Tensor:
+    def contours(self, x: Tensor) -> Tensor:
         """Chamfer distance [m^2] between matched contours, the mean over them."""
         if not self.pairs:
             return x.sum() * 0.0
@@ -176,3 +171,62 @@ def nearest_on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor]:
         off = points[:, None] - line[None] - t[..., None] * along[None]
         best = (off * off).sum(dim=2).argmin(dim=1)
         return best, t[torch.arange(len(points)), best]
+
+
+# --- second derivatives ----------------------------------------------------------------------------------------------
+
+
+def gauss_newton_matrix(objective: Objective, x: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """Returns the matrix (Z, Z) [m^2 per m^2] of second derivatives of the loss by the Z unknowns, at nodes ``x`` [m]
+    (N, 3). ``moves`` (N, 3, Z) are the derivatives of the nodes."""
+    faces, target = objective.mesh.faces, objective.target
+    points = (CORNERS @ x[faces]).reshape(-1, 3)
+    there = closest.closest_point(points, target.vertices, target.faces)
+    kappa = target.weights_at(there)
+    normal = meshes.face_normals(target.vertices, target.faces)[there.face]
+    along = np.einsum("qc,fcdz->fqdz", CORNERS, moves[faces]).reshape(len(points), 3, -1)
+    total = _normal_part(along, _across(normal, points - there.point, there, target.faces), objective.shares * kappa)
+    here = closest.closest_point(target.points, x, faces)
+    normal = meshes.face_normals(x, faces)[here.face]
+    along = np.einsum("nc,ncdz->ndz", here.barycentric, moves[faces[here.face]])
+    total = total + _normal_part(along, _across(normal, target.points - here.point, here, faces), target.shares)
+    for loop, line in objective.pairs:
+        total = total + _contour_part(x[loop], line, moves[loop]) / len(objective.pairs)
+    return total
+
+
+def _across(normal: np.ndarray, offset: np.ndarray, found: closest.ClosestPoints, faces: np.ndarray) -> np.ndarray:
+    """The direction (n, 3) of each distance: the normal, beyond a border that of the offset."""
+    length = np.linalg.norm(offset, axis=1, keepdims=True)
+    beyond = closest.on_border(found, faces)[:, None] & (length > 1e-9)
+    return np.where(beyond, offset / np.maximum(length, 1e-30), normal)
+
+
+def _normal_part(along: np.ndarray, direction: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    rows = np.einsum("nd,ndz->nz", direction, along)
+    return 2.0 * (rows * shares[:, None]).T @ rows
+
+
+def _contour_part(points: np.ndarray, line: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """Second derivative of ``polyline_chamfer`` by moves (n, 3, Z) of the first line."""
+    following, later = np.roll(points, -1, axis=0), np.roll(moves, -1, axis=0)
+    total = np.zeros((moves.shape[2],) * 2)
+    own, other = torch.from_numpy(np.ascontiguousarray(points)), torch.from_numpy(np.ascontiguousarray(line))
+    length = np.linalg.norm(following - points, axis=1)
+    samples, shares, best, _ = on_line(own, other)
+    share = np.linalg.norm(samples.numpy() - np.concatenate([points, points]), axis=1) / np.concatenate(
+        [length, length]
+    )
+    share = share[:, None, None]
+    along = (1.0 - share) * np.concatenate([moves, moves]) + share * np.concatenate([later, later])
+    total += _cross_part(along, np.roll(line, -1, axis=0)[best.numpy()] - line[best.numpy()], shares.numpy())
+    _, shares, best, t = on_line(other, own)
+    at, t = best.numpy(), t.numpy()[:, None, None]
+    along = (1.0 - t) * moves[at] + t * later[at]
+    return total + _cross_part(along, following[at] - points[at], shares.numpy())
+
+
+def _cross_part(along: np.ndarray, way: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    unit = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-30)
+    rows = along - unit[:, :, None] * np.einsum("nd,ndz->nz", unit, along)[:, None]
+    return 2.0 * np.einsum("n,ndz,ndy->zy", shares, rows, rows)

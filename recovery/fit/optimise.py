@@ -9,7 +9,6 @@ seams are a constraint both kinds of step go along it and end on it (``seams.py`
 from __future__ import annotations
 
 import hashlib
-import sys
 import zipfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,16 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
-from drape.arrays import check_shape
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError
 from drape.files.atomic import whole_file
 from recovery import progress as watch
-from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
-from recovery.fit.objective import Objective
+from recovery.fit.objective import Objective, gauss_newton_matrix
 from recovery.fit.seams import SeamConstraint
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import with_controls
@@ -127,17 +123,9 @@ class PatternSearch:
         likely: np.ndarray | None = None,
         reach_m: float = REACH_M,
     ) -> None:
-        if len(free.controls) != len(mesh.controls):
-            raise InputError(
-                "free controls",
-                expected=f"the {len(mesh.controls)} control points of the mesh",
-                got=f"{len(free.controls)}",
-                cure="Make both from the same pattern.",
-            )
         self.mesh, self.free, self.forward, self.objective = mesh, free, forward, objective
         self.constraint, self.reach_m = seams, reach_m
         self.likely = np.zeros(free.count) if likely is None else np.asarray(likely, dtype=np.float64)
-        check_shape("likely", self.likely, (free.count,))
         self._origin = torch.from_numpy(mesh.weights @ free.origin.reshape(-1))
         self._basis = torch.from_numpy(np.ascontiguousarray(mesh.weights @ free.basis))
 
@@ -201,7 +189,6 @@ class PatternSearch:
         options: FitOptions = DEFAULT_OPTIONS,
         *,
         state_file: Path | None = None,
-        progress: bool = False,
         limit: int | None = None,
     ) -> Fitted:
         """Searches from the pattern as it is, draped at ``nodes`` [m] (N, 3).
@@ -214,17 +201,12 @@ class PatternSearch:
         state = _read(state_file, digest) if state_file is not None and state_file.exists() else self._start(nodes)
         total = options.iterations + options.closing
         last = total if limit is None else min(total, state.step + limit)
-        bar = tqdm(total=total, initial=state.step, disable=not progress, file=sys.stderr)
         while state.step < last and not state.stuck and not watch.over():
-            watch.tick(f"search, step {state.step + 1} of {total}")
+            surface_mm = 1e3 * np.sqrt(0.5 * state.now.terms[1])
+            watch.tick(f"search, step {state.step + 1} of {total}, surfaces {surface_mm:.2f} mm apart")
             state = self._advance(state, options) if state.step < options.iterations else self._close(state)
-            bar.update()
-            bar.set_postfix(
-                surface_mm=f"{1e3 * np.sqrt(0.5 * state.now.terms[1]):.2f}", halved=int(state.history[-1, 3])
-            )
             if state_file is not None and state.step % SAVE_EVERY == 0:
                 _write(state_file, digest, state)
-        bar.close()
         if state_file is not None:
             _write(state_file, digest, state)
         positions = self.free.positions(state.best.values)

@@ -7,7 +7,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,6 +14,7 @@ import torch
 from drape.garment.contours import Match
 from recovery.drape.pattern_drape import Draped
 from recovery.fit.grading import Graded
+from recovery.fit.laying import Shown, Worn
 from recovery.fit.optimise import Fitted, PatternSearch
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.symmetry import Symmetries
@@ -22,13 +22,6 @@ from recovery.pattern.symmetry import Symmetries
 SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
 NOT_AT_REST = "no drape at rest"
 SAME = "it would find the same"  # no fault
-
-
-class Sewn(NamedTuple):
-    """A pattern sewn from flat panels: ``loose`` as it closes by itself, ``worn`` with its belt at the target's."""
-
-    loose: Draped
-    worn: Draped
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +42,7 @@ class Round:
     edge_length_m: float
     seconds: float
     processor_s: float
-    sewn: Sewn | None = None
+    sewn: Worn | None = None
     sewn_m2: float = math.inf
 
     @property
@@ -94,10 +87,15 @@ class Recovered:
     search: PatternSearch
     fitted: Fitted
     edge_length_m: float
-    sewn: Sewn | None
+    sewn: Worn | None
     rounds: tuple[Round, ...]
     left: str
     fabric: str
+
+    @property
+    def shown(self) -> Shown:
+        """The drape of the pattern that was found."""
+        return Shown(self.search.mesh_of(self.fitted), self.fitted.nodes)
 
 
 def clocks() -> np.ndarray:

@@ -7,9 +7,9 @@ that with the pattern. So each round meshes the pattern of the round before anew
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -23,22 +23,21 @@ from drape.garment.contours import Match, Place, bone_chains, match_contours, op
 from recovery import progress as watch
 from recovery.drape.pattern_drape import Draped, DrapeOptions, hanging
 from recovery.drape.posing import posed_joints
-from recovery.fit import laying
 from recovery.fit.belt import belt_of, held_as_target
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
-from recovery.fit.laying import EDGE_M, LaidDrape, hung_as, is_laid, laid, laying_options, let_go
+from recovery.fit.laying import EDGE_M, Dressing, LaidDrape, Shown, is_laid, laid, laying_options, let_go
 from recovery.fit.objective import Objective, Target
-from recovery.fit.optimise import DEFAULT_OPTIONS, REACH_M, FitOptions, Fitted, PatternSearch
-from recovery.fit.recovered import NOT_AT_REST, SAME, Recovered, Round, Sewn, apart_mm, clocks, why_left
+from recovery.fit.optimise import DEFAULT_OPTIONS, REACH_M, FitOptions, PatternSearch
+from recovery.fit.recovered import NOT_AT_REST, SAME, Recovered, Round, apart_mm, clocks, why_left
 from recovery.fit.seams import SeamConstraint, sewable
-from recovery.fit.starts import Start, drape_at_rest, needed_length, worn_drape
+from recovery.fit.starts import Start, drape_at_rest, dressed, needed_length, worn_drape
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls, symmetrised
+from recovery.progress import Say
 from recovery.sim.sdf import SignedDistance
 
-DEFAULT_DRAPE = DrapeOptions()
 GRADINGS = 2  # one is linear: a second one mostly halves what the first one left
 ROUNDS = 3
 # Where surfaces are this far apart (root mean square) at the first round's start or the end of one, the reach may hold
@@ -46,125 +45,82 @@ ROUNDS = 3
 START_FAR_MM, FAR_MM, REACH_GROWS = 10.0, 3.0, 3.0
 LAID_FAR_MM = 5.0  # a base that springs lay nearer (root mean square) is not graded: that narrows what is gathered
 
-Say = Callable[[str], None]
+
+@dataclass(frozen=True)
+class RoundsOptions:
+    """``drape`` of every garment on the way, ``fit`` of every search, whose loss doubles where its unknowns are
+    ``reach_m`` [m] from the graded base.
+
+    ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``, or once 3 cm where a
+    seam gathers; Adam's steps are taken in the first alone. Each round writes a ``state_file`` of its own, numbered
+    from the second on, and goes on from it. Raises ``InputError`` for a reach that is not positive, and for no rounds.
+    """
+
+    drape: DrapeOptions = field(default_factory=DrapeOptions)
+    fit: FitOptions = DEFAULT_OPTIONS
+    reach_m: float = REACH_M
+    meshes_m: Sequence[float] | None = None
+    state_file: Path | None = None
+
+    def __post_init__(self) -> None:
+        if not self.reach_m > 0.0:
+            got, cure = f"{self.reach_m:g}", "Leave it at its default."
+            raise InputError("reach (--reach)", expected="more than 0 m", got=got, cure=cure)
+        if self.meshes_m is not None and not self.meshes_m:
+            raise InputError("meshes_m", expected="an edge length or more", got="none", cure="Leave it at its default.")
+
+    def lengths_m(self, *, laid: bool) -> list[float]:
+        """Edge lengths [m] of the rounds; those of cloth that is ``laid`` are short."""
+        lengths = self.meshes_m or [self.drape.edge_length_m] * (1 if laid else ROUNDS)
+        return [min(length, EDGE_M) if laid else length for length in lengths]
 
 
 def recover_pattern(
-    vertices: np.ndarray,
-    faces: np.ndarray,
+    target: Target,
     base: Pattern,
     body: BodyModel,
+    options: RoundsOptions | None = None,
     *,
-    drape: DrapeOptions = DEFAULT_DRAPE,
-    fit: FitOptions = DEFAULT_OPTIONS,
-    reach_m: float = REACH_M,
     pose: np.ndarray | None = None,
-    meshes_m: Sequence[float] | None = None,
-    state_file: Path | None = None,
-    progress: bool = False,
     report: Say | None = None,
-    known: np.ndarray | None = None,
 ) -> Recovered:
-    """The pattern whose drape on ``body`` is nearest to a target, in the T-pose or in ``pose`` (24, 3).
+    """The pattern whose drape on ``body`` is nearest to ``target``, in the T-pose or in ``pose`` (24, 3).
 
-    The target, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), is one garment's surface, open where the garment is;
-    ``base`` is a pattern of its kind with the same panels. ``meshes_m`` are the edge lengths [m] of the rounds, by
-    default three times that of ``drape``, or once 3 cm where a seam gathers; Adam's steps are taken in the first
-    alone. A search's loss doubles where its unknowns are ``reach_m`` [m] from the graded base. Faces that are not
-    ``known`` (F,) close holes and have no weight. Raises ``InputError`` where contours have no counterpart or a drape
+    The target is one garment's surface, open where the garment is; ``base`` is a pattern of its kind with the same
+    panels. ``report`` gets lines on what was found. Raises ``InputError`` where contours have no counterpart or a drape
     does not come to rest. When the time is up (``recovery.progress``) the best so far is given.
     """
-    say = report or (lambda line: None)
     began = clocks()
-    lengths = [drape.edge_length_m] * ROUNDS if meshes_m is None else list(meshes_m)
-    if not lengths:
-        raise InputError("meshes_m", expected="an edge length or more", got="none", cure="Leave it at its default.")
-    target = Target.from_mesh(vertices, faces, open_contours(vertices, faces), known=known)
+    rounds = _prepared(target, base, body, options or RoundsOptions(), pose, report or (lambda line: None))
+    first, rounds = rounds.with_base()
+    graded, start = rounds.graded_start(first)
+    found, left = rounds.searched(start, graded.pattern, began)
+    return rounds.best_of(found, left, first, graded)
+
+
+def _prepared(
+    target: Target, base: Pattern, body: BodyModel, options: RoundsOptions, pose: np.ndarray | None, say: Say
+) -> _Rounds:
+    """The base made symmetric and sewable, and the body's distances."""
     symmetries = find_symmetries(base)
     base = symmetrised(base, symmetries)
     base = sewable(base, base, symmetries)
     for line in symmetries.describe(base):
         say(f"symmetry  {line}")
-    bare = drape.skin(body.v_template, body.faces)
-    skin = bare if pose is None else drape.skin(body.posed_vertices(pose[None])[0], body.faces)
-    task = _Task(
-        target=target,
-        body=body,
-        pose=pose,
-        bare=bare,
-        skin=skin,
-        base=base,
-        symmetries=symmetries,
-        reach_m=reach_m,
-        drape=replace(drape, edge_length_m=lengths[0]),
-        say=say,
-    )
-    if task.lays:
-        drape, lengths = laying_options(drape), [min(length, EDGE_M) for length in meshes_m or lengths[:1]]
-        task = replace(task, drape=replace(drape, edge_length_m=lengths[0]))
-    with watch.stage("drape of the base"):
-        first = worn_drape(base, task.start(drape), rest=False)
-    lengths = [min(length, needed_length(first, drape)) for length in lengths]
-    task = replace(task, drape=replace(task.drape, edge_length_m=lengths[0]))
-    graded, start = ungraded(base), first
-    with watch.stage("drape of the graded base"):
-        if task.lays:
-            graded, start = task.nearer(graded, start)
-        else:
-            graded, start = task.best_graded(graded, start, GRADINGS)
-    if not math.isnan(graded.misfit):
-        say(
-            f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
-            f"{graded.heights.min():.3f} to {graded.heights.max():.3f}; misfit {100 * graded.misfit:.1f} %"
-        )
-
-    def search(found: PatternSearch, nodes: np.ndarray, number: int) -> Fitted:
-        steps, file = fit, state_file
-        if number:
-            steps = replace(fit, iterations=0, closing=max(fit.closing, 1))
-            file = state_file and state_file.with_stem(f"{state_file.stem}_{number}")
-        with watch.stage(f"round {number + 1}"):
-            return found.run(nodes, steps, state_file=file, progress=progress)
-
-    rounds, left = task.rounds(start, graded.pattern, lengths, search, began)
-    if rounds[-1].sewn is None and not watch.over():
-        with watch.stage("the last round's pattern, sewn"), suppress(InputError):
-            rounds[-1] = task.sewn(rounds[-1], lengths[-1])[0]
-    return _recovered(task, first, graded, rounds, left)
-
-
-def _recovered(task: _Task, base: Draped, graded: Graded, rounds: list[Round], left: str) -> Recovered:
-    """The best of ``rounds`` with all that led there."""
-    best, fabric = min(rounds, key=lambda one: one.rank), task.drape.fabric
-    # The base's own note is of another cloth than the one that was draped; of name and weight a cutter knows the bolt.
-    bolt = f"{fabric} {1e3 * best.fitted.cloth.density_kg_m2:.0f} g/m²"
-    fitted = replace(best.fitted, pattern=replace(best.fitted.pattern, material=bolt))
-    far = [apart_mm(squared) for squared in (rounds[0].fitted.history[0, 1], best.surface_m2, best.sewn_m2)]
-    ends = f"{far[0]:.2f} mm apart at the start, {far[1]:.2f} mm at the end, {far[2]:.2f} mm sewn"
-    task.say(f"fitted    surfaces {ends} (root mean square)")
-    return Recovered(
-        symmetries=task.symmetries,
-        base=base,
-        graded=graded,
-        start=best.start,
-        matches=best.matches,
-        holes=task.matches(best.start)[1],
-        search=best.search,
-        fitted=fitted,
-        edge_length_m=best.edge_length_m,
-        sewn=best.sewn,
-        rounds=tuple(rounds),
-        left=left,
-        fabric=fabric,
-    )
+    bare = options.drape.skin(body.v_template, body.faces)
+    skin = bare if pose is None else options.drape.skin(body.posed_vertices(pose[None])[0], body.faces)
+    rounds = _Rounds(target, body, pose, bare, skin, base, symmetries, options, (), say)
+    if rounds.lays:
+        options = replace(options, drape=laying_options(options.drape))
+    return replace(rounds, options=options, lengths_m=tuple(options.lengths_m(laid=rounds.lays)))
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class _Rounds:
     """The facts that no round changes: the target, and the body with its distances in the T-pose and in its pose.
 
-    ``bare`` is the distance in the T-pose, ``skin`` that in the pose. ``base`` says how long seams are. ``drape`` has
-    the edge length of the first round.
+    ``bare`` is the distance in the T-pose, ``skin`` that in the pose. ``base`` says how long seams are. ``lengths_m``
+    are the edge lengths [m] of the rounds.
     """
 
     target: Target
@@ -174,9 +130,198 @@ class _Task:
     skin: SignedDistance
     base: Pattern
     symmetries: Symmetries
-    reach_m: float
-    drape: DrapeOptions
+    options: RoundsOptions
+    lengths_m: tuple[float, ...]
     say: Say
+
+    # --- base and grading ---
+
+    def with_base(self) -> tuple[Draped, _Rounds]:
+        """A drape of the base, and the rounds on meshes on which such a garment is worn."""
+        drape = self.options.drape
+        with watch.stage("drape of the base"):
+            first = worn_drape(self.base, self.start(drape), rest=False)
+        longest = needed_length(first, drape)
+        return first, replace(self, lengths_m=tuple(min(length, longest) for length in self.lengths_m))
+
+    def graded_start(self, first: Draped) -> tuple[Graded, Draped]:
+        """The base graded by its drape ``first``, and the drape that the first search starts from."""
+        with watch.stage("drape of the graded base"):
+            plain = ungraded(self.base)
+            graded, start = self.nearer(plain, first) if self.lays else self.best_graded(plain, first, GRADINGS)
+        if not math.isnan(graded.misfit):
+            self.say(
+                f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
+                f"{graded.heights.min():.3f} to {graded.heights.max():.3f}; misfit {100 * graded.misfit:.1f} %"
+            )
+        return graded, start
+
+    def graded(self, before: Graded, draped: Draped) -> tuple[Graded, Draped]:
+        """``before`` graded once more by its drape ``draped``, and the drape of that."""
+        contours = open_contours(*draped.surface)
+        found = grade(draped.mesh, draped.nodes, contours, self.matches(draped)[0], self.symmetries)
+        after = graded_again(before, found)
+        after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
+        return after, worn_drape(after.pattern, self.start(self.drape), rest=False)
+
+    def best_graded(self, base: Graded, draped: Draped, times: int) -> tuple[Graded, Draped]:
+        """``base``, whose drape is ``draped``, graded up to so many ``times``; the last one worn right and at rest."""
+        start, tried = self.start(self.drape), [self.graded(base, draped)]
+        with suppress(InputError):  # panels that shrink too far, or a drape that lost a part
+            while len(tried) < times:
+                tried.append(self.graded(*tried[-1]))
+        best, worn = min(reversed(tried), key=lambda one: (len(start.lost(one[1])), not one[1].at_rest))
+        return best, worn if worn.at_rest else drape_at_rest(best.pattern, start)
+
+    def nearer(self, base: Graded, draped: Draped) -> tuple[Graded, Draped]:
+        """``base``, whose drape is ``draped``, or, where springs do not lay that near, graded if it is then nearer."""
+
+        def far(one: Draped) -> float:
+            return apart_mm(self.surface(laid(one, self.target, self.skin, self.cloth)))
+
+        self.say(f"laid      the base within {(before := far(draped)):.2f} mm (root mean square)")
+        after = self.graded(base, draped) if before > LAID_FAR_MM else (base, draped)
+        return after if after[1] is not draped and far(after[1]) < before else (base, draped)
+
+    # --- searches ---
+
+    def searched(self, start: Draped, graded: Pattern, began: np.ndarray) -> tuple[list[Round], str]:
+        """The searches, one after the other, each on a new mesh of the pattern that the one before found.
+
+        With them why the last ones were left out, empty for none. The first goes from the drape ``start`` of the
+        pattern ``graded``; its clocks ``began`` earlier. The pattern of the last is sewn, too.
+        """
+        reach_m, left = self.options.reach_m, ""
+        rounds: list[Round] = []
+        for number, length in enumerate(self.lengths_m):
+            start, left = self._next_start(rounds, start, length)
+            far_m2, limit = (rounds[-1].least[1], FAR_MM) if number else (self.surface(start), START_FAR_MM)
+            held_back = apart_mm(far_m2) > limit
+            if not left and number:
+                why = why_left(rounds, start)
+                left = "" if why == SAME and held_back else why
+            reach_m *= REACH_GROWS if held_back else 1.0
+            if not left:
+                search, matches = self.search(start, graded, self.cloth, reach_m)
+                if number and not self.lays and not search.rests(start.nodes):
+                    left = NOT_AT_REST
+            if left:
+                self.say(f"round {number + 1}   left: {left}")
+                left = "" if left == SAME else f"round {number + 1} of {len(self.lengths_m)}: {left}"
+                break
+            rounds.append(self._round(start, search, matches, number, began))
+            began = clocks()
+        if rounds[-1].sewn is None and not watch.over():
+            with watch.stage("the last round's pattern, sewn"), suppress(InputError):
+                rounds[-1] = self.sewn(rounds[-1], self.lengths_m[-1])[0]
+        return rounds, left
+
+    def _next_start(self, rounds: list[Round], start: Draped, length_m: float) -> tuple[Draped, str]:
+        """The drape from which the next round starts, and why there is none; the last of ``rounds`` gets it as well."""
+        if not rounds:
+            return (start if self.lays else self.held(start, self.cloth)), ""
+        if watch.over():
+            return start, "the time is up"
+        try:
+            with watch.stage(f"drape of round {len(rounds) + 1}"):
+                rounds[-1], start = self.sewn(rounds[-1], length_m)
+        except InputError as error:
+            return start, f"the pattern sewn anew is not worn so: {error}"
+        return start, ""
+
+    def _round(
+        self, start: Draped, search: PatternSearch, matches: list[Match], number: int, began: np.ndarray
+    ) -> Round:
+        """Runs the ``search`` of a round; says how near it came."""
+        if not number:
+            self.say(f"search    {search.free.count} numbers are free, {start.mesh.node_count} nodes")
+        steps, file = self.options.fit, self.options.state_file
+        if number:
+            steps = replace(steps, iterations=0, closing=max(steps.closing, 1))
+            file = file and file.with_stem(f"{file.stem}_{number}")
+        with watch.stage(f"round {number + 1}"):
+            fitted = search.run(start.nodes, steps, state_file=file)
+        found = Round(start, matches, search, fitted, self.lengths_m[number], *(clocks() - began).tolist())
+        first, last = (apart_mm(surface) for surface in (fitted.history[0, 1], found.surface_m2))
+        self.say(f"round {number + 1}   {start.mesh.node_count} nodes: surfaces {first:.2f} to {last:.2f} mm apart")
+        return found
+
+    def search(
+        self, start: Draped, centre: Pattern, cloth: OrthotropicMaterial, reach_m: float
+    ) -> tuple[PatternSearch, list[Match]]:
+        """The search from ``start`` in ``cloth`` with this reach [m], and how its contours are paired.
+
+        The corners of ``centre`` are what the reach of the loss is counted from.
+        """
+        contours = open_contours(*start.surface)
+        matches, _ = self.matches(start)
+        controls = free_controls(start.mesh.pattern, self.symmetries)
+        belt = belt_of(start, matches, self.target.contours)
+        forward = RestDrape(start.mesh, self.skin, cloth, held=start.rest.held, belt=belt)
+        if self.lays:
+            forward = LaidDrape(start.mesh, self.skin, cloth, self.target)
+        found = PatternSearch(
+            start.mesh,
+            controls,
+            forward,
+            Objective(start.mesh, self.target, contours, matches),
+            seams=SeamConstraint(start.mesh.pattern, controls, self.base),
+            reach_m=reach_m,
+            likely=controls.values(control_points(centre).positions),
+        )
+        return found, matches
+
+    def sewn(self, last: Round, length_m: float) -> tuple[Round, Draped]:
+        """``last`` with its pattern sewn on a mesh of edges ``length_m``, and that drape as it is worn.
+
+        Raises ``InputError`` where it cannot be sewn.
+        """
+        cloth, drape = last.fitted.cloth, replace(self.options.drape, edge_length_m=length_m)
+        start, shown = self.start(drape, cloth), Shown(last.search.mesh_of(last.fitted), last.fitted.nodes)
+
+        def far(one: Draped) -> float:
+            return self.surface(one) if one.at_rest and not start.lost(one) else math.inf
+
+        dressing = Dressing(self.skin, cloth, self.lays, lambda one: self.held(one, cloth), start.lost, far)
+        pair = dressed(last.fitted.pattern, start, dressing, shown, rest=not self.lays)
+        return replace(last, sewn=pair, sewn_m2=far(pair.worn)), pair.worn
+
+    def best_of(self, rounds: list[Round], left: str, base: Draped, graded: Graded) -> Recovered:
+        """The best of ``rounds`` with all that led there."""
+        best, fabric = min(rounds, key=lambda one: one.rank), self.options.drape.fabric
+        # The base's own note is of another cloth than the draped one; of name and weight a cutter knows the bolt.
+        bolt = f"{fabric} {1e3 * best.fitted.cloth.density_kg_m2:.0f} g/m²"
+        fitted = replace(best.fitted, pattern=replace(best.fitted.pattern, material=bolt))
+        far = [apart_mm(squared) for squared in (rounds[0].fitted.history[0, 1], best.surface_m2, best.sewn_m2)]
+        ends = f"{far[0]:.2f} mm apart at the start, {far[1]:.2f} mm at the end, {far[2]:.2f} mm sewn"
+        self.say(f"fitted    surfaces {ends} (root mean square)")
+        return Recovered(
+            symmetries=self.symmetries,
+            base=base,
+            graded=graded,
+            start=best.start,
+            matches=best.matches,
+            holes=self.matches(best.start)[1],
+            search=best.search,
+            fitted=fitted,
+            edge_length_m=best.edge_length_m,
+            sewn=best.sewn,
+            rounds=tuple(rounds),
+            left=left,
+            fabric=fabric,
+        )
+
+    # --- what steps share ---
+
+    @property
+    def drape(self) -> DrapeOptions:
+        """The options on the first round's mesh."""
+        return replace(self.options.drape, edge_length_m=self.lengths_m[0])
+
+    @cached_property
+    def cloth(self) -> OrthotropicMaterial:
+        """The fabric as it is draped."""
+        return hanging(self.options.drape.fabric, self.options.drape.hangs_longer)
 
     @cached_property
     def lays(self) -> bool:
@@ -196,36 +341,8 @@ class _Task:
 
     def matches(self, draped: Draped) -> tuple[list[Match], list[int]]:
         """Pairs of the contours of a drape and those of the target, and the target's that are left."""
-        contours = open_contours(draped.nodes, draped.mesh.faces)
+        contours = open_contours(*draped.surface)
         return match_contours(contours, self.target.contours, posed_joints(self.body, self.pose))
-
-    def graded(self, before: Graded, draped: Draped) -> tuple[Graded, Draped]:
-        """``before`` graded once more by its drape ``draped``, and the drape of that."""
-        contours = open_contours(draped.nodes, draped.mesh.faces)
-        found = grade(draped.mesh, draped.nodes, contours, self.matches(draped)[0], self.symmetries)
-        after = graded_again(before, found)
-        after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
-        return after, worn_drape(after.pattern, self.start(self.drape), rest=False)
-
-    def best_graded(self, base: Graded, draped: Draped, times: int) -> tuple[Graded, Draped]:
-        """``base``, whose drape is ``draped``, graded up to so many ``times``; the last one worn right and at rest."""
-        start, tried = self.start(self.drape), [self.graded(base, draped)]
-        with suppress(InputError):  # panels that shrink too far, or a drape that lost a part
-            while len(tried) < times:
-                tried.append(self.graded(*tried[-1]))
-        best, worn = min(reversed(tried), key=lambda one: (len(start.lost(one[1])), not one[1].at_rest))
-        return best, worn if worn.at_rest else drape_at_rest(best.pattern, start)
-
-    def nearer(self, base: Graded, draped: Draped) -> tuple[Graded, Draped]:
-        """``base``, whose drape is ``draped``, or, where springs do not lay that near, graded if it is then nearer."""
-        cloth = hanging(self.drape.fabric, self.drape.hangs_longer)
-
-        def far(one: Draped) -> float:
-            return apart_mm(self.surface(laid(one, self.target, self.skin, cloth)))
-
-        self.say(f"laid      the base within {(before := far(draped)):.2f} mm (root mean square)")
-        after = self.graded(base, draped) if before > LAID_FAR_MM else (base, draped)
-        return after if after[1] is not draped and far(after[1]) < before else (base, draped)
 
     def surface(self, draped: Draped) -> float:
         """The squared distance [m^2] of a drape and the target, both directions summed, as the loss has it."""
@@ -237,110 +354,3 @@ class _Task:
         if self.lays:
             return let_go(laid(draped, self.target, self.skin, cloth), self.skin, cloth)
         return held_as_target(draped, self.matches(draped)[0], self.target.contours, self.skin, cloth)
-
-    def search(
-        self, start: Draped, centre: Pattern, cloth: OrthotropicMaterial, reach_m: float
-    ) -> tuple[PatternSearch, list[Match]]:
-        """The search from ``start`` in ``cloth`` with this reach [m], and how its contours are paired.
-
-        The corners of ``centre`` are what the reach of the loss is counted from.
-        """
-        contours = open_contours(start.nodes, start.mesh.faces)
-        matches, _ = self.matches(start)
-        controls = free_controls(start.mesh.pattern, self.symmetries)
-        belt = belt_of(start, matches, self.target.contours)
-        forward = RestDrape(start.mesh, self.skin, cloth, held=start.rest.held, belt=belt)
-        if self.lays:
-            forward = LaidDrape(start.mesh, self.skin, cloth, self.target)
-        found = PatternSearch(
-            start.mesh,
-            controls,
-            forward,
-            Objective(start.mesh, self.target, contours, matches),
-            seams=SeamConstraint(start.mesh.pattern, controls, self.base),
-            reach_m=reach_m,
-            likely=controls.values(control_points(centre).positions),
-        )
-        return found, matches
-
-    def sewn(self, last: Round, length_m: float) -> tuple[Round, Draped]:
-        """``last`` with its pattern sewn on a mesh of edges ``length_m``, and that drape with its belt laid.
-
-        What is not worn so, or fell into other folds, is hung in those of ``last`` if it is nearer to the target then.
-        Raises ``InputError`` where it cannot be sewn.
-        """
-        cloth, start = last.fitted.cloth, self.start(replace(self.drape, edge_length_m=length_m), last.fitted.cloth)
-        shown, pairs = (last.search.mesh_of(last.fitted), last.fitted.nodes), list[Sewn]()
-
-        def far(one: Draped) -> float:
-            return self.surface(one) if one.at_rest and not start.lost(one) else math.inf
-
-        def mended(loose: Draped) -> Draped:
-            if self.lays:
-                worn = hung_as(loose, *shown, self.skin, cloth)
-            elif len(loose.rest.held) and start.lost(loose):
-                worn = laying.put_on(loose, *shown, lambda one: self.held(one, cloth))
-            else:
-                worn = self.held(loose, cloth)
-            if not self.lays and (
-                laying.in_other_folds(worn, *shown) or (math.isinf(far(worn)) and not len(worn.rest.held))
-            ):
-                worn = min((worn, laying.hung_at_rest(loose, *shown, self.skin, cloth)), key=far)
-            pairs.append(Sewn(loose, worn))
-            return worn
-
-        worn = worn_drape(last.fitted.pattern, start, rest=not self.lays, mended=mended)
-        return replace(last, sewn=next(pair for pair in pairs if pair.worn is worn), sewn_m2=far(worn)), worn
-
-    def rounds(
-        self,
-        start: Draped,
-        graded: Pattern,
-        lengths_m: list[float],
-        run: Callable[[PatternSearch, np.ndarray, int], Fitted],
-        began: np.ndarray,
-    ) -> tuple[list[Round], str]:
-        """The searches, ``run`` one after the other, each on a new mesh of the pattern that the one before found.
-
-        With them why the last ones were left out, empty for none. The first goes from the drape ``start`` of the
-        pattern ``graded``; its clocks ``began`` earlier.
-        """
-        cloth = hanging(self.drape.fabric, self.drape.hangs_longer)
-        reach_m = self.reach_m
-        rounds: list[Round] = []
-        for number, length in enumerate(lengths_m):
-            if number and watch.over():
-                return rounds, self._left(number, len(lengths_m), "the time is up")
-            try:
-                if number:
-                    with watch.stage(f"drape of round {number + 1}"):
-                        rounds[-1], start = self.sewn(rounds[-1], length)
-                elif not self.lays:
-                    start = self.held(start, cloth)
-            except InputError as error:
-                if not number:
-                    raise
-                return rounds, self._left(number, len(lengths_m), f"the pattern sewn anew is not worn so: {error}")
-            far_m2, limit = (rounds[-1].least[1], FAR_MM) if number else (self.surface(start), START_FAR_MM)
-            held_back = apart_mm(far_m2) > limit
-            why = why_left(rounds, start) if number else ""
-            if why and not (why == SAME and held_back):
-                return rounds, self._left(number, len(lengths_m), why)
-            reach_m *= REACH_GROWS if held_back else 1.0
-            search, matches = self.search(start, graded, cloth, reach_m)
-            if number and not self.lays and not search.rests(start.nodes):
-                return rounds, self._left(number, len(lengths_m), NOT_AT_REST)
-            if not number:
-                self.say(f"search    {search.free.count} numbers are free, {start.mesh.node_count} nodes")
-            fitted = run(search, start.nodes, number)
-            now = clocks()
-            rounds.append(Round(start, matches, search, fitted, length, *(now - began).tolist()))
-            began = now
-            first, last = (apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].surface_m2))
-            self.say(f"round {number + 1}   {start.mesh.node_count} nodes: surfaces {first:.2f} to {last:.2f} mm apart")
-        return rounds, ""
-
-    def _left(self, number: int, count: int, why: str) -> str:
-        """Says and returns that the rounds from ``number`` on, of ``count``, are left out."""
-        self.say(f"round {number + 1}   left: {why}")
-        return "" if why == SAME else f"round {number + 1} of {count}: {why}"

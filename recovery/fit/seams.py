@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from drape.arrays import check_shape
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import with_controls
@@ -39,10 +38,6 @@ class SeamConstraint:
     """The stitches of ``pattern``, whose corners are ``free``, in the ratios that those of ``base`` ask for."""
 
     def __init__(self, pattern: Pattern, free: FreeControls, base: Pattern) -> None:
-        if len(pattern.stitches) != len(base.stitches):
-            raise InputError(
-                "base", expected=f"{len(pattern.stitches)} stitches", got=f"{len(base.stitches)}", cure="Pass its own."
-            )
         self.free = free
         self._number = {panel.name: number for number, panel in enumerate(pattern.panels)}
         sides = [[getattr(stitch, side) for stitch in pattern.stitches] for side in ("first", "second")]
@@ -66,7 +61,6 @@ class SeamConstraint:
 
     def apart(self, values: np.ndarray) -> np.ndarray:
         """g (S,) at ``values`` [m] (Z,): the relative difference of every seam from what is asked for."""
-        check_shape("values", values, (self.free.count,))
         chords = self._chords @ np.concatenate([[1.0], values])
         length = np.log(np.linalg.norm(chords, axis=2))
         return length[0] - length[1] + self.offset

@@ -16,9 +16,11 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from drape.garment.contours import lost_parts
 from recovery import progress as watch
-from recovery.drape.pattern_drape import Draped, DrapeOptions, Report, drape_pattern
+from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
+from recovery.fit.laying import Dressing, Shown, Worn
 from recovery.pattern.model import Pattern
+from recovery.progress import Say
 from recovery.sim.sdf import SignedDistance
 
 LENGTHS_TRIED = (1.0, 0.93, 1.07, 0.87)  # of the edge length asked for
@@ -39,24 +41,31 @@ class Start:
     skin: SignedDistance | None
     parts: tuple[str, ...] = ()
     cloth: OrthotropicMaterial | None = None
-    report: Report | None = None
+    report: Say | None = None
 
     def lost(self, draped: Draped) -> tuple[str, ...]:
         """Those of ``parts`` that are beside their openings."""
         parts = self.parts or draped.placed.limbs
-        return lost_parts(draped.nodes, draped.mesh.faces, posed_joints(self.body, self.pose), parts)
+        return lost_parts(*draped.surface, posed_joints(self.body, self.pose), parts)
 
 
 def worn_drape(
-    pattern: Pattern, start: Start, *, rest: bool = True, mended: Callable[[Draped], Draped] = lambda one: one
+    pattern: Pattern,
+    start: Start,
+    *,
+    rest: bool = True,
+    mended: Callable[[Draped], Draped] = lambda one: one,
+    off_mm: Callable[[Draped], float] = lambda one: 0.0,
+    enough_mm: float = 0.0,
 ) -> Draped:
     """Returns a drape of ``pattern`` in which every part of the body is in its opening, as ``mended`` has made of it.
 
-    If a part is lost, or with ``rest`` if the cloth still moves, other meshes are tried: a much finer one first for a
-    lost part, then a little finer and coarser ones. If none is right, the best is returned: one with all parts before
-    one at rest. Raises ``InputError`` where the pattern cannot be sewn on any.
+    If a part is lost, if with ``rest`` the cloth still moves, or if ``off_mm`` says that it lies farther than
+    ``enough_mm`` [mm] from where it should, other meshes are tried: a much finer one first for a lost part, then a
+    little finer and coarser ones. If none is right, the best is returned: one with all parts before one at rest, and
+    that before a nearer one. Raises ``InputError`` where the pattern cannot be sewn on any.
     """
-    tried: list[tuple[tuple[int, int, int], Draped]] = []
+    tried: list[tuple[tuple[int, int, float, int], Draped]] = []
     refused: list[InputError] = []
     shares, number = list(LENGTHS_TRIED), -1
     while shares:
@@ -68,15 +77,37 @@ def worn_drape(
         except InputError as error:
             refused.append(error)
             continue
-        tried.append(((len(start.lost(one)), int(not one.at_rest), number), one))
-        lost, moves, _ = tried[-1][0]
-        if (not lost and not (rest and moves)) or watch.over():
+        lost, moves, off = len(start.lost(one)), int(not one.at_rest), off_mm(one)
+        tried.append(((lost, moves, off, number), one))
+        if (not lost and not (rest and moves) and off <= enough_mm) or watch.over():
             break
         if lost and number == 0:
             shares.insert(0, FINER)
     if not tried:
         raise refused[0]
     return min(tried, key=lambda pair: pair[0])[1]
+
+
+def dressed(
+    pattern: Pattern,
+    start: Start,
+    dressing: Dressing,
+    shown: Shown,
+    *,
+    rest: bool = True,
+    off_mm: Callable[[Draped], float] = lambda one: 0.0,
+    enough_mm: float = 0.0,
+) -> Worn:
+    """``pattern`` sewn from flat panels as ``worn_drape`` does it, and put on as ``shown`` lies. Raises ``InputError``
+    where it cannot be sewn."""
+    pairs: list[Worn] = []
+
+    def mended(loose: Draped) -> Draped:
+        pairs.append(Worn(loose, dressing.worn_as(loose, shown)))
+        return pairs[-1].worn
+
+    worn = worn_drape(pattern, start, rest=rest, mended=mended, off_mm=off_mm, enough_mm=enough_mm)
+    return next(pair for pair in pairs if pair.worn is worn)
 
 
 def needed_length(draped: Draped, options: DrapeOptions) -> float:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from recovery.pattern import geometry
-from recovery.pattern.bent_panels import Tube, Vector, draft_round
 from recovery.pattern.design import Assembly
-from recovery.pattern.drafting import Drafted, Side
+from recovery.pattern.drafting import Drafted, Side, Tube, Vector, draft_round
 from recovery.pattern.measurements import BodyMeasurements
 
 WAISTBAND_SHORTER = 0.02  # the waist is eased into it
@@ -17,23 +17,24 @@ FORWARD: Vector = (0.0, 0.0, 1.0)
 Edge = tuple[Drafted, str]
 
 
-def sew_band(
-    assembly: Assembly,
-    name: str,
-    to: Sequence[Edge],
-    tube: Tube,
-    *,
-    width_m: float,
-    shorter: float,
-    above: bool,
-    free: str = "opening",
-    seam: str | None = None,
-) -> Drafted:
-    """Sews a strip of ``width_m`` [m] to the edges ``to``, which follow each other along the tube's u, and returns it.
+class Band(NamedTuple):
+    """A strip of ``width_m`` [m], shorter than what it is sewn to by the share ``shorter``.
 
-    It is shorter than they are by the share ``shorter``. It stands ``above`` them, as a waistband does, or hangs below,
-    as a cuff. ``free`` and ``name`` name its free edge and the panel; ``seam`` its seam, by default after the name.
+    It stands ``above``, as a waistband does, or hangs below, as a cuff. ``free`` and ``name`` name its free edge and
+    the panel; ``seam`` its seam, by default after the name.
     """
+
+    name: str
+    width_m: float
+    shorter: float
+    above: bool
+    free: str = "opening"
+    seam: str | None = None
+
+
+def sew_band(assembly: Assembly, band: Band, to: Sequence[Edge], tube: Tube) -> Drafted:
+    """Sews ``band`` to the edges ``to``, which follow each other along the tube's u, and returns it."""
+    name, width_m, shorter, above, free, seam = band
     lengths = [(1.0 - shorter) * geometry.edge_length(drafted.panel, drafted.numbers[side]) for drafted, side in to]
     total = sum(lengths)
     places = [-0.5 * total]
@@ -55,15 +56,15 @@ def sew_band(
     seam = seam or f"{name}_seam"
     if shorter:
         assembly.eased[seam] = 1.0 / (1.0 - shorter) - 1.0
-    band = assembly.add(*draft_round(name, sides, tube))
+    strip = assembly.add(*draft_round(name, sides, tube))
     for number, (drafted, side) in enumerate(to):
-        assembly.sew(seam, band, f"{name}_{number}", drafted, side)
-    assembly.sew(f"{name}_closing", band, "start", band, "end")
-    return band
+        assembly.sew(seam, strip, f"{name}_{number}", drafted, side)
+    assembly.sew(f"{name}_closing", strip, "start", strip, "end")
+    return strip
 
 
 def sew_waistband(assembly: Assembly, body: BodyMeasurements, top: float, to: Sequence[Edge], width_m: float) -> None:
     """A band of ``width_m`` above the edges ``to``, the waist of a garment at the height ``top`` [m]."""
     middle = (0.0, top + 0.01, 0.5 * (body.front_z + body.back_z))
     tube = Tube(middle, UP, FORWARD, body.girth_at(top) / 5.0)
-    sew_band(assembly, "waistband", to, tube, width_m=width_m, shorter=WAISTBAND_SHORTER, above=True)
+    sew_band(assembly, Band("waistband", width_m, WAISTBAND_SHORTER, above=True), to, tube)

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drape.arrays import check_finite, check_shape
-from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.model import Edge, EdgeKind, Panel, Pattern
 
@@ -52,9 +50,6 @@ def control_points(pattern: Pattern, *, free_curves: bool = False) -> Controls:
 
 def with_controls(pattern: Pattern, controls: Controls, positions: np.ndarray) -> Pattern:
     """``pattern`` with its control points at ``positions`` [m] (K, 2), in the order of ``controls``."""
-    positions = np.asarray(positions, dtype=np.float64)
-    check_shape("positions", positions, (len(controls), 2))
-    check_finite("positions", positions)
     panels = []
     for panel_number, panel in enumerate(pattern.panels):
         mine = controls.panel == panel_number
@@ -107,13 +102,6 @@ def mean_value_weights(points: np.ndarray, cage: np.ndarray) -> np.ndarray:
     Rows sum to one and reproduce linear functions; on a side they interpolate its ends. In a polygon that is
     not convex some are negative.
     """
-    points, cage = np.asarray(points, dtype=np.float64), np.asarray(cage, dtype=np.float64)
-    check_shape("points", points, (None, 2))
-    check_shape("cage", cage, (None, 2))
-    check_finite("points", points)
-    check_finite("cage", cage)
-    if len(cage) < 3 or (np.linalg.norm(np.roll(cage, -1, axis=0) - cage, axis=1) == 0.0).any():
-        raise InputError("cage", expected="3 or more distinct corners", got=f"{len(cage)}", cure="Remove doubled ones.")
     step = max(1, CHUNK // len(cage))
     blocks = [_weights(points[first : first + step], cage) for first in range(0, len(points), step)]
     return np.concatenate(blocks) if blocks else np.zeros((0, len(cage)))

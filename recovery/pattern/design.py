@@ -10,8 +10,7 @@ import numpy as np
 
 from drape.errors import InputError
 from recovery.pattern import geometry
-from recovery.pattern.bent_panels import Wrap
-from recovery.pattern.drafting import Drafted
+from recovery.pattern.drafting import Drafted, Wrap
 from recovery.pattern.model import EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.pieces import CLOTH_WIDTH_M
 

@@ -1,12 +1,21 @@
-"""Drafting of panels from named sides: corners, curves by their Bezier points, mirror images, seams by name."""
+"""Panels as they are drafted: outlines whose sides have names, flat before the body or bent round a part of it.
+
+Sleeves start bent round an arm, bands round waist, neck and wrist, a ring hung in flutes. A panel that encloses a limb
+cannot start flat beside it: the threads between its two edges would pass through the limb. On a cylinder it lies
+without stretch: with the panel's point (u, v)
+
+    world = origin + v axis + R (sin(u / R) (axis x front) + cos(u / R) front)
+"""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from recovery.pattern.geometry import on_chord
 from recovery.pattern.measurements import BodyMeasurements
@@ -16,6 +25,10 @@ Point = tuple[float, float]
 KINDS = (EdgeKind.LINE, EdgeKind.QUADRATIC, EdgeKind.CUBIC)
 FRONT, BACK = (0.0, 0.0, 0.0), (0.0, 180.0, 0.0)  # rotations [deg] of panels before and behind the body
 STAND_OFF_M = 0.06  # panels hang this far before and behind the body
+SLANT = 0.36  # of a fluted ring's middle surface: how far it goes outward on its way down
+UNEVEN = 0.5  # of a flute's width by which its neighbours differ from it
+DEPTH_STEPS = 64
+Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -109,3 +122,140 @@ def root(function: Callable[[float], float], low: float, high: float) -> float:
     """Returns where ``function`` is zero between ``low`` and ``high``, at which it has different signs, to a
     nanometre."""
     return float(brentq(function, low, high, xtol=1e-9))  # pyright: ignore[reportArgumentType]
+
+
+# --- bent panels -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Tube:
+    """A cylinder of ``radius_m``: the warp runs along the unit vector ``axis``, u = 0 lies in direction ``front``."""
+
+    origin: Vector
+    axis: Vector
+    front: Vector
+    radius_m: float
+
+    def place(self, points: np.ndarray) -> np.ndarray:
+        """World positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
+        axis = np.array(self.axis)
+        around = _around(axis, np.array(self.front), points[:, :1] / self.radius_m)
+        return np.array(self.origin) + points[:, 1:] * axis + self.radius_m * around
+
+    def tangent(self, point: np.ndarray) -> Placement:
+        """The flat placement that touches the tube at ``point`` (u, v)."""
+        axis = np.array(self.axis)
+        place = self.place(point[None])[0]
+        normal = (place - np.array(self.origin) - point[1] * axis) / self.radius_m
+        turn = np.stack([np.cross(axis, normal), axis, normal], axis=1)
+        with warnings.catch_warnings():
+            # A panel seen edge-on has no single set of angles; any will do.
+            warnings.simplefilter("ignore", UserWarning)
+            angles = Rotation.from_matrix(turn).as_euler("xyz", degrees=True)
+        return Placement(tuple(angles.tolist()), tuple(place.tolist()))
+
+
+@dataclass(frozen=True)
+class Flutes:
+    """A ring cut as part of a disc that hangs from its inner circle in ``count`` flutes, turned by ``turn_rad``.
+
+    Drawn about the disc's middle, v = -r at the middle of the part. On its way down the circle of radius r becomes a
+    wave round a cone that is as long as the circle was; flutes are a little uneven, as they fall.
+    """
+
+    origin: Vector
+    inner_m: float
+    outer_m: float
+    count: int
+    turn_rad: float = 0.0
+
+    def place(self, points: np.ndarray) -> np.ndarray:
+        """World positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
+        angle = np.arctan2(points[:, 0], -points[:, 1]) + self.turn_rad
+        down = np.hypot(points[:, 0], points[:, 1]) - self.inner_m
+        along = np.linspace(0.0, self.outer_m - self.inner_m, DEPTH_STEPS)
+        cone = self.inner_m + SLANT * along
+        depth = np.array([self._depth(r, self.inner_m + s) for r, s in zip(cone, along, strict=True)])
+        depth[0] = 0.0
+        fall = np.sqrt(np.clip(1.0 - SLANT**2 - 0.5 * np.gradient(depth, along) ** 2, 0.2, 1.0))
+        height = np.concatenate([[0.0], np.cumsum(0.5 * (fall[1:] + fall[:-1]) * np.diff(along))])
+        wave = np.cos(self.count * angle + UNEVEN * np.sin(2.0 * angle + 0.7) + UNEVEN * np.sin(3.0 * angle + 2.0))
+        radius = np.interp(down, along, cone) + np.interp(down, along, depth) * wave
+        x, z = radius * np.sin(angle), radius * np.cos(angle)
+        return np.array(self.origin) + np.stack([x, -np.interp(down, along, height), z], axis=1)
+
+    def _depth(self, cone: float, circle: float) -> float:
+        """The depth [m] of a wave round the radius ``cone`` that is as long as the circle of radius ``circle``."""
+        angle = np.linspace(0.0, 2.0 * np.pi / self.count, 65)
+
+        def excess(depth: float) -> float:
+            across, on = cone + depth * np.cos(self.count * angle), self.count * depth * np.sin(self.count * angle)
+            return float(np.hypot(across, on).mean()) - circle
+
+        return 0.0 if excess(0.0) >= 0.0 else float(brentq(excess, 0.0, 2.0 * circle))  # pyright: ignore[reportArgumentType]
+
+    def tangent(self, point: np.ndarray) -> Placement:
+        """A flat placement before or behind the body at ``point`` (u, v), for programs that place panels flat."""
+        turn = (0.0, float(np.degrees(self.turn_rad)), 0.0)
+        offset = Placement(turn).apply(np.array([point]))[0]
+        ahead = self.outer_m * np.array([np.sin(self.turn_rad), 0.0, np.cos(self.turn_rad)])
+        return Placement(turn, tuple((np.array(self.origin) + offset + 0.3 * ahead).tolist()))
+
+
+@dataclass(frozen=True)
+class Cone:
+    """A funnel that opens downward from a circle of ``radius_m`` [m], ``slant`` outward per metre of cloth.
+
+    Drawn as a ring round (0, ``ring_m``) [m] whose inner arc, through (0, 0), goes round that circle; ``axis`` and
+    ``front`` as of a tube.
+    """
+
+    origin: Vector
+    axis: Vector
+    front: Vector
+    radius_m: float
+    ring_m: float
+    slant: float
+
+    def place(self, points: np.ndarray) -> np.ndarray:
+        """World positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
+        axis = np.array(self.axis)
+        off = points - np.array([0.0, self.ring_m])
+        down = np.hypot(off[:, :1], off[:, 1:]) - self.ring_m
+        angle = np.arctan2(off[:, :1], -off[:, 1:]) * self.ring_m / self.radius_m
+        radius = self.radius_m + self.slant * down
+        outward = radius * _around(axis, np.array(self.front), angle)
+        return np.array(self.origin) - np.sqrt(1.0 - self.slant**2) * down * axis + outward
+
+    def tangent(self, point: np.ndarray) -> Placement:
+        """The flat placement beside the funnel at ``point`` (u, v)."""
+        tube = Tube(self.origin, self.axis, self.front, self.radius_m)
+        return tube.tangent(np.array([0.0, point[1]]))
+
+
+def _around(axis: np.ndarray, front: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 3) at ``angle`` [rad] (N, 1) about ``axis`` (3,) from ``front`` (3,)."""
+    return np.sin(angle) * np.cross(axis, front) + np.cos(angle) * front
+
+
+@dataclass(frozen=True)
+class Wrap:
+    """A panel round a ``tube``; the origin of the panel's frame lies at ``offset`` = (u, v) [m] there."""
+
+    tube: Tube | Flutes | Cone
+    offset: tuple[float, float]
+
+    def place(self, points: np.ndarray) -> np.ndarray:
+        """World positions [m] (N, 3) of the panel's ``points`` [m] (N, 2)."""
+        return self.tube.place(points + np.array(self.offset))
+
+
+def draft_round(
+    name: str, sides: Sequence[Side], tube: Tube | Flutes | Cone, *, flip: bool = False
+) -> tuple[Drafted, Wrap]:
+    """The panel bounded by ``sides``, drawn in the tube's (u, v) as seen from outside; ``flip`` mirrors u."""
+    drafted = draft(name, sides, rotation=FRONT, z=0.0, flip=flip)
+    u, v, _ = drafted.panel.placement.translation_m
+    wrap = Wrap(tube, (u, v))
+    placement = tube.tangent(np.array([u, v]))
+    return Drafted(replace(drafted.panel, placement=placement), drafted.numbers), wrap

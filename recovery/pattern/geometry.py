@@ -15,7 +15,7 @@ import numpy as np
 from drape.errors import InputError
 from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 
-QUADRATURE_NODES = 64
+QUADRATURE_NODES, PIECES = 64, 8
 TOUCH_M = 1e-9  # segments nearer than this meet
 SMALLEST_PANEL_M, LARGEST_PANEL_M = 0.005, 5.0  # of the longer side of a panel's box; the largest panel >= 0.05
 SMALLEST_GARMENT_M = 0.05
@@ -82,15 +82,21 @@ def relative_length(edge: Edge) -> float:
 def arc_lengths(edge: Edge, t: np.ndarray) -> np.ndarray:
     """Arc length per chord (T,) from the start to ``t`` (T,), by Gauss's rule on eight pieces."""
     nodes, weights = _gauss()
-    pieces = np.linspace(0.0, 1.0, 9)
-    ends = pairwise(pieces.tolist())
-    whole = [(np.hypot(*relative_slope(edge, a + (b - a) * nodes).T) @ weights) * (b - a) for a, b in ends]
-    before = np.concatenate([[0.0], np.cumsum(whole)])
-    place = np.clip(np.searchsorted(pieces, t, side="right") - 1, 0, 7)
+    pieces, before = np.linspace(0.0, 1.0, PIECES + 1), _lengths_before(edge)
+    place = np.clip(np.searchsorted(pieces, t, side="right") - 1, 0, PIECES - 1)
     low = pieces[place]
     at = low[:, None] + (t - low)[:, None] * nodes
     speed = np.hypot(*relative_slope(edge, at.reshape(-1)).T).reshape(at.shape)
     return before[place] + (speed @ weights) * (t - low)
+
+
+@lru_cache(maxsize=4096)
+def _lengths_before(edge: Edge) -> np.ndarray:
+    """Arc length per chord (PIECES + 1,) from the start to where each piece begins, and to the end."""
+    nodes, weights = _gauss()
+    ends = pairwise(np.linspace(0.0, 1.0, PIECES + 1).tolist())
+    whole = [(np.hypot(*relative_slope(edge, a + (b - a) * nodes).T) @ weights) * (b - a) for a, b in ends]
+    return np.concatenate([[0.0], np.cumsum(whole)])
 
 
 @lru_cache(maxsize=1)

@@ -1,18 +1,42 @@
-"""A tailor's measurements, taken from a body's mesh in the T-pose: girths by an imagined tape, heights, reaches."""
+"""A tailor's measurements, taken from a body's mesh in the T-pose: girths by an imagined tape, heights, reaches.
+
+In sizes S to XXL, of which the body is M, girths of the trunk grow by a letter of EN 13402-3
+(``drape.garment.size_chart``). The other steps are proportional to these, as in tailors' grading tables, and lengths
+grow by what makers of T-shirts print.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
-from drape.errors import BodyError
+from drape.errors import BodyError, NotFound
+from drape.garment.size_chart import GIRTH_STEP_M, STEPS
+from drape.geometry.sections import convex_hull, level_section
 
 STEP_M = 0.01  # between the heights at which the trunk is measured
 BESIDE_M = 1e-4  # planes beside the middle: vertices lie exactly on it
+# Patterns come in one more than garments that are sewn and stored.
+PATTERN_STEPS = STEPS | {"XXL": 3}
+# Growth [m] per size; girths whole, half widths half.
+GROWTH_M = {
+    "chest_girth": GIRTH_STEP_M,
+    "waist_girth": GIRTH_STEP_M,
+    "hip_girth": GIRTH_STEP_M,
+    "thigh_girth": 0.044,
+    "calf_girth": 0.024,
+    "arm_girth": 0.028,
+    "wrist_girth": 0.012,
+    "neck_girth": 0.020,
+    "neck_half_width": 0.003,
+    "shoulder_x": 0.012,
+    "underarm_y": -0.008,  # armholes deepen
+    "longer_m": 0.02,
+    "wider_m": 0.024,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,27 +91,21 @@ class BodyMeasurements:
 
 def section(vertices: np.ndarray, faces: np.ndarray, axis: int, value: float) -> np.ndarray:
     """Points [m] (N, 3) where the edges of the triangles cross the plane x_axis = ``value``."""
-    corners = vertices[faces]
-    offset = corners[..., axis] - value
-    points = []
-    for first, second in ((0, 1), (1, 2), (2, 0)):
-        a, b = offset[:, first], offset[:, second]
-        crossing = a * b < 0.0
-        share = (a[crossing] / (a[crossing] - b[crossing]))[:, None]
-        points.append(corners[crossing, first] + share * (corners[crossing, second] - corners[crossing, first]))
-    return np.concatenate(points)
+    level = np.roll(vertices, 1 - axis, axis=1)
+    return np.roll(level_section(faces, level, value).points(level), axis - 1, axis=1)
 
 
 def tape(points: np.ndarray) -> float:
     """Perimeter [m] of the convex hull of plane ``points`` (N, 2), which a taut tape reads."""
-    if len(points) < 3:
+    hull = convex_hull(points)
+    if hull is None:
         raise BodyError(
             "body",
             expected="a mesh that the measuring plane cuts",
             got=f"{len(points)} points",
             cure="Check that the body stands in the T-pose, in metres, y up.",
         )
-    return float(ConvexHull(points).area)  # in the plane qhull's "area" is the perimeter
+    return float(hull.area)  # in the plane qhull's "area" is the perimeter
 
 
 def measure(body: BodyModel) -> BodyMeasurements:
@@ -156,3 +174,25 @@ def measure(body: BodyModel) -> BodyMeasurements:
         heights=heights,
         girths=girths,
     )
+
+
+# --- sizes -----------------------------------------------------------------------------------------------------------
+
+
+def in_size(body: BodyMeasurements, size: str) -> BodyMeasurements:
+    """The measurements that a pattern of ``size`` is drafted for, ``body`` being size M.
+
+    Raises ``NotFound`` for a size beyond the grade.
+    """
+    if size not in PATTERN_STEPS:
+        raise NotFound(
+            "size",
+            expected=f"one of {', '.join(PATTERN_STEPS)}",
+            got=size,
+            cure="Beyond the grade, draft for a body of that size: measure it and make its M.",
+        )
+    step = PATTERN_STEPS[size]
+    if step == 0:
+        return body
+    grown = {name: getattr(body, name) + step * growth for name, growth in GROWTH_M.items()}
+    return replace(body, girths=body.girths + step * GROWTH_M["waist_girth"], **grown)

@@ -227,6 +227,11 @@ class Pattern:
                 return panel
         raise InputError("panel", expected=f"one of {[p.name for p in self.panels]}", got=name, cure="Check the name.")
 
+    @property
+    def sewn(self) -> set[EdgeRef]:
+        """The edges that are in a stitch."""
+        return {ref for stitch in self.stitches for ref in (stitch.first, stitch.second)}
+
     def edge_refs(self) -> list[EdgeRef]:
         """Every edge, panel by panel in the order of their outlines."""
         return [EdgeRef(panel.name, number) for panel in self.panels for number in range(len(panel.edges))]

@@ -9,9 +9,8 @@ import numpy as np
 import scipy.sparse
 from scipy.sparse import csgraph
 
-from drape.arrays import check_shape
 from drape.errors import MeshError
-from drape.geometry import meshes
+from drape.geometry import closest, meshes
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import Controls, boundary_matrix, control_points, mean_value_weights
 from recovery.pattern.model import EdgeRef, Panel, Pattern
@@ -49,8 +48,6 @@ class PatternMesh:
 
     def rest_at(self, positions: np.ndarray) -> np.ndarray:
         """Panel vertices [m] (P, 2) for control points at ``positions`` [m] (K, 2)."""
-        positions = np.asarray(positions, dtype=np.float64)
-        check_shape("positions", positions, (len(self.controls), 2))
         return (self.weights @ positions.reshape(-1)).reshape(-1, 2)
 
     def folded(self, rest: np.ndarray) -> np.ndarray:
@@ -251,3 +248,30 @@ def _check_surface(pattern: Pattern, faces: np.ndarray, face_panel: np.ndarray, 
             got=f"{coincide} edges that fall onto others",
             cure="Take shorter mesh edges, or check that the stitches join the right edges.",
         )
+
+
+def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> np.ndarray:
+    """Nodes [m] (N, 3) of ``fine`` on the cloth of ``coarse`` at ``nodes``, by their places in the panels.
+
+    Panels of ``fine`` may be cut into the rest, under the same name, and parts in the same frame, named after it.
+    """
+    there, here = ([panel.name for panel in mesh.pattern.panels] for mesh in (coarse, fine))
+    whole = [_whole(name, there) for name in here]
+    positions = np.zeros((len(fine.rest), 3))
+    flat = np.column_stack([coarse.rest, np.zeros(len(coarse.rest))])
+    for number, parent in enumerate(whole):
+        mine, faces = fine.panel == number, coarse.face_panel == parent
+        points = np.column_stack([fine.rest[mine], np.zeros(mine.sum())])
+        triangles = coarse.panel_faces[faces]
+        found = closest.closest_point(points, flat, triangles)
+        # Points outside a coarse chord are carried on along the nearest triangle.
+        weights = closest.barycentric(points, flat[triangles[found.face]])
+        positions[mine] = np.einsum("nk,nkc->nc", weights, nodes[coarse.faces[faces][found.face]])
+    return fine.nodes_from(positions)
+
+
+def _whole(name: str, names: list[str]) -> int | None:
+    """The number of the panel called ``name``, or of the one that it was cut off; None where there is none."""
+    while name not in names and "_" in name:
+        name = name.rpartition("_")[0]
+    return names.index(name) if name in names else None

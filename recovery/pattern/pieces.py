@@ -110,11 +110,6 @@ def make_sheet(pattern: Pattern, *, allowance_m: float = SEAM_M, hem_m: float | 
     return CuttingSheet(pattern.name, tuple(pieces), offsets, used, height)
 
 
-def sewn_edges(pattern: Pattern) -> set[EdgeRef]:
-    """The edges that are in a stitch."""
-    return {ref for stitch in pattern.stitches for ref in (stitch.first, stitch.second)}
-
-
 def is_fold(edge: Edge) -> bool:
     """Whether an open edge, by its label, lies on the fold of the cloth: it is not cut."""
     return re.search(r"(?<![a-z])fold(?![a-z])", (edge.label or "").lower()) is not None
@@ -126,7 +121,7 @@ def hems(pattern: Pattern) -> set[EdgeRef]:
     A label that says what an edge is decides. Otherwise it is turned up if it bends by less than ``HEM_BEND`` of its
     chord, and if it lies in the lower half of its panel, as placed, or stands upright like the cuff of a spread arm.
     """
-    sewn = sewn_edges(pattern)
+    sewn = pattern.sewn
     edges = set()
     for ref in pattern.edge_refs():
         panel = pattern.panel(ref.panel)
@@ -180,7 +175,7 @@ def _piece(pattern: Pattern, panel: Panel, allowance_m: float, hem_m: float, twi
     sides = [geometry.flatten(panel, number, TOLERANCE_M)[:-1] for number in range(len(panel.edges))]
     sewing = np.concatenate(sides)
     turned_up = hems(pattern)
-    legs, sewn = dart_legs(pattern, panel, TOLERANCE_M), sewn_edges(pattern)
+    legs, sewn = dart_legs(pattern, panel, TOLERANCE_M), pattern.sewn
     folds = {n for n, edge in enumerate(panel.edges) if EdgeRef(panel.name, n) not in sewn and is_fold(edge)}
     allowances = [hem_m if EdgeRef(panel.name, n) in turned_up else allowance_m for n in range(len(sides))]
     allowances = [0.0 if n in legs | folds else allowance for n, allowance in enumerate(allowances)]
@@ -209,10 +204,10 @@ def _piece(pattern: Pattern, panel: Panel, allowance_m: float, hem_m: float, twi
             point, inward = _inward(panel, EdgeRef(panel.name, n), np.array([end]))
             notches.append(Notch(point[0] - allowances[n] * inward[0], inward[0]))
     kept: list[Notch] = []
-    for notch in notches:
-        # In a hollow corner the foot of the perpendicular lies inside the piece, beside a hem outside of it.
-        on_line = boundary_distance(notch.point[None], cutting)[0] < 2e-4
-        if on_line and all(np.linalg.norm(notch.point - other.point) > NOTCH_GAP_M for other in kept):
+    # In a hollow corner the foot of the perpendicular lies inside the piece, beside a hem outside of it.
+    off_m = boundary_distance(np.array([notch.point for notch in notches]).reshape(-1, 2), cutting)
+    for notch in (one for one, off in zip(notches, off_m, strict=True) if off < 2e-4):
+        if all(np.linalg.norm(notch.point - other.point) > NOTCH_GAP_M for other in kept):
             kept.append(notch)
     words = [pattern.name, panel.name, f"cut {cut_count(panel)}{' on the fold' if folds else ''}", *twin]
     words += [pattern.material] if pattern.material else []

@@ -5,10 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from recovery.pattern import geometry
-from recovery.pattern.bands import sew_band
-from recovery.pattern.bent_panels import Cone, Tube, Vector, draft_round
+from recovery.pattern.bands import Band, sew_band
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, before_and_behind, draft, on_ring, ring_handles
+from recovery.pattern.drafting import (
+    BACK,
+    FRONT,
+    Cone,
+    Drafted,
+    Point,
+    Side,
+    Tube,
+    Vector,
+    before_and_behind,
+    draft,
+    draft_round,
+    on_ring,
+    ring_handles,
+)
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.tops import HOLLOWS, TopCut, bodice, lines, set_sleeves
 
@@ -23,11 +36,11 @@ FOLD_RAD = -2.4  # of the fall over the stand, nearly flat on it; negative: away
 
 def shirt(body: BodyMeasurements, cut: TopCut) -> Design:
     """The shirt that ``cut`` describes, for ``body``. Raises ``InputError`` as ``tops.top`` does."""
-    neck, tip, underarm, hem = lines(body, cut)
+    neck, tip, _, hem = corners = lines(body, cut)
     work = Assembly()
     (_, _, front_z), (_, _, back_z) = before_and_behind(body)
     half, whole = (
-        bodice(neck, tip, underarm, hem, depth=depth, hollow=hollow, inset=cut.armhole_inset, lower="hem")
+        bodice(corners, depth=depth, hollow=hollow, inset=cut.armhole_inset, lower="hem")
         for depth, hollow in zip((cut.neck_depth_m, cut.back_neck_depth_m), HOLLOWS, strict=True)
     )
     back = work.add(draft("back", [*whole[:-1], _tail(hem, TAIL_M)], rotation=BACK, z=back_z))
@@ -72,7 +85,7 @@ def _collar(work: Assembly, body: BodyMeasurements, cut: TopCut, fronts: dict[st
     behind: Vector = (0.0, float(np.sin(lean)), -float(np.cos(lean)))
     low = np.array([0.0, body.neck_y - 0.3 * (cut.neck_depth_m + cut.back_neck_depth_m) + 0.01, body.arm_z])
     tube = Tube(_vector(low), axis, behind, STAND_RADIUS_M)
-    stand = sew_band(work, "collar_stand", edges, tube, width_m=STAND_M, shorter=0.0, above=True, free="fold")
+    stand = sew_band(work, Band("collar_stand", STAND_M, 0.0, above=True, free="fold"), edges, tube)
     top = "fold_collar_stand"
     length = geometry.edge_length(stand.panel, stand.numbers[top])
     turn = SPREAD_M / FALL_M  # angle [rad] of the ring sector that the fall is

@@ -9,10 +9,20 @@ import numpy as np
 
 from drape.errors import InputError
 from recovery.pattern.bands import sew_waistband
-from recovery.pattern.bent_panels import Flutes, draft_round
 from recovery.pattern.darts import waist_pieces
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import STAND_OFF_M, Drafted, Point, Side, before_and_behind, draft, on_ring, ring_handles
+from recovery.pattern.drafting import (
+    STAND_OFF_M,
+    Drafted,
+    Flutes,
+    Point,
+    Side,
+    before_and_behind,
+    draft,
+    draft_round,
+    on_ring,
+    ring_handles,
+)
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.model import Placement
 

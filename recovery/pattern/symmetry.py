@@ -13,8 +13,6 @@ from itertools import combinations
 
 import numpy as np
 
-from drape.arrays import check_finite, check_shape
-from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import Controls, control_points, with_controls
 from recovery.pattern.model import EdgeKind, Panel, Pattern
@@ -74,8 +72,6 @@ def find_symmetries(pattern: Pattern, *, tolerance_m: float = TOLERANCE_M) -> Sy
     most one, and only the others are searched for a symmetry of their own. Of several equally good alignments, as for
     a rectangle, the one that keeps the grain upright is taken, a reflection before a rotation.
     """
-    if not 0.0 < tolerance_m < np.inf:
-        raise InputError("tolerance_m", expected="a length > 0", got=f"{tolerance_m}", cure="Pass metres.")
     between: dict[int, Symmetry] = {}  # by the panel that is tied
     numbers = range(len(pattern.panels))
     for p, q in combinations(numbers, 2):
@@ -158,14 +154,10 @@ class FreeControls:
 
     def positions(self, values: np.ndarray) -> np.ndarray:
         """Control points [m] (K, 2) for ``values`` [m] (Z,)."""
-        values = np.asarray(values, dtype=np.float64)
-        check_shape("values", values, (self.count,))
-        check_finite("values", values)
         return self.origin + (self.basis @ values).reshape(-1, 2)
 
     def values(self, positions: np.ndarray) -> np.ndarray:
         """The values (Z,) whose control points are nearest to ``positions`` [m] (K, 2)."""
-        check_shape("positions", positions, (len(self.controls), 2))
         return self.basis.T @ (positions - self.origin).reshape(-1)
 
 

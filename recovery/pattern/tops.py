@@ -11,10 +11,20 @@ from dataclasses import dataclass, replace
 
 from drape.errors import InputError
 from recovery.pattern import geometry
-from recovery.pattern.bands import FORWARD, UP, Edge, sew_band
-from recovery.pattern.bent_panels import Tube, draft_round
+from recovery.pattern.bands import FORWARD, UP, Band, Edge, sew_band
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import FRONT, STAND_OFF_M, Drafted, Point, Side, before_and_behind, draft, root
+from recovery.pattern.drafting import (
+    FRONT,
+    STAND_OFF_M,
+    Drafted,
+    Point,
+    Side,
+    Tube,
+    before_and_behind,
+    draft,
+    draft_round,
+    root,
+)
 from recovery.pattern.measurements import BodyMeasurements
 
 NECK_SLOPE = 0.6
@@ -109,7 +119,7 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
     if cut.neck_band_m:
         edges = [(back, "neck_right"), (front, "neck_left"), (front, "neck_right"), (back, "neck_left")]
         tube = Tube((0.0, body.neck_y - 0.02, 0.3 * (body.front_z + body.back_z)), UP, FORWARD, 0.11)
-        sew_band(work, "neckband", edges, tube, width_m=cut.neck_band_m, shorter=cut.neck_shorter, above=True)
+        sew_band(work, Band("neckband", cut.neck_band_m, cut.neck_shorter, above=True), edges, tube)
     elif not cut.strapless:
         name_openings(work, bodices, "neck", "opening_neck", "opening_neck")
     if cut.skirt_m:
@@ -118,7 +128,7 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
         tube = Tube((0.0, hem[1] - cut.hem_band_m, 0.0), UP, (1.0, 0.0, 0.0), 0.26)
         # The strip starts at one side seam.
         edges = [(front, "hemline"), (back, "hemline")]
-        sew_band(work, "hemband", edges, tube, width_m=cut.hem_band_m, shorter=cut.hem_shorter, above=False, free="hem")
+        sew_band(work, Band("hemband", cut.hem_band_m, cut.hem_shorter, above=False, free="hem"), edges, tube)
     return work.design(cut.name, cut.fabric, cut.ease_m)
 
 
@@ -135,7 +145,7 @@ def bodices_to(
     for (label, face, z), depth, hollow in zip(
         before_and_behind(body), (cut.neck_depth_m, cut.back_neck_depth_m), HOLLOWS, strict=True
     ):
-        sides = bodice(neck, tip, underarm, bottom, depth=depth, hollow=hollow, inset=cut.armhole_inset, lower=lower)
+        sides = bodice((neck, tip, underarm, bottom), depth=depth, hollow=hollow, inset=cut.armhole_inset, lower=lower)
         if cut.strapless:
             sides = [sides[0], Side("top_right", underarm), Side("top_left", (0.0, underarm[1])), *sides[-2:]]
         bodices.append(work.add(draft(f"{prefix}{label}", sides, rotation=face, z=z)))
@@ -155,14 +165,15 @@ def bodices_to(
 
 
 def bodice(
-    neck: Point, tip: Point, underarm: Point, hem: Point, *, depth: float, hollow: float, inset: float, lower: str
+    corners: tuple[Point, Point, Point, Point], *, depth: float, hollow: float, inset: float, lower: str
 ) -> list[Side]:
-    """Returns the sides of a front or back panel, from ``neck``, shoulder ``tip``, ``underarm`` and ``hem`` [m] on one
-    side of it.
+    """Returns the sides of a front or back panel, whose ``corners`` [m] on one side are neck, shoulder tip, underarm
+    and hem.
 
     The armhole runs level for the share ``hollow`` of the way to the shoulder, and hollows in by ``inset``; ``lower``
     names the hem.
     """
+    neck, tip, underarm, hem = corners
     middle = (0.0, neck[1] - depth)
     level = (underarm[0] + hollow * (tip[0] - underarm[0]), underarm[1])
     upright = (tip[0] - inset * (underarm[0] - tip[0]), tip[1] + 0.55 * (underarm[1] - tip[1]))
@@ -237,9 +248,8 @@ def set_sleeves(
         work.sew(f"underarm_{name}", piece, "under_front", piece, "under_back")
         if sleeve.cuff_m:
             end = Tube((sign * (tip[0] + sleeve.length_m), body.arm_y, body.arm_z), axis, UP, 0.06)
-            width, shorter, edges = sleeve.cuff_m, sleeve.cuff_shorter, [(piece, "cuffline")]
-            called = {"free": "hem", "seam": "cuff_seam"}
-            sew_band(work, f"cuff_{name}", edges, end, width_m=width, shorter=shorter, above=False, **called)
+            cuff = Band(f"cuff_{name}", sleeve.cuff_m, sleeve.cuff_shorter, above=False, free="hem", seam="cuff_seam")
+            sew_band(work, cuff, [(piece, "cuffline")], end)
 
 
 def _set_halves(

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pythoncdt
 
-from drape.arrays import check_finite, check_shape
 from drape.errors import InputError, MeshError
 from drape.geometry import mesh_graphs
 
@@ -26,8 +25,6 @@ def triangulate(boundary: np.ndarray, edge_length_m: float) -> tuple[np.ndarray,
     The first B points are those of ``boundary``, in order, and every one of its sides is a side of one triangle.
     """
     boundary = np.array(boundary, dtype=np.float64)
-    check_shape("boundary", boundary, (None, 2), error=MeshError)
-    check_finite("boundary", boundary, error=MeshError)
     size = np.ptp(boundary, axis=0) / edge_length_m if edge_length_m > 0.0 else np.full(2, np.inf)
     if len(boundary) < 3 or not (size + 1.0).prod() < LARGEST_LATTICE:
         raise InputError(

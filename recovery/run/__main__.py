@@ -27,8 +27,9 @@ from recovery.commands import add_style_options, ended, parser_of, style_of
 from recovery.drape.pattern_drape import DrapeOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.optimise import REACH_M, FitOptions
+from recovery.fit.rounds import RoundsOptions
 from recovery.pattern.bases import BASES
-from recovery.pattern.size_grades import PATTERN_STEPS
+from recovery.pattern.measurements import PATTERN_STEPS
 from recovery.run.job import run_job
 from recovery.run.task import MINUTES, Job
 from recovery.scan.places import ScanFault
@@ -45,7 +46,6 @@ OF_JOB = (
     "unit",
     "up",
     "front",
-    "meshes_m",
     "retarget",
     "garment",
     "minutes",
@@ -123,17 +123,13 @@ def job_of(given: argparse.Namespace) -> Job:
         betas=None if given.betas is None else read_betas(given.betas),
         pose=None if given.pose is None else read_pose(given.pose),
         style=style_of(given),
-        drape=DrapeOptions(edge_length_m=given.edge_length, fabric=given.fabric, grid_m=given.grid),
-        fit=FitOptions(iterations=given.adam, closing=given.closing),
-        reach_m=reach_of(given),
+        search=RoundsOptions(
+            drape=DrapeOptions(edge_length_m=given.edge_length, fabric=given.fabric, grid_m=given.grid),
+            fit=FitOptions(iterations=given.adam, closing=given.closing),
+            reach_m=given.reach,
+            meshes_m=given.meshes_m,
+        ),
     )
-
-
-def reach_of(given: argparse.Namespace) -> float:
-    """The reach [m] of the search; refuses (``InputError``) one that is not positive."""
-    if not given.reach > 0.0:
-        raise InputError("--reach", expected="more than 0", got=f"{given.reach:g}", cure="Leave it at its default.")
-    return given.reach
 
 
 def read_betas(text: str) -> np.ndarray:

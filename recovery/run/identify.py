@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from drape.geometry import meshes
-from recovery.fit.curvature import gauss_newton_matrix
+from recovery.fit.objective import gauss_newton_matrix
 from recovery.fit.recovered import Recovered
 from recovery.pattern.model import EdgeRef, Pattern
 

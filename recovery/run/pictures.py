@@ -20,8 +20,8 @@ from drape.geometry.raster import CLOTH, SKIN, Surface, render
 from recovery.pattern import geometry
 from recovery.pattern.model import Panel, Pattern
 from recovery.pattern.symmetry import procrustes
-from recovery.run.elsewhere import WornElsewhere
 from recovery.run.identify import CAP_M, Identifiability
+from recovery.run.sewn import WornElsewhere
 
 DPI = 100
 # Under the cloth the body is drawn thinner by this: flat triangles cut into it between their corners.

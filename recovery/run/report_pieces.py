@@ -142,13 +142,12 @@ def _place(panel: Panel, edge: int) -> str:
 
 
 def _open_rows(pattern: Pattern, sheet: CuttingSheet) -> list[tuple[str, ...]]:
-    sewn = {ref for stitch in pattern.stitches for ref in (stitch.first, stitch.second)}
     turned_up = hems(pattern)
     rows = []
     for piece in sheet.pieces:
         for number, allowance in enumerate(piece.allowances_m):
             ref = EdgeRef(piece.panel.name, number)
-            if ref in sewn:
+            if ref in pattern.sewn:
                 continue
             length = geometry.edge_length(piece.panel, number)
             finish = "hem, turned up" if ref in turned_up else "neckline, armhole or waist: facing or band"

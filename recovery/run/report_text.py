@@ -13,11 +13,11 @@ from recovery.fit.recovered import Recovered
 from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
 from recovery.run import pictures
-from recovery.run.anew import ANEW_MM, anew_words
 from recovery.run.identify import CAP_M, corner_names, weak_words
-from recovery.run.job import Outcome, describe_worn
+from recovery.run.job import Outcome
 from recovery.run.report_page import Page
 from recovery.run.report_pieces import add_pieces
+from recovery.run.sewn import ANEW_MM, anew_words, describe_worn
 
 SEAM_PCT = 0.5  # of length, beside the ease that the base asks for: more cannot be sewn as it is drawn
 GOOD_RMS_MM, FAIR_RMS_MM = 2.0, 8.0

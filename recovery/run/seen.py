@@ -9,15 +9,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import scipy.sparse
-from scipy.sparse import csgraph
 
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.contours import TRUNK, Contour, bone_chains, open_contours, place_of
 from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import mesh_graphs, meshes
+from drape.geometry.sections import closed_rings, level_section
 
-ROUND = 0.5  # turns of a loop about a point that it encloses
 EVEN_STRETCH = 1.25  # of the middle one: within that most triangles of a panel laid out flat differ from each other
 LAID_OUT = 0.9  # of the cloth that is so
 LEAST_PIECE = 1e-3  # of all faces
@@ -102,37 +100,14 @@ def _where(chain: np.ndarray, axis: int, value: float) -> float | None:
 
 
 def girth_round(vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, normal: np.ndarray) -> float | None:
-    """Length [m] of the longest loop round ``point`` (3,) in which a plane across ``normal`` cuts the mesh.
+    """Length [m] of the longest closed loop round ``point`` (3,) in which a plane across ``normal`` cuts the mesh.
 
-    A loop goes round a point if its angles about it sum to a turn. None where no loop does.
+    A loop goes round a point that its convex hull holds. None where no loop does.
     """
-    normal = normal / np.linalg.norm(normal)
-    height = (vertices - point) @ normal
-    above = height[faces] > 0.0
-    cut = faces[above.any(axis=1) & ~above.all(axis=1)]
-    if not len(cut):
-        return None
-    edges = np.sort(np.stack([cut, np.roll(cut, -1, axis=1)], axis=2), axis=2)  # (n, 3 edges, 2 ends)
-    up = height[cut] > 0.0
-    crossed = up != np.roll(up, -1, axis=1)
-    falls = crossed & up  # the way round a triangle crosses the plane once down and once up
-    start, end = edges[falls], edges[crossed & ~up]
-    key = np.unique(np.concatenate([start, end]), axis=0, return_inverse=True)[1].reshape(2, -1)
-    count = int(key.max()) + 1
-    links = scipy.sparse.csr_matrix((np.ones(key.shape[1]), (key[0], key[1])), shape=(count, count))
-    loop = csgraph.connected_components(links, directed=False)[1][key[0]]
-
-    def crossing(ends: np.ndarray) -> np.ndarray:
-        h = height[ends]
-        share = (h[:, 0] / (h[:, 0] - h[:, 1]))[:, None]
-        return (1.0 - share) * vertices[ends[:, 0]] + share * vertices[ends[:, 1]] - point
-
-    a, b = crossing(start), crossing(end)
-    turn = np.arctan2(np.cross(a, b) @ normal, (a * b).sum(axis=1)) / (2.0 * np.pi)
-    turns = np.bincount(loop, turn)
-    lengths = np.bincount(loop, np.linalg.norm(b - a, axis=1))
-    found = lengths[np.abs(turns) > ROUND]
-    return float(found.max()) if len(found) else None
+    right, ahead = np.linalg.svd(normal[None])[2][1:]
+    level = (vertices - point) @ np.stack([right, normal / np.linalg.norm(normal), ahead]).T
+    rings = closed_rings(level_section(faces, level, 0.0), level)
+    return max((ring.length_m for ring in rings if (ring.hull.equations[:, -1] < 0.0).all()), default=None)
 
 
 def pieces(mesh: GarmentMesh) -> int | None:

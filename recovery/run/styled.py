@@ -1,13 +1,22 @@
-"""The style lines of a recovery: those that were asked for, and a collar where the target has one."""
+"""Forms of a recovered pattern: with the style lines that were asked for, and in other sizes.
+
+A collar is added where the target has one. From size to size corners move as those of the base do.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from drape.errors import InputError
+from recovery.fit.seams import sewable
 from recovery.pattern.added import COLLAR
+from recovery.pattern.bases import BASES
+from recovery.pattern.coordinates import control_points, with_controls
+from recovery.pattern.measurements import BodyMeasurements, in_size
 from recovery.pattern.model import Pattern
 from recovery.pattern.style import NO_STYLE, RIB_SHORTER, RIBS, Style, cap_corners_deg, finished, lined
+from recovery.pattern.symmetry import find_symmetries
 from recovery.run.cut import Cut
 
 FAIR_DEG = 5.0  # by which a cap may turn at a corner before it is worth a sentence
@@ -45,3 +54,25 @@ def styled(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tup
         words = " and ".join(f"that of {name} by {turn:.0f}" for name, turn in turned.items())
         warnings.append(f"Where halves of sleeves met, their caps turn at a corner, {words} degrees: draw them fair.")
     return style, with_lines, cut_pattern
+
+
+def in_other_size(
+    pattern: Pattern, base: str, body: BodyMeasurements, settings: Mapping[str, float], size: str
+) -> Pattern:
+    """``pattern``, which fits ``body`` as its M, in ``size``; its ``base`` was drafted for ``body`` with ``settings``.
+
+    A corner moves by the difference of both sizes of the base, then as little as keeps the ratios of seams and the
+    base's symmetries. Raises ``InputError`` where the base is no design that grows, or does not come in that size.
+    """
+    if base not in BASES:
+        raise InputError(
+            "--sizes",
+            expected=f"a base that is drafted: {', '.join(sorted(BASES))}",
+            got=base,
+            cure="Leave --sizes out: panels of a file do not say how they grow.",
+        )
+    drafts = [BASES[base](measured, **settings) for measured in (body, in_size(body, size))]
+    middle, other = (control_points(draft).positions for draft in drafts)
+    controls = control_points(pattern)
+    grown = with_controls(pattern, controls, controls.positions + other - middle)
+    return sewable(grown, pattern, find_symmetries(drafts[0]))

@@ -1,41 +1,25 @@
-"""Reads a target: one garment's surface, in metres, on the body it was draped on; repaired with a note, or refused.
-
-A fault that has one repair (copies of vertices, faces without area, branches, second layers, crumbs, holes, unit, axis,
-sides) is repaired, with a note in the report. A fault that needs a choice (which of two garments) is refused with its
-place and the cure.
-"""
+"""A target on its wearer: in metres on the body it was draped on, its openings told from holes; or refused."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from drape.errors import InputError, MeshError
+from drape.errors import InputError
 from drape.garment.avatars import Avatar
 from drape.garment.borders import Loop, borders, plainly_hole, plainly_opening
 from drape.garment.contours import TRUNK, bone_chains, open_contours, part_round, place_of
-from drape.garment.files.mesh import GarmentMesh, read_mesh, weld
-from drape.garment.mesh_checks import Unit, Up, check_area, check_arrays, orient_outward, place, without_flat_faces
-from drape.garment.sheets import agreeing, cut_branches, main_sheet, without_copies
+from drape.garment.files.mesh import GarmentMesh
+from drape.garment.mesh_checks import Unit, Up, check_area, orient_outward, place
 from drape.geometry import closest, meshes
-from recovery import progress
-from recovery.scan.closed_ends import check_unworn
-from recovery.scan.hems import without_turned_hems
 from recovery.scan.holes import closed
-from recovery.scan.places import ScanFault, in_box
-from recovery.scan.thin import calmed, thinned
 from recovery.sim.skin_contact import SkinContact
 
-SCAN_VERTEX_LIMIT = 3_300_000  # 1,000,000 triangles of an STL, which does not share vertices
 FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer
-EXTENTS = (1e-3, 1e6)  # in a file's unit, whatever it is: squares and cubes stay far from the ends of the numbers
 DEEP_M, DEEP_SHARE = 0.02, 0.2  # the target goes through the body where more than this share lies deeper than that
 LYING_SHARE = 0.05  # of the cloth, nearest to the skin, lies on it
 LEAST_OFF_M, MOST_OFF_M = 0.001, 0.006  # beyond our own gap: less is the same, more is a garment that lies nowhere
-OPEN_SHARE = 0.7  # of the height: no hem and no neckline, however deep, goes that far
-TWISTED_SHARE = 0.02  # of the faces: more edges to be cut, and the scan is no cloth
 # Openings round each part of the body, by base.
 OF_TOPS = {TRUNK: 2, "left_arm": 1, "right_arm": 1}
 OF_TUBES = {TRUNK: 2}
@@ -44,121 +28,6 @@ OPENINGS = {
     "trousers": {TRUNK: 1, "left_leg": 1, "right_leg": 1},
     **dict.fromkeys(("skirt", "tube", "strapless_dress"), OF_TUBES),
 }
-
-
-def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
-    """The garment in ``path``: one sheet of agreeing faces whose plain holes are closed, in the file's coordinates.
-
-    ``label`` keeps the faces of one material. Raises ``ScanFault`` with the place for two garments and for one-sided
-    cloth, ``MeshError`` for a solid without openings.
-    """
-    with progress.stage(f"{path.name} is read"):
-        mesh = read_mesh(path, vertex_limit=SCAN_VERTEX_LIMIT)
-    if label is not None:
-        mesh = labelled(mesh, label)
-    with progress.stage("the scan is mended"):
-        check_arrays(mesh, vertex_limit=SCAN_VERTEX_LIMIT)
-        if not EXTENTS[0] <= (extent := float(np.ptp(mesh.vertices, axis=0).max())) <= EXTENTS[1]:
-            raise MeshError(
-                "target",
-                expected="a garment in m, cm, dm, mm or inch",
-                got=f"{extent:.3g} across",
-                cure="Scale the file.",
-            )
-        return mended(mesh)
-
-
-def mended(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` as one sheet: every edge has one face or two, neighbours agree, plain holes and bites are closed."""
-    progress.tick("copies and flat faces")
-    mesh = without_flat_faces(without_copies(weld(mesh)))
-    progress.tick("branches")
-    mesh = one_sheet(cut_branches(mesh))
-    progress.tick("thinning out")
-    thin = thinned(mesh)
-    if thin is not mesh:
-        mesh = one_sheet(cut_branches(without_flat_faces(thin)))
-    mesh = without_turned_hems(calmed(two_sided(mesh)))
-    check_open(mesh, "a closed surface")
-    closing = closed(mesh, lambda one: plainly_hole(one, mesh))
-    check_open(closing.mesh, f"one that is closed once mended, with no border but holes ({closing.holes})")
-    check_closed_round(closing.mesh)
-    check_unworn(closing.mesh)
-    return closing.mesh if closing.mesh is mesh else closing.mesh.noted(*closing.words(len(mesh.faces)))
-
-
-def check_open(mesh: GarmentMesh, otherwise: str) -> None:
-    """Refuses a mesh without borders; the refusal says that it is ``otherwise``."""
-    if not meshes.boundary_loops(mesh.faces):
-        raise MeshError(
-            "target",
-            expected="a garment: a surface with openings",
-            got=otherwise,
-            cure="Cut the garment out of the scan, without the body, and open neck, cuffs and hem.",
-        )
-
-
-def check_closed_round(mesh: GarmentMesh) -> None:
-    """Refuses a jacket whose front is open: its longest border goes round the hem and up to the neck."""
-    points = mesh.vertices[borders(mesh)[0].loop]
-    low, size = mesh.vertices.min(axis=0), np.ptp(mesh.vertices, axis=0)
-    # y or z is up, the other one the depth, which every hem has.
-    if (np.ptp(points, axis=0) < OPEN_SHARE * size)[1:].any():
-        return
-    up = 1 if size[1] > size[2] else 2
-    height = (points[:, up] - low[up]) / size[up]
-    edges = points[np.abs(height - height[np.abs(height - 0.5).argmin()]) < 0.2]
-    raise ScanFault(
-        "target",
-        expected="a garment that is closed all round",
-        got=f"one that is open from hem to neck, as a jacket's front is: {in_box(edges[0], mesh.vertices)}",
-        cure="Join the two edges (button it up): no base opens in front.",
-    ).at(mesh, edges)
-
-
-def labelled(mesh: GarmentMesh, label: str) -> GarmentMesh:
-    """The faces of ``mesh`` whose material is called ``label``."""
-    if label not in mesh.material_names:
-        raise MeshError(
-            "--label",
-            expected=f"one of {', '.join(mesh.material_names)}",
-            got=label,
-            cure="Name a material of the file.",
-        )
-    keep = mesh.face_material == mesh.material_names.index(label)
-    if not keep.any():
-        raise MeshError("--label", expected=f"faces of {label}", got="none", cure="Name another material of the file.")
-    return mesh.take_faces(keep).noted(f"kept {int(keep.sum())} of {len(keep)} faces: those of material {label}")
-
-
-def one_sheet(mesh: GarmentMesh) -> GarmentMesh:
-    """The largest sheet of ``mesh``; refuses a second one that lies apart and is large."""
-    kept, rivals = main_sheet(mesh)
-    if rivals:
-        labels = f" Materials: {', '.join(mesh.material_names)}." if len(mesh.material_names) > 1 else ""
-        raise ScanFault(
-            "target",
-            expected="one garment in one piece",
-            got=f"{len(rivals) + 1} pieces of cloth; another one is {in_box(rivals[0], mesh.vertices)}",
-            cure=f"Save the garment alone, name its material (--label), or join what was torn.{labels}",
-        ).at(mesh, np.array(rivals))
-    return kept
-
-
-def two_sided(mesh: GarmentMesh) -> GarmentMesh:
-    """``mesh`` with neighbours that agree in orientation, cut where a strip is twisted; refuses what is no cloth."""
-    turned, cuts = agreeing(mesh)
-    if len(cuts) > TWISTED_SHARE * len(mesh.faces):
-        raise ScanFault(
-            "target",
-            expected="cloth with two sides",
-            got=f"{len(cuts)} edges at which it turns to its other side, the first {in_box(cuts[0], mesh.vertices)}",
-            cure="Let the scanner make a surface whose faces agree.",
-        ).at(mesh, cuts)
-    if not len(cuts):
-        return turned
-    words = f"cut open a twisted strip at {len(cuts)} edges, the first {in_box(cuts[0], mesh.vertices)}"
-    return one_sheet(turned.noted(words))
 
 
 def placed_target(mesh: GarmentMesh, skin: Avatar, *, unit: Unit = "auto", up: Up = "auto") -> GarmentMesh:

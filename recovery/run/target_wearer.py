@@ -1,12 +1,17 @@
-"""The wearer of a target: a named body, a file in SMPL's schema, a surface, or a body fitted inside the garment."""
+"""The wearer of a target: a named body, a file in SMPL's schema, a surface, or a body fitted inside the garment.
+
+How a garment that came without a body stands in its file its openings tell. The longest one, a hem or a waist, lies
+below or above the middle of the others. The two that lie farthest apart across that axis are cuffs or legs, so their
+line goes from side to side. To which of both sides a wearer looks the body tells that is fitted inside.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -16,21 +21,25 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.errors import BodyError, MeshError
 from drape.files.formats import MESH_SUFFIXES
 from drape.garment.avatars import Avatar
+from drape.garment.contours import Contour, open_contours
 from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, GarmentMesh, read_mesh, weld
-from drape.garment.inside import InsideFit, check_inside, fit_inside
+from drape.garment.inside import STEPS, fit_from
 from drape.garment.mesh_checks import UNITS_M
-from drape.garment.registration import body_units, fit_body
-from drape.geometry import meshes
+from drape.garment.registration import body_units, fit_body, posed_by, unpack
+from drape.garment.searched_cloth import SearchedCloth
+from drape.garment.told_reading import ToldReading
+from drape.garment.wearer_reading import Reading
+from drape.garment.wearer_search import find_wearers
+from drape.geometry import closest
 from recovery import progress
-from recovery.pattern.model import Pattern
-from recovery.run.upright import facing, turned_about, up_axis
+from recovery.sim.sdf import check_closed
 
-SIZE_SLACK = 2.0  # by which a target's height may differ from its base's
-RIVAL_SLACK = 1.3  # by which the next unit must fit worse
-# Logarithms of the ratio by which a body has to fit worse the one way: an upper opening that is lower there weighs as
-# much, that the file looks the other way as much. Of 14 garments the right way fits better by 1.26 to 7.8, one by 0.96.
-LOWER_IN_FRONT, KEPT, UNSURE = 0.15, 0.1, 0.1
+# By which the body fits worse the other way: less is told as a doubt, and less than KEPT does not turn the garment. Of
+# 14 garments the right way fits better by 1.26 to 7.8, one by 0.96.
+KEPT, UNSURE = 1.1, 1.1
 Front = Literal["auto", "kept", "turned"]
+CUFF_SHARE = 0.12  # of the longest opening: cuffs have a fifth of a hem, and holes that were not closed less
+TURNED_RAD = 0.6  # that a garment may look aside; the body's fit finds that by itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +94,7 @@ def read_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarra
             )
         return fitted_wearer(path, load_body())
     body = load_body(source)
-    check_closed(body.faces, body.name)
+    check_closed(body.v_template, body.faces, f"body {body.name}")
     betas = body.check_betas(np.zeros(0) if betas is None else betas)
     return Wearer(body, betas, pose, np.zeros(3), f"body {body.name}")
 
@@ -93,7 +102,7 @@ def read_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarra
 def fitted_wearer(path: Path, body: BodyModel) -> Wearer:
     """The shipped body fitted to the closed surface in ``path``."""
     mesh = weld(read_mesh(path, vertex_limit=AVATAR_VERTEX_LIMIT))
-    check_closed(mesh.faces, path.name)
+    check_closed(mesh.vertices, mesh.faces, f"body {path.name}")
     scale, vertices = body_units(mesh.vertices, name=path.name)
     found = fit_body(vertices, mesh.faces, body, name=path.name)
     unit = "" if scale == 1.0 else f", scaled by {scale:g}"
@@ -101,79 +110,116 @@ def fitted_wearer(path: Path, body: BodyModel) -> Wearer:
     return Wearer(body, found.betas, found.pose, found.trans, source, found.residual_mm)
 
 
-def check_closed(faces: np.ndarray, name: str) -> None:
-    """Refuses a body with holes, which has no inside."""
-    loops = meshes.boundary_loops(faces)
-    if loops:
-        raise BodyError(
-            f"body {name}",
-            expected="a closed surface",
-            got=f"{len(loops)} open borders, the longest of {len(loops[0])} vertices",
-            cure="Close its holes (neck, wrists, eyes), join copies of vertices, or take a body that ships (--body).",
-        )
-
-
 def inside_wearer(
-    mesh: GarmentMesh,
-    bases: Sequence[Pattern],
-    *,
-    unit: str = "auto",
-    up: str = "auto",
-    front: Front = "auto",
-    wanted: dict[str, int] | None = None,
+    mesh: GarmentMesh, *, unit: str = "auto", up: str = "auto", front: Front = "auto"
 ) -> tuple[GarmentMesh, Wearer]:
-    """Returns ``mesh`` in metres, y up, and the shipped body fitted inside it.
+    """Returns ``mesh`` in metres, y up, and the shipped body that fits inside it, looking along +z.
 
-    ``bases`` are patterns of its kind, all drafted for that body; the one in which the body fits best tells size and
-    place. ``wanted``: the openings that its kind has. With ``up`` "auto" the openings tell the axis. The wearer looks
-    along +z as in the file or, with ``front`` "auto", the other way if the body and the upper opening say so.
+    The openings tell the axis ``up`` and turn the limbs to the sides, unit and body are found by how cloth lies on
+    skin. With ``front`` "auto" the body is fitted looking both ways, but in a skirt; "kept" is along +z as in the file,
+    "turned" the other way. Raises ``MeshError`` where no body fits.
     """
     if (up_axis(mesh) if up == "auto" else up) == "z":
         turned = np.stack([mesh.vertices[:, 0], mesh.vertices[:, 2], -mesh.vertices[:, 1]], axis=1)
         mesh = replace(mesh, vertices=turned).noted("turned from z up to y up")
-    sideways, cue = facing(mesh)
-    kept = KEPT if sideways is mesh else 0.0
-    vertices, notes = sideways.vertices, []
-    placed = [np.concatenate([one.placement.apply(one.vertices)[:, 1] for one in base.panels]) for base in bases]
-    heights, height = [float(np.ptp(one)) for one in placed], float(np.ptp(vertices[:, 1]))
-    misfit = {
-        name: min(abs(np.log(max(height * scale, 1e-9) / one)) for one in heights) for name, scale in UNITS_M.items()
-    }
-    name = min(misfit, key=lambda one: misfit[one]) if unit == "auto" else unit
-    second = sorted(misfit.values())[1]
-    unsure = misfit[name] > np.log(SIZE_SLACK) or second - misfit[name] < np.log(RIVAL_SLACK)
-    if unit == "auto" and unsure:
-        raise MeshError(
-            "target unit",
-            expected=f"a garment about {heights[0]:.2f} m high, as its base, in m, dm, cm, mm or inch",
-            got=f"a height of {height:.4g}",
-            cure="Say the unit (--unit) and the up axis (--up), or take a base of the target's kind (--base).",
-        )
-    if name != "m":
-        notes.append(f"converted from {name} to m")
-    mesh = replace(sideways, vertices=UNITS_M[name] * vertices).noted(*notes)
-    body, about = load_body(), turned_about(mesh, np.pi)
-
-    def fitted(one: GarmentMesh) -> InsideFit:
-        fits = [fit_inside(one, body, top_m=float(base.max()), wanted=wanted, tick=progress.tick) for base in placed]
-        return min(fits, key=lambda fit: fit.cost_m2)
-
+    mesh = facing(mesh)
+    two_ended = len(long_contours(mesh)) < 3  # a skirt has no front that its body tells
+    ahead = {"auto": "+z" if two_ended else None, "kept": "+z", "turned": "-z"}[front]
+    told = ToldReading(None if unit == "auto" else (unit, UNITS_M[unit]), "+y", ahead)
     with progress.stage("a body is fitted inside"):
-        if front == "auto" and cue:
-            ways = [fitted(mesh), fitted(about)]
-            score = float(np.log(ways[0].cost_m2 / ways[1].cost_m2)) - LOWER_IN_FRONT * cue - kept
-            turn = score > 0.0
-            inside, doubt = ways[turn], abs(score) < UNSURE or (cue < 0) != turn
-            other = "kept" if turn else "turned"
-            words = f"front and back are not plain: pass --front {other} if it is worn back to front"
-            mesh = (about if turn else mesh).noted(*[words] * doubt)
-        else:
-            mesh = about if front == "turned" else mesh
-            inside = fitted(mesh)
-        check_inside(inside)
+        fits = _fitted_inside(mesh, load_body(), told)
+    fit = min(fits, key=lambda one: one.cost_m2 * (KEPT if one.reading.front == "-z" else 1.0))
+    reading, notes = fit.reading, []
+    if reading.unit != "m":
+        notes.append(f"converted from {reading.unit if reading.unit in UNITS_M else f'{reading.scale:.3g} m'} to m")
+    if about := reading.front == "-z":
+        notes.append("turned by 180 degrees to look along +z")
+    if any(one is not fit and one.cost_m2 < UNSURE * fit.cost_m2 for one in fits):
+        words = (
+            f"front and back are not plain: pass --front {'kept' if about else 'turned'} if it is worn back to front"
+        )
+        notes.append(words)
+    mesh = replace(mesh, vertices=reading.apply(mesh.vertices)).noted(*notes)
+    distance = closest.signed_distance(mesh.vertices, posed_by(fit.body, fit.parameters), fit.body.faces)
+    mean_mm, inside = 1e3 * float(np.abs(distance).mean()), float((distance < 0.0).mean())
     source = (
-        f"body {body.name} fitted inside the target: cloth {inside.mean_mm:.0f} mm from the skin on average "
-        f"and {inside.band_mm:.0f} mm where it hangs, "
-        f"{inside.inside_pct:.1f} % of it inside by up to {inside.depth_mm:.0f} mm"
+        f"body {fit.body.name} fitted inside the target: cloth {mean_mm:.0f} mm from the skin on average, "
+        f"{100.0 * inside:.1f} % of it inside"
     )
-    return mesh, Wearer(body, inside.betas, inside.pose, inside.trans, source, inside.mean_mm)
+    return mesh, Wearer(fit.body, *unpack(fit.body, fit.parameters), source, mean_mm)
+
+
+class _Inside(NamedTuple):
+    """A body fitted inside a garment that is read so: its ``parameters`` (``registration.unpack``), and its cost."""
+
+    body: BodyModel
+    reading: Reading
+    parameters: np.ndarray
+    cost_m2: float
+
+
+def _fitted_inside(mesh: GarmentMesh, body: BodyModel, told: ToldReading) -> list[_Inside]:
+    """The body inside ``mesh``, for each way along z that it may look. Raises ``MeshError`` where none fits.
+
+    Where garments are looked for on a person cloth that hangs away pulls little. Here the body goes on to where the
+    cloth is, since a pattern makes up for what it lacks.
+    """
+    found = find_wearers(mesh, body, told)
+    fitting = [one for one in found if not one.fault and one.reading.front in ("+z", "-z")]
+    if not fitting:
+        raise MeshError(
+            "body in the target",
+            expected="cloth that a human body fits in, in some unit",
+            got=found[0].fault if found else "no unit makes that a garment",
+            cure="Say the unit (--unit) and the up axis (--up), or give the body (--body FILE).",
+        )
+    cloth, fits = SearchedCloth(mesh), []
+    for reading in dict.fromkeys(one.reading for one in fitting if one.reading.unit == fitting[0].reading.unit):
+        first = next(one for one in fitting if one.reading == reading)
+        points, normals = reading.apply(cloth.points), cloth.normals @ reading.turn.T
+        ends = cloth.contours(reading)
+        fits.append(_Inside(body, reading, *fit_from(body, points, normals, ends, first.parameters, STEPS)))
+    return fits
+
+
+# --- how a garment stands --------------------------------------------------------------------------------------------
+
+
+def long_contours(mesh: GarmentMesh) -> list[Contour]:
+    """The open contours of ``mesh`` that are as long as openings, the longest first."""
+    found = sorted(open_contours(mesh.vertices, mesh.faces), key=lambda one: -one.length_m)
+    return [one for one in found if one.length_m > CUFF_SHARE * found[0].length_m]
+
+
+def up_axis(mesh: GarmentMesh) -> str:
+    """The axis, "y" or "z", along which the longest opening of ``mesh`` lies from the middle of the others."""
+    first, *others = long_contours(mesh)
+    if not others:
+        return "y"
+    way = np.abs(first.centre - np.mean([one.centre for one in others], axis=0))
+    return "z" if way[2] > way[1] else "y"
+
+
+def facing(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh``, y up, turned about y by at most a right angle until its limbs lie side by side.
+
+    It is itself where they nearly do, where it has two openings, and where its limbs lie together.
+    """
+    contours = long_contours(mesh)
+    if len(contours) < 3:
+        return mesh
+    limbs = max(
+        combinations(contours[1:], 2), key=lambda pair: np.linalg.norm((pair[1].centre - pair[0].centre)[[0, 2]])
+    )
+    across = (limbs[1].centre - limbs[0].centre)[[0, 2]] * (1.0 if limbs[1].centre[0] >= limbs[0].centre[0] else -1.0)
+    together = np.linalg.norm(across) < (limbs[0].length_m + limbs[1].length_m) / (2.0 * np.pi)
+    turn = float(np.arctan2(across[1], across[0]))
+    return mesh if together or abs(turn) < TURNED_RAD else turned_about(mesh, turn)
+
+
+def turned_about(mesh: GarmentMesh, turn_rad: float) -> GarmentMesh:
+    """``mesh`` turned about y by ``turn_rad``, with a note."""
+    middle = mesh.vertices.mean(axis=0)
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    vertices = (mesh.vertices - middle) @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T + middle
+    return replace(mesh, vertices=vertices).noted(f"turned by {np.degrees(turn_rad):.0f} degrees to look along +z")

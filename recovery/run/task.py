@@ -13,21 +13,21 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake import garment_name
 from drape.garment.mesh_checks import Unit, Up, place
 from recovery import progress as watch
-from recovery.drape.pattern_drape import DrapeOptions
 from recovery.drape.posing import posed_joints
-from recovery.fit.optimise import REACH_M, FitOptions
+from recovery.fit.rounds import RoundsOptions
 from recovery.pattern.bases import BASES, base_pattern, read_values
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
 from recovery.pattern.style import NO_STYLE, Style, finished, lined
-from recovery.run.cut import Cut, collarless, differences, kind_of, panel_count, told_base
+from recovery.run.cut import Cut, collarless, differences, panel_count, told_base
 from recovery.run.drafted import drafted
-from recovery.run.nested import in_other_size
 from recovery.run.seen import Seen, pieces
-from recovery.run.target import OPENINGS, check_base, off_skin, opened, placed_target, read_target
+from recovery.run.styled import in_other_size
+from recovery.run.target import OPENINGS, check_base, off_skin, opened, placed_target
 from recovery.run.target_wearer import Front, Wearer, inside_wearer, read_wearer
 from recovery.scan.holes import known_faces
+from recovery.scan.mended import read_target
 from recovery.scan.places import ScanFault, on_body
 
 FIT_INSIDE = "fit"  # --body fit
@@ -39,10 +39,8 @@ class Job:
     """The request: ``body`` is a name, a file, or ``fit``; ``base`` is a base pattern's name or a JSON file, None
     for the one that the target tells.
 
-    ``settings`` of a base are texts NAME=NUMBER, lengths in metres.
-    ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``. After ``minutes``
-    the best so far is written. The pattern is written in ``sizes`` beside M, which fits the body, and with the lines of
-    ``style``.
+    ``settings`` of a base are texts NAME=NUMBER, lengths in metres. After ``minutes`` the best so far is written. The
+    pattern is written in ``sizes`` beside M, which fits the body, and with the lines of ``style``.
     """
 
     target: Path
@@ -57,10 +55,7 @@ class Job:
     unit: Unit = "auto"
     up: Up = "auto"
     front: Front = "auto"
-    drape: DrapeOptions = field(default_factory=DrapeOptions)
-    fit: FitOptions = field(default_factory=FitOptions)
-    reach_m: float = REACH_M
-    meshes_m: Sequence[float] | None = None
+    search: RoundsOptions = field(default_factory=RoundsOptions)
     retarget: bool = True
     garment: bool = True
     minutes: float = MINUTES
@@ -112,33 +107,11 @@ def read_base(source: str, wearer: Wearer, settings: Sequence[str] = ()) -> Patt
 def prepare(job: Job) -> Task:
     """Reads and checks all that ``job`` needs, and returns it as a task. The drape keeps cloth as far off the skin as
     the target's lies."""
-    try:
-        mesh = read_target(job.target, label=job.label)
-    except ScanFault as fault:
-        raise _placed_fault(fault, job) from fault
-    shown = pieces(mesh)
-    if job.body == FIT_INSIDE:
-        if job.betas is not None or job.pose is not None:
-            raise InputError(
-                "--body fit",
-                expected="a body whose shape and pose are looked for",
-                got="--betas or --pose",
-                cure="Leave them out, or name the body.",
-            )
-        standard = read_wearer("anny_default")
-        kind = job.base or kind_of(mesh)
-        names = [kind, "strapless_dress"] if kind == "skirt" and not job.base else [kind]  # from waist or chest
-        bases = [read_base(one, standard, job.settings if job.base else ()) for one in names]
-        mesh, wearer = inside_wearer(mesh, bases, unit=job.unit, up=job.up, front=job.front, wanted=OPENINGS.get(kind))
-        mesh = placed_target(mesh, wearer.skin, unit="m", up="y")
-    else:
-        kind = job.base
-        wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
-        mesh = placed_target(mesh, wearer.skin, unit=job.unit, up=job.up)
-    mesh = replace(mesh, vertices=mesh.vertices - wearer.trans)
+    mesh, shown = _read(job)
+    mesh, wearer = _on_wearer(job, mesh)
     joints = posed_joints(wearer.shaped, wearer.pose)
     with watch.stage("openings are told from holes"):
-        mesh, there = opened(mesh, joints, None if kind is None else OPENINGS.get(kind))
+        mesh, there = opened(mesh, joints, OPENINGS.get(job.base or ""))
     if job.base is not None:
         check_base(job.base, there)
     mesh, collar, collar_m = collarless(mesh, wearer.shaped, joints, there)
@@ -148,18 +121,50 @@ def prepare(job: Job) -> Task:
         finished(lined(base, job.style), job.style)
     for size in job.sizes:  # refused before an hour of drapes, not after it
         in_other_size(base, cut.base, measure(wearer.shaped), cut.settings, size)
+    known, name = known_faces(mesh), garment_name(job.name or job.target.stem)
+    more_m = off_skin(replace(mesh, vertices=mesh.vertices + wearer.trans), wearer.skin, known)
+    job = replace(job, search=replace(job.search, drape=replace(job.search.drape, off_skin_m=more_m)))
+    return Task(job, name, mesh, wearer, replace(base, name=name), cut, known, _notes(mesh, wearer, cut, more_m))
+
+
+def _read(job: Job) -> tuple[GarmentMesh, int | None]:
+    """The target as its file has it, mended, and the number of panels that its texture shows."""
+    try:
+        mesh = read_target(job.target, label=job.label)
+    except ScanFault as fault:
+        raise _placed_fault(fault, job) from fault
+    return mesh, pieces(mesh)
+
+
+def _on_wearer(job: Job, mesh: GarmentMesh) -> tuple[GarmentMesh, Wearer]:
+    """``mesh`` [m] in the frame of its wearer's body, and the wearer."""
+    if job.body != FIT_INSIDE:
+        wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
+        mesh = placed_target(mesh, wearer.skin, unit=job.unit, up=job.up)
+    elif job.betas is not None or job.pose is not None:
+        raise InputError(
+            "--body fit",
+            expected="a body whose shape and pose are looked for",
+            got="--betas or --pose",
+            cure="Leave them out, or name the body.",
+        )
+    else:
+        mesh, wearer = inside_wearer(mesh, unit=job.unit, up=job.up, front=job.front)
+        mesh = placed_target(mesh, wearer.skin, unit="m", up="y")
+    return replace(mesh, vertices=mesh.vertices - wearer.trans), wearer
+
+
+def _notes(mesh: GarmentMesh, wearer: Wearer, cut: Cut, more_m: float) -> list[str]:
+    """Sentences on what was made of the target so far."""
     notes = [f"On reading: {note}." for note in mesh.notes]
     if cut.told:
         notes.append(f"The base was chosen by the target's openings: {cut.base}.")
     if wearer.residual_mm > 0.0:
         notes.append(f"The wearer is {wearer.source}. What it lacks in shape, the pattern makes up for.")
     notes += [f"{sentence}." for sentence in cut.differs]
-    known, name = known_faces(mesh), garment_name(job.name or job.target.stem)
-    more_m = off_skin(replace(mesh, vertices=mesh.vertices + wearer.trans), wearer.skin, known)
     if more_m:
         notes.append(f"The target lies {1e3 * more_m:.1f} mm farther off the skin than our cloth; the drape does too.")
-    job = replace(job, drape=replace(job.drape, off_skin_m=more_m))
-    return Task(job, name, mesh, wearer, replace(base, name=name), cut, known, notes)
+    return notes
 
 
 def _near_target(

@@ -1,4 +1,4 @@
-"""Assembly by static sparse maps: the mesh never changes, so each number of an element has its place once and for all.
+"""Sparse matrices of the cloth: assembled by static maps, since the mesh never changes, and factored by SuperLU.
 
 Section 3.4.3 and appendix B of Yu, Cordier and Seo (2024): one constant matrix of ones sums all element gradients into
 the nodes, another all element Hessians into the entries of the global matrix, whose pattern is fixed too.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse
+from scipy.sparse.linalg import SuperLU, splu
 
 from drape.errors import InputError
 
@@ -66,8 +67,44 @@ class StaticAssembly:
 def _ones(target: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
     """The matrix (count, n) that adds entry i of a vector to ``target[i]``."""
     n = len(target)
-    if max(n, count) > np.iinfo(np.int32).max:
-        raise InputError(
-            "mesh", expected="fewer element entries than 2^31", got=str(n), cure="Simulate a coarser mesh."
-        )
     return scipy.sparse.csr_matrix((np.ones(n), (target, np.arange(n))), shape=(count, n))
+
+
+class SingularMatrix(InputError):
+    """A matrix without an inverse. Whether one that is nearly so has a factor is rounding's choice."""
+
+
+class Factor:
+    """A sparse symmetric matrix A, factored: P A P^T = L U with pivots on its diagonal and a permutation P."""
+
+    def __init__(self, factor: SuperLU) -> None:
+        self._factor = factor
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """The solution (n,) for the right side (n,)."""
+        return self._factor.solve(rhs)
+
+    def negative_pivots(self) -> int:
+        """The number of negative eigenvalues (Sylvester's law)."""
+        return int((self._factor.U.diagonal() < 0.0).sum())
+
+
+def superlu(matrix: scipy.sparse.csc_matrix) -> Factor:
+    """SuperLU in its symmetric mode: ordering of A^T + A, pivots on the diagonal (half the time of the default)."""
+    if not np.isfinite(matrix.data).all():
+        raise InputError(
+            "simulation step",
+            expected="finite forces",
+            got="NaN or infinity in the system matrix",
+            cure="Check the start shape for collapsed triangles, or take a smaller time step.",
+        )
+    try:
+        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError as error:
+        raise SingularMatrix(
+            "simulation step",
+            expected="a regular system matrix",
+            got=str(error),
+            cure="Fix some nodes or let the garment touch the body: nothing holds it.",
+        ) from error
+    return Factor(factor)

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from recovery.sim.assembly import Factor
 from recovery.sim.model import ClothState, Parameters
-from recovery.sim.solver import Factor
 
 
 class Problem(Protocol):

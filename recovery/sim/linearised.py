@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from recovery.sim import elastic, implicit
+from recovery.sim.assembly import Factor, superlu
 from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
 from recovery.sim.skin_contact import SkinContact, tangential
-from recovery.sim.solver import Factor, superlu
 
 DAMPED_DT_S = 0.033
 

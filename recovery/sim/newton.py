@@ -18,9 +18,9 @@ from torch import Tensor
 from drape.errors import InputError
 from recovery import progress
 from recovery.sim import elastic, implicit
+from recovery.sim.assembly import Factor, SingularMatrix, superlu
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.skin_contact import SkinContact
-from recovery.sim.solver import Factor, SingularMatrix, superlu
 
 TOLERANCE_N = 1e-8  # largest component of the force left at a node; a node weighs about 1e-3 N
 ITERATION_LIMIT = 200

@@ -138,15 +138,16 @@ class GridDistance:
         return extended(value, gradient / self.spacing_m, (scaled - inside) * self.spacing_m)
 
 
-def check_closed(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def check_closed(vertices: np.ndarray, faces: np.ndarray, name: str = "body") -> np.ndarray:
     """``faces`` (F, 3) as integers. Raises ``MeshError`` for an open or empty mesh: it has no inside."""
     faces = meshes.check_faces(faces, len(vertices))
-    if len(faces) == 0 or meshes.boundary_loops(faces):
+    loops = meshes.boundary_loops(faces)
+    if len(faces) == 0 or loops:
         raise MeshError(
-            "body",
+            name,
             expected="a closed surface",
-            got=f"{len(meshes.boundary_loops(faces))} open boundaries" if len(faces) else "no triangles",
-            cure="Close its holes: what is inside must be defined.",
+            got=f"{len(loops)} open borders" if len(faces) else "no triangles",
+            cure="Close its holes (neck, wrists, eyes), and join copies of vertices: what is inside must be defined.",
         )
     return faces
 

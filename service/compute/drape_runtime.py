@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import DrapeError, NotFound
@@ -22,7 +23,7 @@ from drape.stages.encode import Idle, answer_again, idle_before, remember
 from drape.stages.plan import Plan
 from drape.stages.sizes import Sizes
 from drape.stages.walk import run, walk
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.avatars import Avatars
 from service.compute.constants_process import ConstantsProcess
 from service.compute.garments import Registry, begin_reading
@@ -66,10 +67,7 @@ class DrapeRuntime(Runtime):
         self.tracing = tracing or make_tracing(settings.trace)
         engine = engine or _engine(settings)
         self.threads = ComputeThreads(
-            bound=engine.bound,
-            stream_threads=settings.stream_threads,
-            chunk_frames=settings.chunk_frames,
-            clip_wait_s=settings.clip_wait_s,
+            bound=engine.bound, stream_threads=settings.stream_threads, chunk_frames=settings.chunk_frames
         )
         self.constants_process = ConstantsProcess(lambda: self.threads.streaming)
         make, body = self.constants_process.call, body or load_body(settings.body)
@@ -105,7 +103,9 @@ class DrapeRuntime(Runtime):
                     np.zeros((frames, 24, 3)), np.zeros((frames, 3)), np.zeros(self.body.shape_count), np.zeros(frames)
                 )
                 for geometry in ("vertices", "jets") if bound else ("vertices",):
-                    plan = self.plan(entry, DrapeOptions(push_out=True, geometry=geometry), messages=True)
+                    plan = self.plan(
+                        entry, DrapeOptions(advanced=Advanced(push_out=True), geometry=geometry), messages=True
+                    )
                     self.ready(plan)
                     run(plan, [rest])
 
@@ -243,6 +243,4 @@ class DrapeRuntime(Runtime):
 
 def _engine(settings: Settings) -> Engine:
     """The model that ``settings`` name, opened where they say."""
-    device = Device(settings.provider, settings.threads, settings.gpu_memory_mb, settings.capture)
-    folder = settings.models_dir / settings.model
-    return Engine(folder, device=device, half=settings.half, bound=settings.buckets)
+    return Engine(model_folder(settings.model), device=Device(settings.provider, settings.threads))

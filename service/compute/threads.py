@@ -25,8 +25,9 @@ STREAM_PAUSE_S = 1.0
 
 APART = 2  # threads for pictures, reports and files, which hold the interpreter lock most of their time
 
+CLIP_WAIT_S = 15.0  # that a clip waits for streams and other clips before it is refused, at least
 CLIP_FPS = 1.0
-"""Frames that a clip gets for every second of waiting, after ``DRAPE_CLIP_WAIT_S``; otherwise it is refused, before its
+"""Frames that a clip gets for every second of waiting, after ``CLIP_WAIT_S``; otherwise it is refused, before its
 client gives up."""
 
 BRIEF_TEXT, BRIEF_BYTES = 1 << 12, 1 << 18
@@ -44,7 +45,9 @@ class ComputeThreads:
     step of a chunk begins while a stream's frame is computed.
     """
 
-    def __init__(self, *, bound: bool, stream_threads: int | None, chunk_frames: int, clip_wait_s: float) -> None:
+    def __init__(
+        self, *, bound: bool, stream_threads: int | None, chunk_frames: int, clip_wait_s: float = CLIP_WAIT_S
+    ) -> None:
         self._bound, self._chunk_most, self._clip_wait_s = bound, chunk_frames, clip_wait_s
         self.hurried = False  # clips end now: the service is being restarted
         self.stream_threads = 1 if bound else stream_threads or processor_count()
@@ -115,7 +118,7 @@ class ComputeThreads:
                 "processors",
                 expected=f"{frames} frames of a clip after waiting {most_s:.0f} s for streams and other clips",
                 got=f"{waited_s:.0f} s",
-                cure="Ask again when there are fewer, or for fewer frames or a lower tier, or raise DRAPE_CLIP_WAIT_S.",
+                cure="Ask again when there are fewer, or for fewer frames or a lower tier.",
             )
 
     async def _last(self, steps: Iterator[Result], *, whole: bool) -> tuple[Result, float]:

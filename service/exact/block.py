@@ -21,7 +21,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import DrapeError, Unavailable
-from drape.exact.frame import ExactCloth, Lain, exact
+from drape.exact.frame import ExactCloth, RestingFrame, exact
 from drape.forked import end_with_parent
 from drape.garment.cache import Garment
 from service.compute.background import step_back
@@ -56,7 +56,7 @@ def run(block: Block, say: Any = print) -> None:
             write_frame(block.folder, number, before.x.astype(np.float32), asdict(told))
             say(json.dumps({"frame": number, **asdict(told)}), flush=True)
         else:
-            before = Lain(pose, kept[0].astype(np.float64), start.astype(np.float64))
+            before = RestingFrame(pose, kept[0].astype(np.float64), start.astype(np.float64))
 
 
 def main() -> int:

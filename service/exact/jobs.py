@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 KEPT = 32  # clips that have ended
 MOST_ATTEMPTS = 20  # starts of the service in which one clip is gone on with
 WAIT_S = 2.0  # until the drapes that frames start from are asked for again, where the service is busy
+FRAME_S = 3600.0  # for one frame; the first takes longest
 BLOCK = "service.exact.block"
 MAKE_ROOM = "Delete clips that were fetched: DELETE /jobs/ID."
 log = logging.getLogger("drape.service")
@@ -139,7 +140,7 @@ class ExactClips:
 
     def check_place(self, frames: int, vertices: int) -> None:
         """Refuses (``Busy``, ``Full``) when too many clips wait, and when there is no room for another."""
-        most = self._settings.exact_queue
+        most = self._settings.intake_queue
         if self.waiting >= most:
             cure = "Try again when one has ended."
             raise errors.Busy("exact clips", expected=f"fewer than {most} waiting", got=str(self.waiting), cure=cure)
@@ -277,7 +278,7 @@ class ExactClips:
 
     async def _computed(self, job: ClipJob, block: Block) -> None:
         """Has ``block`` computed by a process of its own."""
-        memory, most_s = str(self._settings.intake_memory_mb), self._settings.exact_frame_s
+        memory, most_s = str(self._settings.intake_memory_mb), FRAME_S
         write = partial(pickle.dump, block)
         try:
             async with running("exact", BLOCK, memory, write=write, folder=job.folder) as (process, answers):
@@ -289,7 +290,7 @@ class ExactClips:
                 await asyncio.wait_for(ended(process), most_s)
         except TimeoutError:
             expected = f"a frame within {most_s:g} s"
-            cure = "Leave the pose out, or raise DRAPE_EXACT_FRAME_S."
+            cure = "Leave the pose out."
             raise MotionError(f"frame {_next(job)}", expected=expected, got="none", cure=cure) from None
         except OSError as error:
             raise errors.Full("disk", expected="room", got=str(error.strerror), cure=MAKE_ROOM) from error

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from service.settings import Settings
 
 HEAD_BYTES = 64 * 1024  # of a request line and its headers
+HEAD_S = 10.0  # for the head of a request
+READ_S = 10.0  # in which a client must take some of an answer
 REST_S = 2.0  # for what is left of a body after its answer
 LOOK_S = 0.25  # between two looks at a client that nothing is read of
 LEFT = "drape.left"  # the extension of a request's scope: a future that is done when the connection is lost
@@ -130,7 +132,7 @@ class LimitedHttp(HttpToolsProtocol):
             else:
                 self._watch_reading(left)
 
-        self._reading = self.loop.call_later(self.settings.read_s, look)
+        self._reading = self.loop.call_later(READ_S, look)
 
     def _look(self) -> None:
         """Cuts the connection where its client has gone: the loop does not see that while nothing is read, because a
@@ -144,10 +146,10 @@ class LimitedHttp(HttpToolsProtocol):
 
     def _await_head(self) -> None:
         self._head_bytes = 0
-        self._head = self.loop.call_later(self.settings.head_s, self._late)
+        self._head = self.loop.call_later(HEAD_S, self._late)
 
     def _late(self) -> None:
-        limit = f"a whole head within {self.settings.head_s:g} s"
+        limit = f"a whole head within {HEAD_S:g} s"
         self._refuse(TooSlow("request head", expected=limit, got="a part", cure="Send the request at once."))
 
     def _refuse(self, error: DrapeError) -> None:

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 STORED_PATHS = ("/garments", "/avatars")
 UPLOAD_PATHS = (*STORED_PATHS, "/motions")  # whose bodies are files
 JSON = "application/json"  # a body that is held until it has come
+IDLE_S = 10.0  # that a body may pause
+PACE_BYTES_S = 16384  # its least mean pace
+HELD_BYTES = 80 * 2**20  # of all request bodies in memory together; again of all states that streams bring
 LOOK_S = 0.5  # between two looks at whether the service ends
 
 
@@ -76,11 +79,10 @@ class BodyLimit:
             self._held -= 0 if to_disk else body.taken
 
     def _check_held(self, more: int) -> None:
-        limit = self._settings.max_held_bytes
-        if more and self._held + more > limit:
+        if more and self._held + more > HELD_BYTES:
             raise Busy(
                 "request bodies",
-                expected=f"at most {limit} bytes of all requests together",
+                expected=f"at most {HELD_BYTES} bytes of all requests together",
                 got=f"{self._held} and {more} more",
                 cure="Try again in a second, or send a garment as the raw body.",
             )
@@ -104,8 +106,7 @@ class _Body:
 
     async def next(self, receive: Receive) -> Message:
         """Its next piece; refuses one that is too slow or makes it too large."""
-        idle_s, pace = self._settings.body_idle_s, self._settings.body_bytes_s
-        until_s = min(self._begun_s + idle_s + self.taken / pace, time.monotonic() + idle_s)
+        until_s = min(self._begun_s + IDLE_S + self.taken / PACE_BYTES_S, time.monotonic() + IDLE_S)
         message = None
         while message is None:
             with contextlib.suppress(TimeoutError):
@@ -119,9 +120,9 @@ class _Body:
                 continue
             raise TooSlow(
                 "request body",
-                expected=f"a piece within {idle_s:g} s, and {pace} bytes a second",
+                expected=f"a piece within {IDLE_S:g} s, and {PACE_BYTES_S} bytes a second",
                 got=f"{self.taken} bytes in {time.monotonic() - self._begun_s:.1f} s",
-                cure="Send faster, or raise DRAPE_BODY_IDLE_S or lower DRAPE_BODY_BYTES_S.",
+                cure="Send faster.",
             )
         size = len(message.get("body", b""))
         self.check_size(self.taken + size)

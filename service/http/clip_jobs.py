@@ -57,14 +57,14 @@ class ClipJob:
 
 def plan_headers(plan: Plan, runtime: DrapeRuntime) -> dict[str, str]:
     """Headers that are known before a frame is computed: model, tier, passes, steps of folds, motion."""
-    options, passes, scene = plan.options, runtime.engine.pass_count, plan.shown
+    options, numbers, scene = plan.options, plan.options.advanced, plan.shown
     headers = {
         "X-Drape-Model": runtime.engine.manifest.digest[:16],
-        "X-Drape-Push-Out": str(int(bool(options.push_out))),
+        "X-Drape-Push-Out": str(int(bool(numbers.push_out))),
         "X-Drape-Tier": runtime.tier_of(plan),
-        "X-Drape-Passes": str(passes if options.passes is None else options.passes),
-        "X-Drape-Folds": str(options.folds),
-        "X-Drape-Safe-Folds": str(options.safe_folds or 0),
+        "X-Drape-Passes": str(runtime.engine.pass_count if numbers.passes is None else numbers.passes),
+        "X-Drape-Folds": str(numbers.folds),
+        "X-Drape-Safe-Folds": str(numbers.safe_folds or 0),
         "X-Drape-Motion": f"{options.knob:g}",
     }
     if isinstance(scene, Outfit):

@@ -6,7 +6,6 @@ import secrets
 import time
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,8 +13,8 @@ from drape.errors import InputError, NotFound
 from drape.stages.batch import Memories, PoseInput
 from drape.stages.plan import Plan
 
-if TYPE_CHECKING:
-    from service.settings import Settings
+MOST = 32
+LIFE_S = 120.0  # a client asks for the next piece at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +50,12 @@ class _Kept:
 
 
 class Continuations:
-    """The last ``max_pasts`` continuations by their tokens, each for ``past_s``.
+    """The last ``MOST`` continuations by their tokens, of all clients together, each for ``LIFE_S``.
 
     One may be followed more than once, so that a request whose answer was lost can be sent again.
     """
 
-    def __init__(self, settings: Settings) -> None:
-        self._most, self._life_s = settings.max_pasts, settings.past_s
+    def __init__(self) -> None:
         self._kept: dict[str, _Kept] = {}
 
     def __len__(self) -> int:
@@ -71,8 +69,8 @@ class Continuations:
     def put(self, token: str, past: Continuation, owner: str | None) -> None:
         """Keeps ``past`` for the key ``owner``; where there are too many, the key that has most loses its oldest."""
         self._drop_old()
-        self._kept[token] = _Kept(past, owner, time.monotonic() + self._life_s)
-        while len(self._kept) > self._most:
+        self._kept[token] = _Kept(past, owner, time.monotonic() + LIFE_S)
+        while len(self._kept) > MOST:
             ((most, _),) = Counter(kept.owner for kept in self._kept.values()).most_common(1)
             del self._kept[next(name for name, kept in self._kept.items() if kept.owner == most)]
 
@@ -83,7 +81,7 @@ class Continuations:
         if kept is None or kept.owner != owner:
             raise NotFound(
                 "past",
-                expected=f"one of the last {self._life_s:g} s",
+                expected=f"one of the last {LIFE_S:g} s",
                 got="one that is not kept",
                 cure="Leave past out, and the clip begins anew.",
             )

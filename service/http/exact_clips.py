@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from drape.exact.newton import TOLERANCE
 from drape.stages.batch import Batch, Layer, PoseInput, shape_array
 from drape.stages.tiers import EXACT
 from drape.wire.clips import pack_clip, unpack_clip
+from drape.wire.options import Advanced
 from service.exact.jobs import ClipJob as ExactJob
 from service.exact.jobs import Work
 from service.http import schemas
@@ -40,12 +41,16 @@ def check_exact(asked: schemas.ClipOptions) -> None:
         cure = "Ask for one garment, or for tier accurate."
         raise InputError("garments", expected="one with tier exact", got=str(len(asked.garments)), cure=cure)
     for name in WITHOUT:
-        if getattr(asked, name):
-            raise InputError(name, expected="none with tier exact", got=f"{getattr(asked, name)!r:.40}", cure=cure)
+        if got := _value(asked, name):
+            raise InputError(name, expected="none with tier exact", got=f"{got!r:.40}", cure=cure)
     for name, value in ALWAYS.items():
-        got, known = getattr(asked, name), "motion" if name == "knob" else name
+        got, known = _value(asked, name), "motion" if name == "knob" else name
         if got not in (None, value):
             raise InputError(known, expected=f"{value} with tier exact", got=str(got), cure=cure)
+
+
+def _value(asked: schemas.ClipOptions, name: str) -> Any:
+    return getattr(asked.advanced if name in Advanced.model_fields else asked, name)
 
 
 async def submitted(asked: schemas.ClipOptions, clip: PoseInput, state: State, client: Client) -> ExactJob:

@@ -15,7 +15,7 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.errors import BodyError, InputError, MotionError, NotFound, TooLarge
 from drape.garment.fit_report import FitReport, JudgedDrape, fit_report
 from drape.stages.batch import Batch, PoseInput, motion_arrays, shape_array
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.errors import NotAcceptable, TooSlow
 from service.http.answers import BINARY, JSON, binary_answer, choose, json_answer
 from service.http.fit_schemas import FitDocument, FitRequest, MeasuresDocument, ShapeDocument, ShapeRequest
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 router = APIRouter()
 # The network's smooth drape of every pose by itself: folds would take up the strain that is looked for, and the
 # push-out adds some of its own.
-SMOOTH: dict[str, Any] = {"motion": 0.0, "folds": 0, "push_out": False, "resolution": "fine"}
+SMOOTH: dict[str, Any] = {"motion": 0.0, "resolution": "fine", "advanced": Advanced(folds=0, push_out=False)}
 
 
 @router.get("/bodies/{body_id}/measures", responses=responses(InputError, NotFound, BodyError))

@@ -16,7 +16,7 @@ from drape.garment.cache import Garment
 from drape.garment.portrait import at_rest, portrait
 from drape.wire.meshes import pack_mesh
 from drape.wire.messages import WIRE_VERSION
-from drape.wire.options import DrapeOptions, Resolution, SizeName
+from drape.wire.options import Advanced, DrapeOptions, Resolution, SizeName
 from service.errors import Forbidden, NotAcceptable, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, PNG, choose, file_answer, json_answer
@@ -200,8 +200,8 @@ async def garment_folds(
     kind = choose(request.headers.get("accept"), (BINARY,))
     runtime = state.runtime
     scene = await state.scene(garment_id, None, client, avatar=asked.avatar, size=asked.size)
-    chosen = {"resolution": asked.resolution, "fabric": queried_fabric(asked.fabric)}
-    plan = runtime.plan(scene, DrapeOptions(geometry="jets", folds_by="client", folds=1, **chosen))  # may refuse
+    chosen = {"resolution": asked.resolution, "fabric": queried_fabric(asked.fabric), "advanced": Advanced(folds=1)}
+    plan = runtime.plan(scene, DrapeOptions(geometry="jets", folds_by="client", **chosen))  # may refuse
     (own,), worn, body = scene.layers, plan.scene.layers[0].garment, runtime.on(scene).body
     hung = own.garment.drawer if asked.drawn and own.garment.drawn is not None and worn.drawn is None else None
     folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body), asked.coarse, hung

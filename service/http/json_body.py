@@ -15,7 +15,7 @@ from pydantic_core import from_json
 
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import TooLarge
-from drape.wire.options import wire_names
+from drape.wire.options import Advanced, DrapeOptions, wire_names
 from service.compute.threads import BRIEF_TEXT, SlicedThread
 from service.http.problems import not_json, validation_refusal
 
@@ -82,6 +82,7 @@ def parsed(text: bytes, *, otherwise: str = NO_JSON) -> Any:
 def validated(model: type[Asked], document: Any) -> Asked:
     """Returns ``document`` as a ``model``. Refuses (``InputError``) the first field that is wrong."""
     known = set(wire_names(model).values())
+    known |= Advanced.model_fields.keys() if issubclass(model, DrapeOptions) else set()
     if isinstance(document, dict):
         for unknown in [key for key in document if key not in known][1:]:
             del document[unknown]  # pydantic makes an error of each, and one is told

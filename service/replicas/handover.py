@@ -24,7 +24,9 @@ from drape import __version__
 from drape.errors import DrapeError, InputError, TooLarge
 from drape.wire.state import PIECE_BYTES, join_state, split_state
 from service.errors import Busy, Draining, TooSlow, Unauthorized, close_reason, rule_for
+from service.guard.limits import HELD_BYTES
 from service.replicas.memory_codec import decoded, encoded
+from service.stream.session import SEND_S, Session
 
 if TYPE_CHECKING:
     from fastapi import WebSocket
@@ -34,11 +36,11 @@ if TYPE_CHECKING:
     from service.compute.drape_runtime import DrapeRuntime
     from service.guard.keys import Client
     from service.guard.tickets import Tickets
-    from service.stream.routes import Session
 
 LIFE_S = 60.0
 _SIGNATURE_BYTES = 32
 _LENGTH = struct.Struct("<I")
+STATE_BYTES = 8 * 2**20  # of the state that a stream takes along; one with a larger one begins anew
 log = logging.getLogger("drape.service")
 _CURE = "Open the stream without it: it begins anew."
 
@@ -63,7 +65,7 @@ class Handover:
 
     def state(self, session: Session, client: Client, tier: int, *, now_s: float | None = None) -> bytes:
         """Returns the signed state of ``session``, while streams are held to ``tier``. Empty if no other process could
-        read it, or if it is longer than ``DRAPE_STREAM_STATE_BYTES``."""
+        read it, or if it is longer than ``STATE_BYTES``."""
         if not self._tickets.shared:
             return b""
         head = self._bound(client, session.plan, session.betas)
@@ -73,7 +75,7 @@ class Handover:
         kept = tuple((*key, memory) for key, memory in session.memories.items())
         raw = _LENGTH.pack(len(text)) + text + encoded(kept, self._classes, _plans(session.plan, session.steps))
         whole = self._tickets.sign(raw) + raw
-        return whole if len(whole) <= self._runtime.settings.stream_state_bytes else b""
+        return whole if len(whole) <= STATE_BYTES else b""
 
     def brought(
         self,
@@ -104,21 +106,21 @@ class Handover:
 
     async def send_away(self, socket: WebSocket, session: Session, client: Client, tier: int) -> None:
         """Sends the state of ``session`` and the address to go to, and closes the connection. The client has
-        ``DRAPE_STREAM_SEND_S`` to take it."""
-        settings, reason = self._runtime.settings, Draining()
+        ``SEND_S`` to take it."""
+        reason = Draining()
         blob = self.state(session, client, tier)
-        pieces = split_state(blob, min(PIECE_BYTES, settings.stream_message_bytes))
-        moved: dict[str, str | int] = {"type": "moved", "to": settings.successor, "pieces": len(pieces)}
+        pieces = split_state(blob)
+        moved: dict[str, str | int] = {"type": "moved", "to": self._runtime.settings.successor, "pieces": len(pieces)}
         if client.name is not None:
             moved["ticket"] = self._tickets.make(client.name)  # the one that opened this stream is spent
         try:
-            async with asyncio.timeout(settings.stream_send_s):
+            async with asyncio.timeout(SEND_S):
                 for piece in pieces:
                     await socket.send_bytes(piece)
                 await socket.send_text(json.dumps(moved))
                 await socket.close(rule_for(reason).close_code, close_reason(reason))
         except TimeoutError:
-            expected = f"a state taken within {settings.stream_send_s:g} s"
+            expected = f"a state taken within {SEND_S:g} s"
             cure = "Read faster; the next stream begins anew."
             raise TooSlow("stream", expected=expected, got="a full connection", cure=cure) from None
         self._runtime.metrics.moved.labels(str(bool(pieces)).lower()).inc()
@@ -163,12 +165,11 @@ class Handover:
     def hold(self, size: int, more: int) -> None:
         """Counts ``more`` bytes of a state of which ``size`` bytes have come. Refuses (``TooLarge``, ``Busy``) what is
         too much for one state or for all together."""
-        limits = self._runtime.settings
-        if size + more > limits.stream_state_bytes + PIECE_BYTES:
-            expected = f"at most {limits.stream_state_bytes} bytes"
+        if size + more > STATE_BYTES + PIECE_BYTES:
+            expected = f"at most {STATE_BYTES} bytes"
             raise TooLarge("state", expected=expected, got=f"{size + more} or more", cure=_CURE)
-        if self._held + more > limits.max_held_bytes:
-            expected = f"at most {limits.max_held_bytes} bytes of all streams together"
+        if self._held + more > HELD_BYTES:
+            expected = f"at most {HELD_BYTES} bytes of all streams together"
             raise Busy("states", expected=expected, got=f"{self._held} and {more} more", cure="Try again in a second.")
         self._held += more
 

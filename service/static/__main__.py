@@ -10,8 +10,10 @@ import argparse
 import asyncio
 import sys
 from pathlib import Path
+from typing import get_args
 
 from drape.errors import DrapeError
+from drape.wire.options import DrapeOptions, TierName
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -22,9 +24,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("garment", help="its id, as GET /garments has it")
     parser.add_argument("out", type=Path, help="the folder, new or written by this command before")
     parser.add_argument("--motion", default="walk", help="the clips that the page plays, comma-separated (walk)")
-    parser.add_argument(
-        "--tier", choices=("instant", "fast", "balanced", "accurate"), help="how much a frame computes (balanced)"
-    )
+    parser.add_argument("--tier", choices=get_args(TierName), help="how much a frame computes (balanced)")
     parser.add_argument("--fabric", help="the name of one (the garment's own)")
     parser.add_argument("--betas", type=_numbers, default=(), help="the body's shape, comma-separated (the mean one)")
     options = parser.parse_args(arguments)
@@ -41,7 +41,6 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 def _write(options: argparse.Namespace) -> int:
     # Imported here, so that --help does not need everything.
-    from drape.wire.options import DrapeOptions
     from service.app import create_app
     from service.compute.drape_runtime import DrapeRuntime
     from service.settings import load_settings

@@ -124,7 +124,7 @@ def check_built() -> None:
 
 def check_inertia(options: DrapeOptions) -> None:
     """Refuses (``InputError``) inertia of the network: the page has cloth's own."""
-    if options.knob and options.inertia == "network":
+    if options.knob and options.advanced.inertia == "network":
         cure = "Leave inertia out, or stream from a service."
         raise InputError("inertia", expected="mesh without a service", got="network", cure=cure)
 
@@ -146,7 +146,7 @@ async def _answers(app: FastAPI, asked: Asked, plan: Plan) -> AsyncIterator[tupl
     """What the client asks a service for: the path without its query, and (name of a file, content)."""
     garment, betas = f"/garments/{asked.garment}", ",".join(str(beta) for beta in asked.betas)
     fabric = asked.options.fabric if isinstance(asked.options.fabric, str) else ""
-    chosen = f"fabric={fabric}&betas={betas}&coarse={bool(plan.options.coarse)}"
+    chosen = f"fabric={fabric}&betas={betas}&coarse={bool(plan.options.advanced.coarse)}"
     wanted = {
         f"{garment}/mesh": (f"{garment}/mesh?resolution=fine", BINARY, "mesh.bin"),
         f"{garment}/jets": (f"{garment}/jets?resolution=fine", BINARY, "layout.bin"),

@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from fastapi import WebSocket, WebSocketDisconnect
 
+from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.stages.batch import shape_array
 from drape.stages.encode import coordinate_bits
@@ -18,45 +17,31 @@ from drape.stages.plan import Plan
 from drape.stages.scene import Outfit, layer_list
 from drape.wire import messages as wire
 from service.errors import TooSlow
+from service.guard.limits import PACE_BYTES_S
 from service.http.json_body import document_of, validated
 from service.http.schemas import OpenRequest
 from service.state import State
+from service.stream.session import CREDIT, Opening
+
+OPEN_S = 5.0  # for the opening message
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
     from service.guard.keys import Client
     from service.replicas.handover import Incoming
-    from service.settings import Settings
 
 
-@dataclass(frozen=True, eq=False)
-class Opening:
-    """What a client asks of its stream.
-
-    ``steps``: ``plan`` as each tier holds it, the one that computes least first. ``moves``: the stream can go on at
-    another process. ``same``: the client takes the word that its frame still holds in place of the frame. ``wearer``:
-    the avatar that the stream shows, whose own rig may then send poses; None for our body.
-    """
-
-    plan: Plan
-    betas: np.ndarray
-    steps: tuple[Plan, ...] = ()
-    moves: bool = False
-    same: bool = False
-    wearer: Wearer | None = None
-
-
-async def first_text(socket: WebSocket, pieces: Incoming, settings: Settings) -> str:
+async def first_text(socket: WebSocket, pieces: Incoming) -> str:
     """Returns the text that opens a stream. STATE messages that come before it go to ``pieces``."""
     begun_s = time.monotonic()
     while True:
-        until_s = begun_s + settings.stream_open_s + pieces.size / settings.body_bytes_s
+        until_s = begun_s + OPEN_S + pieces.size / PACE_BYTES_S
         try:
             message = await asyncio.wait_for(socket.receive(), max(0.0, until_s - time.monotonic()))
         except TimeoutError:
             raise TooSlow(
                 "open message",
-                expected=f"within {settings.stream_open_s:g} s",
+                expected=f"within {OPEN_S:g} s",
                 got="nothing" if not pieces.messages else f"{pieces.size} bytes of a state",
                 cure='Send {"type": "open", "garment": ...} first.',
             ) from None
@@ -93,7 +78,7 @@ async def read_opening(text: str, state: State, client: Client) -> Opening:
 
 def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str:
     """Returns the answer to an opening that got ``plan``, on ``wearer`` or our body."""
-    scene, options = plan.shown, plan.options
+    scene, options, numbers = plan.shown, plan.options, plan.options.advanced
     jets = options.geometry == "jets"
     worn = {"garments": layer_list(scene, patches=jets)} if isinstance(scene, Outfit) else {"garment": scene.id}
     if jets:  # an answer about vertices is what it was before there were jets
@@ -103,10 +88,10 @@ def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str
     if options.resolution == "fine":
         worn |= {"resolution": "fine"}
     if options.folds_by == "client":
-        clearance_m = state.runtime.settings.clearance_m if options.push_out else 0.0
-        how = {"settle": options.settle, "cloth_contact": options.cloth_contact, "clearance_m": clearance_m}
-        worn |= {"folds_by": "client", "inertia": options.inertia, "coarse": bool(options.coarse)}
-        worn |= how if options.folds or options.coarse else {}
+        clearance_m = CLEARANCE_M if numbers.push_out else 0.0
+        how = {"settle": numbers.settle, "cloth_contact": numbers.cloth_contact, "clearance_m": clearance_m}
+        worn |= {"folds_by": "client", "inertia": numbers.inertia, "coarse": bool(numbers.coarse)}
+        worn |= how if plan.folds else {}
     return json.dumps(
         {
             "type": "opened",
@@ -114,13 +99,13 @@ def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str
             "vertices": scene.vertex_count,
             "model": state.runtime.engine.manifest.digest,
             "body": state.runtime.on(plan.scene).body.name,
-            "credit": state.runtime.settings.stream_credit,
-            "push_out": options.push_out,
+            "credit": CREDIT,
+            "push_out": numbers.push_out,
             "motion": options.knob,
             "tier": state.runtime.tier_of(plan),
-            "passes": state.runtime.engine.pass_count if options.passes is None else options.passes,
-            "folds": options.folds,
-            "safe_folds": options.safe_folds or 0,
+            "passes": state.runtime.engine.pass_count if numbers.passes is None else numbers.passes,
+            "folds": numbers.folds,
+            "safe_folds": numbers.safe_folds or 0,
             "bits": coordinate_bits(options),
             **more,
         }

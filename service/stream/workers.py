@@ -1,6 +1,6 @@
 """The workers that serve streams, and how far these step down while poses come faster than they can be draped.
 
-A session (``service.stream.routes``) is served as soon as a worker is free, the frame before is through and the client
+A session (``service.stream.session``) is served as soon as a worker is free, the frame before is through and the client
 has credit: frames that wait in a kernel buffer only grow old. There is no timer.
 
 A pose is late if a newer one replaced it while only the worker was in the way. Streams step down as soon as a share of
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from drape.stages.scene import Entry
     from service.compute.drape_runtime import DrapeRuntime
     from service.compute.threads import SlicedThread
-    from service.stream.routes import Session, Waiting
+    from service.stream.session import Session, Waiting
 
 WINDOW_S = 0.5  # over which poses are counted
 LATE_SHARE = 0.05  # of them that step down

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from service.settings import Settings
     from service.uploads.jobs import Uploads
 
+READ_S = 60.0  # a file of a minute's motion takes a second
 MEMORY_MB = 1024  # beside an intake's and that of a clip of tier exact
 
 
@@ -24,7 +25,7 @@ class MotionFiles:
     """Reads one file at a time; as many as uploads may wait. They lie in the staging folder of ``uploads``."""
 
     def __init__(self, uploads: Uploads, settings: Settings) -> None:
-        limits = {"intake_wall_s": settings.motion_s, "intake_cpu_s": math.ceil(settings.motion_s)}
+        limits = {"intake_wall_s": READ_S, "intake_cpu_s": math.ceil(READ_S)}
         limits["intake_memory_mb"] = min(settings.intake_memory_mb, MEMORY_MB)
         self._uploads, self._settings = uploads, settings.model_copy(update=limits)
         self._turn = asyncio.Semaphore()

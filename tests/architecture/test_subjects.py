@@ -5,8 +5,6 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-import pytest
-
 from tests.architecture.repository import PACKAGES, ROOT, repository_files
 
 MOST_OPERANDS = 7  # of a function, without self and what is given by keyword alone
@@ -36,17 +34,3 @@ def test_functions_take_few_operands_and_modules_show_few_names():
     assert len(paths) > 100
     found = [item for path in paths for item in crowded(path.relative_to(ROOT), path.read_text(encoding="utf-8"))]
     assert found == []
-
-
-@pytest.mark.parametrize(
-    ("source", "expected"),
-    [
-        ("def f(a, b, c, d, e, g, h, i): ...", ["drape/x.py: f takes 8"]),
-        ("class C:\n async def f(self, a, b, c, d, e, g, h): ...", []),
-        ("def f(a, b, c, *, d, e, g, h, i): ...", []),
-        ("".join(f"class C{i}: ...\n" for i in range(25)), ["drape/x.py: 25 public names"]),
-        ("".join(f"def _f{i}(): ...\n" for i in range(25)), []),
-    ],
-)
-def test_the_check_sees_what_is_too_much(source: str, expected: list[str]):
-    assert crowded(Path("drape/x.py"), source) == expected

@@ -12,7 +12,6 @@ import re
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from service.settings import Settings
 from tests.architecture.repository import ROOT, repository_files
-from tests.fixtures.laws import each
 
 TOLD_ON = ("README.md", "docs/explanation/folds.md")
 STATED = re.compile(
@@ -48,14 +47,3 @@ def test_pages_state_the_tiers_of_the_manifest():
     assert {name: found for name, text in CURRENT.items() if (found := false_statements(text))} == {}
     for page in TOLD_ON:
         assert DEFAULT in {said[2] for said in STATED.finditer(CURRENT[page])}
-
-
-@each(
-    said=[
-        "`balanced` = all corrections\nand 4 steps of folds",
-        "`quick` = all corrections and 1 step of folds",
-        "the default `fast` = no corrections and 2 steps of folds",
-    ]
-)
-def test_a_false_statement_is_seen(said: str):
-    assert len(false_statements(said)) == 1

@@ -9,9 +9,7 @@ import sys
 import pytest
 
 from benchmarks import harness
-from benchmarks.clock import timed
 from benchmarks.harness import Benchmark, Option, Run
-from benchmarks.tables import text_table
 from drape.errors import InputError, Unavailable
 
 COLUMNS = {"garment": "s", "edge_pct": ("edge", ".2f"), "gain": ".2f", "fabric": "s"}
@@ -64,13 +62,6 @@ def test_options_of_the_quick_form_yield_to_explicit_ones():
     assert (given.frames, given.fabrics, given.share) == (5, ["rib", "satin"], 0.5)
 
 
-def test_help_tells_both_defaults(capsys):
-    with pytest.raises(SystemExit):
-        bench.parse(["--help"])
-    said = " ".join(capsys.readouterr().out.split())
-    assert "poses (default 12, quick 2)" in said and "cloths (default jersey denim, quick jersey)" in said
-
-
 @pytest.mark.parametrize(("error", "status"), [(Unavailable, 3), (InputError, 2)])
 def test_what_is_not_there_ends_with_another_status_than_a_refusal(error, status, monkeypatch, capsys):
     @Benchmark("none", "Nothing.", {})
@@ -82,11 +73,6 @@ def test_what_is_not_there_ends_with_another_status_than_a_refusal(error, status
     with pytest.raises(SystemExit) as ended:
         nothing.command()
     assert ended.value.code == status and "newton: expected an interpreter" in capsys.readouterr().err
-
-
-def test_tables_align_and_leave_unknown_numbers_empty():
-    rows = [{"name": "a", "value": 1.5}, {"name": "longer", "value": float("nan")}]
-    assert text_table(rows, {"name": "s", "value": ".2f"}).splitlines() == ["name    value", "a        1.50", "longer"]
 
 
 def test_private_folders_appear_by_the_name_of_their_variable(monkeypatch, tmp_path):
@@ -105,9 +91,3 @@ def test_the_command_is_the_module_that_runs(monkeypatch):
     spec = importlib.util.find_spec("benchmarks.frame")
     monkeypatch.setattr(sys.modules["__main__"], "__spec__", spec)
     assert harness.command("anything", []) == "python -m benchmarks.frame"
-
-
-def test_a_clock_counts_every_call():
-    calls = []
-    assert timed(lambda: calls.append(1), seconds=0.0) > 0.0
-    assert len(calls) == 15  # five of them warm it up

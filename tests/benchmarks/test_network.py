@@ -54,14 +54,6 @@ def test_a_fabric_is_what_the_network_is_told_and_its_default_is_jersey():
     assert np.linalg.norm(denim - own, axis=-1).max() > 2.0 * ROUNDING_M
 
 
-def test_a_network_from_before_fabrics_drapes_the_same_in_all():
-    made = subject.Network(MODELS_DIR / DEFAULT_MODEL, body(), threads=1)
-    if made.engine.knows_fabrics:
-        pytest.skip("the shipped model knows fabrics")
-    found = made.made_of(fabric("denim")).drape(garment("tank"), bending(1)).vertices
-    assert_array_equal(found, made.drape(garment("tank"), bending(1)).vertices)
-
-
 def test_as_many_passes_run_as_are_asked_for():
     whole, none = (subject.Network(exported()[1], body(), threads=1, passes=count) for count in (None, 0))
     assert (whole.passes, none.passes) == (SMALL.corrections, 0)

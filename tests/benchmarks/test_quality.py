@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from benchmarks import quality
 from benchmarks.judge import physics
-from benchmarks.judge.physics_cache import CACHE_DIR
-from benchmarks.network import Network
 from benchmarks.quality import METHODS
-from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
 from drape.cloth.fabric_table import fabric
@@ -69,17 +65,13 @@ def options(*words: str):
     return quality.main.parse(["--quick", *words])
 
 
-def test_without_fabrics_a_network_that_knows_them_is_measured_in_jersey_and_another_in_the_old_cloth(tmp_path):
+def test_without_fabrics_a_network_that_knows_them_is_measured_in_jersey(tmp_path):
     knowing = bench(tmp_path)
     assert knowing.network.engine.knows_fabrics
     (made,) = quality.in_fabrics(knowing, options())
     assert made.fabric == fabric("jersey")
     assert made.material == Material.of(fabric("jersey"))
     assert quality.in_fabrics(knowing, options("--material", "soft")) == [knowing]
-    old = replace(knowing, network=Network(MODELS_DIR / DEFAULT_MODEL, load_body(), threads=1))
-    if old.network.engine.knows_fabrics:
-        pytest.skip("the shipped model knows fabrics")
-    assert quality.in_fabrics(old, options()) == [old]
 
 
 def test_every_fabric_is_measured_once_under_its_own_name(tmp_path):
@@ -93,7 +85,3 @@ def test_fabrics_that_cannot_be_measured_are_refused(tmp_path):
         quality.in_fabrics(bench(tmp_path), options("--fabrics", "tin"))
     with pytest.raises(InputError, match="--material: expected no --fabrics beside it"):
         quality.in_fabrics(bench(tmp_path), options("--fabrics", "rib", "--material", "soft"))
-
-
-def test_optima_are_kept_in_an_ignored_folder():
-    assert CACHE_DIR.parts[-2:] == ("runs", "physics_cache")

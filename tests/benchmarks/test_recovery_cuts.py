@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from benchmarks import recovery_cuts
 from drape.garment.files.mesh import read_mesh
@@ -50,16 +49,3 @@ def test_a_target_that_is_refused_has_the_sentence_in_its_row(tmp_path: Path):
     )
     assert row["base"] == "refused" and row["told"] == "no, tshirt" and "mean_mm" not in row
     assert row["refused"] and not (tmp_path / "pictures").exists()
-
-
-def test_a_sheet_shows_the_pictures_that_are_there_in_the_order_of_the_targets(tmp_path: Path):
-    names = [f"t{number}" for number in range(7)]
-    assert recovery_cuts.sheet_of(tmp_path, names) == b""
-    for number, name in enumerate(names[:6]):
-        Image.new("RGB", (22, 38), (40 * number, 0, 0)).save(tmp_path / f"{name}.png")
-    (tmp_path / "sheet.webp").write_bytes(recovery_cuts.sheet_of(tmp_path, names))
-    with Image.open(tmp_path / "sheet.webp") as sheet:
-        pixels = np.asarray(sheet.convert("RGB")).astype(int)
-    assert pixels.shape == (96, 160, 3)
-    assert np.allclose(pixels[20, 10::32, 0], 40 * np.arange(5), atol=12) and abs(pixels[68, 10, 0] - 200) <= 12
-    assert pixels[68, 58].min() > 240

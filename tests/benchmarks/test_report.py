@@ -8,9 +8,6 @@ from pathlib import Path
 import pytest
 
 from benchmarks import records, report
-from benchmarks.tables import cells, rows_table
-
-WHERE = {"machine": "a machine", "commit": "abc", "command": "python -m benchmarks.quality"}
 
 
 @pytest.mark.parametrize("name", sorted({Path(document).name for _, document, _, _ in records.TABLES}))
@@ -23,16 +20,3 @@ def test_a_page_of_records_holds_what_the_records_give(name: str):
 
 def test_no_page_of_records_is_left_over():
     assert {path.name for path in report.FOLDER.glob("*.md")} == set(report.pages())
-
-
-def test_what_was_not_measured_is_a_dash_and_the_source_stands_below():
-    columns = {"garment": ("garment", "s"), "gain": ("gain", ".2f"), "jitter": ("jitter", ".2f")}
-    row = {"garment": "sash", "gain": 0.731, "jitter": None}
-    assert cells({"garment": "sash"}, columns) == ["sash", "-", "-"]
-    assert rows_table({**columns, "newer": ("of a newer record", "d")}, [row], WHERE).split("\n") == [
-        "| garment | gain | jitter |",
-        "|---|---|---|",
-        "| sash | 0.73 | - |",
-        "",
-        "Measured on a machine, commit abc: `python -m benchmarks.quality`.",
-    ]

@@ -19,7 +19,7 @@ from drape.artifacts import load_manifest
 from drape.catalog import find_motions
 from drape.cloth.fabric_table import fabric
 from drape.errors import ArtifactError, InputError
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.serving import make_settings, tiny_folder
 from tests.fixtures.tiny_model import TINY, write_tiny_model
@@ -67,14 +67,16 @@ def test_every_combination_is_measured_beside_the_rival_and_physics(rows):
 
 def test_a_stream_goes_the_services_own_road(drapery, body, tube):
     pose, scene = np.zeros((24, 3)), drapery.garments.get("tube")
-    stream = Stream(drapery.plan(scene, DrapeOptions(folds=2, motion=0.0, push_out=False)), body.shape_count)
+    stream = Stream(
+        drapery.plan(scene, DrapeOptions(advanced=Advanced(folds=2, push_out=False), motion=0.0)), body.shape_count
+    )
     first = stream.pose(pose, 0.0)
     assert list(stream.memories) == [("folds", stream.plan.keys[0])]
     assert np.isfinite(stream.pose(pose, 1.0 / 30.0).world()).all() and min(stream.clock.cpu_ms) > 0.0
     stream.forget()
     assert_array_equal(stream.pose(pose, 0.0).world(), first.world())
     every = drapery.plan(scene, Knobs(None, 0, coarse=True).options(drapery.engine.pass_count))
-    assert every.options.passes is None and every.lifted and not every.projected
+    assert every.options.advanced.passes is None and every.lifted and not every.projected
 
 
 def test_the_first_frame_is_not_timed():

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import pytest
 
 from service.settings import Settings
-from tests.fixtures.serving import api, live, make_settings, settings, tiny_folder
+from tests.fixtures.serving import api, live, make_settings, outfit_settings, outfit_url, settings, tiny_folder
 
-__all__ = ["api", "live", "make_settings", "settings", "tiny_folder"]
+__all__ = ["api", "live", "make_settings", "outfit_settings", "outfit_url", "settings", "tiny_folder"]
 
 
 @pytest.fixture(scope="session")

@@ -30,7 +30,7 @@ def test_a_clip_becomes_a_glb(live: str, tmp_path: Path, capsys: pytest.CaptureF
     assert "44 frames at 10 per second" in capsys.readouterr().out
 
 
-def test_a_file_of_motion_becomes_vertices(live: str, tmp_path: Path):
+def test_a_file_of_motion_becomes_vertices(live: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "out.npy"
     clip = ROOT / "drape/assets/motions/squat.npz"
     base = f"drape --url {live} --garment tube --motion {clip} --fps 5 --betas 0.5 --out {out}".split()
@@ -42,9 +42,16 @@ def test_a_file_of_motion_becomes_vertices(live: str, tmp_path: Path):
     with DrapeClient(live) as client:
         expected = client.drape("tube", recorded, betas=np.array([0.5]), push_out=False)
     np.testing.assert_array_equal(np.load(out), expected)
+    assert main([*base, "--as-recorded", "--advanced", "push_out=false", "inertia=network"]) == 0
+    np.testing.assert_array_equal(np.load(out), expected)
     assert np.abs(placed - expected).max() > 0.01
     for option in (["--knob", "3"], ["--passes", "2"]):  # the model of the tests has one
         assert main([*base, *option]) == 2
+    assert main([*base, "--advanced", "passes=2", "--passes", "1"]) == 2
+    assert "passes: expected the value of advanced.passes, or one of the two left out, got 1" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main([*base, "--advanced", "passes"])
+    assert "expected NAME=VALUE, as folds=3, got passes" in capsys.readouterr().err
 
 
 def test_a_clip_of_a_file_is_chosen(live: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -17,9 +17,7 @@ from drape.wire.layout import pack_layout
 from tests.clients.node import answer_of
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import outfit_settings, outfit_url
 
-__all__ = ["outfit_settings", "outfit_url"]  # fixtures
 QUANTISED_M = 1e-4
 POSES, TRANS = random_motion(2)
 SCRIPT = """

@@ -99,7 +99,7 @@ REFUSED = """(async () => {
   for (const options of [{ fabric: "denim" }, { tier: "fast" }, { passes: 0 }]) {
     said.push(await shirt.set(options).then(() => "", ({ name, kind }) => `${name} ${kind}`));
   }
-  await shirt.set({ folds: 2 });
+  await shirt.set({ advanced: { folds: 2 } });
   return [...said, shirt.wearing.opened.folds, shirt.foldsBy, shirt.state];
 })()"""
 

@@ -68,7 +68,7 @@ const send = (angle, count) => {
 const counts = [send(0.1, 40), send(0.1, 40), send(0.1, 9), send(0.2, 9)];
 stream.send(new Array(72).fill(0.2), [1, 2, 3]);
 const [{ header, pose }] = frames;
-stream.open({ garment: "tube", folds: 4, push_out: false });
+stream.open({ garment: "tube", advanced: { folds: 4 }, push_out: false }); // at its old place
 const opened = [stream.opened.folds, stream.opened.safe_folds, stream.opened.clearance_m];
 stream.close();
 console.log(JSON.stringify({ early, counts, root: header.root, opened, late: stream.send(pose, [0, 0, 0]) }));

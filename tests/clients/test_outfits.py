@@ -18,9 +18,6 @@ from drape.garment.cache import Garment
 from drape.motion.clip import MotionClip
 from drape.motion.samples import SAMPLES
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import outfit_settings, outfit_url
-
-__all__ = ["outfit_settings", "outfit_url"]  # fixtures
 
 
 def test_layers_come_apart_and_one_garment_is_itself(outfit_url: str, tube: Garment):

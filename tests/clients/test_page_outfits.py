@@ -12,16 +12,17 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from drape.artifacts import model_folder
 from drape.inference.engine import Engine
 from drape.inference.graph_names import PACKED
 from drape.motion.samples import stretch
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.settings import Settings
 from tests.clients.browser import Page, open_page
 from tests.clients.test_page import set_control, share, stage
 from tests.fixtures.garments import ship
 from tests.fixtures.serving import serve
+from tests.fixtures.streams import patient_streams
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -49,17 +50,16 @@ def runtime(make_settings, tmp_path_factory) -> DrapeRuntime:
     folder = ship(tmp_path_factory.mktemp("three"), "shorts", "tank", "trousers")
     motions = tmp_path_factory.mktemp("motions")
     stretch().window(STILL_FRAME, 1).save(motions / "still.npz")
-    models = Settings().models_dir
-    limits = {"max_layers": 2, "stream_ack_s": 30.0, "stream_send_s": 30.0}
-    folders = {"models_dir": models, "shipped_garments_dir": folder, "motions_dir": motions}
+    folders = {"shipped_garments_dir": folder, "motions_dir": motions}
     # The graph, and not the engine: its parts that were opened tell what runs.
-    graph = Engine(models / "onefit", compiled=False)
-    return DrapeRuntime(make_settings(model="onefit", **folders, **limits), engine=graph)
+    graph = Engine(model_folder("onefit"), compiled=False)
+    return DrapeRuntime(make_settings(model="onefit", max_layers=2, **folders), engine=graph)
 
 
 @pytest.fixture(scope="module")
 def page(runtime: DrapeRuntime) -> Iterator[Page]:
     with (
+        patient_streams(),
         serve(create_app(runtime.settings, runtime=runtime), runtime.settings) as url,
         open_page(url + "/?garment=trousers,tank&clip=still", height=800) as page,
     ):
@@ -129,11 +129,11 @@ def test_passes_are_chosen_and_the_service_runs_that_many(page: Page, runtime: D
     )
     for passes in (0, 2):
         set_control(page, "passes", "value", str(passes), "change")
-        assert last_opening(page)["passes"] == passes
+        assert last_opening(page)["advanced"]["passes"] == passes
         more_frames(page)
         assert passes in {passes for graph, _, _, passes, _ in runtime.engine._opened if graph == PACKED}
     set_control(page, "passes", "value", "", "change")
-    assert "passes" not in last_opening(page)
+    assert "passes" not in last_opening(page)["advanced"]
 
 
 def outside(picture: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -182,7 +182,7 @@ def test_a_quality_is_chosen_by_name_and_told(page: Page, runtime: DrapeRuntime)
     for name in ("fast", "balanced"):
         click_that_opens(page, f"#tier-{name}")
         opening = last_opening(page)
-        assert opening["tier"] == name and not {"passes", "folds"} & opening.keys()
+        assert opening["tier"] == name and not {"passes", "folds"} & opening["advanced"].keys()
         page.wait_for(f"document.getElementById('quality').textContent.includes('{name}')")
 
 

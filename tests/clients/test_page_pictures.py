@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from drape.artifacts import model_folder
 from drape.files.looks import Looks, Material
 from drape.garment.cache import save_garment
 from drape.inference.engine import Engine
 from drape.motion.samples import stretch
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.settings import Settings
 from tests.clients.browser import Page, open_page
 from tests.clients.test_page import share, stage
 from tests.fixtures.garments import shipped
 from tests.fixtures.serving import serve
+from tests.fixtures.streams import patient_streams
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -42,11 +43,11 @@ def page(make_settings, tmp_path_factory) -> Iterator[Page]:
     look = Material(pictures={"base_colour": 0}, scale=scale, offset=(float(-low[0]) / extent, 0.0))
     save_garment(replace(plain, digest="0" * 64, looks=Looks((look,) * len(plain.material_names), (checks(),))), folder)
     stretch().window(89, 1).save(motions / "still.npz")
-    models = Settings().models_dir
-    folders = {"models_dir": models, "shipped_garments_dir": folder, "motions_dir": motions}
-    settings = make_settings(model="onefit", stream_ack_s=30.0, stream_send_s=30.0, **folders)
-    runtime = DrapeRuntime(settings, engine=Engine(models / "onefit", compiled=False))
+    folders = {"shipped_garments_dir": folder, "motions_dir": motions}
+    settings = make_settings(model="onefit", **folders)
+    runtime = DrapeRuntime(settings, engine=Engine(model_folder("onefit"), compiled=False))
     with (
+        patient_streams(),
         serve(create_app(settings, runtime=runtime), settings) as url,
         open_page(url + "/?garment=tshirt&clip=still", height=800) as page,
     ):

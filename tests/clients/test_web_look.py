@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from drape.avatar.own_clothes import Halves, bare_faces, taken_off
 from drape.avatar.own_garments import Undressed, undressed
 from drape.avatar.rig_file import bare_file
-from drape.avatar.wearer import read_wearer
+from drape.avatar.wearer import Wearer, read_wearer
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES, PARENTS
 from drape.catalog import find_garments, open_garment
@@ -245,11 +245,17 @@ console.log(JSON.stringify({ at, gone: skin.parent === null }));
 """
 
 
-def test_bare_skin_moves_with_the_character(body: BodyModel, rng: np.random.Generator, tmp_path: Path):
+@pytest.fixture(scope="module")
+def dressed(body: BodyModel) -> tuple[bytes, Wearer]:
+    """A character in a top and a skirt with no skin below, and how it is worn."""
+    own = {kind: open_garment(find_garments([name])[0], body) for kind, name in (("top", "tank"), ("skirt", "skirt"))}
+    payload = dressed_character(body, dressed_parts(body, own, cut_away=True))
+    return payload, read_wearer(payload, name="me", body=body)
+
+
+def test_bare_skin_moves_with_the_character(dressed: tuple[bytes, Wearer], rng: np.random.Generator, tmp_path: Path):
     """Where players put it is where the body that was laid on the character is posed."""
-    top = open_garment(find_garments(["tshirt"])[0], body)
-    payload = dressed_character(body, dressed_parts(body, {"top": top}, cut_away=True))
-    wearer = read_wearer(payload, name="me", body=body)
+    payload, wearer = dressed
     off = taken_off(wearer.attire, Halves(True, False))
     chosen = bare_faces(wearer.body, wearer.vertices, wearer.faces, off)
     assert wearer.file is not None
@@ -285,10 +291,10 @@ console.log(JSON.stringify([on, found()]));
 """
 
 
-def test_a_tucked_top_is_drawn_deeper_than_skin_that_is_bare(body: BodyModel, tmp_path: Path):
-    own = {kind: open_garment(find_garments([name])[0], body) for kind, name in (("top", "tank"), ("skirt", "skirt"))}
-    payload = dressed_character(body, dressed_parts(body, own, cut_away=True))
-    wearer = read_wearer(payload, name="me", body=body)
+def test_a_tucked_top_is_drawn_deeper_than_skin_that_is_bare(
+    dressed: tuple[bytes, Wearer], body: BodyModel, tmp_path: Path
+):
+    payload, wearer = dressed
     none, trousers = np.zeros(len(wearer.faces), dtype=bool), open_garment(find_garments(["trousers"])[0], body)
     left = undressed(wearer, none, [(trousers.vertices, trousers.faces)], Halves(False, True))
     assert wearer.file is not None

@@ -51,7 +51,7 @@ def test_an_application_in_strict_typescript_wears_a_garment(application: Path, 
     assert said["alone"] == ["folds_by", "InputError", 400, True]
     both = [np.reshape(said[name][1], (-1, 3)) for name in ("server", "client")]
     # Poses come as fast as each answers, and cloth swings by the clock: test_engine_web.py holds equal times to less.
-    assert np.sqrt(np.square(both[0] - both[1]).sum(axis=1).mean()) < 3e-3
+    assert np.sqrt(np.square(both[0] - both[1]).sum(axis=1).mean()) < 1e-2
     assert said["frames"] >= 3 and said["state"] == "closed" and said["children"] == 0
     for positions in (np.reshape(said[name], (-1, 3)) for name in ("positions", "jets")):
         assert len(positions) >= httpx.get(live + "/garments/tube").json()["vertices"]

@@ -15,7 +15,7 @@ from drape.export.glb_body import heaviest_bones
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.wire import messages as wire
 from drape.wire.meshes import STEP_M, pack_body
-from drape.wire.options import DrapeOptions, wire_names
+from drape.wire.options import Advanced, DrapeOptions, wire_names
 from drape.wire.rig_poses import RigPose, pack_rig_pose
 from tests.architecture.repository import ROOT
 from tests.clients.node import answer_of
@@ -108,9 +108,10 @@ def test_the_library_sends_poses_of_a_rig_where_the_service_takes_them(tmp_path)
 
 def test_controls_of_the_page_name_options_of_the_wire():
     page = (ROOT / "clients/web/src/index.html").read_text()
-    named = set(re.findall(r'data-option="(\w+)"', page))
-    assert "push_out" in named
-    assert named <= set(wire_names(DrapeOptions).values())
+    for place, model, one in (("option", DrapeOptions, "resolution"), ("advanced", Advanced, "push_out")):
+        named = set(re.findall(rf'data-{place}="(\w+)"', page))
+        assert one in named
+        assert named <= set(wire_names(model).values())
 
 
 def test_ids_of_the_page_name_one_element_each():

@@ -20,9 +20,8 @@ def test_message_says_name_expected_got_and_cure(kind):
 
 
 @pytest.mark.parametrize("kind", CLASSES)
-@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
-def test_errors_keep_class_and_parts_through_pickling(kind, protocol):
-    copy = pickle.loads(pickle.dumps(kind(**PARTS), protocol))
+def test_errors_keep_class_and_parts_through_pickling(kind):
+    copy = pickle.loads(pickle.dumps(kind(**PARTS)))
     assert type(copy) is kind
     assert {key: getattr(copy, key) for key in PARTS} == PARTS
     assert str(copy) == str(kind(**PARTS))

@@ -72,6 +72,8 @@ def test_a_file_is_worn_as_a_name_is(opened: drape.Drape):
         ("tank", {"tiers": "fast"}, "some of"),
         ("tank", {"tier": "best"}, "tier: expected"),
         ("tank", {"tier": "exact"}, "exact"),
+        ("tank", {"advanced": {"folds": 99}}, r"^advanced\.folds: expected less than or equal to 16"),
+        ("tank", {"folds": 99}, "^folds: expected less than or equal to 16"),
         ("tank", {"geometry": "jets"}, "options"),
         ("tank", {"fabric": "wol"}, "fabric"),
         ("tank", {"on": "nobody.glb"}, "GLB or VRM"),

@@ -1,8 +1,11 @@
 """Exit statuses of commands."""
 
+import subprocess
+import sys
+
 import pytest
 
-from drape.errors import REFUSED_EXIT_CODE, InputError, ended, refusing
+from drape.errors import REFUSED_EXIT_CODE, UNREAD_EXIT_CODE, InputError, ended, refusing
 
 
 def test_a_refusal_becomes_its_sentence_and_a_status(capsys: pytest.CaptureFixture[str]) -> None:
@@ -36,3 +39,22 @@ def test_a_record_is_no_status(capsys: pytest.CaptureFixture[str]) -> None:
     assert ended(lambda: {"rows": 3}) == 0
     assert ended(refused) == REFUSED_EXIT_CODE
     assert "Count again." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["drape", "garments"], ["drape", "tiers", "--json"]])
+def test_a_reader_that_has_gone_ends_a_command_without_a_word(words: list[str]) -> None:
+    command = [sys.executable, "-m", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == UNREAD_EXIT_CODE == 141
+
+
+def test_a_pipe_that_is_not_the_output_is_an_error() -> None:
+    @refusing
+    def main() -> int:
+        raise BrokenPipeError("a child's input")
+
+    with pytest.raises(BrokenPipeError, match="a child's input"):
+        main()

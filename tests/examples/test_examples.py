@@ -42,17 +42,6 @@ def code(path: Path) -> str:
     return "\n".join("".join(cell["source"]) + "\n" for cell in cells if cell["cell_type"] == "code")
 
 
-@pytest.mark.parametrize(
-    "path", [path for path in EXAMPLES if path.stem not in ALONE and path.suffix == ".py"], ids=str
-)
-def test_an_example_says_what_it_does(path: Path):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, path, "--help"], env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0 and "a service runs" in " ".join(done.stdout.split()), done.stderr
-
-
 MARKED = [pytest.param(path, marks=pytest.mark.long) if path.stem in LONG else path for path in EXAMPLES]
 
 

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
 from drape.cloth.fabric_table import fabric
-from drape.errors import InputError, NotFound
+from drape.errors import NotFound
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.garment.grain import corner_uv
@@ -20,14 +20,12 @@ from drape.garment.intake import intake
 from drape.garment.sewing import sewing_beside, sewn_hinges
 from drape.geometry import meshes
 from recovery.catalogue.__main__ import main
-from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design
-from recovery.catalogue.closing import on_finer_mesh
+from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design, write_garment
 from recovery.catalogue.fall import HEM_BENDING, hinge_bending, seam_angles
-from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
 from recovery.drape.output import panel_texture
 from recovery.pattern.bases import skirt
-from recovery.pattern.pattern_mesh import mesh_pattern
+from recovery.pattern.pattern_mesh import mesh_pattern, on_finer_mesh
 from recovery.pattern.style import Style, lined
 from recovery.sim.model import ClothModel
 from tests.recovery.pattern_setup import default_measurements
@@ -52,13 +50,6 @@ def test_a_shape_is_carried_to_a_finer_mesh_by_place_in_the_panels(style):
     far = fine.nodes_from(fine.placed())
     gap = np.linalg.norm(nodes - far, axis=1)[inner]
     assert np.quantile(gap, 0.5) < 1e-9
-
-
-def test_meshes_of_two_patterns_are_refused():
-    body = default_measurements()
-    coarse, fine = (mesh_pattern(CATALOGUE[name](body).pattern, 0.08) for name in ("skirt", "shorts"))
-    with pytest.raises(InputError, match="meshes: expected two meshes of one pattern"):
-        on_finer_mesh(coarse, coarse.nodes_from(coarse.placed()), fine)
 
 
 def test_hems_bend_twice_as_hard_and_the_collar_is_folded():

@@ -16,11 +16,19 @@ from drape.cloth.material import FABRICS, MEASURED
 from drape.cloth.relaxation import Distance
 from drape.errors import InputError
 from drape.garment.contours import lost_parts
-from recovery.drape.limb_openings import limb_openings, sleeve_panels
 from recovery.drape.pattern_drape import hanging
-from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, moved_clear, place_panels, scaled
-from recovery.drape.repair import uncrossed
-from recovery.drape.seam_threads import SEWING_GAP_M, Sewn, in_numpy, sew
+from recovery.drape.placement import (
+    CLEARANCE_M,
+    Axes,
+    best_lift,
+    check_placed,
+    limb_openings,
+    moved_clear,
+    place_panels,
+    scaled,
+    sleeve_panels,
+)
+from recovery.drape.seam_threads import SEWING_GAP_M, Sewn, in_numpy, sew, uncrossed
 from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle, to_rest, topmost_opening
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
@@ -247,7 +255,7 @@ def test_a_tube_hangs_from_its_rim_by_its_own_weight():
 def test_a_belt_closes_round_the_body_before_it_holds():
     """A tube of 0.8 m starts inside a body of 1.0 m: it lies on the skin, and then nothing moves its rim."""
     mesh = tube_mesh()
-    drape = settle(mesh, 0.95 * upright(mesh), cylinder(0.16), WOVEN, belt=True)
+    drape = settle(mesh, 0.95 * upright(mesh), cylinder(0.16), WOVEN, held="belt")
     assert drape.report.converged
     # Nodes that the repulsion throws off and on do not keep the steps going: a third of the limit would be the belt's.
     assert drape.steps < STEP_LIMIT // 2

@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from numpy.testing import assert_allclose
 
-from drape.garment.contours import open_contours
 from recovery.drape.pattern_drape import HANGS_LONGER, Draped, DrapeOptions
 from recovery.drape.settle import Drape
 from recovery.fit import laying
 from recovery.fit.laying import (
     LaidDrape,
+    Shown,
     fallen,
     hung_as,
     in_other_folds,
@@ -43,7 +43,7 @@ def sheet(height_m: float = 0.0) -> tuple[PatternMesh, np.ndarray]:
 
 
 def target_of(mesh: PatternMesh, nodes: np.ndarray) -> Target:
-    return Target.from_mesh(nodes, mesh.faces, open_contours(nodes, mesh.faces))
+    return Target.from_mesh(nodes, mesh.faces)
 
 
 def test_springs_draw_both_surfaces_together_by_their_area():
@@ -123,19 +123,17 @@ def test_a_drape_in_other_folds_is_hung_in_those_of_another_mesh():
     slope = np.array([0.2, 1.0, 0.0]) / np.hypot(0.2, 1.0)
     across = np.stack([[slope[1], -slope[0], 0.0], slope, [0.0, 0.0, 1.0]])
     fine = mesh_pattern(mesh.pattern, 0.03)
-    shown = np.stack([fine.nodes_from(fine.placed())[:, k] for k in (0, 2, 1)], axis=1)
-    shown = shown @ across + 0.0035 * slope
+    lies = np.stack([fine.nodes_from(fine.placed())[:, k] for k in (0, 2, 1)], axis=1)
+    shown = Shown(fine, lies @ across + 0.0035 * slope)
     skin = Plane((0.0, 0.0, 0.0), tuple(slope))
     there = flat @ across + 0.0035 * slope + 0.08 * across[0]
     unused: Any = None
     loose = Draped(mesh, unused, unused, Drape(there, np.zeros(0, dtype=np.int64), Report(0, 0.0, True), 0), None, {})
-    assert in_other_folds(loose, fine, shown)
-    hung = hung_as(loose, fine, shown, skin, WOVEN)
-    assert hung.at_rest and not in_other_folds(hung, fine, shown)
+    assert in_other_folds(loose, shown)
+    hung = hung_as(loose, shown, skin, WOVEN)
+    assert hung.at_rest and not in_other_folds(hung, shown)
     belted = replace(loose, rest=loose.rest._replace(held=np.array([0])))
-    assert not in_other_folds(belted, fine, shown)
-    assert put_on(belted, fine, shown, lambda one: one) is belted, "its belt could not be laid"
-    placed = put_on(belted, fine, shown, lambda one: replace(one, figures={"laid": 1.0}))
-    assert placed.figures and not in_other_folds(
-        replace(placed, rest=loose.rest._replace(nodes=placed.nodes)), fine, shown
-    )
+    assert not in_other_folds(belted, shown)
+    assert put_on(belted, shown, lambda one: one) is belted, "its belt could not be laid"
+    placed = put_on(belted, shown, lambda one: replace(one, figures={"laid": 1.0}))
+    assert placed.figures and not in_other_folds(replace(placed, rest=loose.rest._replace(nodes=placed.nodes)), shown)

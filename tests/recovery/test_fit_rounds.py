@@ -17,12 +17,13 @@ from recovery.drape.pattern_drape import DrapeOptions, drape_pattern, hanging
 from recovery.drape.placement import scaled
 from recovery.fit import starts
 from recovery.fit.belt import held_as_target
-from recovery.fit.objective import nearest_on_line
+from recovery.fit.laying import EDGE_M, Shown
+from recovery.fit.objective import Target, nearest_on_line
 from recovery.fit.optimise import FitOptions
 from recovery.fit.recovered import Recovered
-from recovery.fit.rounds import _Task, recover_pattern
+from recovery.fit.rounds import RoundsOptions, _Rounds, recover_pattern
 from recovery.pattern.bases import skirt, tshirt
-from recovery.run.anew import sewn_anew
+from recovery.run.sewn import sewn_anew
 from recovery.sim.sdf import GridDistance
 from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements
@@ -38,13 +39,10 @@ def test_a_larger_base_finds_the_pattern_of_a_drape(body):
     target = drape_pattern(truth, body, COARSE)
     base = scaled(truth, 1.07)
     found = recover_pattern(
-        target.nodes,
-        target.mesh.faces,
+        Target.from_mesh(*target.surface),
         base,
         body,
-        drape=COARSE,
-        fit=FitOptions(iterations=0, closing=3),
-        meshes_m=(0.05,),
+        RoundsOptions(COARSE, FitOptions(iterations=0, closing=3), meshes_m=(0.05,)),
     )
     before, after = pattern_error(base, truth), pattern_error(found.fitted.pattern, truth)
     assert before.controls_m.mean() > 0.01 > 0.001 > after.controls_m.mean()
@@ -64,14 +62,12 @@ def test_rounds_go_on_from_each_other_in_the_fabric_that_is_named(body, tmp_path
     target = drape_pattern(truth, body, coarse)
     lines: list[str] = []
     found = recover_pattern(
-        target.nodes,
-        target.mesh.faces,
+        Target.from_mesh(*target.surface),
         scaled(truth, 1.05),
         body,
-        drape=coarse,
-        fit=FitOptions(iterations=0, closing=2),
-        meshes_m=(0.08, 0.07),
-        state_file=tmp_path / "state.npz",
+        RoundsOptions(
+            coarse, FitOptions(iterations=0, closing=2), meshes_m=(0.08, 0.07), state_file=tmp_path / "state.npz"
+        ),
         report=lines.append,
     )
     told = [line.split()[0] for line in lines if not line.startswith("symmetry")]
@@ -89,16 +85,14 @@ def test_rounds_go_on_from_each_other_in_the_fabric_that_is_named(body, tmp_path
     assert sorted(path.name for path in tmp_path.iterdir()) == ["state.npz", "state_1.npz"]
 
 
-@pytest.mark.slow
-def test_what_cannot_be_searched_is_refused(body):
-    truth = skirt(default_measurements())
-    coarse = DrapeOptions(edge_length_m=0.12, grid_m=0.04)
-    draped = drape_pattern(truth, body, replace(coarse, iteration_limit=0))
-    target = (draped.nodes, draped.mesh.faces, truth, body)
+def test_options_of_rounds_that_lead_nowhere_are_refused():
     with pytest.raises(InputError, match="meshes_m"):
-        recover_pattern(*target, drape=coarse, meshes_m=())
-    with pytest.raises(InputError, match="at rest to start from"):
-        recover_pattern(*target, drape=replace(coarse, iteration_limit=0))
+        RoundsOptions(meshes_m=())
+    with pytest.raises(InputError, match="more than 0"):
+        RoundsOptions(reach_m=-0.1)
+    assert RoundsOptions(COARSE).lengths_m(laid=False) == [0.05] * 3
+    assert RoundsOptions(COARSE).lengths_m(laid=True) == [EDGE_M]
+    assert RoundsOptions(COARSE, meshes_m=(0.02, 0.05)).lengths_m(laid=True) == [0.02, EDGE_M]
 
 
 @pytest.mark.long
@@ -153,7 +147,7 @@ def test_the_last_grading_that_is_worn_and_at_rest_is_searched(second, taken):
 
     start = SimpleNamespace(lost=lambda draped: draped.lost)
     task = SimpleNamespace(graded=graded, start=lambda options: start, drape=None)
-    best, worn = _Task.best_graded(*cast(Any, (task, 0, drape(), 2)))
+    best, worn = _Rounds.best_graded(*cast(Any, (task, 0, drape(), 2)))
     assert best == taken and worn.at_rest and not start.lost(worn)
 
 
@@ -170,7 +164,7 @@ def test_a_pattern_that_no_mesh_can_be_sewn_of_is_refused(body, monkeypatch: pyt
 def test_a_belt_is_held_where_the_waist_of_the_target_is(body):
     lower_m = 0.01
     draped = drape_pattern(skirt(default_measurements()), body, DrapeOptions(edge_length_m=0.1, grid_m=0.02))
-    own = open_contours(draped.nodes, draped.mesh.faces)
+    own = open_contours(*draped.surface)
     # The target's waist is lower and wider: there the hips are.
     held = draped.rest.held
     middle = draped.nodes[held].mean(axis=0)
@@ -196,8 +190,8 @@ def test_a_belt_is_held_where_the_waist_of_the_target_is(body):
     assert held_as_target(draped, [], there, skin, cloth) is draped
     # A garment whose belt was laid lower is what its pattern gives, sewn anew and hung there.
     fitted = SimpleNamespace(pattern=draped.mesh.pattern, cloth=cloth, nodes=found.nodes)
-    search = SimpleNamespace(mesh=found.mesh, mesh_of=lambda _: found.mesh, forward=None)
-    report = cast(Recovered, SimpleNamespace(fitted=fitted, search=search, sewn=None))
-    anew = sewn_anew(report, body, DrapeOptions(edge_length_m=0.1, grid_m=0.02), None)
+    search, shown = SimpleNamespace(forward=None), Shown(found.mesh, found.nodes)
+    report = cast(Recovered, SimpleNamespace(fitted=fitted, search=search, sewn=None, shown=shown))
+    anew = sewn_anew(report, starts.Start(body, DrapeOptions(edge_length_m=0.1, grid_m=0.02), None, None))
     assert anew.distance.rms_mm < min(3.0, 0.8 * anew.by_itself.rms_mm)
     assert_allclose(anew.belt_moved_m, (found.nodes - draped.nodes)[held, 1].mean(), atol=1e-3)

@@ -17,13 +17,12 @@ from drape.geometry.closest import closest_point
 from recovery.catalogue.garments import CATALOGUE
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES, dress, skirt, sleeved_dress, tank, trousers, tshirt
-from recovery.pattern.bent_panels import Cone, Flutes, Tube
 from recovery.pattern.darts import Dart, waist_with_darts
 from recovery.pattern.design import Design, check_laid_flat, check_seams
-from recovery.pattern.measurements import measure
+from recovery.pattern.drafting import Cone, Flutes, Tube
+from recovery.pattern.measurements import GROWTH_M, in_size, measure
 from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import mesh_pattern
-from recovery.pattern.size_grades import GROWTH_M, in_size
 from recovery.pattern.skirts import SkirtCut, a_line, circle, fitted
 from recovery.pattern.tops import CAP_EASE, Sleeve, TopCut, cap, lines, top
 from recovery.pattern.trousers import LegCut
@@ -49,9 +48,8 @@ def test_a_garment_sews_up_to_one_surface_with_its_openings(name):
     mesh = mesh_pattern(made.pattern, 0.05)
     assert mesh_graphs.connected_components(mesh.faces, mesh.node_count).max() == 0
     assert len(meshes.boundary_loops(mesh.faces)) == OPENINGS[name]
-    sewn = {ref for stitch in made.pattern.stitches for ref in (stitch.first, stitch.second)}
     # What is not sewn is a hem or an opening, and named so.
-    free = [made.edge_names[ref] for ref in made.pattern.edge_refs() if ref not in sewn]
+    free = [made.edge_names[ref] for ref in made.pattern.edge_refs() if ref not in made.pattern.sewn]
     assert free and all(named.startswith(("hem", "opening")) for named in free)
 
 

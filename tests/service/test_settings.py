@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -12,16 +13,16 @@ import pytest
 
 from drape.errors import InputError, Unavailable
 from service.server import bind
-from service.settings import load_settings
+from service.settings import GONE, Settings, load_settings, unread_variables
 from tests.architecture.repository import ROOT
 
 
 def test_environment_sets_and_arguments_win(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("DRAPE_PORT", "8123")
-    monkeypatch.setenv("DRAPE_PUSH_OUT", "false")
+    monkeypatch.setenv("DRAPE_STREAM_STEP_DOWN", "false")
     monkeypatch.setenv("DRAPE_ALLOWED_ORIGINS", '["https://shop.example"]')
     settings = load_settings()
-    assert (settings.port, settings.push_out) == (8123, False)
+    assert (settings.port, settings.stream_step_down) == (8123, False)
     assert settings.allowed_origins == ("https://shop.example",)
     assert load_settings(port=9).port == 9
 
@@ -33,9 +34,8 @@ def test_environment_sets_and_arguments_win(monkeypatch: pytest.MonkeyPatch):
         ("PORT", "70000"),
         ("PROVIDER", "tpu"),
         ("MAX_FRAMES", "0"),
-        ("CLEARANCE_M", "-1"),
         ("THREADS", ""),
-        ("PASSES", "-1"),
+        ("FOLDS", "-1"),
         ("MAX_LAYERS", "0"),
     ],
 )
@@ -43,6 +43,24 @@ def test_a_bad_value_is_refused_by_name(monkeypatch: pytest.MonkeyPatch, name: s
     monkeypatch.setenv(f"DRAPE_{name}", value)
     with pytest.raises(InputError, match=rf"^DRAPE_{name}: .*docs/guide/operate.md"):
         load_settings()
+
+
+@pytest.mark.parametrize(("name", "cure"), GONE.items())
+def test_a_setting_of_before_stops_the_start_with_what_to_do(monkeypatch: pytest.MonkeyPatch, name: str, cure: str):
+    assert name.lower() not in Settings.model_fields
+    monkeypatch.setenv(f"DRAPE_{name}", "1")
+    with pytest.raises(InputError, match=rf"^DRAPE_{name}: expected no such variable, got one. {re.escape(cure)}"):
+        load_settings()
+
+
+def test_there_are_few_settings():
+    assert len(Settings.model_fields) <= 45
+
+
+def test_a_variable_that_nothing_reads_is_told(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("DRAPE_PROT", "8123")
+    monkeypatch.setenv("DRAPE_ISA", "v3")
+    assert "DRAPE_PROT" in unread_variables() and not {"DRAPE_ISA", "DRAPE_PORT"} & set(unread_variables())
 
 
 def test_an_unknown_argument_is_refused():
@@ -60,7 +78,7 @@ def test_a_taken_port_and_a_foreign_address_are_refused():
 
 
 def start(tiny_folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    known = {"DRAPE_MODEL": "tiny", "DRAPE_MODELS_DIR": str(tiny_folder / "models")}
+    known = {"DRAPE_MODEL": str(tiny_folder / "models/tiny")}
     return subprocess.run(
         [sys.executable, "-m", "service", *arguments],
         cwd=ROOT,
@@ -80,7 +98,10 @@ def test_the_start_refuses_with_one_sentence_and_status_two(tiny_folder: Path):
             f"port {port}": start(tiny_folder, "--port", port),
             "model": start(tiny_folder, "--port", "0", DRAPE_MODEL="nothing"),
             "DRAPE_PORT": start(tiny_folder, DRAPE_PORT="x"),
+            "DRAPE_HEAD_S": start(tiny_folder, DRAPE_HEAD_S="5"),
         }
+        mistyped = start(tiny_folder, "--port", port, DRAPE_PROT="8123")
+    assert "DRAPE_PROT is no setting; see docs/guide/operate.md" in mistyped.stderr.splitlines()[0]
     for name, run in runs.items():
         assert run.returncode == 2
         assert run.stderr.startswith(f"service: {name}: expected "), run.stderr

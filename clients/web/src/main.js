@@ -80,10 +80,10 @@ const readouts = new Readouts({
 
 // How what is worn is draped, by the names of the wire; "undefined" is left to the service.
 function options() {
-  const { resolution, ...chosen } = readouts.options();
-  const jets = element("jets").checked ? { folds: undefined } : {}; // folds are of vertices: polynomials are smooth
+  const { resolution, advanced, ...chosen } = readouts.options();
+  if (element("jets").checked) delete advanced.folds; // they are of vertices: polynomials are smooth
   const shape = state.avatar === null ? { betas: state.betas } : {};
-  return { ...shape, tier: quality.tier, ...chosen, ...fabrics.option(), ...jets };
+  return { ...shape, tier: quality.tier, ...chosen, advanced, ...fabrics.option() };
 }
 
 // What needs other meshes or another wearer.

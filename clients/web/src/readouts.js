@@ -11,7 +11,7 @@ export class Readouts {
   constructor({ onOption, onMesh, onBody, onTriangles }) {
     this.since = performance.now();
     this.shown = 0;
-    this.controls = [...document.querySelectorAll("[data-option]")];
+    this.controls = [...document.querySelectorAll("[data-option], [data-advanced]")];
     for (const control of this.controls) control.addEventListener("change", control.id === "resolution" ? onMesh : onOption);
     element("jets").addEventListener("change", onMesh);
     element("body").addEventListener("change", () => onBody(element("body").checked));
@@ -41,14 +41,16 @@ export class Readouts {
     element("jets").checked = wanted.has("jets");
   }
 
-  // Options of a drape (drape/wire/options.py) are the controls that name one; an empty one is left to the service.
+  // Options of a drape (drape/wire/options.py) are the controls that name one, itself or one of advanced; an empty one is
+  // left to the service.
   options() {
     const value = (control) => {
       if (control.type === "checkbox") return control.checked;
       return WORDS.includes(control.dataset.option) ? control.value : Number(control.value);
     };
     const chosen = this.controls.filter((control) => control.type === "checkbox" || control.value !== "");
-    return Object.fromEntries(chosen.map((control) => [control.dataset.option, value(control)]));
+    const named = (place) => Object.fromEntries(chosen.filter(({ dataset }) => dataset[place]).map((control) => [control.dataset[place], value(control)]));
+    return { ...named("option"), advanced: named("advanced") };
   }
 
   take({ stats, header, opened }) {

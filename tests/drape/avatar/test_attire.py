@@ -57,8 +57,16 @@ def share_right(attire: Attire, triangle: np.ndarray, parts: list[Worn]) -> floa
     return float(((found == true) | (np.isin(found, ["skin", "face"]) & np.isin(true, ["skin", "face"]))).mean())
 
 
-@pytest.mark.parametrize("maker", MAKERS)
-@pytest.mark.parametrize("outfit", ["trousers", "skirt", "dress"])
+@pytest.mark.parametrize("maker", [maker for maker, names in MAKERS.items() if names and maker != "costume"])
+def test_names_of_makers_tell_their_kinds(maker: str):
+    assert [kind_of_names([name]) for name in MAKERS[maker].values()] == list(MAKERS[maker])
+
+
+OUTFITS = ("trousers", "skirt", "dress")
+BY_SHAPE = [(maker, outfit) for maker in ("costume", "nameless") for outfit in OUTFITS]  # one name, or none, for all
+
+
+@pytest.mark.parametrize(("maker", "outfit"), [("vroid", "trousers"), ("mmd", "dress"), *BY_SHAPE])
 def test_faces_are_rightly_told(maker: str, outfit: str, body: BodyModel, outfits: dict[str, list[Worn]]):
     parts = outfits[outfit]
     assert share_right(*told(dressed_character(body, parts, maker=maker), body), parts) >= RIGHT

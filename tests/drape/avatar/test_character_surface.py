@@ -18,7 +18,7 @@ from drape.avatar.worn_file import undressed_file, worn_on_rig
 from drape.body.model import BodyModel
 from drape.export.surface import MeshSurface, MovingGarment
 from drape.garment.cache import Garment
-from tests.fixtures.characters import character
+from tests.fixtures.characters import bare_wearer, character
 from tests.fixtures.glb_reader import Reader
 from tests.fixtures.poses import smooth_motion
 
@@ -60,8 +60,7 @@ def _along(reader: Reader, node: int) -> np.ndarray:
 
 
 def test_what_is_gone_is_left_out_and_bare_skin_is_there(body: BodyModel):
-    payload = character(body)
-    worn = read_wearer(payload, name="somebody", body=body)
+    payload, worn = character(body), bare_wearer()
     assert worn.file is not None
     off, bare = np.ones(len(worn.faces), dtype=bool), np.arange(len(worn.body.faces)) < 500
     content = undressed_file(payload, worn, worn.file, Undressed(off, bare))

@@ -9,10 +9,10 @@ import pytest
 
 from drape.avatar.character import character_in
 from drape.avatar.covered import INSIDE_M, MARGIN_M, REACH_M, covered_faces, covered_in_file, ranges_of
-from drape.avatar.wearer import read_wearer, save_wearer
+from drape.avatar.wearer import save_wearer
 from drape.body.model import BodyModel
 from drape.files.gltf import GltfFile
-from tests.fixtures.characters import character
+from tests.fixtures.characters import bare_wearer, character
 
 RADIUS_M, HALF_M, STEP_M = 0.1, 0.2, 0.01  # of the tube of cloth, and between its rings
 
@@ -76,7 +76,7 @@ def test_runs_are_told_by_their_begin_and_length():
 
 def test_faces_are_told_as_triangles_of_the_file(body: BodyModel, tmp_path: Path):
     payload = character(body)
-    read, wearer = character_in(GltfFile(payload)), read_wearer(payload, name="me", body=body)
+    read, wearer = character_in(GltfFile(payload)), bare_wearer()
     cloth = cylinder(0.45, 0.3, 0.03)  # arms pass through it, the trunk is too far inside
     centred = cloth[0] + wearer.vertices.mean(axis=0), cloth[1]
     covered, own = covered_in_file(save_wearer(wearer, tmp_path), wearer.vertices, wearer.faces, [centred])

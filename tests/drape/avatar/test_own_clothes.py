@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from drape.avatar.attire import Attire
 from drape.avatar.character import character_in
 from drape.avatar.own_clothes import Halves, _without_skin, bare_faces, taken_off, tucked
 from drape.avatar.own_garments import Undressed, undressed
@@ -23,7 +24,8 @@ from drape.files.gltf import GltfFile
 from drape.garment.cache import Garment
 from drape.garment.tailor import tailored
 from drape.geometry.closest import closest_point, nearest_vertices, signed_distance
-from tests.fixtures.characters import character
+from tests.drape.avatar.test_attire import told
+from tests.fixtures.characters import bare_wearer
 from tests.fixtures.dressed_characters import COLOURS, dressed_character, dressed_parts
 
 CATALOGUE = {
@@ -76,21 +78,20 @@ def test_the_catalogue_lies_on_its_halves(name: str, body: BodyModel, shelf: dic
     assert reach_of(shelf[name], body) == (halves, legs)
 
 
-def kinds_off(wearer: Wearer, halves: Halves) -> set[str]:
-    off = taken_off(wearer.attire, halves)
-    return {wearer.attire.parts[number].kind for number in np.unique(wearer.attire.part[off])}
+def kinds_off(attire: Attire, halves: Halves) -> set[str]:
+    return {attire.parts[number].kind for number in np.unique(attire.part[taken_off(attire, halves)])}
 
 
 def test_a_top_takes_off_the_top_and_the_rucksack_and_trousers_the_trousers(cut_away: Wearer):
-    assert kinds_off(cut_away, Halves(True, False)) == {"top", "carried"}
-    assert kinds_off(cut_away, Halves(False, True)) == {"trousers"}
-    assert kinds_off(cut_away, Halves(True, True)) == {"top", "carried", "trousers"}
+    assert kinds_off(cut_away.attire, Halves(True, False)) == {"top", "carried"}
+    assert kinds_off(cut_away.attire, Halves(False, True)) == {"trousers"}
+    assert kinds_off(cut_away.attire, Halves(True, True)) == {"top", "carried", "trousers"}
 
 
 def test_any_garment_takes_off_a_dress(body: BodyModel, shelf: dict[str, Garment]):
     parts = dressed_parts(body, {"dress": shelf["dress"]}, rucksack=False)
-    wearer = read_wearer(dressed_character(body, parts), name="in_a_dress", body=body)
-    assert kinds_off(wearer, Halves(True, False)) == kinds_off(wearer, Halves(False, True)) == {"dress"}
+    attire, _ = told(dressed_character(body, parts), body)
+    assert kinds_off(attire, Halves(True, False)) == kinds_off(attire, Halves(False, True)) == {"dress"}
 
 
 def test_the_body_is_laid_below_the_clothes(whole: Wearer, cut_away: Wearer, body: BodyModel):
@@ -206,8 +207,8 @@ def test_a_stored_wearer_keeps_its_parts_and_bodies(whole: Wearer, body: BodyMod
         assert np.allclose(other.joints_template, whole.body.joints_template, atol=1e-9)
 
 
-def test_a_bare_character_has_one_body(body: BodyModel):
-    wearer = read_wearer(character(body), name="bare", body=body)
+def test_a_bare_character_has_one_body():
+    wearer = bare_wearer()
     assert wearer.body_under(Halves(True, False)) is wearer.body and set(wearer.bodies) == {"bare"}
 
 

@@ -170,19 +170,6 @@ def test_they_are_cut_for_the_body_below_them(
     assert np.abs(moved.vertices - top.vertices).max() < 0.05
 
 
-def test_a_program_drapes_them(file: bytes, tmp_path: Path):
-    path = tmp_path / "me.glb"
-    path.write_bytes(file)
-    library = drape.load()
-    worn = library.wear(on=path, alive=True)
-    assert [one.name for one in worn.garments] == ["me~trousers", "me~top"]
-    frame = worn.pose(np.zeros((24, 3)), time_s=0.0)
-    assert np.isfinite(frame.vertices).all()
-    assert len(frame.vertices) == sum(one.vertex_count for one in worn.garments)
-    over = library.wear("tshirt", on=path, alive=True)
-    assert [one.name for one in over.garments] == ["me~trousers", "tshirt"]
-
-
 def test_its_file_has_its_clothes_as_cloth_alone(file: bytes, wearer: Wearer, tmp_path: Path):
     """By the command: over a clip at rest, cloth lies where the file's own faces were, and these are gone."""
     (tmp_path / "me.glb").write_bytes(file)

@@ -33,7 +33,7 @@ from tests.fixtures.garments import shipped
 from tests.fixtures.laws import each
 
 WITHIN_M = 1e-7  # of a frame from the same memory
-THREADS, FRAMES = 256, 30
+THREADS, FRAMES = 256, 12
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric_table import fabric
 from drape.errors import MeshError
 from drape.exact import frame
-from drape.exact.frame import ExactCloth, Lain, exact
+from drape.exact.frame import ExactCloth, RestingFrame, exact
 from drape.exact.path import WAY_M, Body, between, followed, poses_between
 from drape.garment.cache import Garment
 from drape.geometry.triangle_pairs import crossing_pairs
@@ -56,7 +56,7 @@ def test_a_start_that_crosses_comes_to_rest_apart(sheet: ExactCloth):
     assert len(crossing_pairs(lain.x, sheet.faces)) == 0
     again, _ = exact(sheet, POSE, start)
     assert_array_equal(again.x, lain.x)
-    near, told = exact(sheet, POSE, start, Lain(POSE, lain.x, start))
+    near, told = exact(sheet, POSE, start, RestingFrame(POSE, lain.x, start))
     assert told.crossings == 0 and np.linalg.norm(near.x - lain.x, axis=1).mean() < 0.01
 
 
@@ -82,8 +82,8 @@ def test_a_frame_comes_from_the_one_before_it_unless_only_that_crosses(
 
     monkeypatch.setattr(frame, "followed", followed)
     monkeypatch.setattr(frame, "STEPS", 1)
-    exact(sheet, POSE, start, Lain(np.zeros((24, 3)), sheet.rest, sheet.rest))
-    exact(sheet, POSE, start, Lain(np.zeros((24, 3)), wrong, sheet.rest))
+    exact(sheet, POSE, start, RestingFrame(np.zeros((24, 3)), sheet.rest, sheet.rest))
+    exact(sheet, POSE, start, RestingFrame(np.zeros((24, 3)), wrong, sheet.rest))
     assert len(came) == 1 and came[0] is sheet.rest
 
 

@@ -29,7 +29,7 @@ def fitted(*contours: Contour) -> np.ndarray:
     normals = meshes.vertex_normals(BODY.v_template, BODY.faces)
     points = BODY.v_template + 0.004 * normals
     start = start_parameters(BODY, 0.0, np.zeros(3))
-    return fit_from(BODY, points[::10], normals[::10], list(contours), start, 2, wanted=None)[0]
+    return fit_from(BODY, points[::10], normals[::10], list(contours), start, 2)[0]
 
 
 def test_a_pocket_beside_a_thigh_is_no_cuff():

@@ -72,12 +72,6 @@ def test_payload_begins_and_ends_on_four_bytes(count: int):
     assert len(wire.pack_frame(frame(np.ones((count, 3), np.float32)))) % 4 == 0
 
 
-def test_a_two_metre_box_is_resolved_to_hundredths_of_a_millimetre():
-    vertices = np.random.default_rng(0).uniform(-1, 1, (1000, 3)).astype(np.float32)
-    got = wire.unpack_frame(wire.pack_frame(frame(vertices)))
-    assert np.abs(got.positions - vertices).max() < 2e-5
-
-
 @given(message=st.binary(max_size=400))
 def test_noise_is_refused(message):
     for read in (wire.unpack_pose, wire.unpack_ack, wire.unpack_frame):
@@ -131,8 +125,3 @@ def test_a_frame_that_holds_is_told_by_its_numbers_alone():
     assert wire.pack_frame(told) == wire.resent(wire.pack_frame(frame), answer)
     with pytest.raises(InputError, match="same message: expected 40 bytes, got 39"):
         wire.unpack_same(message[:-1])
-
-
-def test_frames_are_immutable():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        frame(np.zeros((1, 3))).dropped = 1  # pyright: ignore[reportAttributeAccessIssue]

@@ -15,19 +15,19 @@ from drape.avatar.wearer import Wearer, read_wearer, save_wearer
 from drape.avatar.wears import Reach
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
-from drape.errors import BodyError, TooLarge
+from drape.errors import BodyError, InputError, NotFound, TooLarge
 from drape.garment.cache import save_garment
 from drape.stages.scene import Entry
 from service.compute import avatars as in_service
 from service.compute.drape_runtime import DrapeRuntime
-from tests.fixtures.characters import character
+from tests.fixtures.characters import bare_wearer
 from tests.fixtures.dressed_characters import dressed_character, dressed_parts
 
 
 @pytest.fixture(scope="module")
-def wearers(body: BodyModel) -> list[Wearer]:
+def wearers() -> list[Wearer]:
     """Two wearers of one name."""
-    one = read_wearer(character(body), name="twin", body=body)
+    one = replace(bare_wearer(), name="twin")
     return [one, replace(one, digest=one.digest[::-1])]
 
 
@@ -105,7 +105,8 @@ def test_what_an_avatar_cannot_wear_is_told_before_and_in_the_same_words(
 
 
 def test_own_clothes_count_among_the_layers(make_runtime: Callable[..., DrapeRuntime], body: BodyModel, tmp_path: Path):
-    """A character in a top of its own wears that, and shorts of ours with it only where two are draped."""
+    """A character in a top of its own wears that, and shorts of ours with it only where two are draped; nobody else
+    wears it."""
     tank, shorts = (open_garment(find_garments([name])[0], body) for name in ("tank", "shorts"))
     payload = dressed_character(body, dressed_parts(body, {"top": tank}, rucksack=False))
     wearer = read_wearer(payload, name="doll", body=body)
@@ -118,6 +119,11 @@ def test_own_clothes_count_among_the_layers(make_runtime: Callable[..., DrapeRun
         entry = avatars.add(save_wearer(wearer, tmp_path), tmp_path / "sent.glb", None, files)
         assert [one.id for one in avatars.with_own(entry.id, None).layers] == ["doll~top"]
         if limit == 2:
+            me = add(avatars, replace(bare_wearer(), name="me"), tmp_path, None)
+            with pytest.raises(InputError, match="expected doll, who came in doll~top, got me"):
+                avatars.dress(me.id, avatars.with_own(entry.id, None))
+            with pytest.raises(NotFound, match="clothes of its own that are cloth"):
+                avatars.with_own(me.id, None)
             assert [one.id for one in avatars.with_own(entry.id, scene).layers] == ["shorts", "doll~top"]
             return
         with pytest.raises(TooLarge, match="at most 1 layers, got 2"):

@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Callable
 
 from drape.stages.plan import make_plan
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 
 
@@ -16,7 +16,7 @@ def test_stages_that_nobody_uses_go_at_once_with_what_they_hold(make_runtime: Ca
     entry, stages = runtime.garments.entries()[0], runtime.stages_on(runtime.body)
     stages.add(entry.garment, stages.feed(entry.garment))
     for stage in stages.stages:
-        stage.prepare(make_plan(stages.stages, entry, DrapeOptions(folds=1, push_out=True)))
+        stage.prepare(make_plan(stages.stages, entry, DrapeOptions(advanced=Advanced(folds=1, push_out=True))))
     names, held = [stage.name for stage in stages.stages], [weakref.ref(stage) for stage in stages.stages]
     gc.disable()  # the collector comes seldom, and what a ring of garments' constants holds is tens of megabytes
     try:
@@ -39,7 +39,7 @@ def test_tables_of_the_push_out_wait_for_a_plan_that_projects(make_runtime: Call
     entry, stages = runtime.garments.entries()[0], runtime.stages_on(runtime.body)
     stages.add(entry.garment, stages.feed(entry.garment))
     (collision,) = (stage for stage in stages.stages if stage.name == "collision")
-    options = (DrapeOptions(folds=folds, push_out=True) for folds in (1, 0))
+    options = (DrapeOptions(advanced=Advanced(folds=folds, push_out=True)) for folds in (1, 0))
     folded, pushed = (make_plan(stages.stages, entry, one) for one in options)
     assert folded.known == folded.draped and collision not in folded.stages
     assert entry in pushed.known and collision in pushed.stages and collision.held_bytes == 0

@@ -26,14 +26,11 @@ from drape.errors import DrapeError
 from drape.garment.cache import Garment, load_garment
 from drape.live.fold_constants import fold_constants
 from drape.stages.collision import Collision
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.background import NICE, thread_steps_back
 from service.compute.constants_process import ConstantsProcess, receive, send
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import ROOT, Settings
-from tests.fixtures.serving import outfit_settings
-
-__all__ = ["outfit_settings"]  # fixtures
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +117,9 @@ def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: 
     for streamed_s in (-np.inf, time.monotonic() + 1000.0):
         runtime = DrapeRuntime(outfit_settings)
         runtime.threads.streamed_s = streamed_s
-        apart = DrapeOptions(folds=1, cloth_contact=False)  # layers that do not feel each other are pushed apart
+        apart = DrapeOptions(
+            advanced=Advanced(folds=1, cloth_contact=False)
+        )  # layers that do not feel each other are pushed apart
         plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), apart, messages=True)
         for stage in plan.stages:
             stage.prepare(plan)

@@ -17,14 +17,12 @@ from drape.stages.batch import PoseInput
 from drape.stages.network import Network
 from drape.stages.scene import check_known, layer_fabrics
 from drape.stages.walk import run
-from drape.wire.options import DrapeOptions, FabricNumbers
+from drape.wire.options import Advanced, DrapeOptions, FabricNumbers
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.serving import outfit_settings
 from tests.fixtures.tiny_model import ROUNDING_M, TINY, expected_vertices
 
-__all__ = ["outfit_settings"]  # fixture
 POSES, TRANS = smooth_motion(np.arange(3) / 30.0)
 CLIP = PoseInput(POSES, TRANS, np.zeros(10), np.arange(3) / 30.0)
 DENIM = fabric("denim")
@@ -44,7 +42,7 @@ def packer_of(runtime: DrapeRuntime) -> packing.Packer:
 
 def draped(runtime: DrapeRuntime, **options: Any) -> np.ndarray:
     """The tube on the clip (F, V, 3) [m]."""
-    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(push_out=False, **options))
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(push_out=False), **options))
     return run(plan, [CLIP]).world()
 
 
@@ -94,9 +92,11 @@ def test_layers_have_fabrics_of_their_own(outfit_settings: Settings):
     try:
         names = ["coat", "cape"]
         outfit = made.garments.scene(None, names)
-        both = run(made.plan(outfit, DrapeOptions(push_out=False, fabric=("satin", None))), [CLIP])
+        both = run(made.plan(outfit, DrapeOptions(advanced=Advanced(push_out=False), fabric=("satin", None))), [CLIP])
         alone = [
-            run(made.plan(made.garments.get(name), DrapeOptions(push_out=False, fabric=one)), [CLIP]).world()
+            run(
+                made.plan(made.garments.get(name), DrapeOptions(advanced=Advanced(push_out=False), fabric=one)), [CLIP]
+            ).world()
             for name, one in zip(names, ("satin", None), strict=True)
         ]
         assert_array_equal(both.world(), np.concatenate(alone, axis=1))

@@ -31,12 +31,10 @@ from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.poses import random_motion, smooth_motion
-from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of
+from tests.fixtures.serving import vertices_of
 from tests.fixtures.streams import raw_stream
 from tests.fixtures.tiny_model import TINY
 from tests.service.graphs.test_push import added
-
-__all__ = ["client", "outfit_settings", "outfit_url"]  # fixtures
 
 BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "application/json"
 POSES = random_motion(2, spread_rad=0.2)[0]
@@ -91,12 +89,9 @@ def test_json_and_glb_hold_every_layer(client: httpx.Client, tube: Garment):
 @pytest.mark.parametrize(
     ("fields", "status", "kind", "word"),
     [
-        ({"garments": ["tube", "coat", "tube"]}, 400, "InputError", "tube twice"),
         ({"garments": ["tube", "coat", "cape", "cloak"]}, 413, "TooLarge", "at most 3 layers"),
         ({"garments": ["tube", "hat"]}, 404, "NotFound", "hat"),
         ({"garments": []}, 400, "InputError", "garments"),
-        ({"garment": "tube", "garments": ["coat"]}, 400, "InputError", "both"),
-        ({}, 400, "InputError", "nothing"),
     ],
 )
 def test_outfits_that_make_no_sense_are_refused(client: httpx.Client, fields: dict, status: int, kind: str, word: str):
@@ -106,15 +101,13 @@ def test_outfits_that_make_no_sense_are_refused(client: httpx.Client, fields: di
     assert problem["type"] == f"urn:drape:{kind}" and word in problem["detail"]
 
 
-def test_passes_that_the_model_does_not_have_are_refused(client: httpx.Client, outfit_settings: Settings):
+def test_passes_that_the_model_does_not_have_are_refused(client: httpx.Client):
     response = ask(client, garment="tube", passes=2)
     assert response.status_code == 400 and "passes: expected 0 to 1" in response.json()["detail"]
     fewer, every, left_out = (ask(client, garment="tube", passes=passes) for passes in (0, 1, None))
     assert [one.headers["X-Drape-Passes"] for one in (fewer, every, left_out)] == ["0", "1", "1"]
     assert every.content == left_out.content != fewer.content
     assert "passes" in ask(client, garment="tube", passes=-1).json()["name"]
-    with pytest.raises(InputError, match="passes"):
-        DrapeRuntime(outfit_settings.model_copy(update={"passes": 2}))
 
 
 def test_a_stream_opens_an_outfit_and_turns_back_to_one_garment(outfit_url: str, client: httpx.Client, tube: Garment):
@@ -131,11 +124,10 @@ def test_a_stream_opens_an_outfit_and_turns_back_to_one_garment(outfit_url: str,
         assert len(stream.frame(2, POSES[0]).positions) == count
 
 
-@pytest.mark.parametrize("garments", [["tube", "tube"], ["tube", "coat", "cape", "cloak"], ["tube", "hat"]])
-def test_a_stream_of_no_outfit_is_refused(outfit_url: str, garments: list[str]):
+def test_a_stream_of_no_outfit_is_refused(outfit_url: str):
     with raw_stream(outfit_url) as stream:
-        said = stream.open(garments=garments)
-        assert said["type"] == "error" and said["kind"] in ("InputError", "TooLarge", "NotFound")
+        said = stream.open(garments=["tube", "tube"])
+        assert said["type"] == "error" and said["kind"] == "InputError"
 
 
 def test_an_outfit_is_its_layers_in_their_order(runtime: DrapeRuntime):
@@ -218,10 +210,13 @@ def test_a_plan_holds_no_hidden_garment_that_no_visible_one_feels(
 
 
 @pytest.mark.parametrize(
-    "options",
-    [{}, {"push_out": False}, {"folds": 1}, {"folds": 1, "cloth_contact": False}, {"folds": 1, "push_out": False}],
-)
-@pytest.mark.parametrize("hidden", [["tube"], ["coat"], ["cape"], ["tube", "cape"]])
+    ("hidden", "options"),
+    [
+        (["tube"], {}), (["cape"], {}), (["coat"], {"push_out": False}), (["tube"], {"folds": 1}),
+        (["tube", "cape"], {"folds": 1}), (["coat"], {"folds": 1, "cloth_contact": False}),
+        (["coat"], {"folds": 1, "push_out": False}),
+    ],
+)  # fmt: skip
 def test_visible_garments_are_to_the_bit_those_of_the_whole_outfit(
     runtime: DrapeRuntime, hidden: list[str], options: dict
 ):

@@ -21,7 +21,7 @@ from drape.garment.wrapping import Wrapping
 from drape.stages.batch import PoseInput
 from drape.stages.stage import carried
 from drape.stages.walk import run
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
@@ -80,7 +80,9 @@ def test_a_hidden_garment_is_wrapped_for_the_push_out_alone(runtime: DrapeRuntim
     monkeypatch.setattr(Wrapping, "wrap", noted)
     for feels, frames in ((True, 0), (False, len(POSES))):
         whole, less = (
-            runtime.plan(scene, DrapeOptions(folds=1, push_out=True, cloth_contact=feels, hidden=hidden))
+            runtime.plan(
+                scene, DrapeOptions(advanced=Advanced(folds=1, push_out=True, cloth_contact=feels), hidden=hidden)
+            )
             for hidden in (None, ("coarse",))
         )
         both = asyncio.run(runtime.drape(whole, CLIP)).vertices
@@ -93,7 +95,7 @@ def test_without_folds_nothing_fine_is_computed_and_no_bit_changes(coarse_settin
     runtime = DrapeRuntime(coarse_settings)
     held = runtime.device_bytes
     before = draped(runtime, folds=0)
-    plan = runtime.plan(runtime.garments.get("coarse"), DrapeOptions(folds=0))
+    plan = runtime.plan(runtime.garments.get("coarse"), DrapeOptions(advanced=Advanced(folds=0)))
     assert plan.draped == plan.scene.layers and plan.draped_keys == plan.keys == (coarse.digest,)
     assert runtime.device_bytes == held and before.shape[1] == coarse.vertex_count
     assert draped(runtime, folds=1).shape == before.shape and runtime.device_bytes > held
@@ -121,23 +123,25 @@ def test_fine_without_folds_begins_with_the_delivered_drape(runtime: DrapeRuntim
 def test_a_garment_that_is_fine_enough_has_one_mesh(runtime: DrapeRuntime, tube: Garment):
     entry = runtime.garments.get("tube")
     for resolution in ("delivered", "fine"):
-        plan = runtime.plan(entry, DrapeOptions(folds=2, resolution=resolution))
+        plan = runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=2), resolution=resolution))
         assert plan.scene is entry and plan.draped == (entry,) and plan.keys == (tube.digest,)
     outfit = runtime.garments.scene(None, ["tube", "coarse"])
-    plan = runtime.plan(outfit, DrapeOptions(folds=1))
-    again = runtime.plan(runtime.garments.scene(None, ["tube", "coarse"]), DrapeOptions(folds=1))
+    plan = runtime.plan(outfit, DrapeOptions(advanced=Advanced(folds=1)))
+    again = runtime.plan(runtime.garments.scene(None, ["tube", "coarse"]), DrapeOptions(advanced=Advanced(folds=1)))
     assert plan == again and plan.scene == outfit and plan.draped == outfit.fine.layers
     assert plan.draped_keys == (tube.digest, plan.keys[1] + SUFFIX)
 
 
 def test_folds_are_remembered_across_resolutions(runtime: DrapeRuntime):
     entry = runtime.garments.get("coarse")
-    delivered, fine = (runtime.plan(entry, DrapeOptions(folds=1, resolution=name)) for name in ("delivered", "fine"))
+    delivered, fine = (
+        runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=1), resolution=name)) for name in ("delivered", "fine")
+    )
     asyncio.run(runtime.prepare(delivered))
     memories = run(delivered, [CLIP]).memories[0]
     assert memories.keys() == {("folds", fine.keys[0])}
     assert carried(memories, delivered, fine) == memories == carried(memories, fine, delivered)
-    assert not carried(memories, delivered, runtime.plan(entry, DrapeOptions(folds=0)))
+    assert not carried(memories, delivered, runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=0))))
 
 
 def test_clients_get_the_mesh_that_a_drape_has(url: str, coarse: Garment):

@@ -12,14 +12,12 @@ import pytest
 from drape.artifacts import load_manifest
 from drape.errors import ArtifactError
 from drape.stages.tiers import NAMES, TIERS, Tier, capped, chosen, read_tiers, spared, tier_of
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from tests.fixtures.serving import outfit_settings, serve
+from tests.fixtures.serving import serve
 from tests.fixtures.tiny_model import TINY, write_tiny_model
-
-__all__ = ["outfit_settings"]  # a fixture
 
 PASSES = 4  # of a model that leaves the choice
 OWN = (
@@ -38,7 +36,7 @@ def own_settings(make_settings: Callable[..., Settings], body, tmp_path_factory)
     model = write_tiny_model(folder, body)
     manifest = replace(load_manifest(model), tiers=[asdict(tier) for tier in OWN])
     (model / "manifest.json").write_text(manifest.to_json())
-    return make_settings(models_dir=folder, folds=None)
+    return make_settings(model=str(folder / TINY), folds=None)
 
 
 @pytest.fixture
@@ -51,7 +49,7 @@ def runtime(own_settings: Settings) -> Iterator[DrapeRuntime]:
 def values(options: DrapeOptions, pass_count: int = PASSES, **settings: object) -> tuple[int | None, int | None]:
     found = chosen(options, TIERS, Settings(**settings), pass_count)  # pyright: ignore[reportArgumentType]
     assert found.tier is None
-    return found.passes, found.folds
+    return found.advanced.passes, found.advanced.folds
 
 
 @pytest.mark.parametrize(
@@ -60,8 +58,7 @@ def values(options: DrapeOptions, pass_count: int = PASSES, **settings: object) 
         ({}, {}, (0, 2)),
         ({}, {"tier": "fast"}, (0, 1)),
         ({}, {"folds": 0}, (None, 0)),
-        ({}, {"passes": 3}, (3, 2)),
-        ({"tier": "accurate"}, {"tier": "fast", "passes": 3, "folds": 0}, (0, 4)),
+        ({"tier": "accurate"}, {"tier": "fast", "folds": 0}, (0, 4)),
         ({"passes": 2}, {}, (2, 2)),
         ({"folds": 0}, {}, (None, 0)),
         ({"tier": "fast", "folds": 0}, {}, (0, 0)),
@@ -87,7 +84,7 @@ def test_the_tier_of_what_was_chosen_is_told_by_name(geometry):
         told = tier_of(found, TIERS, PASSES)
         alike = ({"instant", "fast"}, {"balanced", "accurate"})  # jets have no folds
         assert told == name or (geometry == "jets" and any({told, name} <= pair for pair in alike))
-    odd = chosen(DrapeOptions(folds=3, passes=1, geometry="vertices"), TIERS, Settings(), PASSES)
+    odd = chosen(DrapeOptions(advanced=Advanced(folds=3, passes=1), geometry="vertices"), TIERS, Settings(), PASSES)
     assert tier_of(odd, TIERS, PASSES) == "custom"
 
 
@@ -95,22 +92,22 @@ def test_a_cap_never_asks_for_more_than_was_asked():
     instant, fast, balanced, accurate = TIERS
     for folds in (0, 1, 2, 16):
         for passes in (0, 2, None):
-            asked = chosen(DrapeOptions(folds=folds, passes=passes), TIERS, Settings(), PASSES)
+            asked = chosen(DrapeOptions(advanced=Advanced(folds=folds, passes=passes)), TIERS, Settings(), PASSES)
             for tier in TIERS:
-                held = capped(asked, tier)
+                held = capped(asked, tier).advanced
                 assert held.folds is not None and held.folds <= min(folds, tier.folds)
                 assert passes is None or (held.passes is not None and held.passes <= passes)
     high = chosen(DrapeOptions(tier="accurate"), TIERS, Settings(), PASSES)
-    assert [capped(high, tier).folds for tier in (instant, fast, balanced, accurate)] == [0, 1, 2, 4]
-    assert [capped(high, tier).coarse for tier in (fast, balanced, accurate)] == [True, True, False]
+    assert [capped(high, tier).advanced.folds for tier in (instant, fast, balanced, accurate)] == [0, 1, 2, 4]
+    assert [capped(high, tier).advanced.coarse for tier in (fast, balanced, accurate)] == [True, True, False]
     jets = chosen(DrapeOptions(geometry="jets"), TIERS, Settings(), PASSES)
-    assert (capped(jets, fast).passes, capped(jets, balanced)) == (0, jets)
+    assert (capped(jets, fast).advanced.passes, capped(jets, balanced)) == (0, jets)
 
 
 def test_what_is_spared_is_cloth_against_cloth_where_there_are_folds():
-    asked = chosen(DrapeOptions(tier="fast", push_out=True), TIERS, Settings(), PASSES)
-    assert spared(asked) == asked.model_copy(update={"cloth_contact": False})
-    for without in (DrapeOptions(folds=0), DrapeOptions(geometry="jets")):
+    asked = chosen(DrapeOptions(advanced=Advanced(push_out=True), tier="fast"), TIERS, Settings(), PASSES)
+    assert spared(asked) == asked.updated(cloth_contact=False) != asked
+    for without in (DrapeOptions(advanced=Advanced(folds=0)), DrapeOptions(geometry="jets")):
         plain = chosen(without, TIERS, Settings(), PASSES)
         assert spared(plain) == plain
 
@@ -122,7 +119,7 @@ def test_layers_spare_nothing(outfit_settings: Settings):
             plan = runtime.plan(runtime.garments.scene(None, worn), DrapeOptions(tier="fast"), messages=True)
             carried, lowest, least, *_ = steps = runtime.steps(plan)
             assert len(steps) == runtime.step_count
-            assert lowest.options.push_out and lowest.options.cloth_contact != differs
+            assert lowest.options.advanced.push_out and lowest.options.advanced.cloth_contact != differs
             assert (lowest != least) == differs == carried.carried
             assert carried == (replace(lowest, carried=True) if differs else lowest)
     finally:
@@ -177,7 +174,7 @@ def test_tiers_come_from_the_manifest_and_are_listed(runtime: DrapeRuntime):
 
 
 def test_the_default_of_the_product_is_folds(make_runtime: Callable[..., DrapeRuntime]):
-    assert (Settings().tier, Settings().folds, Settings().passes) == ("balanced", None, None)
+    assert (Settings().tier, Settings().folds) == ("balanced", None)
     made = make_runtime(folds=None)
     plan = made.plan(made.garments.get("tube"), DrapeOptions())
     assert made.engine.manifest.name == TINY and [stage.name for stage in plan.stages] == ["network", "folds"]

@@ -11,23 +11,20 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
-from drape.contact.skin import posed_table
 from drape.errors import ArtifactError
 from drape.inference.binding import BoundSession
 from drape.inference.engine import Engine
 from drape.inference.graph_names import PACKED
 from drape.inference.onnx_runtime import Device, nodes_off_provider, open_session
 from drape.inference.packing import Packer, ScenePlan
-from drape.stages.batch import Jets, PoseInput
-from drape.stages.collision import Pusher
+from drape.stages.batch import PoseInput
 from drape.stages.walk import run
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.garments import ship
 from tests.fixtures.packed import KINDS, exported, garment
 from tests.fixtures.poses import random_motion
 from tests.service.graphs.packers import BODIES, bodies, make_packer, packer_of
-from tests.service.graphs.test_push import added, drawn
 
 PLANS = [ScenePlan("both", skin=True), ScenePlan("jets"), ScenePlan(passes=1)]
 __all__ = ["bodies"]  # a fixture
@@ -88,35 +85,19 @@ def test_garments_that_come_and_go_leave_no_stale_constants(bodies: dict[str, np
 
 
 @pytest.mark.slow
-def test_the_push_out_in_buckets_is_that_of_the_engine():
-    body, whole = load_body(), garment("shorts")
-    poses, _ = random_motion(2, spread_rad=0.35)
-    found = []
-    vertices, skin = drawn(whole, poses, np.zeros(10)), posed_table(body, poses, np.zeros(10))
-    turned = np.broadcast_to(np.eye(3, dtype=np.float32), (2, whole.patch_count, 3, 3))
-    posed = Jets(np.zeros((2, whole.patch_count, 27), dtype=np.float32), turned, turned[..., 0])
-    for bound in (False, True):
-        pusher = added(Pusher(Engine(exported()[1], bound=bound), body), whole)
-        one = pusher.push([whole.digest], vertices[:1], skin[:1])
-        got, by_jets = (pusher.push([whole.digest], vertices, skin, posed=jets) for jets in (None, posed))
-        assert_array_equal(one.vertices[0], got.vertices[0])
-        assert got.way_m.max() > 1e-3, "must push for the test to mean something"
-        found.append((got.vertices, by_jets.jet, by_jets.left_m))
-    for by_engine, bound, rounding in zip(*found, (2e-5, 5e-4, 2e-5), strict=True):
-        assert_allclose(bound, by_engine, rtol=0, atol=rounding)
-
-
-@pytest.mark.slow
 def test_a_service_in_buckets_is_warm_and_answers_alike(make_settings, tmp_path: Path):
     ship(tmp_path, "tank", "shorts")
     poses, trans = random_motion(3, seed=8)
     clip, found = PoseInput(poses, trans, np.zeros(10), np.zeros(3)), []
     for buckets in (None, True):
         settings = make_settings(shipped_garments_dir=tmp_path, chunk_frames=3)
-        engine = Engine(settings.models_dir / settings.model, compiled=False, bound=buckets)
+        engine = Engine(Path(settings.model), compiled=False, bound=buckets)
         runtime = DrapeRuntime(settings, engine=engine)
         ready = runtime.engine.buckets
-        plans = [runtime.plan(runtime.garments.get(kind), DrapeOptions(push_out=True)) for kind in ("tank", "shorts")]
+        plans = [
+            runtime.plan(runtime.garments.get(kind), DrapeOptions(advanced=Advanced(push_out=True)))
+            for kind in ("tank", "shorts")
+        ]
         found.append([run(plan, [clip]) for plan in plans])
         assert runtime.engine.buckets == ready  # all that a clip takes was there before the first request
         assert (ready > 0) is bool(buckets)

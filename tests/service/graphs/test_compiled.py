@@ -13,12 +13,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from benchmarks.measure.depth import depths_mm
 from drape.artifacts import MODELS_DIR, load_manifest
 from drape.body.assets import load_body
-from drape.cloth.fabric_table import fabric
 from drape.contact.skin import posed_table
 from drape.graph.packing import pack_body
 from drape.inference.compiled import is_covered
 from drape.inference.engine import Engine
-from drape.inference.onnx_runtime import Device
 from drape.inference.packing import Packer, ScenePlan
 from tests.fixtures.garments import shipped
 from tests.fixtures.poses import random_motion
@@ -60,11 +58,6 @@ def test_the_shipped_network_drapes_as_its_graph(passes: int | None):
         assert_allclose(got.arrays["vertices"], want.arrays["vertices"], rtol=0, atol=ROUNDING_M)
 
 
-def test_a_garment_of_the_shipped_model_takes_less_than_three_megabytes():
-    store = packers()[0].store
-    assert store.packed("shorts").vertex_count > 4500 and store.bytes < 2 * 3e6
-
-
 def test_corrections_take_no_cloth_through_arms_beside_the_trunk():
     """As learnt they do: up to 40 mm."""
     body, pose, packer = load_body(), np.zeros((1, 24, 3)), Packer(Engine(SHIPPED), load_body())
@@ -78,19 +71,6 @@ def test_corrections_take_no_cloth_through_arms_beside_the_trunk():
         assert depths_mm(world.astype(np.float64), skin, body.faces).max() < 10.0
 
 
-def test_an_item_has_the_same_bits_alone_and_in_two_threads():
-    compiled, _ = packers()
-    together = compiled.run(ScenePlan(), bodies(), ITEMS)
-    for item, result in zip(ITEMS, together, strict=True):
-        (alone,) = compiled.run(ScenePlan(), bodies(), [item])
-        assert_array_equal(alone.arrays["vertices"], result.arrays["vertices"])
-    two = Packer(Engine(SHIPPED, device=Device(threads=2)), load_body())
-    for kind in ("tank", "shorts"):
-        two.add(kind, shipped(kind))
-    for one, result in zip(two.run(ScenePlan(), bodies(), ITEMS), together, strict=True):
-        assert_array_equal(one.arrays["vertices"], result.arrays["vertices"])
-
-
 def test_a_posed_skin_that_is_given_is_taken():
     compiled, graph = packers()
     body, (poses, _) = load_body(), random_motion(3, seed=3)
@@ -101,15 +81,8 @@ def test_a_posed_skin_that_is_given_is_taken():
     assert np.abs(far["vertices"] - own["vertices"]).max() > 1e-3
 
 
-def test_a_garment_in_another_fabric_and_one_that_is_put_there_anew():
-    compiled, graph = packers()
-    names = [packer.dressed("tank", fabric("denim")) for packer in (compiled, graph)]
-    got, want = (
-        packer.run(ScenePlan(), bodies(), [(name, 0)])[0].arrays["vertices"]
-        for packer, name in zip((compiled, graph), names, strict=True)
-    )
-    assert_allclose(got, want, rtol=0, atol=ROUNDING_M)
-    assert np.abs(got - compiled.run(ScenePlan(), bodies(), ITEMS[:1])[0].arrays["vertices"]).max() > 1e-4
+def test_a_garment_that_is_put_there_anew_is_draped():
+    compiled, _ = packers()
     packer = Packer(Engine(SHIPPED), load_body())
     packer.add("worn", shipped("tank"))
     packer.run(ScenePlan(), bodies(), [("worn", 0)])

@@ -200,13 +200,6 @@ def test_passes_that_cannot_be_chosen_are_refused(folder: Path):
         engine.check_passes(1)
 
 
-def test_specs_survive_their_json(folder: Path):
-    manifest = load_manifest(folder)
-    assert manifest.graphs[PACKED].inputs[0] == TensorSpec(
-        "joint_quaternion", ("bodies", 25, 4), "float32", "1, relative to the parent"
-    )
-
-
 @pytest.fixture
 def dynamic_folder(tiny_folder: Path, tmp_path: Path) -> Path:
     """A copy of the dynamic model that a test may spoil."""

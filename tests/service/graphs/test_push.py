@@ -25,15 +25,13 @@ from drape.inference.engine import Engine
 from drape.stages.batch import Jets, PoseInput
 from drape.stages.collision import Pusher
 from drape.stages.walk import run
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import outfit_settings
 from tests.fixtures.tiny_model import tiny_folder as model_folder
 
-__all__ = ["outfit_settings"]  # fixture
 POSES, BETAS = random_motion(2, spread_rad=0.35)[0], np.linspace(-1.0, 1.0, 10)
 CLEARANCE = np.float32(CLEARANCE_M)
 
@@ -62,14 +60,10 @@ def posed_jets(whole: Garment, rng: np.random.Generator) -> Jets:
     return Jets(jet, turned, turned[..., 0])
 
 
-BY = pytest.mark.parametrize("bound", [False, True], ids=["engine", "graph"])
-
-
-@BY
 @pytest.mark.slow
-def test_vertices_and_jets_are_pushed_as_the_formula_says(bound: bool, rng: np.random.Generator):
+def test_vertices_and_jets_are_pushed_by_the_graph_as_the_formula_says(rng: np.random.Generator):
     body, whole = load_body(), garment("shorts")
-    pusher = added(Pusher(Engine(model_folder(), bound=bound), body), whole)
+    pusher = added(Pusher(Engine(model_folder(), bound=True), body), whole)
     feed = pack_push(garment_feed(whole), whole.vertices[: whole.vertex_count], body_skin(body))
     vertices, skin, posed = drawn(whole, POSES, BETAS), posed_table(body, POSES, BETAS), posed_jets(whole, rng)
     alone, got = (pusher.push([whole.digest], vertices, skin, posed=jets) for jets in (None, posed))
@@ -90,11 +84,10 @@ def test_vertices_and_jets_are_pushed_as_the_formula_says(bound: bool, rng: np.r
     assert_array_equal(one.vertices[0], got.vertices[1])
 
 
-@BY
 @pytest.mark.slow
-def test_layers_are_pushed_as_the_formula_says(bound: bool, rng: np.random.Generator):
+def test_layers_are_pushed_by_the_engine_as_the_formula_says(rng: np.random.Generator):
     body, inner, outer = load_body(), garment("tank"), garment("shorts")
-    pusher = added(Pusher(Engine(model_folder(), bound=bound), body), inner, outer)
+    pusher = added(Pusher(Engine(model_folder()), body), inner, outer)
     keys, skin = (inner.digest, outer.digest), posed_table(body, POSES, BETAS)
     under, vertices = drawn(inner, POSES, BETAS), drawn(outer, POSES, BETAS)
     posed = posed_jets(outer, rng)
@@ -128,16 +121,18 @@ def test_a_body_with_pose_blend_shapes_drapes_and_is_pushed(outfit_settings: Set
     posed = body.posed_vertices(clip.poses, clip.trans, clip.betas)
     assert np.abs(posed - load_body().posed_vertices(clip.poses, clip.trans, clip.betas)).max() > 5e-3
     entry = corrected.garments.get("tube")
-    bare, pushed = (run(corrected.plan(entry, DrapeOptions(push_out=push)), [clip]) for push in (False, True))
+    bare, pushed = (
+        run(corrected.plan(entry, DrapeOptions(advanced=Advanced(push_out=push))), [clip]) for push in (False, True)
+    )
     inside = [
         np.mean([(signed_distance(x, b, body.faces) < 0.0).mean() for x, b in zip(d.world(), posed, strict=True)])
         for d in (bare, pushed)
     ]
     assert inside[0] > 0.01 and inside[1] < 0.6 * inside[0]
-    other = run(plain.plan(plain.garments.get("tube"), DrapeOptions(push_out=False)), [clip])
+    other = run(plain.plan(plain.garments.get("tube"), DrapeOptions(advanced=Advanced(push_out=False))), [clip])
     assert np.abs(other.vertices - bare.vertices).max() > 1e-6, "patches feel the skin that bulges"
     scene = corrected.garments.scene(None, ["tube", "coat"])
-    worn = run(corrected.plan(scene, DrapeOptions(push_out=True, geometry="jets")), [clip])
+    worn = run(corrected.plan(scene, DrapeOptions(advanced=Advanced(push_out=True), geometry="jets")), [clip])
     assert_array_equal(worn.layers[0].vertices, pushed.vertices)
     assert (worn.quality.push_max_m > 1e-3).all() and (worn.quality.left_m > 0.0).all()
     for runtime in (corrected, plain):
@@ -150,7 +145,9 @@ def test_a_body_with_corrections_that_are_zero_is_the_body_without(outfit_settin
     found = []
     for body in (load_body(), with_corrections(load_body(), 0.0)):
         runtime = DrapeRuntime(outfit_settings, body=body)
-        plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), DrapeOptions(push_out=True))
+        plan = runtime.plan(
+            runtime.garments.scene(None, ["tube", "coat"]), DrapeOptions(advanced=Advanced(push_out=True))
+        )
         found.append(run(plan, [clip]))
         runtime.close()
     assert_allclose(found[1].vertices, found[0].vertices, rtol=0, atol=5e-5)

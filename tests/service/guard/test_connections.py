@@ -16,6 +16,7 @@ import pytest
 
 from clients.stream import DrapeStream
 from service.app import create_app
+from service.guard import connections, limits
 from service.guard.connections import HEAD_BYTES
 from service.settings import Settings
 from tests.fixtures.patience import PATIENT_S
@@ -25,15 +26,23 @@ HEAD = "Host: 127.0.0.1\r\nContent-Type: {kind}\r\nContent-Length: {size}\r\n\r\
 
 
 @pytest.fixture(scope="module")
-def tight(make_settings: Callable[..., Settings]) -> Settings:
+def tight(settings: Settings) -> Iterator[Settings]:
     """Little time, for those who shall be refused for being slow. Who shall be answered may be slow in tests."""
-    return make_settings(head_s=0.5, body_idle_s=0.5, body_bytes_s=2**20)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(connections, "HEAD_S", 0.5)
+        patch.setattr(limits, "IDLE_S", 0.5)
+        patch.setattr(limits, "PACE_BYTES_S", 2**20)
+        yield settings
 
 
 @pytest.fixture(scope="module")
-def narrow(make_settings: Callable[..., Settings]) -> Settings:
+def narrow(make_settings: Callable[..., Settings]) -> Iterator[Settings]:
     """Few places and bytes, and times for whoever is answered; only a reader has little."""
-    return make_settings(head_s=3.0, read_s=0.5, max_connections_per_address=24, max_held_bytes=2**20)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(connections, "HEAD_S", 3.0)
+        patch.setattr(connections, "READ_S", 0.5)
+        patch.setattr(limits, "HELD_BYTES", 2**20)
+        yield make_settings(max_connections_per_address=24)
 
 
 def place_of(url: str) -> tuple[str, int]:
@@ -168,7 +177,7 @@ def test_connections_are_counted_in_all(make_settings: Callable[..., Settings]):
 
 def test_bytes_of_all_bodies_together_are_limited_and_come_free(narrow_address: tuple[str, int], narrow: Settings):
     url = f"http://{narrow_address[0]}:{narrow_address[1]}"
-    size = narrow.max_held_bytes
+    size = limits.HELD_BYTES
     declared = httpx.post(url + "/drape", content=b" " * (size + 1), headers={"Content-Type": "application/json"})
     assert declared.status_code == 429 and "request bodies: expected at most" in declared.json()["detail"]
 
@@ -218,13 +227,13 @@ def test_an_answer_that_nobody_reads_ends(narrow_address: tuple[str, int]):
     one.close()
 
 
-def test_a_stream_has_no_time_for_another_head(narrow_address: tuple[str, int], narrow: Settings):
+def test_a_stream_has_no_time_for_another_head(narrow_address: tuple[str, int]):
     """Its connection began as one of HTTP, whose times end with that."""
     host, port = narrow_address
 
     async def talk() -> int:
         async with await DrapeStream.open(f"http://{host}:{port}", "tube") as stream:
-            await asyncio.sleep(1.5 * narrow.head_s)
+            await asyncio.sleep(1.5 * connections.HEAD_S)
             await stream.send(np.zeros((24, 3)))
             return len((await stream.receive()).frame.positions)
 

@@ -113,7 +113,7 @@ def test_what_waits_for_its_turn_leaves_with_its_client(
     state, before = app.state.drape, left(app)
     threads = state.runtime.threads
     with busy(threads._aside, threads._apart), caplog.at_level(logging.INFO):
-        for count in range(before + 1, before + 5):  # more than there are places
+        for count in range(before + 1, before + 4):  # more than there are places
             with begun(client, WAITING[what]) as one:
                 time.sleep(0.1)  # it may be anywhere by now
                 one.setblocking(False)

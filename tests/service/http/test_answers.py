@@ -37,9 +37,6 @@ from service.http.answers import (
 from service.http.clip_files import check_package
 from tests.fixtures.exports import Usd, UsdGeom, played, read_pc2, read_usda
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import outfit_settings, outfit_url
-
-__all__ = ["outfit_settings", "outfit_url"]  # fixtures
 
 SHAPES = [
     (0,),
@@ -348,10 +345,3 @@ def test_a_scene_cannot_be_streamed_nor_jets_be_a_cache(api: httpx.Client):
     assert api.post("/drape", json=asked, headers={"Accept": USDA}).status_code == 406
     asked |= {"streamed": False, "geometry": "jets"}
     assert api.post("/drape", json=asked, headers={"Accept": PC2}).status_code == 406
-
-
-def test_binary_stays_the_default_among_the_new_kinds(api: httpx.Client):
-    asked = {"garment": "tube", "poses": POSES.tolist()}
-    answers = [api.post("/drape", json=asked, headers={"Accept": accept}) for accept in ("*/*", "application/*")]
-    assert [answer.headers["content-type"] for answer in answers] == [EXPORTS_BINARY, EXPORTS_BINARY]
-    assert answers[0].content == answers[1].content

@@ -66,6 +66,8 @@ def test_faces_under_a_garment_are_told(api: httpx.Client, avatar: str):
     assert heights.min() < places[:, 1].min() and places[:, 1].max() < heights.max()
     refused = api.get(f"/avatars/{avatar}/covered", params={"garments": "tub"})
     assert refused.status_code == 404 and "tube" in refused.json()["cure"]
+    none = api.get(f"/avatars/{avatar}/bare", params={"garments": "tube"})
+    assert none.status_code == 404 and none.json()["got"] == "none", "it came in no clothes"
 
 
 def test_a_stream_shows_it(api: httpx.Client, avatar: str):

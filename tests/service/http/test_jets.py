@@ -26,20 +26,18 @@ from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, message_bytes, pack_jets, split_jets, unpack_jets
 from drape.wire.layout import JetLayout, unpack_layout
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.guard.keys import ANYONE
 from service.http.answers import BINARY, GLB, JSON
 from service.http.clip_jobs import ClipJob
 from service.http.clip_routes import check_clip_size
 from service.http.schemas import ClipOptions
-from service.settings import Settings
 from tests.fixtures.garments import ship
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import client, outfit_settings, outfit_url, vertices_of
+from tests.fixtures.serving import vertices_of
 from tests.fixtures.streams import RawStream, raw_stream
 
-__all__ = ["client", "outfit_settings", "outfit_url"]  # fixtures
 QUANTISED_M = 1e-4  # at the 99th percentile
 POSES, TRANS = random_motion(3, spread_rad=0.5)
 
@@ -196,8 +194,8 @@ def test_an_answer_of_jets_has_the_same_limit(make_runtime: Callable[..., DrapeR
 @pytest.fixture(scope="module")
 def shipped(make_runtime: Callable[..., DrapeRuntime], tmp_path_factory) -> DrapeRuntime:
     """The shipped model with two of its garments."""
-    folder, models = ship(tmp_path_factory.mktemp("two"), "tank", "shorts"), Settings().models_dir
-    return make_runtime(models_dir=models, model="onefit", shipped_garments_dir=folder)
+    folder = ship(tmp_path_factory.mktemp("two"), "tank", "shorts")
+    return make_runtime(model="onefit", shipped_garments_dir=folder)
 
 
 @pytest.mark.slow
@@ -209,9 +207,9 @@ def test_of_the_shipped_model_hard_poses_come_within_a_tenth_of_a_millimetre(shi
         layout = unpack_layout(entry.jet_layout)
         clip = PoseInput(poses, trans, betas, trans[:, 0])
         asked = [
-            DrapeOptions(geometry="jets", push_out=True),
-            DrapeOptions(push_out=True),
-            DrapeOptions(geometry="jets", push_out=False),
+            DrapeOptions(advanced=Advanced(push_out=True), geometry="jets"),
+            DrapeOptions(advanced=Advanced(push_out=True)),
+            DrapeOptions(advanced=Advanced(push_out=False), geometry="jets"),
         ]
         draped = [run(shipped.plan(entry, options), [clip]) for options in asked]
         jets, bare, vertices = draped[0].jets, draped[2].jets, draped[1].vertices

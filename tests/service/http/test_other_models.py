@@ -57,7 +57,7 @@ def test_a_frame_of_a_model_of_another_kind(
 ):
     model, folder = exported_paper() if kind == "paper" else described_otherwise(tmp_path)
     asked = {"garment": "tube", "poses": POSES.tolist(), "trans": TRANS.tolist(), "push_out": False}
-    with served(make_settings(models_dir=folder.parent, model=folder.name)) as url, httpx.Client(base_url=url) as api:
+    with served(make_settings(model=str(folder))) as url, httpx.Client(base_url=url) as api:
         got = vertices_of(api.post("/drape", json=asked, timeout=60.0))
         assert_allclose(got, expected(model, body, tube), rtol=0, atol=ROUNDING_M)
         pushed = vertices_of(api.post("/drape", json=asked | {"push_out": True}, timeout=60.0))

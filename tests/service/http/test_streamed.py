@@ -19,7 +19,8 @@ from drape.stages.batch import PoseInput
 from drape.wire.jets import split_jets
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.http.continuations import Continuation, Continuations
+from service.http import continuations
+from service.http.continuations import Continuation
 from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import served
@@ -74,8 +75,7 @@ def test_roots_follow_a_streamed_answer(own: httpx.Client):
     assert_allclose(vertices(rooted) + roots[:, None], vertices(drape(own, slice(0, 5))), rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("folds", [0, 1])
-@pytest.mark.parametrize("streamed", [True, False])
+@pytest.mark.parametrize(("folds", "streamed"), [(0, True), (1, False)])
 def test_pieces_are_the_whole_clip(own: httpx.Client, folds: int, streamed: bool):
     whole, found, past = vertices(drape(own, folds=folds)), [], {}
     for rows in (slice(0, 3), slice(3, 4), slice(4, 7), slice(7, 9)):
@@ -164,17 +164,18 @@ def test_a_chunk_is_computed_when_the_last_was_taken(runtime: DrapeRuntime):
     assert asyncio.run(first()) == 2.0
 
 
-def test_pasts_are_private_few_and_short_lived(runtime: DrapeRuntime, make_settings: Callable[..., Settings]):
+def test_pasts_are_private_few_and_short_lived(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(continuations, "MOST", 3)
     past = Continuation(runtime.plan(runtime.garments.get("tube"), DrapeOptions()), np.zeros(10), 30.0, 4, {})
-    continuations = Continuations(make_settings(max_pasts=3))
-    tokens = [continuations.token() for _ in range(4)]
+    kept = continuations.Continuations()
+    tokens = [kept.token() for _ in range(4)]
     for token, owner in zip(tokens, ("shop", "shop", "mill", "shop"), strict=True):
-        continuations.put(token, past, owner)
-    assert len(continuations) == 3 and continuations.get(tokens[2], "mill") is past
+        kept.put(token, past, owner)
+    assert len(kept) == 3 and kept.get(tokens[2], "mill") is past
     for token, owner in ((tokens[0], "shop"), (tokens[2], "shop"), (tokens[1], None)):
         with pytest.raises(NotFound, match="past: expected one of the last 120 s, got one that is not kept"):
-            continuations.get(token, owner)
-    continuations._kept[tokens[1]] = replace(continuations._kept[tokens[1]], until_s=0.0)
+            kept.get(token, owner)
+    kept._kept[tokens[1]] = replace(kept._kept[tokens[1]], until_s=0.0)
     with pytest.raises(NotFound):
-        continuations.get(tokens[1], "shop")
-    assert continuations.get(tokens[3], "shop").frames == 4
+        kept.get(tokens[1], "shop")
+    assert kept.get(tokens[3], "shop").frames == 4

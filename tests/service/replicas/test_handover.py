@@ -23,17 +23,19 @@ from websockets.exceptions import ConnectionClosed
 from clients.stream import DrapeStream
 from drape.errors import InputError, TooLarge
 from drape.wire import messages as wire
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from drape.wire.state import join_state, split_state
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.errors import Busy, Unauthorized
 from service.guard.keys import Client, digest
+from service.guard.limits import HELD_BYTES
 from service.guard.tickets import Tickets
-from service.replicas.handover import LIFE_S, Handover
+from service.replicas.handover import LIFE_S, STATE_BYTES, Handover
 from service.replicas.memory_codec import decoded, encoded
 from service.settings import Settings
-from service.stream.routes import Session
+from service.stream import opening
+from service.stream.session import Session
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import serve, served
 from tests.fixtures.streams import PROTOCOLS, page_command, stream_address
@@ -254,7 +256,7 @@ def test_a_state_is_for_its_key_scene_and_minute_only(runtime: DrapeRuntime):
     with pytest.raises(InputError, match="the same shape, got another"):
         read(betas=np.ones(10))
     with pytest.raises(InputError, match="the same options, got another"):
-        read(plan=runtime.plan(plan.scene, DrapeOptions(folds=1), messages=True))
+        read(plan=runtime.plan(plan.scene, DrapeOptions(advanced=Advanced(folds=1)), messages=True))
 
 
 def test_a_state_that_nobody_could_read_or_that_is_too_long_is_not_made(runtime: DrapeRuntime):
@@ -265,12 +267,12 @@ def test_a_state_that_nobody_could_read_or_that_is_too_long_is_not_made(runtime:
 
 
 def test_states_that_come_are_bounded_one_by_one_and_together(runtime: DrapeRuntime):
-    handover, most = Handover(runtime, Tickets(SECRET)), runtime.settings.stream_state_bytes
+    handover, most = Handover(runtime, Tickets(SECRET)), STATE_BYTES
     with handover.incoming() as pieces:
         pieces.take(bytes(most))
         with pytest.raises(TooLarge, match="state: expected at most"):
             pieces.take(bytes(2**16))
-        for _ in range(runtime.settings.max_held_bytes // most - 1):
+        for _ in range(HELD_BYTES // most - 1):
             handover.hold(0, most)
         with handover.incoming() as others, pytest.raises(Busy, match="of all streams together"):
             others.take(bytes(most))
@@ -279,8 +281,9 @@ def test_states_that_come_are_bounded_one_by_one_and_together(runtime: DrapeRunt
         others.take(bytes(most))  # what the first one held is free again
 
 
-def test_pieces_without_an_end_are_too_slow(make_settings: Callable[..., Settings]):
-    settings = make_settings(stream_open_s=0.3, body_bytes_s=2**20)
+def test_pieces_without_an_end_are_too_slow(settings: Settings, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(opening, "OPEN_S", 0.3)
+    monkeypatch.setattr(opening, "PACE_BYTES_S", 2**20)
 
     async def talk(url: str) -> tuple[str, int]:
         async with connect(stream_address(url), subprotocols=PROTOCOLS) as socket:

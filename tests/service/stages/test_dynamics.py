@@ -26,12 +26,11 @@ from drape.stages.motion import JUMP_M_S, STEP_LIMIT_S, Memory, Moment, Motion, 
 from drape.stages.plan import Plan
 from drape.stages.walk import run
 from drape.wire import messages as wire
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
 from service.settings import Settings
-from service.stream.opening import Opening
-from service.stream.routes import Session
+from service.stream.session import Opening, Session
 from service.stream.workers import Streams
 from tests.fixtures.packed import MOVING
 from tests.fixtures.poses import smooth_motion
@@ -79,7 +78,9 @@ def clip_of(times_s: np.ndarray = TIMES_S, *, seed: int = 0, bent: float = 0.0) 
 
 
 def plan_of(runtime: DrapeRuntime, knob: float = 1.0, *, messages: bool = False) -> Plan:
-    return runtime.plan(runtime.garments.get("tube"), DrapeOptions(push_out=False, motion=knob), messages=messages)
+    return runtime.plan(
+        runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(push_out=False), motion=knob), messages=messages
+    )
 
 
 def moved(memories: Memories) -> Memory | None:
@@ -154,10 +155,9 @@ def test_a_still_scene_is_the_static_models_and_runs_no_recurrence(
     static.close()
 
 
-@pytest.mark.parametrize("chunk", [1, 5, 64])
-def test_chunks_hand_the_state_on(make_runtime: Callable[..., DrapeRuntime], runtime: DrapeRuntime, chunk: int):
+def test_chunks_hand_the_state_on(make_runtime: Callable[..., DrapeRuntime], runtime: DrapeRuntime):
     whole = run(plan_of(runtime), [clip_of()])
-    chunked = make_runtime(model=TINY_DYNAMIC, chunk_frames=chunk)
+    chunked = make_runtime(model=TINY_DYNAMIC, chunk_frames=5)
     draped = asyncio.run(chunked.drape(plan_of(chunked), clip_of()))
     assert_array_equal(draped.vertices, whole.vertices)
     last, want = moved(draped.memories[0]), moved(whole.memories[0])
@@ -322,21 +322,6 @@ def test_every_stream_has_its_own_motion(runtime: DrapeRuntime, body: BodyModel,
     assert still.memories.keys() == {KEY}, "no motion"
 
 
-def test_a_pose_that_was_dropped_is_only_time(runtime: DrapeRuntime, body: BodyModel, tube: Garment):
-    streams, (session,) = open_sessions(runtime, [1.0])
-    poses, trans = smooth_motion(TIMES_S)
-    dropped = {4, 7, 8}
-    for index in range(len(TIMES_S)):
-        put(session, index, TIMES_S, poses, trans)
-        if index not in dropped:
-            (frame,) = run_frames(streams, [session])
-    assert frame.dropped == len(dropped)
-    kept = [i for i in range(len(TIMES_S)) if i not in dropped]
-    codes = expected_codes(body, poses[kept], trans[kept], TIMES_S[kept])[-1:]
-    expected = expected_vertices(body, tube, poses[-1:], trans[-1:], codes=codes)[0]
-    assert_allclose(frame.vertices(), expected, rtol=0, atol=0.5 * frame.box_step.max() + ROUNDING_M)
-
-
 def test_motion_goes_on_over_another_garment_and_ends_with_another_shape(runtime: DrapeRuntime):
     streams, (session,) = open_sessions(runtime, [1.0])
     poses, trans = smooth_motion(TIMES_S)
@@ -361,25 +346,3 @@ def test_a_frame_of_an_earlier_opening_leaves_no_memory(runtime: DrapeRuntime):
     session.reopen(Opening(session.plan, np.full(10, 0.1)))
     session.deliver(0, b"old", {Motion.key: Memory.empty(runtime.engine)})
     assert session.memories == {} and session.outbox is None
-
-
-def test_a_batch_mate_that_fails_takes_nobody_along(runtime: DrapeRuntime):
-    streams, sessions = open_sessions(runtime, [1.0, 1.0])
-    motions = [smooth_motion(TIMES_S, seed=seed) for seed in range(2)]
-    for index in range(5):
-        for session, (poses, trans) in zip(sessions, motions, strict=True):
-            put(session, index, TIMES_S, poses, trans)
-        run_frames(streams, sessions)
-    before = sessions[1].memories
-    put(sessions[0], 5, TIMES_S, *motions[0])
-    sessions[1].put(wire.Pose(5, float(TIMES_S[5]), np.zeros(3), np.full((24, 3), np.nan)))
-
-    async def once() -> None:
-        await streams._compute(streams._next_batch())
-
-    asyncio.run(once())
-    assert [session.failure is not None for session in sessions] == [False, True]
-    assert sessions[1].memories is before
-    got, alone = moved(sessions[0].memories), moved(run(plan_of(runtime), [clip_of(TIMES_S[:6])]).memories[0])
-    assert got is not None and alone is not None
-    assert_array_equal(got.state, alone.state)

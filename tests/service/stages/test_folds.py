@@ -24,14 +24,13 @@ from drape.stages.batch import PoseInput
 from drape.stages.folds import SETTLE, Folds
 from drape.stages.stage import carried
 from drape.stages.walk import run, walk
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.serving import outfit_settings, serve
+from tests.fixtures.serving import serve
 
-__all__ = ["outfit_settings"]  # fixture
 TIMES_S = np.arange(6) / 30.0
 POSES, TRANS = smooth_motion(TIMES_S)
 CLIP = PoseInput(POSES, TRANS, np.zeros(10), TIMES_S)
@@ -44,24 +43,29 @@ def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
 
 def test_without_folds_the_stage_is_not_in_the_plan_and_nothing_changes(runtime: DrapeRuntime):
     entry = runtime.garments.get("tube")
-    plain, none = (runtime.plan(entry, DrapeOptions(folds=folds)) for folds in (None, 0))
-    assert plain == none == runtime.plan(entry, DrapeOptions(settle=3)), "settle alone asks for nothing"
+    plain, none = (runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=folds))) for folds in (None, 0))
+    assert plain == none == runtime.plan(entry, DrapeOptions(advanced=Advanced(settle=3))), (
+        "settle alone asks for nothing"
+    )
     assert [stage.name for stage in plain.stages] == ["network", "collision"]
-    folded = runtime.plan(entry, DrapeOptions(folds=2))
+    folded = runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=2)))
     assert [stage.name for stage in folded.stages] == ["network", "folds"]
-    assert folded.options.settle == SETTLE
+    assert folded.options.advanced.settle == SETTLE
     still = [PoseInput(POSES[:1], TRANS[:1], np.zeros(10), TIMES_S[:1])]
     way = run(folded, still).vertices - run(plain, still).vertices
     assert 1e-5 < np.abs(way).max() < 0.1
 
 
 def test_folds_lift_the_cloth_off_the_skin_and_nothing_is_projected(
-    make_runtime: Callable[..., DrapeRuntime], body: BodyModel
+    runtime: DrapeRuntime, body: BodyModel, monkeypatch: pytest.MonkeyPatch
 ):
     high_m = 0.008  # more than contact keeps, so that there is something to lift
-    runtime = make_runtime(clearance_m=high_m)
+    monkeypatch.setattr(folds_stage, "CLEARANCE_M", high_m)
     entry = runtime.garments.get("tube")
-    on, off = (runtime.plan(entry, DrapeOptions(folds=1, push_out=pushed, coarse=False)) for pushed in (True, False))
+    on, off = (
+        runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=1, push_out=pushed, coarse=False)))
+        for pushed in (True, False)
+    )
     assert {stage.name for plan in (on, off) for stage in plan.stages} == {"network", "folds"}
     lifted, left = run(on, [CLIP]), run(off, [CLIP])
     first = np.linalg.norm(lifted.vertices[0] - left.vertices[0], axis=-1)  # later frames begin where these ended
@@ -80,30 +84,35 @@ def test_layers_that_do_not_feel_each_other_are_pushed_apart(outfit_settings: Se
     runtime = DrapeRuntime(outfit_settings)
     scene = runtime.garments.scene(None, ["tube", "coat"])
     for feels, last in ((True, "folds"), (False, "collision")):
-        plan = runtime.plan(scene, DrapeOptions(folds=1, cloth_contact=feels))
+        plan = runtime.plan(scene, DrapeOptions(advanced=Advanced(folds=1, cloth_contact=feels)))
         assert plan.stages[-1].name == last and plan.lifted == feels
-    told = run(runtime.plan(scene, DrapeOptions(folds=1)), [CLIP]).quality
-    hidden = run(runtime.plan(scene, DrapeOptions(folds=1, hidden=("coat",))), [CLIP]).quality
+    told = run(runtime.plan(scene, DrapeOptions(advanced=Advanced(folds=1))), [CLIP]).quality
+    hidden = run(runtime.plan(scene, DrapeOptions(advanced=Advanced(folds=1), hidden=("coat",))), [CLIP]).quality
     assert (told.push_max_m >= hidden.push_max_m).all()
     runtime.close()
 
 
 def test_folds_of_jets_are_refused(runtime: DrapeRuntime):
     with pytest.raises(InputError, match="folds: expected 0 with geometry jets, whose polynomials are smooth, got 2"):
-        runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=2, geometry="jets"))
+        runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(folds=2), geometry="jets"))
 
 
 def test_the_client_folds_one_garment_and_the_network_is_all_that_is_computed(runtime: DrapeRuntime):
     tube = runtime.garments.get("tube")
-    asked = DrapeOptions(folds_by="client", geometry="jets", tier="accurate", push_out=True, inertia="mesh")
+    asked = DrapeOptions(
+        advanced=Advanced(push_out=True, inertia="mesh"), folds_by="client", geometry="jets", tier="accurate"
+    )
     plan = runtime.plan(tube, asked)
     assert {stage.name for stage in plan.stages} == {
         stage.name
-        for stage in runtime.plan(tube, DrapeOptions(folds=0, geometry="jets", push_out=False, motion=0.0)).stages
+        for stage in runtime.plan(
+            tube, DrapeOptions(advanced=Advanced(folds=0, push_out=False), geometry="jets", motion=0.0)
+        ).stages
     }
-    assert plan.options.folds == 4 and plan.options.settle == 8 and plan.options.cloth_contact
+    numbers = plan.options.advanced
+    assert numbers.folds == 4 and numbers.settle == 8 and numbers.cloth_contact
     assert plan.needs == {"jets"} and runtime.tier_of(plan) == "accurate"
-    assert plan.options.inertia == "mesh" and plan.options.knob == 1.0, "the client swings too"
+    assert numbers.inertia == "mesh" and plan.options.knob == 1.0, "the client swings too"
 
 
 @pytest.mark.parametrize("tier", ["instant", "fast", "balanced", "accurate"])
@@ -112,8 +121,8 @@ def test_the_client_folds_by_the_tier_that_the_service_has(runtime: DrapeRuntime
         runtime.plan(runtime.garments.get("tube"), DrapeOptions.model_validate({"tier": tier} | other))
         for other in ({}, {"folds_by": "client", "geometry": "jets"})
     )
-    names = ("folds", "coarse", "safe_folds", "settle", "cloth_contact", "passes", "inertia", "knob")
-    assert [getattr(there.options, name) for name in names] == [getattr(here.options, name) for name in names]
+    assert there.options.advanced == here.options.advanced
+    assert there.options.knob == here.options.knob
     assert runtime.tier_of(there) == tier
     assert not {"folds", "swing", "collision"} & {stage.name for stage in there.stages}
 
@@ -132,7 +141,7 @@ def test_folds_that_no_client_makes_are_refused(runtime: DrapeRuntime, options: 
 
 
 def test_bits_depend_neither_on_chunks_nor_on_who_else_is_there(runtime: DrapeRuntime):
-    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1))
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(folds=1)))
     other = replace(CLIP, poses=POSES[::-1].copy(), betas=np.ones(10))
     alone = run(plan, [CLIP]).vertices
     together = run(plan, [other, CLIP])
@@ -146,7 +155,9 @@ def test_nobody_presses_a_hidden_garment_below_the_folds_of_what_is_over_it(
 ):
     runtime, pressed = DrapeRuntime(outfit_settings), []
     scene = runtime.garments.scene(None, ["tube", "coat"])
-    seen, hidden = (runtime.plan(scene, DrapeOptions(folds=1, hidden=one)) for one in (None, ("tube",)))
+    seen, hidden = (
+        runtime.plan(scene, DrapeOptions(advanced=Advanced(folds=1), hidden=one)) for one in (None, ("tube",))
+    )
     monkeypatch.setattr(folds_stage, "pressed", lambda x, *_: pressed.append(len(x)) or x)
     inner = scene.layers[0].vertex_count
     both, outer = run(seen, [CLIP]), run(hidden, [CLIP])
@@ -157,7 +168,7 @@ def test_nobody_presses_a_hidden_garment_below_the_folds_of_what_is_over_it(
 
 def test_every_layer_has_a_memory_of_its_own(outfit_settings: Settings):
     runtime = DrapeRuntime(outfit_settings)
-    apart = DrapeOptions(folds=1, push_out=False, cloth_contact=False)
+    apart = DrapeOptions(advanced=Advanced(folds=1, push_out=False, cloth_contact=False))
     plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), apart)
     both = run(plan, [CLIP])
     assert both.memories[0].keys() == {("folds", key) for key in plan.keys}
@@ -169,16 +180,19 @@ def test_every_layer_has_a_memory_of_its_own(outfit_settings: Settings):
 def test_cloth_feels_cloth_where_that_is_asked_for(outfit_settings: Settings, monkeypatch: pytest.MonkeyPatch):
     runtime = DrapeRuntime(outfit_settings)
     scene = runtime.garments.scene(None, ["tube", "coat"])
-    options = DrapeOptions(folds=1, push_out=False, cloth_contact=True)
+    options = DrapeOptions(advanced=Advanced(folds=1, push_out=False, cloth_contact=True))
     on = runtime.plan(scene, options)
-    off, left_out = (
-        runtime.plan(scene, options.model_copy(update={"cloth_contact": asked})) for asked in (False, None)
-    )
-    assert on == left_out != off and on.options.cloth_contact, "scenes have it unless they say otherwise"
+    off, left_out = (runtime.plan(scene, options.updated(cloth_contact=asked)) for asked in (False, None))
+    assert on == left_out != off and on.options.advanced.cloth_contact, "scenes have it unless they say otherwise"
     one = runtime.garments.get("tube")
-    assert runtime.plan(one, DrapeOptions(folds=1)).options.cloth_contact, "of one garment as of several"
-    assert not runtime.plan(one, DrapeOptions(folds=1, cloth_contact=False)).options.cloth_contact
-    assert runtime.plan(scene, DrapeOptions(folds=0, cloth_contact=True)) == runtime.plan(scene, DrapeOptions(folds=0))
+    assert runtime.plan(one, DrapeOptions(advanced=Advanced(folds=1))).options.advanced.cloth_contact, (
+        "of one garment as of several"
+    )
+    apart = DrapeOptions(advanced=Advanced(folds=1, cloth_contact=False))
+    assert not runtime.plan(one, apart).options.advanced.cloth_contact
+    assert runtime.plan(scene, DrapeOptions(advanced=Advanced(folds=0, cloth_contact=True))) == runtime.plan(
+        scene, DrapeOptions(advanced=Advanced(folds=0))
+    )
     apart, over = (run(plan, [CLIP]).vertices for plan in (off, on))
     inner = run(runtime.plan(runtime.garments.get("tube"), options), [CLIP]).vertices
     count = inner.shape[1]
@@ -200,7 +214,7 @@ def test_cloth_feels_cloth_where_that_is_asked_for(outfit_settings: Settings, mo
 
 def test_frames_of_streams_go_between_the_layers_of_an_outfit(outfit_settings: Settings):
     runtime = DrapeRuntime(outfit_settings)
-    plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), DrapeOptions(folds=1))
+    plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), DrapeOptions(advanced=Advanced(folds=1)))
     steps = list(walk(plan, [CLIP]))
     assert len(steps) == len(plan.stages) + 1, "a step for each of two layers"
     assert_array_equal(steps[-1].vertices, run(plan, [CLIP]).vertices)
@@ -210,16 +224,18 @@ def test_frames_of_streams_go_between_the_layers_of_an_outfit(outfit_settings: S
 
 def test_memories_hold_for_a_fabric(runtime: DrapeRuntime):
     entry = runtime.garments.get("tube")
-    plan = runtime.plan(entry, DrapeOptions(folds=1))
+    plan = runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=1)))
     memories = run(plan, [CLIP]).memories[0]
     (folds,) = plan.keys
-    assert ("folds", folds) in carried(memories, plan, runtime.plan(entry, DrapeOptions(folds=4, push_out=False)))
+    assert ("folds", folds) in carried(
+        memories, plan, runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=4, push_out=False)))
+    )
     assert not carried(memories, plan, runtime.plan(entry, DrapeOptions()))
     assert plan.stages[1].depends_on(plan) != plan.stages[1].depends_on(replace(plan, fabrics=(fabric("denim"),)))
 
 
 def test_constants_are_made_when_a_plan_is_prepared_and_once(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
-    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1))
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(folds=1)))
     asyncio.run(runtime.prepare(plan))
 
     def never(*_: object) -> None:
@@ -231,7 +247,9 @@ def test_constants_are_made_when_a_plan_is_prepared_and_once(runtime: DrapeRunti
 
 def test_frames_do_not_wait_for_constants_of_others(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
     entry = runtime.garments.get("tube")
-    plan, other = (runtime.plan(entry, DrapeOptions(folds=1, fabric=name)) for name in (None, "chiffon"))
+    plan, other = (
+        runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=1), fabric=name)) for name in (None, "chiffon")
+    )
     stage = next(one for one in plan.stages if one.name == "folds")
     stage.prepare(plan)
     made, begun, through = two_level.two_level, threading.Event(), threading.Event()
@@ -249,11 +267,13 @@ def test_constants_are_kept_up_to_a_size_those_in_use_always(runtime: DrapeRunti
     entry, made = runtime.garments.get("tube"), []
     counted = two_level.two_level
     monkeypatch.setattr(two_level, "two_level", lambda *of: made.append(of) or counted(*of))
-    stage = next(one for one in runtime.plan(entry, DrapeOptions(folds=1)).stages if one.name == "folds")
+    stage = next(
+        one for one in runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=1))).stages if one.name == "folds"
+    )
     assert isinstance(stage, Folds)
     for named, kept_bytes, wanted in (("swim", 1 << 30, 1), ("rib", 0, 2), ("rib", 0, 2), ("swim", 0, 3)):
         monkeypatch.setattr(folds_stage, "KEPT_BYTES", kept_bytes)
-        stage.prepare(runtime.plan(entry, DrapeOptions(folds=1, fabric=named)))
+        stage.prepare(runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=1), fabric=named)))
         assert len(made) == wanted
 
 
@@ -276,7 +296,7 @@ def test_resets_are_counted_and_told(runtime: DrapeRuntime, monkeypatch: pytest.
 def test_what_is_removed_is_forgotten(runtime: DrapeRuntime):
     (stage,) = (one for one in runtime.stages if isinstance(one, Folds))
     entry = runtime.garments.get("tube")
-    plan = runtime.plan(entry, DrapeOptions(folds=1))
+    plan = runtime.plan(entry, DrapeOptions(advanced=Advanced(folds=1)))
     stage.prepare(plan)
     held = {name for name in stage._constants if name[0] == entry.garment.digest}
     assert held

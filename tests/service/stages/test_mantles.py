@@ -13,14 +13,14 @@ from drape.garment.cache import Garment, load_garment, save_garment
 from drape.garment.mantle_shapes import DIRECTIONS, worn
 from drape.stages.batch import PoseInput
 from drape.stages.walk import run
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.poses import smooth_motion
 
 TIMES_S = np.arange(3) / 30.0
 POSES, TRANS = smooth_motion(TIMES_S)
 CLIP = PoseInput(POSES, TRANS, np.linspace(-1.0, 1.0, 10), TIMES_S)
-LAID = DrapeOptions(folds=0, push_out=False, motion=0.0)
+LAID = DrapeOptions(advanced=Advanced(folds=0, push_out=False), motion=0.0)
 
 
 def mantle(tube: Garment) -> Garment:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import httpx
 import numpy as np
@@ -14,28 +15,25 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape import stages
 from drape.errors import InputError
 from drape.inference.engine import Engine
-from drape.inference.graph_names import JETS, PACKED, SKIN
+from drape.inference.graph_names import JETS, PACKED
 from drape.stages.batch import Batch, Layer, PoseInput
 from drape.stages.encode import coordinate_bits
 from drape.stages.motion import Motion
-from drape.stages.network import Network
 from drape.stages.plan import Plan
 from drape.stages.stage import BODY, Stage, carried
 from drape.stages.tiers import FAR_PIXELS_PER_M, TIERS, capped, chosen
 from drape.stages.walk import run
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.serving import outfit_settings, serve, served
+from tests.fixtures.serving import serve, served
 from tests.fixtures.streams import RawStream, raw_stream
-from tests.fixtures.tiny_model import TINY_DYNAMIC, write_tiny_model
+from tests.fixtures.tiny_model import TINY, TINY_DYNAMIC, write_tiny_model
 from training.pose_support import support_of, write_support
-
-__all__ = ["outfit_settings"]  # fixtures
 
 TIMES_S = np.arange(10) / 30.0
 POSES, TRANS = smooth_motion(TIMES_S)
@@ -52,7 +50,7 @@ class Counting(Stage):
         return frozenset({"vertices"})
 
     def depends_on(self, plan: Plan) -> object:
-        return plan.options.passes
+        return plan.options.advanced.passes
 
     def run(self, batch: Batch) -> Batch:
         for i, (key, layer) in enumerate(zip(batch.plan.keys, batch.layers, strict=True)):
@@ -116,8 +114,15 @@ def test_a_plan_takes_what_it_needs_and_nothing_else(
     assert (batch.layers[0].vertices is None) == ("vertices" not in needs)
 
 
-@pytest.mark.parametrize("worn", [["tube"], ["tube", "coat"]])
-@pytest.mark.parametrize("options", [{}, {"push_out": False}, {"geometry": "jets"}, {"passes": 0}])
+@pytest.mark.parametrize(
+    ("worn", "options"),
+    [
+        (["tube", "coat"], {}),
+        (["tube"], {"push_out": False}),
+        (["tube"], {"geometry": "jets"}),
+        (["tube"], {"passes": 0}),
+    ],
+)
 def test_frames_open_no_session_once_their_plan_is_prepared(outfit_settings: Settings, worn: list[str], options: dict):
     runtime = DrapeRuntime(outfit_settings)
     plan = runtime.plan(runtime.garments.scene(None, worn), DrapeOptions(**options), messages=True)
@@ -132,9 +137,12 @@ def test_frames_open_no_session_once_their_plan_is_prepared(outfit_settings: Set
 
 def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[..., Settings]):
     settings = make_settings()
-    graph = Engine(settings.models_dir / settings.model, compiled=False)
+    graph = Engine(Path(settings.model), compiled=False)
     runtime = DrapeRuntime(settings, engine=graph)
-    run(runtime.plan(runtime.garments.get("tube"), DrapeOptions(geometry="jets", push_out=False)), [CLIP])
+    run(
+        runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(push_out=False), geometry="jets")),
+        [CLIP],
+    )
     (part,) = [s for (graph, outputs, *_), s in runtime.engine._opened.items() if (graph, outputs) == (PACKED, JETS)]
     assert "patch_first" in part.inputs
     assert not {"tile_positions", "vertex_charts", "tile_tangents"} & set(part.inputs)
@@ -144,17 +152,18 @@ def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[.
 def test_what_is_left_open_is_the_services_own(runtime: DrapeRuntime, make_runtime: Callable[..., DrapeRuntime]):
     entry = runtime.garments.get("tube")
     assert runtime.plan(entry, DrapeOptions()).options == DrapeOptions(
-        push_out=True, motion=1.0, inertia="network", folds=0, coarse=False
+        advanced=Advanced(push_out=True, inertia="network", folds=0, coarse=False), motion=1.0
     )
-    other = make_runtime(push_out=False, passes=0)
+    other = make_runtime()
     entry = other.garments.get("tube")
-    plan = other.plan(entry, DrapeOptions())
-    still = DrapeOptions(push_out=False, passes=0, motion=0.0, inertia="network", folds=0, coarse=False)
+    plan, every = (other.plan(entry, DrapeOptions(advanced=Advanced(passes=passes))) for passes in (None, 1))
+    still = DrapeOptions(advanced=Advanced(push_out=True, inertia="network", folds=0, coarse=False), motion=0.0)
     assert plan.options == still, "a static model has learned no motion"
-    assert plan == other.plan(entry, DrapeOptions(passes=0)) and hash(plan) == hash(other.plan(entry, DrapeOptions()))
-    assert plan != other.plan(entry, DrapeOptions(passes=1))
+    assert plan == every and hash(plan) == hash(every), "all passes are the default"
+    assert plan != other.plan(entry, DrapeOptions(advanced=Advanced(passes=0)))
+    assert make_runtime(inertia="mesh").plan(entry, DrapeOptions()).options == still.updated(knob=1.0, inertia="mesh")
     with pytest.raises(InputError, match="passes: expected 0 to 1, got 9"):
-        other.plan(entry, DrapeOptions(passes=9))
+        other.plan(entry, DrapeOptions(advanced=Advanced(passes=9)))
 
 
 def test_memories_go_where_what_they_hold_for_goes(counting: None, make_runtime: Callable[..., DrapeRuntime]):
@@ -165,8 +174,11 @@ def test_memories_go_where_what_they_hold_for_goes(counting: None, make_runtime:
     memories = {Motion.key: 1, own: 2, ("counting", "taken off"): 3}
     assert Motion.key == ("motion", BODY)
     assert carried(memories, plan, plan) == {Motion.key: 1, own: 2}
-    assert carried(memories, plan, runtime.plan(entry, DrapeOptions(push_out=False))) == {Motion.key: 1, own: 2}
-    assert carried(memories, plan, runtime.plan(entry, DrapeOptions(passes=0))) == {Motion.key: 1}
+    assert carried(memories, plan, runtime.plan(entry, DrapeOptions(advanced=Advanced(push_out=False)))) == {
+        Motion.key: 1,
+        own: 2,
+    }
+    assert carried(memories, plan, runtime.plan(entry, DrapeOptions(advanced=Advanced(passes=0)))) == {Motion.key: 1}
     assert carried(memories, plan, runtime.plan(entry, DrapeOptions(motion=0.0))) == {own: 2}
 
 
@@ -182,7 +194,7 @@ def lifts(frames: np.ndarray, plain: np.ndarray) -> np.ndarray:
 def test_a_new_stage_remembers_over_the_chunks_of_a_clip(outfit_settings: Settings):
     runtime = DrapeRuntime(outfit_settings.model_copy(update={"chunk_frames": 4}))
     scene = runtime.garments.scene(None, ["tube", "coat"])
-    plan = runtime.plan(scene, DrapeOptions(push_out=False))
+    plan = runtime.plan(scene, DrapeOptions(advanced=Advanced(push_out=False)))
     assert [stage.name for stage in plan.stages] == ["network", "counting"]
     plain = run(replace(plan, stages=plan.stages[:1]), [CLIP]).vertices
     whole = run(plan, [CLIP]).vertices
@@ -220,11 +232,6 @@ def test_a_new_stage_remembers_per_stream_and_garment(outfit_settings: Settings)
             assert lift(one, 5, tube) == 1, "what was taken off is forgotten"
 
 
-def test_the_stages_are_in_the_order_of_the_tuple(runtime: DrapeRuntime):
-    assert [type(stage) for stage in runtime.stages] == list(stages.STAGES)
-    assert stages.STAGES.index(Motion) < stages.STAGES.index(Network)
-
-
 SEEN = smooth_motion(np.arange(60) / 30.0)[0]
 ABSURD = np.random.default_rng(0).uniform(-2.0, 2.0, (1, 24, 3))
 MIXED = np.concatenate([SEEN[:2], ABSURD, SEEN[2:3]])
@@ -235,7 +242,7 @@ def novelty_runtime(make_runtime: Callable[..., DrapeRuntime], body, tmp_path_fa
     """Of a model that knows its poses."""
     folder = tmp_path_factory.mktemp("novelty")
     write_support(write_tiny_model(folder, body), support_of(SEEN, SEEN))
-    return make_runtime(models_dir=folder, folds=None)
+    return make_runtime(model=str(folder / TINY), folds=None)
 
 
 def draped(novelty_runtime: DrapeRuntime, poses: np.ndarray, **options: object) -> Batch:
@@ -261,12 +268,12 @@ def draped(novelty_runtime: DrapeRuntime, poses: np.ndarray, **options: object) 
 )
 def test_steps_of_unlike_poses_are_the_last_tiers_where_the_service_chooses(asked: dict, want: tuple):
     found = chosen(DrapeOptions(**asked), TIERS, Settings(), 4)
-    assert (found.folds, found.safe_folds) == want
+    assert (found.advanced.folds, found.advanced.safe_folds) == want
 
 
 def test_under_load_a_lower_tier_holds_safe_steps_too():
     asked = chosen(DrapeOptions(), TIERS, Settings(), 4)
-    assert [capped(asked, tier).safe_folds for tier in TIERS] == [0, 1, 4, 4]
+    assert [capped(asked, tier).advanced.safe_folds for tier in TIERS] == [0, 1, 4, 4]
 
 
 def test_only_the_frame_unlike_training_gets_more_steps(novelty_runtime: DrapeRuntime):
@@ -332,7 +339,7 @@ def views_draped(views_runtime: DrapeRuntime, **options: object) -> Batch:
 )
 def test_what_is_far_away_has_no_folds_and_8_bits_but_for_what_is_named(asked: dict, want: tuple):
     found = chosen(DrapeOptions(**asked), TIERS, Settings(), 4)
-    assert (found.folds, found.passes, coordinate_bits(found)) == want
+    assert (found.advanced.folds, found.advanced.passes, coordinate_bits(found)) == want
     assert found.pixels_per_m in (None, FAR_PIXELS_PER_M), "distances on one side of the limit are one plan"
 
 
@@ -340,9 +347,9 @@ def test_what_is_far_away_is_lifted_off_the_skin_as_the_least_tier_is():
     def found(**asked: object) -> DrapeOptions:
         return chosen(DrapeOptions.model_validate(asked), TIERS, Settings(), 4)
 
-    assert found(pixels_per_m=FAR).coarse and found(pixels_per_m=FAR, tier="accurate").coarse
+    assert found(pixels_per_m=FAR).advanced.coarse and found(pixels_per_m=FAR, tier="accurate").advanced.coarse
     for named in ({"push_out": False}, {"folds": 0}, {"geometry": "jets"}, {"coarse": False}):
-        assert not found(pixels_per_m=FAR, **named).coarse
+        assert not found(pixels_per_m=FAR, **named).advanced.coarse
     assert found(pixels_per_m=FAR) == found(tier="instant").model_copy(update={"pixels_per_m": FAR_PIXELS_PER_M})
 
 
@@ -354,26 +361,3 @@ def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(views
         assert (np.abs(frame.positions - vertices) <= 0.501 * frame.box_step).all()
         payload = len(fine) - wire.FRAME_HEADER_BYTES
         assert frame.bits == 8 and len(coarse) - wire.FRAME_HEADER_BYTES == payload / 2
-
-
-@pytest.mark.parametrize(
-    ("asked", "stages"),
-    [
-        ({"inertia": "mesh"}, "network swing folds encode"),
-        ({"inertia": "network"}, "motion network folds encode"),
-        ({"motion": 0.0}, "network folds encode"),
-        ({"motion": 0.0, "pixels_per_m": FAR}, "network folds encode"),
-        ({"motion": 0.0, "pixels_per_m": FAR, "folds": 0}, "network collision encode"),
-        ({"motion": 0.0, "pixels_per_m": FAR, "push_out": False}, "network encode"),
-        ({"motion": 0.0, "geometry": "jets", "push_out": False}, "network encode"),
-    ],
-)
-def test_a_plan_holds_nothing_that_nobody_asked_for(views_runtime: DrapeRuntime, asked: dict, stages: str):
-    before = set(views_runtime.engine._opened)
-    batch = views_draped(views_runtime, **asked)
-    assert " ".join(stage.name for stage in batch.plan.stages) == stages
-    outputs = {name for key in set(views_runtime.engine._opened) - before if key[0] == PACKED for name in key[1]}
-    if not {"swing", "folds", "collision"} & set(stages.split()):
-        assert SKIN not in outputs and batch.skin is None
-    assert (batch.codes is not None) == ("motion" in stages)
-    assert {key[0] for key in batch.memories[0]} == {"motion", "swing", "folds"} & set(stages.split())

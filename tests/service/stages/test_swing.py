@@ -18,7 +18,7 @@ from drape.stages.batch import PoseInput
 from drape.stages.plan import Plan
 from drape.stages.swing import Swing
 from drape.stages.walk import run
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.replicas.memory_codec import decoded, encoded
 from service.settings import load_settings
@@ -80,7 +80,7 @@ def test_what_it_remembers_can_move(runtime: DrapeRuntime):
 
 
 def test_jets_have_none(runtime: DrapeRuntime):
-    assert plan_of(runtime, geometry="jets").options.inertia == "network"
+    assert plan_of(runtime, geometry="jets").options.advanced.inertia == "network"
     with pytest.raises(InputError, match="inertia: expected network with geometry jets"):
         plan_of(runtime, geometry="jets", inertia="mesh")
 
@@ -88,9 +88,10 @@ def test_jets_have_none(runtime: DrapeRuntime):
 def test_the_service_says_what_holds_where_nobody_does(make_runtime: Callable[..., DrapeRuntime]):
     assert load_settings().inertia == "mesh"
     other = make_runtime()
-    plan = other.plan(other.garments.get("tube"), DrapeOptions(push_out=False))
-    assert plan.options.inertia == "network" and plan.options.knob == 0.0, "a static model has learned no motion"
-    assert other.plan(other.garments.get("tube"), DrapeOptions(inertia="mesh")).options.knob == 1.0
+    plan = other.plan(other.garments.get("tube"), DrapeOptions(advanced=Advanced(push_out=False)))
+    assert plan.options.advanced.inertia == "network"
+    assert plan.options.knob == 0.0, "a static model has learned no motion"
+    assert other.plan(other.garments.get("tube"), DrapeOptions(advanced=Advanced(inertia="mesh"))).options.knob == 1.0
 
 
 def test_a_garment_that_is_gone_leaves_nothing(runtime: DrapeRuntime):

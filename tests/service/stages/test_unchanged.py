@@ -24,7 +24,7 @@ from drape.stages.encode import KEY, REST_FRAMES, REST_S, shown_message
 from drape.stages.plan import Plan
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute import drape_runtime as drapery_module
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
@@ -45,7 +45,7 @@ def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
 
 @pytest.fixture
 def plan(runtime: DrapeRuntime) -> Plan:
-    made = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1), messages=True)
+    made = runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(folds=1)), messages=True)
     for stage in made.stages:
         stage.prepare(made)
     return made

@@ -15,7 +15,7 @@ from drape.artifacts import DEFAULT_MODEL, MODELS_DIR, TensorSpec, load_manifest
 from drape.errors import ArtifactError, InputError, NotFound, Unavailable
 from drape.inference.graph_names import PACKED
 from drape.stages.network import Network
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.http import problems
 from service.http.answers import JSON
 from service.static import folder
@@ -67,10 +67,10 @@ def test_a_page_that_is_not_built_is_told(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_inertia_of_the_network_is_refused():
-    folder.check_inertia(DrapeOptions(inertia="mesh", motion=1.0))
-    folder.check_inertia(DrapeOptions(inertia="network", motion=0.0))
+    folder.check_inertia(DrapeOptions(advanced=Advanced(inertia="mesh"), motion=1.0))
+    folder.check_inertia(DrapeOptions(advanced=Advanced(inertia="network"), motion=0.0))
     with pytest.raises(InputError, match="inertia: expected mesh without a service, got network"):
-        folder.check_inertia(DrapeOptions(inertia="network", motion=1.0))
+        folder.check_inertia(DrapeOptions(advanced=Advanced(inertia="network"), motion=1.0))
 
 
 def test_only_folders_of_its_own_are_replaced(tmp_path: Path):

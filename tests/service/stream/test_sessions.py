@@ -14,11 +14,11 @@ import pytest
 from drape.errors import InputError
 from drape.stages.batch import Memories, PoseInput
 from drape.wire import messages as wire
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.compute.background import processor_count
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
-from service.stream.routes import Session
+from service.stream.session import Session
 from service.stream.workers import Streams
 
 REST = np.zeros((24, 3))
@@ -26,7 +26,7 @@ REST = np.zeros((24, 3))
 
 def test_one_bad_pose_does_not_fail_its_batch(make_runtime: Callable[..., DrapeRuntime]):
     runtime = make_runtime(stream_threads=1)
-    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(push_out=False), messages=True)
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(push_out=False)), messages=True)
     streams = Streams(runtime, SlicedThread())
     sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(3)]
     poses = [REST, np.full((24, 3), np.nan), REST]
@@ -162,7 +162,7 @@ def test_streams_are_computed_beside_each_other_and_each_frame_after_the_one_bef
     make_runtime: Callable[..., DrapeRuntime], monkeypatch: pytest.MonkeyPatch
 ):
     runtime = make_runtime(stream_threads=2)
-    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1), messages=True)
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(advanced=Advanced(folds=1)), messages=True)
     for stage in plan.stages:
         stage.prepare(plan)
     alone, expected = {}, []

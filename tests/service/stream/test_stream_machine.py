@@ -26,11 +26,11 @@ from service.app import create_app
 from service.errors import Draining
 from service.settings import Settings
 from service.state import State
-from service.stream.routes import Session
+from service.stream.session import Session
 from service.watch.probes import Lifecycle
 from tests.fixtures.fuzzing import examples
 from tests.fixtures.serving import serve
-from tests.fixtures.streams import PROTOCOLS, stream_address
+from tests.fixtures.streams import PROTOCOLS, patient_streams, stream_address
 from tests.fixtures.tiny_model import TINY_DYNAMIC
 
 MOST_STREAMS = 3
@@ -92,12 +92,10 @@ class Running:
 
 @pytest.fixture(scope="module")
 def running(make_settings: Callable[..., Settings]) -> Iterator[Running]:
-    settings = make_settings(
-        model=TINY_DYNAMIC, folds=1, ticket_secret="one of both", stream_step_down=False, stream_ack_s=60.0
-    )
+    settings = make_settings(model=TINY_DYNAMIC, folds=1, ticket_secret="one of both", stream_step_down=False)
     life = Ready(stuck_s=60.0)
     app = create_app(settings, lifecycle=life)
-    with serve(app, settings) as url:
+    with patient_streams(), serve(app, settings) as url:
         yield Running(url, app.state.drape, life.loop)
 
 

@@ -17,7 +17,7 @@ import pytest
 from fastapi import FastAPI
 from websockets.asyncio.client import connect
 
-from drape.avatar.wearer import read_wearer, save_wearer
+from drape.avatar.wearer import save_wearer
 from drape.body.model import BodyModel
 from drape.errors import NotFound
 from drape.garment.cache import Garment, save_garment
@@ -27,7 +27,7 @@ from service.settings import Settings
 from service.uploads import accepted, job_records
 from service.uploads.accepted import CANCEL, Accepted, elsewhere, staging_folder, taken_over, touch
 from service.uploads.job_records import JobRecord
-from tests.fixtures.characters import character
+from tests.fixtures.characters import bare_wearer
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.meshes import garment_obj
 from tests.fixtures.serving import serve
@@ -108,10 +108,10 @@ def test_a_garment_is_known_at_once_where_somebody_asks_for_it(
 
 
 def test_an_avatar_that_one_has_the_other_knows_at_once(
-    apps: tuple[FastAPI, FastAPI], pair: tuple[httpx.Client, ...], body: BodyModel, tmp_path: Path
+    apps: tuple[FastAPI, FastAPI], pair: tuple[httpx.Client, ...], tmp_path: Path
 ):
     here, there = pair
-    made, source = save_wearer(read_wearer(character(body), name="guest", body=body), tmp_path), tmp_path / "guest.glb"
+    made, source = save_wearer(replace(bare_wearer(), name="guest"), tmp_path), tmp_path / "guest.glb"
     source.write_bytes(b"")
     apps[0].state.drape.runtime.avatars.add(made, source, None)
     drapes = [one.post("/drape", json={"garment": "tube", "avatar": "guest", "poses": REST}) for one in (there, here)]

@@ -24,7 +24,7 @@ from websockets.asyncio.client import connect
 from drape.body.model import BodyModel
 from drape.wire import messages as wire
 from service.server import bind
-from service.stream.routes import Session
+from service.stream.session import Session
 from service.watch import metrics as service_metrics
 from service.watch.metrics import Metrics
 from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
@@ -237,11 +237,7 @@ def test_clients_that_say_nothing_do_not_fill_the_probes_port():
 def test_a_start_answers_its_probes_while_it_loads(tiny_folder: Path):
     with bind("127.0.0.1", 0) as free:
         port = free.getsockname()[1]
-    environment = {
-        "DRAPE_MODEL": "tiny",
-        "DRAPE_MODELS_DIR": str(tiny_folder / "models"),
-        "DRAPE_PROBE_PORT": str(port),
-    }
+    environment = {"DRAPE_MODEL": str(tiny_folder / "models/tiny"), "DRAPE_PROBE_PORT": str(port)}
     environment["DRAPE_SHIPPED_GARMENTS_DIR"] = str(tiny_folder / "shipped")
     environment["DRAPE_GARMENTS_DIR"] = str(tiny_folder / "none")
     command = [sys.executable, "-m", "service", "--port", "0"]

@@ -25,7 +25,7 @@ from drape.errors import MeshError
 from drape.garment.cache import Garment
 from drape.stages.batch import PoseInput
 from drape.wire import messages as wire
-from drape.wire.options import DrapeOptions
+from drape.wire.options import Advanced, DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.http import fit_routes
@@ -140,7 +140,7 @@ def test_every_step_of_a_clip_is_a_move(make_runtime: Callable[..., DrapeRuntime
     monkeypatch.setattr(DrapeRuntime, "_walk", seeing)
     frames = 2 * runtime.settings.chunk_frames
     clip = PoseInput(np.zeros((frames, 24, 3)), np.zeros((frames, 3)), np.zeros(10), np.arange(frames) / 30.0)
-    plan = runtime.plan(runtime.garments.entries()[0], DrapeOptions(push_out=True))
+    plan = runtime.plan(runtime.garments.entries()[0], DrapeOptions(advanced=Advanced(push_out=True)))
 
     asyncio.run(runtime.drape(plan, clip))
     times = [moved_s for moved_s, _ in seen]

@@ -21,10 +21,10 @@ export class LocalStream {
     this.last = null; // pose, trans and message; since when [s], and how often
   }
 
-  open({ garment, garments, ...asked }) {
+  open({ garment, garments, advanced, ...asked }) {
     const { options, opened } = this.about;
-    const own = { ...options, garment: this.about.garment, geometry: "jets", folds_by: "client", resolution: "fine", tier: opened.tier, passes: opened.passes };
-    const chosen = Object.entries({ garment: garments ?? garment, ...asked }).filter(([, value]) => value !== undefined && value !== null);
+    const own = { ...options, ...options.advanced, garment: this.about.garment, geometry: "jets", folds_by: "client", resolution: "fine", tier: opened.tier, passes: opened.passes };
+    const chosen = Object.entries({ garment: garments ?? garment, ...asked, ...advanced }).filter(([, value]) => value !== undefined && value !== null);
     const other = chosen.find(([name, value]) => !FREE.includes(name) && JSON.stringify(value) !== JSON.stringify(own[name]));
     if (other) {
       const [name, value] = other;

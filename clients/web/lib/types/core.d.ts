@@ -24,11 +24,8 @@ export interface Access {
 export type TierName = "instant" | "fast" | "balanced" | "accurate";
 export type FabricChoice = string | Record<string, number>;
 
-/** Options of a drape by their names on the wire; what is left out is the service's choice. */
-export interface DrapeOptions {
-  betas?: number[];
-  tier?: TierName;
-  fabric?: FabricChoice | (FabricChoice | null)[];
+/** What a tier and the service choose for most, by its names on the wire. */
+export interface AdvancedOptions {
   passes?: number;
   folds?: number;
   coarse?: boolean;
@@ -36,9 +33,21 @@ export interface DrapeOptions {
   settle?: number;
   push_out?: boolean;
   cloth_contact?: boolean;
+  inertia?: "mesh" | "network";
+}
+
+/**
+ * Options of a drape by their names on the wire; what is left out is the service's choice. Those of `AdvancedOptions`
+ * beside `advanced` are deprecated: release 0.1 is the last that takes them there.
+ */
+export interface DrapeOptions extends AdvancedOptions {
+  betas?: number[];
+  tier?: TierName;
+  fabric?: FabricChoice | (FabricChoice | null)[];
+  /** `set` takes the place of all of it. */
+  advanced?: AdvancedOptions;
   /** 0 as if at rest, 1 in full. */
   motion?: number;
-  inertia?: "mesh" | "network";
   hidden?: string[];
   colliders?: object[];
   pixels_per_m?: number;

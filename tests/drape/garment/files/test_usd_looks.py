@@ -185,7 +185,7 @@ def test_a_picture_is_placed_as_its_transform_says(angle: str, place: str, shown
         )
     )
     sitter = Sitter(mesh.vertices, mesh.faces, mesh.uv, mesh.uv_faces, mesh.face_material, mesh.looks)
-    assert corners(portrait(sitter, None, 128)) == shown
+    assert corners(portrait(sitter, None, 40)) == shown
 
 
 def test_an_archive_holds_its_pictures_and_a_missing_one_is_told():

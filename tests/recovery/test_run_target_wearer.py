@@ -9,12 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
-from recovery.pattern.bases import base_pattern
-from recovery.run.target import OPENINGS
-from recovery.run.target_wearer import inside_wearer
-from recovery.run.upright import facing, turned_about, up_axis
+from recovery.run.target_wearer import facing, inside_wearer, turned_about, up_axis
 from tests.drape.cloth.cloth_shapes import round_tube
-from tests.recovery.pattern_setup import default_measurements
 from tests.recovery.test_run_cut import worn
 
 
@@ -30,12 +26,11 @@ def test_openings_tell_the_up_axis(name):
 @pytest.mark.parametrize("degrees", [80.0, -70.0])
 def test_a_garment_is_turned_until_its_limbs_lie_side_by_side(name, degrees):
     mesh = worn(name)
-    assert facing(mesh)[0] is mesh and facing(mesh)[1] == 1
-    found, cue = facing(turned_about(mesh, np.radians(degrees)))
-    assert "degrees to look along +z" in found.notes[-1] and cue == 1
+    assert facing(mesh) is mesh
+    found = facing(turned_about(mesh, np.radians(degrees)))
+    assert "degrees to look along +z" in found.notes[-1]
     middle = mesh.vertices.mean(axis=0)
     assert_allclose(found.vertices - found.vertices.mean(axis=0), mesh.vertices - middle, rtol=0, atol=0.02)
-    assert facing(turned_about(mesh, np.pi))[1] == -1
 
 
 def low_back() -> GarmentMesh:
@@ -54,27 +49,22 @@ def low_back() -> GarmentMesh:
         ("low back", 0.0, "auto", False),
         pytest.param("low back", 180.0, "auto", True, marks=pytest.mark.long),
         ("low back", 0.0, "turned", True),
-        ("tank", 180.0, "kept", False),
+        pytest.param("tank", 180.0, "kept", False, marks=pytest.mark.long),
     ],
 )
 def test_the_body_that_fits_inside_tells_front_from_back(mesh, delivered, front, turns):
     """A neckline that is lower behind, as many are, does not turn a garment on its own."""
     one = low_back() if mesh == "low back" else worn(mesh)
     one = plain_mesh(mesh, turned_about(one, np.radians(delivered)).vertices, one.faces)
-    kind = "trousers" if mesh == "trousers" else "tank"
-    bases = [base_pattern(kind, default_measurements())]
-    found, _ = inside_wearer(one, bases, front=front, wanted=OPENINGS[kind])
+    found, _ = inside_wearer(one, front=front)
     assert any("turned by 180 degrees" in note for note in found.notes) == turns
     moved = np.abs(found.vertices - found.vertices.mean(axis=0) - one.vertices + one.vertices.mean(axis=0)).max()
     assert (moved > 0.1) == turns
-    if mesh == "low back" and front == "auto":  # the cue of its neckline is not followed: that is told
-        assert facing(one)[1] == (-1 if delivered == 0.0 else 1)
-        assert f"--front {'kept' if turns else 'turned'}" in found.notes[-1]
 
 
 def test_what_openings_do_not_tell_stays():
     skirt = worn("skirt")
-    assert facing(skirt) == (skirt, 0)
+    assert facing(skirt) is skirt
     bag = plain_mesh("bag", *round_tube([0.2, 0.2, 1e-3], [0.0, 0.3, 0.4], 12))
     one = bag.take_faces(bag.vertices[bag.faces][:, :, 1].max(axis=1) > 0.0)
-    assert up_axis(one) == "y" and facing(one) == (one, 0)
+    assert up_axis(one) == "y" and facing(one) is one
