@@ -20,8 +20,8 @@ from tests.drape.garment.files.test_usd_looks import PICTURES, usda
 from tests.fixtures.fbx_writer import fbx_of
 
 MESHOPT = find_spec("meshoptimizer") is not None  # it has no wheel
-EACH = 16
-NEW = 24  # of the files whose readers are others' and the newest
+EACH = 28  # with the next more than 200 in all
+NEW = 32  # of the files whose readers are others' and the newest
 MANY = 260  # of each format in the long form, more than 2,000 in all
 SECONDS, BYTES = 60, 3 * 2**29  # of one file; of the process that reads them all
 
