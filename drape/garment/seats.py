@@ -98,9 +98,9 @@ class Seat:
         for depth in sorted(DEPTHS_M, key=abs):  # a way costs as much as it goes forward or back at the least
             if 0.5 * abs(depth) / RIM_COST_M >= least:
                 break
-            nearest = min((np.array([0.0, rise, depth]) for rise in RISES_M), key=cost)
-            if (found := cost(nearest)) < least:
-                best, least = nearest, found
+            for rise in RISES_M:
+                if (found := cost(way := np.array([0.0, rise, depth]))) < least:
+                    best, least = way, found
         return best
 
     def _round_foot(self, points: np.ndarray) -> np.ndarray:

@@ -72,34 +72,29 @@ template <class T> INLINE uint32_t walk(Points<T> points, Walks& walks, const Sk
   return last;
 }
 
-// Where a walk of one point ends.
-template <class T> INLINE int32_t walked(Vector<T> point, const Skin<T>& skin, int32_t own, int steps) {
+// Where a walk of one point ends, over samples that are allowed.
+template <class T, class Allowed>
+INLINE int32_t walked(Vector<T> point, const Skin<T>& skin, int32_t own, int steps, Allowed allowed) {
   T nearest = square_to(point, skin, own);
   for (int step = 0; step < steps; ++step) {
     const int32_t here = own;
     for (int n = 0; n < NEIGHBOURS; ++n) {
-      int32_t other = skin.neighbour[NEIGHBOURS * here + n];
-      T square = square_to(point, skin, other);
-      if (square < nearest) nearest = square, own = other;
+      const int32_t other = skin.neighbour[NEIGHBOURS * here + n];
+      const T square = square_to(point, skin, other);
+      if (square < nearest && allowed(other)) nearest = square, own = other;
     }
     if (own == here) break;
   }
   return own;
 }
+template <class T> INLINE int32_t walked(Vector<T> point, const Skin<T>& skin, int32_t own, int steps) {
+  return walked(point, skin, own, steps, [](int32_t) { return true; });
+}
 
 // Where a walk of one point goes on from a sample, over samples that face as the one with this normal does.
 template <class T> INLINE int32_t walked_along(Vector<T> point, const Skin<T>& skin, int32_t own, Vector<T> normal) {
-  T nearest = square_to(point, skin, own);
-  for (int step = 0; step < ALONG_STEPS; ++step) {
-    const int32_t here = own;
-    for (int n = 0; n < NEIGHBOURS; ++n) {
-      const int32_t other = skin.neighbour[NEIGHBOURS * here + n];
-      const T square = square_to(point, skin, other);
-      if (square < nearest && dot(skin.normal_of(other), normal) > T(ALONG)) nearest = square, own = other;
-    }
-    if (own == here) break;
-  }
-  return own;
+  return walked(point, skin, own, ALONG_STEPS,
+                [&](int32_t other) { return dot(skin.normal_of(other), normal) > T(ALONG); });
 }
 
 // Moves the samples own (P,) on to the ones nearest to the points x [m] (P, 3); P is a multiple of LANES.
