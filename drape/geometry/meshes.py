@@ -49,22 +49,24 @@ def edge_uses(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The edges (E, 2) of ``unique_edges``, and how many faces (E,) each has."""
     if len(faces) == 0:
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
-    key, base = _edge_keys(half_edges(faces)[:, :2])
-    key, counts = np.unique(key, return_counts=True)
-    return np.stack(np.divmod(key, base), axis=1).astype(faces.dtype), counts
+    corners = faces.T
+    key, base = _edge_keys(corners.reshape(-1), corners[[1, 2, 0]].reshape(-1))
+    key.sort()
+    first = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
+    return np.stack(np.divmod(key[first], base), axis=1).astype(faces.dtype), np.diff(first, append=len(key))
 
 
-def _edge_keys(ends: np.ndarray) -> tuple[np.ndarray, int]:
+def _edge_keys(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, int]:
     """One number (N,) for each undirected edge, low * base + high, and the base: rows sort ten times as slowly."""
-    ends = ends.astype(np.int64)
-    base = int(ends.max(initial=0)) + 1
-    return ends.min(axis=1) * base + ends.max(axis=1), base
+    start, end = start.astype(np.int64), end.astype(np.int64)
+    base = int(max(start.max(initial=0), end.max(initial=0))) + 1
+    return np.minimum(start, end) * base + np.maximum(start, end), base
 
 
 def edges_of_halves(halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Returns the number (n,) of each half-edge's edge, and how many ``halves`` each edge (E,) has. The first two
     columns of ``halves`` are the ends."""
-    _, inverse, counts = np.unique(_edge_keys(halves[:, :2])[0], return_inverse=True, return_counts=True)
+    _, inverse, counts = np.unique(_edge_keys(halves[:, 0], halves[:, 1])[0], return_inverse=True, return_counts=True)
     return inverse.reshape(-1), counts
 
 
@@ -83,9 +85,9 @@ def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the half-edges (3F, 3), and two arrays of rows of these: the half-edges of a pair lie on one edge. m
     faces on one edge give m - 1 pairs."""
     halves = half_edges(faces)
-    ends = np.sort(halves[:, :2], axis=1)
-    order = np.lexsort((ends[:, 1], ends[:, 0]))
-    same = (ends[order[1:]] == ends[order[:-1]]).all(axis=1)
+    key, _ = _edge_keys(halves[:, 0], halves[:, 1])
+    order = np.argsort(key, kind="stable")
+    same = key[order[1:]] == key[order[:-1]]
     return halves, order[:-1][same], order[1:][same]
 
 
