@@ -18,12 +18,11 @@ from drape.garment.charts import ridge_fit
 from drape.geometry import jets, mesh_graphs, meshes
 from drape.geometry.symmetric import symmetric_factor
 
-# Weights of the projection against the symmetric Dirichlet energy, and the steps of SLIM after which jets are fitted:
-# the places with the best fit stay, and steps end where it is no longer better by that share. More pull fits tighter
-# creases and drapes worse, since places crowd along the fold (docs/decisions/0005-polyfit.md). If every rim crosses
-# itself, places nearer to Tutte's take over, after each step.
-PULLS, STEPS, BETTER = (10.0,), (2, 2, 2, 2, 2), 0.1
-LOOSE_PULLS, LOOSE_STEPS = (1.0, 0.0), (1, 1, 1, 1, 1, 1)
+# Weights of the projection against the symmetric Dirichlet energy, and the steps of SLIM after which places are judged:
+# those with the best fit of jets stay. More pull fits tighter creases and drapes worse, since places crowd along the
+# fold (docs/decisions/0005-polyfit.md); steps beyond two fit no better. If the rim crosses itself, places nearer to
+# Tutte's take over.
+TIGHT, LOOSE = ((10.0, (2,)),), ((1.0, (1, 1, 1, 1, 1, 1)), (0.0, (1, 1, 1, 1, 1, 1)))
 # Then places go back to the projection wherever it does not fold. Triangles keep this share of their area; the share of
 # the way back changes by at most so much per patch scale along an edge.
 RETURN_AREA, RETURN_SLOPE, RETURN_ROUNDS = 0.2, 1.0, 40
@@ -123,16 +122,14 @@ def _flatten(
     inner = mesh[(mesh < real).all(axis=1)]
     rim = meshes.boundary_edges(inner)
     best, least = None, np.inf
-    for pulls, steps, better in ((PULLS, STEPS, BETTER), (LOOSE_PULLS, LOOSE_STEPS, -np.inf)):
-        for pull in pulls if best is None else ():
+    for ways in (TIGHT, LOOSE):
+        for pull, steps in ways if best is None else ():
             for placed in _relaxed(surface, mesh, start, target[:real], pull, steps):
                 if not np.isfinite(placed).all() or (signed_areas(placed, inner) <= 0.0).any():
                     break
-                misfit, before = _misfit(placed, surface[:real], weight[used[:real]]), least
+                misfit = _misfit(placed, surface[:real], weight[used[:real]])
                 if misfit < least and not _crosses(placed, rim):
                     best, least = placed, misfit
-                if misfit > (1.0 - better) * before:
-                    break
     # A rim on a circle crosses nothing: Tutte's own places are the last resort.
     best = start[:real] if best is None else best
     return used[:real], _settled(best, target[:real], surface[:real], inner)

@@ -80,8 +80,7 @@ def test_a_flat_piece_stays_where_it_is():
 
 def test_a_bent_strip_is_unrolled_without_a_fold(monkeypatch):
     points, faces, flat = half_tube()
-    monkeypatch.setattr(flatten, "PULLS", (0.0,))
-    monkeypatch.setattr(flatten, "STEPS", (60,))
+    monkeypatch.setattr(flatten, "TIGHT", ((0.0, (60,)),))
     monkeypatch.setattr(flatten, "RETURN_ROUNDS", 0)
     assert (signed_areas(points[:, :2], faces) <= 0.0).any()
     _, places, _ = laid(points, faces)
@@ -94,7 +93,7 @@ def test_a_stronger_pull_keeps_places_nearer_the_projection(monkeypatch):
     monkeypatch.setattr(flatten, "RETURN_ROUNDS", 0)
     away = []
     for pull in (1.0, 100.0):
-        monkeypatch.setattr(flatten, "PULLS", (pull,))
+        monkeypatch.setattr(flatten, "TIGHT", ((pull, (10,)),))
         _, places, _ = laid(points, faces)
         away.append(float(np.sqrt(np.mean((places - points[:, :2]) ** 2))))
     assert away[1] < 0.8 * away[0]
