@@ -70,10 +70,10 @@ def mapped(
 def _feet_point_back(rig: Rig, character: Character) -> bool:
     """Whether the skin of both feet lies behind their ankles, as joints that are called left and right tell front."""
     ahead = rig.alignment[0][:, 2]
-    owner = np.asarray(character.weights.argmax(axis=1)).reshape(-1)
     for side in ("left", "right"):
         ankle = rig.sources[f"{side}_ankle"]
-        sole = character.vertices[hanging_on(rig.parents, ankle)[owner]]
+        share = np.asarray(character.weights[:, np.flatnonzero(hanging_on(rig.parents, ankle))].sum(axis=1)).reshape(-1)
+        sole = character.vertices[share > 0.5]
         if not len(sole) or (sole.mean(axis=0) - character.places[ankle]) @ ahead >= 0.0:
             return False
     return True
