@@ -8,10 +8,10 @@ skin or sewn to it, a few faces, what one bone moves as armour, and whatever an 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from drape.avatar.face_colours import texture_of
 from drape.avatar.own_clothes import LOWER, UPPER, Halves, bare_faces, halves_of, layers_of, taken_off, tucked
 from drape.avatar.t_pose import TPose
 from drape.avatar.tucked import TuckedTop, tucked_top
-from drape.avatar.wearer import Wearer
+from drape.avatar.wearer import BareWearer, Wearer
 from drape.avatar.wears import reach_of, why_not
 from drape.body.model import BodyModel
 from drape.errors import DrapeError
@@ -71,11 +71,20 @@ def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
     A garment's ``body_digest`` is that of the body of ``wearer`` on which it lies. Raises ``MeshError`` for another
     file.
     """
+    return wearer_and_garments(payload, BareWearer(wearer, None))[1]
+
+
+def wearer_and_garments(payload: bytes, bare: BareWearer) -> tuple[Wearer, OwnGarments]:
+    """The whole wearer of ``bare``, and its ``own_garments``; bodies and garments are made beside each other."""
+    wearer = bare.wearer
     stiff = _stiff(wearer)
     attire, parts = wearer.attire, wearer.attire.parts
     loose = {number for number, part in enumerate(parts) if part.kind in KINDS and part.name not in stiff}
     kinds = [kind for kind in KINDS if any(parts[number].kind == kind for number in loose)]
     numbers = {kind: sorted(number for number in loose if parts[number].kind == kind) for kind in kinds}
+    upper = bare.upper
+    if upper is not None and _halves(kinds) == (True, False):  # its garments lie on that body
+        wearer, upper = bare.whole(), None
     file, body = GltfFile(payload, label=wearer.name), wearer.body_under(_halves(kinds))
     buried = _buried(wearer, body, kinds)
     worn = []
@@ -88,11 +97,18 @@ def own_garments(payload: bytes, wearer: Wearer) -> OwnGarments:
         whole[rows] = False
         mesh = _mesh(file, wearer, f"{wearer.name}_{kind}", rows)
         worn.append(OwnCloth(kind, tuple(own), tuple(ranges_of(whole).reshape(-1).tolist()), mesh))
-    garments = each(partial(_garment_or_why, wearer.name, wearer.digest, body), worn)
+    make = partial(_garment_or_why, wearer.name, wearer.digest, body)
+    tasks: list[Callable[[], Any]] = [partial(make, one) for one in worn]
+    if upper is not None:
+        tasks.append(upper)
+    results = each(lambda task: task(), tasks)
+    garments, bodies = results[: len(worn)], results[len(worn) :]
+    if bodies:
+        wearer = bare.whole(*bodies)
     for one, why in zip(worn, garments, strict=True):
         if isinstance(why, str):
             stiff |= {parts[number].name: why for number in one.numbers}
-    return OwnGarments(tuple(one for one in garments if not isinstance(one, str)), stiff)
+    return wearer, OwnGarments(tuple(one for one in garments if not isinstance(one, str)), stiff)
 
 
 def own_faces(wearer: Wearer, garments: Iterable[Garment]) -> np.ndarray:

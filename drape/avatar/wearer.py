@@ -12,8 +12,9 @@ import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse
@@ -25,7 +26,7 @@ from drape.avatar.character import character_in
 from drape.avatar.face_colours import face_colours
 from drape.avatar.file_skeleton import FileRig, file_rig
 from drape.avatar.mapping import NAMES, mapped
-from drape.avatar.own_clothes import Halves, Layers, layers_of, shrunk
+from drape.avatar.own_clothes import Halves, layers_of, shrunk
 from drape.avatar.parts import PARTS, counted_vertices
 from drape.avatar.t_pose import TPose, t_posed
 from drape.body.assets import load_body
@@ -160,6 +161,33 @@ def read_wearer(
     ``told`` as in ``mapped``, ``kinds`` as in ``attire_of``; ``begun`` gets each stage as it begins: read, map, fit.
     Raises ``MeshError``, ``MotionError``, ``BodyError`` or ``NotFound`` for what is no person with skeleton and skin.
     """
+    return bare_wearer(payload, name=name, body=body, told=told, kinds=kinds, begun=begun).whole()
+
+
+class BareWearer(NamedTuple):
+    """A ``wearer`` that has the bare one of its ``bodies`` alone. ``upper`` makes the one with its trousers on, a
+    second of work; None if it has none of its own."""
+
+    wearer: Wearer
+    upper: Callable[[], BodyModel] | None
+
+    def whole(self, upper: BodyModel | None = None) -> Wearer:
+        """The wearer with all its bodies, of which ``upper`` is made here if it is left out."""
+        if self.upper is None:
+            return self.wearer
+        return replace(self.wearer, bodies={**self.wearer.bodies, UPPER: self.upper() if upper is None else upper})
+
+
+def bare_wearer(
+    payload: bytes,
+    *,
+    name: str,
+    body: BodyModel | None = None,
+    told: Mapping[str, str] | None = None,
+    kinds: Mapping[str, str] | None = None,
+    begun: Callable[[str], None] | None = None,
+) -> BareWearer:
+    """``read_wearer`` up to the bare body, on which most garments lie."""
     begins = begun or (lambda stage: None)
     begins("read")
     body = load_body() if body is None else body
@@ -176,8 +204,9 @@ def read_wearer(
     attire = attire_of(file, character, pose, colours, told=kinds)
     begins("fit")
     layers = layers_of(attire, pose)
-    seen, bodies = _bodies(pose, layers, body, name)
-    shaped = bodies[BARE]
+    seen = shrunk(pose, layers.hollow).only(layers.body | layers.hollow)
+    fit = fit_to(seen, body)
+    shaped = avatar_body(fit, seen, body, name=name, covered=pose.only(layers.body))
     root = JOINT_NAMES.index("pelvis")
     surface = pose.vertices + shaped.joints_template[root] - pose.joints[root]
     distances_mm = 1e3 * closest_point(surface[counted_vertices(seen)], shaped.v_template, shaped.faces).distance
@@ -185,22 +214,15 @@ def read_wearer(
     median_mm, p95_mm = _checked_fit(distances_mm, limit_mm, name, match.notes)
     made_of = json.dumps([FIT_VERSION, body.digest, dict(told or {}), dict(kinds or {})])
     digest = hashlib.sha256(made_of.encode() + payload).hexdigest()
-    return Wearer(
+    wearer = Wearer(
         name, digest, shaped, rig, character.names, surface, pose.faces, pose.weights, pose.scale,
         pose.height_m, median_mm, p95_mm, character.vrm, match.by, match.confidence, match.notes, whole, layers.attire,
-        bodies,
+        {BARE: shaped},
     )  # fmt: skip
-
-
-def _bodies(pose: TPose, layers: Layers, body: BodyModel, name: str) -> tuple[TPose, dict[str, BodyModel]]:
-    """The part of a character's surface on which clothes lie, and its bodies: bare, and with its trousers."""
-    seen = shrunk(pose, layers.hollow).only(layers.body | layers.hollow)
-    fit = fit_to(seen, body)
-    bodies = {BARE: avatar_body(fit, seen, body, name=name, covered=pose.only(layers.body))}
-    if layers.lower.any():
-        lower = pose.only(layers.lower)
-        bodies[UPPER] = avatar_body(fit, seen, body, name=name, covered=lower, over=bodies[BARE])
-    return seen, bodies
+    if not layers.lower.any():
+        return BareWearer(wearer, None)
+    lower = pose.only(layers.lower)
+    return BareWearer(wearer, partial(avatar_body, fit, seen, body, name=name, covered=lower, over=shaped))
 
 
 def _checked_fit(distances_mm: np.ndarray, limit_mm: float, name: str, notes: Sequence[str]) -> tuple[float, float]:

@@ -30,21 +30,33 @@ log = logging.getLogger("drape.service")
 
 
 class ConstantsProcess:
-    """Calls functions of modules in a process of its own while that is ``wanted``, and otherwise in this process.
+    """Calls functions of modules in a process of its own while that is ``wanted``. Otherwise one call at a time is made
+    in this process, and those beside it in the other: two processors work then.
 
-    The process is started when it is first wanted. It makes one call at a time, for any thread.
+    The process is started when it is first needed. It makes one call at a time, for any thread.
     """
 
     def __init__(self, wanted: Callable[[], bool]) -> None:
         self._wanted = wanted
-        self._one = threading.Lock()
+        self._one, self._here = threading.Lock(), threading.Lock()
         self._process: Process | None = None
+
+    def begin(self) -> None:
+        """Starts the process, which takes a second, before it is needed."""
+        if self._one.acquire(blocking=False):  # another thread that has it starts the process itself
+            try:
+                self._started()
+            finally:
+                self._one.release()
 
     def call(self, function: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
         """Returns ``function(*arguments, **named)`` as the process computes it, or raises what it raised. If the
         process is lost, the call is made here."""
-        if not self._wanted():
-            return function(*arguments, **named)
+        if not self._wanted() and self._here.acquire(blocking=False):
+            try:
+                return function(*arguments, **named)
+            finally:
+                self._here.release()
         try:
             waits_for(self._spent_s)
             with self._one:
@@ -61,15 +73,19 @@ class ConstantsProcess:
         return 0.0 if process is None else spent_s(process.pid)
 
     def _asked(self, call: Any) -> tuple[bool, Any]:
-        if self._process is None:
-            self._process = start("service.compute.constants_process")
-        assert self._process.stdin is not None and self._process.stdout is not None
+        process = self._started()
+        assert process.stdin is not None and process.stdout is not None
         try:
-            send(self._process.stdin, call)
-            return receive(self._process.stdout)
+            send(process.stdin, call)
+            return receive(process.stdout)
         except (OSError, EOFError):
             self._end()
             raise
+
+    def _started(self) -> Process:
+        if self._process is None:
+            self._process = start("service.compute.constants_process")
+        return self._process
 
     def _end(self) -> None:
         process, self._process = self._process, None

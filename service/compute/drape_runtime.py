@@ -20,7 +20,7 @@ from drape.inference.onnx_runtime import Device
 from drape.runtime import Runtime
 from drape.stages.batch import Batch, Memories, PoseInput, Quality
 from drape.stages.encode import Idle, answer_again, idle_before, remember
-from drape.stages.plan import Plan
+from drape.stages.plan import Plan, StageRules
 from drape.stages.sizes import Sizes
 from drape.stages.walk import run, walk
 from drape.wire.options import Advanced, DrapeOptions
@@ -132,7 +132,14 @@ class DrapeRuntime(Runtime):
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""
         await self._add(self.on(plan.scene), plan.known)
-        await asyncio.to_thread(lambda: [stage.prepare(plan) for stage in plan.stages])
+
+        def prepare(stages: Sequence[StageRules]) -> None:
+            for stage in stages:
+                stage.prepare(plan)
+
+        # From both ends: each stage makes its constants once, and two processors are busy.
+        ways = plan.stages, plan.stages[::-1]
+        await asyncio.gather(*(asyncio.to_thread(prepare, way) for way in ways))
 
     async def prepare_all(self) -> None:
         """Makes the constants of the garments that nobody has asked for yet, one garment after the other, beside
@@ -148,8 +155,9 @@ class DrapeRuntime(Runtime):
         if not worn.missing(entries):  # whoever needs nothing waits for nobody
             return
         async with self._adding:
-            for garment in worn.missing(entries):
-                feed = await asyncio.to_thread(worn.feed, garment)
+            missing = worn.missing(entries)
+            feeds = await asyncio.gather(*(asyncio.to_thread(worn.feed, garment) for garment in missing))
+            for garment, feed in zip(missing, feeds, strict=True):
                 await self.threads.aside(worn.add, garment, feed)
 
     async def made(self, function: Callable[..., Result], *arguments: object, **named: object) -> Result:

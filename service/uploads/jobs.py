@@ -324,6 +324,8 @@ class Uploads:
             job.stage = stage
             self._runtime.tracing.event(stage)
 
+        if accepted.kind == "avatar":  # who wears its own clothes at once
+            await asyncio.to_thread(self._runtime.constants_process.begin)
         file = folder / accepted.file
         report = await run_sandbox(file, accepted.avatar, out, self._settings, begun, kind=accepted.kind)
         begun("prepare")

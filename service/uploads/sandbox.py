@@ -79,20 +79,21 @@ def intake_files(file: Path, out: Path, *, avatar: str | None, body: str) -> lis
 def avatar_files(file: Path, out: Path, *, told: str | None, body: str) -> tuple[list[str], dict[str, str] | None]:
     """The names of the file of the wearer that the character in ``file`` becomes, and of those of its own clothes; why
     others of these are no cloth, None where nobody asked for them."""
-    from drape.avatar.own_garments import own_garments
-    from drape.avatar.wearer import read_wearer, save_wearer, wearer_name
+    from drape.avatar.own_garments import wearer_and_garments
+    from drape.avatar.wearer import bare_wearer, save_wearer, wearer_name
     from drape.body.assets import load_body
     from drape.garment.cache import save_garment
 
     meaning, payload = json.loads(told) if told else {}, file.read_bytes()
-    wearer = read_wearer(
+    bare = bare_wearer(
         payload, name=wearer_name(file.stem), body=load_body(body), told=meaning.get("joints"),
         kinds=meaning.get("parts"), begun=_say,
     )  # fmt: skip
-    own = None
     if meaning.get("alive"):
         _say("cloth")
-        own = own_garments(payload, wearer)
+        wearer, own = wearer_and_garments(payload, bare)
+    else:
+        wearer, own = bare.whole(), None
     _say("store")
     garments = [] if own is None else [save_garment(one, out, quick=True) for one in own.garments]
     return [path.name for path in (save_wearer(wearer, out), *garments)], None if own is None else own.stiff

@@ -23,8 +23,9 @@ from drape.avatar.own_garments import (
     own_faces,
     own_garments,
     undressed,
+    wearer_and_garments,
 )
-from drape.avatar.wearer import Wearer, read_wearer
+from drape.avatar.wearer import UPPER, BareWearer, Wearer, bare_wearer, read_wearer
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.catalog import find_garments, open_garment
@@ -56,13 +57,23 @@ def file(body: BodyModel, shelf: dict[str, Garment]) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def wearer(file: bytes, body: BodyModel) -> Wearer:
-    return read_wearer(file, name="me", body=body)
+def bare(file: bytes, body: BodyModel) -> BareWearer:
+    return bare_wearer(file, name="me", body=body)
 
 
 @pytest.fixture(scope="module")
-def own(file: bytes, wearer: Wearer) -> OwnGarments:
-    return own_garments(file, wearer)
+def both(file: bytes, bare: BareWearer) -> tuple[Wearer, OwnGarments]:
+    return wearer_and_garments(file, bare)
+
+
+@pytest.fixture(scope="module")
+def wearer(both: tuple[Wearer, OwnGarments]) -> Wearer:
+    return both[0]
+
+
+@pytest.fixture(scope="module")
+def own(both: tuple[Wearer, OwnGarments]) -> OwnGarments:
+    return both[1]
 
 
 def test_own_clothes_are_garments_where_they_were(own: OwnGarments, wearer: Wearer):
@@ -78,6 +89,21 @@ def test_own_clothes_are_garments_where_they_were(own: OwnGarments, wearer: Wear
         off_mm = 1e3 * closest_point(points, wearer.vertices, wearer.faces[rows]).distance
         assert np.median(off_mm) < 3.0 and np.quantile(off_mm, 0.95) < 12.0
         assert signed_distance(points, wearer.body.v_template, wearer.body.faces).min() > -0.001
+
+
+def test_bodies_made_beside_garments_are_those_made_alone(bare: BareWearer, wearer: Wearer):
+    assert {key: one.digest for key, one in bare.whole().bodies.items()} == {
+        key: one.digest for key, one in wearer.bodies.items()
+    }
+    assert len(wearer.bodies) == 2
+
+
+def test_a_top_over_trousers_that_are_no_cloth_lies_on_the_body_with_them(file: bytes, bare: BareWearer):
+    attire = bare.wearer.attire
+    parts = tuple(one._replace(kind="shoes") if one.kind != "top" else one for one in attire.parts)
+    only_top = replace(bare.wearer, attire=attire._replace(parts=parts))
+    wearer, own = wearer_and_garments(file, BareWearer(only_top, bare.upper))
+    assert [one.body_digest for one in own.garments] == [wearer.bodies[UPPER].digest]
 
 
 def test_they_keep_their_materials(own: OwnGarments):

@@ -49,6 +49,22 @@ def test_where_it_is_not_wanted_calls_are_made_here():
     assert ConstantsProcess(lambda: False).call(os.getpid) == os.getpid()
 
 
+def test_beside_a_call_that_is_made_here_another_is_made_in_the_process():
+    process = ConstantsProcess(lambda: False)
+    assert process._process is None
+    process.begin()
+    assert process._process is not None
+    begun, end = threading.Event(), threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        here = pool.submit(process.call, lambda: (begun.set(), end.wait(60.0), os.getpid())[-1])
+        assert begun.wait(60.0)
+        other = process.call(os.getpid)
+        end.set()
+        assert here.result() == os.getpid() != other
+    assert process.call(os.getpid) == os.getpid()
+    process.close()
+
+
 def test_the_engine_takes_constants_of_the_workshop_as_their_own(
     constants_process: ConstantsProcess, tube: Garment, body: BodyModel
 ):
