@@ -25,11 +25,19 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cases import FPS, at_rate
 from benchmarks.harness import Benchmark, Option, Run, inputs
-from benchmarks.scenes import FPS, at_rate
 from benchmarks.served import Stream
-from benchmarks.speed.kernel_times import PYTHON, Spent, Trace, moved_bytes, multiply_adds, replaced
-from benchmarks.speed.rates import copied_per_s, multiply_adds_per_s
+from benchmarks.speed.kernel_times import (
+    PYTHON,
+    Spent,
+    Trace,
+    copied_per_s,
+    moved_bytes,
+    multiply_adds,
+    multiply_adds_per_s,
+    replaced,
+)
 from benchmarks.tables import Row
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
@@ -73,7 +81,7 @@ class Bench:
         return plan
 
     def stream(self, plan: Plan, **told: Any) -> Stream:
-        """A stream of ``plan``."""
+        """A new stream that drapes by ``plan``."""
         return Stream(plan, self.drapery.body.shape_count, **told)
 
     def pose(self, frame: int) -> np.ndarray:

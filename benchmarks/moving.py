@@ -31,12 +31,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
+from benchmarks.cases import FPS, Clip, lively_clips, read_clips
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.measure.depth import depths_mm
 from benchmarks.measure.intersections import intersecting_pairs
 from benchmarks.measure.moving import Looks
 from benchmarks.measure.sheet import Picture, draw_sheet
-from benchmarks.scenes import FPS, Clip, lively_clips, read_clips
 from benchmarks.served import Stream, plan_of
 from benchmarks.stills import Stills, figures, input_of, looks_of, outfits, posed_at
 from benchmarks.tables import Row

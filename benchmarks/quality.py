@@ -22,14 +22,14 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.cases import Clip, folded_poses
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.judge import physics
 from benchmarks.judge.physics_cache import CACHE_DIR
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.jitter import Window, jitter, typical_windows
 from benchmarks.measure.judged import Cloth, Judged
-from benchmarks.network import Network, NetworkDrape
-from benchmarks.scenes import Clip, folded_poses
+from benchmarks.model_drape import ModelDrape, NetworkDrape
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
@@ -77,13 +77,13 @@ class Bench:
     """
 
     clip: Clip
-    network: Network
+    network: ModelDrape
     material: Material
     step_limit: int = physics.STEPS
     windows: Sequence[Window] = ()
     physics_folder: Path | None = None
     fabric: Fabric | None = None
-    uncorrected: Network | None = None
+    uncorrected: ModelDrape | None = None
 
     def of_fabric(self, fabric: Fabric) -> Bench:
         """The same bench with all garments of ``fabric``."""
@@ -96,7 +96,7 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
     """Poses, windows and networks as ``options`` ask."""
     clips = [read_motion(path) for path in find_motions(options.motions)]
     windows = typical_windows(clips)
-    made, uncorrected = (Network.asked(options, body, passes=passes) for passes in (options.passes, 0))
+    made, uncorrected = (ModelDrape.asked(options, body, passes=passes) for passes in (options.passes, 0))
     return Bench(
         clip=Clip.hard(hard_poses(clips, body, options.frames), body),
         network=made,

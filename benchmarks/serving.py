@@ -35,8 +35,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cases import FPS, at_rate
 from benchmarks.harness import ROOT, Benchmark, Option, Run
-from benchmarks.scenes import FPS, at_rate
 from benchmarks.served import Stream
 from benchmarks.tables import Row
 from clients.stream import DrapeStream
@@ -155,9 +155,10 @@ async def crowd(
     url: str, clip: MotionClip, count: int, seconds: float, warm_s: float = WARM_S,
     *, begun: Callable[[], None] | None = None, garments: Sequence[str] = (), **options: Any,
 ) -> list[Seen]:  # fmt: skip
-    """The views of ``count`` clients at the same time, after all are open and ``warm_s`` that do not count.
+    """Returns what each of ``count`` clients saw of its stream during the same ``seconds``.
 
-    ``begun`` is called then. With several ``garments``, each client has the next one.
+    These begin ``warm_s`` after the last stream is open, and ``begun`` is called then. Clients take ``garments`` in
+    turn.
     """
     seen = [Seen() for _ in range(count)]
     named: list[dict[str, Any]] = [
@@ -325,7 +326,7 @@ def measure(bench: Bench, options: argparse.Namespace) -> dict[str, int]:
     Option("--clients", (1, 2, 4, 8), "of streams at the same time", (1,)),
 )
 def main(run: Run) -> None:
-    """Rows of every case."""
+    """Measures every case and adds its rows to ``run``."""
     options, load = run.options, os.getloadavg()[0]
     clip = at_rate(read_motion(find_motions(["walk"])[0]), FPS)
     model_ms = model_times(options.garment, clip, options.seconds)

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.cases import FPS, Clip, read_clips
 from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, inputs
 from benchmarks.measure.moving import BANDS, Looks
-from benchmarks.scenes import FPS, Clip, read_clips
 from benchmarks.served import Stream, plan_of
 from benchmarks.tables import Row
 from drape.body.assets import load_body

@@ -25,13 +25,13 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cases import Scene, fabrics_option, read_clips, scenes
 from benchmarks.clock import Clock
 from benchmarks.harness import Benchmark, Option, Run, finite, inputs, machine
 from benchmarks.measure import bound
 from benchmarks.measure.bound import Bound
 from benchmarks.measure.intersections import intersection_count
-from benchmarks.network import Network
-from benchmarks.scenes import Scene, fabrics_option, read_clips, scenes
+from benchmarks.model_drape import ModelDrape
 from benchmarks.served import Stream
 from benchmarks.speed.skinning_push import SkinningPush
 from benchmarks.stills import looks_of
@@ -94,7 +94,7 @@ class Case:
     least: Bound
 
     @classmethod
-    def of(cls, scene: Scene, networks: dict[str, Network], *, keeps_apart: bool = True) -> Case:
+    def of(cls, scene: Scene, networks: dict[str, ModelDrape], *, keeps_apart: bool = True) -> Case:
         """``scene`` with its physics, which starts from the last of ``networks``, of cloth that ``keeps_apart``."""
         starts = scene.starts(networks)
         return cls(scene, starts["skinning"], bound.bound(scene, starts, keeps_apart=keeps_apart))
@@ -272,7 +272,7 @@ def main(run: Run) -> None:
     options, body = run.options, load_body()
     folder = model_folder(options.model)
     drapery = DrapeRuntime(Settings(model=str(folder), threads=options.threads), body=body)
-    networks = {name: Network.asked(options, body, passes=passes) for name, passes in STARTS.items()}
+    networks = {name: ModelDrape.asked(options, body, passes=passes) for name, passes in STARTS.items()}
     knobs = combinations(options.folds)
     for scene in scenes(options, read_clips(options, body), body):
         run.rows += measure(Case.of(scene, networks), drapery, knobs)

@@ -19,7 +19,7 @@ from drape.errors import InputError, MotionError
 from drape.files.avatar_table import entry_for
 from drape.files.formats import AVATAR_SUFFIXES, MESH_SUFFIXES
 from drape.motion.clip import MotionClip
-from drape.motion.grounding import placed_on_ground
+from drape.motion.grounding import place_on_ground
 from drape.wire.clips import check_motion, pack_clip
 from drape.wire.jets import JetFrame, split_jets
 from drape.wire.layout import JetLayout, unpack_layout
@@ -62,7 +62,7 @@ class Clip:
         check_motion(self.poses, self.trans)
 
     def part(self, rows: slice) -> Clip:
-        """The frames ``rows``."""
+        """Returns a clip of the frames ``rows`` alone."""
         return Clip(self.poses[rows], None if self.trans is None else self.trans[rows])
 
 
@@ -105,7 +105,7 @@ def key_headers(key: str | None) -> dict[str, str]:
     return {} if key is None else {"Authorization": f"Bearer {key}"}
 
 
-def fetched(
+def get_call(
     *names: str,
     read: Callable[[httpx.Response], Any] = httpx.Response.json,
     accept: str = "application/json",
@@ -119,7 +119,7 @@ def fetched(
     return Call("GET", path_of(*names), read, params, {"Accept": accept})
 
 
-def sent(document: Mapping[str, Any], *names: str) -> Call[dict[str, Any]]:
+def post_call(document: Mapping[str, Any], *names: str) -> Call[dict[str, Any]]:
     """Returns a POST of ``document``, without the fields that are None, to the path of ``names``. The answer is JSON
     too."""
     said = {name: value for name, value in document.items() if value is not None}
@@ -178,7 +178,7 @@ def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) ->
     )
 
 
-def draped(
+def drape_call(
     read: Callable[[httpx.Response], Answer],
     garment: str | Sequence[str],
     motion: Motion,
@@ -191,7 +191,7 @@ def draped(
     """Returns the call of a drape. ``options`` have the names of ``drape.wire.options.DrapeOptions``, besides
     ``avatar``, ``alive`` and ``size``; ``more`` are fields by the service's names."""
     clip, about = motion_of(motion, body)
-    asked = {**about, **worn(garment, options), **options_document(_without(options, *WORN)), **more}
+    asked = {**about, **worn_fields(garment, options), **options_document(_without(options, *WORN)), **more}
     return Call("POST", DRAPE, read, headers={"Accept": accept}, json=asked, clip=clip)
 
 
@@ -210,14 +210,14 @@ def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
     return Call(call.method, call.path, read, headers=call.headers, json=call.json | {"origin": "root"}, clip=call.clip)
 
 
-def worn(garment: str | Sequence[str], options: Options = MappingProxyType({})) -> dict[str, Any]:
+def worn_fields(garment: str | Sequence[str], options: Options = MappingProxyType({})) -> dict[str, Any]:
     """Returns the fields of a request that say what is worn: one garment, several over each other, or none, and from
     ``options`` the avatar that wears them, whether it is ``alive``, and the size."""
     named = {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)} if garment else {}
     return named | {name: options[name] for name in WORN if options.get(name) not in (None, False)}
 
 
-def sized(garments: Sequence[str], size: Size) -> list[tuple[str, str | None]]:
+def name_sizes(garments: Sequence[str], size: Size) -> list[tuple[str, str | None]]:
     """Each of ``garments`` with its size."""
     each = [size] * len(garments) if size is None or isinstance(size, str) else size
     return list(zip(garments, each, strict=True))
@@ -244,9 +244,9 @@ def _finite(key: str, array: np.ndarray) -> np.ndarray:
     return numbers
 
 
-def placed(clip: MotionClip, document: Mapping[str, Any]) -> MotionClip:
+def place_clip(clip: MotionClip, document: Mapping[str, Any]) -> MotionClip:
     """``clip``, a file's or a sample's, with the soles of the body in ``document`` on the ground."""
-    return placed_on_ground(clip, np.array(document["joints"]), floor=document["floor_m"])
+    return place_on_ground(clip, np.array(document["joints"]), floor=document["floor_m"])
 
 
 def read_bytes(response: httpx.Response) -> bytes:

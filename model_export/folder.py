@@ -13,12 +13,10 @@ from drape.artifacts import GraphSpec, Manifest, file_digest, load_manifest, rea
 from drape.files.atomic import whole_file
 from drape.garment.cache import Garment
 from model_export.half import HALF, LARGEST_ERROR_M, LEAST, halve_matrices
-from model_export.packed.parity import packed_parity_error
-from model_export.parity import TOLERANCE_M, check_parity
-from model_export.push.graph import PUSHES, write_push
-from model_export.push.parity import push_parity_error
+from model_export.parity import TOLERANCE_M, check_parity, packed_parity_error, push_parity_error
+from model_export.push.push_graphs import PUSHES, write_push
 from model_export.shared_weights import share_weights
-from training.model import OneFit
+from training.onefit import OneFit
 
 
 def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:

@@ -41,9 +41,9 @@ def _serve(overrides: dict[str, object]) -> int:
         from service.server import bind, make_server
         from service.settings import check_exposed, load_settings, unread_variables
         from service.watch.logs import set_up
-        from service.watch.metrics import Metrics
         from service.watch.outputs import free_outputs
         from service.watch.probes import Lifecycle, Probes
+        from service.watch.prometheus import Metrics
     except ModuleNotFoundError as error:
         print(
             f"service: expected the packages of the extra 'serve', got no {error.name}. "

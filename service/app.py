@@ -15,7 +15,7 @@ from service.compute.processes import kill_all
 from service.compute.threads import SlicedThread
 from service.exact.jobs import ExactClips
 from service.guard.access import Access
-from service.guard.connections import EndsWithClient
+from service.guard.connection_times import EndsWithClient
 from service.guard.limits import BodyLimit
 from service.guard.origin_guard import OriginGuard
 from service.http import (
@@ -44,8 +44,8 @@ from service.uploads.jobs import Uploads
 from service.uploads.motions import MotionFiles
 from service.uploads.shared_folder import SharedFolder
 from service.watch.logs import RequestLog
-from service.watch.metrics import Metrics
 from service.watch.probes import Lifecycle
+from service.watch.prometheus import Metrics
 from service.watch.tracing import make_tracing
 from service.watch.turns import LoopWatch
 from service.watch.watchdog import Lane, Watchdog

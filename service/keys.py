@@ -1,4 +1,4 @@
-"""``python -m service.keys NAME`` makes an API key (``service.guard.keys``)."""
+"""``python -m service.keys NAME`` makes an API key (``service.guard.key_file``)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import secrets
 import sys
 
-from service.guard.keys import NAME, digest
+from service.guard.key_file import NAME, digest
 
 
 def main() -> int:

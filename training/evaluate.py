@@ -42,11 +42,11 @@ from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses, hard_poses
 from drape.motion.readers import MOTION_SUFFIXES, read_motion
 from training import checkpoint
+from training.batches import BodySource, partition_tensors
 from training.config import TrainConfig
-from training.data import BodySource, partition_tensors
 from training.disagreement import disagreement
 from training.losses import vertices_from
-from training.model import OneFit, Posed, paper_vertices, posed_coefficients
+from training.onefit import OneFit, Posed, paper_vertices, posed_coefficients
 
 FRAMES = 8
 CPU = torch.device("cpu")

@@ -13,9 +13,9 @@ from drape.cloth.contact import nearest_vertices, plane_distance
 from drape.cloth.material import Material
 from drape.cloth.waistband import band_energy
 from drape.graph.inputs import BodyTensors
-from training.consensus import framewise
-from training.data import BodyBatch, Partition, TrainingGarment
-from training.model import FRAME_ROWS, paper_vertices
+from training.batches import BodyBatch, Partition, TrainingGarment
+from training.chart_consensus import framewise
+from training.onefit import FRAME_ROWS, paper_vertices
 
 
 def vertices_from(coefficients: Tensor, partition: Partition) -> Tensor:
@@ -31,7 +31,7 @@ def garment_vertices(
     return paper_vertices(vertices, garment.skin_weights, body) if variant == "paper" else vertices
 
 
-def disagreement(coefficients: Tensor, partition: Partition, sample: Tensor) -> Tensor:
+def chart_disagreement(coefficients: Tensor, partition: Partition, sample: Tensor) -> Tensor:
     """Mean squared distance [m^2] between the places that the charts of a vertex give it, over ``sample`` vertices.
 
     ``coefficients``: ``model.posed_coefficients`` of a drape, or the difference of two drapes on the same bodies.
@@ -66,7 +66,7 @@ def lost_area(vertices: Tensor, cloth: energies.ClothMesh) -> Tensor:
     return lack.square() @ (cloth.face_area / cloth.face_area.sum())
 
 
-def held_up(coefficients: Tensor, partition: Partition, garment: TrainingGarment) -> Tensor:
+def waistband_energy(coefficients: Tensor, partition: Partition, garment: TrainingGarment) -> Tensor:
     """Energy [J] (F,) of the garment's waistband (``drape.cloth.waistband``), zero without one."""
     if garment.band is None:
         return coefficients.new_zeros(len(coefficients))

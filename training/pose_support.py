@@ -24,7 +24,7 @@ from drape.errors import NotFound
 from drape.files.data import data_folder
 from drape.motion.readers import read_motion
 from training.config import DataConfig
-from training.poses import PoseBank, mirrored, read_clips
+from training.poses import PoseBank, mirror_poses, read_clips
 
 KEPT = {"legs": 256, "trunk": 256, "tilt": 64}
 PASSING = 0.99  # of the frames of unseen clips
@@ -34,7 +34,7 @@ FILE = "poses.npz"
 
 def support_of(seen: np.ndarray, unseen: np.ndarray, *, kept: Mapping[str, int] = KEPT) -> PoseSupport:
     """The support of the poses ``seen`` (n, 24, 3) [rad]; ``PASSING`` of ``unseen`` (m, 24, 3) are within."""
-    poses = np.concatenate([np.zeros((1, JOINT_COUNT, 3)), seen, mirrored(seen)])
+    poses = np.concatenate([np.zeros((1, JOINT_COUNT, 3)), seen, mirror_poses(seen)])
     rows = {name: _steps(farthest_points(part, kept[name])) for name, part in pose_parts(poses).items()}
     support = PoseSupport(**rows, limits=np.ones(len(PARTS)))
     # Each part lets as many go, so that all together let no more go than was asked.

@@ -34,7 +34,7 @@ from training import checkpoint, parallel
 from training.config import PRESETS, TrainConfig
 from training.dynamics import DynamicTrainer
 from training.poses import PoseBank, read_clips
-from training.starting import finetuned, started, with_garments, with_more_garments
+from training.starting import finetuned, start_from, with_garments, with_more_garments
 from training.targets import SettledBank
 from training.trainer import BaseTrainer, Trainer
 from training.windows import WindowBank
@@ -156,7 +156,7 @@ def _run(arguments: argparse.Namespace) -> None:
     elif arguments.finetune:
         config, weights = finetuned(arguments.finetune, arguments.garment)
     else:
-        config, weights = started(PRESETS[arguments.preset](), arguments.start, arguments.encoder)
+        config, weights = start_from(PRESETS[arguments.preset](), arguments.start, arguments.encoder)
         config = with_garments(config, arguments.garment)
     config = with_more_garments(config, arguments.beside)
     chosen = {"minutes": arguments.minutes, "threads": arguments.threads, "batch_size": arguments.batch}

@@ -37,7 +37,7 @@ from drape.files.data import data_folder
 from drape.live.fold_constants import FoldConstants, WornCloth, leash_n_per_m
 from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.live.skin_walks import nearest_at_rest, skin_graph
-from training.data import TrainingGarment
+from training.batches import TrainingGarment
 from training.poses import PoseBank, draw_betas, read_clips
 from training.starting import finetuned, with_more_garments
 from training.targets import SettledDrapes, digest

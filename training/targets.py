@@ -17,7 +17,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.errors import ArtifactError, InputError, NotFound
 from drape.files.atomic import whole_file
-from training.data import TrainingGarment
+from training.batches import TrainingGarment
 
 TRIES = 64
 

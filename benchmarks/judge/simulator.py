@@ -98,7 +98,7 @@ def simulate(sheet: SimulatedCloth, motion: Motion, start: np.ndarray, held: Hel
     found, rested, speed = [x], 0, np.zeros_like(x)
     for i in range(1, len(motion.poses)):
         before = x - (motion.trans[i] - motion.trans[i - 1])
-        ahead = before + slowed(speed, before, sheet, motion.fps) / motion.fps
+        ahead = before + slow_down(speed, before, sheet, motion.fps) / motion.fps
         stuck = skin.carried(x, i)
         now, at_rest = ahead, False
         for _ in range(ROUNDS if sheet.friction else 1):
@@ -118,7 +118,7 @@ def simulate(sheet: SimulatedCloth, motion: Motion, start: np.ndarray, held: Hel
     return np.stack(found), 100.0 * rested / (len(found) - 1)
 
 
-def slowed(speed: np.ndarray, x: np.ndarray, sheet: SimulatedCloth, fps: float) -> np.ndarray:
+def slow_down(speed: np.ndarray, x: np.ndarray, sheet: SimulatedCloth, fps: float) -> np.ndarray:
     """``speed`` [m/s] (V, 3) after a frame of air and damping, as swing has them."""
     speed = speed / (1.0 + sheet.damping_per_s / fps)
     normal = np.asarray(meshes.vertex_normals(x, sheet.mesh.faces))

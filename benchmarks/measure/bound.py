@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.cases import Scene
 from benchmarks.judge import ipc_optimum
 from benchmarks.judge.physics_cache import CACHE_DIR
 from benchmarks.measure.judged import Cloth, Judged, jitter_ratio
-from benchmarks.scenes import Scene
 from benchmarks.tables import Row
 from drape.cloth import metrics
 

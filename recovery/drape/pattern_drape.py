@@ -15,11 +15,11 @@ from drape.cloth.relaxation import principal_stretches
 from drape.errors import InputError
 from drape.geometry import meshes
 from recovery import progress
-from recovery.drape.placement import Axes, PlacedPanels, place_panels, scaled
+from recovery.drape.placement import Axes, PlacedPanels, place_panels, scale_pattern
 from recovery.drape.posing import to_pose
-from recovery.drape.seam_threads import Sewn, in_numpy, sew, uncrossed
+from recovery.drape.seam_threads import Sewn, in_numpy, sew, uncross_stitches
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
-from recovery.pattern.model import Pattern
+from recovery.pattern.panels import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from recovery.progress import Say
 from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
@@ -36,7 +36,7 @@ class Hold(StrEnum):
 
 
 @dataclass(frozen=True)
-class DrapeOptions:
+class SewingOptions:
     """``edge_length_m`` of the cloth's mesh, ``fabric`` by name, ``scale`` of the pattern.
 
     ``grid_m`` is the spacing of the grid that holds the body's distance.
@@ -113,7 +113,7 @@ class Draped:
 def drape_pattern(
     pattern: Pattern,
     body: BodyModel,
-    options: DrapeOptions = DrapeOptions(),
+    options: SewingOptions = SewingOptions(),
     *,
     pose: np.ndarray | None = None,
     cloth: OrthotropicMaterial | None = None,
@@ -128,10 +128,12 @@ def drape_pattern(
     """
     say = report or (lambda line: None)
     cloth = cloth or hanging(options.fabric, options.hangs_longer)
-    pattern, notes = uncrossed(pattern)
+    pattern, notes = uncross_stitches(pattern)
     for note in notes:
         say(f"repaired  {note}")
-    mesh = mesh_pattern(pattern if options.scale == 1.0 else scaled(pattern, options.scale), options.edge_length_m)
+    mesh = mesh_pattern(
+        pattern if options.scale == 1.0 else scale_pattern(pattern, options.scale), options.edge_length_m
+    )
     say(f"meshed    {mesh.node_count} nodes, {len(mesh.faces)} triangles, {len(pattern.stitches)} seams")
     skin = skin or options.skin(body.v_template, body.faces)
     distance = in_numpy(bare(skin))  # panels stand and close as they do for any cloth
@@ -178,7 +180,7 @@ def drape_in_pose(
     rest: Drape,
     body: BodyModel,
     pose: np.ndarray,
-    options: DrapeOptions = DrapeOptions(),
+    options: SewingOptions = SewingOptions(),
     *,
     cloth: OrthotropicMaterial | None = None,
 ) -> tuple[Drape, dict[str, Any]]:
@@ -224,7 +226,7 @@ def stretch_figures(stretch: np.ndarray) -> dict[str, float]:
 
 
 def describe_stretch(figures: dict[str, Any]) -> str:
-    """One phrase on ``stretch_figures``."""
+    """Returns a phrase that says by how much cloth is stretched, of the ``stretch_figures``."""
     return f"stretched by {figures['stretch_median_pct']:.1f} % (99th percentile {figures['stretch_p99_pct']:.1f} %)"
 
 

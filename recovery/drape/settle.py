@@ -17,9 +17,9 @@ from drape.errors import InputError
 from drape.geometry import meshes
 from recovery import progress
 from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
 from recovery.sim.linearised import linearised_step
-from recovery.sim.model import ClothModel, ClothState, Parameters
-from recovery.sim.newton import Report, equilibrium, newton_step
+from recovery.sim.newton_steps import Report, equilibrium, newton_step
 from recovery.sim.sdf import SignedDistance
 from recovery.sim.skin_contact import SkinContact
 

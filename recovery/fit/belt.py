@@ -92,7 +92,7 @@ def belt_of(draped: Draped, matches: list[Match], there: list[Contour]) -> Belt 
     return None if found is None else belt_on(draped.mesh, draped.nodes, draped.rest.held, found[1].points)
 
 
-def held_as_target(
+def hold_as_target(
     draped: Draped, matches: list[Match], there: list[Contour], skin: SignedDistance, cloth: OrthotropicMaterial
 ) -> Draped:
     """``draped`` with the nodes that its belt holds laid on the waist among the target's contours ``there``.

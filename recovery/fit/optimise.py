@@ -26,7 +26,7 @@ from recovery.fit.objective import Objective, gauss_newton_matrix
 from recovery.fit.seams import SeamConstraint
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import with_controls
-from recovery.pattern.model import Pattern
+from recovery.pattern.panels import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.pattern.symmetry import FreeControls
 

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from recovery.pattern.model import EdgeKind, Panel
+from recovery.pattern.panels import EdgeKind, Panel
 from recovery.pattern.pieces import FOOTER_M, MARGIN_M, NOTCH_DEPTH_M, SCALE_SQUARE_M, CuttingSheet, Piece
 
 MM = 1000.0

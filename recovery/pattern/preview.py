@@ -11,7 +11,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from recovery.pattern import geometry
-from recovery.pattern.model import Pattern
+from recovery.pattern.panels import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.pattern.pieces import make_sheet
 

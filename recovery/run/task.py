@@ -17,18 +17,17 @@ from recovery.drape.posing import posed_joints
 from recovery.fit.rounds import RoundsOptions
 from recovery.pattern.bases import BASES, base_pattern, read_values
 from recovery.pattern.garmentcode import read_pattern
-from recovery.pattern.measurements import measure
-from recovery.pattern.model import Pattern
-from recovery.pattern.style import NO_STYLE, Style, finished, lined
-from recovery.run.cut import Cut, collarless, differences, panel_count, told_base
-from recovery.run.drafted import drafted
+from recovery.pattern.measurements import measure_body
+from recovery.pattern.panels import Pattern
+from recovery.pattern.style import NO_STYLE, Style, add_style_lines, finish_pattern
+from recovery.run.cut import Cut, collarless, differences, panel_count, tell_base
+from recovery.run.draft import draft_near
+from recovery.run.finish import in_other_size
 from recovery.run.seen import Seen, pieces
-from recovery.run.styled import in_other_size
-from recovery.run.target import OPENINGS, check_base, off_skin, opened, placed_target
-from recovery.run.target_wearer import Front, Wearer, inside_wearer, read_wearer
+from recovery.run.target import OPENINGS, check_base, close_but_openings, off_skin, placed_target
+from recovery.run.target_wearer import Front, TargetWearer, inside_wearer, read_wearer
 from recovery.scan.holes import known_faces
-from recovery.scan.mended import read_target
-from recovery.scan.places import ScanFault, on_body
+from recovery.scan.repair import ScanFault, on_body, read_target
 
 FIT_INSIDE = "fit"  # --body fit
 MINUTES = 20.0
@@ -73,7 +72,7 @@ class Task:
     job: Job
     name: str
     mesh: GarmentMesh
-    wearer: Wearer
+    wearer: TargetWearer
     base: Pattern
     cut: Cut
     known: np.ndarray | None
@@ -85,10 +84,10 @@ class Task:
         return self.mesh.vertices, self.mesh.faces
 
 
-def read_base(source: str, wearer: Wearer, settings: Sequence[str] = ()) -> Pattern:
+def read_base(source: str, wearer: TargetWearer, settings: Sequence[str] = ()) -> Pattern:
     """The base called ``source`` drafted with ``settings`` for ``wearer``, or the pattern in a JSON file."""
     if source in BASES:
-        return base_pattern(source, measure(wearer.shaped), settings)
+        return base_pattern(source, measure_body(wearer.shaped), settings)
     path = Path(source)
     if settings:
         raise InputError(
@@ -111,16 +110,16 @@ def prepare(job: Job) -> Task:
     mesh, wearer = _on_wearer(job, mesh)
     joints = posed_joints(wearer.shaped, wearer.pose)
     with watch.stage("openings are told from holes"):
-        mesh, there = opened(mesh, joints, OPENINGS.get(job.base or ""))
+        mesh, there = close_but_openings(mesh, joints, OPENINGS.get(job.base or ""))
     if job.base is not None:
         check_base(job.base, there)
     mesh, collar, collar_m = collarless(mesh, wearer.shaped, joints, there)
     base, cut = _near_target(job, mesh, wearer, joints, shown)
     cut = replace(cut, differs=(*collar, *cut.differs), collar_m=collar_m)
     if job.style:  # refused before an hour of drapes as well
-        finished(lined(base, job.style), job.style)
+        finish_pattern(add_style_lines(base, job.style), job.style)
     for size in job.sizes:  # refused before an hour of drapes, not after it
-        in_other_size(base, cut.base, measure(wearer.shaped), cut.settings, size)
+        in_other_size(base, cut.base, measure_body(wearer.shaped), cut.settings, size)
     known, name = known_faces(mesh), garment_name(job.name or job.target.stem)
     more_m = off_skin(replace(mesh, vertices=mesh.vertices + wearer.trans), wearer.skin, known)
     job = replace(job, search=replace(job.search, drape=replace(job.search.drape, off_skin_m=more_m)))
@@ -136,7 +135,7 @@ def _read(job: Job) -> tuple[GarmentMesh, int | None]:
     return mesh, pieces(mesh)
 
 
-def _on_wearer(job: Job, mesh: GarmentMesh) -> tuple[GarmentMesh, Wearer]:
+def _on_wearer(job: Job, mesh: GarmentMesh) -> tuple[GarmentMesh, TargetWearer]:
     """``mesh`` [m] in the frame of its wearer's body, and the wearer."""
     if job.body != FIT_INSIDE:
         wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
@@ -154,7 +153,7 @@ def _on_wearer(job: Job, mesh: GarmentMesh) -> tuple[GarmentMesh, Wearer]:
     return replace(mesh, vertices=mesh.vertices - wearer.trans), wearer
 
 
-def _notes(mesh: GarmentMesh, wearer: Wearer, cut: Cut, more_m: float) -> list[str]:
+def _notes(mesh: GarmentMesh, wearer: TargetWearer, cut: Cut, more_m: float) -> list[str]:
     """Sentences on what was made of the target so far."""
     notes = [f"On reading: {note}." for note in mesh.notes]
     if cut.told:
@@ -168,16 +167,16 @@ def _notes(mesh: GarmentMesh, wearer: Wearer, cut: Cut, more_m: float) -> list[s
 
 
 def _near_target(
-    job: Job, mesh: GarmentMesh, wearer: Wearer, joints: np.ndarray, shown: int | None
+    job: Job, mesh: GarmentMesh, wearer: TargetWearer, joints: np.ndarray, shown: int | None
 ) -> tuple[Pattern, Cut]:
     """The base drafted near the target ``mesh``, whose texture shows ``shown`` panels, and the cut."""
-    body = measure(wearer.shaped)
+    body = measure_body(wearer.shaped)
     seen = Seen(mesh.vertices, mesh.faces, joints, wearer.shaped.joints_template)
-    name = job.base or told_base(seen, body)
+    name = job.base or tell_base(seen, body)
     settings: dict[str, float] = {}
     if name in BASES:
         given = read_values(job.settings)
-        pattern, settings = drafted(name, body, seen, panel_count(name, shown) | given)
+        pattern, settings = draft_near(name, body, seen, panel_count(name, shown) | given)
     else:
         pattern = read_base(name, wearer, job.settings)
     return pattern, Cut(name, job.base is None, settings, differences(name, pattern, seen, body, shown))

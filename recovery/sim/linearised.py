@@ -11,7 +11,7 @@ from torch import Tensor
 
 from recovery.sim import elastic, implicit
 from recovery.sim.assembly import Factor, superlu
-from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
+from recovery.sim.cloth_model import ClothModel, ClothState, Parameters, Rest
 from recovery.sim.skin_contact import SkinContact, tangential
 
 DAMPED_DT_S = 0.033
@@ -150,7 +150,7 @@ def damped_step(
         return ClothState(x, v - (distance < 1.2 * contact.gap_m)[:, None] * outward * normal), longest
 
 
-def simulate(
+def simulate_steps(
     model: ClothModel,
     state: ClothState,
     parameters: Parameters,

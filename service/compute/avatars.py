@@ -98,7 +98,7 @@ class Avatars:
 
     def follow(self) -> None:
         """Takes over what the folder has: at the start all, later what other services added, corrected or removed."""
-        there = garment_files.told(self._root)
+        there = garment_files.list_avatar_facts(self._root)
         for about, written_ns in there.items():
             if self._seen.get(about) != written_ns:
                 self._read(about)

@@ -165,7 +165,7 @@ class SlicedThread:
         self._free.set()
 
     async def run(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """``function(*arguments)`` as one piece."""
+        """Returns the result of ``function(*arguments)``, computed on this thread in one piece."""
         return await asyncio.get_running_loop().run_in_executor(self._executor, partial(function, *arguments))
 
     async def brief(self, text: bytes, function: Callable[..., Result], *arguments: object) -> Result:

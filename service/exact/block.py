@@ -25,7 +25,7 @@ from drape.exact.frame import ExactCloth, RestingFrame, exact
 from drape.forked import end_with_parent
 from drape.garment.cache import Garment
 from service.compute.background import step_back
-from service.exact.folder import read_frame, write_frame
+from service.exact.clip_folder import read_frame, write_frame
 
 
 @dataclass(frozen=True, eq=False)

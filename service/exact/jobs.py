@@ -24,9 +24,9 @@ from drape.garment.wrapping import Wrapping
 from drape.stages.batch import PoseInput
 from service import errors
 from service.compute.processes import ended, running
-from service.exact import folder as on_disk
+from service.exact import clip_folder as on_disk
 from service.exact.block import Block
-from service.exact.folder import Accepted, Lock
+from service.exact.clip_folder import Accepted, Lock
 
 if TYPE_CHECKING:
     from drape.stages.plan import Plan
@@ -97,7 +97,7 @@ class ExactClips:
             if accepted is None or not lock.held:
                 if lock.held:
                     if not (folder / on_disk.ABOUT).exists():  # its request was never answered
-                        on_disk.remove(folder)
+                        on_disk.remove_clip(folder)
                     lock.release()
                 continue
             job = self._jobs[accepted.id] = ClipJob(accepted, folder, problem=accepted.problem, lock=lock)
@@ -170,7 +170,7 @@ class ExactClips:
             await asyncio.to_thread(store)
         except BaseException as error:
             del self._jobs[job_id]
-            on_disk.remove(folder)
+            on_disk.remove_clip(folder)
             if isinstance(error, OSError):
                 raise errors.Full("disk", expected="room", got=str(error.strerror), cure=MAKE_ROOM) from error
             raise
@@ -191,7 +191,7 @@ class ExactClips:
             job.work.cancel()
             await asyncio.wait([job.work])
         self._jobs.pop(job.accepted.id, None)
-        await asyncio.to_thread(on_disk.remove, job.folder)
+        await asyncio.to_thread(on_disk.remove_clip, job.folder)
         if job.lock is not None:
             job.lock.release()
 
@@ -246,7 +246,7 @@ class ExactClips:
         job.problem, job.state, job.told = problem, "failed", {}
 
         def clear() -> None:
-            on_disk.clear(job.folder)
+            on_disk.clear_clip(job.folder)
             with contextlib.suppress(OSError):  # a full disk: it is known here as long as this service runs
                 replace(job.accepted, problem=problem).write(job.folder)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal
 from starlette.datastructures import Headers
 
 from service.errors import Busy, Unauthorized
-from service.guard.keys import ANYONE, Client, digest, load_keys
+from service.guard.key_file import ANYONE, Client, digest, load_keys
 from service.guard.tickets import Tickets
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from service.http import schemas
 from service.http.clip_jobs import ClipJob
 
 if TYPE_CHECKING:
-    from service.guard.keys import Client
+    from service.guard.key_file import Client
     from service.state import State
 
 # What a clip of tier exact has none of, and what it always has.

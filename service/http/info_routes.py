@@ -25,12 +25,12 @@ from service.http.kept import ASKED_AGAIN, packed_text
 from service.http.openapi import EVERYWHERE, KNOWN, responses
 from service.http.query import Betas, queried_shape
 from service.state import ADMITTED, ClientHere, StateHere
-from service.watch.metrics import MEDIA_TYPE
 from service.watch.probes import PATHS, answer
+from service.watch.prometheus import MEDIA_TYPE
 
 if TYPE_CHECKING:
-    from service.watch.metrics import Metrics
     from service.watch.probes import Lifecycle
+    from service.watch.prometheus import Metrics
 
 router = APIRouter()
 

@@ -24,9 +24,9 @@ from service.replicas import ray_router
 from service.replicas.scaling import AGE, STREAMS, FrameAges, Load, Policy
 from service.settings import Settings
 from service.watch.logs import set_up
-from service.watch.metrics import Metrics
 from service.watch.outputs import free_outputs
 from service.watch.probes import Lifecycle
+from service.watch.prometheus import Metrics
 
 if TYPE_CHECKING:
     from ray.serve import Application  # pyright: ignore[reportMissingImports]

@@ -44,7 +44,7 @@ def _write(options: argparse.Namespace) -> int:
     from service.app import create_app
     from service.compute.drape_runtime import DrapeRuntime
     from service.settings import load_settings
-    from service.static.folder import Asked, sizes, write_folder
+    from service.static.site import Asked, sizes, write_folder
 
     settings = load_settings(keys_file=None)
     runtime = DrapeRuntime(settings)

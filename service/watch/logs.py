@@ -27,7 +27,7 @@ from service.watch.outputs import log_time
 from service.watch.probes import PATHS
 
 if TYPE_CHECKING:
-    from service.watch.metrics import Metrics
+    from service.watch.prometheus import Metrics
     from service.watch.tracing import Tracing
 
 HEADER = "X-Request-Id"

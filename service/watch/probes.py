@@ -18,7 +18,7 @@ from socketserver import BaseServer
 
 from drape.errors import DrapeError, Unavailable
 from service.errors import PROBLEM, problem
-from service.watch.metrics import MEDIA_TYPE, Metrics
+from service.watch.prometheus import MEDIA_TYPE, Metrics
 
 JSON = "application/json"
 PATHS = ("/livez", "/readyz", "/metrics")

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import Any, cast
 
 from service.watch.logs import ASKER, path_of
-from service.watch.metrics import Metrics
+from service.watch.prometheus import Metrics
 
 BRIEF_S = 1e-3  # shorter ones are not counted
 COLLECTOR = "collector"

@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from service.watch.metrics import Metrics
 from service.watch.probes import TICK_S, Lifecycle
+from service.watch.prometheus import Metrics
 
 SHARE = 0.01  # of a processor, below which a silent job only waits
 MOST_S = 300.0  # that a thread may compute and say nothing

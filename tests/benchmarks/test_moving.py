@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import moving, stills
-from benchmarks.scenes import FPS, Clip, lively_clips
+from benchmarks.cases import FPS, Clip, lively_clips
 from drape.body.model import BodyModel
 from drape.motion.clip import MotionClip
 from service.compute.drape_runtime import DrapeRuntime

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from benchmarks.cases import skinned as skin
 from benchmarks.measure.detail import LowPass, dihedral_deg
 from benchmarks.measure.hem import hang_mm
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.quality import METHODS as EVERY
 from benchmarks.quality import add_comparisons, measure, summary
-from benchmarks.scenes import skinned as skin
 from drape.cloth import energies, metrics
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh

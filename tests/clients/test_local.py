@@ -23,7 +23,7 @@ from drape.body.pose_support import read_pose_support
 from drape.errors import InputError, Unavailable
 from drape.graph.packing import pack_body
 from drape.wire.messages import Pose, pack_pose
-from service.static.folder import Asked, sizes
+from service.static.site import Asked, sizes
 from tests.clients.browser import open_page
 from tests.clients.node import answer_of
 from tests.clients.test_folds import FIRST, FIRST_MM, MOST_MM, shirt

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from service.guard.keys import digest
+from service.guard.key_file import digest
 from service.settings import Settings
 from tests.clients.browser import open_page
 from tests.fixtures.serving import served

@@ -23,7 +23,7 @@ from drape.garment.contours import (
 from recovery.fit.grading import Graded, contour_edges, grade
 from recovery.pattern.bases import skirt, tshirt
 from recovery.pattern.coordinates import control_points
-from recovery.pattern.model import EdgeRef, Pattern
+from recovery.pattern.panels import EdgeRef, Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
 from recovery.pattern.symmetry import find_symmetries
 from tests.drape.cloth.cloth_shapes import round_tube

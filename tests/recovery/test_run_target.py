@@ -14,13 +14,20 @@ from drape.errors import BodyError, InputError, MeshError
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.geometry import closest, meshes
-from recovery.pattern.export import export_pattern
-from recovery.run.target import MOST_OFF_M, OPENINGS, check_base, check_near, off_skin, opened, placed_target
-from recovery.run.target_wearer import inside_wearer, read_wearer, shaped_body
+from recovery.pattern.pattern_files import export_pattern
+from recovery.run.target import (
+    MOST_OFF_M,
+    OPENINGS,
+    check_base,
+    check_near,
+    close_but_openings,
+    off_skin,
+    placed_target,
+)
+from recovery.run.target_wearer import inside_wearer, read_wearer, shape_body
 from recovery.run.task import Job, prepare, read_base
-from recovery.scan.holes import closed
-from recovery.scan.mended import mended, one_sheet, read_target
-from recovery.scan.places import ScanFault
+from recovery.scan.holes import close_holes
+from recovery.scan.repair import ScanFault, mend_sheet, one_sheet, read_target
 from recovery.sim.sdf import check_closed
 from tests.drape.cloth.cloth_shapes import grid, round_tube
 
@@ -89,7 +96,7 @@ def without(mesh: GarmentMesh, *faces: int) -> GarmentMesh:
 
 
 SHEET = plain_mesh("sheet", *grid(8, 8, cell_m=0.08))
-SHUT = closed(skirt_tube(), lambda one: True).mesh
+SHUT = close_holes(skirt_tube(), lambda one: True).mesh
 LONE = plain_mesh("lone", np.concatenate([[[0, 0, 0.3], [0.3, 0, 0.3], [0, 0.3, 0.3]], np.ones((30, 3))]), [[0, 1, 2]])
 
 
@@ -156,7 +163,7 @@ def test_a_target_in_no_known_unit_or_of_too_little_cloth_is_refused(mesh, unit,
 
 
 def test_the_base_must_have_the_openings_of_the_target():
-    mesh, found = opened(skirt_tube(), load_body().joints_template)
+    mesh, found = close_but_openings(skirt_tube(), load_body().joints_template)
     assert found == OPENINGS["skirt"] and mesh.notes == ()
     check_base("skirt", found)
     check_base("mine.json", found)  # nothing is known of its openings before it is draped
@@ -190,7 +197,7 @@ def test_a_garment_that_is_open_from_hem_to_top_is_refused_with_its_place(turned
         x, y, z = coat.vertices.T
         coat = replace(coat, vertices=np.stack([x, -z, y], axis=1))
     with pytest.raises(ScanFault, match=r"open from hem to neck.*Join the two edges") as fault:
-        mended(coat)
+        mend_sheet(coat)
     up = 2 if turned else 1
     assert len(fault.value.points) and np.abs(fault.value.points[:, up] + 0.2).max() < 0.2
 
@@ -210,16 +217,16 @@ def test_a_garment_that_is_one_surface_with_its_wearer_is_refused_with_its_place
     vertices = np.concatenate([mesh.vertices, mesh.vertices[top].mean(axis=0)[None]])
     closed = plain_mesh("worn", vertices, np.concatenate([mesh.faces, tip]))
     with pytest.raises(ScanFault, match=r"without its wearer.*closes as over a head.*--label") as fault:
-        mended(closed)
+        mend_sheet(closed)
     assert fault.value.points[0, 1] > 0.35
     cut = closed.vertices[closed.faces][:, :, 1].max(axis=1) < (0.3 if limb else 0.55)
-    assert len(meshes.boundary_loops(mended(closed.take_faces(cut)).faces)) == 2
+    assert len(meshes.boundary_loops(mend_sheet(closed.take_faces(cut)).faces)) == 2
 
 
 def test_a_hole_is_noted_and_closed():
     mesh = skirt_tube()
     holed = mesh.take_faces(np.arange(len(mesh.faces)) != 410)
-    mesh, found = opened(holed, load_body().joints_template)
+    mesh, found = close_but_openings(holed, load_body().joints_template)
     assert found == OPENINGS["skirt"] and "1 holes" in mesh.notes[0]
     assert len(meshes.boundary_loops(mesh.faces)) == 2
 
@@ -238,7 +245,7 @@ def test_a_shape_is_in_the_template_of_the_wearer():
     wearer = read_wearer("anny_default", betas=np.array([0.5, -1.0]))
     assert_allclose(wearer.skin.vertices, load_body().rest_vertices(np.array([0.5, -1.0])), atol=1e-12)
     assert_allclose(wearer.shaped.joints_template, load_body().rest_joints(np.array([0.5, -1.0])), atol=1e-12)
-    assert shaped_body(load_body(), np.zeros(2)).name == load_body().name
+    assert shape_body(load_body(), np.zeros(2)).name == load_body().name
 
 
 def test_a_job_refuses_what_does_not_go_together(tmp_path):

@@ -13,9 +13,9 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.energies import contact as contact_energy
 from drape.cloth.material import Material
 from drape.errors import InputError, MeshError
-from recovery.sim.linearised import linearised_step, simulate
-from recovery.sim.model import ClothModel, ClothState
-from recovery.sim.newton import equilibrium, newton_step
+from recovery.sim.cloth_model import ClothModel, ClothState
+from recovery.sim.linearised import linearised_step, simulate_steps
+from recovery.sim.newton_steps import equilibrium, newton_step
 from recovery.sim.sdf import GridDistance, Grown, Plane, Sphere
 from recovery.sim.skin_contact import SkinContact
 from tests.drape.geometry.geometry_shapes import icosphere
@@ -212,7 +212,7 @@ def test_a_sheet_falls_on_a_ball_and_stays_outside():
     nodes = lifted(panel, y_m=RADIUS_M + 0.01) - [0.1, 0.0, -0.1]
     parameters = model.parameters(panel, WOVEN)
     contact = SkinContact(meshed_sphere())
-    state = simulate(model, model.state(nodes), parameters, dt_s=0.02, steps=20, contact=contact)
+    state = simulate_steps(model, model.state(nodes), parameters, dt_s=0.02, steps=20, contact=contact)
     assert float(contact.body(state.x)[0].min()) > -1e-4
     assert float(state.x[:, 1].min()) < 0.07  # it hangs down
     drape, report = equilibrium(model, state, parameters, contact=contact, tolerance_n=1e-6)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from drape.catalog import MOTIONS_DIR
-from training import losses, sparse
+from training import chart_consensus, losses
 from training.config import PRESETS
 from training.poses import PoseBank, read_clips
 from training.starting import with_garments
@@ -20,7 +20,7 @@ META = torch.device("meta")
 @pytest.fixture
 def trainer(monkeypatch: pytest.MonkeyPatch) -> Trainer:
     # Two things have no meta: sparse matrices, and the places of vertices that the search of contacts reads.
-    monkeypatch.setattr(sparse, "_csr", lambda matrix, device: torch.zeros(matrix.shape, device=device))
+    monkeypatch.setattr(chart_consensus, "_csr", lambda matrix, device: torch.zeros(matrix.shape, device=device))
     found = losses.contact_planes
 
     def planes(vertices: torch.Tensor, batch, **options) -> losses.ContactPlanes:

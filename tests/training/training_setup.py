@@ -21,8 +21,8 @@ from drape.garment.fitting import RestGarment, rest_garment
 from tests.drape.cloth import cloth_shapes
 from tests.fixtures.networks import TINY
 from training import checkpoint
+from training.batches import BodySource, TrainingGarment, draw_partition
 from training.config import DataConfig, MotionConfig, TrainConfig
-from training.data import BodySource, TrainingGarment, draw_partition
 from training.poses import PoseBank, read_clips
 from training.trainer import BaseTrainer
 

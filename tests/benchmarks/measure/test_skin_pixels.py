@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from benchmarks.measure.skin_pixels import BEHIND_M, HEM_M, Camera, PosedBody, covered_faces, skin_pixels_pct
+from benchmarks.measure.judged import BEHIND_M, HEM_M, Camera, PosedBody, covered_skin, skin_pixels_pct
 from drape.geometry.raster import Surface, render
 from tests.drape.geometry.geometry_shapes import icosphere
 
@@ -52,10 +52,10 @@ def test_a_dent_shows_from_its_side_by_its_share(ball: PosedBody):
 def test_faces_are_covered_off_the_hems(ball: PosedBody):
     centre = BALL[FACES].mean(axis=1)
     cap = FACES[centre[:, 1] < 0.05]
-    covered = covered_faces(BALL, FACES, 1.04 * BALL, cap)
+    covered = covered_skin(BALL, FACES, 1.04 * BALL, cap)
     assert covered[(centre[:, 1] < 0.05 - HEM_M - 0.02) & (centre[:, 1] > -0.1)].all()
     assert not covered[centre[:, 1] > 0.05 - HEM_M + 0.02].any()
-    assert covered_faces(BALL, FACES, 1.04 * BALL, FACES).mean() > 0.95, "no hem, nothing bare"
+    assert covered_skin(BALL, FACES, 1.04 * BALL, FACES).mean() > 0.95, "no hem, nothing bare"
 
 
 def test_the_pictures_agree_with_the_shaded_ones():

@@ -18,7 +18,7 @@ from clients.cli import main
 from clients.client import DrapeClient
 from drape.errors import DrapeError, MotionError, NotFound, Unavailable
 from service.errors import Busy, Full
-from service.exact import folder as on_disk
+from service.exact import clip_folder as on_disk
 from service.exact import jobs
 from service.exact.block import Block
 from service.exact.jobs import ExactClips

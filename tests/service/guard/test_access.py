@@ -28,7 +28,7 @@ from drape.wire import messages as wire
 from service.app import create_app
 from service.errors import Busy, Unauthorized
 from service.guard.access import Access
-from service.guard.keys import digest, load_keys
+from service.guard.key_file import digest, load_keys
 from service.guard.tickets import LIFE_S, Tickets
 from service.settings import Settings, check_exposed
 from tests.architecture.repository import ROOT

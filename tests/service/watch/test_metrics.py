@@ -25,9 +25,9 @@ from drape.body.model import BodyModel
 from drape.wire import messages as wire
 from service.server import bind
 from service.stream.session import Session
-from service.watch import metrics as service_metrics
-from service.watch.metrics import Metrics
+from service.watch import prometheus as service_metrics
 from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
+from service.watch.prometheus import Metrics
 from tests.architecture.repository import ROOT
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.streams import PROTOCOLS, stream_address

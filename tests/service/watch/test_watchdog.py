@@ -32,8 +32,8 @@ from service.http import fit_routes
 from service.server import bind
 from service.settings import ROOT, Settings
 from service.watch import watchdog
-from service.watch.metrics import Metrics
 from service.watch.probes import Lifecycle
+from service.watch.prometheus import Metrics
 from service.watch.watchdog import JOBS, Job, Watchdog, moved, spent_s, waits_for
 from tests.fixtures.meshes import garment_obj
 from tests.fixtures.serving import serve, served

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from clients import calls
-from clients.calls import BINARY, Answer, Call, fetched, path_of
+from clients.calls import BINARY, Answer, Call, get_call, path_of
 from clients.refusals import problem_error
 from drape.errors import Unavailable
 
@@ -30,23 +30,23 @@ def exact_clip(asked: Call[dict[str, Any]], accept: str, progress: Progress) -> 
     """Yields the steps that begin a job by ``asked``, or find the job that it names, and wait for it. Returns the
     finished clip: vertices, or a GLB."""
     known = asked.json.pop("job", None)
-    job = yield asked if known is None else fetched("jobs", known)
+    job = yield asked if known is None else get_call("jobs", known)
     while job["state"] != "done":
-        finished(job, "clip")
+        finished_id(job, "clip")
         progress(job)
         yield Pause(POLL_S)
-        job = yield fetched("jobs", job["id"])
+        job = yield get_call("jobs", job["id"])
     progress(job)
     read = calls.read_vertices if accept == BINARY else calls.read_bytes
-    return (yield fetched("jobs", job["id"], "clip", read=read, accept=accept))
+    return (yield get_call("jobs", job["id"], "clip", read=read, accept=accept))
 
 
-def made(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress: Progress) -> Steps[str]:
+def upload_steps(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress: Progress) -> Steps[str]:
     """Yields the steps that send the upload ``sent`` and wait for its job. Returns the id of the ``kind`` of thing that
     it becomes."""
     job = yield sent
     deadline = time.monotonic() + wait_s
-    while (name := finished(job, kind)) is None:
+    while (name := finished_id(job, kind)) is None:
         check_deadline(job, deadline, wait_s)
         try:
             progress(job)
@@ -54,11 +54,11 @@ def made(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress: Progres
         except BaseException:
             yield Call("DELETE", path_of("jobs", job["id"]), calls.read_bytes)
             raise
-        job = yield fetched("jobs", job["id"])
+        job = yield get_call("jobs", job["id"])
     return name
 
 
-def finished(job: dict[str, Any], kind: str = "garment") -> str | None:
+def finished_id(job: dict[str, Any], kind: str = "garment") -> str | None:
     """Returns the id of the garment or the avatar of a finished ``job``; None while it goes on. Raises the refusal of a
     job that failed or was cancelled."""
     if job["state"] == "failed":
@@ -74,7 +74,7 @@ def finished(job: dict[str, Any], kind: str = "garment") -> str | None:
 
 
 def check_deadline(job: dict[str, Any], deadline: float, wait_s: float) -> None:
-    """Refuses to wait longer."""
+    """Refuses (``Unavailable``) to wait longer for ``job`` once the clock has passed ``deadline`` [s]."""
     if time.monotonic() > deadline:
         name, cure = f"upload {job['name']}", f"Ask again later: GET /jobs/{job['id']}."
         raise Unavailable(name, expected=f"an end within {wait_s:g} s", got=f"state {job['state']}", cure=cure)

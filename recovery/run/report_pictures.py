@@ -18,10 +18,10 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import closest, meshes
 from drape.geometry.raster import CLOTH, SKIN, Surface, render
 from recovery.pattern import geometry
-from recovery.pattern.model import Panel, Pattern
+from recovery.pattern.panels import Panel, Pattern
 from recovery.pattern.symmetry import procrustes
 from recovery.run.identify import CAP_M, Identifiability
-from recovery.run.sewn import WornElsewhere
+from recovery.run.sewing import WornElsewhere
 
 DPI = 100
 # Under the cloth the body is drawn thinner by this: flat triangles cut into it between their corners.

@@ -17,16 +17,17 @@ import numpy as np
 import scipy.sparse
 from scipy.sparse import csgraph
 
+from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MeshError
 from drape.garment.borders import Loop, borders, plainly_hole, plainly_opening
+from drape.garment.contours import TRUNK, bone_chains, open_contours, place_of
 from drape.garment.files.mesh import GarmentMesh, read_mesh, weld
 from drape.garment.mesh_checks import check_arrays, without_flat_faces
-from drape.garment.sheets import agreeing, cut_branches, main_sheet, with_used_vertices, without_copies
+from drape.garment.sheets import agreeing, cut_branches, main_sheet, point_words, with_used_vertices, without_copies
 from drape.geometry import mesh_graphs, meshes
 from recovery import progress
-from recovery.scan.holes import closed
-from recovery.scan.places import ScanFault, in_box
-from recovery.scan.thin import calmed, thinned
+from recovery.scan.holes import close_holes
+from recovery.scan.thin import smooth_noise, thin_mesh
 
 SCAN_VERTEX_LIMIT = 3_300_000  # 1,000,000 triangles of an STL, which does not share vertices
 EXTENTS = (1e-3, 1e6)  # in a file's unit, whatever it is: squares and cubes stay far from the ends of the numbers
@@ -50,7 +51,7 @@ def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
     with progress.stage(f"{path.name} is read"):
         mesh = read_mesh(path, vertex_limit=SCAN_VERTEX_LIMIT)
     if label is not None:
-        mesh = labelled(mesh, label)
+        mesh = faces_of_label(mesh, label)
     with progress.stage("the scan is mended"):
         check_arrays(mesh, vertex_limit=SCAN_VERTEX_LIMIT)
         if not EXTENTS[0] <= (extent := float(np.ptp(mesh.vertices, axis=0).max())) <= EXTENTS[1]:
@@ -60,22 +61,22 @@ def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
                 got=f"{extent:.3g} across",
                 cure="Scale the file.",
             )
-        return mended(mesh)
+        return mend_sheet(mesh)
 
 
-def mended(mesh: GarmentMesh) -> GarmentMesh:
+def mend_sheet(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` as one sheet: every edge has one face or two, neighbours agree, plain holes and bites are closed."""
     progress.tick("copies and flat faces")
     mesh = without_flat_faces(without_copies(weld(mesh)))
     progress.tick("branches")
     mesh = one_sheet(cut_branches(mesh))
     progress.tick("thinning out")
-    thin = thinned(mesh)
+    thin = thin_mesh(mesh)
     if thin is not mesh:
         mesh = one_sheet(cut_branches(without_flat_faces(thin)))
-    mesh = without_turned_hems(calmed(two_sided(mesh)))
+    mesh = without_turned_hems(smooth_noise(orient_faces(mesh)))
     check_open(mesh, "a closed surface")
-    closing = closed(mesh, lambda one: plainly_hole(one, mesh))
+    closing = close_holes(mesh, lambda one: plainly_hole(one, mesh))
     check_open(closing.mesh, f"one that is closed once mended, with no border but holes ({closing.holes})")
     check_closed_round(closing.mesh)
     check_unworn(closing.mesh)
@@ -111,7 +112,7 @@ def check_closed_round(mesh: GarmentMesh) -> None:
     ).at(mesh, edges)
 
 
-def labelled(mesh: GarmentMesh, label: str) -> GarmentMesh:
+def faces_of_label(mesh: GarmentMesh, label: str) -> GarmentMesh:
     """The faces of ``mesh`` whose material is called ``label``."""
     if label not in mesh.material_names:
         raise MeshError(
@@ -140,7 +141,7 @@ def one_sheet(mesh: GarmentMesh) -> GarmentMesh:
     return kept
 
 
-def two_sided(mesh: GarmentMesh) -> GarmentMesh:
+def orient_faces(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` with neighbours that agree in orientation, cut where a strip is twisted; refuses what is no cloth."""
     turned, cuts = agreeing(mesh)
     if len(cuts) > TWISTED_SHARE * len(mesh.faces):
@@ -220,3 +221,63 @@ def check_unworn(mesh: GarmentMesh) -> None:
                     cure="Cut the wearer off along neck, cuffs and hem in a mesh editor (Blender, Edit Mode: delete "
                     "faces), or give the cloth a material of its own and name it (--label).",
                 ).at(mesh, tip)
+
+
+WORDS = {"collar": "side of the neck", "spine3": "chest", "spine2": "ribs", "spine1": "waist", "pelvis": "hips"}
+
+
+class ScanFault(MeshError):
+    """A refusal of a scan with a fault that cannot be repaired safely. ``points`` (P, 3) are its places on the
+    ``mesh``, in the mesh's coordinates."""
+
+    mesh: GarmentMesh | None = None
+    points: np.ndarray = np.zeros((0, 3))
+
+    def at(self, mesh: GarmentMesh, points: np.ndarray) -> ScanFault:
+        """The same fault with its place."""
+        self.mesh, self.points = mesh, np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        return self
+
+
+def in_box(point: np.ndarray, vertices: np.ndarray) -> str:
+    """Where ``point`` is in the garment's own box, for a file whose body is not known; its front is at +z, up at +y."""
+    low, size = vertices.min(axis=0), np.maximum(np.ptp(vertices, axis=0), 1e-300)
+    across, up, out = (point - low) / size
+    side = "left" if across > 0.6 else "right" if across < 0.4 else "middle"
+    return (
+        f"{'front' if out >= 0.5 else 'back'}, {side}, {100 * up:.0f} % of the height from below, at "
+        f"{point_words(point)} of the file"
+    )
+
+
+def on_body(point: np.ndarray, mesh: GarmentMesh, joints: np.ndarray) -> str:
+    """Where ``point`` [m] (3,) is on a garment worn by a body with ``joints`` [m] (24, 3).
+
+    For example "near the left shoulder, 12 cm from the hem at (0.2, 1.1, 0.05) m".
+    """
+    joint = JOINT_NAMES[int(np.linalg.norm(joints - point, axis=1).argmin())]
+    side, _, part = joint.rpartition("_")
+    name = WORDS.get(part, part)
+    words = f"near the {side} {name}" if side else f"near the {name}"
+    found = opening_names(mesh, joints)
+    if found:
+        nearest, away = min(
+            ((text, float(np.linalg.norm(line - point, axis=1).min())) for text, line in found), key=lambda one: one[1]
+        )
+        words += f", {100 * away:.0f} cm from the {nearest}"
+    return f"{words} at {point_words(point)} m"
+
+
+def opening_names(mesh: GarmentMesh, joints: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """The openings that the body goes through, by name, and their points [m] (n, 3)."""
+    chains = bone_chains(joints)
+    trunk, named = [], []
+    for contour in open_contours(mesh.vertices, mesh.faces):
+        place = place_of(contour, chains)
+        if place.part == TRUNK:
+            trunk.append(contour)
+        elif place.part is not None:
+            named.append((f"{place.part.replace('_', ' ')}'s opening", contour.points))
+    trunk.sort(key=lambda contour: -contour.centre[1])
+    names = ["upper opening", *["opening round the trunk"] * (len(trunk) - 2), "hem"][-len(trunk) :] if trunk else []
+    return named + [(name, contour.points) for name, contour in zip(names, trunk, strict=True)]

@@ -16,7 +16,7 @@ from drape.contact.skin import skin_table
 from drape.garment.consensus import STRAIN_POINTS, strain_points
 from drape.geometry import jets
 from drape.graph.packed import ShapedSkins, StoredProximity
-from model_export.packed.bodies import Frames
+from model_export.packed.kinematics import Frames
 from model_export.packed.operators import WithTables, softsign
 
 PLACES = 2 * STRAIN_POINTS  # of a patch: each point before its own part of the body, then before others
@@ -74,7 +74,7 @@ class Contact(WithTables):
         return NearPlanes(normal, offset, share, share / unit)
 
     def forward(self, points: Tensor, near: NearPlanes) -> list[Tensor]:
-        """Closeness (P, 14) and softened force on the jets (P, 27) as ``training.model`` gives them to corrections."""
+        """Closeness (P, 14) and softened force on the jets (P, 27) as ``training.onefit`` gives them to corrections."""
         missing = torch.addmm(near.offset, near.normal * points, self.axis_sums)
         pull = (near.pull * torch.relu(missing)) @ self.axis_copies
         # A quarter of the force, softened, which takes four times its argument.

@@ -107,7 +107,7 @@ class Metrics:
             yield generate_latest(cast("CollectorRegistry", SimpleNamespace(collect=[family].copy)))
 
     def text(self) -> bytes:
-        """``pieces`` in one."""
+        """All ``pieces`` joined: the page that Prometheus reads."""
         return b"".join(self.pieces())
 
 

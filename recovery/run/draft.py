@@ -13,10 +13,10 @@ from drape.errors import InputError
 from drape.garment.contours import TRUNK
 from recovery.pattern.bases import BASES, COUNT, OF_SLEEVE
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.model import Pattern
+from recovery.pattern.panels import Pattern
 from recovery.pattern.tops import NECK_SLOPE
 from recovery.pattern.trousers import thigh_girth
-from recovery.run.seen import Opening, Seen
+from recovery.run.seen import BodyOpening, Seen
 
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of the way from a base's own settings to what the target tells
 BELOW_UNDERARM_M = 0.05  # where the chest's girth is taken, clear of armholes
@@ -59,7 +59,9 @@ RANGES: dict[str, Range] = {  # that a reading may lie in; beyond it something e
 }
 
 
-def drafted(name: str, body: BodyMeasurements, seen: Seen, given: dict[str, float]) -> tuple[Pattern, dict[str, float]]:
+def draft_near(
+    name: str, body: BodyMeasurements, seen: Seen, given: dict[str, float]
+) -> tuple[Pattern, dict[str, float]]:
     """Returns the base ``name`` for ``body``, drafted near the target ``seen``, and the settings that it was drafted
     with. Those in ``given`` stay as they are.
 
@@ -135,7 +137,7 @@ def _of_top(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> To
     measures["chest_ease_m"] = chest
     upper = 0.25 * (body.chest_girth + (chest or 0.0))
     if "waist_drop_m" in settings:
-        waist, measures["gather"] = gathered(body, seen, low)
+        waist, measures["gather"] = waist_gather(body, seen, low)
         drawn = waist - (OVER_CHEST_M if measures["gather"] else 0.0)
         measures["waist_drop_m"] = body.waist_y - drawn
         measures["waist_ease_m"] = _ease(
@@ -147,7 +149,7 @@ def _of_top(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> To
     return measures
 
 
-def _of_sleeves(body: BodyMeasurements, seen: Seen, arms: list[Opening]) -> Told:
+def _of_sleeves(body: BodyMeasurements, seen: Seen, arms: list[BodyOpening]) -> Told:
     reach = float(np.mean([one.along_m for one in arms]))  # beyond the joint, where the shoulder's tip lies about
     hem = float(np.mean([one.contour.length_m for one in arms]))
     there = [
@@ -216,7 +218,7 @@ def _ease(seen: Seen, y: float, girth: Callable[[float], float]) -> float | None
     return None if found is None else found - girth(y)
 
 
-def gathered(body: BodyMeasurements, seen: Seen, low: float) -> tuple[float, float]:
+def waist_gather(body: BodyMeasurements, seen: Seen, low: float) -> tuple[float, float]:
     """The height [m] of the waist's seam below armholes that end at ``low``, and the share of cloth gathered there.
 
     A gathered seam is where the girth grows at once; without one the waist is where the cloth is narrowest.

@@ -6,6 +6,7 @@ is what training runs.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -18,7 +19,6 @@ from torch import Tensor
 from drape.garment.consensus import FIT_COUNT, TRACE_SHARE, strain_points
 from drape.geometry import jets
 from drape.graph.inputs import AgreementTensors
-from training.sparse import SparsePair, product
 
 
 class ChartConsensus(Protocol):
@@ -197,3 +197,45 @@ def strain_and_force(jet: Tensor, charts: ChartConsensus, terms: Tensor) -> tupl
 def softened(x: Tensor) -> Tensor:
     """Returns ``4 x / (1 + 4 |x|)``: strains of a few percent fill the range, and torn patches stay within it."""
     return 4.0 * x / (1.0 + 4.0 * x.abs())
+
+
+@dataclass(frozen=True)
+class SparsePair:
+    """A constant sparse matrix and its transpose, both CSR, so that neither direction scatters."""
+
+    forward: Tensor
+    transposed: Tensor
+
+    @classmethod
+    def from_scipy(cls, matrix: scipy.sparse.csr_matrix, *, device: torch.device) -> SparsePair:
+        return cls(_csr(matrix, device), _csr(scipy.sparse.csr_matrix(matrix.T), device))
+
+
+def _csr(matrix: scipy.sparse.csr_matrix, device: torch.device) -> Tensor:
+    matrix.sort_indices()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+        return torch.sparse_csr_tensor(
+            torch.from_numpy(matrix.indptr.astype(np.int32)),
+            torch.from_numpy(matrix.indices.astype(np.int32)),
+            torch.from_numpy(matrix.data.astype(np.float32)),
+            size=matrix.shape,
+            device=device,
+            check_invariants=False,
+        )
+
+
+class _Product(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, dense: Tensor, forward: Tensor, transposed: Tensor) -> Tensor:  # type: ignore[override]
+        ctx.transposed = transposed
+        return forward @ dense
+
+    @staticmethod
+    def backward(ctx, gradient: Tensor):  # type: ignore[override]
+        return ctx.transposed @ gradient.contiguous(), None, None
+
+
+def product(pair: SparsePair, dense: Tensor) -> Tensor:
+    """``matrix @ dense`` (V, n), differentiable in ``dense`` (m, n)."""
+    return _Product.apply(dense, pair.forward, pair.transposed)

@@ -18,16 +18,16 @@ from drape.errors import InputError
 from drape.garment.contours import lost_parts, lost_words, match_contours, open_contours
 from recovery import progress as watch
 from recovery.drape.output import write_rest
-from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_in_pose, drape_pattern
+from recovery.drape.pattern_drape import Draped, SewingOptions, drape_in_pose, drape_pattern
 from recovery.drape.posing import posed_joints, read_pose
-from recovery.fit.belt import held_as_target
+from recovery.fit.belt import hold_as_target
 from recovery.fit.chamfer import SurfaceDistance, surface_distance
 from recovery.fit.laying import OTHER_FOLDS_MM, Dressing, LaidDrape, Shown, laying_options
-from recovery.fit.recovered import Recovered
-from recovery.fit.starts import Start, dressed
-from recovery.pattern.model import Pattern
+from recovery.fit.outcome import Recovered
+from recovery.fit.starts import DrapeStart, sew_and_dress
+from recovery.pattern.panels import Pattern
 from recovery.progress import Say
-from recovery.run.target_wearer import shaped_body
+from recovery.run.target_wearer import shape_body
 from recovery.run.task import Task
 
 ANEW_MM = OTHER_FOLDS_MM  # more between the report's drape and the pattern sewn anew is a warning
@@ -52,7 +52,7 @@ class SewnAnew(NamedTuple):
     belt_moved_m: float
 
 
-def sewn_anew(found: Recovered, start: Start, pattern: Pattern | None = None) -> SewnAnew:
+def sew_anew(found: Recovered, start: DrapeStart, pattern: Pattern | None = None) -> SewnAnew:
     """The pattern of ``found`` meshed, placed and sewn from nothing as ``start`` says, its belt at the report's waist.
 
     ``pattern`` is the same with style lines, if it has any.
@@ -76,7 +76,7 @@ def sewn_anew(found: Recovered, start: Start, pattern: Pattern | None = None) ->
         dressing, start = _dressing(found, start, rank)
         try:
             tried.append(
-                dressed(pattern or found.fitted.pattern, start, dressing, shown, off_mm=off_mm, enough_mm=ANEW_MM)
+                sew_and_dress(pattern or found.fitted.pattern, start, dressing, shown, off_mm=off_mm, enough_mm=ANEW_MM)
             )
         except InputError:
             if not tried:
@@ -85,7 +85,7 @@ def sewn_anew(found: Recovered, start: Start, pattern: Pattern | None = None) ->
     return _beside(shown, best.loose, best.worn)
 
 
-def _dressing(found: Recovered, start: Start, rank: Callable[[Draped], Any]) -> tuple[Dressing, Start]:
+def _dressing(found: Recovered, start: DrapeStart, rank: Callable[[Draped], Any]) -> tuple[Dressing, DrapeStart]:
     """How the pattern of ``found`` is put on, its belt laid on the report's waist, and ``start`` in its cloth."""
     body, pose, cloth = start.body, start.pose, found.fitted.cloth
     laid = isinstance(found.search.forward, LaidDrape)
@@ -96,7 +96,7 @@ def _dressing(found: Recovered, start: Start, rank: Callable[[Draped], Any]) -> 
 
     def held(one: Draped) -> Draped:
         matches, _ = match_contours(open_contours(*one.surface), there, joints)
-        return held_as_target(one, matches, there, skin, cloth)
+        return hold_as_target(one, matches, there, skin, cloth)
 
     return Dressing(skin, cloth, laid, held, start.lost, rank), start
 
@@ -147,12 +147,12 @@ class WornElsewhere:
     lost: tuple[str, ...] = ()
 
 
-def retargeted(
+def retarget(
     pattern: Pattern,
     sewn: Draped,
     body: BodyModel,
     standard: BodyModel,
-    options: DrapeOptions,
+    options: SewingOptions,
     parts: Sequence[str] = (),
     *,
     cloth: OrthotropicMaterial,
@@ -162,7 +162,7 @@ def retargeted(
     ``sewn`` is its drape on ``body`` in the T-pose; ``parts`` of the body should go through its openings;
     ``cloth`` is what it is made of. A drape that is refused becomes a ``WornElsewhere`` that says why.
     """
-    wearers = [(what, shaped_body(standard, np.array(betas)), None) for what, betas in BODIES.items()]
+    wearers = [(what, shape_body(standard, np.array(betas)), None) for what, betas in BODIES.items()]
     wearers += [(f"pose {text}", body, read_pose(text)) for text in POSES]
     for what, wearer, pose in wearers:
         skin = wearer.v_template if pose is None else wearer.posed_vertices(pose[None])[0]
@@ -181,7 +181,7 @@ def retargeted(
         yield WornElsewhere(what, skin, wearer.faces, nodes, faces, figures, lost=lost)
 
 
-class Sewn(NamedTuple):
+class SewnAndWorn(NamedTuple):
     """The pattern sewn from flat panels, its ``distance`` from the target, the garment elsewhere, and files of it.
 
     ``anew`` and ``distance`` are None where it cannot be sewn.
@@ -193,7 +193,7 @@ class Sewn(NamedTuple):
     files: list[Path]
 
 
-def sewn_and_worn(task: Task, found: Recovered, pattern: Pattern, say: Say) -> Sewn:
+def sew_and_wear(task: Task, found: Recovered, pattern: Pattern, say: Say) -> SewnAndWorn:
     """The ``pattern``, with its style lines, sewn from flat panels and worn elsewhere; writes the garment at rest."""
     job, wearer = task.job, task.wearer
     parts = [match.place.part for match in found.matches if match.place.part is not None]
@@ -201,11 +201,11 @@ def sewn_and_worn(task: Task, found: Recovered, pattern: Pattern, say: Say) -> S
     with_lines = None if pattern is found.fitted.pattern else pattern
     try:
         with watch.stage("sewn anew"):
-            anew = sewn_anew(found, Start(wearer.shaped, options, wearer.pose, None, tuple(parts)), with_lines)
+            anew = sew_anew(found, DrapeStart(wearer.shaped, options, wearer.pose, None, tuple(parts)), with_lines)
     except InputError as error:
         words = "The recovered pattern cannot be sewn from flat panels, so there is no garment cache"
         task.warnings.append(f"{words}: {error}")
-        return Sewn(None, None, [], [])
+        return SewnAndWorn(None, None, [], [])
     say(
         f"sewn anew {anew.distance.mean_mm:.2f} mm from the search's drape on average, {anew.distance.largest_mm:.1f} "
         f"largest; by itself {anew.by_itself.mean_mm:.2f}"
@@ -220,7 +220,7 @@ def sewn_and_worn(task: Task, found: Recovered, pattern: Pattern, say: Say) -> S
     # In the cache the garment of a body of another shape is moved to the standard one.
     avatar = {"betas": wearer.betas.tolist()} if wearer.betas.any() else "standard"
     files = write_rest(job.out, task.name, draped, wearer.standard, avatar=avatar, garment=job.garment, report=say)
-    return Sewn(anew, distance, worn, files)
+    return SewnAndWorn(anew, distance, worn, files)
 
 
 def _worn_elsewhere(
@@ -236,7 +236,7 @@ def _worn_elsewhere(
         return []
     worn = []
     cloth = found.fitted.cloth
-    for place in retargeted(pattern, draped, wearer.shaped, wearer.standard, job.search.drape, parts, cloth=cloth):
+    for place in retarget(pattern, draped, wearer.shaped, wearer.standard, job.search.drape, parts, cloth=cloth):
         say(f"worn      {place.what}: {place.refusal or describe_worn(place)}")
         worn.append(place)
     return worn

@@ -76,7 +76,7 @@ class Edge:
 
 
 @dataclass(frozen=True)
-class Placement:
+class PanelPlacement:
     """The place of a panel before it is sewn: world = R @ (x, y, 0) + translation.
 
     R turns about the fixed axes x, then y, then z by ``rotation_deg``. The panel's normal R @ z points
@@ -108,7 +108,7 @@ class Panel:
     name: str
     vertices: np.ndarray
     edges: tuple[Edge, ...]
-    placement: Placement = Placement()
+    placement: PanelPlacement = PanelPlacement()
     label: str | None = None
 
     def __post_init__(self) -> None:

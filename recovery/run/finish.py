@@ -10,19 +10,19 @@ from dataclasses import replace
 
 from drape.errors import InputError
 from recovery.fit.seams import sewable
-from recovery.pattern.added import COLLAR
 from recovery.pattern.bases import BASES
 from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.measurements import BodyMeasurements, in_size
-from recovery.pattern.model import Pattern
-from recovery.pattern.style import NO_STYLE, RIB_SHORTER, RIBS, Style, cap_corners_deg, finished, lined
+from recovery.pattern.openings import COLLAR
+from recovery.pattern.panels import Pattern
+from recovery.pattern.style import NO_STYLE, RIB_SHORTER, RIBS, Style, add_style_lines, cap_corners_deg, finish_pattern
 from recovery.pattern.symmetry import find_symmetries
 from recovery.run.cut import Cut
 
 FAIR_DEG = 5.0  # by which a cap may turn at a corner before it is worth a sentence
 
 
-def styled(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tuple[Style, Pattern, Pattern]:
+def style_pattern(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tuple[Style, Pattern, Pattern]:
     """Returns the style of a recovered ``pattern``, the pattern with its lines, and the same with all that is joined
     and drafted besides.
 
@@ -34,8 +34,8 @@ def styled(asked: Style, cut: Cut, pattern: Pattern, warnings: list[str]) -> tup
     if cut.collar_m and COLLAR not in asked.widths_m:
         style = replace(asked, widths_m={**asked.widths_m, COLLAR: cut.collar_m})
     try:
-        with_lines = lined(pattern, style)
-        cut_pattern = finished(with_lines, style)
+        with_lines = add_style_lines(pattern, style)
+        cut_pattern = finish_pattern(with_lines, style)
     except InputError as error:
         warnings.append(f"The style lines ({style.words()}) were left out: {error}")
         return NO_STYLE, pattern, pattern

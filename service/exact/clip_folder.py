@@ -50,7 +50,7 @@ class Accepted:
         return again
 
     def write(self, folder: Path) -> None:
-        """Puts it into ``folder``."""
+        """Writes what was accepted to ``folder``, as ``read_accepted`` reads it."""
         with whole_file(folder / ABOUT) as stream:
             stream.write(json.dumps(asdict(self)).encode())
 
@@ -103,7 +103,7 @@ def stored_bytes(root: Path) -> int:
     return total
 
 
-def clear(folder: Path) -> None:
+def clear_clip(folder: Path) -> None:
     """Removes the request and the computed frames of a clip from the disk. Its record stays, for clients that ask
     later."""
     for path in folder.glob("*"):
@@ -111,7 +111,7 @@ def clear(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def remove(folder: Path) -> None:
+def remove_clip(folder: Path) -> None:
     """Takes a clip off the disk."""
     shutil.rmtree(folder, ignore_errors=True)
 
@@ -129,7 +129,7 @@ class Lock:
             self.release()
 
     def release(self) -> None:
-        """Gives it up."""
+        """Gives the claim up, so that another process may take it."""
         if self._file >= 0:
             os.close(self._file)
         self._file = -1

@@ -48,7 +48,7 @@ def _by_method(rows: Iterable[Row]) -> dict[tuple[str, str, str], dict[str, Row]
 
 
 def quality_table(record: Record) -> str:
-    """Every garment and method."""
+    """A table of the record of ``quality``: a row for every garment and method."""
     rows = record["rows"]
     first = {"garment": QUALITY["garment"]} | _measured(rows, FABRIC)
     return rows_table(first | QUALITY | _measured(rows, DETAIL), rows, record)

@@ -19,7 +19,7 @@ from drape.errors import InputError
 from recovery import progress
 from recovery.sim import elastic, implicit
 from recovery.sim.assembly import Factor, SingularMatrix, superlu
-from recovery.sim.model import ClothModel, ClothState, Parameters
+from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
 from recovery.sim.skin_contact import SkinContact
 
 TOLERANCE_N = 1e-8  # largest component of the force left at a node; a node weighs about 1e-3 N

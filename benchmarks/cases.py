@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Option
-from benchmarks.network import Network
+from benchmarks.model_drape import ModelDrape
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.catalog import find_garments, find_motions, open_garment
@@ -35,7 +35,7 @@ LIMBS = [n for n, name in enumerate(JOINT_NAMES) if name.split("_")[-1] in ("sho
 
 
 def fabrics_option(*names: str) -> Option:
-    """``--fabrics``, by default ``names``."""
+    """The option ``--fabrics`` of a benchmark; it holds ``names`` where it is not given."""
     return Option("--fabrics", names, "what garments are made of", names[:1])
 
 
@@ -91,7 +91,7 @@ class Clip:
 
 
 def at_rate(motion: MotionClip, fps: float) -> MotionClip:
-    """``motion`` at ``fps``."""
+    """Returns ``motion`` resampled to ``fps`` frames a second; itself where it has that rate."""
     return motion if abs(motion.fps - fps) < 1e-6 else motion.resampled(fps)
 
 
@@ -130,11 +130,11 @@ class Scene:
         """The garment's constants for folds."""
         return fold_constants(self.garment, self.body, self.fabric)
 
-    def network(self, network: Network) -> np.ndarray:
+    def network(self, network: ModelDrape) -> np.ndarray:
         """Vertices [m] (F, V, 3) float32 of the network's drape, pose by pose."""
         return network.made_of(self.fabric).drape(self.garment, self.clip.poses).vertices.astype(np.float32)
 
-    def starts(self, networks: dict[str, Network]) -> dict[str, np.ndarray]:
+    def starts(self, networks: dict[str, ModelDrape]) -> dict[str, np.ndarray]:
         """Vertices [m] (F, V, 3) float32 by "skinning", pushed off the skin, and by each of ``networks``."""
         poses = self.clip.poses
         plain = pushed(skinned(self.garment, self.body, poses), self.body, poses).astype(np.float32)

@@ -9,7 +9,7 @@ from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.consensus import FIT_COUNT, MEMBERS
 from drape.geometry import jets
 from drape.graph.packed import COLUMNS, VERTICES_PER_BLOCK, Indices, StoredCharts
-from model_export.packed.bodies import Frames
+from model_export.packed.kinematics import Frames
 from model_export.packed.operators import WithTables
 
 # Rows of (place, 1, u, v, uu, uv, vv) whose products are the basis of orders 3 and 4.
@@ -28,12 +28,12 @@ class Charts(WithTables):
         return frames.out @ torch.addmm(self.frame_only, jet, placed).reshape(-1, 4, COLUMNS)
 
     def agreed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames) -> Tensor:
-        """Returns the jets (P, 27) of charts fitted to their blend, as ``training.consensus.agreed_jets`` does.
+        """Returns the jets (P, 27) of charts fitted to their blend, as ``training.chart_consensus.agreed_jets`` does.
         ``said`` (P, 3, 56) is where each chart puts its members."""
         return self._fitted(said, stored, index, frames, self.fit_choice)
 
     def closed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames) -> Tensor:
-        """Returns the full jets (P, 45) of charts fitted to their blend, as ``training.consensus.closing_jets``
+        """Returns the full jets (P, 45) of charts fitted to their blend, as ``training.chart_consensus.closing_jets``
         does."""
         return self._fitted(said, stored, index, frames, self.full_choice)
 

@@ -1,11 +1,12 @@
 """The folder of one garment that browsers drape by themselves: page, engine, network, and what a service would answer.
 
 All but the page lies there compressed (.gz), so that any server of files will do. ``about.json`` says which file is
-what; ``clients/web/lib/src/local.js`` reads it.
+what; ``clients/web/lib/src/local.js`` reads it. The service's answers come from its application, asked in this process.
 """
 
 from __future__ import annotations
 
+import asyncio
 import gzip
 import json
 import shutil
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from fastapi import FastAPI
 
 from drape.artifacts import staged_folder
 from drape.engine.build import LIBRARIES, WEB
@@ -28,8 +30,7 @@ from drape.stages.network import Network
 from drape.wire.folds import pack_folds
 from drape.wire.options import DrapeOptions
 from service.settings import built
-from service.static.answers import answer
-from service.stream.opening import opened
+from service.stream.opening import opening_answer
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -96,7 +97,7 @@ async def write_folder(app: FastAPI, runtime: DrapeRuntime, asked: Asked, target
                 "garment": entry.id,
                 "options": asked.options.model_dump(mode="json", exclude_unset=True) | {"betas": asked.betas},
                 "joints": runtime.body.rest_joints(shape).tolist(),
-                "opened": json.loads(opened(plan, app.state.drape, None)),
+                "opened": json.loads(opening_answer(plan, app.state.drape, None)),
                 "answers": {name: folder.add(*file) async for name, file in _answers(app, asked, plan)},
                 "engine": folder.add(ENGINE.name, ENGINE.read_bytes()),
                 "network": _add_network(folder, plan),
@@ -126,7 +127,7 @@ def check_inertia(options: DrapeOptions) -> None:
     """Refuses (``InputError``) inertia of the network: the page has cloth's own."""
     if options.knob and options.advanced.inertia == "network":
         cure = "Leave inertia out, or stream from a service."
-        raise InputError("inertia", expected="mesh without a service", got="network", cure=cure)
+        raise InputError("advanced.inertia", expected="mesh without a service", got="network", cure=cure)
 
 
 def check_jets(manifest: Manifest) -> None:
@@ -186,3 +187,40 @@ def _add_poses(folder: Folder, support: PoseSupport | None) -> dict[str, Any] | 
 def sizes(folder: Path) -> dict[str, int]:
     """Bytes of the files in ``folder``, by name."""
     return {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()}
+
+
+async def answer(app: FastAPI, path: str, kind: str) -> bytes:
+    """The body, of the media type ``kind``, of the answer of ``app`` to GET ``path``; raises its refusal."""
+    address, _, query = path.partition("?")
+    scope = {
+        "type": "http",
+        "method": "GET",
+        "path": address,
+        "raw_path": address.encode(),
+        "query_string": query.encode(),
+        "headers": [(b"host", b"127.0.0.1"), (b"accept", kind.encode())],
+        "client": ("127.0.0.1", 0),
+        "server": ("127.0.0.1", 80),
+        "scheme": "http",
+        "http_version": "1.1",
+        "root_path": "",
+        "asgi": {"version": "3.0"},
+    }
+    sent: list[dict[str, Any]] = []
+    asked = iter([{"type": "http.request", "body": b"", "more_body": False}])
+
+    async def receive() -> dict[str, Any]:
+        for message in asked:
+            return message
+        return await asyncio.Future()  # who asks does not go away
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    await app(scope, receive, send)
+    body = b"".join(message.get("body", b"") for message in sent)
+    if sent[0]["status"] != 200:
+        problem = json.loads(body)
+        words = {name: str(problem.get(name, "")) for name in ("expected", "got", "cure")}
+        raise InputError(str(problem.get("name", path)), **words)
+    return body

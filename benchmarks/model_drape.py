@@ -41,7 +41,7 @@ class NetworkDrape:
     root: np.ndarray
 
 
-class Network:
+class ModelDrape:
     """The packed graph of a model folder on the processor; garments are of the network's default fabric.
 
     ``passes``: how many of the network's corrections run, None for all. Refuses (``ArtifactError``) a model of another
@@ -57,11 +57,11 @@ class Network:
         self._fabric: Fabric | None = None
 
     @classmethod
-    def asked(cls, options: argparse.Namespace, body: BodyModel, *, passes: int | None = None) -> Network:
+    def asked(cls, options: argparse.Namespace, body: BodyModel, *, passes: int | None = None) -> ModelDrape:
         """The network of ``--model`` in ``--threads``."""
         return cls(model_folder(options.model), body, threads=options.threads, passes=passes)
 
-    def made_of(self, fabric: Fabric | None) -> Network:
+    def made_of(self, fabric: Fabric | None) -> ModelDrape:
         """The same network with garments of ``fabric``, where it knows fabrics; None: of its default."""
         other = copy.copy(self)
         other._fabric = fabric if self.engine.knows_fabrics else None

@@ -22,11 +22,11 @@ from drape.errors import NotFound
 from drape.files.atomic import write_whole
 from drape.garment.sewing import Edge, Seam, Sewing
 from drape.geometry import meshes
+from recovery.catalogue.cuts import CATALOGUE
 from recovery.catalogue.fall import HEM_BENDING, HEM_M, SETTLING, Fall
-from recovery.catalogue.garments import CATALOGUE
 from recovery.drape.output import panel_texture, write_shape
 from recovery.drape.pattern_drape import stretch_figures
-from recovery.drape.placement import moved_clear
+from recovery.drape.placement import move_clear
 from recovery.drape.seam_threads import SEWING_GAP_M, Sewn, in_numpy, sew
 from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.measurements import BodyMeasurements, in_size
@@ -125,7 +125,7 @@ def build(
 
 def start_positions(design: Design, mesh: PatternMesh, distance: Distance) -> np.ndarray:
     """Panel vertices [m] (P, 3) before sewing: wraps round their limbs, flat panels moved outward until clear."""
-    positions = moved_clear(mesh, mesh.placed(), distance, leave=design.wraps)[0]
+    positions = move_clear(mesh, mesh.placed(), distance, leave=design.wraps)[0]
     for number, panel in enumerate(design.pattern.panels):
         if panel.name in design.wraps:
             mine = mesh.panel == number

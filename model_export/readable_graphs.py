@@ -16,8 +16,8 @@ from drape.arrays.tensors import Tensors, group, tensor
 from drape.artifacts import TensorSpec
 from drape.body.skeleton import JOINT_COUNT
 from drape.graph.inputs import AGREES, DYNAMIC, PAPER, ROOT, BodyTensors, ChartTensors, MotionTensors, PatchTensors
-from training.consensus import GatheredConsensus
-from training.model import OneFit, paper_vertices, vertex_positions
+from training.chart_consensus import GatheredConsensus
+from training.onefit import OneFit, paper_vertices, vertex_positions
 
 
 @dataclass(frozen=True, eq=False)

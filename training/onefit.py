@@ -14,8 +14,15 @@ from drape.garment.features import saturated
 from drape.geometry import jets
 from drape.geometry.skinning import blend_frames, skin_points
 from drape.graph.inputs import BodyTensors, ChartTensors, PatchTensors
+from training.chart_consensus import (
+    ChartConsensus,
+    agreed_jets,
+    closing_jets,
+    softened,
+    strain_and_force,
+    tangent_terms,
+)
 from training.config import ModelConfig
-from training.consensus import ChartConsensus, agreed_jets, closing_jets, softened, strain_and_force, tangent_terms
 from training.layers import Correction, Decoder, GarmentEncoder, StaticEncoder
 from training.recurrent import DynamicEncoder
 
