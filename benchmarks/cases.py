@@ -40,7 +40,7 @@ def fabrics_option(*names: str) -> Option:
 
 
 @dataclass(frozen=True, eq=False)
-class Clip:
+class CaseClip:
     """F ``poses`` [rad] of ``body`` at ``fps``, the root at ``trans`` [m] (F, 3).
 
     Figures are of the frames ``measured`` (n,), which ``labels`` name.
@@ -57,21 +57,21 @@ class Clip:
     @classmethod
     def of(
         cls, name: str, fps: float, poses: np.ndarray, body: BodyModel, *, trans: Any = None, looked_at: int = MEASURED
-    ) -> Clip:
+    ) -> CaseClip:
         """``poses`` (F, 24, 3) of which at most ``looked_at``, spread over them, are measured."""
         measured = np.unique(np.linspace(0, len(poses) - 1, looked_at).astype(int))
         places = np.zeros((len(poses), 3)) if trans is None else np.array(trans)
         return cls(name, fps, np.array(poses), places, body, measured, tuple(f"{name}:{frame}" for frame in measured))
 
     @classmethod
-    def read(cls, path: Path, fps: float, frames: int, body: BodyModel, *, looked_at: int = MEASURED) -> Clip:
+    def read(cls, path: Path, fps: float, frames: int, body: BodyModel, *, looked_at: int = MEASURED) -> CaseClip:
         """The first ``frames`` of the motion at ``path``, resampled to ``fps``."""
         motion = at_rate(read_motion(path), fps)
         trans = motion.trans[:frames]
         return cls.of(motion.name, fps, motion.poses[:frames], body, trans=trans, looked_at=looked_at)
 
     @classmethod
-    def hard(cls, chosen: HardPoses, body: BodyModel) -> Clip:
+    def hard(cls, chosen: HardPoses, body: BodyModel) -> CaseClip:
         """Single poses without a past, all of which are measured."""
         frames = np.arange(len(chosen.poses))
         return cls("poses", FPS, chosen.poses, np.zeros((len(frames), 3)), body, frames, chosen.labels)
@@ -108,12 +108,12 @@ def pushed(vertices: np.ndarray, body: BodyModel, poses: np.ndarray) -> np.ndarr
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class CaseScene:
     """A garment made of ``fabric`` over a clip."""
 
     garment: Garment
     fabric: Fabric
-    clip: Clip
+    clip: CaseClip
 
     @property
     def name(self) -> dict[str, Any]:
@@ -141,21 +141,21 @@ class Scene:
         return {"skinning": plain} | {name: self.network(made) for name, made in networks.items()}
 
 
-def scenes(options: argparse.Namespace, clips: list[Clip], body: BodyModel) -> Iterator[Scene]:
+def scenes(options: argparse.Namespace, clips: list[CaseClip], body: BodyModel) -> Iterator[CaseScene]:
     """Every garment, subdivided as the service folds it, in every fabric of the options over each of ``clips``."""
     for clip in clips:
         for path in find_garments(options.garments):
             garment = fine_garment(open_garment(path, body))
             for name in options.fabrics:
-                yield Scene(garment, fabric(name), clip)
+                yield CaseScene(garment, fabric(name), clip)
 
 
-def read_clips(options: argparse.Namespace, body: BodyModel, fps: float = FPS) -> list[Clip]:
+def read_case_clips(options: argparse.Namespace, body: BodyModel, fps: float = FPS) -> list[CaseClip]:
     """The first ``--frames`` of each of ``--motions``."""
-    return [Clip.read(path, fps, options.frames, body) for path in find_motions(options.motions)]
+    return [CaseClip.read(path, fps, options.frames, body) for path in find_motions(options.motions)]
 
 
-def lively_clips(names: Sequence[str], frames: int, body: BodyModel, fps: float = FPS) -> list[Clip]:
+def lively_clips(names: Sequence[str], frames: int, body: BodyModel, fps: float = FPS) -> list[CaseClip]:
     """Of each of ``names`` the ``frames`` (or all) through which limbs turn most, as ``CLIP@FIRST``."""
     clips = []
     for path in find_motions(names) if names else ():
@@ -164,7 +164,7 @@ def lively_clips(names: Sequence[str], frames: int, body: BodyModel, fps: float 
         turned = np.concatenate([[0.0], np.cumsum(joint_steps(motion)[:, LIMBS].sum(axis=1))])
         first = int(np.argmax(turned[count - 1 :] - turned[: len(turned) - count + 1]))
         one = motion.window(first, count)
-        clips.append(Clip.of(f"{motion.name}@{first}", fps, one.poses, body, trans=one.trans))
+        clips.append(CaseClip.of(f"{motion.name}@{first}", fps, one.poses, body, trans=one.trans))
     return clips
 
 

@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.cases import FPS, at_rate
-from benchmarks.clock import Clock
 from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.served import Stream, plan_of
-from benchmarks.serving import crowd, figures, server
+from benchmarks.serving import crowd, server, stream_figures
+from benchmarks.stopwatch import Clock
 from benchmarks.tables import Row
 from clients.client import DrapeClient
 from drape.body.assets import load_body
@@ -92,7 +92,7 @@ def upload_beside_streams(path: Path, streams: int) -> Row:
         await begun.wait()
         sent_s = await asyncio.to_thread(time_to_wear, url, path)
         seen = await crowded
-        return {"sent_s": sent_s, **({"goodput_pct": figures(seen, None)["goodput_pct"]} if streams else {})}
+        return {"sent_s": sent_s, **({"goodput_pct": stream_figures(seen, None)["goodput_pct"]} if streams else {})}
 
     with server() as at:
         return {"garment": path.stem, "streams": streams, **asyncio.run(beside(at.url))}

@@ -38,9 +38,9 @@ from recovery.progress import to_stderr
 from recovery.run.__main__ import job_of, parse
 from recovery.run.cut import Cut
 from recovery.run.job import Outcome, run_job
-from recovery.run.report_pictures import Mesh, target_above_result
+from recovery.run.report_pictures import MeshArrays, target_above_result
 from recovery.run.report_text import page_of, top_of
-from recovery.run.task import Job
+from recovery.run.task import RecoveryJob
 
 TARGET_EDGE_M = 0.025
 DRAPED = {  # pattern of the data folder: its base and panels
@@ -101,12 +101,12 @@ def row_of(name: str, folder: Path, pictures: Path | None) -> Row:
     return {"target": name, "from": source, "fabric": fabric, **recover_job(job, told, pictures)}
 
 
-def as_user(target: Path, out: Path, *words: str) -> Job:
+def as_user(target: Path, out: Path, *words: str) -> RecoveryJob:
     """The job of ``python -m recovery.run TARGET`` with more ``words``, without other bodies and a garment cache."""
     return job_of(parse([str(target), "--out", str(out), "--no-retarget", "--no-garment", *words]))
 
 
-def recover_job(job: Job, told: Callable[[Cut | None, int], str], pictures: Path | None) -> Row:
+def recover_job(job: RecoveryJob, told: Callable[[Cut | None, int], str], pictures: Path | None) -> Row:
     """The figures of ``job``; a target that is refused has the sentence in place of them.
 
     ``told`` says of the cut, None for a refusal, and the number of panels whether they are right. The folder
@@ -156,9 +156,9 @@ def told_words(truth: str, cut: Cut | None, *, panels: bool = False) -> str:
 def tile_of(outcome: Outcome) -> bytes:
     """A PNG of the target, and below it of what was recovered, from the front."""
     skin = outcome.task.wearer.skin
-    there = Mesh(outcome.task.mesh.vertices, outcome.task.mesh.faces)
-    found = Mesh(outcome.nodes, outcome.found.search.mesh.faces)
-    return target_above_result(there, found, Mesh(skin.vertices - outcome.task.wearer.trans, skin.faces), TILE)
+    there = MeshArrays(outcome.task.mesh.vertices, outcome.task.mesh.faces)
+    found = MeshArrays(outcome.nodes, outcome.found.search.mesh.faces)
+    return target_above_result(there, found, MeshArrays(skin.vertices - outcome.task.wearer.trans, skin.faces), TILE)
 
 
 def sheet_of(folder: Path, names: Sequence[str]) -> bytes:

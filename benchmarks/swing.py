@@ -24,14 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases import FPS, Clip, Scene
-from benchmarks.clock import Clock
+from benchmarks.cases import FPS, CaseClip, CaseScene
 from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, inputs
 from benchmarks.judge.physics import held_by_waist
-from benchmarks.judge.simulator import Motion, SimulatedCloth, simulate
+from benchmarks.judge.simulator import SimulatedCloth, SimulatedMotion, simulate
 from benchmarks.measure.hem import hem_vertices, swinging
 from benchmarks.measure.judged import jitter_ratio
 from benchmarks.model_drape import ModelDrape
+from benchmarks.stopwatch import Clock
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
@@ -77,15 +77,15 @@ WAYS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"stop": stop_way, "step":
 MADE = (SPIN, *WAYS)
 
 
-def made_clip(name: str, body: BodyModel, fps: float, seconds: float, turns_per_s: float = TURNS_PER_S) -> Clip:
+def made_clip(name: str, body: BodyModel, fps: float, seconds: float, turns_per_s: float = TURNS_PER_S) -> CaseClip:
     """The clip ``name`` of ``MADE``."""
     time_s = np.arange(round(seconds * fps)) / fps
     poses = np.zeros((len(time_s), 24, 3))
     poses[:, 16, 2], poses[:, 17, 2] = -1.1, 1.1
     if name == SPIN:
         poses[:, 0, 1] = (turn_yaw(time_s, turns_per_s) + np.pi) % (2.0 * np.pi) - np.pi
-        return Clip.of(name, fps, poses, body)
-    return Clip.of(name, fps, poses, body, trans=WAYS[name](time_s))
+        return CaseClip.of(name, fps, poses, body)
+    return CaseClip.of(name, fps, poses, body, trans=WAYS[name](time_s))
 
 
 def _summed(rate: np.ndarray, time_s: np.ndarray) -> np.ndarray:
@@ -102,7 +102,7 @@ COLUMNS = {
 }  # fmt: skip
 
 
-def swung(scene: Scene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, float]:
+def swung(scene: CaseScene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, float]:
     """``static`` [m] (F, V, 3) with swing, and ``folds`` steps on that; the median processor time [ms] of the swing."""
     clip, memory, folded, clock, found = scene.clip, None, None, Clock(), []
     swinging = swing_constants(scene.garment, scene.body, scene.fabric)
@@ -119,7 +119,7 @@ def swung(scene: Scene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, 
     return np.stack(found), float(np.median(clock.cpu_ms))
 
 
-def simulate_scene(scene: Scene, static: np.ndarray) -> tuple[np.ndarray, float]:
+def simulate_scene(scene: CaseScene, static: np.ndarray) -> tuple[np.ndarray, float]:
     """The simulator's vertices [m] (F, V, 3) from the first of ``static``, and the share [%] of frames at rest."""
     garment, clip, body = scene.garment, scene.clip, scene.body
     mesh = ClothMesh.of(garment.delivered_rest(), garment.faces.astype(np.int64), garment.vertex_count)
@@ -127,11 +127,11 @@ def simulate_scene(scene: Scene, static: np.ndarray) -> tuple[np.ndarray, float]
     sheet = SimulatedCloth(
         mesh, Material.of(scene.fabric), scene.fabric.friction, 0.0 if made is None else made.damping_per_s
     )
-    motion = Motion(body, clip.poses, clip.trans, clip.fps)
+    motion = SimulatedMotion(body, clip.poses, clip.trans, clip.fps)
     return simulate(sheet, motion, static[0].astype(np.float64), held_by_waist(garment, body, static))
 
 
-def hem_parts(x: np.ndarray, scene: Scene) -> np.ndarray:
+def hem_parts(x: np.ndarray, scene: CaseScene) -> np.ndarray:
     """Middles [m] (F, ``PARTS``, 3) of the hem's parts by their direction at rest."""
     rest = scene.garment.vertices[: scene.garment.vertex_count].astype(np.float64)
     hem = hem_vertices(rest, scene.garment.faces)
@@ -140,7 +140,7 @@ def hem_parts(x: np.ndarray, scene: Scene) -> np.ndarray:
     return np.stack([x[:, hem[part == p]].mean(axis=1) for p in np.unique(part)], axis=1)
 
 
-def figures(x: np.ndarray, scene: Scene, static: np.ndarray, simulator: np.ndarray | None) -> Row:
+def hem_figures(x: np.ndarray, scene: CaseScene, static: np.ndarray, simulator: np.ndarray | None) -> Row:
     """The measures of ``x`` [m] (F, V, 3)."""
     still, own = (hem_parts(one.astype(np.float64), scene) for one in (static, x))
     moved, base = (one.astype(np.float64) + scene.clip.trans[:, None] for one in (x, static))
@@ -159,7 +159,7 @@ def figures(x: np.ndarray, scene: Scene, static: np.ndarray, simulator: np.ndarr
     return row
 
 
-def measure(scene: Scene, network: ModelDrape, *, simulator: bool) -> list[Row]:
+def measure_scene(scene: CaseScene, network: ModelDrape, *, simulator: bool) -> list[Row]:
     """The rows of a scene, beside a simulation where ``simulator`` asks for one."""
     garment, clip, made = scene.garment, scene.clip, network.made_of(scene.fabric)
     static = made.drape(garment, clip.poses)
@@ -173,7 +173,12 @@ def measure(scene: Scene, network: ModelDrape, *, simulator: bool) -> list[Row]:
         drapes["simulator"], at_rest = simulate_scene(scene, delivered)
         more["simulator"] = {"at_rest_pct": at_rest}
     rows = [
-        {**scene.name, "method": name, **figures(x, scene, delivered, drapes.get("simulator")), **more.get(name, {})}
+        {
+            **scene.name,
+            "method": name,
+            **hem_figures(x, scene, delivered, drapes.get("simulator")),
+            **more.get(name, {}),
+        }
         for name, x in drapes.items()
     ]
     beside = {row["method"]: row for row in rows}
@@ -209,12 +214,12 @@ def main(run: Run) -> None:
     made = [name for name in MADE if name in options.motions]
     clips = [made_clip(name, body, FPS, options.seconds, options.rate) for name in made]
     frames = round(options.seconds * FPS)
-    clips += [Clip.read(path, FPS, frames, body) for path in (find_motions(others) if others else ())]
+    clips += [CaseClip.read(path, FPS, frames, body) for path in (find_motions(others) if others else ())]
     for path in find_garments(options.garments):
         garment = open_garment(path, body)
         for cloth in map(fabric, options.fabrics):
             for clip in clips:
-                run.add(measure(Scene(garment, cloth, clip), network, simulator=not options.no_simulator))
+                run.add(measure_scene(CaseScene(garment, cloth, clip), network, simulator=not options.no_simulator))
     run.rows += of_other_scenes(run.rows)
     run.extra |= {"fps": FPS, "model": options.model}
 

@@ -141,10 +141,10 @@ def main(run: Run) -> None:
         case = carry_garment(garment, body, shapes[draw.integers(BODY_COUNT)], pose, draw)
         rows.append({"garment": garment.name, **judge_case(case, body)})
         run.add(rows[-1:])
-    run.extra |= summary(rows)
+    run.extra |= wearer_summary(rows)
 
 
-def summary(rows: list[dict[str, object]]) -> dict[str, float]:
+def wearer_summary(rows: list[dict[str, object]]) -> dict[str, float]:
     """Shares [%] of cases with the right unit, axes and origin, means of the errors, and seconds."""
 
     def values(key: str) -> np.ndarray:

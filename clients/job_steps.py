@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from clients import calls
-from clients.calls import BINARY, Answer, Call, get_call, path_of
+from clients.calls import BINARY, Answer, Call, get_call, url_path
 from clients.refusals import problem_error
 from drape.errors import Unavailable
 
@@ -26,7 +26,7 @@ class Pause:
 Steps = Generator[Call[Any] | Pause, Any, Answer]
 
 
-def exact_clip(asked: Call[dict[str, Any]], accept: str, progress: Progress) -> Steps[Any]:
+def exact_clip_steps(asked: Call[dict[str, Any]], accept: str, progress: Progress) -> Steps[Any]:
     """Yields the steps that begin a job by ``asked``, or find the job that it names, and wait for it. Returns the
     finished clip: vertices, or a GLB."""
     known = asked.json.pop("job", None)
@@ -52,7 +52,7 @@ def upload_steps(sent: Call[dict[str, Any]], kind: str, wait_s: float, progress:
             progress(job)
             yield Pause(POLL_S)
         except BaseException:
-            yield Call("DELETE", path_of("jobs", job["id"]), calls.read_bytes)
+            yield Call("DELETE", url_path("jobs", job["id"]), calls.read_bytes)
             raise
         job = yield get_call("jobs", job["id"])
     return name

@@ -19,17 +19,17 @@ from clients.calls import (
     BINARY,
     GLB,
     Answer,
-    Body,
+    BodyShape,
     Call,
     Motion,
     at_root,
     drape_call,
     get_call,
     name_sizes,
-    path_of,
     post_call,
+    url_path,
 )
-from clients.job_steps import Progress, Steps, exact_clip, upload_steps
+from clients.job_steps import Progress, Steps, exact_clip_steps, upload_steps
 from clients.mesh_files import check_at_once, glb_of, surface_of
 from drape.motion.clip import MotionClip
 from drape.wire.clips import frame_bytes
@@ -66,7 +66,7 @@ class Methods:
 
     def remove_avatar(self, avatar: str) -> Call[bytes]:
         """Removes an avatar from the service."""
-        return Call("DELETE", path_of("avatars", avatar), calls.read_bytes)
+        return Call("DELETE", url_path("avatars", avatar), calls.read_bytes)
 
     def fabrics(self) -> Call[list[dict[str, Any]]]:
         """Lists the fabrics that a drape may name, with their numbers."""
@@ -150,7 +150,7 @@ class Methods:
         """
         more = {"avatar": avatar, "size": size}
         asked: dict[str, str] = {"resolution": resolution} | {k: v for k, v in more.items() if v is not None}
-        return Call("GET", path_of("garments", garment, "jets"), calls.read_layout, asked, {"Accept": BINARY})
+        return Call("GET", url_path("garments", garment, "jets"), calls.read_layout, asked, {"Accept": BINARY})
 
     def upload_garment(
         self,
@@ -166,7 +166,7 @@ class Methods:
         ``avatar``: the body that it was modelled on. ``progress`` is called with each state of the job; an exception
         that it raises cancels the upload.
         """
-        return (yield from upload_steps(calls.upload(Path(path), avatar, name), "garment", wait_s, progress))
+        return (yield from upload_steps(calls.upload_call(Path(path), avatar, name), "garment", wait_s, progress))
 
     def upload_avatar(
         self,
@@ -182,12 +182,12 @@ class Methods:
         A drape takes the id as ``avatar``. ``alive``: its own clothes become garments, for the option ``alive`` of a
         drape. ``progress`` is that of ``upload_garment``.
         """
-        return (yield from upload_steps(calls.upload_avatar(Path(path), name, alive), "avatar", wait_s, progress))
+        return (yield from upload_steps(calls.upload_avatar_call(Path(path), name, alive), "avatar", wait_s, progress))
 
     def posed_avatar(self, avatar: str, motion: Motion, *, trans: np.ndarray | None = None) -> Steps[np.ndarray]:
         """Returns the vertices (F, V, 3) [m], float32, of an avatar's own surface in the world."""
-        clip, about = calls.motion_of(motion, Body(trans))
-        path, accept = path_of("avatars", avatar, "posed"), {"Accept": BINARY}
+        clip, about = calls.motion_of(motion, BodyShape(trans))
+        path, accept = url_path("avatars", avatar, "posed"), {"Accept": BINARY}
         return self._whole(Call("POST", path, calls.read_vertices, headers=accept, json=about, clip=clip))
 
     def drape(
@@ -206,7 +206,7 @@ class Methods:
         ``avatar``, the id of an avatar that wears the garment. An option that is left out has the service's default.
         The other methods that drape take the same arguments.
         """
-        return self._whole(drape_call(calls.read_vertices, garment, motion, Body(trans, betas), options))
+        return self._whole(drape_call(calls.read_vertices, garment, motion, BodyShape(trans, betas), options))
 
     def drape_at_root(
         self,
@@ -222,7 +222,7 @@ class Methods:
 
         Far from the world's origin the sum of both in float64 keeps the garment's shape, where ``drape`` rounds it.
         """
-        return self._whole(at_root(drape_call(calls.read_vertices, garment, motion, Body(trans, betas), options)))
+        return self._whole(at_root(drape_call(calls.read_vertices, garment, motion, BodyShape(trans, betas), options)))
 
     def drape_outfit(
         self,
@@ -234,7 +234,7 @@ class Methods:
         **options: Any,
     ) -> Steps[list[np.ndarray]]:
         """Drapes several garments worn over each other, the innermost first, and returns the vertices of each."""
-        return self._whole(drape_call(calls.read_layers, list(garments), motion, Body(trans, betas), options))
+        return self._whole(drape_call(calls.read_clip_layers, list(garments), motion, BodyShape(trans, betas), options))
 
     def drape_frames(
         self,
@@ -252,7 +252,7 @@ class Methods:
         Memory holds no more frames than that, however long the clip is.
         """
         return self._pieces(
-            drape_call(calls.read_layers, _listed(garment), motion, Body(trans, betas), options), at_once
+            drape_call(calls.read_clip_layers, _listed(garment), motion, BodyShape(trans, betas), options), at_once
         )
 
     def drape_jets(
@@ -270,7 +270,7 @@ class Methods:
         patches of several garments worn over each other.
         """
         asked = {**options, "geometry": "jets"}
-        return self._whole(drape_call(calls.read_jets, garment, motion, Body(trans, betas), asked))
+        return self._whole(drape_call(calls.read_jets, garment, motion, BodyShape(trans, betas), asked))
 
     def drape_glb(
         self,
@@ -293,7 +293,7 @@ class Methods:
         (KHR_mesh_quantization) the GLB has half the size of float32. The client writes the GLB of a clip that is too
         long for one request; such a GLB has neither body nor rig (``InputError``).
         """
-        shape = Body(trans, betas, fps)
+        shape = BodyShape(trans, betas, fps)
         more = {"body": body, "quantised": quantised} | ({"rig": True} if rig else {})
         more |= {} if joints is None else {"joints": joints}
         call = drape_call(calls.read_bytes, garment, motion, shape, options, accept=GLB, more=more)
@@ -328,8 +328,8 @@ class Methods:
         The same call with ``more={"job": id}`` goes on waiting for that job.
         """
         options = {**options, "tier": "exact"}
-        asked = drape_call(httpx.Response.json, garment, motion, Body(trans, betas), options, more=more)
-        return (yield from exact_clip(asked, GLB if glb else BINARY, progress))
+        asked = drape_call(httpx.Response.json, garment, motion, BodyShape(trans, betas), options, more=more)
+        return (yield from exact_clip_steps(asked, GLB if glb else BINARY, progress))
 
     def body_mesh(self, body: str) -> Call[dict[str, Any]]:
         """Returns the mesh of a body at rest: vertices [m] and faces."""
@@ -339,8 +339,8 @@ class Methods:
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> Steps[np.ndarray]:
         """Returns the vertices (F, Vb, 3) [m], float32, of the posed body in the world."""
-        clip, about = calls.motion_of(motion, Body(trans, betas))
-        path, accept = path_of("bodies", body, "posed"), {"Accept": BINARY}
+        clip, about = calls.motion_of(motion, BodyShape(trans, betas))
+        path, accept = url_path("bodies", body, "posed"), {"Accept": BINARY}
         return self._whole(Call("POST", path, calls.read_vertices, headers=accept, json=about, clip=clip))
 
     def _whole(self, call: Call[Answer]) -> Steps[Answer]:

@@ -41,7 +41,7 @@ from training.onefit import OneFit
 
 def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
     """The network of a checkpoint in evaluation mode, and the manifest's entry on its training."""
-    state, config = checkpoint.load(path)
+    state, config = checkpoint.load_checkpoint(path)
     model = OneFit(config.model)
     model.load_state_dict(state["model"])
     minutes = round(float(state["elapsed_s"]) / 60.0, 1)

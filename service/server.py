@@ -41,7 +41,7 @@ class StreamProtocol(WebSocketsSansIOProtocol):
             scope["extensions"][ABORT] = {"call": self.transport.abort}
 
 
-def bind(host: str, port: int) -> socket.socket:
+def bind_listener(host: str, port: int) -> socket.socket:
     """A listening socket; refuses with a sentence where the address is taken or not ours."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(

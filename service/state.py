@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from service.compute.avatars import AvatarEntry
     from service.compute.drape_runtime import DrapeRuntime
     from service.compute.threads import SlicedThread
-    from service.exact.jobs import ExactClips, Work
+    from service.exact.clip_queue import ExactClips, Work
     from service.guard.access import Access
     from service.http.continuations import Continuations
     from service.http.kept import Kept

@@ -53,7 +53,7 @@ def average(first: Path, second: Path, out: Path, *, share: float = 0.5) -> None
 
     ``first`` may be an exported model too, whose drape of single poses is read.
     """
-    payload, config = checkpoint.load(second)
+    payload, config = checkpoint.load_checkpoint(second)
     weights = interpolate_weights(read_model(first)[0], payload["model"], share)
     kept: dict[str, Any] = {name: payload[name] for name in ("step", "frames", "elapsed_s") if name in payload}
     checkpoint.save(out, {"model": weights, **kept}, config)

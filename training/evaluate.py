@@ -59,7 +59,7 @@ def load_network(path: Path) -> tuple[OneFit, TrainConfig, int]:
     Raises ``ArtifactError`` where the file is no checkpoint or holds a network of another build.
     """
     path = path / "checkpoint.pt" if path.is_dir() else path
-    payload, config = checkpoint.load(path)
+    payload, config = checkpoint.load_checkpoint(path)
     model = OneFit(config.model)
     try:
         model.load_state_dict(payload["model"])

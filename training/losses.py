@@ -89,7 +89,7 @@ def soften(energy: Tensor, knee: float) -> Tensor:
 
 
 @dataclass(frozen=True, eq=False)
-class ContactPlanes:
+class SampledPlanes:
     """Tangent planes of the body, ``point`` and ``normal`` (F, n, 3), that the vertices ``sample`` (n,) meet."""
 
     sample: Tensor
@@ -97,7 +97,7 @@ class ContactPlanes:
     normal: Tensor
 
 
-def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator: torch.Generator) -> ContactPlanes:
+def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator: torch.Generator) -> SampledPlanes:
     """Planes of the body nearest to a random ``share`` of ``vertices`` [m] (F, V, 3)."""
     count = vertices.shape[1]
     sample = torch.randperm(count, generator=generator)[: max(1, round(share * count))].to(vertices.device)
@@ -106,11 +106,11 @@ def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator
     frame = np.arange(len(index))[:, None]
     point = torch.from_numpy(body.collider[frame, index]).to(vertices.device)
     normal = torch.from_numpy(body.collider_normals[frame, index].astype(np.float32)).to(vertices.device)
-    return ContactPlanes(sample, point, normal)
+    return SampledPlanes(sample, point, normal)
 
 
 def energy_loss(
-    vertices: Tensor, garment: TrainingGarment, planes: ContactPlanes, material: Material
+    vertices: Tensor, garment: TrainingGarment, planes: SampledPlanes, material: Material
 ) -> dict[str, Tensor]:
     """Energy parts [J] (F,). Contact is that of the sample of ``planes``, scaled up: an unbiased estimate, since the
     search for nearest vertices is dear."""

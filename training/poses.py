@@ -27,7 +27,7 @@ def mirror_poses(poses: np.ndarray) -> np.ndarray:
     return poses[..., MIRROR, :] * np.array([1.0, -1.0, -1.0])
 
 
-def read_clips(folders: list[Path], *, held_out: tuple[str, ...]) -> list[MotionClip]:
+def read_training_clips(folders: list[Path], *, held_out: tuple[str, ...]) -> list[MotionClip]:
     """Motion files of ``folders`` in name order, without those named in ``held_out``."""
     clips = []
     for folder in folders:

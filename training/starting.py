@@ -35,7 +35,7 @@ def read_model(model: Path) -> tuple[Weights, ModelConfig, tuple[str, ...]]:
             got=model.name,
             cure="Name one that is there.",
         )
-    payload, found = checkpoint.load(path)
+    payload, found = checkpoint.load_checkpoint(path)
     return payload["model"], found.model, found.data.held_out
 
 

@@ -25,10 +25,10 @@ TRIES = 64
 @dataclass(frozen=True, eq=False)
 class SettledDrapes:
     """``vertices`` [m] (F, V, 3) relative to the root, at ``poses`` (F, 24, 3) [rad] of bodies ``betas`` (F, S), of the
-    training garment ``garment`` made of ``fabric``; ``digest`` of that garment's rest mesh."""
+    training garment ``garment`` made of ``fabric``; ``settled_digest`` of that garment's rest mesh."""
 
     garment: str
-    digest: int
+    settled_digest: int
     fabric: Fabric
     poses: np.ndarray
     betas: np.ndarray
@@ -57,7 +57,7 @@ class SettledDrapes:
             ) from error
 
 
-def digest(garment: TrainingGarment) -> int:
+def settled_digest(garment: TrainingGarment) -> int:
     """A checksum of the rest mesh: targets are of its vertices."""
     rest = np.ascontiguousarray(garment.rest.vertices.astype(np.float32))
     return zlib.crc32(garment.rest.faces.astype(np.int64).tobytes(), zlib.crc32(rest.tobytes()))
@@ -86,7 +86,7 @@ class SettledBank:
 
         Processes of a parallel run draw neighbours of the designs of their own; there are no files of those.
         """
-        files, known = self._files(), {(garment.name, digest(garment)): garment for garment in garments}
+        files, known = self._files(), {(garment.name, settled_digest(garment)): garment for garment in garments}
         for _ in range(TRIES):
             drapes = SettledDrapes.read(files[int(rng.integers(len(files)))])
             if (garment := known.get((drapes.garment, drapes.digest))) is not None:

@@ -174,11 +174,11 @@ class BaseTrainer:
             posed, said, losses.garment_vertices(said, partition, garment, batch.tensors, variant=variant)
         )
 
-    def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:
+    def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.SampledPlanes:
         """Planes that some of ``vertices`` [m] (F, V, 3), drawn now, touch."""
         return losses.contact_planes(vertices, batch, share=self.config.data.contact_share, generator=self.generator)
 
-    def _energy(self, vertices: Tensor, garment: TrainingGarment, planes: losses.ContactPlanes) -> dict[str, Tensor]:
+    def _energy(self, vertices: Tensor, garment: TrainingGarment, planes: losses.SampledPlanes) -> dict[str, Tensor]:
         """Energy (F,) of the cloth by part, in units of ``_unit``."""
         parts = losses.energy_loss(vertices, garment, planes, self.material)
         return {name: value / self._unit(garment) for name, value in parts.items()}

@@ -41,7 +41,7 @@ Distance = Callable[..., np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class Cloth:
+class JudgedCloth:
     """A garment's subdivided mesh in one cloth, and the body that it lies on.
 
     ``fabric`` None stands for ``material``, the cloth of before fabrics, whose rest is the mesh as modelled. Contact
@@ -55,7 +55,7 @@ class Cloth:
     distance: Distance = blended_distance
 
     @classmethod
-    def of(cls, garment: Garment, body: BodyModel, fabric: Fabric) -> Cloth:
+    def of(cls, garment: Garment, body: BodyModel, fabric: Fabric) -> JudgedCloth:
         """``garment`` made of ``fabric``, in its own rest state."""
         return cls(garment, body, Material.of(fabric), fabric)
 
@@ -101,12 +101,12 @@ class Judged:
     Heights count from those of ``skinned`` [m] (n, V, 3), which also carries the waistbands that physics holds.
     """
 
-    cloth: Cloth
+    cloth: JudgedCloth
     body_vertices: np.ndarray
     skinned: np.ndarray
 
     @classmethod
-    def of(cls, cloth: Cloth, poses: np.ndarray) -> Judged:
+    def of(cls, cloth: JudgedCloth, poses: np.ndarray) -> Judged:
         """``cloth`` over its body at ``poses`` (n, 24, 3) [rad]."""
         return cls(cloth, cloth.body.posed_vertices(poses), skinned(cloth.garment, cloth.body, poses))
 
@@ -140,9 +140,9 @@ class Judged:
         return nearest_vertex_push(self.skinned, self.body_vertices, self.body_normals)
 
     @cached_property
-    def pictured(self) -> tuple[PosedBody, ...]:
+    def pictured(self) -> tuple[JudgedBody, ...]:
         """The bodies in pictures, which all drapes share."""
-        return tuple(PosedBody.of(posed, self.cloth.body.faces) for posed in self.body_vertices)
+        return tuple(JudgedBody.of(posed, self.cloth.body.faces) for posed in self.body_vertices)
 
     def parts_j(self, vertices: np.ndarray) -> dict[str, np.ndarray]:
         """Energies [J] (n,) by part of ``vertices`` [m] (n, V, 3)."""
@@ -247,7 +247,7 @@ def covered_skin(
 
 
 @dataclass(frozen=True, eq=False)
-class PosedBody:
+class JudgedBody:
     """A body that garments are looked at on: ``vertices`` [m] (Vb, 3), ``faces`` (Fb, 3), and what is seen of it."""
 
     vertices: np.ndarray
@@ -256,7 +256,7 @@ class PosedBody:
     views: tuple[ZBuffer, ...]
 
     @classmethod
-    def of(cls, vertices: np.ndarray, faces: np.ndarray) -> PosedBody:
+    def of(cls, vertices: np.ndarray, faces: np.ndarray) -> JudgedBody:
         """The body and its pictures, which all garments share."""
         camera = Camera.around(vertices)
         return cls(
@@ -264,7 +264,7 @@ class PosedBody:
         )
 
 
-def skin_pixels_pct(body: PosedBody, covered: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def skin_pixels_pct(body: JudgedBody, covered: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Share [%] (4,) of skin in the pixels of the cloth ``vertices`` [m] (V, 3), ``faces`` (F, 3), from four sides.
 
     ``covered`` (Fb,): the body's faces of ``covered_skin``. The share is of the pixels that show cloth or such faces;

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.clock import timed
+from benchmarks.stopwatch import timed
 from drape.engine import calls
 from drape.engine.packer import Record, Recorded
 

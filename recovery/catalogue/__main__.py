@@ -22,7 +22,7 @@ from drape.garment.cache import GARMENTS_DIR
 from drape.garment.intake import intake
 from drape.garment.sizes import save_table, table_path
 from recovery.catalogue.cuts import CATALOGUE
-from recovery.catalogue.design_drape import QUICK, BuildOptions, body_distance, build, design, write_garment
+from recovery.catalogue.design_drape import QUICK, BuildOptions, body_distance, design, drape_design, write_garment
 from recovery.catalogue.size_tables import grade_sizes
 from recovery.commands import end_command, parser_of
 from recovery.pattern.measurements import PATTERN_STEPS, measure_body
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, one in designs.items():
         called = name if given.size == "M" else f"{name}_{given.size.lower()}"
         print(f"--- {called}, {one.fabric}")
-        garment = build(one, skin, options, report=print)
+        garment = drape_design(one, skin, options, report=print)
         paths = write_garment(garment, given.out, name=called, size=given.size, body=body.name)
         print(*paths, sep="\n")
         if given.garments is not None:

@@ -81,7 +81,7 @@ def design(name: str, body: BodyMeasurements, size: str = "M") -> Design:
     return CATALOGUE[name](in_size(body, size))
 
 
-def build(
+def drape_design(
     made: Design, skin: SignedDistance, options: BuildOptions = BuildOptions(), *, report: Say | None = None
 ) -> SewnGarment:
     """Sews the design ``made`` round the body whose signed distance is ``skin``, lets it fall, and returns it at rest.

@@ -18,9 +18,9 @@ from recovery import progress
 from recovery.drape.placement import Axes, PlacedPanels, place_panels, scale_pattern
 from recovery.drape.posing import to_pose
 from recovery.drape.seam_threads import Sewn, in_numpy, sew, uncross_stitches
-from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
-from recovery.pattern.panels import Pattern
+from recovery.drape.settle import ITERATION_LIMIT, SettledDrape, settle_at_rest
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.progress import Say
 from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
 
@@ -90,8 +90,8 @@ class Draped:
     mesh: PatternMesh
     placed: PlacedPanels
     sewn: Sewn
-    rest: Drape
-    posed: Drape | None
+    rest: SettledDrape
+    posed: SettledDrape | None
     figures: dict[str, Any]
 
     @property
@@ -150,7 +150,7 @@ def drape_pattern(
     limit = options.iteration_limit
     progress.tick("the garment falls")
     held = "belt" if belt else None
-    rest = settle(mesh, sewn.nodes, skin, cloth, held=held, lowest_top_m=knee, iteration_limit=limit)
+    rest = settle_at_rest(mesh, sewn.nodes, skin, cloth, held=held, lowest_top_m=knee, iteration_limit=limit)
     fallen = float(sewn.nodes[:, 1].max() - rest.nodes[:, 1].max())
     figures: dict[str, Any] = {
         "repaired": list(notes),
@@ -177,13 +177,13 @@ def drape_pattern(
 
 def drape_in_pose(
     mesh: PatternMesh,
-    rest: Drape,
+    rest: SettledDrape,
     body: BodyModel,
     pose: np.ndarray,
     options: SewingOptions = SewingOptions(),
     *,
     cloth: OrthotropicMaterial | None = None,
-) -> tuple[Drape, dict[str, Any]]:
+) -> tuple[SettledDrape, dict[str, Any]]:
     """The garment of ``mesh`` at rest on ``body`` in ``pose`` (24, 3), and its figures.
 
     ``rest`` is its drape in the T-pose; ``cloth`` as for ``drape_pattern``.
@@ -192,11 +192,11 @@ def drape_in_pose(
     moved = to_pose(mesh, rest.nodes, body, pose)
     skin = options.skin(body.posed_vertices(pose[None])[0], body.faces)
     cloth = cloth or hanging(options.fabric, options.hangs_longer)
-    posed = settle(mesh, moved, skin, cloth, held=rest.held, iteration_limit=options.iteration_limit)
+    posed = settle_at_rest(mesh, moved, skin, cloth, held=rest.held, iteration_limit=options.iteration_limit)
     return posed, drape_figures(mesh, posed, skin)
 
 
-def drape_figures(mesh: PatternMesh, drape: Drape, skin: SignedDistance) -> dict[str, Any]:
+def drape_figures(mesh: PatternMesh, drape: SettledDrape, skin: SignedDistance) -> dict[str, Any]:
     """The figures by which a drape can be trusted: force left, strain, distances of nodes and of edges' middles.
 
     Distances are from the bare skin, not from one that was grown.

@@ -21,8 +21,8 @@ from drape.errors import InputError
 from drape.geometry import meshes
 from drape.geometry.meshes import boundary_loops
 from recovery.pattern.measurements import measure_body
-from recovery.pattern.panels import PanelPlacement, Pattern
 from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.pattern.sewing_pattern import PanelPlacement, Pattern
 
 SMPL_PELVIS_M = (0.0, -0.235, 0.0)  # first joint of SMPL's templates, about
 CLEARANCE_M = 0.015  # panels start at least this far off the skin
@@ -111,7 +111,7 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
             cure="Say which axes the panels were placed in (--axes), and check the file's unit.",
         )
     stood = flat + origins[chosen]
-    openings = limb_openings(mesh, stood, top=hold == "shoulders", crotch_m=size.crotch_y)
+    openings = openings_of_limbs(mesh, stood, top=hold == "shoulders", crotch_m=size.crotch_y)
     joints = dict(zip(JOINT_NAMES, body.joints_template, strict=True))
     mesh, turned = round_spread_arms(mesh, openings, joints)
     stood, still = mesh.placed() + origins[chosen], (mesh.placed() == flat).all(axis=1)
@@ -179,7 +179,7 @@ def move_clear(
 # --- openings of limbs, and sleeves ----------------------------------------------------------------------------------
 
 
-def limb_openings(mesh: PatternMesh, placed: np.ndarray, *, top: bool, crotch_m: float) -> dict[str, np.ndarray]:
+def openings_of_limbs(mesh: PatternMesh, placed: np.ndarray, *, top: bool, crotch_m: float) -> dict[str, np.ndarray]:
     """The nodes (n,) of the opening for each arm of a ``top``, or for each leg; panels ``placed`` at [m] (P, 3).
 
     A top with three openings, two of them below the height ``crotch_m``, has legs and no arms.

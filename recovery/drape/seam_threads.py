@@ -16,8 +16,8 @@ from drape.cloth.relaxation import Distance, Relaxation, principal_stretches
 from drape.errors import InputError
 from recovery import progress
 from recovery.pattern import geometry
-from recovery.pattern.panels import Pattern, Stitch
 from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.pattern.sewing_pattern import Pattern, Stitch
 from recovery.sim.sdf import SignedDistance
 
 SEWING_GAP_M = 0.012  # cloth is kept this far off while it is sewn: inflated clear of the body

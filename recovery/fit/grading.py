@@ -21,8 +21,8 @@ from drape.errors import InputError
 from drape.garment.contours import Contour, Match
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import control_points, with_controls
-from recovery.pattern.panels import EdgeRef, Pattern
 from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.pattern.sewing_pattern import EdgeRef, Pattern
 from recovery.pattern.symmetry import Symmetries, correspondence
 
 NUMBERS = 3  # a, b, c of a panel

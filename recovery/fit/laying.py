@@ -24,16 +24,16 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.geometry import closest, meshes
 from recovery import progress
 from recovery.drape.pattern_drape import Draped, SewingOptions
-from recovery.drape.settle import Drape, to_rest
+from recovery.drape.settle import SettledDrape, to_rest
 from recovery.fit.chamfer import surface_distance
 from recovery.fit.forward import RestDrape
 from recovery.fit.objective import TargetSurface
 from recovery.pattern import geometry
-from recovery.pattern.panels import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, on_finer_mesh
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.sim.cloth_model import ClothState, Parameters
 from recovery.sim.implicit import ImplicitProblem
-from recovery.sim.linearised import LinearisedStep, Springs, damped_step, linearised_step
+from recovery.sim.linearised import LinearisedStep, SpringForces, damped_step, linearised_step
 from recovery.sim.newton_steps import Report, force_left
 from recovery.sim.sdf import SignedDistance
 from recovery.sim.skin_contact import SkinContact
@@ -112,7 +112,7 @@ class LaidDrape(RestDrape):
         return step, torch.zeros_like(state.x), STEP_S  # what is laid does not move
 
 
-def springs_between(x: np.ndarray, faces: np.ndarray, target: TargetSurface, stiffness: float) -> Springs:
+def springs_between(x: np.ndarray, faces: np.ndarray, target: TargetSurface, stiffness: float) -> SpringForces:
     """Springs of ``stiffness`` [N/m^3], per area, between cloth at ``x`` [m] (V, 3) and the target, both ways.
 
     Each node is drawn to the nearest point of the target, and the nearest point of the cloth to the middle of each of
@@ -140,7 +140,7 @@ def springs_between(x: np.ndarray, faces: np.ndarray, target: TargetSurface, sti
         [scipy.sparse.csr_matrix((v, (r, c)), shape=(len(gap), 3 * len(x))) for v, r, c, gap in rows]
     )
     force = stiffness * (slopes.T @ np.concatenate([gap for *_, gap in rows]))
-    return Springs(torch.from_numpy(force.reshape(-1, 3)), (stiffness * (slopes.T @ slopes)).tocsc())
+    return SpringForces(torch.from_numpy(force.reshape(-1, 3)), (stiffness * (slopes.T @ slopes)).tocsc())
 
 
 def _pulls(
@@ -161,7 +161,7 @@ def _pulls(
     return values.reshape(-1), rows, columns.reshape(-1), np.einsum("nwc,nc->nw", ways, gap).reshape(-1)
 
 
-def let_fall(mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial) -> Drape:
+def let_fall(mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial) -> SettledDrape:
     """The garment after short damped steps with friction from ``nodes`` [m] (N, 3), until it is still.
 
     The report has converged if it is; the force that it says is without friction.
@@ -174,7 +174,7 @@ def let_fall(mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: 
         progress.tick(f"let go, step {number}, {1e3 * move:.1f} mm in the last")
         state, move = damped_step(model, state, parameters, contact, kept=FREE_KEPT, longest_m=FREE_LONGEST_M)
     left = force_left(model, state, parameters, forward.contact)
-    return Drape(state.x.numpy(), np.zeros(0, dtype=np.int64), Report(0, left, move <= STILL_M), number)
+    return SettledDrape(state.x.numpy(), np.zeros(0, dtype=np.int64), Report(0, left, move <= STILL_M), number)
 
 
 def lay_on_target(draped: Draped, target: TargetSurface, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
@@ -183,7 +183,7 @@ def lay_on_target(draped: Draped, target: TargetSurface, skin: SignedDistance, c
     return _with_nodes(draped, LaidDrape(draped.mesh, skin, cloth, target).begun(draped.nodes))
 
 
-class Worn(NamedTuple):
+class DressedDrape(NamedTuple):
     """A pattern sewn from flat panels: ``loose`` as it closes by itself, ``worn`` with its belt at the target's."""
 
     loose: Draped
@@ -241,7 +241,7 @@ def hung_at_rest(draped: Draped, shown: Shown, skin: SignedDistance, cloth: Orth
     gather."""
     hung, forward = hung_as(draped, shown, skin, cloth), RestDrape(draped.mesh, skin, cloth)
     state, report = to_rest(forward.model, forward.model.state(hung.nodes), forward.parameters, forward.contact)
-    return _lying(hung, Drape(state.x.numpy(), draped.rest.held, report, 0))
+    return _lying(hung, SettledDrape(state.x.numpy(), draped.rest.held, report, 0))
 
 
 def put_on(draped: Draped, shown: Shown, hold: Callable[[Draped], Draped]) -> Draped:
@@ -271,6 +271,6 @@ def _with_nodes(draped: Draped, nodes: np.ndarray) -> Draped:
     return _lying(draped, (draped.posed or draped.rest)._replace(nodes=nodes))
 
 
-def _lying(draped: Draped, drape: Drape) -> Draped:
+def _lying(draped: Draped, drape: SettledDrape) -> Draped:
     """``draped`` with this drape in the pose that was asked for."""
     return replace(draped, rest=drape) if draped.posed is None else replace(draped, posed=drape)

@@ -14,7 +14,7 @@ import torch
 from drape.garment.contours import Match
 from recovery.drape.pattern_drape import Draped
 from recovery.fit.grading import Graded
-from recovery.fit.laying import Shown, Worn
+from recovery.fit.laying import DressedDrape, Shown
 from recovery.fit.optimise import Fitted, PatternSearch
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.symmetry import Symmetries
@@ -42,7 +42,7 @@ class Round:
     edge_length_m: float
     seconds: float
     processor_s: float
-    sewn: Worn | None = None
+    sewn: DressedDrape | None = None
     sewn_m2: float = math.inf
 
     @property
@@ -87,7 +87,7 @@ class Recovered:
     search: PatternSearch
     fitted: Fitted
     edge_length_m: float
-    sewn: Worn | None
+    sewn: DressedDrape | None
     rounds: tuple[Round, ...]
     left: str
     fabric: str

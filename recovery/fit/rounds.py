@@ -33,7 +33,7 @@ from recovery.fit.outcome import NOT_AT_REST, SAME, Recovered, Round, apart_mm, 
 from recovery.fit.seams import SeamConstraint, sewable
 from recovery.fit.starts import DrapeStart, drape_at_rest, drape_worn, needed_length, sew_and_dress
 from recovery.pattern.coordinates import control_points
-from recovery.pattern.panels import Pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls, symmetrised
 from recovery.progress import Say
 from recovery.sim.sdf import SignedDistance

@@ -18,8 +18,8 @@ from drape.garment.contours import lost_parts
 from recovery import progress as watch
 from recovery.drape.pattern_drape import Draped, SewingOptions, drape_pattern
 from recovery.drape.posing import posed_joints
-from recovery.fit.laying import Dressing, Shown, Worn
-from recovery.pattern.panels import Pattern
+from recovery.fit.laying import DressedDrape, Dressing, Shown
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.progress import Say
 from recovery.sim.sdf import SignedDistance
 
@@ -97,13 +97,13 @@ def sew_and_dress(
     rest: bool = True,
     off_mm: Callable[[Draped], float] = lambda one: 0.0,
     enough_mm: float = 0.0,
-) -> Worn:
+) -> DressedDrape:
     """``pattern`` sewn from flat panels as ``drape_worn`` does it, and put on as ``shown`` lies. Raises ``InputError``
     where it cannot be sewn."""
-    pairs: list[Worn] = []
+    pairs: list[DressedDrape] = []
 
     def mended(loose: Draped) -> Draped:
-        pairs.append(Worn(loose, dressing.worn_as(loose, shown)))
+        pairs.append(DressedDrape(loose, dressing.worn_as(loose, shown)))
         return pairs[-1].worn
 
     worn = drape_worn(pattern, start, rest=rest, mended=mended, off_mm=off_mm, enough_mm=enough_mm)

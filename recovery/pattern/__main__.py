@@ -20,9 +20,9 @@ from recovery.pattern import geometry
 from recovery.pattern.bases import BASES, base_pattern
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure_body
-from recovery.pattern.panels import Pattern
 from recovery.pattern.pattern_files import FORMATS, export_pattern
 from recovery.pattern.pattern_mesh import mesh_pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.style import add_style_lines, finish_pattern
 
 SEAM_LIMIT = 0.02

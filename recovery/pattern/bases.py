@@ -15,7 +15,7 @@ from drape.errors import InputError, NotFound
 from recovery.pattern.design import Assembly, Design
 from recovery.pattern.drafting import before_and_behind, draft
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.panels import Pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.skirts import SkirtCut, below_waist, panelled_skirt
 from recovery.pattern.tops import Sleeve, TopCut, bodices_to, lines, name_openings, top
 from recovery.pattern.trousers import LegCut

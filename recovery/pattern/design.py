@@ -13,8 +13,8 @@ import numpy as np
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.drafting import Drafted, Point, Side, Wrap
-from recovery.pattern.panels import EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.pieces import CLOTH_WIDTH_M
+from recovery.pattern.sewing_pattern import EdgeRef, Panel, Pattern, Stitch
 
 SEAM_TOLERANCE = 0.02  # of the mean length; what is eased in or gathered on purpose is named
 EASE_SLACK = 0.03  # by which a named ease may be missed

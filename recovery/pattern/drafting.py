@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from recovery.pattern.geometry import on_chord
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.panels import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement
 
 Point = tuple[float, float]
 KINDS = (EdgeKind.LINE, EdgeKind.QUADRATIC, EdgeKind.CUBIC)

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from drape.errors import InputError, NotFound
 from drape.files.atomic import write_whole
 from recovery.pattern.geometry import TOUCH_M, area, check_pattern, on_chord
-from recovery.pattern.panels import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement, Pattern, Stitch
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement, Pattern, Stitch
 
 FILE_UNITS_IN_METER = 100.0
 OWN_KEY = "drape"  # inside "properties": name and material, which the format has no place for

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.errors import InputError
-from recovery.pattern.panels import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 
 QUADRATURE_NODES, PIECES = 64, 8
 TOUCH_M = 1e-9  # segments nearer than this meet

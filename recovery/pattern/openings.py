@@ -16,8 +16,8 @@ import numpy as np
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.drafting import Side, draft
-from recovery.pattern.panels import EdgeRef, Pattern, Stitch
 from recovery.pattern.pieces import FACED
+from recovery.pattern.sewing_pattern import EdgeRef, Pattern, Stitch
 from recovery.pattern.split import partners
 
 COLLAR = "collar"

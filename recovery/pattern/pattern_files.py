@@ -11,8 +11,8 @@ from recovery.pattern.export_dxf import write_dxf
 from recovery.pattern.export_pdf import write_pdf
 from recovery.pattern.export_svg import write_svg
 from recovery.pattern.garmentcode import write_pattern
-from recovery.pattern.panels import Pattern
 from recovery.pattern.pieces import make_sheet
+from recovery.pattern.sewing_pattern import Pattern
 
 FORMATS = ("json", "svg", "dxf", "pdf")
 

@@ -23,7 +23,7 @@ from recovery.pattern.drafting import (
     ring_handles,
 )
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.panels import PanelPlacement
+from recovery.pattern.sewing_pattern import PanelPlacement
 
 QUARTER = 0.5 * np.pi
 WAIST_DIPS_M = (0.012, 0.018)  # of a fitted skirt's waist in the middle, in front and behind

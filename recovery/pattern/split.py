@@ -17,7 +17,7 @@ import numpy as np
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.drafting import root
-from recovery.pattern.panels import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.triangulate import inside
 
 SAME = 1e-7  # of an edge's length: nearer places are one

@@ -13,8 +13,8 @@ import numpy as np
 from drape.errors import InputError, NotFound
 from recovery.pattern import geometry
 from recovery.pattern.openings import COLLAR, PatternOpening, centre_of, openings_called, with_collar, with_ribs
-from recovery.pattern.panels import EdgeKind, EdgeRef, Pattern
 from recovery.pattern.pieces import FACED, side_of
+from recovery.pattern.sewing_pattern import EdgeKind, EdgeRef, Pattern
 from recovery.pattern.split import (
     JOIN_M,
     Chain,

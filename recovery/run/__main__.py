@@ -31,7 +31,7 @@ from recovery.fit.rounds import RoundsOptions
 from recovery.pattern.bases import BASES
 from recovery.pattern.measurements import PATTERN_STEPS
 from recovery.run.job import run_job
-from recovery.run.task import MINUTES, Job
+from recovery.run.task import MINUTES, RecoveryJob
 from recovery.scan.repair import ScanFault
 
 # Fields of a job that the command line says as they are.
@@ -116,9 +116,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def job_of(given: argparse.Namespace) -> Job:
+def job_of(given: argparse.Namespace) -> RecoveryJob:
     """The job that the command line asks for."""
-    return Job(
+    return RecoveryJob(
         **{name: getattr(given, name) for name in OF_JOB},
         betas=None if given.betas is None else read_betas(given.betas),
         pose=None if given.pose is None else read_pose(given.pose),

@@ -24,8 +24,8 @@ from drape.garment.sheets import main_sheet, with_used_vertices
 from drape.geometry import meshes
 from recovery.pattern.bases import COUNT, MOST_PANELS
 from recovery.pattern.measurements import BodyMeasurements, measure_body
-from recovery.pattern.panels import Pattern
-from recovery.run.seen import Seen
+from recovery.pattern.sewing_pattern import Pattern
+from recovery.run.seen import SeenGarment
 from recovery.run.target import OF_TOPS, OPENINGS, close_but_openings, describe_openings
 
 SLEEVE_M = 0.06  # from the shoulder's joint to a cuff; an armhole lies within 3 cm of it
@@ -58,7 +58,7 @@ class Cut:
         return Path(self.base).name
 
 
-def tell_base(seen: Seen, body: BodyMeasurements) -> str:
+def tell_base(seen: SeenGarment, body: BodyMeasurements) -> str:
     """Returns the name of the base whose openings lie where those of the target do. Raises ``InputError`` if none
     does."""
     counts = seen.counts()
@@ -87,7 +87,7 @@ def _above(body: BodyMeasurements) -> float:
     return 0.5 * (body.waist_y + body.underarm_y)
 
 
-def has_collar(mesh: GarmentMesh, seen: Seen, body: BodyMeasurements) -> bool:
+def has_collar(mesh: GarmentMesh, seen: SeenGarment, body: BodyMeasurements) -> bool:
     """Whether the cloth at the neck stands up, or is folded over so that its edge lies below its top."""
     neck = seen.openings[TRUNK][0]
     if neck.centre[1] > body.neck_y + STANDS_M:
@@ -108,7 +108,7 @@ def collarless(
     """
     if there != OF_TOPS:
         return mesh, (), 0.0
-    seen = Seen(mesh.vertices, mesh.faces, joints, wearer.joints_template)
+    seen = SeenGarment(mesh.vertices, mesh.faces, joints, wearer.joints_template)
     if not has_collar(mesh, seen, measure_body(wearer)):
         return mesh, (), 0.0
     bare, gone = without_collar(mesh, joints)
@@ -116,7 +116,7 @@ def collarless(
     if after != there:
         return mesh, ("The target has a collar, which no base has: the neckline is drawn to its edge",), 0.0
     words = f"The target has a collar, which no base has: it was cut off at the neck, {gone:.0%} of the cloth"
-    neck = Seen(bare.vertices, bare.faces, joints, wearer.joints_template).openings[TRUNK][0].contour
+    neck = SeenGarment(bare.vertices, bare.faces, joints, wearer.joints_template).openings[TRUNK][0].contour
     width = gone * float(meshes.face_areas(mesh.vertices, mesh.faces).sum()) / neck.length_m
     if not COLLARS_M[0] <= width <= COLLARS_M[1]:
         return bare, (f"{words}; the pattern ends at the neckline",), 0.0
@@ -139,7 +139,9 @@ def ring_panels(pattern: Pattern) -> list[str]:
     return panels
 
 
-def differences(base: str, pattern: Pattern, seen: Seen, body: BodyMeasurements, shown: int | None) -> tuple[str, ...]:
+def differences(
+    base: str, pattern: Pattern, seen: SeenGarment, body: BodyMeasurements, shown: int | None
+) -> tuple[str, ...]:
     """Sentences on how the cut of a target that lies on ``body`` differs from ``pattern``, drafted from ``base``.
 
     ``shown`` is the number of panels that its texture shows, None for none.

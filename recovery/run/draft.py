@@ -13,10 +13,10 @@ from drape.errors import InputError
 from drape.garment.contours import TRUNK
 from recovery.pattern.bases import BASES, COUNT, OF_SLEEVE
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.panels import Pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.tops import NECK_SLOPE
 from recovery.pattern.trousers import thigh_girth
-from recovery.run.seen import BodyOpening, Seen
+from recovery.run.seen import BodyOpening, SeenGarment
 
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of the way from a base's own settings to what the target tells
 BELOW_UNDERARM_M = 0.05  # where the chest's girth is taken, clear of armholes
@@ -60,7 +60,7 @@ RANGES: dict[str, Range] = {  # that a reading may lie in; beyond it something e
 
 
 def draft_near(
-    name: str, body: BodyMeasurements, seen: Seen, given: dict[str, float]
+    name: str, body: BodyMeasurements, seen: SeenGarment, given: dict[str, float]
 ) -> tuple[Pattern, dict[str, float]]:
     """Returns the base ``name`` for ``body``, drafted near the target ``seen``, and the settings that it was drafted
     with. Those in ``given`` stay as they are.
@@ -92,7 +92,7 @@ def own_settings(name: str, body: BodyMeasurements, told: dict[str, float]) -> d
     return settings
 
 
-def read_settings(name: str, body: BodyMeasurements, seen: Seen) -> dict[str, float]:
+def read_settings(name: str, body: BodyMeasurements, seen: SeenGarment) -> dict[str, float]:
     """What the target tells of the settings of the base ``name``, each within its range."""
     reader = {"trousers": _of_trousers, "skirt": _of_skirt}.get(name, _of_top)
     told = reader(body, seen, BASES[name].settings)
@@ -106,7 +106,7 @@ def read_settings(name: str, body: BodyMeasurements, seen: Seen) -> dict[str, fl
 Told = dict[str, float | None]
 
 
-def _of_top(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> Told:
+def _of_top(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]) -> Told:
     neck, hem = seen.openings[TRUNK][0], seen.openings[TRUNK][-1]
     wide = float(np.abs(neck.points[:, 0] - neck.centre[0]).max())
     out = wide - body.neck_half_width
@@ -149,7 +149,7 @@ def _of_top(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> To
     return measures
 
 
-def _of_sleeves(body: BodyMeasurements, seen: Seen, arms: list[BodyOpening]) -> Told:
+def _of_sleeves(body: BodyMeasurements, seen: SeenGarment, arms: list[BodyOpening]) -> Told:
     reach = float(np.mean([one.along_m for one in arms]))  # beyond the joint, where the shoulder's tip lies about
     hem = float(np.mean([one.contour.length_m for one in arms]))
     there = [
@@ -165,7 +165,7 @@ def _of_sleeves(body: BodyMeasurements, seen: Seen, arms: list[BodyOpening]) -> 
     }
 
 
-def _of_trousers(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> Told:
+def _of_trousers(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]) -> Told:
     waist = seen.openings[TRUNK][0]
     legs = [opening for part in ("left_leg", "right_leg") for opening in seen.openings.get(part, ())]
     top, low = float(waist.centre[1]), float(np.mean([one.centre[1] for one in legs]))
@@ -183,7 +183,7 @@ def _of_trousers(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) 
     }
 
 
-def _knee(body: BodyMeasurements, seen: Seen, thigh: float, hem: float, low: float) -> float | None:
+def _knee(body: BodyMeasurements, seen: SeenGarment, thigh: float, hem: float, low: float) -> float | None:
     """The girth [m] of legs at the knee; None where they end above it or go straight from ``thigh`` to ``hem``.
 
     Their hem lies at the height ``low``.
@@ -196,7 +196,7 @@ def _knee(body: BodyMeasurements, seen: Seen, thigh: float, hem: float, low: flo
     return knee if abs(knee / straight - 1.0) > SHAPED else None
 
 
-def _of_skirt(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> Told:
+def _of_skirt(body: BodyMeasurements, seen: SeenGarment, settings: tuple[str, ...]) -> Told:
     waist, hem = seen.openings[TRUNK][0], seen.openings[TRUNK][-1]
     top = float(waist.centre[1])
     hips, low = _ease(seen, body.hip_y, lambda y: body.hip_girth), float(hem.centre[1])
@@ -212,13 +212,13 @@ def _of_skirt(body: BodyMeasurements, seen: Seen, settings: tuple[str, ...]) -> 
     }
 
 
-def _ease(seen: Seen, y: float, girth: Callable[[float], float]) -> float | None:
+def _ease(seen: SeenGarment, y: float, girth: Callable[[float], float]) -> float | None:
     """The cloth's girth [m] less the body's at the height ``y`` [m]; None where no cloth goes round."""
     found = seen.girth(TRUNK, 1, y)
     return None if found is None else found - girth(y)
 
 
-def waist_gather(body: BodyMeasurements, seen: Seen, low: float) -> tuple[float, float]:
+def waist_gather(body: BodyMeasurements, seen: SeenGarment, low: float) -> tuple[float, float]:
     """The height [m] of the waist's seam below armholes that end at ``low``, and the share of cloth gathered there.
 
     A gathered seam is where the girth grows at once; without one the waist is where the cloth is narrowest.

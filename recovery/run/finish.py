@@ -14,7 +14,7 @@ from recovery.pattern.bases import BASES
 from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.measurements import BodyMeasurements, in_size
 from recovery.pattern.openings import COLLAR
-from recovery.pattern.panels import Pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.style import NO_STYLE, RIB_SHORTER, RIBS, Style, add_style_lines, cap_corners_deg, finish_pattern
 from recovery.pattern.symmetry import find_symmetries
 from recovery.run.cut import Cut

@@ -17,14 +17,14 @@ from recovery.fit.objective import TargetSurface
 from recovery.fit.outcome import Recovered
 from recovery.fit.rounds import recover_pattern
 from recovery.pattern.measurements import measure_body
-from recovery.pattern.panels import Pattern
 from recovery.pattern.pattern_files import export_pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.style import Style
 from recovery.progress import Say
 from recovery.run.finish import in_other_size, style_pattern
 from recovery.run.identify import Identifiability, identifiability
-from recovery.run.sewing import SewnAndWorn, sew_and_wear
-from recovery.run.task import Job, Task, prepare
+from recovery.run.sew_anew import SewnAndWorn, sew_and_wear
+from recovery.run.task import RecoveryJob, Task, prepare
 
 LEAST_TOLERANCE_M = 1e-3  # below a millimetre no scan tells
 SEARCH_SHARE = 0.7  # of the time until the best so far is taken; the rest is for sewing anew and for other bodies
@@ -78,7 +78,7 @@ class Outcome:
         return [*self.written.files, *self.sewn.files]
 
 
-def run_job(job: Job, *, progress: Say = lambda line: None, say: Say = print) -> Outcome:
+def run_job(job: RecoveryJob, *, progress: Say = lambda line: None, say: Say = print) -> Outcome:
     """Does ``job`` and returns its outcome. Pattern and garment are written as soon as they are found.
 
     ``progress`` is called every few seconds with a line on how far it is, ``say`` with what was found. Raises
@@ -98,7 +98,7 @@ def run_job(job: Job, *, progress: Say = lambda line: None, say: Say = print) ->
             ) from error
 
 
-def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
+def _run(job: RecoveryJob, clock: watch.Watch, say: Say) -> Outcome:
     started = time.perf_counter()
     task = prepare(job)
     for note in task.warnings:
@@ -107,7 +107,7 @@ def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
     search = search_pattern(task, say)
     if clock.stopped_in:
         task.warnings.append(stopped_words(job.minutes, clock.stopped_in))
-    written = write_pattern(task, search)
+    written = write_finished(task, search)
     near = measure_nearness(task, search, say)
     sewn = sew_and_wear(task, search, written.with_lines, say)
     return Outcome(task, search, written, near, sewn, time.perf_counter() - started)
@@ -124,7 +124,7 @@ def search_pattern(task: Task, say: Say) -> Recovered:
         return recover_pattern(target, task.base, wearer.shaped, options, pose=wearer.pose, report=say)
 
 
-def write_pattern(task: Task, found: Recovered) -> Written:
+def write_finished(task: Task, found: Recovered) -> Written:
     """Writes the pattern in all of its sizes, and the garment of the search."""
     job, cut, fitted, wearer = task.job, task.cut, found.fitted, task.wearer
     style, with_lines, pattern = style_pattern(job.style, cut, fitted.pattern, task.warnings)

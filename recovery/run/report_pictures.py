@@ -18,10 +18,10 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.geometry import closest, meshes
 from drape.geometry.raster import CLOTH, SKIN, Surface, render
 from recovery.pattern import geometry
-from recovery.pattern.panels import Panel, Pattern
+from recovery.pattern.sewing_pattern import Panel, Pattern
 from recovery.pattern.symmetry import procrustes
 from recovery.run.identify import CAP_M, Identifiability
-from recovery.run.sewing import WornElsewhere
+from recovery.run.sew_anew import WornElsewhere
 
 DPI = 100
 # Under the cloth the body is drawn thinner by this: flat triangles cut into it between their corners.
@@ -33,14 +33,14 @@ EDGE_SHARE = 0.14  # of a garment's extent, which is left free round it
 VIEWS = (("front", 0.0), ("side", 70.0), ("back", 180.0))
 
 
-class Mesh(NamedTuple):
+class MeshArrays(NamedTuple):
     """Vertices [m] (V, 3) and faces (F, 3)."""
 
     vertices: np.ndarray
     faces: np.ndarray
 
 
-def target_and_result(target: Mesh, result: Mesh, skin: Mesh) -> bytes:
+def target_and_result(target: MeshArrays, result: MeshArrays, skin: MeshArrays) -> bytes:
     """Three views of the target, of the result, and of the result coloured by its distance from the target."""
     distance = 1e3 * closest.closest_point(result.vertices, target.vertices, target.faces).distance
     scale = Normalize(0.0, max(1.0, float(np.quantile(distance, SCALE_SHARE))))
@@ -65,7 +65,7 @@ def target_and_result(target: Mesh, result: Mesh, skin: Mesh) -> bytes:
     return png(figure)
 
 
-def target_above_result(target: Mesh, result: Mesh, skin: Mesh, size: tuple[int, int]) -> bytes:
+def target_above_result(target: MeshArrays, result: MeshArrays, skin: MeshArrays, size: tuple[int, int]) -> bytes:
     """A PNG of the target and, below it, of the result from the front, each of ``size`` (height, width) in pixels."""
     body, middle = _body(skin, target.vertices), 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))
     extent = float(np.ptp(target.vertices, axis=0)[:2].max()) * (1.0 + EDGE_SHARE)
@@ -153,7 +153,7 @@ def worn_elsewhere(places: list[WornElsewhere]) -> bytes:
     figure = Figure(figsize=(2.8 * len(places), 7.2), dpi=DPI, layout="constrained")
     axes = figure.subplots(2, len(places), squeeze=False)
     for column, worn in enumerate(places):
-        surfaces = [_body(Mesh(worn.skin, worn.skin_faces), worn.nodes)]
+        surfaces = [_body(MeshArrays(worn.skin, worn.skin_faces), worn.nodes)]
         if len(worn.faces):
             surfaces.append(Surface(worn.nodes, worn.faces, CLOTH))
         for row, azimuth in enumerate((0.0, 160.0)):
@@ -174,7 +174,7 @@ def png(figure: Figure) -> bytes:
     return packed.getvalue()
 
 
-def _body(skin: Mesh, cloth: np.ndarray) -> Surface:
+def _body(skin: MeshArrays, cloth: np.ndarray) -> Surface:
     if not len(cloth):
         return Surface(*skin, SKIN)
     far = np.asarray(KDTree(cloth).query(skin.vertices)[0])

@@ -16,7 +16,6 @@ import numpy as np
 from recovery.pattern import geometry
 from recovery.pattern.export_svg import drawing
 from recovery.pattern.labels import place_label
-from recovery.pattern.panels import EdgeRef, Panel, Pattern
 from recovery.pattern.pieces import (
     BACK_GAP_M,
     FACED,
@@ -29,6 +28,7 @@ from recovery.pattern.pieces import (
     mirror_words,
     side_of,
 )
+from recovery.pattern.sewing_pattern import EdgeRef, Panel, Pattern
 
 EQUAL_MM = 0.05  # below: both edges are equally long, as far as a ruler shows
 PAGE_MM = 180.0  # of the drawing on paper

@@ -16,7 +16,7 @@ from recovery.run import report_pictures
 from recovery.run.identify import CAP_M, corner_names, weak_words
 from recovery.run.job import Outcome
 from recovery.run.report_pieces import ReportPage, add_pieces
-from recovery.run.sewing import ANEW_MM, anew_words, describe_worn
+from recovery.run.sew_anew import ANEW_MM, anew_words, describe_worn
 
 SEAM_PCT = 0.5  # of length, beside the ease that the base asks for: more cannot be sewn as it is drawn
 GOOD_RMS_MM, FAIR_RMS_MM = 2.0, 8.0
@@ -28,7 +28,7 @@ FAR_SHARE = 5.0  # the largest distance over the root mean square that is worth 
 def page_of(outcome: Outcome) -> str:
     """The report as one HTML page."""
     page = ReportPage(f"Sewing pattern of {outcome.task.name}")
-    page.say(*summary(outcome))
+    page.say(*report_summary(outcome))
     good, look = verdicts(outcome)
     page.table(HEADS, [key_figures(outcome)])
     page.notes(good, good=True)
@@ -73,7 +73,7 @@ def top_of(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def summary(outcome: Outcome) -> list[str]:
+def report_summary(outcome: Outcome) -> list[str]:
     """Three sentences: what it is, how near, how the base was changed."""
     pattern, distance, graded = outcome.pattern, outcome.near.distance, outcome.found.graded
     return [
@@ -125,7 +125,7 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
         good.append(
             f"All seams can be sewn: edges have the lengths that they should have within {max(worst, 0.01):.2g} %."
         )
-    eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.written.made) if eases(seam)]
+    eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.written.made) if ease_rows(seam)]
     if eased:
         look.append(
             f"{len(eased)} seams have ease, up to {max(eased):.1f} %: the table of seams says which edge to hold in."
@@ -152,7 +152,7 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
     return good, look
 
 
-def eases(seam: geometry.SeamLine) -> bool:
+def ease_rows(seam: geometry.SeamLine) -> bool:
     """Whether one edge of a seam has to be eased into the other."""
     return 100.0 * abs(seam.mismatch) > SEAM_PCT
 
@@ -188,9 +188,9 @@ def _shape(page: ReportPage, outcome: Outcome) -> None:
     skin = outcome.task.wearer.skin
     page.picture(
         report_pictures.target_and_result(
-            report_pictures.Mesh(outcome.task.mesh.vertices, outcome.task.mesh.faces),
-            report_pictures.Mesh(outcome.nodes, outcome.found.search.mesh.faces),
-            report_pictures.Mesh(skin.vertices - outcome.task.wearer.trans, skin.faces),
+            report_pictures.MeshArrays(outcome.task.mesh.vertices, outcome.task.mesh.faces),
+            report_pictures.MeshArrays(outcome.nodes, outcome.found.search.mesh.faces),
+            report_pictures.MeshArrays(skin.vertices - outcome.task.wearer.trans, skin.faces),
         ),
         "Above the target, in the middle the recovered garment, below its distance from the target. Under the cloth "
         "the body is drawn a centimetre thinner than it is.",

@@ -34,7 +34,7 @@ class BodyOpening:
     along_m: float
 
 
-class Seen:
+class SeenGarment:
     """What is seen of a garment, ``vertices`` [m] (V, 3) and ``faces``, on a wearer whose ``joints`` [m] (24, 3) are
     known in its pose, and at ``rest`` in the T-pose.
 

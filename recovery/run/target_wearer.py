@@ -78,7 +78,7 @@ def shape_body(body: BodyModel, betas: np.ndarray) -> BodyModel:
     return replace(body, name=f"{body.name}_shaped", v_template=body.rest_vertices(betas))
 
 
-def read_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarray | None = None) -> TargetWearer:
+def read_target_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarray | None = None) -> TargetWearer:
     """The wearer at ``source``: a shipped name, a file .npz or .pkl, or a surface that the shipped body is fitted to.
 
     ``betas`` and ``pose`` (24, 3) are those of a body in SMPL's schema; a surface brings its own.

@@ -18,14 +18,14 @@ from recovery.fit.rounds import RoundsOptions
 from recovery.pattern.bases import BASES, base_pattern, read_values
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure_body
-from recovery.pattern.panels import Pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.style import NO_STYLE, Style, add_style_lines, finish_pattern
 from recovery.run.cut import Cut, collarless, differences, panel_count, tell_base
 from recovery.run.draft import draft_near
 from recovery.run.finish import in_other_size
-from recovery.run.seen import Seen, pieces
+from recovery.run.seen import SeenGarment, pieces
 from recovery.run.target import OPENINGS, check_base, close_but_openings, off_skin, placed_target
-from recovery.run.target_wearer import Front, TargetWearer, inside_wearer, read_wearer
+from recovery.run.target_wearer import Front, TargetWearer, inside_wearer, read_target_wearer
 from recovery.scan.holes import known_faces
 from recovery.scan.repair import ScanFault, on_body, read_target
 
@@ -34,7 +34,7 @@ MINUTES = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class RecoveryJob:
     """The request: ``body`` is a name, a file, or ``fit``; ``base`` is a base pattern's name or a JSON file, None
     for the one that the target tells.
 
@@ -69,7 +69,7 @@ class Task:
     ``warnings`` are sentences, to which every step adds its own.
     """
 
-    job: Job
+    job: RecoveryJob
     name: str
     mesh: GarmentMesh
     wearer: TargetWearer
@@ -103,7 +103,7 @@ def read_base(source: str, wearer: TargetWearer, settings: Sequence[str] = ()) -
     return read_pattern(path)
 
 
-def prepare(job: Job) -> Task:
+def prepare(job: RecoveryJob) -> Task:
     """Reads and checks all that ``job`` needs, and returns it as a task. The drape keeps cloth as far off the skin as
     the target's lies."""
     mesh, shown = _read(job)
@@ -126,7 +126,7 @@ def prepare(job: Job) -> Task:
     return Task(job, name, mesh, wearer, replace(base, name=name), cut, known, _notes(mesh, wearer, cut, more_m))
 
 
-def _read(job: Job) -> tuple[GarmentMesh, int | None]:
+def _read(job: RecoveryJob) -> tuple[GarmentMesh, int | None]:
     """The target as its file has it, mended, and the number of panels that its texture shows."""
     try:
         mesh = read_target(job.target, label=job.label)
@@ -135,10 +135,10 @@ def _read(job: Job) -> tuple[GarmentMesh, int | None]:
     return mesh, pieces(mesh)
 
 
-def _on_wearer(job: Job, mesh: GarmentMesh) -> tuple[GarmentMesh, TargetWearer]:
+def _on_wearer(job: RecoveryJob, mesh: GarmentMesh) -> tuple[GarmentMesh, TargetWearer]:
     """``mesh`` [m] in the frame of its wearer's body, and the wearer."""
     if job.body != FIT_INSIDE:
-        wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
+        wearer = read_target_wearer(job.body, betas=job.betas, pose=job.pose)
         mesh = placed_target(mesh, wearer.skin, unit=job.unit, up=job.up)
     elif job.betas is not None or job.pose is not None:
         raise InputError(
@@ -167,11 +167,11 @@ def _notes(mesh: GarmentMesh, wearer: TargetWearer, cut: Cut, more_m: float) -> 
 
 
 def _near_target(
-    job: Job, mesh: GarmentMesh, wearer: TargetWearer, joints: np.ndarray, shown: int | None
+    job: RecoveryJob, mesh: GarmentMesh, wearer: TargetWearer, joints: np.ndarray, shown: int | None
 ) -> tuple[Pattern, Cut]:
     """The base drafted near the target ``mesh``, whose texture shows ``shown`` panels, and the cut."""
     body = measure_body(wearer.shaped)
-    seen = Seen(mesh.vertices, mesh.faces, joints, wearer.shaped.joints_template)
+    seen = SeenGarment(mesh.vertices, mesh.faces, joints, wearer.shaped.joints_template)
     name = job.base or tell_base(seen, body)
     settings: dict[str, float] = {}
     if name in BASES:
@@ -182,11 +182,11 @@ def _near_target(
     return pattern, Cut(name, job.base is None, settings, differences(name, pattern, seen, body, shown))
 
 
-def _placed_fault(fault: ScanFault, job: Job) -> ScanFault:
+def _placed_fault(fault: ScanFault, job: RecoveryJob) -> ScanFault:
     """``fault`` with its place on the wearer, where a wearer is given; otherwise it has its place in the file."""
     if fault.mesh is None or job.body == FIT_INSIDE:
         return fault
-    wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
+    wearer = read_target_wearer(job.body, betas=job.betas, pose=job.pose)
     try:
         both = replace(fault.mesh, vertices=np.concatenate([fault.mesh.vertices, fault.points]))
         both = place(both, wearer.skin, unit=job.unit, up=job.up).vertices

@@ -24,7 +24,7 @@ LARGEST_GRID = 40_000_000  # nodes, 320 MB
 
 
 @dataclass(frozen=True)
-class Plane:
+class PlaneDistance:
     """The half space below the plane through ``point`` [m] with outward ``normal``."""
 
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -28,7 +28,7 @@ from drape.wanted import go_on
 from service.compute import garment_files
 from service.compute.avatar_facts import AvatarFacts, AvatarInfo, facts_of, own_id
 from service.compute.garments import check_garment
-from service.compute.records import read_record
+from service.compute.json_records import read_record
 
 if TYPE_CHECKING:
     from service.settings import Settings

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from typing import IO, Any, ParamSpec, TypeVar
 
 from service.compute.background import step_back
-from service.compute.processes import Process, kill, start
+from service.compute.processes import Process, kill, start_process
 from service.watch.watchdog import spent_s, waits_for
 
 P = ParamSpec("P")
@@ -62,7 +62,7 @@ class ConstantsProcess:
 
     def _asked(self, call: Any) -> tuple[bool, Any]:
         if self._process is None:
-            self._process = start("service.compute.constants_process")
+            self._process = start_process("service.compute.constants_process")
         assert self._process.stdin is not None and self._process.stdout is not None
         try:
             send(self._process.stdin, call)

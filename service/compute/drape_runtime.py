@@ -35,7 +35,7 @@ from service.compute.threads import ComputeThreads
 from service.errors import InternalError
 from service.watch.prometheus import Metrics
 from service.watch.tracing import Tracing, make_tracing
-from service.watch.watchdog import moved
+from service.watch.watchdog import say_moved
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
@@ -183,7 +183,7 @@ class DrapeRuntime(Runtime):
         A batch that fails is tried again one by one, so that no frame fails with another. A frame that fails leaves the
         memories as they were.
         """
-        moved()
+        say_moved()
         inputs = [one for one, _ in poses]
         try:
             *_, batch = self._walk(plan, inputs)
@@ -223,7 +223,7 @@ class DrapeRuntime(Runtime):
         """``drape.stages.walk.walk``, measured."""
         done = Quality.untouched(0)
         for batch in walk(plan, inputs, self._took):
-            moved()
+            say_moved()
             done = batch.quality
             yield batch
         self.metrics.drawn(done.pushed_share, done.push_max_m, done.left_m, done.folds_resets)

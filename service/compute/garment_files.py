@@ -16,7 +16,7 @@ from pathlib import Path
 
 from drape.errors import ArtifactError
 from drape.stages.scene import UNCHANGED, About
-from service.compute.records import parsed_record
+from service.compute.json_records import parsed_record
 
 OWNED = "of-"  # begins the folder of a key's garments
 IDS = ".ids"  # a file for each id of a garment without owner: the name of the cache that has it

@@ -16,7 +16,7 @@ from typing import TypeVar
 
 from service.compute.background import processor_count, thread_steps_back
 from service.errors import Busy, Draining
-from service.watch.watchdog import Lane, moved
+from service.watch.watchdog import Lane, say_moved
 
 STREAM_WAIT_S = 0.02
 """What a chunk of a clip may take while there are streams, which share processors with it; one frame is the least."""
@@ -127,7 +127,7 @@ class ComputeThreads:
 
         def step() -> Result | None:
             nonlocal took_s
-            moved()
+            say_moved()
             begun_s = time.perf_counter()
             found = next(steps, None)
             took_s += time.perf_counter() - begun_s

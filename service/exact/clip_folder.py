@@ -22,7 +22,7 @@ from pydantic import Field
 from drape.files.atomic import whole_file
 from drape.files.packed import UNREADABLE
 from drape.wanted import go_on
-from service.compute.records import read_record
+from service.compute.json_records import read_record
 
 FOLDER = ".clips"
 MOST_FRAMES = 100_000  # that a stored clip may say it has
@@ -32,7 +32,7 @@ FIGURES = ("force_share", "depth_m", "energy_j", "start_j", *COUNTS)
 
 
 @dataclass(frozen=True)
-class Accepted:
+class AcceptedClip:
     """An accepted clip: its job's id and name, its key, its number of frames, how often it was begun, and the
     ``problem`` that ended it."""
 
@@ -43,7 +43,7 @@ class Accepted:
     attempts: int = 0
     problem: dict[str, Any] | None = None
 
-    def tried(self, folder: Path) -> Accepted:
+    def tried(self, folder: Path) -> AcceptedClip:
         """Returns the clip with one attempt more, written to ``folder``."""
         again = replace(self, attempts=self.attempts + 1)
         again.write(folder)
@@ -55,9 +55,9 @@ class Accepted:
             stream.write(json.dumps(asdict(self)).encode())
 
 
-def read_accepted(folder: Path) -> Accepted | None:
+def read_accepted(folder: Path) -> AcceptedClip | None:
     """The clip that was accepted in ``folder``, if one was."""
-    accepted = read_record(Accepted, folder / ABOUT)
+    accepted = read_record(AcceptedClip, folder / ABOUT)
     if accepted is None:
         return None
     known = accepted.problem is not None or (folder / CLIP).is_file()

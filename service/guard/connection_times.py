@@ -18,7 +18,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResp
 
 from drape.errors import DrapeError, TooLarge
 from drape.wanted import WANTED, Unwanted
-from service.errors import PROBLEM, Busy, TooSlow, problem
+from service.errors import PROBLEM, Busy, TooSlow, problem_of
 from service.guard.limits import STORED_PATHS
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ class LimitedHttp(HttpToolsProtocol):
         """Answers with ``error`` and closes; nothing of this connection is read any more."""
         self._drop_timers()
         self._unset_keepalive_if_required()
-        document = problem(error)
+        document = problem_of(error)
         content = json.dumps(document).encode()
         head = f"HTTP/1.1 {document['status']} {document['title']}\r\nContent-Type: {PROBLEM}\r\n"
         head += f"Content-Length: {len(content)}\r\nConnection: close\r\n\r\n"

@@ -46,7 +46,7 @@ class Client:
 ANYONE = Client()
 
 
-def digest(key: str) -> str:
+def key_digest(key: str) -> str:
     """The hash of ``key`` that the file holds."""
     return hashlib.sha256(key.encode()).hexdigest()
 

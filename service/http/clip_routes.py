@@ -53,9 +53,9 @@ from service.http.json_body import (
     check_marks,
     clip_marks,
     content_type,
-    document_of,
     json_text,
     parse_text,
+    read_document,
     validate_document,
 )
 from service.http.openapi import clip_schema, responses
@@ -96,7 +96,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     state.check_slot()  # before anything is read
     asked, clip, turns, told_where = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
     if asked.tier == EXACT:
-        job = exact_clips.job_info(await exact_clips.submitted(asked, clip, state, client))
+        job = exact_clips.exact_job_info(await exact_clips.submitted(asked, clip, state, client))
         where = {"Location": f"/jobs/{job.id}"}
         return Response(job.model_dump_json(), status_code=202, media_type=JSON, headers=where)
     kind = choose(request.headers.get("accept"), _offered(asked))
@@ -239,7 +239,7 @@ async def _clip(
     if content_type(request) == BINARY:
         sent = await request.body()
         text, poses, trans = unpack_clip(sent)
-        document = await brief(text, partial(document_of, text, otherwise="a clip whose last part is not JSON"))
+        document = await brief(text, partial(read_document, text, otherwise="a clip whose last part is not JSON"))
         asked, on_rig = await brief(text, validate_document, options, document), of_rig(poses)
     else:
         sent = await json_text(request)

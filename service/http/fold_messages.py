@@ -14,7 +14,7 @@ from drape.live.fold_records import fold_records
 from drape.wire.folds import pack_folds, with_hung
 from drape.wire.messages import WIRE_VERSION
 from drape.wire.options import FabricChoice, FabricNumbers
-from service.http.json_body import document_of, validate_document
+from service.http.json_body import read_document, validate_document
 from service.http.kept import packed_text
 
 KEPT = 8  # messages of some 3 MB, compressed to half of their size
@@ -26,7 +26,7 @@ def queried_fabric(text: str | None) -> FabricChoice | None:
     other JSON."""
     if not text:
         return None
-    return validate_document(FabricNumbers, document_of(text.encode())) if text.startswith("{") else text
+    return validate_document(FabricNumbers, read_document(text.encode())) if text.startswith("{") else text
 
 
 def pack_message(

@@ -23,7 +23,7 @@ from service.http.answers import BINARY, GLB, JSON, PNG, choose, file_answer, js
 from service.http.clip_files import rest_file
 from service.http.fold_messages import message_key, pack_message, queried_fabric
 from service.http.garment_schemas import LooksDocument
-from service.http.json_body import document_of, json_text, validate_document
+from service.http.json_body import json_text, read_document, validate_document
 from service.http.kept import ASKED_AGAIN, packed_text
 from service.http.openapi import KNOWN, body_schema, responses
 from service.http.query import queried_shape
@@ -247,7 +247,7 @@ async def change_garment(
 ) -> schemas.GarmentInfo:
     """Renames an uploaded garment, or publishes it to all keys. Its id stays the same."""
     entry = await _own(garment_id, client, state)
-    asked = validate_document(GarmentChange, document_of(await json_text(request)))
+    asked = validate_document(GarmentChange, read_document(await json_text(request)))
     if asked.name is None and asked.published is None:
         raise InputError("garment", expected="name or published", got="neither", cure='Send {"published": true}.')
     changed = state.runtime.garments.change(entry, name=asked.name, published=asked.published)

@@ -36,7 +36,7 @@ def clip_marks(max_frames: int) -> int:
     return 5 * max_frames * FRAME_MARKS // 4 + SMALL_MARKS
 
 
-def document_of(text: bytes, *, otherwise: str = NO_JSON) -> Any:
+def read_document(text: bytes, *, otherwise: str = NO_JSON) -> Any:
     """The parsed ``text``; refuses more than ``SMALL_MARKS`` marks, and what is no JSON as ``otherwise``."""
     marks = 0
     for more in _marks(text):

@@ -181,7 +181,7 @@ def start_ray(address: str | None = None, **more: Any) -> None:
     ray.init(address=address, namespace=NAME, **(more if address else own | more))
 
 
-def run(serving: Application, settings: Settings, address: str | None) -> None:
+def run_replicas(serving: Application, settings: Settings, address: str | None) -> None:
     serve, stopped = _serve(), threading.Event()
     import ray  # pyright: ignore[reportMissingImports]
 

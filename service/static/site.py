@@ -157,15 +157,15 @@ async def _answers(app: FastAPI, asked: Asked, plan: Plan) -> AsyncIterator[tupl
         "/fabrics": ("/fabrics", JSON, "fabrics.json"),
         "/tiers": ("/tiers", JSON, "tiers.json"),
     }
-    body = json.loads(await answer(app, "/health", JSON))["body"]
+    body = json.loads(await ask_application(app, "/health", JSON))["body"]
     wanted[f"/bodies/{body}"] = (f"/bodies/{body}?betas={betas}", JSON, "body.json")
     wanted[f"/bodies/{body}/mesh"] = (f"/bodies/{body}/mesh?betas={betas}", BINARY, "body.bin")
     for motion in asked.motions:
         wanted[f"/motions/{motion}"] = (f"/motions/{motion}?betas={betas}", JSON, f"motion-{motion}.json")
     for name, (path, kind, file) in wanted.items():
-        yield name, (file, await answer(app, path, kind))
+        yield name, (file, await ask_application(app, path, kind))
     for name, ids in (("/garments", [asked.garment]), ("/motions", asked.motions)):
-        every = {one["id"]: one for one in json.loads(await answer(app, name, JSON))}
+        every = {one["id"]: one for one in json.loads(await ask_application(app, name, JSON))}
         yield name, (f"{name[1:]}.json", json.dumps([every[one] for one in ids]).encode())
 
 
@@ -184,12 +184,12 @@ def _add_poses(folder: Folder, support: PoseSupport | None) -> dict[str, Any] | 
     return {"file": file, "rows": [len(part) for part in parts], "limits": support.limits.tolist()}
 
 
-def sizes(folder: Path) -> dict[str, int]:
+def network_sizes(folder: Path) -> dict[str, int]:
     """Bytes of the files in ``folder``, by name."""
     return {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.is_file()}
 
 
-async def answer(app: FastAPI, path: str, kind: str) -> bytes:
+async def ask_application(app: FastAPI, path: str, kind: str) -> bytes:
     """The body, of the media type ``kind``, of the answer of ``app`` to GET ``path``; raises its refusal."""
     address, _, query = path.partition("?")
     scope = {

@@ -18,7 +18,7 @@ from drape.stages.scene import Outfit, layer_list
 from drape.wire import messages as wire
 from service.errors import TooSlow
 from service.guard.limits import PACE_BYTES_S
-from service.http.json_body import document_of, validate_document
+from service.http.json_body import read_document, validate_document
 from service.http.schemas import OpenRequest
 from service.state import State
 from service.stream.session import CREDIT, Opening
@@ -64,7 +64,7 @@ def text_of(message: Any) -> str:
 
 async def read_opening(text: str, state: State, client: Client) -> Opening:
     """Returns what ``text`` asks for, once all that its frames need has been made."""
-    asked = validate_document(OpenRequest, document_of(text.encode()))
+    asked = validate_document(OpenRequest, read_document(text.encode()))
     runtime = state.runtime
     scene = await state.worn(asked, client)
     plan = runtime.plan(scene, asked, messages=True)

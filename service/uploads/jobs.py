@@ -289,11 +289,11 @@ class Uploads:
                 if job.state != "cancelled" or (task is not None and task.cancelling()):
                     raise
             except DrapeError as error:
-                job.problem, job.state = errors.problem(error), "failed"
+                job.problem, job.state = errors.problem_of(error), "failed"
                 log.info("upload %s refused: %s", job.id, error)
             except Exception:
                 log.exception("upload %s failed", job.id)
-                job.problem, job.state = errors.problem(errors.InternalError()), "failed"
+                job.problem, job.state = errors.problem_of(errors.InternalError()), "failed"
             job.work = job.stage = None
             # Not where the worker is ended: the next start goes on with it. The record comes first, so that other
             # services always find one of both.

@@ -271,7 +271,9 @@ def test_the_stream_client_hears_why_it_ended(live: str):
 
 
 def test_requests_carry_their_poses_in_binary_and_the_rest_as_json():
-    call = calls.drape_call(calls.read_vertices, "tube", np.zeros((1, 24, 3), np.float32), calls.Body(), {"folds": 0})
+    call = calls.drape_call(
+        calls.read_vertices, "tube", np.zeros((1, 24, 3), np.float32), calls.BodyShape(), {"folds": 0}
+    )
     arguments = call.arguments()
     assert arguments["headers"]["Content-Type"] == "application/octet-stream" and arguments["json"] is None
     text, poses, trans = unpack_clip(arguments["content"])

@@ -9,7 +9,7 @@ import numpy as np
 
 from drape.body.assets import load_body
 from recovery.pattern.measurements import BodyMeasurements, measure_body
-from recovery.pattern.panels import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement, Pattern, Stitch
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement, Pattern, Stitch
 
 FOLDS = {
     EdgeKind.LINE: (),

@@ -21,7 +21,7 @@ from drape.garment.sewing import sewing_beside, sewn_hinges
 from drape.geometry import meshes
 from recovery.catalogue.__main__ import main
 from recovery.catalogue.cuts import CATALOGUE
-from recovery.catalogue.design_drape import QUICK, SewnGarment, body_distance, build, design, write_garment
+from recovery.catalogue.design_drape import QUICK, SewnGarment, body_distance, design, drape_design, write_garment
 from recovery.catalogue.fall import HEM_BENDING, hinge_bending, seam_angles
 from recovery.drape.output import panel_texture
 from recovery.pattern.bases import skirt
@@ -35,7 +35,7 @@ from tests.recovery.pattern_setup import default_measurements
 def quick_tank() -> SewnGarment:
     """A tank on a coarse mesh, not yet at rest."""
     body = load_body()
-    return build(design("tank", default_measurements()), body_distance(body, QUICK), QUICK)
+    return drape_design(design("tank", default_measurements()), body_distance(body, QUICK), QUICK)
 
 
 @pytest.mark.parametrize("style", [{}, {"waistband": 0.04, "hemband": 0.05}])

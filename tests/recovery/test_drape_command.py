@@ -24,8 +24,8 @@ from recovery.drape.pattern_drape import SewingOptions, drape_pattern
 from recovery.drape.posing import LARGEST_TURN_RAD, move_with_bones, pose_steps, read_pose
 from recovery.pattern.bases import skirt
 from recovery.pattern.garmentcode import read_pattern, write_pattern
-from recovery.pattern.panels import EdgeRef, Stitch
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.pattern.sewing_pattern import EdgeRef, Stitch
 from tests.recovery.pattern_setup import default_measurements, tube
 
 

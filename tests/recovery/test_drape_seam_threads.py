@@ -22,28 +22,28 @@ from recovery.drape.placement import (
     Axes,
     best_lift,
     check_placed,
-    limb_openings,
     move_clear,
+    openings_of_limbs,
     place_panels,
     scale_pattern,
     sleeve_panels,
 )
 from recovery.drape.seam_threads import SEWING_GAP_M, Sewn, in_numpy, sew, uncross_stitches
-from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle, to_rest, topmost_opening
+from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle_at_rest, to_rest, topmost_opening
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
 from recovery.pattern.garmentcode import read_pattern
-from recovery.pattern.panels import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.style import Style, add_style_lines
 from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
 from recovery.sim.newton_steps import equilibrium
-from recovery.sim.sdf import GridDistance, Plane, SignedDistance, Sphere
+from recovery.sim.sdf import GridDistance, PlaneDistance, SignedDistance, Sphere
 from recovery.sim.skin_contact import SkinContact
 from tests.recovery.pattern_setup import default_measurements, lowered, rectangle, tube
 from tests.recovery.sim_setup import WOVEN
 
-FAR = Plane((0.0, -10.0, 0.0))
+FAR = PlaneDistance((0.0, -10.0, 0.0))
 BALL = in_numpy(Sphere((0.0, 0.0, 0.0), 0.1))
 
 
@@ -77,8 +77,8 @@ def test_threads_are_lifted_out_of_the_body_and_no_further():
     """Threads at 0.30 m over a body that ends at 0.335 m: lifted by 4 cm, the first of the levels that is free."""
     positions = np.array([[x, 0.30, z] for x in (-0.1, 0.1) for z in (-0.2, 0.2)])
     pairs = np.array([[0, 1], [2, 3]])
-    assert_allclose(best_lift(positions, pairs, in_numpy(Plane((0.0, 0.335, 0.0)))), 0.04)
-    assert best_lift(positions, pairs, in_numpy(Plane((0.0, 0.2, 0.0)))) == 0.0
+    assert_allclose(best_lift(positions, pairs, in_numpy(PlaneDistance((0.0, 0.335, 0.0)))), 0.04)
+    assert best_lift(positions, pairs, in_numpy(PlaneDistance((0.0, 0.2, 0.0)))) == 0.0
     assert best_lift(positions, np.zeros((0, 2), dtype=np.int64), BALL) == 0.0
 
 
@@ -108,7 +108,7 @@ def test_base_patterns_stand_where_they_were_drafted(body, name):
 def openings(pattern: Pattern, height: float = 0.0) -> dict[str, np.ndarray]:
     """The mesh's openings of limbs with the panels ``height`` [m] above the place of the file."""
     mesh = mesh_pattern(pattern, 0.08)
-    return limb_openings(mesh, mesh.placed() + np.array([0.0, height, 0.0]), top=True, crotch_m=-0.1)
+    return openings_of_limbs(mesh, mesh.placed() + np.array([0.0, height, 0.0]), top=True, crotch_m=-0.1)
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_a_sleeve_is_told_from_a_bodice_whose_openings_are_banded_and_from_one_w
     )
     for pattern, wanted in ((bands, "sleeve_left"), (BASES["tank"](default_measurements()), "none")):
         mesh = mesh_pattern(pattern, 0.06)
-        found = sleeve_panels(mesh, limb_openings(mesh, mesh.placed(), top=True, crotch_m=-0.1)["left_arm"])
+        found = sleeve_panels(mesh, openings_of_limbs(mesh, mesh.placed(), top=True, crotch_m=-0.1)["left_arm"])
         names = [panel.name for panel in pattern.panels]
         assert {names[number] for number in found} == {name for name in names if name.startswith(wanted)}
 
@@ -246,7 +246,7 @@ def test_a_tube_hangs_from_its_rim_by_its_own_weight():
     hems = []
     for factor in (1.0, 2.0):
         cloth = replace(WOVEN, density_kg_m2=factor * WOVEN.density_kg_m2)
-        drape = settle(mesh, nodes, FAR, cloth, held=held)
+        drape = settle_at_rest(mesh, nodes, FAR, cloth, held=held)
         assert drape.report.converged
         assert_allclose(drape.nodes[held], nodes[held], atol=0.0)
         hems.append(drape.nodes[rim, 1].mean())
@@ -257,7 +257,7 @@ def test_a_tube_hangs_from_its_rim_by_its_own_weight():
 def test_a_belt_closes_round_the_body_before_it_holds():
     """A tube of 0.8 m starts inside a body of 1.0 m: it lies on the skin, and then nothing moves its rim."""
     mesh = tube_mesh()
-    drape = settle(mesh, 0.95 * upright(mesh), cylinder(0.16), WOVEN, held="belt")
+    drape = settle_at_rest(mesh, 0.95 * upright(mesh), cylinder(0.16), WOVEN, held="belt")
     assert drape.report.converged
     # Nodes that the repulsion throws off and on do not keep the steps going: a third of the limit would be the belt's.
     assert drape.steps < STEP_LIMIT // 2
@@ -277,7 +277,7 @@ def apart() -> np.ndarray:
 
 
 HIGH = tube(*(rectangle(name, translation_m=(0.0, 3.0, z)) for name, z in (("front", 0.2), ("back", -0.2))))
-FACED = in_numpy(Plane((0.0, 0.0, 2.0), (0.0, 0.0, 1.0)))  # the front's right side looks at it
+FACED = in_numpy(PlaneDistance((0.0, 0.0, 2.0), (0.0, 0.0, 1.0)))  # the front's right side looks at it
 
 
 @pytest.mark.parametrize(
@@ -295,7 +295,7 @@ FACED = in_numpy(Plane((0.0, 0.0, 2.0), (0.0, 0.0, 1.0)))  # the front's right s
         (lambda: sew(tube_mesh(), tube_mesh().placed(), slab), "edges that meet round the body"),
         # 0.8 m of cloth round a body of 1.6 m.
         (lambda: sew(tube_mesh(), apart(), in_numpy(cylinder(0.255))), "Size the pattern up"),
-        (lambda: settle(tube_mesh(), sewn_tube().nodes, FAR, WOVEN, lowest_top_m=-0.5), "Give it a belt"),
+        (lambda: settle_at_rest(tube_mesh(), sewn_tube().nodes, FAR, WOVEN, lowest_top_m=-0.5), "Give it a belt"),
     ],
 )
 def test_what_cannot_be_placed_sewn_or_held_is_refused(make, message):

@@ -10,7 +10,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from recovery.drape.pattern_drape import HANGS_LONGER, Draped, SewingOptions
-from recovery.drape.settle import Drape
+from recovery.drape.settle import SettledDrape
 from recovery.fit import laying
 from recovery.fit.laying import (
     LaidDrape,
@@ -25,10 +25,10 @@ from recovery.fit.laying import (
 )
 from recovery.fit.objective import TargetSurface
 from recovery.pattern.bases import base_pattern
-from recovery.pattern.panels import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.sim.newton_steps import Report
-from recovery.sim.sdf import Plane, Sphere
+from recovery.sim.sdf import PlaneDistance, Sphere
 from tests.recovery.pattern_setup import default_measurements, rectangle
 from tests.recovery.sim_setup import WOVEN
 
@@ -98,7 +98,7 @@ def test_what_is_let_go_stays_on_a_slope_that_friction_holds():
     slope = np.array([0.2, 1.0, 0.0]) / np.hypot(0.2, 1.0)  # less than friction holds
     across = np.stack([[slope[1], -slope[0], 0.0], slope, [0.0, 0.0, 1.0]])
     start = flat @ across + 0.0035 * slope
-    drape = let_fall(mesh, start, Plane((0.0, 0.0, 0.0), tuple(slope)), WOVEN)
+    drape = let_fall(mesh, start, PlaneDistance((0.0, 0.0, 0.0), tuple(slope)), WOVEN)
     assert drape.report.converged and drape.steps < laying.FREE_STEPS and not len(drape.held)
     assert np.abs(drape.nodes - start).max() < 0.002
 
@@ -125,10 +125,12 @@ def test_a_drape_in_other_folds_is_hung_in_those_of_another_mesh():
     fine = mesh_pattern(mesh.pattern, 0.03)
     lies = np.stack([fine.nodes_from(fine.placed())[:, k] for k in (0, 2, 1)], axis=1)
     shown = Shown(fine, lies @ across + 0.0035 * slope)
-    skin = Plane((0.0, 0.0, 0.0), tuple(slope))
+    skin = PlaneDistance((0.0, 0.0, 0.0), tuple(slope))
     there = flat @ across + 0.0035 * slope + 0.08 * across[0]
     unused: Any = None
-    loose = Draped(mesh, unused, unused, Drape(there, np.zeros(0, dtype=np.int64), Report(0, 0.0, True), 0), None, {})
+    loose = Draped(
+        mesh, unused, unused, SettledDrape(there, np.zeros(0, dtype=np.int64), Report(0, 0.0, True), 0), None, {}
+    )
     assert in_other_folds(loose, shown)
     hung = hung_as(loose, shown, skin, WOVEN)
     assert hung.at_rest and not in_other_folds(hung, shown)

@@ -28,8 +28,8 @@ from recovery.fit.objective import (
 from recovery.fit.optimise import Evaluation, FitOptions, PatternSearch
 from recovery.pattern.bases import tshirt
 from recovery.pattern.coordinates import control_points, with_controls
-from recovery.pattern.panels import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.sim.sdf import Sphere
 from tests.drape.geometry.geometry_shapes import icosphere

@@ -23,7 +23,7 @@ from recovery.fit.optimise import FitOptions
 from recovery.fit.outcome import Recovered
 from recovery.fit.rounds import RoundsOptions, _Rounds, recover_pattern
 from recovery.pattern.bases import skirt, tshirt
-from recovery.run.sewing import sew_anew
+from recovery.run.sew_anew import sew_anew
 from recovery.sim.sdf import GridDistance
 from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements

@@ -20,8 +20,8 @@ from recovery.pattern.bases import BASES, dress, skirt, sleeved_dress, tank, tro
 from recovery.pattern.design import Dart, Design, check_laid_flat, check_seams, waist_with_darts
 from recovery.pattern.drafting import Cone, Flutes, Tube
 from recovery.pattern.measurements import GROWTH_M, in_size, measure_body
-from recovery.pattern.panels import Pattern
 from recovery.pattern.pattern_mesh import mesh_pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.skirts import SkirtCut, a_line, circle, panelled_skirt
 from recovery.pattern.tops import CAP_EASE, Sleeve, TopCut, cap, lines, top
 from recovery.pattern.trousers import LegCut

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from drape.errors import InputError
-from recovery.pattern.panels import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement, Pattern, Stitch
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement, Pattern, Stitch
 from tests.recovery.pattern_setup import FOLDS, curved, rectangle, tube
 
 CORNERS = rectangle().vertices

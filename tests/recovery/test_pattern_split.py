@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from drape.errors import InputError
 from recovery.pattern import geometry
-from recovery.pattern.panels import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.split import JOIN_M, Chain, Curve, curves, cut_level, divide_edges, fit_curve, join_panels, strips
 from tests.recovery.pattern_setup import curved, rectangle, tube
 

@@ -16,8 +16,8 @@ from recovery.pattern.bases import BASES
 from recovery.pattern.export_dxf import write_dxf
 from recovery.pattern.garmentcode import read_pattern, write_pattern
 from recovery.pattern.openings import openings, openings_by_name
-from recovery.pattern.panels import EdgeKind, EdgeRef, Pattern
 from recovery.pattern.pieces import FACED, cut_count, hems, make_sheet, mirror_words
+from recovery.pattern.sewing_pattern import EdgeKind, EdgeRef, Pattern
 from recovery.pattern.split import Curve, curves, divide_edges, part_panel
 from recovery.pattern.style import NO_STYLE, RIB_SHORTER, Style, add_style_lines, cap_corners_deg, finish_pattern
 from recovery.pattern.symmetry import find_symmetries, symmetrised

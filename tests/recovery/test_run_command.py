@@ -40,8 +40,8 @@ from recovery.run.draft import own_settings
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
 from recovery.run.job import run_job
 from recovery.run.report_pieces import ReportPage, add_pieces, scaled_drawing
-from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, summary, verdicts
-from recovery.run.sewing import SewnAnew, anew_words, describe_worn, retarget, sew_anew
+from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, report_summary, verdicts
+from recovery.run.sew_anew import SewnAnew, anew_words, describe_worn, drape_elsewhere, sew_anew
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements, tube
@@ -210,7 +210,7 @@ def test_the_report_says_what_was_found(run):
     made = finish_pattern(add_style_lines(outcome.pattern, style), style)
     with_lines = replace(outcome, written=outcome.written._replace(style=style, made=made))
     assert cut_of(with_lines) == f"{record['cut']}; with cuffs 5 cm, collar 6 cm: 11 pieces, 24 seams"
-    assert "With cuffs 5 cm, collar 6 cm it has 11 pieces and 24 seams" in summary(with_lines)[0]
+    assert "With cuffs 5 cm, collar 6 cm it has 11 pieces and 24 seams" in report_summary(with_lines)[0]
     lines = ReportPage("lines")
     add_pieces(lines, with_lines.written.made)
     assert "cut twice: sewn to its facing" in lines.text() and "sleeve_left_front_cuff" in lines.text()
@@ -265,11 +265,11 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     pose = np.zeros((24, 3))
     pose[0, 1] = 0.3
     write_whole(folder / "turned.json", json.dumps(pose.tolist()))
-    monkeypatch.setattr("recovery.run.sewing.BODIES", {"taller": (0.3,)})
-    monkeypatch.setattr("recovery.run.sewing.POSES", (str(folder / "turned.json"),))
+    monkeypatch.setattr("recovery.run.sew_anew.BODIES", {"taller": (0.3,)})
+    monkeypatch.setattr("recovery.run.sew_anew.POSES", (str(folder / "turned.json"),))
     draped, body = outcome.sewn.anew.draped, load_body()
     parts = ["trunk", "trunk", "left_arm", "right_arm"]
-    taller, posed = retarget(truth, draped, body, body, COARSE, parts, cloth=outcome.found.fitted.cloth)
+    taller, posed = drape_elsewhere(truth, draped, body, body, COARSE, parts, cloth=outcome.found.fitted.cloth)
     assert taller.lost == posed.lost == ()
     for worn in (taller, posed):
         assert worn.figures["converged"] and worn.figures["clearance_mm"] > 0.0 and not worn.refusal
@@ -324,9 +324,9 @@ def test_a_place_that_refuses_the_garment_says_so(body, monkeypatch):
     def refuse(*given, **more):
         raise InputError("pattern", expected="cloth", got="none", cure="Size it up.")
 
-    monkeypatch.setattr("recovery.run.sewing.drape_pattern", refuse)
+    monkeypatch.setattr("recovery.run.sew_anew.drape_pattern", refuse)
     never_sewn = cast(Draped, None)  # bodies come before poses, which alone need it
-    worn = next(retarget(tube(), never_sewn, body, body, COARSE, ["trunk"], cloth=hanging("jersey")))
+    worn = next(drape_elsewhere(tube(), never_sewn, body, body, COARSE, ["trunk"], cloth=hanging("jersey")))
     assert worn.refusal.endswith("Size it up.") and len(worn.nodes) == len(worn.faces) == 0 and worn.figures == {}
 
 

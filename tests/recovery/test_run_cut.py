@@ -28,7 +28,7 @@ from recovery.pattern.style import NO_STYLE, Style
 from recovery.run.cut import Cut, below, collarless, differences, has_collar, panel_count, ring_panels, tell_base
 from recovery.run.draft import RANGES, draft_near, own_settings, read_settings
 from recovery.run.finish import in_other_size, style_pattern
-from recovery.run.seen import Seen, girth_round, pieces
+from recovery.run.seen import SeenGarment, girth_round, pieces
 from recovery.run.target import OF_TOPS, close_but_openings
 from recovery.run.target_wearer import long_contours
 from tests.drape.cloth.cloth_shapes import round_tube
@@ -57,9 +57,9 @@ def worn(name: str) -> GarmentMesh:
     return plain_mesh(name, garment.vertices, garment.faces)
 
 
-def seen(mesh: GarmentMesh) -> Seen:
+def seen(mesh: GarmentMesh) -> SeenGarment:
     joints = load_body().joints_template
-    return Seen(mesh.vertices, mesh.faces, joints, joints)
+    return SeenGarment(mesh.vertices, mesh.faces, joints, joints)
 
 
 @pytest.mark.parametrize("name", CUTS)
@@ -92,7 +92,7 @@ def test_a_cape_and_a_top_with_one_sleeve_have_no_base():
     joints = load_body().joints_template
     cape = plain_mesh("cape", *round_tube(np.linspace(0.5, 0.12, 21).tolist(), np.linspace(0.2, 0.57, 21), 40))
     with pytest.raises(InputError, match=r"2 round the trunk, the upper one at the neck.*--base FILE\.json"):
-        tell_base(Seen(cape.vertices, cape.faces, joints, joints), default_measurements())
+        tell_base(SeenGarment(cape.vertices, cape.faces, joints, joints), default_measurements())
     tshirt = seen(worn("tshirt"))
     del tshirt.openings["left_arm"]
     with pytest.raises(InputError, match="got 1 round the right arm, 2 round the trunk"):

@@ -24,8 +24,8 @@ from recovery.run.target import (
     off_skin,
     placed_target,
 )
-from recovery.run.target_wearer import inside_wearer, read_wearer, shape_body
-from recovery.run.task import Job, prepare, read_base
+from recovery.run.target_wearer import inside_wearer, read_target_wearer, shape_body
+from recovery.run.task import RecoveryJob, prepare, read_base
 from recovery.scan.holes import close_holes
 from recovery.scan.repair import ScanFault, mend_sheet, one_sheet, read_target
 from recovery.sim.sdf import check_closed
@@ -119,7 +119,7 @@ def test_whatever_the_surface_the_refusal_is_a_sentence(tmp_path, mesh, got):
     """Also one that mending closes, and one whose fault is a point: its place is told on the body."""
     path = write_obj(tmp_path / "odd.obj", mesh)
     with pytest.raises(MeshError, match=got):
-        prepare(Job(target=path, out=tmp_path, base=None, body="anny_default"))
+        prepare(RecoveryJob(target=path, out=tmp_path, base=None, body="anny_default"))
 
 
 def test_a_whole_mesh_stays_as_it_is():
@@ -130,7 +130,7 @@ def test_a_whole_mesh_stays_as_it_is():
 
 
 def test_centimetres_z_up_and_inside_out_are_repaired_and_noted():
-    skin = read_wearer("anny_default").skin
+    skin = read_target_wearer("anny_default").skin
     mesh = skirt_tube()
     x, y, z = 100.0 * mesh.vertices.T
     found = placed_target(replace(mesh, vertices=np.stack([x, -z, y], axis=1), faces=mesh.faces[:, ::-1]), skin)
@@ -147,7 +147,7 @@ def test_centimetres_z_up_and_inside_out_are_repaired_and_noted():
 )
 def test_a_target_off_its_body_is_refused(mesh, got):
     with pytest.raises(InputError, match=got):
-        check_near(mesh, read_wearer("anny_default").skin)
+        check_near(mesh, read_target_wearer("anny_default").skin)
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_a_target_off_its_body_is_refused(mesh, got):
 )
 def test_a_target_in_no_known_unit_or_of_too_little_cloth_is_refused(mesh, unit, got):
     with pytest.raises(MeshError, match=got):
-        placed_target(mesh, read_wearer("anny_default").skin, unit=unit)
+        placed_target(mesh, read_target_wearer("anny_default").skin, unit=unit)
 
 
 def test_the_base_must_have_the_openings_of_the_target():
@@ -174,7 +174,7 @@ def test_the_base_must_have_the_openings_of_the_target():
 
 
 def test_cloth_that_lies_off_the_skin_tells_how_far():
-    skin = read_wearer("anny_default").skin
+    skin = read_target_wearer("anny_default").skin
     (path,) = Path("drape/assets/garments").glob("tank-*.npz")
     tank = load_garment(path)
     mesh, known = plain_mesh("tank", tank.vertices, tank.faces), np.ones(len(tank.faces))
@@ -236,13 +236,13 @@ def test_a_body_with_a_hole_is_refused(body, tmp_path):
         check_closed(body.v_template, body.faces[1:], "mine")
     path = write_obj(tmp_path / "open.obj", plain_mesh("open", body.v_template, body.faces[1:]))
     with pytest.raises(MeshError, match="a closed surface"):
-        read_wearer(str(path))
+        read_target_wearer(str(path))
     with pytest.raises(BodyError, match="its own shape and pose"):
-        read_wearer(str(path), pose=np.zeros((24, 3)))
+        read_target_wearer(str(path), pose=np.zeros((24, 3)))
 
 
 def test_a_shape_is_in_the_template_of_the_wearer():
-    wearer = read_wearer("anny_default", betas=np.array([0.5, -1.0]))
+    wearer = read_target_wearer("anny_default", betas=np.array([0.5, -1.0]))
     assert_allclose(wearer.skin.vertices, load_body().rest_vertices(np.array([0.5, -1.0])), atol=1e-12)
     assert_allclose(wearer.shaped.joints_template, load_body().rest_joints(np.array([0.5, -1.0])), atol=1e-12)
     assert shape_body(load_body(), np.zeros(2)).name == load_body().name
@@ -250,10 +250,10 @@ def test_a_shape_is_in_the_template_of_the_wearer():
 
 def test_a_job_refuses_what_does_not_go_together(tmp_path):
     path = write_obj(tmp_path / "t.obj", skirt_tube())
-    job = Job(target=path, out=tmp_path, base="skirt", body="fit", pose=np.zeros((24, 3)))
+    job = RecoveryJob(target=path, out=tmp_path, base="skirt", body="fit", pose=np.zeros((24, 3)))
     with pytest.raises(InputError, match="--body fit"):
         prepare(job)
-    wearer = read_wearer("anny_default")
+    wearer = read_target_wearer("anny_default")
     with pytest.raises(InputError, match="--base"):
         read_base("hat", wearer)
     with pytest.raises(InputError, match="--set"):
@@ -303,14 +303,16 @@ def test_arms_bend_where_long_sleeves_do(body):
 
 def test_without_a_base_the_target_tells_it_and_its_settings(tmp_path):
     path = write_obj(tmp_path / "t.obj", skirt_tube())
-    found = prepare(Job(target=path, out=tmp_path, base=None, body="anny_default"))
+    found = prepare(RecoveryJob(target=path, out=tmp_path, base=None, body="anny_default"))
     assert (found.cut.base, found.cut.told, found.base.name) == ("skirt", True, "t")
     assert_allclose(found.cut.settings["length_m"], 0.5, atol=1e-6)
     assert any("chosen by the target's openings: skirt" in note for note in found.warnings)
-    named = prepare(Job(target=path, out=tmp_path, base="skirt", body="anny_default", settings=["length_m=0.4"]))
+    named = prepare(
+        RecoveryJob(target=path, out=tmp_path, base="skirt", body="anny_default", settings=["length_m=0.4"])
+    )
     assert not named.cut.told and named.cut.settings["length_m"] == 0.4
     with pytest.raises(InputError, match=r"--set: expected NAME=NUMBER"):
-        prepare(Job(target=path, out=tmp_path, base=None, body="anny_default", settings=["length_m"]))
+        prepare(RecoveryJob(target=path, out=tmp_path, base=None, body="anny_default", settings=["length_m"]))
     pattern = export_pattern(found.base, tmp_path, ["json"])[0]
     with pytest.raises(InputError, match=r"--sizes: expected a base that is drafted"):
-        prepare(Job(target=path, out=tmp_path, base=str(pattern), body="anny_default", sizes=["L"]))
+        prepare(RecoveryJob(target=path, out=tmp_path, base=str(pattern), body="anny_default", sizes=["L"]))

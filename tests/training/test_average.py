@@ -28,7 +28,7 @@ def test_the_command_writes_the_mean_of_two_models_that_can_be_read_again(tmp_pa
     for name, model, step in (("a.pt", first, 5), ("b.pt", second, 7)):
         checkpoint.save(tmp_path / name, {"model": model, "step": step, "optimiser": {}}, config)
     assert main([str(tmp_path / "a.pt"), str(tmp_path / "b.pt"), "--out", str(tmp_path / "c.pt")]) == 0
-    payload, read = checkpoint.load(tmp_path / "c.pt")
+    payload, read = checkpoint.load_checkpoint(tmp_path / "c.pt")
     assert read == config and payload["step"] == 7 and "optimiser" not in payload
     moved = 0
     for name, value in payload["model"].items():
@@ -43,7 +43,7 @@ def test_an_exported_model_may_be_the_first(tmp_path: Path):
     second = {name: value + 1.0 if value.is_floating_point() else value for name, value in shipped.items()}
     checkpoint.save(tmp_path / "b.pt", {"model": second, "step": 1}, TrainConfig(model=config))
     assert main(["onefit", str(tmp_path / "b.pt"), "--share", "0.7", "--out", str(tmp_path / "c.pt")]) == 0
-    found = checkpoint.load(tmp_path / "c.pt")[0]["model"]
+    found = checkpoint.load_checkpoint(tmp_path / "c.pt")[0]["model"]
     for name, value in shipped.items():
         torch.testing.assert_close(found[name], value + 0.7 if value.is_floating_point() else value)
 

@@ -19,7 +19,7 @@ from training.config import TrainConfig, dynamic
 from training.dynamics import CALM_M_S2, DynamicTrainer
 from training.fabrics import stretch_share
 from training.onefit import OneFit
-from training.poses import read_clips
+from training.poses import read_training_clips
 from training.run import make_trainer
 from training.starting import start_from
 from training.trainer import BatchLoss, take_weights
@@ -44,7 +44,7 @@ def static() -> OneFit:
 @pytest.fixture(scope="module")
 def trainer(static: OneFit) -> DynamicTrainer:
     torch.set_num_threads(1)
-    clips = read_clips([MOTIONS_DIR], held_out=())
+    clips = read_training_clips([MOTIONS_DIR], held_out=())
     made = make_trainer(RUN, clips, device=CPU, weights=static.state_dict())
     assert isinstance(made, DynamicTrainer)
     made.fabrics = None  # one fabric, so that losses of two steps compare

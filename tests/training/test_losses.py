@@ -26,7 +26,7 @@ def bodies(count: int = 2):
 
 def planes(
     vertices: torch.Tensor, batch: BodyBatch, generator: torch.Generator, share: float = 1.0
-) -> losses.ContactPlanes:
+) -> losses.SampledPlanes:
     return losses.contact_planes(vertices, batch, share=share, generator=generator)
 
 

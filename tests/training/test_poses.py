@@ -16,7 +16,7 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip
 from tests.training.training_setup import body
 from training.config import DataConfig
-from training.poses import LEGS, MIRROR, PoseBank, draw_betas, mirror_poses, read_clips, rows_of_three
+from training.poses import LEGS, MIRROR, PoseBank, draw_betas, mirror_poses, read_training_clips, rows_of_three
 
 PLAIN = DataConfig(mix_share=0.0, mirror_share=0.0)
 
@@ -63,7 +63,7 @@ def test_frames_beside_a_glitch_are_never_drawn():
 
 
 def test_held_out_clips_are_not_read():
-    names = {clip.name for clip in read_clips([MOTIONS_DIR], held_out=("walk",))}
+    names = {clip.name for clip in read_training_clips([MOTIONS_DIR], held_out=("walk",))}
     assert "walk" not in names
     assert names >= {"squat", "reach", "turn"}
 

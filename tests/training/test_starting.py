@@ -22,7 +22,7 @@ from tests.training.training_setup import CPU, TINY, TINY_RUN
 from training import checkpoint, run
 from training.config import TrainConfig, dynamic, shipped
 from training.onefit import OneFit
-from training.poses import read_clips
+from training.poses import read_training_clips
 from training.run import make_trainer
 from training.starting import finetuned, load_exported, read_model, start_from, with_garments
 from training.trainer import take_weights
@@ -127,7 +127,7 @@ def test_fine_tuning_starts_from_the_model_on_the_garment_alone(tiny: tuple[OneF
     config, weights = finetuned(folder, [TANK])
     assert config.data.garments == (TANK,) and config.data.held_out == ("walk",) and config.early_agreement == 1.0
     config = replace(config, data=replace(config.data, partitions=1), batch_size=2, threads=1)
-    trainer = make_trainer(config, read_clips([MOTIONS_DIR], held_out=()), device=CPU, weights=weights)
+    trainer = make_trainer(config, read_training_clips([MOTIONS_DIR], held_out=()), device=CPU, weights=weights)
     assert [garment.name for garment in trainer.wardrobe.garments] == [TANK]
     assert same(trainer.model.state_dict(), model), "weights and statistics are the model's"
     trainer.step()
@@ -164,7 +164,7 @@ def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, 
     options += ["--batch", "2", "--bf16"]
     monkeypatch.setattr("sys.argv", ["run", *options])
     assert run.main() == 0
-    payload, config = checkpoint.load(tmp_path / "out" / "checkpoint.pt")
+    payload, config = checkpoint.load_checkpoint(tmp_path / "out" / "checkpoint.pt")
     assert config.batch_size == 2 and config.autocast
     assert payload["step"] >= 1 and config.data.garments == (TANK, SHORTS) and config.model == TINY
     assert f"stored    {tmp_path / 'out' / 'checkpoint.pt'}: step {payload['step']} after" in capsys.readouterr().out
@@ -173,7 +173,7 @@ def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, 
     monkeypatch.setattr("sys.argv", ["run", "--resume", str(tmp_path / "out"), "--motions", str(MOTIONS_DIR)])
     assert run.main() == 0
     assert "nothing left to do: the run has had its 0.005 minutes" in capsys.readouterr().out
-    assert checkpoint.load(tmp_path / "out" / "checkpoint.pt")[0]["step"] == payload["step"]
+    assert checkpoint.load_checkpoint(tmp_path / "out" / "checkpoint.pt")[0]["step"] == payload["step"]
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ def two_sheets() -> tuple[OptimumTask, np.ndarray]:
 
 def test_an_upper_sheet_stays_over_a_lower_one(two_sheets):
     task, upper = two_sheets
-    found = ipc_optimum.minimise(task, step_limit=40)
+    found = ipc_optimum.minimise_apart(task, step_limit=40)
     free = physics.minimise(task)
     height = {}
     for name, optimum in (("apart", found), ("free", free)):
@@ -45,6 +45,6 @@ def test_an_upper_sheet_stays_over_a_lower_one(two_sheets):
 def test_an_optimum_is_stored(two_sheets, tmp_path, monkeypatch):
     monkeypatch.setattr(ipc_optimum, "STEPS", 2)
     task, _ = two_sheets
-    (first, was), (again, is_stored) = (ipc_optimum.stored_minimum(task, tmp_path) for _ in range(2))
+    (first, was), (again, is_stored) = (ipc_optimum.stored_apart(task, tmp_path) for _ in range(2))
     assert not was and is_stored
     assert_array_equal(first.vertices, again.vertices)

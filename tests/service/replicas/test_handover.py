@@ -28,7 +28,7 @@ from drape.wire.state import join_state, split_state
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.errors import Busy, Unauthorized
-from service.guard.key_file import Client, digest
+from service.guard.key_file import Client, key_digest
 from service.guard.limits import HELD_BYTES
 from service.guard.tickets import Tickets
 from service.replicas.handover import LIFE_S, STATE_BYTES, Handover
@@ -171,7 +171,7 @@ def test_a_stream_goes_on_anew_where_its_state_cannot_be_read(moving_settings: S
 
 def test_a_key_and_a_ticket_move_along(moving_settings: Settings, tmp_path, make_settings: Callable[..., Settings]):
     file = tmp_path / "keys.json"
-    file.write_text(json.dumps({"shop": {"sha256": digest("drape_key")}}))
+    file.write_text(json.dumps({"shop": {"sha256": key_digest("drape_key")}}))
     kept = make_settings(keys_file=file, ticket_secret=SECRET)
     poses, trans = smooth(FRAMES)
     with served(kept) as there:

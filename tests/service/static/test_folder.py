@@ -19,12 +19,12 @@ from drape.wire.options import Advanced, DrapeOptions
 from service.http import problems
 from service.http.answers import JSON
 from service.static import site
-from service.static.site import answer
+from service.static.site import ask_application
 
 
 def test_an_application_is_asked_in_its_process_and_its_refusals_are_raised():
     app = FastAPI()
-    problems.install(app)
+    problems.install_handlers(app)
 
     @app.get("/told/{name}")
     async def told(name: str, often: int) -> list[str]:
@@ -32,9 +32,9 @@ def test_an_application_is_asked_in_its_process_and_its_refusals_are_raised():
             raise NotFound("name", expected="one that is told", got=name, cure="Tell it once.")
         return often * [name]
 
-    assert asyncio.run(answer(app, "/told/walk?often=2", JSON)) == b'["walk","walk"]'
+    assert asyncio.run(ask_application(app, "/told/walk?often=2", JSON)) == b'["walk","walk"]'
     with pytest.raises(InputError, match=r"name: expected one that is told, got walk\. Tell it once\."):
-        asyncio.run(answer(app, "/told/walk?often=0", JSON))
+        asyncio.run(ask_application(app, "/told/walk?often=0", JSON))
 
 
 def test_jets_that_are_not_those_of_the_wire_are_refused():

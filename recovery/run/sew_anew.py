@@ -25,7 +25,7 @@ from recovery.fit.chamfer import SurfaceDistance, surface_distance
 from recovery.fit.laying import OTHER_FOLDS_MM, Dressing, LaidDrape, Shown, laying_options
 from recovery.fit.outcome import Recovered
 from recovery.fit.starts import DrapeStart, sew_and_dress
-from recovery.pattern.panels import Pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.progress import Say
 from recovery.run.target_wearer import shape_body
 from recovery.run.task import Task
@@ -147,7 +147,7 @@ class WornElsewhere:
     lost: tuple[str, ...] = ()
 
 
-def retarget(
+def drape_elsewhere(
     pattern: Pattern,
     sewn: Draped,
     body: BodyModel,
@@ -236,7 +236,7 @@ def _worn_elsewhere(
         return []
     worn = []
     cloth = found.fitted.cloth
-    for place in retarget(pattern, draped, wearer.shaped, wearer.standard, job.search.drape, parts, cloth=cloth):
+    for place in drape_elsewhere(pattern, draped, wearer.shaped, wearer.standard, job.search.drape, parts, cloth=cloth):
         say(f"worn      {place.what}: {place.refusal or describe_worn(place)}")
         worn.append(place)
     return worn

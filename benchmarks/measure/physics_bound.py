@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.cases import Scene
+from benchmarks.cases import CaseScene
 from benchmarks.judge import ipc_optimum
 from benchmarks.judge.physics_cache import CACHE_DIR
-from benchmarks.measure.judged import Cloth, Judged, jitter_ratio
+from benchmarks.measure.judged import Judged, JudgedCloth, jitter_ratio
 from benchmarks.tables import Row
 from drape.cloth import metrics
 
@@ -48,7 +48,7 @@ class Bound:
         return {"gain": metrics.gain(plain["energy_j"], row["energy_j"], self.energy_j), "detail_share": share}
 
 
-def bound(scene: Scene, starts: Mapping[str, np.ndarray], *, keeps_apart: bool = False) -> Bound:
+def bound(scene: CaseScene, starts: Mapping[str, np.ndarray], *, keeps_apart: bool = False) -> Bound:
     """The optimum of ``OPTIMA`` of the measured frames, from the first and the last of ``starts`` [m] (F, V, 3).
 
     Of cloth that ``keeps_apart`` from itself, it is the optimum near the last start.
@@ -56,9 +56,9 @@ def bound(scene: Scene, starts: Mapping[str, np.ndarray], *, keeps_apart: bool =
     measured = scene.clip.measured
     few = np.linspace(0, len(measured) - 1, min(OPTIMA, len(measured))).astype(int)
     plain, *_, last = (start[measured[few]].astype(np.float64) for start in starts.values())
-    judge = Judged(Cloth.of(scene.garment, scene.body, scene.fabric), scene.clip.body_vertices[few], plain)
+    judge = Judged(JudgedCloth.of(scene.garment, scene.body, scene.fabric), scene.clip.body_vertices[few], plain)
     if keeps_apart:
-        optimum, _ = ipc_optimum.stored_minimum(judge.task((last,)), CACHE_DIR)
+        optimum, _ = ipc_optimum.stored_apart(judge.task((last,)), CACHE_DIR)
     else:
         optimum, _ = judge.optimum((plain, last), CACHE_DIR)
     energy_j = judge.energies(optimum.vertices)["energy_j"]

@@ -26,7 +26,7 @@ from service import errors
 from service.compute.processes import ended, running
 from service.exact import clip_folder as on_disk
 from service.exact.block import Block
-from service.exact.clip_folder import Accepted, Lock
+from service.exact.clip_folder import AcceptedClip, Lock
 
 if TYPE_CHECKING:
     from drape.stages.plan import Plan
@@ -53,7 +53,7 @@ class Work:
 class ClipJob:
     """One clip and how far it is. ``told``: the figures of each finished frame, by its number."""
 
-    accepted: Accepted
+    accepted: AcceptedClip
     folder: Path
     state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
     told: dict[int, dict[str, Any]] = field(default_factory=dict)
@@ -155,7 +155,7 @@ class ExactClips:
         """Stores the ``message`` that asks for a clip of so many ``frames``, and queues it."""
         job_id = uuid.uuid4().hex[:12]
         folder = self._root / on_disk.FOLDER / job_id
-        accepted = Accepted(job_id, name, owner, frames)
+        accepted = AcceptedClip(job_id, name, owner, frames)
         job = ClipJob(accepted, folder)
         self._jobs[job_id] = job
 
@@ -234,11 +234,11 @@ class ExactClips:
             except errors.Draining:
                 continue  # the next start goes on with it
             except DrapeError as error:
-                await self._failed(job, errors.problem(error))
+                await self._failed(job, errors.problem_of(error))
                 log.info("exact clip %s refused: %s", job.accepted.id, error)
             except Exception:
                 log.exception("exact clip %s failed", job.accepted.id)
-                await self._failed(job, errors.problem(errors.InternalError()))
+                await self._failed(job, errors.problem_of(errors.InternalError()))
             job.work = job.stage = None
 
     async def _failed(self, job: ClipJob, problem: dict[str, Any]) -> None:
