@@ -32,7 +32,7 @@ class Headline:
 
 
 def headline(records: Records) -> Headline:
-    """The three numbers."""
+    """The three numbers at the head of README: gain and frame time of the default tier, and the streams it carries."""
     trade, serving = records["tradeoff"], records["serving"]
     (gain,) = [row["gain"] for row in trade["means"] if row["tier"] == DEFAULT_TIER]
     streams = serving["max_clients"][f"service {DEFAULT_TIER}"]

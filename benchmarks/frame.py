@@ -25,11 +25,19 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cases import FPS, at_rate
 from benchmarks.harness import Benchmark, Option, Run, inputs
-from benchmarks.scenes import FPS, at_rate
 from benchmarks.served import Stream
-from benchmarks.speed.kernel_times import PYTHON, Spent, Trace, moved_bytes, multiply_adds, replaced
-from benchmarks.speed.rates import copied_per_s, multiply_adds_per_s
+from benchmarks.speed.kernel_times import (
+    PYTHON,
+    Spent,
+    Trace,
+    copied_per_s,
+    moved_bytes,
+    multiply_adds,
+    multiply_adds_per_s,
+    replaced,
+)
 from benchmarks.tables import Row
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
@@ -57,7 +65,7 @@ COLUMNS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class FrameBench:
     """The runtime that all rows share, the ``poses`` (F, 24, 3) [rad] of a walk, and the frames that count."""
 
     drapery: DrapeRuntime
@@ -73,7 +81,7 @@ class Bench:
         return plan
 
     def stream(self, plan: Plan, **told: Any) -> Stream:
-        """A stream of ``plan``."""
+        """A new stream that drapes by ``plan``."""
         return Stream(plan, self.drapery.body.shape_count, **told)
 
     def pose(self, frame: int) -> np.ndarray:
@@ -90,7 +98,7 @@ class Bench:
 # --- by stage and kernel ----------------------------------------------------------------------------------------------
 
 
-def kernel_rows(bench: Bench, garment: str, tier: str) -> list[Row]:
+def kernel_rows(bench: FrameBench, garment: str, tier: str) -> list[Row]:
     """The rows of all stages and kernels of one stream, and of the whole frame."""
     plan, trace = bench.plan([garment], tier=tier), Trace()
     bare, seen = bench.stream(plan), bench.stream(plan, took=trace.took, staged=True)
@@ -172,7 +180,7 @@ def _together(rows: Sequence[Row]) -> list[Row]:
 # --- threads ----------------------------------------------------------------------------------------------------------
 
 
-def stream_thread_rows(bench: Bench, garment: str) -> Iterator[Row]:
+def stream_thread_rows(bench: FrameBench, garment: str) -> Iterator[Row]:
     """Frames of two streams, one after the other on one thread, and at once on two."""
     plan = bench.plan([garment])
     for threads in (1, 2):
@@ -180,7 +188,7 @@ def stream_thread_rows(bench: Bench, garment: str) -> Iterator[Row]:
         yield _threads_row(garment, "two streams", threads, took, 2 * bench.frames)
 
 
-def _driven(bench: Bench, streams: Sequence[Stream], threads: int) -> tuple[float, float]:
+def _driven(bench: FrameBench, streams: Sequence[Stream], threads: int) -> tuple[float, float]:
     """Wall and processor time [s] of the frames of all ``streams``, each on one of so many ``threads``."""
 
     def drive(stream: Stream, frames: range) -> None:
@@ -197,7 +205,7 @@ def _driven(bench: Bench, streams: Sequence[Stream], threads: int) -> tuple[floa
         return min(together(range(start, start + bench.frames)) for start in first)
 
 
-def clip_thread_row(bench: Bench, garment: str, threads: int) -> Row:
+def clip_thread_row(bench: FrameBench, garment: str, threads: int) -> Row:
     """A clip whose network runs on so many ``threads`` of ``bench``."""
     plan, count = bench.plan([garment]), bench.frames
     poses = np.stack([bench.pose(frame) for frame in range(count)])
@@ -240,7 +248,7 @@ class View:
     moving: Callable[[int], np.ndarray] | None = None
 
 
-def views(bench: Bench) -> Iterator[View]:
+def views(bench: FrameBench) -> Iterator[View]:
     """Distance, hidden garments, and a body that stands."""
     walk, shirt, far = bench.pose, ["tshirt"], {"pixels_per_m": 50.0}
     yield View("distance", "far away", shirt, walk, {}, far)
@@ -258,7 +266,7 @@ def views(bench: Bench) -> Iterator[View]:
     yield View("still", "stands, its cloth at rest", shirt, stands, {}, {}, REST, moving=walk)
 
 
-def view_row(bench: Bench, view: View) -> Row:
+def view_row(bench: FrameBench, view: View) -> Row:
     """The scene with less, beside what it takes in full."""
     pairs = ((view.full, view.moving or view.pose), (view.less, view.pose))
     streams = [(bench.stream(bench.plan(view.garments, **options)), pose) for options, pose in pairs]
@@ -284,9 +292,9 @@ def main(run: Run) -> None:
     options, body, folder = run.options, load_body(), model_folder(run.options.model)
     poses = at_rate(read_motion(find_motions(options.motions or ["walk"])[0]), FPS).poses
 
-    def bench(threads: int) -> Bench:
+    def bench(threads: int) -> FrameBench:
         settings = Settings(model=str(folder), threads=threads)
-        return Bench(DrapeRuntime(settings, body=body), poses, options.frames)
+        return FrameBench(DrapeRuntime(settings, body=body), poses, options.frames)
 
     alone, both = bench(1), bench(2)
     for garment in options.garments:

@@ -36,7 +36,7 @@ def points(rows: list[Row], figure: str, garments: Callable[[str], bool]) -> lis
     return found
 
 
-def draw(pane: Axes, found: list[tuple[float, float, str]], title: str) -> None:
+def draw_front(pane: Axes, found: list[tuple[float, float, str]], title: str) -> None:
     """Draws ``points`` into a pane, those of tiers by name."""
     for time, value, tier in found:
         pane.plot(time, value, "o", ms=9 if tier else 4, color=COLOURS.get(tier, "#c9c9c9"), zorder=3 if tier else 2)
@@ -62,9 +62,9 @@ def main() -> None:
         row | {"tier": named.get(row["knobs"], "").split(", ")[-1], "left": 1.0 - row["gain"]} for row in record["rows"]
     ]
     figure, panes = pyplot.subplots(1, 3, figsize=(13.0, 3.8))
-    draw(panes[0], points(rows, "left", TRAINED.__contains__), "garments trained on")
-    draw(panes[1], points(rows, "left", lambda name: name not in TRAINED), "a stranger's T-shirt")
-    draw(panes[2], points(rows, "curvature", lambda _: True), "all, how crumpled")
+    draw_front(panes[0], points(rows, "left", TRAINED.__contains__), "garments trained on")
+    draw_front(panes[1], points(rows, "left", lambda name: name not in TRAINED), "a stranger's T-shirt")
+    draw_front(panes[2], points(rows, "curvature", lambda _: True), "all, how crumpled")
     for pane in panes[:2]:
         pane.set(yscale="log", ylim=(0.6, 0.004))
         pane.minorticks_off()

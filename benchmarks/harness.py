@@ -139,7 +139,7 @@ class Run:
 
     def record(self) -> Record:
         """The record of the run."""
-        made = {"machine": machine(), "threads": self.options.threads, "commit": commit()}
+        made = {"machine": machine(), "threads": self.options.threads, "commit": commit_of_tree()}
         told = {"command": command(self.name, self.options.words)}
         return finite({"bench": self.name, "rows": self.rows, **self.extra, **made, **told})
 
@@ -267,7 +267,7 @@ def machine() -> str:
     return f"{model}, {os.cpu_count()} cores, {system}"
 
 
-def commit() -> str:
+def commit_of_tree() -> str:
     """Hash of the checked-out commit, with "+" where tracked files differ from it; "none" outside a clone."""
     try:
         head = _git("rev-parse", "--short=12", "HEAD")

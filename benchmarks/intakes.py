@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.clock import Clock
+from benchmarks.cases import FPS, at_rate
 from benchmarks.harness import Benchmark, Option, Run
-from benchmarks.scenes import FPS, at_rate
 from benchmarks.served import Stream, plan_of
-from benchmarks.serving import crowd, figures, server
+from benchmarks.serving import crowd, server, stream_figures
+from benchmarks.stopwatch import Clock
 from benchmarks.tables import Row
 from clients.client import DrapeClient
 from drape.body.assets import load_body
@@ -60,15 +60,15 @@ def main(run: Run) -> None:
     dress = [open_garment(find_garments(["dress"])[0], body)]
     for path in find_garments(run.options.garments):
         try:
-            row, garments = taken_in(path)
+            row, garments = take_in(path)
         except DrapeError as error:
             run.add([{"garment": path.stem, "refused": str(error)[:90]}])
             continue
         run.add([row | frame_times(drapery, garments, dress, run.options.rounds)])
-        run.add([sent(path, streams) for streams in run.options.streams])
+        run.add([upload_beside_streams(path, streams) for streams in run.options.streams])
 
 
-def taken_in(path: Path) -> tuple[Row, list[Garment]]:
+def take_in(path: Path) -> tuple[Row, list[Garment]]:
     """The garments in the file at ``path``, and what their intake took."""
     if path.suffix == ".npz":
         garment = open_garment(path, load_body())
@@ -81,7 +81,7 @@ def taken_in(path: Path) -> tuple[Row, list[Garment]]:
     return {"garment": path.stem, "faces": faces, **took, "all_s": sum(took.values())}, garments
 
 
-def sent(path: Path, streams: int) -> Row:
+def upload_beside_streams(path: Path, streams: int) -> Row:
     """How long a service takes for the file at ``path`` until its garment is worn, beside so many streams."""
     walk = at_rate(read_motion(find_motions(["walk"])[0]), FPS)
 
@@ -90,15 +90,15 @@ def sent(path: Path, streams: int) -> Row:
         worn = {"garments": ["tshirt"], "tier": "balanced"}
         crowded = asyncio.create_task(crowd(url, walk, streams, SENT_S if streams else 0.0, begun=begun.set, **worn))
         await begun.wait()
-        sent_s = await asyncio.to_thread(worn_after, url, path)
+        sent_s = await asyncio.to_thread(time_to_wear, url, path)
         seen = await crowded
-        return {"sent_s": sent_s, **({"goodput_pct": figures(seen, None)["goodput_pct"]} if streams else {})}
+        return {"sent_s": sent_s, **({"goodput_pct": stream_figures(seen, None)["goodput_pct"]} if streams else {})}
 
     with server() as at:
         return {"garment": path.stem, "streams": streams, **asyncio.run(beside(at.url))}
 
 
-def worn_after(url: str, path: Path) -> float:
+def time_to_wear(url: str, path: Path) -> float:
     """The time [s] from the upload of ``path`` to a service until the first frame of its garment."""
     begun_s = time.perf_counter()
     with DrapeClient(url) as client:

@@ -51,7 +51,7 @@ COLUMNS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class LimbLoop:
     """A closed line on a mesh: point k lies on the edge ``ends`` (K, 2) at ``share`` (K, 1) from its first vertex."""
 
     ends: np.ndarray
@@ -76,7 +76,7 @@ def stations(joints: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
     return points, (np.diff(chain, axis=0) / lengths[:, None])[bone]
 
 
-def loops(vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, direction: np.ndarray) -> list[Loop]:
+def loops(vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, direction: np.ndarray) -> list[LimbLoop]:
     """The closed lines in which the plane through ``point`` (3,) across ``direction`` (3,) cuts a mesh."""
     height = (vertices - point) @ direction
     above = height[faces] > 0.0
@@ -100,13 +100,13 @@ def loops(vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, direction:
         if len(line) > 2 and start in beside[at]:
             ends = np.array(line)
             low, high = height[ends[:, 0]], height[ends[:, 1]]
-            found.append(Loop(ends, (low / (low - high))[:, None]))
+            found.append(LimbLoop(ends, (low / (low - high))[:, None]))
     return found
 
 
 def loop_round(
     vertices: np.ndarray, faces: np.ndarray, point: np.ndarray, direction: np.ndarray, chain: np.ndarray
-) -> Loop | None:
+) -> LimbLoop | None:
     """The shortest of the ``loops`` that the line ``chain`` [m] (n, 3) goes through, if there is one."""
     there = loops(vertices, faces, point, direction)
     round_it = [one for one in there if encircles(one.contour(vertices), chain)]
@@ -118,7 +118,7 @@ def chain_of(joints: np.ndarray, name: str) -> np.ndarray:
     return bone_chains(joints)[name.replace(" ", "_")][0]
 
 
-def limb_loops(garment: Garment, joints: np.ndarray) -> dict[str, list[Loop | None]]:
+def limb_loops(garment: Garment, joints: np.ndarray) -> dict[str, list[LimbLoop | None]]:
     """By limb the loop of every plane where cloth of that limb lies, at rest on ``joints`` [m] (24, 3)."""
     points, faces = garment.vertices[: garment.vertex_count].astype(np.float64), garment.faces.astype(np.int64)
     places = {name: stations(joints, name) for name in LIMBS}
@@ -144,7 +144,7 @@ def limb_loops(garment: Garment, joints: np.ndarray) -> dict[str, list[Loop | No
     return found
 
 
-def limb_openings(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> list[tuple[str, Loop | None]]:
+def limb_openings(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> list[tuple[str, LimbLoop | None]]:
     """The openings of a mesh [m] (V, 3), (F, 3) by the limb that goes through them; "none", and no loop, for one of a
     limb's size that no part of a body with ``joints`` [m] (24, 3) goes through."""
     chains, found = bone_chains(joints), []
@@ -154,12 +154,12 @@ def limb_openings(points: np.ndarray, faces: np.ndarray, joints: np.ndarray) -> 
             found.append(("none", None))
         elif part not in (None, TRUNK):
             found.append(
-                (part.replace("_", " "), Loop(np.stack([one.loop, one.loop], axis=1), np.zeros((len(one.loop), 1))))
+                (part.replace("_", " "), LimbLoop(np.stack([one.loop, one.loop], axis=1), np.zeros((len(one.loop), 1))))
             )
     return found
 
 
-def share_inside(vertices: np.ndarray, joints: np.ndarray, held: dict[str, list[Loop | None]]) -> float:
+def share_inside(vertices: np.ndarray, joints: np.ndarray, held: dict[str, list[LimbLoop | None]]) -> float:
     """The share of the loops ``held`` on ``vertices`` [m] (V, 3) that their limb's bones of ``joints`` go through."""
     inside = [
         one is not None and encircles(one.contour(vertices), chain_of(joints, name))

@@ -31,14 +31,14 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
+from benchmarks.cases import FPS, CaseClip, lively_clips, read_case_clips
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.measure.depth import depths_mm
 from benchmarks.measure.intersections import intersecting_pairs
 from benchmarks.measure.moving import Looks
 from benchmarks.measure.sheet import Picture, draw_sheet
-from benchmarks.scenes import FPS, Clip, lively_clips, read_clips
 from benchmarks.served import Stream, plan_of
-from benchmarks.stills import Stills, figures, input_of, looks_of, outfits, posed_at
+from benchmarks.stills import Stills, input_of, outfits, posed_at, still_figures, stills_of
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.cloth.metrics import third_difference_square
@@ -67,7 +67,7 @@ NAMES = ("garment", "clip", "tier")
 class Skin:
     """The skin of a body through a ``clip``."""
 
-    clip: Clip
+    clip: CaseClip
     _crossing: dict[int, KDTree | None] = field(default_factory=dict)
 
     @cached_property
@@ -92,7 +92,7 @@ class Skin:
         return float(np.sqrt(third_difference_square(self.vertices)))
 
 
-def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: Clip, tier: str) -> tuple[np.ndarray, Row]:
+def streamed(drapery: DrapeRuntime, garments: list[Garment], clip: CaseClip, tier: str) -> tuple[np.ndarray, Row]:
     """The vertices [m] (F, V, 3) in the world, of one garment after the other, and what the stream tells."""
     stream, frames, resets = (
         Stream(plan_of(drapery, garments, resolution="fine", tier=tier), clip.body.shape_count),
@@ -112,7 +112,7 @@ def moving_row(
     """The measures of a garment at ``vertices`` [m] (F, V, 3), beside ``stills`` and ``exact`` drapes by frame."""
     shares, angles = [], []
     for frame, still in stills.items():
-        near = [figures(looks, vertices[max(0, frame - before)]) for before in BEFORE]
+        near = [still_figures(looks, vertices[max(0, frame - before)]) for before in BEFORE]
         shares.append({name: np.mean([one[key] for one in near]) / still[key] for name, key in SHARES.items()})
         angles.append((exact.get(frame) or {}).get("dihedral_deg", np.nan) / still["dihedral_deg"])
     seen = np.arange(min(2 * EVERY, len(vertices) - 1), len(vertices), EVERY)
@@ -206,7 +206,7 @@ def main(run: Run) -> None:
     options, body = run.options, load_body()
     drapery, sheet = DrapeRuntime(Settings(threads=1, model=options.model)), Sheet()
     captured = lively_clips(options.captured, options.captured_frames, body)
-    _add_rows(run, drapery, options.garments, read_clips(options, body, FPS), sheet)
+    _add_rows(run, drapery, options.garments, read_case_clips(options, body, FPS), sheet)
     run.summary += summary(run.rows, options.tiers)
     run.extra |= {"frames": options.frames, "model": options.model, "means": run.summary[:]}
     if captured:
@@ -219,11 +219,11 @@ def main(run: Run) -> None:
         draw_sheet(sheet.pictures, Path(options.sheet))
 
 
-def _add_rows(run: Run, drapery: DrapeRuntime, names: Sequence[str], clips: Sequence[Clip], sheet: Sheet) -> None:
+def _add_rows(run: Run, drapery: DrapeRuntime, names: Sequence[str], clips: Sequence[CaseClip], sheet: Sheet) -> None:
     """Adds the rows of garments of ``names`` over ``clips``."""
     stills, skins = Stills(drapery), [Skin(clip) for clip in clips]
     for garments in outfits(list(names)):
-        looks = [looks_of(fine_garment(one)) for one in garments]  # whose filters take a while
+        looks = [stills_of(fine_garment(one)) for one in garments]  # whose filters take a while
         for skin in skins:
             for tier in run.options.tiers:
                 run.add(scene_rows(drapery, garments, looks, skin, stills, tier, sheet))

@@ -22,14 +22,14 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.cases import CaseClip, folded_poses
 from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.judge import physics
 from benchmarks.judge.physics_cache import CACHE_DIR
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.jitter import Window, jitter, typical_windows
-from benchmarks.measure.judged import Cloth, Judged
-from benchmarks.network import Network, NetworkDrape
-from benchmarks.scenes import Clip, folded_poses
+from benchmarks.measure.judged import Judged, JudgedCloth
+from benchmarks.model_drape import ModelDrape, NetworkDrape
 from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
@@ -76,14 +76,14 @@ class Bench:
     most ``step_limit`` steps, and its optima are kept in ``physics_folder``, or not at all.
     """
 
-    clip: Clip
-    network: Network
+    clip: CaseClip
+    network: ModelDrape
     material: Material
     step_limit: int = physics.STEPS
     windows: Sequence[Window] = ()
     physics_folder: Path | None = None
     fabric: Fabric | None = None
-    uncorrected: Network | None = None
+    uncorrected: ModelDrape | None = None
 
     def of_fabric(self, fabric: Fabric) -> Bench:
         """The same bench with all garments of ``fabric``."""
@@ -96,9 +96,9 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
     """Poses, windows and networks as ``options`` ask."""
     clips = [read_motion(path) for path in find_motions(options.motions)]
     windows = typical_windows(clips)
-    made, uncorrected = (Network.asked(options, body, passes=passes) for passes in (options.passes, 0))
+    made, uncorrected = (ModelDrape.asked(options, body, passes=passes) for passes in (options.passes, 0))
     return Bench(
-        clip=Clip.hard(hard_poses(clips, body, options.frames), body),
+        clip=CaseClip.hard(hard_poses(clips, body, options.frames), body),
         network=made,
         material=material(options.material or DEFAULT_MATERIAL),
         step_limit=options.steps,
@@ -135,7 +135,7 @@ def covered(garment: Garment, body: BodyModel, share: float) -> Garment:
 
 def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[Row]:
     """One row per method; a row lacks the measures that do not apply to its method."""
-    cloth = Cloth(garment, bench.clip.body, bench.material, bench.fabric)
+    cloth = JudgedCloth(garment, bench.clip.body, bench.material, bench.fabric)
     judge = Judged.of(cloth, bench.clip.poses)
     draped = bench.network.drape(garment, bench.clip.poses)
     starts = judge.pushed, draped.vertices
@@ -200,7 +200,7 @@ def add_comparisons(rows: dict[str, Row]) -> None:
         row["detail_share"] = metrics.gain(-rows["skinning"]["detail_mm"], -row["detail_mm"], -best["detail_mm"])
 
 
-def summary(rows: Sequence[Row]) -> list[Row]:
+def quality_summary(rows: Sequence[Row]) -> list[Row]:
     """Means over the garments of each set and fabric, one row per method; gain and share are those of the means."""
     found: list[Row] = []
     for group in dict.fromkeys((row["set"], row.get("fabric")) for row in rows):
@@ -274,7 +274,7 @@ def main(run: Run) -> None:
     if not bench.windows:
         run.notes.append("no jitter: no clip has a second without a glitch")
     run.notes += [f"refused: {message}" for message in refused.values()]
-    run.summary = summary(run.rows)
+    run.summary = quality_summary(run.rows)
     run.extra |= {
         "summary": run.summary,
         "frames": list(bench.clip.labels),

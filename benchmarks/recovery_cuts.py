@@ -31,16 +31,16 @@ from drape.errors import InputError
 from drape.files.atomic import write_whole
 from drape.files.data import HOW_TO_SET_DATA, data_folder
 from drape.garment.cache import GARMENTS_DIR, load_garment
-from recovery.drape.output import obj_text, panel_texture
-from recovery.drape.pattern_drape import DrapeOptions, drape_pattern
+from recovery.drape.output import panel_texture, sewn_obj_text
+from recovery.drape.pattern_drape import SewingOptions, drape_pattern
 from recovery.pattern.garmentcode import read_pattern
 from recovery.progress import to_stderr
 from recovery.run.__main__ import job_of, parse
 from recovery.run.cut import Cut
 from recovery.run.job import Outcome, run_job
-from recovery.run.pictures import Mesh, target_above_result
+from recovery.run.report_pictures import MeshArrays, target_above_result
 from recovery.run.report_text import page_of, top_of
-from recovery.run.task import Job
+from recovery.run.task import RecoveryJob
 
 TARGET_EDGE_M = 0.025
 DRAPED = {  # pattern of the data folder: its base and panels
@@ -74,7 +74,7 @@ def obj_of(vertices: np.ndarray, faces: np.ndarray) -> str:
     return "\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in faces + 1)]) + "\n"
 
 
-def written(name: str, folder: Path) -> tuple[Path, str]:
+def write_target(name: str, folder: Path) -> tuple[Path, str]:
     """The file of a target, and where it comes from. Raises ``SystemExit`` without the data folder."""
     path = folder / f"{name}.obj"
     if name in SHIPPED:
@@ -85,28 +85,28 @@ def written(name: str, folder: Path) -> tuple[Path, str]:
     if name in SCANS:
         return data / "scans" / f"{name}.obj", "scan"
     pattern = read_pattern(data / "patterns" / f"{name}.json")
-    draped = drape_pattern(pattern, load_body(), DrapeOptions(edge_length_m=TARGET_EDGE_M))
-    return write_whole(path, obj_text(draped.mesh, draped.nodes, panel_texture(draped.mesh))), "drape"
+    draped = drape_pattern(pattern, load_body(), SewingOptions(edge_length_m=TARGET_EDGE_M))
+    return write_whole(path, sewn_obj_text(draped.mesh, draped.nodes, panel_texture(draped.mesh))), "drape"
 
 
 def row_of(name: str, folder: Path, pictures: Path | None) -> Row:
     """The row of one target."""
-    target, source = written(name, folder)
+    target, source = write_target(name, folder)
     fabric = SHIPPED[name][1] if name in SHIPPED else DEFAULT_MATERIAL
     job = as_user(target, folder / "out", "--fabric", fabric, *(("--body", "fit") if name in SCANS else ()))
 
     def told(cut: Cut | None, panels: int) -> str:
         return told_words(BASES[name], cut, panels=name in DRAPED and panels == DRAPED[name][1])
 
-    return {"target": name, "from": source, "fabric": fabric, **recovered(job, told, pictures)}
+    return {"target": name, "from": source, "fabric": fabric, **recover_job(job, told, pictures)}
 
 
-def as_user(target: Path, out: Path, *words: str) -> Job:
+def as_user(target: Path, out: Path, *words: str) -> RecoveryJob:
     """The job of ``python -m recovery.run TARGET`` with more ``words``, without other bodies and a garment cache."""
     return job_of(parse([str(target), "--out", str(out), "--no-retarget", "--no-garment", *words]))
 
 
-def recovered(job: Job, told: Callable[[Cut | None, int], str], pictures: Path | None) -> Row:
+def recover_job(job: RecoveryJob, told: Callable[[Cut | None, int], str], pictures: Path | None) -> Row:
     """The figures of ``job``; a target that is refused has the sentence in place of them.
 
     ``told`` says of the cut, None for a refusal, and the number of panels whether they are right. The folder
@@ -156,9 +156,9 @@ def told_words(truth: str, cut: Cut | None, *, panels: bool = False) -> str:
 def tile_of(outcome: Outcome) -> bytes:
     """A PNG of the target, and below it of what was recovered, from the front."""
     skin = outcome.task.wearer.skin
-    there = Mesh(outcome.task.mesh.vertices, outcome.task.mesh.faces)
-    found = Mesh(outcome.nodes, outcome.found.search.mesh.faces)
-    return target_above_result(there, found, Mesh(skin.vertices - outcome.task.wearer.trans, skin.faces), TILE)
+    there = MeshArrays(outcome.task.mesh.vertices, outcome.task.mesh.faces)
+    found = MeshArrays(outcome.nodes, outcome.found.search.mesh.faces)
+    return target_above_result(there, found, MeshArrays(skin.vertices - outcome.task.wearer.trans, skin.faces), TILE)
 
 
 def sheet_of(folder: Path, names: Sequence[str]) -> bytes:
@@ -183,7 +183,7 @@ def sheet_of(folder: Path, names: Sequence[str]) -> bytes:
     Option("--pictures", None, "writes the reports and their pictures into this folder", kind=Path),
 )
 def main(run: Run) -> None:
-    """Rows of every target."""
+    """Recovers every target and adds a row for each to ``run``."""
     os.environ["OMP_NUM_THREADS"] = str(run.options.threads)
     pictures = run.options.pictures
     with tempfile.TemporaryDirectory() as scratch:

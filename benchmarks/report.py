@@ -14,7 +14,7 @@ from pathlib import Path
 
 from benchmarks import figures, judged_figures
 from benchmarks.harness import RESULTS_DIR, ROOT
-from benchmarks.records import TABLES
+from benchmarks.record_tables import TABLES
 from benchmarks.tables import Record
 
 FOLDER = ROOT / "docs" / "records"
@@ -42,10 +42,10 @@ def pages() -> dict[str, str]:
 def stating() -> dict[str, str]:
     """The text of each document that states figures, by its path, with the figures that the records hold."""
     records = {name: _record(name) for name in NEEDED}
-    return {path: filled((ROOT / path).read_text(encoding="utf-8"), records) for path in STATING}
+    return {path: fill_blocks((ROOT / path).read_text(encoding="utf-8"), records) for path in STATING}
 
 
-def filled(text: str, records: Mapping[str, Record]) -> str:
+def fill_blocks(text: str, records: Mapping[str, Record]) -> str:
     """The page ``text`` with each of its blocks as the ``records`` have it."""
     return BLOCK.sub(lambda found: f"{found[1]}{BLOCKS[found[2]](records)}\n{found[3]}", text)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.clock import Clock
+from benchmarks.stopwatch import Clock
 from drape.garment.cache import Garment
 from drape.stages.batch import Batch, Memories, PoseInput
 from drape.stages.encode import answer_again, idle_before, remember

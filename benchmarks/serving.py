@@ -35,8 +35,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.cases import FPS, at_rate
 from benchmarks.harness import ROOT, Benchmark, Option, Run
-from benchmarks.scenes import FPS, at_rate
 from benchmarks.served import Stream
 from benchmarks.tables import Row
 from clients.stream import DrapeStream
@@ -65,7 +65,7 @@ COLUMNS = {
 
 
 @dataclass(eq=False)
-class Seen:
+class ClientView:
     """One client's view: how many poses it sent, and when each frame came [s], its age, its time in the service."""
 
     sent: int = 0
@@ -125,7 +125,7 @@ def server(module: str = "service", **settings: object) -> Iterator[Server]:
             process.wait(timeout=30)
 
 
-async def client(stream: DrapeStream, clip: MotionClip, seen: Seen, begin_s: float, seconds: float) -> None:
+async def client(stream: DrapeStream, clip: MotionClip, seen: ClientView, begin_s: float, seconds: float) -> None:
     """Sends ``clip`` at ``FPS``, and fills ``seen`` from ``begin_s`` on for ``seconds``."""
 
     async def take() -> None:
@@ -154,12 +154,13 @@ async def client(stream: DrapeStream, clip: MotionClip, seen: Seen, begin_s: flo
 async def crowd(
     url: str, clip: MotionClip, count: int, seconds: float, warm_s: float = WARM_S,
     *, begun: Callable[[], None] | None = None, garments: Sequence[str] = (), **options: Any,
-) -> list[Seen]:  # fmt: skip
-    """The views of ``count`` clients at the same time, after all are open and ``warm_s`` that do not count.
+) -> list[ClientView]:  # fmt: skip
+    """Returns what each of ``count`` clients saw of its stream during the same ``seconds``.
 
-    ``begun`` is called then. With several ``garments``, each client has the next one.
+    These begin ``warm_s`` after the last stream is open, and ``begun`` is called then. Clients take ``garments`` in
+    turn.
     """
-    seen = [Seen() for _ in range(count)]
+    seen = [ClientView() for _ in range(count)]
     named: list[dict[str, Any]] = [
         options | {"garment": garments[i % len(garments)]} if garments else options for i in range(count)
     ]
@@ -177,7 +178,7 @@ async def crowd(
     return seen
 
 
-def figures(seen: Sequence[Seen], model_ms: np.ndarray | None) -> dict[str, float]:
+def stream_figures(seen: Sequence[ClientView], model_ms: np.ndarray | None) -> dict[str, float]:
     """The columns of what clients saw, beside the model's frames alone, ``model_ms`` (F,), where known."""
     ages = np.concatenate([one.age_s for one in seen])
     inside = np.concatenate([one.residence_ms for one in seen])
@@ -257,7 +258,7 @@ def posts(url: str, garment: str, clip: MotionClip, seconds: float) -> np.ndarra
 
 
 @dataclass(eq=False)
-class Bench:
+class ServingBench:
     """The clip, garment and times that all cases share; their rows go to ``run``."""
 
     run: Run
@@ -273,7 +274,7 @@ class Bench:
         seen = asyncio.run(crowd(at.url, self.clip, count, self.seconds, self.warm_s, begun=spent.begin, **options))
         row = {"case": case, "server": "service", "tier": tier, "clients": count, "fps": FPS}
         alone = self.model_ms[tier] if not others and len(self.clip.poses) > 1 else None
-        row |= figures(seen, alone) | {"cpu_ms": spent.ms_per_frame(sum(one.sent for one in seen))}
+        row |= stream_figures(seen, alone) | {"cpu_ms": spent.ms_per_frame(sum(one.sent for one in seen))}
         self.run.add([row])
         return row
 
@@ -290,13 +291,13 @@ class Bench:
         rows = [self.measure("streams", at, tier, count) for count in counts]
         return max((row["clients"] for row in rows if row["goodput_pct"] >= CARRIED_PCT), default=0)
 
-    def standing(self) -> Bench:
+    def standing(self) -> ServingBench:
         """The same with a body that does not move, in the middle of the clip."""
         poses = self.clip.poses[len(self.clip.poses) // 2][None]
         return replace(self, clip=MotionClip(poses, np.zeros((1, 3)), FPS, "still"), warm_s=1.5 * REST_S)
 
 
-def measure(bench: Bench, options: argparse.Namespace) -> dict[str, int]:
+def measure_streams(bench: ServingBench, options: argparse.Namespace) -> dict[str, int]:
     """Fills the rows of ``bench``; how many clients each server carries by tier."""
     carried: dict[str, int] = {}
     with server(stream_step_down=False) as at:
@@ -325,13 +326,13 @@ def measure(bench: Bench, options: argparse.Namespace) -> dict[str, int]:
     Option("--clients", (1, 2, 4, 8), "of streams at the same time", (1,)),
 )
 def main(run: Run) -> None:
-    """Rows of every case."""
+    """Measures every case and adds its rows to ``run``."""
     options, load = run.options, os.getloadavg()[0]
     clip = at_rate(read_motion(find_motions(["walk"])[0]), FPS)
     model_ms = model_times(options.garment, clip, options.seconds)
-    bench = Bench(run, clip, options.garment, options.seconds, model_ms)
+    bench = ServingBench(run, clip, options.garment, options.seconds, model_ms)
     run.extra |= {
-        "max_clients": measure(bench, options),
+        "max_clients": measure_streams(bench, options),
         "load_before": load,
         "model_ms": {tier: float(np.median(ms)) for tier, ms in model_ms.items()},
         "model_p99_ms": {tier: float(np.percentile(ms, 99.0)) for tier, ms in model_ms.items()},

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.cases import FPS, CaseClip, read_case_clips
 from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, inputs
 from benchmarks.measure.moving import BANDS, Looks
-from benchmarks.scenes import FPS, Clip, read_clips
 from benchmarks.served import Stream, plan_of
 from benchmarks.tables import Row
 from drape.body.assets import load_body
@@ -45,24 +45,24 @@ COLUMNS = {
 KEY = ("garment", "digest", "clip", "frame", "still")
 
 
-def posed_at(clip: Clip) -> list[int]:
+def posed_at(clip: CaseClip) -> list[int]:
     """The frames of ``clip`` whose poses have a still."""
     return [round(place * (len(clip.poses) - 1)) for place in PLACES]
 
 
-def looks_of(garment: Garment) -> Looks:
+def stills_of(garment: Garment) -> Looks:
     """The looks of a fine ``garment``."""
     at_rest = garment.vertices[: garment.vertex_count].astype(np.float64)
     return Looks(garment.delivered_rest(), garment.faces.astype(np.int64), at_rest)
 
 
-def input_of(clip: Clip, frame: int) -> PoseInput:
+def input_of(clip: CaseClip, frame: int) -> PoseInput:
     """A frame of ``clip`` on the body of mean shape."""
     rows, shape = slice(frame, frame + 1), np.zeros(clip.body.shape_count)
     return PoseInput(clip.poses[rows], clip.trans[rows], shape, np.array([frame / clip.fps]))
 
 
-def figures(looks: Looks, vertices: np.ndarray) -> Row:
+def still_figures(looks: Looks, vertices: np.ndarray) -> Row:
     """The measures of cloth at ``vertices`` [m] (V, 3)."""
     one = vertices[None]
     relief = dict(zip((f"{band}_mm" for band in BANDS), looks.relief_mm(one)[0].tolist(), strict=True))
@@ -85,7 +85,7 @@ class Stills:
         }
         self._drapery = drapery
 
-    def of(self, garments: list[Garment], clip: Clip, frame: int) -> list[Row]:
+    def of(self, garments: list[Garment], clip: CaseClip, frame: int) -> list[Row]:
         """The rows of ``garments``, worn together, in the pose of a ``frame`` of ``clip``."""
         keys = [(one.name, worn_digest(garments, one), clip.name, frame, SETTLED) for one in garments]
         if any(key not in self.rows for key in keys):
@@ -93,10 +93,10 @@ class Stills:
             fine = [fine_garment(one) for one in garments]
             parts = np.split(world, np.cumsum([one.vertex_count for one in fine])[:-1])
             for key, one, vertices in zip(keys, fine, parts, strict=True):
-                self.rows[key] = dict(zip(KEY, key, strict=True)) | figures(looks_of(one), vertices)
+                self.rows[key] = dict(zip(KEY, key, strict=True)) | still_figures(stills_of(one), vertices)
         return [self.rows[key] for key in keys]
 
-    def exact_of(self, garment: Garment, clip: Clip, frame: int, *, made: bool = False) -> Row | None:
+    def exact_of(self, garment: Garment, clip: CaseClip, frame: int, *, made: bool = False) -> Row | None:
         """The row of the exact drape of ``garment`` alone; of one that there is not: none, or else it is ``made``."""
         key = garment.name, worn_digest([garment], garment), clip.name, frame, EXACT
         if key not in self.rows and made:
@@ -106,7 +106,7 @@ class Stills:
             sheet = ExactCloth.of(garment, fabric_named(garment.fabric), body, start.betas, rest)
             lain, told = exact(sheet, start.poses[0], x)
             left = {"crossings": told.crossings, "force_share": told.force_share}
-            self.rows[key] = dict(zip(KEY, key, strict=True)) | figures(looks_of(fine), lain.x) | left
+            self.rows[key] = dict(zip(KEY, key, strict=True)) | still_figures(stills_of(fine), lain.x) | left
         return self.rows.get(key)
 
     def _settled(self, garments: list[Garment], body: BodyModel, pose: PoseInput) -> Batch:
@@ -139,7 +139,7 @@ def main(run: Run) -> None:
     """Rows of every garment in two poses of every clip, and those of the record."""
     options, body = run.options, load_body()
     stills = Stills(DrapeRuntime(Settings(threads=1, model=options.model)), anew=options.anew)
-    clips = read_clips(options, body, FPS)
+    clips = read_case_clips(options, body, FPS)
     for garments in outfits(options.garments):
         for clip in clips:
             for frame in posed_at(clip):

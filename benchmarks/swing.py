@@ -4,7 +4,7 @@
     python -m benchmarks.swing --garments dress --motions turn
 
 In the turn on the spot (``spin``) the body goes from rest to ``--rate`` turns a second in 0.75 s, keeps that for 1.25 s
-and stops in 0.3 s; ``benchmarks.measure.made_clips`` has the others. Methods: ``static``, the network's drape of every
+and stops in 0.3 s; ``benchmarks.swing`` has the others. Methods: ``static``, the network's drape of every
 pose; ``network``, with what it has learned of motion; ``swing``, the nodes of ``drape.live``; ``swing_folds``, two
 steps of folds on that; ``simulator``, the full mesh with the fabric's friction on the skin, the same air and damping
 (``benchmarks.judge.simulator``), from the static drape on. A clip of it takes about twenty minutes, so scenes are run
@@ -19,21 +19,22 @@ over that of ``static``. ``period_s``, ``over`` and ``settle_s`` are the hem's a
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from benchmarks.clock import Clock
+from benchmarks.cases import FPS, CaseClip, CaseScene
 from benchmarks.harness import RESULTS_DIR, Benchmark, Option, Run, inputs
 from benchmarks.judge.physics import held_by_waist
-from benchmarks.judge.simulator import Motion, SimulatedCloth, simulate
+from benchmarks.judge.simulator import SimulatedCloth, SimulatedMotion, simulate
 from benchmarks.measure.hem import hem_vertices, swinging
 from benchmarks.measure.judged import jitter_ratio
-from benchmarks.measure.made_clips import MADE, SPIN, TURNS_PER_S, made_clip
-from benchmarks.network import Network
-from benchmarks.scenes import FPS, Clip, Scene
+from benchmarks.model_drape import ModelDrape
+from benchmarks.stopwatch import Clock
 from benchmarks.tables import Row
 from drape.body.assets import load_body
+from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
@@ -41,6 +42,55 @@ from drape.cloth.material import Material
 from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import swing
+
+SPIN, TURNS_PER_S = "spin", 1.0
+FALL_M, GRAVITY_M_S2, LANDING_S = 1.0, 9.81, 0.12
+
+
+def turn_yaw(time_s: np.ndarray, turns_per_s: float) -> np.ndarray:
+    """The yaw [rad] (F,) of a body that turns ``turns_per_s`` from 1.25 s to 2.5 s, and stands before 0.5 and after
+    2.8."""
+    rate = np.interp(time_s, [0.5, 1.25, 2.5, 2.8], 2.0 * np.pi * turns_per_s * np.array([0.0, 1.0, 1.0, 0.0]))
+    return _summed(rate, time_s)
+
+
+def stop_way(time_s: np.ndarray) -> np.ndarray:
+    """The way [m] (F, 3) of a body that goes forward with 1.4 m/s and stops in 0.2 s."""
+    rate = np.interp(time_s, [0.5, 1.0, 1.6, 1.8], [0.0, 1.4, 1.4, 0.0])
+    return _summed(rate, time_s)[:, None] * np.array([0.0, 0.0, 1.0])
+
+
+def step_way(time_s: np.ndarray) -> np.ndarray:
+    """The way [m] (F, 3) of a body that steps up and forward by 0.3 m in 0.4 s."""
+    done = np.clip((time_s - 0.5) / 0.4, 0.0, 1.0)
+    return (0.3 * done**2 * (3.0 - 2.0 * done))[:, None] * np.array([0.0, 1.0, 1.0])
+
+
+def fall_way(time_s: np.ndarray) -> np.ndarray:
+    """The way [m] (F, 3) of a body that falls by ``FALL_M`` freely and lands in ``LANDING_S``."""
+    free_s = np.sqrt(2.0 * FALL_M / GRAVITY_M_S2)
+    rate = np.interp(time_s, 0.5 + np.array([0.0, free_s, free_s + LANDING_S]), [0.0, -GRAVITY_M_S2 * free_s, 0.0])
+    return _summed(rate, time_s)[:, None] * np.array([0.0, 1.0, 0.0])
+
+
+WAYS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"stop": stop_way, "step": step_way, "fall": fall_way}
+MADE = (SPIN, *WAYS)
+
+
+def made_clip(name: str, body: BodyModel, fps: float, seconds: float, turns_per_s: float = TURNS_PER_S) -> CaseClip:
+    """The clip ``name`` of ``MADE``."""
+    time_s = np.arange(round(seconds * fps)) / fps
+    poses = np.zeros((len(time_s), 24, 3))
+    poses[:, 16, 2], poses[:, 17, 2] = -1.1, 1.1
+    if name == SPIN:
+        poses[:, 0, 1] = (turn_yaw(time_s, turns_per_s) + np.pi) % (2.0 * np.pi) - np.pi
+        return CaseClip.of(name, fps, poses, body)
+    return CaseClip.of(name, fps, poses, body, trans=WAYS[name](time_s))
+
+
+def _summed(rate: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time_s))])
+
 
 PARTS, STILL_FRAMES = 12, 10
 SCENE = ("garment", "fabric", "clip")
@@ -52,7 +102,7 @@ COLUMNS = {
 }  # fmt: skip
 
 
-def swung(scene: Scene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, float]:
+def swung(scene: CaseScene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, float]:
     """``static`` [m] (F, V, 3) with swing, and ``folds`` steps on that; the median processor time [ms] of the swing."""
     clip, memory, folded, clock, found = scene.clip, None, None, Clock(), []
     swinging = swing_constants(scene.garment, scene.body, scene.fabric)
@@ -69,7 +119,7 @@ def swung(scene: Scene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, 
     return np.stack(found), float(np.median(clock.cpu_ms))
 
 
-def simulated(scene: Scene, static: np.ndarray) -> tuple[np.ndarray, float]:
+def simulate_scene(scene: CaseScene, static: np.ndarray) -> tuple[np.ndarray, float]:
     """The simulator's vertices [m] (F, V, 3) from the first of ``static``, and the share [%] of frames at rest."""
     garment, clip, body = scene.garment, scene.clip, scene.body
     mesh = ClothMesh.of(garment.delivered_rest(), garment.faces.astype(np.int64), garment.vertex_count)
@@ -77,11 +127,11 @@ def simulated(scene: Scene, static: np.ndarray) -> tuple[np.ndarray, float]:
     sheet = SimulatedCloth(
         mesh, Material.of(scene.fabric), scene.fabric.friction, 0.0 if made is None else made.damping_per_s
     )
-    motion = Motion(body, clip.poses, clip.trans, clip.fps)
+    motion = SimulatedMotion(body, clip.poses, clip.trans, clip.fps)
     return simulate(sheet, motion, static[0].astype(np.float64), held_by_waist(garment, body, static))
 
 
-def hem_parts(x: np.ndarray, scene: Scene) -> np.ndarray:
+def hem_parts(x: np.ndarray, scene: CaseScene) -> np.ndarray:
     """Middles [m] (F, ``PARTS``, 3) of the hem's parts by their direction at rest."""
     rest = scene.garment.vertices[: scene.garment.vertex_count].astype(np.float64)
     hem = hem_vertices(rest, scene.garment.faces)
@@ -90,7 +140,7 @@ def hem_parts(x: np.ndarray, scene: Scene) -> np.ndarray:
     return np.stack([x[:, hem[part == p]].mean(axis=1) for p in np.unique(part)], axis=1)
 
 
-def figures(x: np.ndarray, scene: Scene, static: np.ndarray, simulator: np.ndarray | None) -> Row:
+def hem_figures(x: np.ndarray, scene: CaseScene, static: np.ndarray, simulator: np.ndarray | None) -> Row:
     """The measures of ``x`` [m] (F, V, 3)."""
     still, own = (hem_parts(one.astype(np.float64), scene) for one in (static, x))
     moved, base = (one.astype(np.float64) + scene.clip.trans[:, None] for one in (x, static))
@@ -109,7 +159,7 @@ def figures(x: np.ndarray, scene: Scene, static: np.ndarray, simulator: np.ndarr
     return row
 
 
-def measure(scene: Scene, network: Network, *, simulator: bool) -> list[Row]:
+def measure_scene(scene: CaseScene, network: ModelDrape, *, simulator: bool) -> list[Row]:
     """The rows of a scene, beside a simulation where ``simulator`` asks for one."""
     garment, clip, made = scene.garment, scene.clip, network.made_of(scene.fabric)
     static = made.drape(garment, clip.poses)
@@ -120,10 +170,15 @@ def measure(scene: Scene, network: Network, *, simulator: bool) -> list[Row]:
     drapes["swing_folds"], _ = swung(scene, delivered, folds=2)
     more: dict[str, dict[str, Any]] = {"swing": {"ms": ms}}
     if simulator:
-        drapes["simulator"], at_rest = simulated(scene, delivered)
+        drapes["simulator"], at_rest = simulate_scene(scene, delivered)
         more["simulator"] = {"at_rest_pct": at_rest}
     rows = [
-        {**scene.name, "method": name, **figures(x, scene, delivered, drapes.get("simulator")), **more.get(name, {})}
+        {
+            **scene.name,
+            "method": name,
+            **hem_figures(x, scene, delivered, drapes.get("simulator")),
+            **more.get(name, {}),
+        }
         for name, x in drapes.items()
     ]
     beside = {row["method"]: row for row in rows}
@@ -154,17 +209,17 @@ def of_other_scenes(rows: list[Row]) -> list[Row]:
 def main(run: Run) -> None:
     """Rows of every garment in every fabric over every clip."""
     options, body = run.options, load_body()
-    network = Network.asked(options, body, passes=0)
+    network = ModelDrape.asked(options, body, passes=0)
     others = [name for name in options.motions if name not in MADE]
     made = [name for name in MADE if name in options.motions]
     clips = [made_clip(name, body, FPS, options.seconds, options.rate) for name in made]
     frames = round(options.seconds * FPS)
-    clips += [Clip.read(path, FPS, frames, body) for path in (find_motions(others) if others else ())]
+    clips += [CaseClip.read(path, FPS, frames, body) for path in (find_motions(others) if others else ())]
     for path in find_garments(options.garments):
         garment = open_garment(path, body)
         for cloth in map(fabric, options.fabrics):
             for clip in clips:
-                run.add(measure(Scene(garment, cloth, clip), network, simulator=not options.no_simulator))
+                run.add(measure_scene(CaseScene(garment, cloth, clip), network, simulator=not options.no_simulator))
     run.rows += of_other_scenes(run.rows)
     run.extra |= {"fps": FPS, "model": options.model}
 

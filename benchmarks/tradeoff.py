@@ -25,16 +25,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.clock import Clock
+from benchmarks.cases import CaseScene, fabrics_option, read_case_clips, scenes
 from benchmarks.harness import Benchmark, Option, Run, finite, inputs, machine
-from benchmarks.measure import bound
-from benchmarks.measure.bound import Bound
+from benchmarks.measure import physics_bound
 from benchmarks.measure.intersections import intersection_count
-from benchmarks.network import Network
-from benchmarks.scenes import Scene, fabrics_option, read_clips, scenes
+from benchmarks.measure.physics_bound import Bound
+from benchmarks.model_drape import ModelDrape
 from benchmarks.served import Stream
 from benchmarks.speed.skinning_push import SkinningPush
-from benchmarks.stills import looks_of
+from benchmarks.stills import stills_of
+from benchmarks.stopwatch import Clock
 from benchmarks.tables import Row, text_table
 from drape.artifacts import load_manifest, model_folder
 from drape.body.assets import load_body
@@ -89,21 +89,21 @@ class Knobs:
 class Case:
     """A scene and the physics that it is measured by; ``skinned`` [m] (F, V, 3) is skinning with its push."""
 
-    scene: Scene
+    scene: CaseScene
     skinned: np.ndarray
     least: Bound
 
     @classmethod
-    def of(cls, scene: Scene, networks: dict[str, Network], *, keeps_apart: bool = True) -> Case:
+    def of(cls, scene: CaseScene, networks: dict[str, ModelDrape], *, keeps_apart: bool = True) -> Case:
         """``scene`` with its physics, which starts from the last of ``networks``, of cloth that ``keeps_apart``."""
         starts = scene.starts(networks)
-        return cls(scene, starts["skinning"], bound.bound(scene, starts, keeps_apart=keeps_apart))
+        return cls(scene, starts["skinning"], physics_bound.bound(scene, starts, keeps_apart=keeps_apart))
 
     def row(self, vertices: np.ndarray, start: np.ndarray) -> Row:
         """The measures of the clip's ``vertices`` [m] (F, V, 3); jitter is against ``start``."""
         judge, measured = self.least.judge, self.scene.clip.measured[self.least.few]
-        found, seen = bound.figures(judge, vertices, start, measured), vertices[measured].astype(np.float64)
-        looks = looks_of(self.scene.garment)
+        found, seen = physics_bound.figures(judge, vertices, start, measured), vertices[measured].astype(np.float64)
+        looks = stills_of(self.scene.garment)
         return {
             **self.scene.name,
             **self.least.compare(found, self.plain),
@@ -116,10 +116,12 @@ class Case:
     @cached_property
     def plain(self) -> Row:
         """The measures of skinning, where a gain is 0."""
-        return bound.figures(self.least.judge, self.skinned, self.skinned, self.scene.clip.measured[self.least.few])
+        return physics_bound.figures(
+            self.least.judge, self.skinned, self.skinned, self.scene.clip.measured[self.least.few]
+        )
 
 
-def measure(case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs]) -> list[Row]:
+def measure_knobs(case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs]) -> list[Row]:
     """The rows of ``case``: all ``knobs``, the rival, and physics."""
     clip, body, garment = case.scene.clip, case.scene.body, case.scene.garment
     scene, count = drapery.garments.add(garment, "user"), drapery.engine.pass_count
@@ -272,10 +274,10 @@ def main(run: Run) -> None:
     options, body = run.options, load_body()
     folder = model_folder(options.model)
     drapery = DrapeRuntime(Settings(model=str(folder), threads=options.threads), body=body)
-    networks = {name: Network.asked(options, body, passes=passes) for name, passes in STARTS.items()}
+    networks = {name: ModelDrape.asked(options, body, passes=passes) for name, passes in STARTS.items()}
     knobs = combinations(options.folds)
-    for scene in scenes(options, read_clips(options, body), body):
-        run.rows += measure(Case.of(scene, networks), drapery, knobs)
+    for scene in scenes(options, read_case_clips(options, body), body):
+        run.rows += measure_knobs(Case.of(scene, networks), drapery, knobs)
         print(f"{', '.join(scene.name.values())}: done", flush=True)
     drapery.close()
     mean = means(run.rows)

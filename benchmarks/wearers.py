@@ -47,7 +47,7 @@ COLUMNS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class WornCase:
     """A garment's file, as text would hold it, and the truth: reading, shift of the origin [m], skin [m] (V, 3)."""
 
     mesh: GarmentMesh
@@ -63,7 +63,7 @@ class Case:
         return self.reading.apply(points) - self.shift
 
 
-def bodies(body: BodyModel) -> np.ndarray:
+def draw_bodies(body: BodyModel) -> np.ndarray:
     """Shapes (12, S), drawn round the known women, men and people."""
     draw = np.random.default_rng(3)
     found = []
@@ -74,7 +74,9 @@ def bodies(body: BodyModel) -> np.ndarray:
     return np.array(found)
 
 
-def carried(garment: Garment, body: BodyModel, betas: np.ndarray, pose: str, draw: np.random.Generator) -> Case:
+def carry_garment(
+    garment: Garment, body: BodyModel, betas: np.ndarray, pose: str, draw: np.random.Generator
+) -> WornCase:
     """``garment`` on the body of shape ``betas`` in ``pose``, in a file of a unit, axis and origin that are drawn."""
     parameters = known_parameters(body, "standard", *POSES[pose])
     parameters[: body.shape_count] = betas
@@ -93,10 +95,10 @@ def carried(garment: Garment, body: BodyModel, betas: np.ndarray, pose: str, dra
     truth = Wearer(reading, body, parameters, 0.0, 0.0, 0.0, 0.0, sleeved=True)
     sleeved = float(binding.weights[:, ARMS].sum(axis=1).mean()) > SLEEVED
     mesh = read_mesh("\n".join(lines).encode(), name=garment.name, kind="obj")
-    return Case(mesh, reading, pose, shift, skin, truth.arms_deg, sleeved)
+    return WornCase(mesh, reading, pose, shift, skin, truth.arms_deg, sleeved)
 
 
-def judged(case: Case, body: BodyModel) -> dict[str, object]:
+def judge_case(case: WornCase, body: BodyModel) -> dict[str, object]:
     """What is found of ``case``, beside the truth."""
     begun_s = time.process_time()
     row: dict[str, object] = {"pose": case.pose, "unit": case.reading.unit, "up": case.reading.up}
@@ -130,19 +132,19 @@ def judged(case: Case, body: BodyModel) -> dict[str, object]:
 def main(run: Run) -> None:
     """A row for every case; the shares that are right, and the means."""
     body, draw = load_body(), np.random.default_rng(7)
-    shapes = bodies(body)
+    shapes = draw_bodies(body)
     garments = [open_garment(name, body) for name in find_garments(run.options.garments)]
     rows = []
     for _ in range(run.options.cases):
         garment = garments[draw.integers(len(garments))]
         pose = list(POSES)[draw.integers(len(POSES))]
-        case = carried(garment, body, shapes[draw.integers(BODY_COUNT)], pose, draw)
-        rows.append({"garment": garment.name, **judged(case, body)})
+        case = carry_garment(garment, body, shapes[draw.integers(BODY_COUNT)], pose, draw)
+        rows.append({"garment": garment.name, **judge_case(case, body)})
         run.add(rows[-1:])
-    run.extra |= summary(rows)
+    run.extra |= wearer_summary(rows)
 
 
-def summary(rows: list[dict[str, object]]) -> dict[str, float]:
+def wearer_summary(rows: list[dict[str, object]]) -> dict[str, float]:
     """Shares [%] of cases with the right unit, axes and origin, means of the errors, and seconds."""
 
     def values(key: str) -> np.ndarray:

@@ -19,7 +19,7 @@ from drape.errors import InputError, MotionError
 from drape.files.avatar_table import entry_for
 from drape.files.formats import AVATAR_SUFFIXES, MESH_SUFFIXES
 from drape.motion.clip import MotionClip
-from drape.motion.grounding import placed_on_ground
+from drape.motion.grounding import place_on_ground
 from drape.wire.clips import check_motion, pack_clip
 from drape.wire.jets import JetFrame, split_jets
 from drape.wire.layout import JetLayout, unpack_layout
@@ -39,7 +39,7 @@ STREAMED: Options = {"streamed": True}  # so that the answer may be of any lengt
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class BodyShape:
     """The body of a request: translations [m] (F, 3) in place of the clip's own, shape, frame rate."""
 
     trans: np.ndarray | None = None
@@ -48,7 +48,7 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
-class Clip:
+class PoseClip:
     """The frames of a request: ``poses`` (F, 24, 3) [rad], or quaternions (F, N, 4) of an avatar's own rig, and
     ``trans`` (F, 3) [m], None for zeros.
 
@@ -61,9 +61,9 @@ class Clip:
     def __post_init__(self) -> None:
         check_motion(self.poses, self.trans)
 
-    def part(self, rows: slice) -> Clip:
-        """The frames ``rows``."""
-        return Clip(self.poses[rows], None if self.trans is None else self.trans[rows])
+    def part(self, rows: slice) -> PoseClip:
+        """Returns a clip of the frames ``rows`` alone."""
+        return PoseClip(self.poses[rows], None if self.trans is None else self.trans[rows])
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Call(Generic[Answer]):
     headers: Mapping[str, str] = field(default_factory=dict)
     json: Any = None
     content: bytes | None = None
-    clip: Clip | None = None
+    clip: PoseClip | None = None
 
     def arguments(self) -> dict[str, Any]:
         """The arguments of httpx's ``request``."""
@@ -105,7 +105,7 @@ def key_headers(key: str | None) -> dict[str, str]:
     return {} if key is None else {"Authorization": f"Bearer {key}"}
 
 
-def fetched(
+def get_call(
     *names: str,
     read: Callable[[httpx.Response], Any] = httpx.Response.json,
     accept: str = "application/json",
@@ -116,17 +116,17 @@ def fetched(
     answer of the response."""
     if betas is not None:
         params["betas"] = ",".join(repr(float(beta)) for beta in betas)
-    return Call("GET", path_of(*names), read, params, {"Accept": accept})
+    return Call("GET", url_path(*names), read, params, {"Accept": accept})
 
 
-def sent(document: Mapping[str, Any], *names: str) -> Call[dict[str, Any]]:
+def post_call(document: Mapping[str, Any], *names: str) -> Call[dict[str, Any]]:
     """Returns a POST of ``document``, without the fields that are None, to the path of ``names``. The answer is JSON
     too."""
     said = {name: value for name, value in document.items() if value is not None}
-    return Call("POST", path_of(*names), httpx.Response.json, headers={"Accept": "application/json"}, json=said)
+    return Call("POST", url_path(*names), httpx.Response.json, headers={"Accept": "application/json"}, json=said)
 
 
-def path_of(*names: str) -> str:
+def url_path(*names: str) -> str:
     """Returns the path of ``names`` in an address. Any letter in them is escaped."""
     return "".join(f"/{quote(name, safe='')}" for name in names)
 
@@ -136,7 +136,7 @@ def _says_itself(entry: Any) -> bool:
     return isinstance(entry, dict) or entry == "standard"
 
 
-def upload_avatar(path: Path, name: str | None, alive: bool) -> Call[dict[str, Any]]:
+def upload_avatar_call(path: Path, name: str | None, alive: bool) -> Call[dict[str, Any]]:
     """Returns the call that sends the character file at ``path``. If it is to be ``alive``, its own clothes become
     garments. The answer is the job."""
     if path.suffix.lower() not in AVATAR_SUFFIXES:
@@ -156,7 +156,7 @@ def _content(path: Path) -> bytes:
         ) from error
 
 
-def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) -> Call[dict[str, Any]]:
+def upload_call(path: Path, avatar: str | dict[str, Any] | None, name: str | None) -> Call[dict[str, Any]]:
     """Sends a garment file; the answer is the job."""
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(
@@ -178,11 +178,11 @@ def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) ->
     )
 
 
-def draped(
+def drape_call(
     read: Callable[[httpx.Response], Answer],
     garment: str | Sequence[str],
     motion: Motion,
-    body: Body,
+    body: BodyShape,
     options: Options,
     *,
     accept: str = BINARY,
@@ -191,7 +191,7 @@ def draped(
     """Returns the call of a drape. ``options`` have the names of ``drape.wire.options.DrapeOptions``, besides
     ``avatar``, ``alive`` and ``size``; ``more`` are fields by the service's names."""
     clip, about = motion_of(motion, body)
-    asked = {**about, **worn(garment, options), **options_document(_without(options, *WORN)), **more}
+    asked = {**about, **worn_fields(garment, options), **options_document(_without(options, *WORN)), **more}
     return Call("POST", DRAPE, read, headers={"Accept": accept}, json=asked, clip=clip)
 
 
@@ -210,20 +210,20 @@ def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
     return Call(call.method, call.path, read, headers=call.headers, json=call.json | {"origin": "root"}, clip=call.clip)
 
 
-def worn(garment: str | Sequence[str], options: Options = MappingProxyType({})) -> dict[str, Any]:
+def worn_fields(garment: str | Sequence[str], options: Options = MappingProxyType({})) -> dict[str, Any]:
     """Returns the fields of a request that say what is worn: one garment, several over each other, or none, and from
     ``options`` the avatar that wears them, whether it is ``alive``, and the size."""
     named = {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)} if garment else {}
     return named | {name: options[name] for name in WORN if options.get(name) not in (None, False)}
 
 
-def sized(garments: Sequence[str], size: Size) -> list[tuple[str, str | None]]:
+def name_sizes(garments: Sequence[str], size: Size) -> list[tuple[str, str | None]]:
     """Each of ``garments`` with its size."""
     each = [size] * len(garments) if size is None or isinstance(size, str) else size
     return list(zip(garments, each, strict=True))
 
 
-def motion_of(motion: Motion, body: Body) -> tuple[Clip, dict[str, Any]]:
+def motion_of(motion: Motion, body: BodyShape) -> tuple[PoseClip, dict[str, Any]]:
     """Returns the frames of ``motion``, which is a clip, poses (F, 24, 3) [rad] or quaternions (F, N, 4) of a rig, and
     the JSON fields that go with them. Refuses NaN."""
     fps, places = body.fps, body.trans
@@ -234,7 +234,7 @@ def motion_of(motion: Motion, body: Body) -> tuple[Clip, dict[str, Any]]:
     about: dict[str, Any] = {"fps": DEFAULT_FPS if fps is None else float(fps)}
     if body.betas is not None:
         about["betas"] = _finite("betas", body.betas).tolist()
-    return Clip(_finite("poses", poses), None if places is None else _finite("trans", places)), about
+    return PoseClip(_finite("poses", poses), None if places is None else _finite("trans", places)), about
 
 
 def _finite(key: str, array: np.ndarray) -> np.ndarray:
@@ -244,9 +244,9 @@ def _finite(key: str, array: np.ndarray) -> np.ndarray:
     return numbers
 
 
-def placed(clip: MotionClip, document: Mapping[str, Any]) -> MotionClip:
+def place_clip(clip: MotionClip, document: Mapping[str, Any]) -> MotionClip:
     """``clip``, a file's or a sample's, with the soles of the body in ``document`` on the ground."""
-    return placed_on_ground(clip, np.array(document["joints"]), floor=document["floor_m"])
+    return place_on_ground(clip, np.array(document["joints"]), floor=document["floor_m"])
 
 
 def read_bytes(response: httpx.Response) -> bytes:
@@ -260,7 +260,7 @@ def read_vertices(response: httpx.Response) -> np.ndarray:
     return np.frombuffer(response.content, dtype="<f4", count=math.prod(shape)).reshape(shape)
 
 
-def read_layers(response: httpx.Response) -> list[np.ndarray]:
+def read_clip_layers(response: httpx.Response) -> list[np.ndarray]:
     """The vertices of each garment; a single garment has no header that counts them."""
     vertices = read_vertices(response)
     counts = [int(part.rpartition(":")[2]) for part in response.headers.get("X-Drape-Garments", "").split(",") if part]

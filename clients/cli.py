@@ -22,9 +22,9 @@ from typing import Any, Literal, get_args, get_origin
 import numpy as np
 from pydantic.fields import FieldInfo
 
-from clients.calls import DEFAULT_URL, sized
+from clients.calls import DEFAULT_URL, name_sizes
 from clients.client import DrapeClient
-from clients.meshes import surface_of
+from clients.mesh_files import surface_of
 from drape.errors import DrapeError, InputError, while_read
 from drape.export.clips import CACHES, SCENES, check_name, npy_head, write_pieces, write_scene
 from drape.export.glb import GARMENT_COLOURS
@@ -288,7 +288,7 @@ def _moving(
     """The ``layers`` (F, V, 3) of the garments ``worn`` with their meshes and colours."""
     resolution = choices["resolution"] or "delivered"
     hidden = choices["hidden"] or ()
-    shown = [one for one in sized(worn, choices["size"]) if one[0] not in hidden]
+    shown = [one for one in name_sizes(worn, choices["size"]) if one[0] not in hidden]
     meshes = [surface_of(client.mesh(name, resolution, size)) for name, size in shown]
     colours = itertools.cycle(GARMENT_COLOURS)
     return [MovingGarment(*parts, next(colours)) for parts in zip(meshes, layers, strict=True)]

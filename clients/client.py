@@ -20,8 +20,8 @@ import httpx
 import numpy as np
 
 from clients.calls import DEFAULT_URL, Answer, Call, Motion
-from clients.connections import opened, unreachable
-from clients.jobs import Pause, Steps
+from clients.connections import open_client, unreachable
+from clients.job_steps import Pause, Steps
 from clients.methods import Methods
 from clients.stream import DrapeStream
 from drape.errors import DrapeError
@@ -83,7 +83,7 @@ class DrapeClient:
         self, url: str = DEFAULT_URL, *, key: str | None = None, transport: httpx.BaseTransport | None = None
     ) -> None:
         """``url``: the address of the service. ``key``: a key or a ticket, if the service has keys."""
-        self._http = opened(httpx.Client, url, key, transport)
+        self._http = open_client(httpx.Client, url, key, transport)
         self._methods, self._key = Methods(), key
 
     @property
@@ -168,7 +168,7 @@ class AsyncDrapeClient:
     def __init__(
         self, url: str = DEFAULT_URL, *, key: str | None = None, transport: httpx.AsyncBaseTransport | None = None
     ) -> None:
-        self._http = opened(httpx.AsyncClient, url, key, transport)
+        self._http = open_client(httpx.AsyncClient, url, key, transport)
         self._methods = Methods()
 
     async def __aenter__(self) -> AsyncDrapeClient:

@@ -28,7 +28,7 @@ def is_local(url: str) -> bool:
     return name in ("localhost", "::1") or bool(re.fullmatch(r"127(\.\d+){3}", name))
 
 
-def opened(
+def open_client(
     kind: type[Kind], url: str, key: str | None, transport: httpx.BaseTransport | httpx.AsyncBaseTransport | None
 ) -> Kind:
     """A client for the service at ``url``; refuses (``InputError``) an address that is none, and a proxy's."""

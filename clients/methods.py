@@ -15,9 +15,22 @@ import httpx
 import numpy as np
 
 from clients import calls, clip_pieces
-from clients.calls import BINARY, GLB, Answer, Body, Call, Motion, at_root, draped, fetched, path_of, sent, sized
-from clients.jobs import Progress, Steps, exact_clip, made
-from clients.meshes import check_at_once, glb_of, surface_of
+from clients.calls import (
+    BINARY,
+    GLB,
+    Answer,
+    BodyShape,
+    Call,
+    Motion,
+    at_root,
+    drape_call,
+    get_call,
+    name_sizes,
+    post_call,
+    url_path,
+)
+from clients.job_steps import Progress, Steps, exact_clip_steps, upload_steps
+from clients.mesh_files import check_at_once, glb_of, surface_of
 from drape.motion.clip import MotionClip
 from drape.wire.clips import frame_bytes
 from drape.wire.jets import JetFrame
@@ -33,66 +46,66 @@ class Methods:
 
     def health(self) -> Call[dict[str, Any]]:
         """Returns what the service says of itself: version, model, body, provider and limits."""
-        return fetched("health")
+        return get_call("health")
 
     def garments(self) -> Call[list[dict[str, Any]]]:
         """Lists the garments that can be draped. A drape names one by its ``id``."""
-        return fetched("garments")
+        return get_call("garments")
 
     def tiers(self) -> Call[list[dict[str, Any]]]:
         """Lists the tiers that a drape may name, the cheapest first, each with its measured figures."""
-        return fetched("tiers")
+        return get_call("tiers")
 
     def avatars(self) -> Call[list[dict[str, Any]]]:
         """Lists the avatars that can wear garments, each with its joints, fit and height."""
-        return fetched("avatars")
+        return get_call("avatars")
 
     def about_avatar(self, avatar: str) -> Call[dict[str, Any]]:
         """Returns one avatar: its joints and how they were found, its nodes, fit and height."""
-        return fetched("avatars", avatar)
+        return get_call("avatars", avatar)
 
     def remove_avatar(self, avatar: str) -> Call[bytes]:
         """Removes an avatar from the service."""
-        return Call("DELETE", path_of("avatars", avatar), calls.read_bytes)
+        return Call("DELETE", url_path("avatars", avatar), calls.read_bytes)
 
     def fabrics(self) -> Call[list[dict[str, Any]]]:
         """Lists the fabrics that a drape may name, with their numbers."""
-        return fetched("fabrics")
+        return get_call("fabrics")
 
     def bodies(self) -> Call[list[dict[str, Any]]]:
         """Lists the bodies of the service."""
-        return fetched("bodies")
+        return get_call("bodies")
 
     def motions(self) -> Call[list[dict[str, Any]]]:
         """Lists the sample clips of the service."""
-        return fetched("motions")
+        return get_call("motions")
 
     def motion(self, name: str, betas: np.ndarray | None = None, avatar: str | None = None) -> Call[MotionClip]:
         """Returns a sample clip, placed on the ground for the body in the shape ``betas`` or for an avatar."""
         more = {} if avatar is None else {"avatar": avatar}
-        return fetched("motions", name, read=calls.read_clip, betas=betas, **more)
+        return get_call("motions", name, read=calls.read_clip, betas=betas, **more)
 
     def placed(self, clip: MotionClip, betas: np.ndarray | None = None, avatar: str | None = None) -> Steps[MotionClip]:
         """Places ``clip`` on the ground for the service's body in the shape ``betas``, or for an avatar, and returns
         it.
         """
         if avatar is not None:
-            found = yield fetched("avatars", avatar)
-            return calls.placed(clip, found | {"joints": found["rest_joints"]})
+            found = yield get_call("avatars", avatar)
+            return calls.place_clip(clip, found | {"joints": found["rest_joints"]})
         name = (yield self.bodies())[0]["id"]
-        return calls.placed(clip, (yield fetched("bodies", name, betas=betas)))
+        return calls.place_clip(clip, (yield get_call("bodies", name, betas=betas)))
 
     def measures(self, betas: np.ndarray | None = None) -> Steps[dict[str, Any]]:
         """Returns the measures of the service's body in the shape ``betas``, and the range of each measure."""
         name = (yield self.bodies())[0]["id"]
-        return (yield fetched("bodies", name, "measures", betas=betas))
+        return (yield get_call("bodies", name, "measures", betas=betas))
 
     def shape(self, **measures: float) -> Steps[dict[str, Any]]:
         """Returns the likeliest ``betas`` of the service's body for ``measures``, such as ``height_m=1.7``. The answer
         also has the measures of that shape, and by how much it misses the given ones.
         """
         name = (yield self.bodies())[0]["id"]
-        return (yield sent(measures, "bodies", name, "shapes"))
+        return (yield post_call(measures, "bodies", name, "shapes"))
 
     def fit(
         self,
@@ -111,22 +124,22 @@ class Methods:
         body = {
             name: None if of is None else np.asarray(of).tolist() for name, of in (("betas", betas), ("pose", pose))
         }
-        return sent({**body, "fabric": fabric, "size": size, "vertices": vertices}, "garments", garment, "fit")
+        return post_call({**body, "fabric": fabric, "size": size, "vertices": vertices}, "garments", garment, "fit")
 
     def size(self, garment: str, betas: np.ndarray | None = None) -> Call[dict[str, str]]:
         """Returns the ``size`` of ``garment`` that fits the service's body in the shape ``betas``, and the reason in
         ``words``.
         """
-        return fetched("garments", garment, "size", betas=betas)
+        return get_call("garments", garment, "size", betas=betas)
 
     def mesh(self, garment: str, resolution: Resolution = "delivered", size: str | None = None) -> Call[dict[str, Any]]:
         """Returns the garment's mesh of a ``resolution`` at rest: vertices [m], faces, uv and uv_faces."""
         more: dict[str, Any] = {} if size is None else {"size": size}
-        return fetched("garments", garment, "mesh", resolution=resolution, **more)
+        return get_call("garments", garment, "mesh", resolution=resolution, **more)
 
     def preview(self, garment: str, size: int = 512) -> Call[bytes]:
         """Returns a PNG picture of a garment at rest on its body, ``size`` pixels wide and high, 64 to 1,024."""
-        return fetched("garments", garment, "preview.png", read=calls.read_bytes, accept="image/png", size=str(size))
+        return get_call("garments", garment, "preview.png", read=calls.read_bytes, accept="image/png", size=str(size))
 
     def jet_layout(
         self, garment: str, resolution: Resolution = "delivered", avatar: str | None = None, size: str | None = None
@@ -137,7 +150,7 @@ class Methods:
         """
         more = {"avatar": avatar, "size": size}
         asked: dict[str, str] = {"resolution": resolution} | {k: v for k, v in more.items() if v is not None}
-        return Call("GET", path_of("garments", garment, "jets"), calls.read_layout, asked, {"Accept": BINARY})
+        return Call("GET", url_path("garments", garment, "jets"), calls.read_layout, asked, {"Accept": BINARY})
 
     def upload_garment(
         self,
@@ -153,7 +166,7 @@ class Methods:
         ``avatar``: the body that it was modelled on. ``progress`` is called with each state of the job; an exception
         that it raises cancels the upload.
         """
-        return (yield from made(calls.upload(Path(path), avatar, name), "garment", wait_s, progress))
+        return (yield from upload_steps(calls.upload_call(Path(path), avatar, name), "garment", wait_s, progress))
 
     def upload_avatar(
         self,
@@ -169,12 +182,12 @@ class Methods:
         A drape takes the id as ``avatar``. ``alive``: its own clothes become garments, for the option ``alive`` of a
         drape. ``progress`` is that of ``upload_garment``.
         """
-        return (yield from made(calls.upload_avatar(Path(path), name, alive), "avatar", wait_s, progress))
+        return (yield from upload_steps(calls.upload_avatar_call(Path(path), name, alive), "avatar", wait_s, progress))
 
     def posed_avatar(self, avatar: str, motion: Motion, *, trans: np.ndarray | None = None) -> Steps[np.ndarray]:
         """Returns the vertices (F, V, 3) [m], float32, of an avatar's own surface in the world."""
-        clip, about = calls.motion_of(motion, Body(trans))
-        path, accept = path_of("avatars", avatar, "posed"), {"Accept": BINARY}
+        clip, about = calls.motion_of(motion, BodyShape(trans))
+        path, accept = url_path("avatars", avatar, "posed"), {"Accept": BINARY}
         return self._whole(Call("POST", path, calls.read_vertices, headers=accept, json=about, clip=clip))
 
     def drape(
@@ -193,7 +206,7 @@ class Methods:
         ``avatar``, the id of an avatar that wears the garment. An option that is left out has the service's default.
         The other methods that drape take the same arguments.
         """
-        return self._whole(draped(calls.read_vertices, garment, motion, Body(trans, betas), options))
+        return self._whole(drape_call(calls.read_vertices, garment, motion, BodyShape(trans, betas), options))
 
     def drape_at_root(
         self,
@@ -209,7 +222,7 @@ class Methods:
 
         Far from the world's origin the sum of both in float64 keeps the garment's shape, where ``drape`` rounds it.
         """
-        return self._whole(at_root(draped(calls.read_vertices, garment, motion, Body(trans, betas), options)))
+        return self._whole(at_root(drape_call(calls.read_vertices, garment, motion, BodyShape(trans, betas), options)))
 
     def drape_outfit(
         self,
@@ -221,7 +234,7 @@ class Methods:
         **options: Any,
     ) -> Steps[list[np.ndarray]]:
         """Drapes several garments worn over each other, the innermost first, and returns the vertices of each."""
-        return self._whole(draped(calls.read_layers, list(garments), motion, Body(trans, betas), options))
+        return self._whole(drape_call(calls.read_clip_layers, list(garments), motion, BodyShape(trans, betas), options))
 
     def drape_frames(
         self,
@@ -238,7 +251,9 @@ class Methods:
 
         Memory holds no more frames than that, however long the clip is.
         """
-        return self._pieces(draped(calls.read_layers, _listed(garment), motion, Body(trans, betas), options), at_once)
+        return self._pieces(
+            drape_call(calls.read_clip_layers, _listed(garment), motion, BodyShape(trans, betas), options), at_once
+        )
 
     def drape_jets(
         self,
@@ -255,7 +270,7 @@ class Methods:
         patches of several garments worn over each other.
         """
         asked = {**options, "geometry": "jets"}
-        return self._whole(draped(calls.read_jets, garment, motion, Body(trans, betas), asked))
+        return self._whole(drape_call(calls.read_jets, garment, motion, BodyShape(trans, betas), asked))
 
     def drape_glb(
         self,
@@ -278,19 +293,19 @@ class Methods:
         (KHR_mesh_quantization) the GLB has half the size of float32. The client writes the GLB of a clip that is too
         long for one request; such a GLB has neither body nor rig (``InputError``).
         """
-        shape = Body(trans, betas, fps)
+        shape = BodyShape(trans, betas, fps)
         more = {"body": body, "quantised": quantised} | ({"rig": True} if rig else {})
         more |= {} if joints is None else {"joints": joints}
-        call = draped(calls.read_bytes, garment, motion, shape, options, accept=GLB, more=more)
+        call = drape_call(calls.read_bytes, garment, motion, shape, options, accept=GLB, more=more)
         assert call.clip is not None
         most = yield from self._at_once(call.clip.poses)
         if len(call.clip.poses) <= most:
             return (yield call)
         check_at_once(call, most)
-        rooted = at_root(draped(calls.read_vertices, garment, motion, shape, options))
+        rooted = at_root(drape_call(calls.read_vertices, garment, motion, shape, options))
         vertices, roots = yield from self._whole(rooted)
         meshes = []
-        for name, size in sized(_listed(garment), options.get("size")):
+        for name, size in name_sizes(_listed(garment), options.get("size")):
             meshes.append(surface_of((yield self.mesh(name, options.get("resolution") or "delivered", size))))
         return glb_of(call, meshes, vertices, roots)
 
@@ -313,19 +328,19 @@ class Methods:
         The same call with ``more={"job": id}`` goes on waiting for that job.
         """
         options = {**options, "tier": "exact"}
-        asked = draped(httpx.Response.json, garment, motion, Body(trans, betas), options, more=more)
-        return (yield from exact_clip(asked, GLB if glb else BINARY, progress))
+        asked = drape_call(httpx.Response.json, garment, motion, BodyShape(trans, betas), options, more=more)
+        return (yield from exact_clip_steps(asked, GLB if glb else BINARY, progress))
 
     def body_mesh(self, body: str) -> Call[dict[str, Any]]:
         """Returns the mesh of a body at rest: vertices [m] and faces."""
-        return fetched("bodies", body, "mesh")
+        return get_call("bodies", body, "mesh")
 
     def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> Steps[np.ndarray]:
         """Returns the vertices (F, Vb, 3) [m], float32, of the posed body in the world."""
-        clip, about = calls.motion_of(motion, Body(trans, betas))
-        path, accept = path_of("bodies", body, "posed"), {"Accept": BINARY}
+        clip, about = calls.motion_of(motion, BodyShape(trans, betas))
+        path, accept = url_path("bodies", body, "posed"), {"Accept": BINARY}
         return self._whole(Call("POST", path, calls.read_vertices, headers=accept, json=about, clip=clip))
 
     def _whole(self, call: Call[Answer]) -> Steps[Answer]:

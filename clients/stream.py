@@ -33,7 +33,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidProxy, InvalidURI
 from websockets.typing import Subprotocol
 
-from clients.calls import DEFAULT_URL, Size, key_headers, worn
+from clients.calls import DEFAULT_URL, Size, key_headers, worn_fields
 from clients.connections import is_local, unreachable
 from clients.refusals import ServiceError, problem_error
 from drape.errors import DrapeError, Unavailable
@@ -150,7 +150,11 @@ class DrapeStream:
         """
         shape = None if betas is None else [float(beta) for beta in betas]
         about = {"betas": shape, "moves": True, "same": True, **options_document(options)}
-        self._request = {"type": "open", **worn(garment, {"avatar": avatar, "alive": alive, "size": size}), **about}
+        self._request = {
+            "type": "open",
+            **worn_fields(garment, {"avatar": avatar, "alive": alive, "size": size}),
+            **about,
+        }
         self._unanswered.clear()
         self._held.clear()
         self._still = None

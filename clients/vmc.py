@@ -1,7 +1,7 @@
 """``python -m clients.vmc``: a sender of the Virtual Motion Capture protocol moves the person of the page.
 
 It listens to OSC packets over UDP, and gives the page on this machine each newest pose over a WebSocket on loopback.
-The service has no port more. A program of your own feeds ``drape.motion.vmc.VmcPoses`` with ``osc_messages``.
+The service has no port more. A program of your own feeds ``drape.motion.vmc_messages.VmcPoses`` with ``osc_messages``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from websockets.typing import Origin
 
 from clients.calls import DEFAULT_URL
 from drape.errors import DrapeError, InputError
-from drape.motion.vmc import VmcPoses
+from drape.motion.vmc_messages import VmcPoses
 
 PORT, PAGE_PORT = 39539, 39540  # the protocol's usual port, and where the page looks
 MOST_BYTES = 16 * 1024  # of a packet

@@ -46,7 +46,7 @@ from drape.garment.tailor import tailored
 from drape.graph.layer_feed import check_layers
 from drape.inference.engine import Engine
 from drape.motion.clip import MotionClip
-from drape.motion.grounding import placed_on_ground
+from drape.motion.grounding import place_on_ground
 from drape.motion.readers import read_motion
 from drape.runtime import Runtime
 from drape.stages.batch import Batch, Memories, PoseInput, motion_arrays, shape_array
@@ -310,7 +310,7 @@ class Worn:
         """
         clip = motion if isinstance(motion, MotionClip) else read_motion(find_motions([str(motion)])[0])
         if not as_recorded:
-            clip = placed_on_ground(clip, self.body.rest_joints(self._betas), floor=self.body.floor_m(self._betas))
+            clip = place_on_ground(clip, self.body.rest_joints(self._betas), floor=self.body.floor_m(self._betas))
         return clip if clip.fps == fps else clip.resampled(fps)
 
     def play(self, motion: str | Path | MotionClip, *, fps: float = 30.0, as_recorded: bool = False) -> Iterator[Frame]:

@@ -6,24 +6,24 @@ The target is a drape of a pattern that we know: longer than the base of the sea
 import numpy as np
 
 from drape.body.assets import load_body
-from recovery.drape.pattern_drape import DrapeOptions, drape_pattern
-from recovery.fit.objective import Target
+from recovery.drape.pattern_drape import SewingOptions, drape_pattern
+from recovery.fit.objective import TargetSurface
 from recovery.fit.optimise import FitOptions
 from recovery.fit.rounds import RoundsOptions, recover_pattern
 from recovery.pattern.bases import base_pattern
 from recovery.pattern.coordinates import control_points
-from recovery.pattern.measurements import measure
+from recovery.pattern.measurements import measure_body
 
 EDGE_M = 0.05  # a coarse mesh, so that this takes seconds; 0.025 is usual
 
 body = load_body()
-options = DrapeOptions(edge_length_m=EDGE_M, grid_m=0.015)
-base = base_pattern("skirt", measure(body))
-true = base_pattern("skirt", measure(body), ["length_m=0.60", "flare_m=0.12"])
+options = SewingOptions(edge_length_m=EDGE_M, grid_m=0.015)
+base = base_pattern("skirt", measure_body(body))
+true = base_pattern("skirt", measure_body(body), ["length_m=0.60", "flare_m=0.12"])
 target = drape_pattern(true, body, options)
 
 fit = FitOptions(iterations=0, closing=3)
-surface = Target.from_mesh(target.nodes, target.mesh.faces)
+surface = TargetSurface.from_mesh(target.nodes, target.mesh.faces)
 found = recover_pattern(surface, base, body, RoundsOptions(options, fit, meshes_m=[EDGE_M]), report=print)
 
 

@@ -12,7 +12,18 @@ import numpy as np
 from drape.artifacts import GraphSpec, Manifest, load_manifest, read_parameters, staged_folder
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.garment.cache import Garment
-from model_export.graph import (
+from model_export.onnx_file import write_graph
+from model_export.packed.graph import FirstGraph, first_outputs, write_packed
+from model_export.parity import (
+    TOLERANCE_M,
+    check_parity,
+    packed_parity_error,
+    parity_error,
+    push_parity_error,
+    sequence_error,
+)
+from model_export.push.push_graphs import PUSHES, write_push
+from model_export.readable_graphs import (
     DrapeGraph,
     DynamicGraph,
     EncoderGraph,
@@ -23,20 +34,14 @@ from model_export.graph import (
     encoder_inputs,
     encoder_outputs,
 )
-from model_export.onnx_file import write_graph
-from model_export.packed.graph import FirstGraph, first_outputs, write_packed
-from model_export.packed.parity import packed_parity_error
-from model_export.parity import TOLERANCE_M, check_parity, parity_error, sequence_error
-from model_export.push.graph import PUSHES, write_push
-from model_export.push.parity import push_parity_error
 from model_export.shared_weights import share_weights
 from training import checkpoint
-from training.model import OneFit
+from training.onefit import OneFit
 
 
 def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
     """The network of a checkpoint in evaluation mode, and the manifest's entry on its training."""
-    state, config = checkpoint.load(path)
+    state, config = checkpoint.load_checkpoint(path)
     model = OneFit(config.model)
     model.load_state_dict(state["model"])
     minutes = round(float(state["elapsed_s"]) / 60.0, 1)

@@ -10,9 +10,8 @@ from typing import Any
 from drape.artifacts import GraphSpec, Manifest, load_manifest, read_parameters, staged_folder
 from drape.files.atomic import whole_file
 from drape.garment.cache import Garment
-from model_export.parity import TOLERANCE_M, check_parity
-from model_export.push.graph import PUSHES, write_push
-from model_export.push.parity import push_parity_error
+from model_export.parity import TOLERANCE_M, check_parity, push_parity_error
+from model_export.push.push_graphs import PUSHES, write_push
 from model_export.shared_weights import share_weights
 
 

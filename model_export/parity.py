@@ -1,4 +1,8 @@
-"""Torch against onnxruntime on the same inputs: the largest difference decides whether a model is written at all."""
+"""Torch against onnxruntime on the same inputs: the largest difference decides whether a model is written at all.
+
+The readable graphs run over frames and along a motion, the packed graph over one mixed batch. The graphs of the
+push-out are compared with NumPy, on skinned garments in hard poses.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +16,19 @@ from drape.arrays.subnormals import flushed
 from drape.artifacts import GraphSpec
 from drape.body.assets import load_body
 from drape.body.features import motion_features
+from drape.contact.projection import CLEARANCE_M, push_out
+from drape.contact.skin import body_skin
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.garment.fabric_features import encoder_features
+from drape.geometry.skinning import skin_points
 from drape.graph.feeds import body_feed, garment_feed, kinematics, skinning_feed
-from model_export.graph import DrapeGraph, DynamicGraph, EncoderGraph, drape_inputs
-from training.model import OneFit
+from drape.graph.layer_feed import pack_layer, push_over, sheet
+from drape.graph.packing import Place, compose, pack_body, pack_garment
+from drape.graph.push_feed import SkinShapes, pack_push
+from model_export.push.push_graphs import Drapes, LayerTensors, PushTensors
+from model_export.readable_graphs import DrapeGraph, DynamicGraph, EncoderGraph, drape_inputs
+from training.onefit import OneFit
 
 TOLERANCE_M = 1e-4
 SEQUENCE_FRAMES = 30
@@ -114,3 +125,108 @@ def sequence_error(model: OneFit, folder: Path, graphs: dict[str, GraphSpec], ga
         got = run.run(["vertices"], {name: (arrays | {"dynamic_code": code})[name] for name in names})[0]
         worst = max(worst, float(np.linalg.norm(got - expected, axis=-1).max()))
     return worst
+
+
+BATCH_FRAMES = 5
+
+
+@flushed()
+def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Garment) -> float:
+    """Largest vertex distance [m] of one batch: hard poses of two body shapes, the garment in three sizes of itself."""
+    body = load_body()
+    feeds = [_first_vertices(garment_feed(garment, body=body), share) for share in (1.0, 0.5, 0.01)]
+    features = encoder_features(garment, model.config.encoder_feature_count)
+    first = np.asarray(session(encoder).run(["patch_first"], {"patch_features": features})[0])
+    garments, places, patch, tile = [], [], 0, 0
+    for feed in feeds:
+        packed_garment = pack_garment(feed, first)
+        garments.append(packed_garment)
+        places.append(Place(patch, tile))
+        patch, tile = patch + packed_garment.patch_count, tile + packed_garment.tile_count
+    stored = {name: np.concatenate([one.stored[name] for one in garments]) for name in garments[0].stored}
+    poses = hard_poses(BATCH_FRAMES, seed=3)
+    betas = [np.zeros(body.shape_count), np.random.default_rng(0).normal(size=body.shape_count)]
+    shape_of = [frame % 2 for frame in range(BATCH_FRAMES)]
+    rows = [pack_body(body, betas[shape]).rows(poses[i : i + 1]) for i, shape in enumerate(shape_of)]
+    bodies = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+    items = [(i % len(garments), i) for i in range(BATCH_FRAMES)]
+    bodies |= SkinShapes(body).feed(bodies["betas"])
+    composition = compose([(garments[g], places[g], frame) for g, frame in items])
+    names = [spec.name for spec in drape_inputs(model)]
+    code = {}
+    if model.config.dynamic:
+        drawn = np.random.default_rng(1).normal(size=(BATCH_FRAMES, model.config.body_code_size)).astype(np.float32)
+        code["dynamic_code"] = drawn if "dynamic_code" in names else 0.0 * drawn
+    got = _run(packed, bodies | stored | composition.arrays | code)
+
+    with torch.no_grad():
+        embedding = EncoderGraph(model)({"patch_features": torch.from_numpy(features)}).numpy()
+    worst = 0.0
+    for place, (g, frame) in zip(composition.vertices, items, strict=True):
+        feed = body_feed(body, poses[frame : frame + 1], np.zeros((1, 3)), betas[shape_of[frame]], skin=True)
+        arrays = feed.arrays | feeds[g] | {"patch_embedding": embedding}
+        arrays |= {name: value[frame : frame + 1] for name, value in code.items()}
+        with torch.no_grad():
+            expected = DrapeGraph(model)({name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()
+        worst = max(worst, float(np.linalg.norm(got.reshape(-1, 3)[place] - expected[0], axis=-1).max()))
+    return worst
+
+
+def _run(packed: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """The vertices of the graph, which takes its inputs among ``arrays``."""
+    graph = session(packed)
+    return np.asarray(graph.run(["vertices"], {item.name: arrays[item.name] for item in graph.get_inputs()})[0])
+
+
+def _first_vertices(feed: dict[str, np.ndarray], share: float) -> dict[str, np.ndarray]:
+    """The garment of the first ``share`` of the vertices."""
+    count = max(1, int(share * len(feed["chart_patch"])))
+    return {name: value[:count] if name.startswith(("chart", "skin")) else value for name, value in feed.items()}
+
+
+Case = tuple[dict[str, np.ndarray], np.ndarray]  # inputs of a graph by name, and what numpy makes of them
+
+
+def push_case(garment: Garment, poses: np.ndarray, clearance_m: float = CLEARANCE_M) -> Case:
+    """The push-out of ``garment``, skinned in ``poses`` (F, 24, 3)."""
+    drapes, skin = _skinned(garment, poses, clearance_m), body_skin(load_body())
+    feed = pack_push(garment_feed(garment), garment.vertices[: garment.vertex_count], skin)
+    expected = push_out(drapes.vertices, drapes.samples(), feed, np.float32(clearance_m))
+    return PushTensors(**vars(drapes), feed=feed).flat(), expected
+
+
+def layer_case(outer: Garment, inner: Garment, poses: np.ndarray, clearance_m: float = CLEARANCE_M) -> Case:
+    """The push-out of ``outer`` over ``inner``, both skinned in ``poses`` (F, 24, 3)."""
+    drapes, under = _skinned(outer, poses, clearance_m), _skinned(inner, poses, clearance_m).vertices
+    rest = outer.vertices[: outer.vertex_count]
+    feed = pack_layer(garment_feed(outer), rest, body_skin(load_body()), [sheet(inner)])
+    expected = push_over(drapes.vertices, under, drapes.samples(), feed, np.float32(clearance_m))
+    return LayerTensors(**vars(drapes), feed=feed, under=under).flat(), expected
+
+
+@flushed()
+def push_parity_error(folder: Path, garment: Garment) -> float:
+    """Largest vertex distance [m] between numpy and the graphs in ``folder``: of the garment, and of it worn over its
+    like."""
+    poses = hard_poses(3)
+    cases = {"push_out": push_case(garment, poses), "push_over": layer_case(garment, garment, poses)}
+    worst = 0.0
+    for name, (arrays, expected) in cases.items():
+        got = np.asarray(session(folder / f"{name}.onnx").run(["pushed"], arrays)[0])
+        worst = max(worst, float(np.linalg.norm(got - expected, axis=-1).max()))
+    return worst
+
+
+def _skinned(garment: Garment, poses: np.ndarray, clearance_m: float) -> Drapes:
+    body, count = load_body(), garment.vertex_count
+    rotations, translations = body.bones(poses)
+    rest = np.broadcast_to(garment.vertices[:count], (len(poses), count, 3)).astype(np.float64)
+    vertices = skin_points(rest, garment.skin_weights(body)[:count].astype(np.float64), rotations, translations)
+    drapes = Drapes(
+        vertices=vertices,
+        rotation=rotations,
+        translation=translations,
+        clearance=np.full(1, clearance_m),
+        skin=body_skin(body).on_bones(body),
+    )
+    return drapes.each(lambda array: array.astype(np.float32) if array.dtype == np.float64 else array)

@@ -37,7 +37,7 @@ def style_of(given: argparse.Namespace) -> Style:
     return Style(read_values(given.style, "--style"), given.whole_sleeves, given.whole_bands)
 
 
-def ended(files: Iterable[Path], not_at_rest: str) -> int:
+def end_command(files: Iterable[Path], not_at_rest: str) -> int:
     """Prints ``files`` and returns the exit code: 0, or 3 after a sentence on what is ``not_at_rest``."""
     for path in files:
         print(path)

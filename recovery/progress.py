@@ -46,7 +46,7 @@ class Watch:
         self.speak_if_due()
 
     def enter(self, stage: str) -> None:
-        """Notes that ``stage`` begins."""
+        """Says that ``stage`` begins, in a line if one is due."""
         self.stage, self.detail = stage, ""
         self.speak_if_due()
 
@@ -105,7 +105,7 @@ def stage(name: str) -> Iterator[None]:
 
 
 @contextmanager
-def within(share: float) -> Iterator[None]:
+def limit_share(share: float) -> Iterator[None]:
     """Inside, the limit ends after ``share`` of the whole time, so that the rest is left for what follows."""
     watch = _watches[-1] if _watches else None
     limit_s = watch.limit_s if watch is not None else None

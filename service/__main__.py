@@ -38,12 +38,12 @@ def _serve(overrides: dict[str, object]) -> int:
         from service.app import create_app
         from service.compute.background import give_back_memory, take_turns
         from service.compute.drape_runtime import DrapeRuntime
-        from service.server import bind, make_server
+        from service.server import bind_listener, make_server
         from service.settings import check_exposed, load_settings, unread_variables
         from service.watch.logs import set_up
-        from service.watch.metrics import Metrics
         from service.watch.outputs import free_outputs
         from service.watch.probes import Lifecycle, Probes
+        from service.watch.prometheus import Metrics
     except ModuleNotFoundError as error:
         print(
             f"service: expected the packages of the extra 'serve', got no {error.name}. "
@@ -61,11 +61,11 @@ def _serve(overrides: dict[str, object]) -> int:
     for name in unread_variables():
         logging.getLogger("drape.service").warning("%s is no setting; see docs/guide/operate.md", name)
     lifecycle, metrics = Lifecycle(stuck_s=settings.stuck_s), Metrics()
-    listener = bind(settings.host, settings.port)
+    listener = bind_listener(settings.host, settings.port)
     with ExitStack() as opened:
         opened.enter_context(listener)
         if settings.probe_port is not None:
-            probes = Probes(bind(settings.host, settings.probe_port), lifecycle, metrics)
+            probes = Probes(bind_listener(settings.host, settings.probe_port), lifecycle, metrics)
             port = opened.enter_context(probes).server_address[1]
             logging.getLogger("drape.service").info("probes on port %d", port)
         runtime = DrapeRuntime(settings, metrics=metrics, at_once=False)

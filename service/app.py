@@ -13,9 +13,9 @@ from drape import __version__
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.processes import kill_all
 from service.compute.threads import SlicedThread
-from service.exact.jobs import ExactClips
+from service.exact.clip_queue import ExactClips
 from service.guard.access import Access
-from service.guard.connections import EndsWithClient
+from service.guard.connection_times import EndsWithClient
 from service.guard.limits import BodyLimit
 from service.guard.origin_guard import OriginGuard
 from service.http import (
@@ -44,8 +44,8 @@ from service.uploads.jobs import Uploads
 from service.uploads.motions import MotionFiles
 from service.uploads.shared_folder import SharedFolder
 from service.watch.logs import RequestLog
-from service.watch.metrics import Metrics
 from service.watch.probes import Lifecycle
+from service.watch.prometheus import Metrics
 from service.watch.tracing import make_tracing
 from service.watch.turns import LoopWatch
 from service.watch.watchdog import Lane, Watchdog
@@ -102,7 +102,7 @@ def create_app(
         docs_url=None,  # those of FastAPI load their scripts from another host
         redoc_url=None,
     )
-    problems.install(app)
+    problems.install_handlers(app)
     app.add_middleware(BriefJson)
     app.add_middleware(BodyLimit, settings=settings, lifecycle=life)
     if settings.allowed_origins:
@@ -118,7 +118,7 @@ def create_app(
 def _add_routes(app: FastAPI, settings: Settings) -> None:
     """Adds all that clients with a key may ask, and the pages."""
     pages.install_reference(app)
-    openapi.install(app)
+    openapi.install_document(app)
     for router in ROUTERS:
         app.include_router(router, dependencies=ADMITTED, responses=openapi.responses(*openapi.EVERYWHERE))
     app.include_router(stream_routes.router)

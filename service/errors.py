@@ -95,7 +95,7 @@ def rule_for(error: DrapeError | type[DrapeError]) -> Rule:
     return next(TABLE[base] for base in kind.__mro__ if base in TABLE)
 
 
-def problem(error: DrapeError) -> dict[str, Any]:
+def problem_of(error: DrapeError) -> dict[str, Any]:
     """The problem document (RFC 9457) of ``error``."""
     rule = rule_for(error)
     return {
@@ -112,7 +112,7 @@ def problem(error: DrapeError) -> dict[str, Any]:
 
 def problem_response(error: DrapeError) -> JSONResponse:
     """The HTTP answer to ``error``."""
-    document = problem(error)
+    document = problem_of(error)
     status = document["status"]
     headers = {401: {"WWW-Authenticate": "Bearer"}, 429: {"Retry-After": "1"}}.get(status)
     return JSONResponse(document, status_code=status, media_type=PROBLEM, headers=headers)
@@ -126,7 +126,7 @@ def close_reason(error: DrapeError) -> str:
 
 def error_message(error: DrapeError) -> str:
     """The JSON text message that precedes a close."""
-    return json.dumps({**problem(error), "type": "error", "kind": type(error).__name__})
+    return json.dumps({**problem_of(error), "type": "error", "kind": type(error).__name__})
 
 
 class InternalError(DrapeError):

@@ -1,4 +1,4 @@
-"""``python -m service.keys NAME`` makes an API key (``service.guard.keys``)."""
+"""``python -m service.keys NAME`` makes an API key (``service.guard.key_file``)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import secrets
 import sys
 
-from service.guard.keys import NAME, digest
+from service.guard.key_file import NAME, key_digest
 
 
 def main() -> int:
@@ -19,7 +19,7 @@ def main() -> int:
         return 2
     key = f"drape_{secrets.token_urlsafe(32)}"
     print(f"The key, shown once: {key}", file=sys.stderr)
-    print(json.dumps({name: {"sha256": digest(key)}}))
+    print(json.dumps({name: {"sha256": key_digest(key)}}))
     return 0
 
 

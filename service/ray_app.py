@@ -7,7 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from drape.errors import DrapeError
-from service.replicas.ray_deployment import application, prepare_ray, run
+from service.replicas.ray_deployment import application, prepare_ray, run_replicas
 from service.settings import check_exposed, load_settings
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
         if address is None:
             prepare_ray()
         serving = application(settings, least, most)
-        run(serving, settings, address)
+        run_replicas(serving, settings, address)
     except DrapeError as error:
         print(f"service: {error}", file=sys.stderr)
         return 2

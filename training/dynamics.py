@@ -9,11 +9,11 @@ import torch
 from torch import Tensor, nn
 
 from drape.cloth import energies
+from training.batches import TrainingGarment
 from training.config import TrainConfig
-from training.data import TrainingGarment
 from training.poses import draw_betas
 from training.recurrent import DynamicEncoder
-from training.trainer import BaseTrainer, Objective
+from training.trainer import BaseTrainer, BatchLoss
 from training.windows import HISTORY, WindowBank, Windows
 
 STATISTICS_WINDOWS = 128
@@ -45,7 +45,7 @@ class DynamicTrainer(BaseTrainer):
 
     @property
     def encoder(self) -> DynamicEncoder:
-        """The recurrent encoder."""
+        """The recurrent encoder of the model, which it must have."""
         assert self.model.dynamic is not None
         return self.model.dynamic
 
@@ -65,7 +65,7 @@ class DynamicTrainer(BaseTrainer):
         self.encoder.requires_grad_(True)
         return list(self.encoder.parameters())
 
-    def objective(self) -> Objective:
+    def objective(self) -> BatchLoss:
         """Draws windows of motion and returns the loss over them: the incremental potential above that of the static
         drape, a weighted mean."""
         config, count = self.config, self.config.batch_size
@@ -108,7 +108,7 @@ class DynamicTrainer(BaseTrainer):
         charts = self._disagreement(draped.coefficients - still.coefficients, partition)
         loss = (weight * (above + inertia)).mean() + config.disagreement_weight * weight.mean() * charts
         parts |= {"above": above, "inertia": inertia, "inertia_at_rest": at_rest}
-        return Objective(loss, {name: value.mean() for name, value in parts.items()}, charts)
+        return BatchLoss(loss, {name: value.mean() for name, value in parts.items()}, charts)
 
     def _weight(self, inertia: Tensor, windows: Windows) -> Tensor:
         """Weights (B, T) of frames whose static drape has the ``inertia`` [J/m^2]: less where that is jerked."""

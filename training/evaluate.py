@@ -42,11 +42,11 @@ from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses, hard_poses
 from drape.motion.readers import MOTION_SUFFIXES, read_motion
 from training import checkpoint
+from training.batches import BodySource, partition_tensors
 from training.config import TrainConfig
-from training.data import BodySource, partition_tensors
 from training.disagreement import disagreement
 from training.losses import vertices_from
-from training.model import OneFit, Posed, paper_vertices, posed_coefficients
+from training.onefit import OneFit, Posed, paper_vertices, posed_coefficients
 
 FRAMES = 8
 CPU = torch.device("cpu")
@@ -59,7 +59,7 @@ def load_network(path: Path) -> tuple[OneFit, TrainConfig, int]:
     Raises ``ArtifactError`` where the file is no checkpoint or holds a network of another build.
     """
     path = path / "checkpoint.pt" if path.is_dir() else path
-    payload, config = checkpoint.load(path)
+    payload, config = checkpoint.load_checkpoint(path)
     model = OneFit(config.model)
     try:
         model.load_state_dict(payload["model"])

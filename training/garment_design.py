@@ -110,7 +110,7 @@ def _loop(values: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return np.concatenate(columns, axis=1), np.asarray(fine)
 
 
-def cut(
+def cut_mesh(
     vertices: np.ndarray, faces: np.ndarray, field: np.ndarray, extra: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The part of a mesh where ``field`` (N,) > 0, cut along its zero line; ``extra`` (N, C) is carried along."""
@@ -160,7 +160,7 @@ def compact(vertices: np.ndarray, faces: np.ndarray, extra: np.ndarray) -> tuple
     return vertices[used], renumbered, extra[used]
 
 
-def build(design: Design, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+def build_design(design: Design, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
     """Vertices [m] (N, 3) and faces (F, 3) of ``design`` on ``body``, at least 6 mm clear of it."""
     floor = np.array([0.0, body.v_template[:, 1].min(), 0.0])
     vertices, faces, weights = helper_surface("tights")
@@ -188,11 +188,11 @@ def build(design: Design, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
         fields.append(
             0.1 * (np.sqrt((x / rx) ** 2 + ((y - cy) / ry) ** 2 + ((z - cz) / rz) ** 2) - 1.0) - 10.0 * (y > cy + 0.06)
         )
-    vertices, faces, weights = cut(vertices, faces, np.minimum.reduce(fields), weights)
+    vertices, faces, weights = cut_mesh(vertices, faces, np.minimum.reduce(fields), weights)
     if design.skirt_hem_y is not None:
         vertices, faces = _attach_skirt(vertices, faces, design, floor)
     vertices = _stand_off(vertices, faces, design)
-    return clear(vertices + floor, faces, body), faces
+    return clear_of_body(vertices + floor, faces, body), faces
 
 
 def _attach_skirt(
@@ -302,7 +302,7 @@ def _taubin(vertices: np.ndarray, faces: np.ndarray, *, passes: int) -> np.ndarr
     return vertices
 
 
-def clear(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> np.ndarray:
+def clear_of_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> np.ndarray:
     """Vertices pushed to at least ``CLEARANCE_M`` from the body; the push is smoothed so that no spikes stay."""
     smooth = smoothing_matrix(faces, len(vertices))
     for _ in range(40):
@@ -324,16 +324,16 @@ def _outward(points: np.ndarray, body: BodyModel) -> tuple[np.ndarray, np.ndarra
     return distance, away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
 
 
-def varied(design: Design, body: BodyModel, rng: np.random.Generator) -> tuple[Design, np.ndarray, np.ndarray]:
+def vary_design(design: Design, body: BodyModel, rng: np.random.Generator) -> tuple[Design, np.ndarray, np.ndarray]:
     """A random neighbour of ``design`` with as many openings as it, and its mesh.
 
     A draw that cuts a strap or a bridge away is thrown back: without it the garment would
     have nothing to hang from. So is one with a sliver of a triangle, whose strain would rule the energy.
     """
-    wanted = trimesh.Trimesh(*build(design, body), process=False).euler_number
+    wanted = trimesh.Trimesh(*build_design(design, body), process=False).euler_number
     while True:
         candidate = vary(design, rng)
-        vertices, faces = build(candidate, body)
+        vertices, faces = build_design(candidate, body)
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         if mesh.euler_number == wanted and mesh.area_faces.min() > SLIVER_SHARE * mesh.area_faces.mean():
             return candidate, vertices, faces
@@ -370,7 +370,7 @@ def vary(design: Design, rng: np.random.Generator) -> Design:
 
 def cut_garment(design: Design, body: BodyModel) -> Garment:
     """``design`` on ``body`` as the product keeps a garment: fitted patches, no texture coordinates, no rest state."""
-    vertices, faces = build(design, body)
+    vertices, faces = build_design(design, body)
     key = vertices.tobytes() + faces.tobytes() + body.digest.encode() + f"{FORMAT_VERSION}.{INTAKE_VERSION}".encode()
     mesh = replace(plain_mesh(design.name, vertices, faces), material_names=("cloth",))
     manifest = {"source": "cut from MakeHuman's helper surfaces (CC0)", "design": asdict(design)}

@@ -11,8 +11,8 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.garment.consensus import STRAIN_POINTS
 from drape.geometry import jets
 from drape.graph.inputs import SLOPE
+from training.chart_consensus import softened
 from training.config import ModelConfig
-from training.consensus import softened
 
 STRAIN_COUNT = 3 * STRAIN_POINTS
 CLOSENESS_COUNT = 2 * STRAIN_POINTS  # of the patch's own part of the body, and of others
@@ -125,8 +125,8 @@ class Decoder(nn.Module):
 class Correction(nn.Sequential):
     """Code, strain and body proximity of a patch -> change of its jets (F, K, 27).
 
-    Inputs: the decoder's code of the patch, strain and force of ``training.consensus``, and the jets themselves; then
-    the body proximity, closeness and force.
+    Inputs: the decoder's code of the patch, strain and force of ``training.chart_consensus``, the jets themselves, and
+    closeness and force of the body proximity.
     """
 
     def __init__(self, config: ModelConfig) -> None:

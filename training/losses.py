@@ -13,9 +13,9 @@ from drape.cloth.contact import nearest_vertices, plane_distance
 from drape.cloth.material import Material
 from drape.cloth.waistband import band_energy
 from drape.graph.inputs import BodyTensors
-from training.consensus import framewise
-from training.data import BodyBatch, Partition, TrainingGarment
-from training.model import FRAME_ROWS, paper_vertices
+from training.batches import BodyBatch, Partition, TrainingGarment
+from training.chart_consensus import framewise
+from training.onefit import FRAME_ROWS, paper_vertices
 
 
 def vertices_from(coefficients: Tensor, partition: Partition) -> Tensor:
@@ -31,7 +31,7 @@ def garment_vertices(
     return paper_vertices(vertices, garment.skin_weights, body) if variant == "paper" else vertices
 
 
-def disagreement(coefficients: Tensor, partition: Partition, sample: Tensor) -> Tensor:
+def chart_disagreement(coefficients: Tensor, partition: Partition, sample: Tensor) -> Tensor:
     """Mean squared distance [m^2] between the places that the charts of a vertex give it, over ``sample`` vertices.
 
     ``coefficients``: ``model.posed_coefficients`` of a drape, or the difference of two drapes on the same bodies.
@@ -66,7 +66,7 @@ def lost_area(vertices: Tensor, cloth: energies.ClothMesh) -> Tensor:
     return lack.square() @ (cloth.face_area / cloth.face_area.sum())
 
 
-def held_up(coefficients: Tensor, partition: Partition, garment: TrainingGarment) -> Tensor:
+def waistband_energy(coefficients: Tensor, partition: Partition, garment: TrainingGarment) -> Tensor:
     """Energy [J] (F,) of the garment's waistband (``drape.cloth.waistband``), zero without one."""
     if garment.band is None:
         return coefficients.new_zeros(len(coefficients))
@@ -89,7 +89,7 @@ def soften(energy: Tensor, knee: float) -> Tensor:
 
 
 @dataclass(frozen=True, eq=False)
-class ContactPlanes:
+class SampledPlanes:
     """Tangent planes of the body, ``point`` and ``normal`` (F, n, 3), that the vertices ``sample`` (n,) meet."""
 
     sample: Tensor
@@ -97,7 +97,7 @@ class ContactPlanes:
     normal: Tensor
 
 
-def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator: torch.Generator) -> ContactPlanes:
+def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator: torch.Generator) -> SampledPlanes:
     """Planes of the body nearest to a random ``share`` of ``vertices`` [m] (F, V, 3)."""
     count = vertices.shape[1]
     sample = torch.randperm(count, generator=generator)[: max(1, round(share * count))].to(vertices.device)
@@ -106,11 +106,11 @@ def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator
     frame = np.arange(len(index))[:, None]
     point = torch.from_numpy(body.collider[frame, index]).to(vertices.device)
     normal = torch.from_numpy(body.collider_normals[frame, index].astype(np.float32)).to(vertices.device)
-    return ContactPlanes(sample, point, normal)
+    return SampledPlanes(sample, point, normal)
 
 
 def energy_loss(
-    vertices: Tensor, garment: TrainingGarment, planes: ContactPlanes, material: Material
+    vertices: Tensor, garment: TrainingGarment, planes: SampledPlanes, material: Material
 ) -> dict[str, Tensor]:
     """Energy parts [J] (F,). Contact is that of the sample of ``planes``, scaled up: an unbiased estimate, since the
     search for nearest vertices is dear."""

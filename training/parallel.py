@@ -14,7 +14,7 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 
-def start(device: torch.device) -> None:
+def start_rank(device: torch.device) -> None:
     """Joins the process group when torchrun has started this process."""
     if "RANK" in os.environ and not dist.is_initialized():
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")

@@ -24,7 +24,7 @@ from drape.errors import NotFound
 from drape.files.data import data_folder
 from drape.motion.readers import read_motion
 from training.config import DataConfig
-from training.poses import PoseBank, mirrored, read_clips
+from training.poses import PoseBank, mirror_poses, read_training_clips
 
 KEPT = {"legs": 256, "trunk": 256, "tilt": 64}
 PASSING = 0.99  # of the frames of unseen clips
@@ -34,7 +34,7 @@ FILE = "poses.npz"
 
 def support_of(seen: np.ndarray, unseen: np.ndarray, *, kept: Mapping[str, int] = KEPT) -> PoseSupport:
     """The support of the poses ``seen`` (n, 24, 3) [rad]; ``PASSING`` of ``unseen`` (m, 24, 3) are within."""
-    poses = np.concatenate([np.zeros((1, JOINT_COUNT, 3)), seen, mirrored(seen)])
+    poses = np.concatenate([np.zeros((1, JOINT_COUNT, 3)), seen, mirror_poses(seen)])
     rows = {name: _steps(farthest_points(part, kept[name])) for name, part in pose_parts(poses).items()}
     support = PoseSupport(**rows, limits=np.ones(len(PARTS)))
     # Each part lets as many go, so that all together let no more go than was asked.
@@ -84,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if motions is None:
         raise NotFound("motions", expected="clips trained on", got="no DRAPE_DATA", cure="Set DRAPE_DATA.")
     config = DataConfig(held_out=tuple(load_manifest(folder).training["held_out"]))
-    seen = np.concatenate(PoseBank(read_clips([motions], held_out=config.held_out), config).frames)
+    seen = np.concatenate(PoseBank(read_training_clips([motions], held_out=config.held_out), config).frames)
     files = [motions / f"{name}.npz" for name in config.held_out] + sorted(MOTIONS_DIR.glob("*.npz"))
     unseen = {path.stem: read_motion(path).poses.astype(np.float64) for path in files}
     support = support_of(seen, np.concatenate(list(unseen.values())))

@@ -22,12 +22,12 @@ KIND_COUNT = 128  # of poses, drawn evenly in part
 STRIDE_S = 1.0 / 15.0
 
 
-def mirrored(poses: np.ndarray) -> np.ndarray:
+def mirror_poses(poses: np.ndarray) -> np.ndarray:
     """Poses (..., 24, 3) seen in the plane x = 0: left and right change places."""
     return poses[..., MIRROR, :] * np.array([1.0, -1.0, -1.0])
 
 
-def read_clips(folders: list[Path], *, held_out: tuple[str, ...]) -> list[MotionClip]:
+def read_training_clips(folders: list[Path], *, held_out: tuple[str, ...]) -> list[MotionClip]:
     """Motion files of ``folders`` in name order, without those named in ``held_out``."""
     clips = []
     for folder in folders:
@@ -75,7 +75,7 @@ class PoseBank:
         rows, legs = np.flatnonzero(mixed)[:, None], np.asarray(LEGS)[None]
         poses[rows, legs] = other[rows, legs]
         flip = rng.random(count) < self.config.mirror_share
-        poses[flip] = mirrored(poses[flip])
+        poses[flip] = mirror_poses(poses[flip])
         return poses
 
     def _pick(self, count: int, rng: np.random.Generator) -> np.ndarray:

@@ -33,8 +33,8 @@ from drape.motion.clip import MotionClip
 from training import checkpoint, parallel
 from training.config import PRESETS, TrainConfig
 from training.dynamics import DynamicTrainer
-from training.poses import PoseBank, read_clips
-from training.starting import finetuned, started, with_garments, with_more_garments
+from training.poses import PoseBank, read_training_clips
+from training.starting import finetuned, start_from, with_garments, with_more_garments
 from training.targets import SettledBank
 from training.trainer import BaseTrainer, Trainer
 from training.windows import WindowBank
@@ -152,11 +152,11 @@ def _run(arguments: argparse.Namespace) -> None:
                 raise InputError(
                     option, expected="nothing with --resume", got=named[0], cure="A run keeps its garments."
                 )
-        state, config = checkpoint.load(arguments.resume / "checkpoint.pt")
+        state, config = checkpoint.load_checkpoint(arguments.resume / "checkpoint.pt")
     elif arguments.finetune:
         config, weights = finetuned(arguments.finetune, arguments.garment)
     else:
-        config, weights = started(PRESETS[arguments.preset](), arguments.start, arguments.encoder)
+        config, weights = start_from(PRESETS[arguments.preset](), arguments.start, arguments.encoder)
         config = with_garments(config, arguments.garment)
     config = with_more_garments(config, arguments.beside)
     chosen = {"minutes": arguments.minutes, "threads": arguments.threads, "batch_size": arguments.batch}
@@ -168,8 +168,8 @@ def _run(arguments: argparse.Namespace) -> None:
     torch.set_num_threads(config.threads)
     folders = arguments.motions or [f for f in [data_folder("motions")] if f is not None] or [MOTIONS_DIR]
     device = torch.device(arguments.device)
-    parallel.start(device)
-    clips = read_clips(folders, held_out=config.data.held_out)
+    parallel.start_rank(device)
+    clips = read_training_clips(folders, held_out=config.data.held_out)
     settled = None if arguments.settled is None else SettledBank(arguments.settled)
     trainer = make_trainer(config, clips, device=device, weights=weights, settled=settled)
     count = sum(p.numel() for p in trainer.model.parameters() if p.requires_grad)

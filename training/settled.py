@@ -37,10 +37,10 @@ from drape.files.data import data_folder
 from drape.live.fold_constants import FoldConstants, WornCloth, leash_n_per_m
 from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.live.skin_walks import nearest_at_rest, skin_graph
-from training.data import TrainingGarment
-from training.poses import PoseBank, draw_betas, read_clips
+from training.batches import TrainingGarment
+from training.poses import PoseBank, draw_betas, read_training_clips
 from training.starting import finetuned, with_more_garments
-from training.targets import SettledDrapes, digest
+from training.targets import SettledDrapes, settled_digest
 from training.trainer import Trainer
 
 EFFORT = FoldEffort(steps=2, settle=40)
@@ -95,7 +95,7 @@ def make(trainer: Trainer, settler: Settler) -> SettledDrapes | None:
     vertices = settler.settled(made, start.numpy(), body.tensors.skin.numpy())
     if not np.isfinite(vertices).all():
         return None
-    return SettledDrapes(garment.name, digest(garment), trainer.fabric, poses, betas, vertices)
+    return SettledDrapes(garment.name, settled_digest(garment), trainer.fabric, poses, betas, vertices)
 
 
 @refusing
@@ -116,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     config, weights = finetuned(options.model, options.garment)
     config = with_more_garments(config, options.beside)
     folders = options.motions or [folder for folder in [data_folder("motions")] if folder is not None]
-    bank = PoseBank(read_clips(folders, held_out=config.data.held_out), config.data)
+    bank = PoseBank(read_training_clips(folders, held_out=config.data.held_out), config.data)
     options.out.mkdir(parents=True, exist_ok=True)
     count, lost = 0, 0
     with flushed():

@@ -17,7 +17,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.errors import ArtifactError, InputError, NotFound
 from drape.files.atomic import whole_file
-from training.data import TrainingGarment
+from training.batches import TrainingGarment
 
 TRIES = 64
 
@@ -25,10 +25,10 @@ TRIES = 64
 @dataclass(frozen=True, eq=False)
 class SettledDrapes:
     """``vertices`` [m] (F, V, 3) relative to the root, at ``poses`` (F, 24, 3) [rad] of bodies ``betas`` (F, S), of the
-    training garment ``garment`` made of ``fabric``; ``digest`` of that garment's rest mesh."""
+    training garment ``garment`` made of ``fabric``; ``settled_digest`` of that garment's rest mesh."""
 
     garment: str
-    digest: int
+    settled_digest: int
     fabric: Fabric
     poses: np.ndarray
     betas: np.ndarray
@@ -36,7 +36,7 @@ class SettledDrapes:
 
     def save(self, path: Path) -> None:
         """Writes ``path``, whole or not at all."""
-        said = {"garment": self.garment, "digest": self.digest, "fabric": dataclasses.asdict(self.fabric)}
+        said = {"garment": self.garment, "digest": self.settled_digest, "fabric": dataclasses.asdict(self.fabric)}
         with whole_file(path) as file:
             np.savez(file, said=json.dumps(said), poses=self.poses, betas=self.betas, vertices=self.vertices)
 
@@ -57,7 +57,7 @@ class SettledDrapes:
             ) from error
 
 
-def digest(garment: TrainingGarment) -> int:
+def settled_digest(garment: TrainingGarment) -> int:
     """A checksum of the rest mesh: targets are of its vertices."""
     rest = np.ascontiguousarray(garment.rest.vertices.astype(np.float32))
     return zlib.crc32(garment.rest.faces.astype(np.int64).tobytes(), zlib.crc32(rest.tobytes()))
@@ -86,10 +86,10 @@ class SettledBank:
 
         Processes of a parallel run draw neighbours of the designs of their own; there are no files of those.
         """
-        files, known = self._files(), {(garment.name, digest(garment)): garment for garment in garments}
+        files, known = self._files(), {(garment.name, settled_digest(garment)): garment for garment in garments}
         for _ in range(TRIES):
             drapes = SettledDrapes.read(files[int(rng.integers(len(files)))])
-            if (garment := known.get((drapes.garment, drapes.digest))) is not None:
+            if (garment := known.get((drapes.garment, drapes.settled_digest))) is not None:
                 return garment, drapes
         raise ArtifactError(
             "settled drapes",

@@ -18,10 +18,10 @@ from drape.cloth.fabric_table import DEFAULT_FABRIC, fabric
 from drape.cloth.material import Material, material
 from drape.errors import ArtifactError
 from training import losses, parallel
+from training.batches import BodyBatch, BodySource, Partition, TrainingGarment
 from training.config import TrainConfig
-from training.data import BodyBatch, BodySource, Partition, TrainingGarment
 from training.fabrics import FabricBank, stretch_share
-from training.model import OneFit, Posed, posed_coefficients
+from training.onefit import OneFit, Posed, posed_coefficients
 from training.poses import PoseBank, draw_betas, rows_of_three
 from training.targets import SettledBank, distance
 from training.wardrobe import Wardrobe
@@ -30,7 +30,7 @@ SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
 
 
 @dataclass(frozen=True, eq=False)
-class Objective:
+class BatchLoss:
     """A loss [J/m^2], its ``parts`` [J/m^2], and the disagreement [m^2] of charts, for the report."""
 
     loss: Tensor
@@ -103,7 +103,7 @@ class BaseTrainer:
         """Sets the statistics of the network's inputs."""
         raise NotImplementedError
 
-    def objective(self) -> Objective:
+    def objective(self) -> BatchLoss:
         """The loss of a batch that is drawn now."""
         raise NotImplementedError
 
@@ -174,11 +174,11 @@ class BaseTrainer:
             posed, said, losses.garment_vertices(said, partition, garment, batch.tensors, variant=variant)
         )
 
-    def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:
+    def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.SampledPlanes:
         """Planes that some of ``vertices`` [m] (F, V, 3), drawn now, touch."""
         return losses.contact_planes(vertices, batch, share=self.config.data.contact_share, generator=self.generator)
 
-    def _energy(self, vertices: Tensor, garment: TrainingGarment, planes: losses.ContactPlanes) -> dict[str, Tensor]:
+    def _energy(self, vertices: Tensor, garment: TrainingGarment, planes: losses.SampledPlanes) -> dict[str, Tensor]:
         """Energy (F,) of the cloth by part, in units of ``_unit``."""
         parts = losses.energy_loss(vertices, garment, planes, self.material)
         return {name: value / self._unit(garment) for name, value in parts.items()}
@@ -193,10 +193,10 @@ class BaseTrainer:
         return 1.0 if self.fabric is None else stretch_share(self.fabric)
 
     def _disagreement(self, coefficients: Tensor, partition: Partition) -> Tensor:
-        """``losses.disagreement`` [m^2] at some vertices drawn now."""
+        """``losses.chart_disagreement`` [m^2] at some vertices drawn now."""
         count = partition.chart_patch.shape[0]
         sample = torch.randperm(count, generator=self.generator)[:SAMPLE_VERTICES].to(self.device)
-        return losses.disagreement(coefficients, partition, sample)
+        return losses.chart_disagreement(coefficients, partition, sample)
 
     def state(self) -> dict:
         return {
@@ -311,7 +311,7 @@ class Trainer(BaseTrainer):
             poses, betas = rows_of_three(poses, config.smooth_step_rad, self.rng), np.repeat(betas, 3, axis=0)
         return garment, partition, self.source.pose(poses, betas)
 
-    def _toward(self, bank: SettledBank) -> Objective:
+    def _toward(self, bank: SettledBank) -> BatchLoss:
         """The loss of drapes without corrections beside settled ones."""
         config = self.config
         garment, target = bank.draw(self.wardrobe.garments, self.rng)
@@ -328,7 +328,7 @@ class Trainer(BaseTrainer):
         found = config.settled_weight * apart + config.settled_energy * energy + contact
         means = {"settled_mm": 1e3 * apart.sqrt(), "settled_energy": energy, "settled_contact": contact}
         lost = self._lost_area(vertices, garment, means)
-        return Objective(found + config.disagreement_weight * charts + lost, means, charts)
+        return BatchLoss(found + config.disagreement_weight * charts + lost, means, charts)
 
     def _lost_area(self, vertices: Tensor, garment: TrainingGarment, means: dict[str, Tensor]) -> Tensor | float:
         """What lost area adds to the loss; its mean root joins ``means``."""
@@ -338,7 +338,7 @@ class Trainer(BaseTrainer):
         means["lost_area_pct"] = 1e2 * lost.sqrt()
         return self.config.area_weight * lost
 
-    def objective(self) -> Objective:
+    def objective(self) -> BatchLoss:
         """The loss of a batch that is drawn now."""
         config = self.config
         passes, smooth = self._passes(), self._smooth()
@@ -348,7 +348,7 @@ class Trainer(BaseTrainer):
         draped = self.drape(batch, garment, partition, passes=passes)
         vertices = draped.vertices
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
-        parts["waistband"] = losses.held_up(draped.coefficients, partition, garment) / self._unit(garment)
+        parts["waistband"] = losses.waistband_energy(draped.coefficients, partition, garment) / self._unit(garment)
         contact = losses.soften(parts["contact"], config.contact_knee_j_m2)
         energy = (parts["membrane"] + parts["bending"] + parts["gravity"] + contact + parts["waistband"]).mean()
         charts = self._disagreement(draped.coefficients, partition)
@@ -358,10 +358,10 @@ class Trainer(BaseTrainer):
         means = {name: value.mean() for name, value in parts.items()}
         loss = energy + agree + self._lost_area(vertices, garment, means)
         if not smooth:
-            return Objective(loss, means, charts)
+            return BatchLoss(loss, means, charts)
         bend = losses.second_difference(vertices)
         means["second_difference_mm"] = 1e3 * bend.sqrt()
-        return Objective(loss + config.smooth_weight * bend, means, charts)
+        return BatchLoss(loss + config.smooth_weight * bend, means, charts)
 
 
 def _plain(state: Mapping[str, Any]) -> dict[str, Any]:

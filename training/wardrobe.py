@@ -19,9 +19,9 @@ from drape.errors import InputError
 from drape.garment.fabric_features import warp_directions
 from drape.garment.fitting import RestGarment, rest_garment
 from drape.geometry import meshes
+from training.batches import Partition, TrainingGarment, draw_partition
 from training.config import DataConfig
-from training.data import Partition, TrainingGarment, draw_partition
-from training.garment_design import DESIGNS, build, varied
+from training.garment_design import DESIGNS, build_design, vary_design
 
 
 class Wardrobe:
@@ -75,9 +75,9 @@ class Wardrobe:
                 got=name,
                 cure="Name a known design or a file that is there.",
             )
-        yield (name, *build(DESIGNS[name], body), None)
+        yield (name, *build_design(DESIGNS[name], body), None)
         for i in range(self.config.variants):
-            yield (f"{name}_{i}", *varied(DESIGNS[name], body, rng)[1:], None)
+            yield (f"{name}_{i}", *vary_design(DESIGNS[name], body, rng)[1:], None)
 
     def _cloth(
         self, rest: RestGarment, own: RestState | None, rng: np.random.Generator, *, turned: bool

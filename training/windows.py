@@ -12,7 +12,7 @@ from drape.errors import MotionError
 from drape.graph.feeds import kinematics
 from drape.motion.clip import MotionClip, clean_starts, flagged_steps
 from training.config import DataConfig, MotionConfig
-from training.poses import mirrored
+from training.poses import mirror_poses
 
 HISTORY = 2  # frames before the first that has motion features, and before the first that has inertia
 DRAWS = 50  # with the times wished for, before every frame of a clip is taken
@@ -69,7 +69,7 @@ class WindowBank:
         drawn = [self._draw_one(frames, rng) for _ in range(count)]
         poses, trans, dt_s = (np.stack(parts) for parts in zip(*drawn, strict=True))
         flip = rng.random(count) < self.mirror_share
-        poses[flip] = mirrored(poses[flip])
+        poses[flip] = mirror_poses(poses[flip])
         trans[flip] *= np.array([-1.0, 1.0, 1.0])
         return Windows(poses, trans, dt_s)
 

@@ -18,16 +18,18 @@ from drape.geometry import triangle_pairs
 STEPS = 120  # at most; they end a few hundredths of a joule above where they lead
 
 
-def stored_minimum(task: physics.Task, folder: Path | None) -> tuple[physics.Optimum, bool]:
-    """The optimum of ``minimise`` for ``task``, and whether it was in ``folder`` (``physics_cache.cached``)."""
+def stored_apart(task: physics.OptimumTask, folder: Path | None) -> tuple[physics.Optimum, bool]:
+    """The optimum of ``minimise_apart`` for ``task``, and whether it was in ``folder`` (``physics_cache.cached``)."""
     plain = physics_cache.cache_key(task, STEPS, physics.TOLERANCE)
     own = [Path(__file__), *(Path(str(module.__file__)) for module in (apart, triangle_pairs))]
     headers = [SOURCE / f"{name}.hpp" for name in ("apart", "pairs", "triangle")]
     key = physics_cache.key_of([plain], (), [*own, *headers])
-    return physics_cache.cached(key, lambda: minimise(task, step_limit=STEPS), folder)
+    return physics_cache.cached(key, lambda: minimise_apart(task, step_limit=STEPS), folder)
 
 
-def minimise(task: physics.Task, *, step_limit: int = STEPS, tolerance: float = physics.TOLERANCE) -> physics.Optimum:
+def minimise_apart(
+    task: physics.OptimumTask, *, step_limit: int = STEPS, tolerance: float = physics.TOLERANCE
+) -> physics.Optimum:
     """The drape of least energy that is reached from the first start of ``task`` without passing through itself.
 
     Energies are of cloth and body, without the barrier. ``converged`` and ``residual_n`` count the barrier's force.
@@ -37,4 +39,4 @@ def minimise(task: physics.Task, *, step_limit: int = STEPS, tolerance: float = 
         one = apart.Descent(cloth, task.contact, posed, starts[0], band=band)
         return one.run(step_limit, tolerance * cloth.weight_n)
 
-    return physics.reached(task, descend)
+    return physics.descend_from_starts(task, descend)

@@ -52,7 +52,7 @@ class Held:
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class OptimumTask:
     """A ``cloth`` of ``material`` to be draped over the posed bodies (F, Vb, 3), from ``starts`` (F, V, 3) [m].
 
     ``charts`` are the garment's patches if it has any. ``held`` is its waistband: without friction trousers would slide
@@ -80,7 +80,7 @@ class Task:
         body_vertices: np.ndarray,
         skinned: np.ndarray,
         starts: tuple[np.ndarray, ...],
-    ) -> Task:
+    ) -> OptimumTask:
         """The task of ``garment`` with its patches, its waist held at its places in ``skinned`` (F, V, 3) [m]."""
         held = held_by_waist(garment, body, skinned)
         return cls(cloth, material, contact, body_vertices, starts, charts_of(garment), held, garment.name)
@@ -143,7 +143,7 @@ def vertex_stiffness(cloth: ClothMesh, material: Material) -> np.ndarray:
     return total + material.contact_j_m4 * cloth.vertex_area
 
 
-def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANCE) -> Optimum:
+def minimise(task: OptimumTask, *, step_limit: int = STEPS, tolerance: float = TOLERANCE) -> Optimum:
     """The drape of least energy near the starts.
 
     A frame ends when the force left is at most ``tolerance`` of the weight, after ``step_limit`` steps, or where no
@@ -157,12 +157,12 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
         forces.append(end.force)
         return end
 
-    optimum = never_above(reached(task, descend), task)
+    optimum = never_above(descend_from_starts(task, descend), task)
     _refuse_unrest(optimum, np.stack(forces), task)
     return optimum
 
 
-def reached(task: Task, descend: Descend) -> Optimum:
+def descend_from_starts(task: OptimumTask, descend: Descend) -> Optimum:
     """The drapes in which ``descend`` ends, over each posed body of ``task`` from the starts of that frame."""
     began = time.perf_counter()
     starts = [np.asarray(start, dtype=np.float64) for start in task.starts]
@@ -188,7 +188,7 @@ def reached(task: Task, descend: Descend) -> Optimum:
     )
 
 
-def total_j(vertices: np.ndarray, task: Task, parts_of: PartsOf = energy_parts) -> np.ndarray:
+def total_j(vertices: np.ndarray, task: OptimumTask, parts_of: PartsOf = energy_parts) -> np.ndarray:
     """Energy [J] (F,) of ``vertices`` (F, V, 3), relative to the height of the first start, with the waistband's."""
     height_m = metrics.mean_height(np.asarray(task.starts[0], dtype=np.float64), task.cloth)
     parts = parts_of(vertices, task.cloth, task.material, task.contact, task.body_vertices, height_m=height_m)
@@ -198,7 +198,7 @@ def total_j(vertices: np.ndarray, task: Task, parts_of: PartsOf = energy_parts) 
     return total + band_energy(vertices[:, task.held.vertex] - task.held.anchor, task.held.length_m)
 
 
-def never_above(optimum: Optimum, task: Task) -> Optimum:
+def never_above(optimum: Optimum, task: OptimumTask) -> Optimum:
     """``optimum`` with the lowest start in place of what ended above it.
 
     A place has one energy but for rounding: gravity is summed from another height here than on the way.
@@ -217,7 +217,7 @@ def never_above(optimum: Optimum, task: Task) -> Optimum:
     )
 
 
-def _refuse_unrest(optimum: Optimum, force_n: np.ndarray, task: Task) -> None:
+def _refuse_unrest(optimum: Optimum, force_n: np.ndarray, task: OptimumTask) -> None:
     """Raises ``MeshError`` if a step along the force that is left could still gain a good part of the energy."""
     cloth, material = task.cloth, task.material
     left_j = ((force_n**2).sum(axis=-1) / (2.0 * vertex_stiffness(cloth, material))).sum(axis=-1)

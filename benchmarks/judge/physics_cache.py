@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.harness import ROOT
 from benchmarks.judge import physics
-from benchmarks.judge.physics import Optimum, Task
+from benchmarks.judge.physics import Optimum, OptimumTask
 from drape.cloth import bending, contact, energies, membrane, problem, waistband
 from drape.engine.build import SOURCE
 from drape.exact import blended_planes, descent, hessian, linear, newton, settling, surroundings
@@ -37,13 +37,13 @@ HEADERS = ("physics", "linear", "blended_planes", "elements", "grid", "numbers",
 SOURCES = (*(Path(str(module.__file__)) for module in MODULES), *(SOURCE / f"{name}.hpp" for name in HEADERS))
 
 
-def stored_minimum(task: Task, step_limit: int, folder: Path | None) -> tuple[Optimum, bool]:
+def stored_minimum(task: OptimumTask, step_limit: int, folder: Path | None) -> tuple[Optimum, bool]:
     """The optimum of ``task`` in ``step_limit`` steps at most, and whether it was in ``folder``: see ``cached``."""
     key = cache_key(task, step_limit, physics.TOLERANCE)
     return cached(key, lambda: physics.minimise(task, step_limit=step_limit), folder)
 
 
-def cache_key(task: Task, step_limit: int, tolerance: float) -> str:
+def cache_key(task: OptimumTask, step_limit: int, tolerance: float) -> str:
     """Hash, hexadecimal, of all that an optimum depends on: rest state, fabric, bodies, starts, charts, the method."""
     cloth = [value for item in fields(task.cloth) if isinstance(value := getattr(task.cloth, item.name), np.ndarray)]
     contact = [task.contact.faces, *([] if task.contact.vertices is None else [task.contact.vertices])]

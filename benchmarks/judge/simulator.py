@@ -40,7 +40,7 @@ class SimulatedCloth:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class SimulatedMotion:
     """F poses (F, 24, 3) of a ``body`` with the root's places [m] (F, 3), ``fps`` a second."""
 
     body: BodyModel
@@ -52,7 +52,7 @@ class Motion:
 class MovingSkin:
     """The posed skin of a motion."""
 
-    def __init__(self, motion: Motion) -> None:
+    def __init__(self, motion: SimulatedMotion) -> None:
         self.posed = motion.body.posed_vertices(motion.poses)
         self._weights = motion.body.weights
         self._rotation, self._translation = motion.body.bones(motion.poses)
@@ -82,7 +82,9 @@ def grip(one: Descent, x: np.ndarray, stuck: np.ndarray, friction: float) -> tup
     return x - slip, friction * press_n / np.maximum(np.linalg.norm(slip, axis=1), SLIP_M)
 
 
-def simulate(sheet: SimulatedCloth, motion: Motion, start: np.ndarray, held: Held | None) -> tuple[np.ndarray, float]:
+def simulate(
+    sheet: SimulatedCloth, motion: SimulatedMotion, start: np.ndarray, held: Held | None
+) -> tuple[np.ndarray, float]:
     """Vertices [m] (F, V, 3) relative to the root, and the share [%] of the frames that came to rest.
 
     The first frame is the optimum of its pose that ``start`` (V, 3) leads to.
@@ -98,7 +100,7 @@ def simulate(sheet: SimulatedCloth, motion: Motion, start: np.ndarray, held: Hel
     found, rested, speed = [x], 0, np.zeros_like(x)
     for i in range(1, len(motion.poses)):
         before = x - (motion.trans[i] - motion.trans[i - 1])
-        ahead = before + slowed(speed, before, sheet, motion.fps) / motion.fps
+        ahead = before + slow_down(speed, before, sheet, motion.fps) / motion.fps
         stuck = skin.carried(x, i)
         now, at_rest = ahead, False
         for _ in range(ROUNDS if sheet.friction else 1):
@@ -118,7 +120,7 @@ def simulate(sheet: SimulatedCloth, motion: Motion, start: np.ndarray, held: Hel
     return np.stack(found), 100.0 * rested / (len(found) - 1)
 
 
-def slowed(speed: np.ndarray, x: np.ndarray, sheet: SimulatedCloth, fps: float) -> np.ndarray:
+def slow_down(speed: np.ndarray, x: np.ndarray, sheet: SimulatedCloth, fps: float) -> np.ndarray:
     """``speed`` [m/s] (V, 3) after a frame of air and damping, as swing has them."""
     speed = speed / (1.0 + sheet.damping_per_s / fps)
     normal = np.asarray(meshes.vertex_normals(x, sheet.mesh.faces))

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.network import Network
-from benchmarks.scenes import pushed, skinned
+from benchmarks.cases import pushed, skinned
+from benchmarks.model_drape import ModelDrape
 from drape.body.model import BodyModel
 from drape.cloth.metrics import third_difference_square
 from drape.contact.projection import push_out_of_bodies
@@ -66,7 +66,7 @@ def typical_windows(clips: Sequence[MotionClip], *, length: int = WINDOW) -> lis
     return windows
 
 
-def jitter(garment: Garment, network: Network, body: BodyModel, windows: Sequence[Window]) -> dict[str, Jitter]:
+def jitter(garment: Garment, network: ModelDrape, body: BodyModel, windows: Sequence[Window]) -> dict[str, Jitter]:
     """Jitter over ``windows`` by method: "skinning" (1 by definition), "network", and both with push-out.
 
     The root stays in its place; its way would add the same to all. Empty where there are no windows.

@@ -1,6 +1,11 @@
 """Judging a drape: its energy, strain, collisions and relief, beside physics of the same cloth.
 
 ``MEASURES`` maps the name of a column to the function that computes it; ``Judged.figures`` gives a row of them.
+
+Skin that shows through cloth is counted in pictures, as a viewer sees it. A body and a garment are drawn from four
+sides. A pixel shows skin where the body is nearest, on a face that the rest pose covers, and cloth lies less than 3 cm
+behind it. Pictures of the rest pose from eight sides tell which faces it covers: those that always have cloth before
+them, and lie 3 cm from bare ones, because a hem may move so far.
 """
 
 from __future__ import annotations
@@ -12,14 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
+from benchmarks.cases import skinned
 from benchmarks.judge import physics
 from benchmarks.judge.physics_cache import stored_minimum
 from benchmarks.measure.detail import LowPass, dihedral_deg
 from benchmarks.measure.hem import hang_mm
 from benchmarks.measure.intersections import intersection_count
-from benchmarks.measure.skin_pixels import PosedBody, covered_faces, skin_pixels_pct
-from benchmarks.scenes import skinned
 from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, nearest_vertex_push
@@ -29,13 +34,14 @@ from drape.cloth.material import Material
 from drape.cloth.rest_state import modelled
 from drape.exact.blended_planes import blended_distance
 from drape.garment.cache import Garment
+from drape.geometry.raster import ZBuffer, z_buffer
 
 FEW = 3  # frames, about, of measures that take long
 Distance = Callable[..., np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class Cloth:
+class JudgedCloth:
     """A garment's subdivided mesh in one cloth, and the body that it lies on.
 
     ``fabric`` None stands for ``material``, the cloth of before fabrics, whose rest is the mesh as modelled. Contact
@@ -49,7 +55,7 @@ class Cloth:
     distance: Distance = blended_distance
 
     @classmethod
-    def of(cls, garment: Garment, body: BodyModel, fabric: Fabric) -> Cloth:
+    def of(cls, garment: Garment, body: BodyModel, fabric: Fabric) -> JudgedCloth:
         """``garment`` made of ``fabric``, in its own rest state."""
         return cls(garment, body, Material.of(fabric), fabric)
 
@@ -81,7 +87,7 @@ class Cloth:
     @cached_property
     def covered(self) -> np.ndarray:
         """Which faces (Fb,) of the body the garment covers at rest."""
-        return covered_faces(self.body.v_template, self.body.faces, self.rest, self.faces)
+        return covered_skin(self.body.v_template, self.body.faces, self.rest, self.faces)
 
     @cached_property
     def _state(self):
@@ -95,12 +101,12 @@ class Judged:
     Heights count from those of ``skinned`` [m] (n, V, 3), which also carries the waistbands that physics holds.
     """
 
-    cloth: Cloth
+    cloth: JudgedCloth
     body_vertices: np.ndarray
     skinned: np.ndarray
 
     @classmethod
-    def of(cls, cloth: Cloth, poses: np.ndarray) -> Judged:
+    def of(cls, cloth: JudgedCloth, poses: np.ndarray) -> Judged:
         """``cloth`` over its body at ``poses`` (n, 24, 3) [rad]."""
         return cls(cloth, cloth.body.posed_vertices(poses), skinned(cloth.garment, cloth.body, poses))
 
@@ -134,9 +140,9 @@ class Judged:
         return nearest_vertex_push(self.skinned, self.body_vertices, self.body_normals)
 
     @cached_property
-    def pictured(self) -> tuple[PosedBody, ...]:
+    def pictured(self) -> tuple[JudgedBody, ...]:
         """The bodies in pictures, which all drapes share."""
-        return tuple(PosedBody.of(posed, self.cloth.body.faces) for posed in self.body_vertices)
+        return tuple(JudgedBody.of(posed, self.cloth.body.faces) for posed in self.body_vertices)
 
     def parts_j(self, vertices: np.ndarray) -> dict[str, np.ndarray]:
         """Energies [J] (n,) by part of ``vertices`` [m] (n, V, 3)."""
@@ -156,10 +162,10 @@ class Judged:
         """Those of ``MEASURES`` called ``names``, means over the frames of ``vertices`` [m] (n, V, 3)."""
         return {name: float(np.mean(MEASURES[name](self, vertices))) for name in names}
 
-    def task(self, starts: tuple[np.ndarray, ...]) -> physics.Task:
+    def task(self, starts: tuple[np.ndarray, ...]) -> physics.OptimumTask:
         """The task of physics, from ``starts`` [m] (n, V, 3)."""
         cloth = self.cloth
-        return physics.Task.of_garment(
+        return physics.OptimumTask.of_garment(
             cloth.garment, cloth.body, cloth.mesh, cloth.material,
             contact=cloth.contact, body_vertices=self.body_vertices, skinned=self.skinned, starts=starts,
         )  # fmt: skip
@@ -195,3 +201,81 @@ def jitter_ratio(vertices: np.ndarray, start: np.ndarray) -> float:
     """Root mean square third difference of ``vertices`` (F, V, 3) over that of ``start``; NaN where that is still."""
     still = metrics.third_difference_square(start)
     return float(np.sqrt(metrics.third_difference_square(vertices) / still)) if still > 0.0 else float("nan")
+
+
+PIXEL_M = 0.003
+VIEWS_DEG, REST_VIEWS_DEG = (0.0, 90.0, 180.0, 270.0), tuple(45.0 * view for view in range(8))
+HEM_M, BEHIND_M = 0.03, 0.03
+MARGIN_M = 0.1  # around the body: cloth stands off it
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A picture that holds a body, of ``size`` (height, width) in pixels, around ``centre`` [m] (3,)."""
+
+    size: tuple[int, int]
+    centre: np.ndarray
+
+    @classmethod
+    def around(cls, vertices: np.ndarray) -> Camera:
+        """The picture of ``vertices`` [m] (V, 3), from whatever side."""
+        low, high = vertices.min(axis=0) - MARGIN_M, vertices.max(axis=0) + MARGIN_M
+        side = float(np.linalg.norm((high - low)[[0, 2]]))
+        height = float(high[1] - low[1]) + 0.15 * side  # the view looks down a little
+        return cls((int(np.ceil(height / PIXEL_M)), int(np.ceil(side / PIXEL_M))), 0.5 * (low + high))
+
+    def see(self, vertices: np.ndarray, faces: np.ndarray, azimuth_deg: float) -> ZBuffer:
+        """The nearest face in every pixel of a mesh [m] (V, 3), (F, 3), and its depth."""
+        extent_m = self.size[0] * PIXEL_M
+        return z_buffer(vertices, faces, size=self.size, azimuth_deg=azimuth_deg, centre=self.centre, extent_m=extent_m)
+
+
+def covered_skin(
+    body_vertices: np.ndarray, body_faces: np.ndarray, vertices: np.ndarray, faces: np.ndarray
+) -> np.ndarray:
+    """Which ``body_faces`` (Fb,) the garment ``vertices`` [m] (V, 3), ``faces`` (F, 3) covers at rest, off its hems."""
+    camera = Camera.around(body_vertices)
+    hidden, bare = np.zeros(len(body_faces), bool), np.zeros(len(body_faces), bool)
+    for azimuth_deg in REST_VIEWS_DEG:
+        skin, cloth = (camera.see(*mesh, azimuth_deg) for mesh in ((body_vertices, body_faces), (vertices, faces)))
+        behind = cloth.depth > skin.depth
+        hidden[skin.face[behind & (skin.face >= 0)]] = True
+        bare[skin.face[~behind & (skin.face >= 0)]] = True
+    centre = body_vertices[body_faces].mean(axis=1)
+    near_bare = KDTree(centre[bare]).query(centre)[0] < HEM_M if bare.any() else np.zeros(len(centre), bool)
+    return hidden & ~bare & ~near_bare
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedBody:
+    """A body that garments are looked at on: ``vertices`` [m] (Vb, 3), ``faces`` (Fb, 3), and what is seen of it."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    camera: Camera
+    views: tuple[ZBuffer, ...]
+
+    @classmethod
+    def of(cls, vertices: np.ndarray, faces: np.ndarray) -> JudgedBody:
+        """The body and its pictures, which all garments share."""
+        camera = Camera.around(vertices)
+        return cls(
+            vertices, faces, camera, tuple(camera.see(vertices, faces, azimuth_deg) for azimuth_deg in VIEWS_DEG)
+        )
+
+
+def skin_pixels_pct(body: JudgedBody, covered: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Share [%] (4,) of skin in the pixels of the cloth ``vertices`` [m] (V, 3), ``faces`` (F, 3), from four sides.
+
+    ``covered`` (Fb,): the body's faces of ``covered_skin``. The share is of the pixels that show cloth or such faces;
+    those count that show such a face with cloth less than 3 cm behind. NaN where neither is seen.
+    """
+    found = []
+    for skin, azimuth_deg in zip(body.views, VIEWS_DEG, strict=True):
+        cloth = body.camera.see(vertices, faces, azimuth_deg)
+        in_front = skin.depth > cloth.depth
+        bare = in_front & (skin.face >= 0) & covered[np.maximum(skin.face, 0)]
+        shown = bare & (cloth.depth > skin.depth - BEHIND_M)
+        seen = np.count_nonzero(bare) + np.count_nonzero(~in_front & (cloth.face >= 0))
+        found.append(100.0 * np.count_nonzero(shown) / seen if seen else np.nan)
+    return np.array(found)

@@ -1,5 +1,7 @@
 """Functions of the engine as Python calls them: how long each call takes, and how many bytes it is given.
 
+Beside them stands what this processor does at best, in multiply-adds of matrices and bytes of copies in a second.
+
 A function is a name that is given to ``drape.engine.calls``. While those are ``replaced``, calls go through what stands
 in their place.
 """
@@ -10,11 +12,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
+import torch
 
+from benchmarks.stopwatch import timed
 from drape.engine import calls
 from drape.engine.packer import Record, Recorded
 
@@ -60,7 +64,7 @@ class Trace:
         self._mark = _now()
 
     def begin(self) -> None:
-        """A frame begins."""
+        """Says that a frame begins: the calls that follow are of this frame."""
         self._frames.append([])
         self._calls, self._mark = [], _now()
 
@@ -128,3 +132,28 @@ def multiply_adds(name: str, given: tuple[Any, ...]) -> int:
         each = weights.first[0].weight.size + weights.second[0].weight.size
         return len(rows.scale) * (once + passes * each)
     return 3 * given[1].columns.size if name == "vertices" else 0
+
+
+WIDTH = 1024  # of the matrices
+SECONDS = 0.05  # of a copy's measurement
+
+
+@cache
+def multiply_adds_per_s(threads: int) -> float:
+    """Multiply-adds a second of a product of two large float32 matrices."""
+    torch.set_num_threads(threads)
+    a, b = torch.rand(WIDTH, WIDTH), torch.rand(WIDTH, WIDTH)
+    return WIDTH**3 / (1e-3 * timed(lambda: a @ b, seconds=1.0))
+
+
+def copied_per_s(moved: int, threads: int) -> float:
+    """Bytes a second, read and written, of copies that move about so many bytes each, from and to the same memory."""
+    return _copied_per_s(max(1 << 12, 1 << (moved - 1).bit_length()), threads)
+
+
+@cache
+def _copied_per_s(moved: int, threads: int) -> float:
+    torch.set_num_threads(threads)
+    source = torch.rand(moved // 8)
+    target = torch.empty_like(source)
+    return moved / (1e-3 * timed(lambda: target.copy_(source), seconds=SECONDS))

@@ -19,7 +19,7 @@ from drape.avatar.distilled import Distilled, DrapedClip, pelvis_places
 from drape.avatar.rig_motion import RigMotion
 from drape.avatar.wearer import Wearer
 from drape.body.skeleton import JOINT_NAMES
-from drape.motion.spring_bones import Capsules, Springs, nearest_off, tails, turned
+from drape.motion.spring_bones import Capsules, Springs, nearest_off, shortest_turns, tails
 
 STIFFNESS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 4.0)
 GRAVITY = (0.0, 0.1, 0.2, 0.4, 0.8)
@@ -63,7 +63,7 @@ class JointSprings:
         """The motions (F, E, 3, 4) of the joints as players move them, seen from the pelvis."""
         at, heads, rest = _carried(self.distilled, self.tails, motion)
         found = tails(self.numbers, heads, rest, motion.fps, _capsules(self.limbs, self.felt, motion))
-        turn = turned(heads, rest, np.where(self.sprung[:, None], found, rest))
+        turn = shortest_turns(heads, rest, np.where(self.sprung[:, None], found, rest))
         swung = compose(np.concatenate([turn, heads[..., None] - turn @ heads[..., None]], axis=-1), at)
         return compose(affine_inverse(pelvis_places(motion))[:, None], swung)
 

@@ -178,7 +178,7 @@ class Engine:
         count = self.pass_count
         if passes is not None and not 0 <= passes <= count:
             expected = f"0 to {count}" if count else f"none: the passes of model {self.manifest.name} are fixed"
-            raise InputError("passes", expected=expected, got=str(passes), cure="Leave it out for all passes.")
+            raise InputError("advanced.passes", expected=expected, got=str(passes), cure="Leave it out for all passes.")
         return None if passes == count else passes
 
     def open_cut(

@@ -16,7 +16,7 @@ from drape.files.gltf_json import EXPORT, FIRST_ONLY, Index, Part, Text
 from drape.files.gltf_nodes import node_matrix, tree_of, world_matrices
 from drape.geometry.rotations import matrix_to_quaternion, quaternion_slerp
 from drape.motion.clip import MotionClip
-from drape.motion.node_clip import MovingNodes, check_size, file_bytes, node_clip
+from drape.motion.node_clip import MovingNodes, check_node_count, file_bytes, node_clip
 
 RATES = (15.0, 120.0)  # of the clip: that of its keys, within these
 ROUNDING_S = 1e-5  # of times in float32: a key so little later than a frame is at it
@@ -165,7 +165,7 @@ def _frame_times(file: GltfFile, tracks: Tracks, nodes: int) -> np.ndarray:
     step = float(np.median(steps[steps > 1e-6])) if (steps > 1e-6).any() else np.inf
     rate = SPARSE_RATE if 1.0 / step < RATES[0] else min(round(1.0 / step, 2), RATES[1])
     count = round((end - start) * rate) + 1
-    check_size(count, nodes, file.label)
+    check_node_count(count, nodes, file.label)
     return start + np.arange(count) / rate
 
 

@@ -20,7 +20,7 @@ TIP_AHEAD = 0.065
 NOTED_M = 0.15  # from the ground: a jump lands, and a floor may have a step
 
 
-def placed_on_ground(clip: MotionClip, rest_joints: np.ndarray, *, floor: float) -> MotionClip:
+def place_on_ground(clip: MotionClip, rest_joints: np.ndarray, *, floor: float) -> MotionClip:
     """The clip for a body of ``rest_joints`` (24, 3) [m] whose soles rest at height ``floor`` [m].
 
     The clip's ``trans`` is taken for the path of a pelvis that rests at the origin, as
@@ -59,7 +59,7 @@ def sole_heights(local_rotations: np.ndarray, rest_joints: np.ndarray, *, floor:
 
 def floor_note(poses: np.ndarray, trans: np.ndarray, rest_joints: np.ndarray, *, floor: float) -> str:
     """A sentence for the caller if the lowest sole of ``poses`` (F, 24, 3) [rad] at ``trans`` (F, 3) [m] is far above
-    or below the ground y = 0; otherwise an empty one. ``rest_joints`` and ``floor`` as in ``placed_on_ground``."""
+    or below the ground y = 0; otherwise an empty one. ``rest_joints`` and ``floor`` as in ``place_on_ground``."""
     heights = sole_heights(rotvec_to_matrix(poses), rest_joints, floor=floor).min(axis=(1, 2)) + trans[:, 1]
     lowest = float(heights.min())
     if abs(lowest) <= NOTED_M:

@@ -11,7 +11,7 @@ from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
 SIDES = ("left", "right")
 
 
-def unit(vectors: np.ndarray) -> np.ndarray:
+def unit_vector(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
@@ -26,11 +26,11 @@ def leg_rotations(hip: np.ndarray, ankle: np.ndarray, forward: np.ndarray) -> tu
     if distance.max() >= thigh + shin:
         raise ValueError(f"ankle {distance.max():.3f} m from the hip, but the leg is {thigh + shin:.3f} m long")
     line = line / distance
-    side = unit(np.cross(-line, forward))
+    side = unit_vector(np.cross(-line, forward))
     ahead = np.cross(side, -line)
     cosine = (thigh**2 + distance**2 - shin**2) / (2.0 * thigh * distance)
     knee_direction = cosine * line + np.sqrt(1.0 - cosine**2) * ahead
-    shin_direction = unit(ankle - (hip + thigh * knee_direction))
+    shin_direction = unit_vector(ankle - (hip + thigh * knee_direction))
     return _frame(side, knee_direction), _frame(side, shin_direction)
 
 
@@ -54,7 +54,7 @@ def posed_clip(
     for side in SIDES:
         hip = root + pelvis @ CANONICAL_JOINTS[JOINT_INDEX[f"{side}_hip"]]
         # The knee points between the foot and the pelvis.
-        forward = unit(feet[side][..., 2] + pelvis[..., 2])
+        forward = unit_vector(feet[side][..., 2] + pelvis[..., 2])
         thigh, shin = leg_rotations(hip, ankles[side], forward)
         local[:, JOINT_INDEX[f"{side}_hip"]] = np.swapaxes(pelvis, -1, -2) @ thigh
         local[:, JOINT_INDEX[f"{side}_knee"]] = np.swapaxes(thigh, -1, -2) @ shin

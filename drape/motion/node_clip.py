@@ -48,7 +48,7 @@ def file_bytes(path: Path) -> bytes:
         raise MotionError(path.name, expected="a readable file", got=error.strerror or "an error", cure=cure) from error
 
 
-def check_size(frames: int, nodes: int, label: str) -> None:
+def check_node_count(frames: int, nodes: int, label: str) -> None:
     """Refuses (``MotionError``) more frames of so many nodes than are read."""
     if frames * nodes > MOST_MATRICES:
         raise MotionError(
@@ -62,7 +62,7 @@ def check_size(frames: int, nodes: int, label: str) -> None:
 def node_clip(moving: MovingNodes, *, name: str) -> MotionClip:
     """The clip of ``moving``, retargeted to the 24 SMPL joints; raises ``MotionError`` where these are no person's."""
     frames, count = moving.quaternions.shape[:2]
-    check_size(frames, count, name)
+    check_node_count(frames, count, name)
     world = world_transforms(moving.translations, moving.quaternions, moving.scales, moving.parents)
     rest_turn, rest_place = nearest_rotations(moving.rest[:, :3, :3]), moving.rest[:, :3, 3]
     # A node above all, so that several roots are one skeleton.

@@ -58,7 +58,7 @@ def tails(springs: Springs, heads: np.ndarray, rest_tails: np.ndarray, fps: floa
             )
             after = step(springs, now, before, head, rest, step_s)
             for one in range(len(capsules.radii)):
-                out = pushed_out(after, starts[one], ends[one], capsules.radii[one] + np.asarray(springs.radius))
+                out = push_out_of_line(after, starts[one], ends[one], capsules.radii[one] + np.asarray(springs.radius))
                 after = np.where(capsules.felt[:, one, None], on_sphere(out, head, rest), after)
             now, before = after, now
         frames.append(now)
@@ -82,7 +82,7 @@ def on_sphere(points: np.ndarray, head: np.ndarray, rest: np.ndarray) -> np.ndar
     return head + way * (length / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-12))
 
 
-def pushed_out(points: np.ndarray, start: np.ndarray, end: np.ndarray, reach: np.ndarray) -> np.ndarray:
+def push_out_of_line(points: np.ndarray, start: np.ndarray, end: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """``points`` (..., 3) at least ``reach`` (...) away from the line between ``start`` and ``end`` (3,)."""
     way, off = nearest_off(points, start, end)
     return points + np.maximum(reach - off, 0.0)[..., None] * way
@@ -97,7 +97,7 @@ def nearest_off(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple
     return way / np.maximum(off, 1e-12)[..., None], off
 
 
-def turned(heads: np.ndarray, rest_tails: np.ndarray, at: np.ndarray) -> np.ndarray:
+def shortest_turns(heads: np.ndarray, rest_tails: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The shortest turns (..., 3, 3) about ``heads`` (..., 3) that point ``rest_tails`` (..., 3) to ``at`` (..., 3)."""
     a, b = (
         one / np.maximum(np.linalg.norm(one, axis=-1, keepdims=True), 1e-12) for one in (rest_tails - heads, at - heads)

@@ -1,6 +1,6 @@
 """The network's drape of one garment on one body: posed jets of its patches.
 
-It computes what ``training.model.OneFit`` does, by the constants that ``drape.graph.packing`` lays out; the formulas
+It computes what ``training.onefit.OneFit`` does, by the constants that ``drape.graph.packing`` lays out; the formulas
 are in ``drape/engine/source/network.hpp``.
 """
 

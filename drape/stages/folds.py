@@ -73,7 +73,7 @@ class Folds(Stage):
             check_client_folds(plan)
         elif plan.options.advanced.folds and plan.options.geometry == "jets":
             raise InputError(
-                "folds",
+                "advanced.folds",
                 expected="0 with geometry jets, whose polynomials are smooth",
                 got=str(plan.options.advanced.folds),
                 cure="Ask for vertices, leave folds out, or let the client make them (folds_by).",

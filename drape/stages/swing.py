@@ -35,7 +35,7 @@ class Swing(Stage):
         here = plan.options.folds_by == "server"  # a client that folds swings as well
         if plan.options.advanced.inertia == "mesh" and plan.options.geometry == "jets" and here:
             raise InputError(
-                "inertia",
+                "advanced.inertia",
                 expected="network with geometry jets, whose polynomials have no nodes",
                 got="mesh",
                 cure="Ask for vertices, or leave inertia out.",

@@ -1,7 +1,7 @@
 """The packed drape graph: any mix of garments, clients and frames in one call, and nothing computed twice.
 
 It computes the same as ``body_feed`` and the readable ``DrapeGraph``, arranged for speed; the two are compared in
-``model_export.packed.parity``.
+``model_export.parity``.
 
 - Patches of all items lie one after the other. ``patch_body`` names the body of each, ``patch_stored`` its row among
   the constants of the garments in store, which are handed over once.
@@ -17,8 +17,10 @@ It computes the same as ``body_feed`` and the readable ``DrapeGraph``, arranged 
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -33,13 +35,12 @@ from drape.graph.inputs import ROOT, SLOPE
 from drape.graph.packed import VERTICES_PER_BLOCK, Indices, PackedBodies, PackedTensors, StoredPatches
 from drape.graph.packing import pass_name
 from model_export.onnx_file import write_graph
-from model_export.packed import layers
-from model_export.packed.bodies import Frames, Kinematics
-from model_export.packed.charts import Charts
-from model_export.packed.contact import Contact, posed_skins
+from model_export.packed.chart_tiles import Charts
+from model_export.packed.kinematics import Frames, Kinematics
 from model_export.packed.operators import TRANSLATIONS, rows
+from model_export.packed.skin_planes import Contact, posed_skins
 from model_export.packed.strain import Strain
-from training.model import OneFit
+from training.onefit import OneFit
 
 SKIN_OUTPUT = TensorSpec(
     "skin", ("bodies", "regions", REGION_SIZE, 8), "float32", "m and 1, relative to the root joint"
@@ -129,11 +130,11 @@ class PackedGraph(nn.Module):
         self.body = model.body
         self.from_body = decoder.from_body
         self.trunk = decoder.trunk
-        self.from_surroundings = layers.surroundings_layer(decoder.from_surroundings)
-        self.head = layers.merged_heads(decoder.heads, model.config.output_gain)
+        self.from_surroundings = surroundings_layer(decoder.from_surroundings)
+        self.head = merged_heads(decoder.heads, model.config.output_gain)
         self.kinematics, self.charts, self.strain, self.contact = Kinematics(), Charts(), Strain(), Contact()
         self.corrections = nn.ModuleList(
-            layers.correction_layers(correction, model.config.output_gain) for correction in model.corrections
+            correction_layers(correction, model.config.output_gain) for correction in model.corrections
         )
         self.register_buffer("axis_sums", torch.eye(JOINT_COUNT).repeat(3, 1))
 
@@ -180,7 +181,7 @@ class PackedGraph(nn.Module):
         return PosedPatches(charts.posed(frames, jet), jet, frames, skin, kept)
 
     def _with_surroundings(self, x: Tensor, joints: Tensor, frames: Frames, base: Tensor) -> Tensor:
-        """``x`` plus the layer on ``training.model.patch_surroundings`` of posed joints (P, 3, 24), and on ``base``."""
+        """``x`` plus the layer on ``patch_surroundings`` of posed joints (P, 3, 24), and on ``base``."""
         offset = frames.rotation.mT @ (joints - frames.centre)
         # A maximum and not a sum: the exporter's optimiser takes "+ 1e-12" for "+ 0" and drops the guard.
         squared = ((offset * offset).reshape(-1, 3 * JOINT_COUNT) @ self.axis_sums).reshape(-1, 1, JOINT_COUNT)
@@ -188,3 +189,56 @@ class PackedGraph(nn.Module):
         saturated = (offset * (torch.tanh(reach * (1.0 / JOINT_REACH_M)) / reach)).reshape(-1, 3 * JOINT_COUNT)
         seen = torch.cat([saturated, frames.rotation.reshape(-1, 9), base], dim=-1)
         return torch.addmm(x, seen, self.from_surroundings)
+
+
+def surroundings_layer(layer: nn.Linear) -> nn.Parameter:
+    """The layer's weights (108, n) for [offsets as (3, 24), rotation, jets of the agreed base] instead of [offsets as
+    (24, 3), gravity, these jets]."""
+    count = 3 * JOINT_COUNT
+    weight = layer.weight.detach()
+    base = weight[:, count + 3 :].T
+    matrix = torch.zeros(count + 9 + len(base), layer.out_features)
+    matrix[count + 9 :] = base
+    matrix[:count] = weight[:, :count].reshape(-1, JOINT_COUNT, 3).permute(2, 1, 0).reshape(count, -1)
+    matrix[count + 3 : count + 6] = -weight[:, count : count + 3].T  # gravity is minus the second row of the rotation
+    return nn.Parameter(matrix, requires_grad=False)
+
+
+def merged_heads(heads: nn.ModuleDict, gain: float) -> nn.Sequential:
+    """Both heads as one, which gives jets (P, 27); the output gain is in the weights."""
+    plane, height = _linears(heads["plane"]), _linears(heads["height"])
+    layers: list[nn.Module] = []
+    for depth, (a, b) in enumerate(zip(plane[:-1], height[:-1], strict=True)):
+        made = _side_by_side(a, b, shared=depth == 0)  # both read the trunk's output
+        layers += [made, nn.LeakyReLU(SLOPE)]
+    last = _side_by_side(plane[-1], height[-1], shared=len(plane) == 1)
+    with torch.no_grad():
+        last.weight.mul_(gain)
+        last.bias.mul_(gain)
+    return nn.Sequential(*layers, last).requires_grad_(False)
+
+
+def correction_layers(correction: nn.Module, gain: float) -> nn.Sequential:
+    """A ``training.layers.Correction`` with the output gain in its weights."""
+    first, last = _linears(correction)
+    scaled = nn.Linear(last.in_features, last.out_features)
+    with torch.no_grad():
+        scaled.weight.copy_(gain * last.weight)
+        scaled.bias.copy_(gain * last.bias)
+    return nn.Sequential(copy.deepcopy(first), nn.LeakyReLU(SLOPE), scaled).requires_grad_(False)
+
+
+def _linears(head: nn.Module) -> list[nn.Linear]:
+    return [cast(nn.Linear, child) for child in head.children() if isinstance(child, nn.Linear)]
+
+
+def _side_by_side(a: nn.Linear, b: nn.Linear, *, shared: bool) -> nn.Linear:
+    """One layer with the outputs of both, which read the same input if it is ``shared``, else one each."""
+    start = 0 if shared else a.in_features
+    layer = nn.Linear(start + b.in_features, a.out_features + b.out_features)
+    with torch.no_grad():
+        layer.weight.zero_()
+        layer.weight[: a.out_features, : a.in_features] = a.weight
+        layer.weight[a.out_features :, start:] = b.weight
+        layer.bias[: a.out_features], layer.bias[a.out_features :] = a.bias, b.bias
+    return layer

@@ -6,7 +6,8 @@ triangle (a, b; 0, c) of ``drape.garment.consensus``, "monomials" a a, a b, a c,
 
     E = F (m * G q) - 1/2,        -dW/dt = 2 t * G^T (m * F^T dW/dE)
 
-with constant matrices G and F, so the force takes the same way back. It equals ``training.consensus.strain_and_force``.
+with constant matrices G and F, so the force takes the same way back. It equals
+``training.chart_consensus.strain_and_force``.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from torch import Tensor
 from drape.garment.consensus import STRAIN_POINTS, TRACE_SHARE
 from drape.geometry import jets
 from model_export.packed.operators import WithTables, softsign
-from training.consensus import tangent_terms
+from training.chart_consensus import tangent_terms
 
-SOFTENING = 4.0  # of training.consensus.softened: 4 x / (1 + |4 x|)
+SOFTENING = 4.0  # of training.chart_consensus.softened: 4 x / (1 + |4 x|)
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))  # of u and v in the three directions
 # Factors of (a, b, c) in each monomial, and of (q_1, q_2, q_3) in the product of tangents that it multiplies.
 MONOMIALS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))

@@ -5,7 +5,7 @@ python -m model_export.push
 
 from __future__ import annotations
 
-from model_export.push.graph import PUSHES, stored, traced
+from model_export.push.push_graphs import PUSHES, stored, traced
 
 if __name__ == "__main__":
     for name in PUSHES:

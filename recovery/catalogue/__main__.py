@@ -21,11 +21,11 @@ from drape.errors import refusing
 from drape.garment.cache import GARMENTS_DIR
 from drape.garment.intake import intake
 from drape.garment.sizes import save_table, table_path
-from recovery.catalogue.build import QUICK, BuildOptions, body_distance, build, design, write_garment
-from recovery.catalogue.garments import CATALOGUE
-from recovery.catalogue.size_tables import grade
-from recovery.commands import ended, parser_of
-from recovery.pattern.measurements import PATTERN_STEPS, measure
+from recovery.catalogue.cuts import CATALOGUE
+from recovery.catalogue.design_drape import QUICK, BuildOptions, body_distance, design, drape_design, write_garment
+from recovery.catalogue.size_tables import grade_sizes
+from recovery.commands import end_command, parser_of
+from recovery.pattern.measurements import PATTERN_STEPS, measure_body
 from recovery.progress import watched
 
 
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command and returns its exit code: 2 with a sentence if input is refused, 3 if cloth is not at rest."""
     given = parse(arguments)
     if given.command == "list":
-        measurements = measure(load_body())
+        measurements = measure_body(load_body())
         for name in CATALOGUE:
             draft = design(name, measurements)
             ease = ", ".join(f"{where} {100 * much:+.0f} cm" for where, much in draft.ease_m.items())
@@ -65,14 +65,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _grade(given.names or list(CATALOGUE), given.garments)
     body = load_body(given.body)
     options = QUICK if given.quick else BuildOptions(fine_m=given.edge_length)
-    measurements = measure(body)
+    measurements = measure_body(body)
     designs = {name: design(name, measurements, given.size) for name in given.names or CATALOGUE}
     skin = body_distance(body, options)
     moving = []
     for name, one in designs.items():
         called = name if given.size == "M" else f"{name}_{given.size.lower()}"
         print(f"--- {called}, {one.fabric}")
-        garment = build(one, skin, options, report=print)
+        garment = drape_design(one, skin, options, report=print)
         paths = write_garment(garment, given.out, name=called, size=given.size, body=body.name)
         print(*paths, sep="\n")
         if given.garments is not None:
@@ -80,18 +80,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not garment.at_rest:
             moving.append(f"{called} by {garment.figures['last_move_mm']:.2f} mm")
     told = f"not at rest, the last step moved a node of {', '.join(moving)}. Leave out --quick, or take another size."
-    return ended([], told if moving else "")
+    return end_command([], told if moving else "")
 
 
 def _grade(names: Sequence[str], folder: Path) -> int:
     """Writes the tables of sizes of ``names``, whose caches are in ``folder``."""
     body = load_body()
-    measurements, skin = measure(body), body_distance(body)
+    measurements, skin = measure_body(body), body_distance(body)
     for name in names:
         (path,) = find_files([name], folder, (".npz",), "garment")
         garment = open_garment(path, body)
         print(f"--- {name}")
-        table = grade(name, garment, body, measurements, skin, report=lambda line: print(line, flush=True))
+        table = grade_sizes(name, garment, body, measurements, skin, report=lambda line: print(line, flush=True))
         save_table(table, written := table_path(folder, garment))
         print(f"{written}, {written.stat().st_size} bytes")
     return 0

@@ -18,8 +18,8 @@ from drape.geometry import meshes
 from recovery import progress
 from recovery.pattern.design import Design
 from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
 from recovery.sim.linearised import damped_step
-from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.sdf import SignedDistance
 from recovery.sim.self_contact import SelfContact
 from recovery.sim.skin_contact import SkinContact

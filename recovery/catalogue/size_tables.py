@@ -32,7 +32,7 @@ from drape.garment.sizes import (
     panels_of,
     sized,
 )
-from recovery.catalogue.build import BuildOptions, design
+from recovery.catalogue.design_drape import BuildOptions, design
 from recovery.catalogue.fall import SETTLING, Fall
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.design import Design, check_laid_flat, check_seams
@@ -50,14 +50,14 @@ GROWN_WITHIN_M, MOST_CORNERS = 2e-4, 40  # of a panel
 APART_M = {"space": 0.04, "panel": 0.02}  # rows that are added at once
 
 
-class Graded(NamedTuple):
+class GradedSize(NamedTuple):
     """A size on M's mesh: how far its nodes lie from M's [m] (N, 3), and its panel vertices [m] (P, 2)."""
 
     moved: np.ndarray
     panels: np.ndarray
 
 
-def grade(
+def grade_sizes(
     name: str,
     garment: Garment,
     body: BodyModel,
@@ -80,11 +80,11 @@ def grade(
     if not np.array_equal(fine.faces, garment.fine_faces):
         cure = "Sew it again: python -m recovery.catalogue build --garments."
         raise InputError(f"garment {name}", expected="the catalogue's mesh in M", got="another", cure=cure)
-    graded = fallen(designs, garment, body, fine, skin, report=report, options=options)
+    graded = let_designs_fall(designs, garment, body, fine, skin, report=report, options=options)
     return table_of(garment, body, fine.rest, graded, report=report)
 
 
-def fallen(
+def let_designs_fall(
     made: dict[str, Design],
     garment: Garment,
     body: BodyModel,
@@ -93,7 +93,7 @@ def fallen(
     *,
     report: Say,
     options: BuildOptions,
-) -> dict[str, Graded]:
+) -> dict[str, GradedSize]:
     """Lets the designs ``made``, one for each size, fall on ``body``. Returns for every size but M how far it lies from
     M.
 
@@ -114,19 +114,19 @@ def fallen(
         report(f"{size:9s} {settled.steps} steps, the last by {1e3 * settled.move_m:.2f} mm")
         if size != "M":
             moved = on_finer_mesh(coarse, nodes[size] - nodes["M"], fine)
-            graded[size] = Graded(moved, fine.rest_at(controls))
+            graded[size] = GradedSize(moved, fine.rest_at(controls))
     return graded
 
 
 def table_of(
-    garment: Garment, body: BodyModel, panels: np.ndarray, graded: dict[str, Graded], *, report: Say
+    garment: Garment, body: BodyModel, panels: np.ndarray, graded: dict[str, GradedSize], *, report: Say
 ) -> SizeTable:
     """Returns the table whose splines give ``graded`` back. ``panels`` [m] (P, 2) are the panel vertices of M, in the
     order of the garment's uv."""
     standing, uv = garment.vertices.astype(np.float64), garment.uv.astype(np.float64)
     moved = np.concatenate([graded[size].moved for size in OTHERS], axis=1)
     grown = np.concatenate([graded[size].panels - panels for size in OTHERS], axis=1)
-    vertex = chosen(
+    vertex = choose_points(
         standing,
         moved,
         field_in_space,
@@ -145,7 +145,7 @@ def table_of(
         def plate(points: np.ndarray, rows: np.ndarray, values: np.ndarray, faces: np.ndarray = alone) -> np.ndarray:
             return field_in_panels(points, faces, rows, values)
 
-        centres = chosen(
+        centres = choose_points(
             uv[mine],
             grown[mine],
             plate,
@@ -159,9 +159,9 @@ def table_of(
     table = SizeTable(
         garment.digest,
         vertex,
-        rounded(moved[vertex], MOVED_STEP_M).reshape(len(vertex), len(OTHERS), 3).swapaxes(0, 1),
+        round_to(moved[vertex], MOVED_STEP_M).reshape(len(vertex), len(OTHERS), 3).swapaxes(0, 1),
         corner,
-        rounded(grown[corner], GROWN_STEP_M).reshape(len(corner), len(OTHERS), 2).swapaxes(0, 1),
+        round_to(grown[corner], GROWN_STEP_M).reshape(len(corner), len(OTHERS), 2).swapaxes(0, 1),
         {},
     )
     measures = {}
@@ -174,7 +174,7 @@ def table_of(
     return replace(table, measures=measures)
 
 
-def chosen(
+def choose_points(
     points: np.ndarray, values: np.ndarray, field: Field, *, step: float, within: float, most: int, apart: float
 ) -> np.ndarray:
     """Returns the rows (A,) of ``points`` (N, D) from which ``field`` gives all ``values`` (N, C) back within the error
@@ -188,7 +188,7 @@ def chosen(
         rows.append(int(KDTree(points[rows]).query(points)[0].argmax()))
     while True:
         centres = np.unique(rows)
-        off = np.abs(field(points, centres, rounded(values[centres], step)) - values).max(axis=1)
+        off = np.abs(field(points, centres, round_to(values[centres], step)) - values).max(axis=1)
         if off.max() < within or len(centres) >= min(most, len(points)):
             return centres
         for _ in range(min(max(4, len(centres) // 4), most - len(centres))):
@@ -197,6 +197,6 @@ def chosen(
             off[np.linalg.norm(points - points[worst], axis=1) < apart] = 0.0
 
 
-def rounded(values: np.ndarray, step: float) -> np.ndarray:
+def round_to(values: np.ndarray, step: float) -> np.ndarray:
     """Returns ``values`` rounded to whole multiples of ``step``."""
     return step * np.rint(values / step)

@@ -22,20 +22,20 @@ from drape.errors import InputError, refusing
 from drape.files.atomic import write_whole
 from drape.garment.contours import lost_parts, lost_words, pierced_parts
 from drape.garment.intake import garment_name
-from recovery.commands import ended, parser_of
+from recovery.commands import end_command, parser_of
 from recovery.drape.output import panel_texture, write_rest, write_shape
-from recovery.drape.pattern_drape import Draped, DrapeOptions, Hold
+from recovery.drape.pattern_drape import Draped, Hold, SewingOptions
 from recovery.drape.placement import Axes
 from recovery.drape.posing import read_pose
 from recovery.drape.settle import TOLERANCE_N
-from recovery.fit.starts import Start, worn_drape
+from recovery.fit.starts import DrapeStart, drape_worn
 from recovery.pattern.garmentcode import read_pattern
 from recovery.progress import watched
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line."""
-    default = DrapeOptions()
+    default = SewingOptions()
     parser = parser_of("recovery.drape", __doc__)
     parser.add_argument("pattern", type=Path, help="JSON of Garment-Pattern-Generator or GarmentCode")
     parser.add_argument("--out", type=Path, required=True, help="folder of the files")
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = garment_name(given.name or pattern.name)
     body = load_body(given.body)
     pose = None if given.pose is None else read_pose(given.pose)
-    options = DrapeOptions(
+    options = SewingOptions(
         edge_length_m=given.edge_length,
         fabric=given.fabric,
         scale=given.scale,
@@ -77,8 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         grid_m=given.grid,
         iteration_limit=given.iterations,
     )
-    start = Start(body, options, pose, None, report=print)
-    draped = worn_drape(pattern, start, rest=False)
+    start = DrapeStart(body, options, pose, None, report=print)
+    draped = drape_worn(pattern, start, rest=False)
     check_worn(draped, start)
     files = write_shape(given.out, name, draped.mesh, draped.nodes, panel_texture(draped.mesh))
     cached = not given.no_garment
@@ -87,10 +87,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     record = {"pattern": pattern.name, "body": body.name, "fabric": given.fabric, "scale": given.scale}
     record |= {**draped.figures, "seconds": seconds}
     files.append(write_whole(given.out / f"{name}.json", json.dumps(record, indent=1) + "\n"))
-    return ended(files, left_words(draped))
+    return end_command(files, left_words(draped))
 
 
-def check_worn(draped: Draped, start: Start) -> None:
+def check_worn(draped: Draped, start: DrapeStart) -> None:
     """Refuses a garment with a limb beside its opening, or with a bone through cloth, in the T-pose or in the pose."""
     in_t_pose = (draped.rest.nodes, draped.mesh.faces, start.body.joints_template)
     if lost := sorted({*start.lost(draped), *lost_parts(*in_t_pose, draped.placed.limbs), *pierced_parts(*in_t_pose)}):

@@ -30,7 +30,7 @@ def panel_texture(mesh: PatternMesh, unit_m: float | None = None) -> tuple[np.nd
     return (mesh.rest + sheet.offsets[mesh.panel]) / unit, unit
 
 
-def obj_text(mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarray, float]) -> str:
+def sewn_obj_text(mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarray, float]) -> str:
     """The garment at ``nodes`` [m] (N, 3) as an OBJ: vertices are nodes, texture vertices are panel vertices.
 
     Both keep their numbers, so a corner's pair v/vt is the one-to-many map of the seams. ``texture`` is what
@@ -53,7 +53,7 @@ def write_shape(
 ) -> list[Path]:
     """Writes NAME.obj and NAME.glb of the garment at ``nodes`` [m] (N, 3) to ``folder`` and returns their paths."""
     return [
-        write_whole(folder / f"{name}.obj", obj_text(mesh, nodes, texture)),
+        write_whole(folder / f"{name}.obj", sewn_obj_text(mesh, nodes, texture)),
         write_whole(folder / f"{name}.glb", glb_bytes(mesh, nodes, texture)),
     ]
 
@@ -67,7 +67,7 @@ def write_rest(
     which it was draped (``drape.garment.intake``).
     """
     texture = panel_texture(draped.mesh)
-    rest = obj_text(draped.mesh, draped.rest.nodes, texture)
+    rest = sewn_obj_text(draped.mesh, draped.rest.nodes, texture)
     files = [write_whole(folder / f"{name}_rest.obj", rest)]
     if garment:
         options = IntakeOptions(uv_unit_m=texture[1])

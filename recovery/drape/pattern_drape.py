@@ -15,12 +15,12 @@ from drape.cloth.relaxation import principal_stretches
 from drape.errors import InputError
 from drape.geometry import meshes
 from recovery import progress
-from recovery.drape.placement import Axes, PlacedPanels, place_panels, scaled
+from recovery.drape.placement import Axes, PlacedPanels, place_panels, scale_pattern
 from recovery.drape.posing import to_pose
-from recovery.drape.seam_threads import Sewn, in_numpy, sew, uncrossed
-from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
-from recovery.pattern.model import Pattern
+from recovery.drape.seam_threads import Sewn, in_numpy, sew, uncross_stitches
+from recovery.drape.settle import ITERATION_LIMIT, SettledDrape, settle_at_rest
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.progress import Say
 from recovery.sim.sdf import GridDistance, Grown, SignedDistance, bare
 
@@ -36,7 +36,7 @@ class Hold(StrEnum):
 
 
 @dataclass(frozen=True)
-class DrapeOptions:
+class SewingOptions:
     """``edge_length_m`` of the cloth's mesh, ``fabric`` by name, ``scale`` of the pattern.
 
     ``grid_m`` is the spacing of the grid that holds the body's distance.
@@ -90,8 +90,8 @@ class Draped:
     mesh: PatternMesh
     placed: PlacedPanels
     sewn: Sewn
-    rest: Drape
-    posed: Drape | None
+    rest: SettledDrape
+    posed: SettledDrape | None
     figures: dict[str, Any]
 
     @property
@@ -113,7 +113,7 @@ class Draped:
 def drape_pattern(
     pattern: Pattern,
     body: BodyModel,
-    options: DrapeOptions = DrapeOptions(),
+    options: SewingOptions = SewingOptions(),
     *,
     pose: np.ndarray | None = None,
     cloth: OrthotropicMaterial | None = None,
@@ -128,10 +128,12 @@ def drape_pattern(
     """
     say = report or (lambda line: None)
     cloth = cloth or hanging(options.fabric, options.hangs_longer)
-    pattern, notes = uncrossed(pattern)
+    pattern, notes = uncross_stitches(pattern)
     for note in notes:
         say(f"repaired  {note}")
-    mesh = mesh_pattern(pattern if options.scale == 1.0 else scaled(pattern, options.scale), options.edge_length_m)
+    mesh = mesh_pattern(
+        pattern if options.scale == 1.0 else scale_pattern(pattern, options.scale), options.edge_length_m
+    )
     say(f"meshed    {mesh.node_count} nodes, {len(mesh.faces)} triangles, {len(pattern.stitches)} seams")
     skin = skin or options.skin(body.v_template, body.faces)
     distance = in_numpy(bare(skin))  # panels stand and close as they do for any cloth
@@ -148,7 +150,7 @@ def drape_pattern(
     limit = options.iteration_limit
     progress.tick("the garment falls")
     held = "belt" if belt else None
-    rest = settle(mesh, sewn.nodes, skin, cloth, held=held, lowest_top_m=knee, iteration_limit=limit)
+    rest = settle_at_rest(mesh, sewn.nodes, skin, cloth, held=held, lowest_top_m=knee, iteration_limit=limit)
     fallen = float(sewn.nodes[:, 1].max() - rest.nodes[:, 1].max())
     figures: dict[str, Any] = {
         "repaired": list(notes),
@@ -175,13 +177,13 @@ def drape_pattern(
 
 def drape_in_pose(
     mesh: PatternMesh,
-    rest: Drape,
+    rest: SettledDrape,
     body: BodyModel,
     pose: np.ndarray,
-    options: DrapeOptions = DrapeOptions(),
+    options: SewingOptions = SewingOptions(),
     *,
     cloth: OrthotropicMaterial | None = None,
-) -> tuple[Drape, dict[str, Any]]:
+) -> tuple[SettledDrape, dict[str, Any]]:
     """The garment of ``mesh`` at rest on ``body`` in ``pose`` (24, 3), and its figures.
 
     ``rest`` is its drape in the T-pose; ``cloth`` as for ``drape_pattern``.
@@ -190,11 +192,11 @@ def drape_in_pose(
     moved = to_pose(mesh, rest.nodes, body, pose)
     skin = options.skin(body.posed_vertices(pose[None])[0], body.faces)
     cloth = cloth or hanging(options.fabric, options.hangs_longer)
-    posed = settle(mesh, moved, skin, cloth, held=rest.held, iteration_limit=options.iteration_limit)
+    posed = settle_at_rest(mesh, moved, skin, cloth, held=rest.held, iteration_limit=options.iteration_limit)
     return posed, drape_figures(mesh, posed, skin)
 
 
-def drape_figures(mesh: PatternMesh, drape: Drape, skin: SignedDistance) -> dict[str, Any]:
+def drape_figures(mesh: PatternMesh, drape: SettledDrape, skin: SignedDistance) -> dict[str, Any]:
     """The figures by which a drape can be trusted: force left, strain, distances of nodes and of edges' middles.
 
     Distances are from the bare skin, not from one that was grown.
@@ -224,7 +226,7 @@ def stretch_figures(stretch: np.ndarray) -> dict[str, float]:
 
 
 def describe_stretch(figures: dict[str, Any]) -> str:
-    """One phrase on ``stretch_figures``."""
+    """Returns a phrase that says by how much cloth is stretched, of the ``stretch_figures``."""
     return f"stretched by {figures['stretch_median_pct']:.1f} % (99th percentile {figures['stretch_p99_pct']:.1f} %)"
 
 

@@ -20,9 +20,9 @@ from drape.cloth.relaxation import Distance
 from drape.errors import InputError
 from drape.geometry import meshes
 from drape.geometry.meshes import boundary_loops
-from recovery.pattern.measurements import measure
-from recovery.pattern.model import Pattern, Placement
+from recovery.pattern.measurements import measure_body
 from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.pattern.sewing_pattern import PanelPlacement, Pattern
 
 SMPL_PELVIS_M = (0.0, -0.235, 0.0)  # first joint of SMPL's templates, about
 CLEARANCE_M = 0.015  # panels start at least this far off the skin
@@ -62,12 +62,12 @@ class PlacedPanels:
     limbs: tuple[str, ...] = ()
 
 
-def scaled(pattern: Pattern, factor: float) -> Pattern:
+def scale_pattern(pattern: Pattern, factor: float) -> Pattern:
     """``pattern`` sized up or down: panels and the places of their middles alike."""
     if not 0.5 <= factor <= 2.0:
         raise InputError("scale", expected="a factor from 0.5 to 2", got=f"{factor}", cure="Draft a new size instead.")
 
-    def grown(placement: Placement) -> Placement:
+    def grown(placement: PanelPlacement) -> PanelPlacement:
         x, y, z = (value * factor for value in placement.translation_m)
         return replace(placement, translation_m=(x, y, z))
 
@@ -84,7 +84,7 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
     """
     check_placed(mesh.pattern)
     flat = mesh.placed()
-    size = measure(body)
+    size = measure_body(body)
     top = float(flat[:, 1].max())
     holds = {"shoulders": size.neck_y, "waist": size.waist_y}
     if tube := len(boundary_loops(mesh.faces)) == 2:  # neither arms nor legs: its upper edge may be tight on the chest
@@ -111,7 +111,7 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
             cure="Say which axes the panels were placed in (--axes), and check the file's unit.",
         )
     stood = flat + origins[chosen]
-    openings = limb_openings(mesh, stood, top=hold == "shoulders", crotch_m=size.crotch_y)
+    openings = openings_of_limbs(mesh, stood, top=hold == "shoulders", crotch_m=size.crotch_y)
     joints = dict(zip(JOINT_NAMES, body.joints_template, strict=True))
     mesh, turned = round_spread_arms(mesh, openings, joints)
     stood, still = mesh.placed() + origins[chosen], (mesh.placed() == flat).all(axis=1)
@@ -121,7 +121,7 @@ def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes
     if turned:  # threads close a sleeve round the arm that is in the middle of its cuff
         cuffs = np.concatenate(list(openings.values()))
         stood[~still, 1] += joints["left_elbow"][1] - mesh.nodes_from(stood)[cuffs, 1].mean()
-    positions, outward = moved_clear(mesh, stood, distance)
+    positions, outward = move_clear(mesh, stood, distance)
     return PlacedPanels(positions, chosen, lift, outward, hold, turned, tuple(openings))
 
 
@@ -150,7 +150,7 @@ def best_lift(positions: np.ndarray, pairs: np.ndarray, distance: Distance) -> f
     return float(LEVELS_M[int(np.argmin(costs))])
 
 
-def moved_clear(
+def move_clear(
     mesh: PatternMesh, positions: np.ndarray, distance: Distance, *, leave: Collection[str] = ()
 ) -> tuple[np.ndarray, float]:
     """Returns ``positions`` [m] (P, 3) with every panel moved along its normal until it is clear of the body, and the
@@ -179,7 +179,7 @@ def moved_clear(
 # --- openings of limbs, and sleeves ----------------------------------------------------------------------------------
 
 
-def limb_openings(mesh: PatternMesh, placed: np.ndarray, *, top: bool, crotch_m: float) -> dict[str, np.ndarray]:
+def openings_of_limbs(mesh: PatternMesh, placed: np.ndarray, *, top: bool, crotch_m: float) -> dict[str, np.ndarray]:
     """The nodes (n,) of the opening for each arm of a ``top``, or for each leg; panels ``placed`` at [m] (P, 3).
 
     A top with three openings, two of them below the height ``crotch_m``, has legs and no arms.
@@ -233,6 +233,6 @@ def round_spread_arms(
         for number in sleeve:
             (a, b, c), (x, y, z) = panels[number].placement.rotation_deg, panels[number].placement.translation_m
             at = spin * complex(x, y) + shift
-            turned = Placement((a, b, c + float(np.degrees(turn))), (at.real, at.imag, z))
+            turned = PanelPlacement((a, b, c + float(np.degrees(turn))), (at.real, at.imag, z))
             panels[number] = replace(panels[number], placement=turned)
     return replace(mesh, pattern=replace(mesh.pattern, panels=tuple(panels))) if largest else mesh, largest

@@ -81,7 +81,7 @@ def pose_steps(pose: np.ndarray) -> np.ndarray:
     return np.linspace(0.0, 1.0, steps + 1)[1:, None, None] * pose
 
 
-def moved_with_bones(
+def move_with_bones(
     nodes: np.ndarray, faces: np.ndarray, body: BodyModel, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
     """Garment ``nodes`` [m] (N, 3) on the body in pose ``before`` (24, 3), moved with its bones to pose ``after``."""
@@ -98,7 +98,7 @@ def to_pose(mesh: PatternMesh, nodes: np.ndarray, body: BodyModel, pose: np.ndar
     """``nodes`` [m] (N, 3) of a garment on ``body`` in the T-pose, in ``pose`` (24, 3); clear of it, not at rest."""
     before = np.zeros((JOINT_COUNT, 3))
     for after in pose_steps(pose):
-        nodes = moved_with_bones(nodes, mesh.faces, body, before, after)
+        nodes = move_with_bones(nodes, mesh.faces, body, before, after)
         skin = body.posed_vertices(after[None])[0]
         distance = in_numpy(GridDistance.from_mesh(skin, body.faces, spacing_m=STEP_GRID_M))
         relaxation = sewn_relaxation(mesh, distance, gap_m=CARRY_GAP_M)

@@ -16,8 +16,8 @@ from drape.cloth.relaxation import Distance, Relaxation, principal_stretches
 from drape.errors import InputError
 from recovery import progress
 from recovery.pattern import geometry
-from recovery.pattern.model import Pattern, Stitch
 from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.pattern.sewing_pattern import Pattern, Stitch
 from recovery.sim.sdf import SignedDistance
 
 SEWING_GAP_M = 0.012  # cloth is kept this far off while it is sewn: inflated clear of the body
@@ -109,7 +109,7 @@ def sew(
 # --- crossed seams ---------------------------------------------------------------------------------------------------
 
 
-def uncrossed(pattern: Pattern) -> tuple[Pattern, tuple[str, ...]]:
+def uncross_stitches(pattern: Pattern) -> tuple[Pattern, tuple[str, ...]]:
     """``pattern`` with crossed pairs of stitches exchanged, and a sentence on each.
 
     Two stitches between the same two panels are crossed where their edges, panels as placed, come to lie twice as near

@@ -17,9 +17,9 @@ from drape.errors import InputError
 from drape.geometry import meshes
 from recovery import progress
 from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
 from recovery.sim.linearised import linearised_step
-from recovery.sim.model import ClothModel, ClothState, Parameters
-from recovery.sim.newton import Report, equilibrium, newton_step
+from recovery.sim.newton_steps import Report, equilibrium, newton_step
 from recovery.sim.sdf import SignedDistance
 from recovery.sim.skin_contact import SkinContact
 
@@ -37,7 +37,7 @@ SETTLED_M = 1e-3
 BELT_BAND_M = 0.06  # of the topmost opening that a belt holds, from its highest node down
 
 
-class Drape(NamedTuple):
+class SettledDrape(NamedTuple):
     """Nodes [m] (N, 3) at rest; ``held`` nodes of the belt; how Newton ended; quasi-static ``steps`` before it."""
 
     nodes: np.ndarray
@@ -56,7 +56,7 @@ def topmost_opening(faces: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     return np.sort(loop[height > height.max() - BELT_BAND_M])
 
 
-def settle(
+def settle_at_rest(
     mesh: PatternMesh,
     nodes: np.ndarray,
     body: SignedDistance,
@@ -65,7 +65,7 @@ def settle(
     held: np.ndarray | Literal["belt"] | None = None,
     lowest_top_m: float = -np.inf,
     iteration_limit: int = ITERATION_LIMIT,
-) -> Drape:
+) -> SettledDrape:
     """The garment at rest under its weight, from sewn ``nodes`` [m] (N, 3) near it, without friction.
 
     ``held`` are nodes that stay where they are. By a "belt" it first closes round the body without weight, and then its
@@ -92,7 +92,7 @@ def settle(
             cure="Give it a belt (--hold belt) or a smaller size (--scale).",
         )
     state, report = to_rest(model, model.state(nodes), parameters, contact, iteration_limit=iteration_limit)
-    return Drape(state.x.numpy(), held, report, steps + more)
+    return SettledDrape(state.x.numpy(), held, report, steps + more)
 
 
 def to_rest(

@@ -22,7 +22,7 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.garment.contours import Contour, Match, open_contours
 from drape.geometry import meshes
 from recovery.drape.pattern_drape import Draped
-from recovery.drape.settle import settle
+from recovery.drape.settle import settle_at_rest
 from recovery.fit.objective import nearest_on_line
 from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.sim.sdf import SignedDistance
@@ -92,7 +92,7 @@ def belt_of(draped: Draped, matches: list[Match], there: list[Contour]) -> Belt 
     return None if found is None else belt_on(draped.mesh, draped.nodes, draped.rest.held, found[1].points)
 
 
-def held_as_target(
+def hold_as_target(
     draped: Draped, matches: list[Match], there: list[Contour], skin: SignedDistance, cloth: OrthotropicMaterial
 ) -> Draped:
     """``draped`` with the nodes that its belt holds laid on the waist among the target's contours ``there``.
@@ -114,7 +114,7 @@ def held_as_target(
         nodes[held] = line[best] + t[:, None] * (np.roll(line, -1, axis=0) - line)[best]
     else:
         nodes[belt.held] = belt.places(torch.from_numpy(draped.mesh.rest)).numpy()
-    settled = settle(draped.mesh, nodes, skin, cloth, held=held)
+    settled = settle_at_rest(draped.mesh, nodes, skin, cloth, held=held)
     if not settled.report.converged:
         return draped
     return replace(draped, rest=settled) if draped.posed is None else replace(draped, posed=settled)

@@ -9,9 +9,9 @@ from torch import Tensor
 from drape.cloth.material import OrthotropicMaterial
 from recovery.fit.belt import Belt
 from recovery.pattern.pattern_mesh import PatternMesh
-from recovery.sim.implicit import Problem
-from recovery.sim.model import ClothModel, ClothState, Parameters
-from recovery.sim.newton import Minimum, Report, equilibrium
+from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
+from recovery.sim.implicit import ImplicitProblem
+from recovery.sim.newton_steps import Minimum, Report, equilibrium
 from recovery.sim.sdf import SignedDistance
 from recovery.sim.skin_contact import SkinContact
 
@@ -97,7 +97,7 @@ class RestDrape:
                 columns.append(per_s * found + held[:, :, k].reshape(-1))
         return np.stack(columns, axis=1).reshape(len(nodes), 3, -1)
 
-    def _problem(self, state: ClothState, parameters: Parameters) -> tuple[Problem, Tensor, float]:
+    def _problem(self, state: ClothState, parameters: Parameters) -> tuple[ImplicitProblem, Tensor, float]:
         """The equations of the drape at ``state``, their solution, and nodes [m] for one unit of it."""
         problem = Minimum(self.model, self.contact, dt_s=None, tolerance_n=self.tolerance_n, iteration_limit=0)
         return problem, problem.solve(state, parameters), 1.0

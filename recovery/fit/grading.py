@@ -21,8 +21,8 @@ from drape.errors import InputError
 from drape.garment.contours import Contour, Match
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import control_points, with_controls
-from recovery.pattern.model import EdgeRef, Pattern
 from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.pattern.sewing_pattern import EdgeRef, Pattern
 from recovery.pattern.symmetry import Symmetries, correspondence
 
 NUMBERS = 3  # a, b, c of a panel
@@ -179,7 +179,7 @@ def _priors(unknowns: _Unknowns) -> Iterator[Equation]:
         yield row, 0.0, SHIFT_WEIGHT
 
 
-def graded_again(first: Graded, second: Graded) -> Graded:
+def combine_grades(first: Graded, second: Graded) -> Graded:
     """``second``, which graded the pattern of ``first``, with the factors of both over the first one's base.
 
     Squares of tapers are left out of the factors, as they are of both gradings.

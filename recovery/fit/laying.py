@@ -23,18 +23,18 @@ from torch import Tensor
 from drape.cloth.material import OrthotropicMaterial
 from drape.geometry import closest, meshes
 from recovery import progress
-from recovery.drape.pattern_drape import Draped, DrapeOptions
-from recovery.drape.settle import Drape, to_rest
+from recovery.drape.pattern_drape import Draped, SewingOptions
+from recovery.drape.settle import SettledDrape, to_rest
 from recovery.fit.chamfer import surface_distance
 from recovery.fit.forward import RestDrape
-from recovery.fit.objective import Target
+from recovery.fit.objective import TargetSurface
 from recovery.pattern import geometry
-from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, on_finer_mesh
-from recovery.sim.implicit import Problem
-from recovery.sim.linearised import LinearisedStep, Springs, damped_step, linearised_step
-from recovery.sim.model import ClothState, Parameters
-from recovery.sim.newton import Report, force_left
+from recovery.pattern.sewing_pattern import Pattern
+from recovery.sim.cloth_model import ClothState, Parameters
+from recovery.sim.implicit import ImplicitProblem
+from recovery.sim.linearised import LinearisedStep, SpringForces, damped_step, linearised_step
+from recovery.sim.newton_steps import Report, force_left
 from recovery.sim.sdf import SignedDistance
 from recovery.sim.skin_contact import SkinContact
 
@@ -51,7 +51,7 @@ STILL_M = 3e-4  # of every node in one of those steps
 OTHER_FOLDS_MM = 3.0  # mean distance of two drapes of a pattern: of two meshes in the same folds it is below 2 mm
 
 
-def laying_options(drape: DrapeOptions) -> DrapeOptions:
+def laying_options(drape: SewingOptions) -> SewingOptions:
     """``drape`` for cloth that will be laid: it need not come to rest, and edges are short."""
     length = min(EDGE_M, drape.edge_length_m)
     return replace(drape, edge_length_m=length, iteration_limit=0, hangs_longer=HANGS_LONGER)
@@ -66,7 +66,9 @@ def is_laid(pattern: Pattern, parts: Sequence[str | None]) -> bool:
 class LaidDrape(RestDrape):
     """The garment of ``mesh`` on ``body``, held near the ``target`` by springs; otherwise as ``RestDrape``."""
 
-    def __init__(self, mesh: PatternMesh, body: SignedDistance, cloth: OrthotropicMaterial, target: Target) -> None:
+    def __init__(
+        self, mesh: PatternMesh, body: SignedDistance, cloth: OrthotropicMaterial, target: TargetSurface
+    ) -> None:
         super().__init__(mesh, body, cloth)
         self.faces, self.target = mesh.faces, target
 
@@ -95,7 +97,7 @@ class LaidDrape(RestDrape):
 
     def ended(self, mesh: PatternMesh, nodes: np.ndarray) -> np.ndarray:
         """Returns the drape [m] (N, 3) of ``mesh`` after its springs are let go at ``nodes`` (N, 3)."""
-        return fallen(mesh, nodes, self.contact.body, self.cloth).nodes
+        return let_fall(mesh, nodes, self.contact.body, self.cloth).nodes
 
     def _step(self, x: Tensor, parameters: Parameters, stiffness: float) -> Tensor:
         pairs = springs_between(x.numpy(), self.faces, self.target, stiffness)
@@ -104,13 +106,13 @@ class LaidDrape(RestDrape):
         size = float((after.detach() - x).norm(dim=1).max())
         return x + min(1.0, LONGEST_M / max(size, 1e-12)) * (after - x)
 
-    def _problem(self, state: ClothState, parameters: Parameters) -> tuple[Problem, Tensor, float]:
+    def _problem(self, state: ClothState, parameters: Parameters) -> tuple[ImplicitProblem, Tensor, float]:
         pairs = springs_between(state.x.numpy(), self.faces, self.target, SPRINGS_N_M3[-1])
         step = LinearisedStep(self.model, self.contact, dt_s=STEP_S, pairs=pairs)
         return step, torch.zeros_like(state.x), STEP_S  # what is laid does not move
 
 
-def springs_between(x: np.ndarray, faces: np.ndarray, target: Target, stiffness: float) -> Springs:
+def springs_between(x: np.ndarray, faces: np.ndarray, target: TargetSurface, stiffness: float) -> SpringForces:
     """Springs of ``stiffness`` [N/m^3], per area, between cloth at ``x`` [m] (V, 3) and the target, both ways.
 
     Each node is drawn to the nearest point of the target, and the nearest point of the cloth to the middle of each of
@@ -138,7 +140,7 @@ def springs_between(x: np.ndarray, faces: np.ndarray, target: Target, stiffness:
         [scipy.sparse.csr_matrix((v, (r, c)), shape=(len(gap), 3 * len(x))) for v, r, c, gap in rows]
     )
     force = stiffness * (slopes.T @ np.concatenate([gap for *_, gap in rows]))
-    return Springs(torch.from_numpy(force.reshape(-1, 3)), (stiffness * (slopes.T @ slopes)).tocsc())
+    return SpringForces(torch.from_numpy(force.reshape(-1, 3)), (stiffness * (slopes.T @ slopes)).tocsc())
 
 
 def _pulls(
@@ -159,7 +161,7 @@ def _pulls(
     return values.reshape(-1), rows, columns.reshape(-1), np.einsum("nwc,nc->nw", ways, gap).reshape(-1)
 
 
-def fallen(mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial) -> Drape:
+def let_fall(mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: OrthotropicMaterial) -> SettledDrape:
     """The garment after short damped steps with friction from ``nodes`` [m] (N, 3), until it is still.
 
     The report has converged if it is; the force that it says is without friction.
@@ -172,16 +174,16 @@ def fallen(mesh: PatternMesh, nodes: np.ndarray, skin: SignedDistance, cloth: Or
         progress.tick(f"let go, step {number}, {1e3 * move:.1f} mm in the last")
         state, move = damped_step(model, state, parameters, contact, kept=FREE_KEPT, longest_m=FREE_LONGEST_M)
     left = force_left(model, state, parameters, forward.contact)
-    return Drape(state.x.numpy(), np.zeros(0, dtype=np.int64), Report(0, left, move <= STILL_M), number)
+    return SettledDrape(state.x.numpy(), np.zeros(0, dtype=np.int64), Report(0, left, move <= STILL_M), number)
 
 
-def laid(draped: Draped, target: Target, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
+def lay_on_target(draped: Draped, target: TargetSurface, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
     """Returns ``draped`` where springs have laid it on the ``target``. ``skin`` is the body's signed distance in the
     drape's pose, ``cloth`` what it is made of."""
     return _with_nodes(draped, LaidDrape(draped.mesh, skin, cloth, target).begun(draped.nodes))
 
 
-class Worn(NamedTuple):
+class DressedDrape(NamedTuple):
     """A pattern sewn from flat panels: ``loose`` as it closes by itself, ``worn`` with its belt at the target's."""
 
     loose: Draped
@@ -204,13 +206,13 @@ class Shown(NamedTuple):
 class Dressing:
     """How a garment that was sewn from flat panels is put on, as hands arrange it, where it closed elsewhere.
 
-    ``skin`` is the body's signed distance in the garment's pose. Gathered cloth is ``laid``. ``hold`` lays a belt,
-    ``lost`` tells what of the body is beside its opening, and of two ways that with the least ``rank`` is taken.
+    ``skin`` is the body's signed distance in the garment's pose. ``lay_on_target`` lays gathered cloth, ``hold`` a
+    belt, ``lost`` tells what of the body is beside its opening, and of two ways that with the least ``rank`` is taken.
     """
 
     skin: SignedDistance
     cloth: OrthotropicMaterial
-    laid: bool
+    lay_on_target: bool
     hold: Callable[[Draped], Draped]
     lost: Callable[[Draped], Sequence[str]]
     rank: Callable[[Draped], Any]
@@ -220,7 +222,7 @@ class Dressing:
 
         What hangs from a belt is laid on the target's waist and not hung so.
         """
-        if self.laid:
+        if self.lay_on_target:
             return hung_as(loose, shown, self.skin, self.cloth)
         belt = bool(len(loose.rest.held))
         worn = put_on(loose, shown, self.hold) if belt and self.lost(loose) else self.hold(loose)
@@ -239,7 +241,7 @@ def hung_at_rest(draped: Draped, shown: Shown, skin: SignedDistance, cloth: Orth
     gather."""
     hung, forward = hung_as(draped, shown, skin, cloth), RestDrape(draped.mesh, skin, cloth)
     state, report = to_rest(forward.model, forward.model.state(hung.nodes), forward.parameters, forward.contact)
-    return _lying(hung, Drape(state.x.numpy(), draped.rest.held, report, 0))
+    return _lying(hung, SettledDrape(state.x.numpy(), draped.rest.held, report, 0))
 
 
 def put_on(draped: Draped, shown: Shown, hold: Callable[[Draped], Draped]) -> Draped:
@@ -261,14 +263,14 @@ def _placed_as(draped: Draped, shown: Shown) -> Draped:
 
 
 def let_go(draped: Draped, skin: SignedDistance, cloth: OrthotropicMaterial) -> Draped:
-    """Returns ``draped`` after ``fallen``, begun where it is."""
-    return _lying(draped, fallen(draped.mesh, draped.nodes, skin, cloth))
+    """Returns ``draped`` after ``let_fall``, begun where it is."""
+    return _lying(draped, let_fall(draped.mesh, draped.nodes, skin, cloth))
 
 
 def _with_nodes(draped: Draped, nodes: np.ndarray) -> Draped:
     return _lying(draped, (draped.posed or draped.rest)._replace(nodes=nodes))
 
 
-def _lying(draped: Draped, drape: Drape) -> Draped:
+def _lying(draped: Draped, drape: SettledDrape) -> Draped:
     """``draped`` with this drape in the pose that was asked for."""
     return replace(draped, rest=drape) if draped.posed is None else replace(draped, posed=drape)

@@ -63,7 +63,7 @@ def fold_weights(curvature: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class TargetSurface:
     """A target surface: ``vertices`` [m], ``faces``, its ``contours``; ``weights`` (V,) of equation 7.
 
     ``points`` (3 F, 3) lie in its triangles; ``shares`` (3 F,) are their parts of the area, times their weights.
@@ -79,7 +79,7 @@ class Target:
     known: np.ndarray
 
     @classmethod
-    def from_mesh(cls, vertices: np.ndarray, faces: np.ndarray, *, known: np.ndarray | None = None) -> Target:
+    def from_mesh(cls, vertices: np.ndarray, faces: np.ndarray, *, known: np.ndarray | None = None) -> TargetSurface:
         """The target of a mesh, of which the faces ``known`` (F,) count, all by default."""
         weights = fold_weights(mean_curvature(vertices, faces))
         seen = np.ones(len(faces)) if known is None else np.asarray(known, dtype=np.float64)
@@ -100,7 +100,7 @@ class Objective:
     Seams are a constraint of the search (``seams.py``) and no term of the loss, as equation 8 of the paper is.
     """
 
-    def __init__(self, mesh: PatternMesh, target: Target, contours: list[Contour], matches: list[Match]) -> None:
+    def __init__(self, mesh: PatternMesh, target: TargetSurface, contours: list[Contour], matches: list[Match]) -> None:
         self.mesh, self.target = mesh, target
         self._faces = torch.from_numpy(np.ascontiguousarray(mesh.faces))
         area = np.abs(signed_areas(mesh.rest, mesh.panel_faces))

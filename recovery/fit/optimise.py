@@ -26,8 +26,8 @@ from recovery.fit.objective import Objective, gauss_newton_matrix
 from recovery.fit.seams import SeamConstraint
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import with_controls
-from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.symmetry import FreeControls
 
 HALVINGS = 8

@@ -21,19 +21,19 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from drape.garment.contours import Match, Place, bone_chains, match_contours, open_contours, place_of
 from recovery import progress as watch
-from recovery.drape.pattern_drape import Draped, DrapeOptions, hanging
+from recovery.drape.pattern_drape import Draped, SewingOptions, hanging
 from recovery.drape.posing import posed_joints
-from recovery.fit.belt import belt_of, held_as_target
+from recovery.fit.belt import belt_of, hold_as_target
 from recovery.fit.forward import RestDrape
-from recovery.fit.grading import Graded, grade, graded_again, ungraded
-from recovery.fit.laying import EDGE_M, Dressing, LaidDrape, Shown, is_laid, laid, laying_options, let_go
-from recovery.fit.objective import Objective, Target
+from recovery.fit.grading import Graded, combine_grades, grade, ungraded
+from recovery.fit.laying import EDGE_M, Dressing, LaidDrape, Shown, is_laid, lay_on_target, laying_options, let_go
+from recovery.fit.objective import Objective, TargetSurface
 from recovery.fit.optimise import DEFAULT_OPTIONS, REACH_M, FitOptions, PatternSearch
-from recovery.fit.recovered import NOT_AT_REST, SAME, Recovered, Round, apart_mm, clocks, why_left
+from recovery.fit.outcome import NOT_AT_REST, SAME, Recovered, Round, apart_mm, clocks, why_left
 from recovery.fit.seams import SeamConstraint, sewable
-from recovery.fit.starts import Start, drape_at_rest, dressed, needed_length, worn_drape
+from recovery.fit.starts import DrapeStart, drape_at_rest, drape_worn, needed_length, sew_and_dress
 from recovery.pattern.coordinates import control_points
-from recovery.pattern.model import Pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls, symmetrised
 from recovery.progress import Say
 from recovery.sim.sdf import SignedDistance
@@ -56,7 +56,7 @@ class RoundsOptions:
     from the second on, and goes on from it. Raises ``InputError`` for a reach that is not positive, and for no rounds.
     """
 
-    drape: DrapeOptions = field(default_factory=DrapeOptions)
+    drape: SewingOptions = field(default_factory=SewingOptions)
     fit: FitOptions = DEFAULT_OPTIONS
     reach_m: float = REACH_M
     meshes_m: Sequence[float] | None = None
@@ -70,13 +70,13 @@ class RoundsOptions:
             raise InputError("meshes_m", expected="an edge length or more", got="none", cure="Leave it at its default.")
 
     def lengths_m(self, *, laid: bool) -> list[float]:
-        """Edge lengths [m] of the rounds; those of cloth that is ``laid`` are short."""
+        """Edge lengths [m] of the rounds; those of cloth that ``lay_on_target`` lays are short."""
         lengths = self.meshes_m or [self.drape.edge_length_m] * (1 if laid else ROUNDS)
         return [min(length, EDGE_M) if laid else length for length in lengths]
 
 
 def recover_pattern(
-    target: Target,
+    target: TargetSurface,
     base: Pattern,
     body: BodyModel,
     options: RoundsOptions | None = None,
@@ -99,7 +99,7 @@ def recover_pattern(
 
 
 def _prepared(
-    target: Target, base: Pattern, body: BodyModel, options: RoundsOptions, pose: np.ndarray | None, say: Say
+    target: TargetSurface, base: Pattern, body: BodyModel, options: RoundsOptions, pose: np.ndarray | None, say: Say
 ) -> _Rounds:
     """The base made symmetric and sewable, and the body's distances."""
     symmetries = find_symmetries(base)
@@ -123,7 +123,7 @@ class _Rounds:
     are the edge lengths [m] of the rounds.
     """
 
-    target: Target
+    target: TargetSurface
     body: BodyModel
     pose: np.ndarray | None
     bare: SignedDistance
@@ -140,7 +140,7 @@ class _Rounds:
         """A drape of the base, and the rounds on meshes on which such a garment is worn."""
         drape = self.options.drape
         with watch.stage("drape of the base"):
-            first = worn_drape(self.base, self.start(drape), rest=False)
+            first = drape_worn(self.base, self.start(drape), rest=False)
         longest = needed_length(first, drape)
         return first, replace(self, lengths_m=tuple(min(length, longest) for length in self.lengths_m))
 
@@ -160,9 +160,9 @@ class _Rounds:
         """``before`` graded once more by its drape ``draped``, and the drape of that."""
         contours = open_contours(*draped.surface)
         found = grade(draped.mesh, draped.nodes, contours, self.matches(draped)[0], self.symmetries)
-        after = graded_again(before, found)
+        after = combine_grades(before, found)
         after = replace(after, pattern=sewable(after.pattern, self.base, self.symmetries))
-        return after, worn_drape(after.pattern, self.start(self.drape), rest=False)
+        return after, drape_worn(after.pattern, self.start(self.drape), rest=False)
 
     def best_graded(self, base: Graded, draped: Draped, times: int) -> tuple[Graded, Draped]:
         """``base``, whose drape is ``draped``, graded up to so many ``times``; the last one worn right and at rest."""
@@ -177,7 +177,7 @@ class _Rounds:
         """``base``, whose drape is ``draped``, or, where springs do not lay that near, graded if it is then nearer."""
 
         def far(one: Draped) -> float:
-            return apart_mm(self.surface(laid(one, self.target, self.skin, self.cloth)))
+            return apart_mm(self.surface(lay_on_target(one, self.target, self.skin, self.cloth)))
 
         self.say(f"laid      the base within {(before := far(draped)):.2f} mm (root mean square)")
         after = self.graded(base, draped) if before > LAID_FAR_MM else (base, draped)
@@ -283,7 +283,7 @@ class _Rounds:
             return self.surface(one) if one.at_rest and not start.lost(one) else math.inf
 
         dressing = Dressing(self.skin, cloth, self.lays, lambda one: self.held(one, cloth), start.lost, far)
-        pair = dressed(last.fitted.pattern, start, dressing, shown, rest=not self.lays)
+        pair = sew_and_dress(last.fitted.pattern, start, dressing, shown, rest=not self.lays)
         return replace(last, sewn=pair, sewn_m2=far(pair.worn)), pair.worn
 
     def best_of(self, rounds: list[Round], left: str, base: Draped, graded: Graded) -> Recovered:
@@ -314,7 +314,7 @@ class _Rounds:
     # --- what steps share ---
 
     @property
-    def drape(self) -> DrapeOptions:
+    def drape(self) -> SewingOptions:
         """The options on the first round's mesh."""
         return replace(self.options.drape, edge_length_m=self.lengths_m[0])
 
@@ -334,10 +334,10 @@ class _Rounds:
         chains = bone_chains(posed_joints(self.body, self.pose))
         return [place_of(contour, chains) for contour in self.target.contours]
 
-    def start(self, drape: DrapeOptions, cloth: OrthotropicMaterial | None = None) -> Start:
+    def start(self, drape: SewingOptions, cloth: OrthotropicMaterial | None = None) -> DrapeStart:
         """How drapes begin on this body; what the target goes round, they should."""
         parts = [place.part for place in self.places if place.part is not None]
-        return Start(self.body, drape, self.pose, self.bare, tuple(parts), cloth)
+        return DrapeStart(self.body, drape, self.pose, self.bare, tuple(parts), cloth)
 
     def matches(self, draped: Draped) -> tuple[list[Match], list[int]]:
         """Pairs of the contours of a drape and those of the target, and the target's that are left."""
@@ -352,5 +352,5 @@ class _Rounds:
     def held(self, draped: Draped, cloth: OrthotropicMaterial) -> Draped:
         """``draped`` with its belt where the target's is, or let go from the target's folds."""
         if self.lays:
-            return let_go(laid(draped, self.target, self.skin, cloth), self.skin, cloth)
-        return held_as_target(draped, self.matches(draped)[0], self.target.contours, self.skin, cloth)
+            return let_go(lay_on_target(draped, self.target, self.skin, cloth), self.skin, cloth)
+        return hold_as_target(draped, self.matches(draped)[0], self.target.contours, self.skin, cloth)

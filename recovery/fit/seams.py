@@ -13,7 +13,7 @@ import numpy as np
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import with_controls
-from recovery.pattern.model import EdgeRef, Pattern
+from recovery.pattern.sewing_pattern import EdgeRef, Pattern
 from recovery.pattern.symmetry import FreeControls, Symmetries, free_controls
 
 EVEN = 0.005  # a base whose edges differ by less has no ease there: its seams are made equal

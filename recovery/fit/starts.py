@@ -16,10 +16,10 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from drape.garment.contours import lost_parts
 from recovery import progress as watch
-from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_pattern
+from recovery.drape.pattern_drape import Draped, SewingOptions, drape_pattern
 from recovery.drape.posing import posed_joints
-from recovery.fit.laying import Dressing, Shown, Worn
-from recovery.pattern.model import Pattern
+from recovery.fit.laying import DressedDrape, Dressing, Shown
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.progress import Say
 from recovery.sim.sdf import SignedDistance
 
@@ -28,7 +28,7 @@ FINER = 0.6  # of it, tried next where a part is lost: edges of 5 cm cut through
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class DrapeStart:
     """What drapes have in common: ``body``, options, ``pose`` (24, 3), and the body's distance ``skin`` in the T-pose.
 
     ``parts`` of the body should go through the garment's openings, by default the limbs that have one. ``cloth``
@@ -36,7 +36,7 @@ class Start:
     """
 
     body: BodyModel
-    drape: DrapeOptions
+    drape: SewingOptions
     pose: np.ndarray | None
     skin: SignedDistance | None
     parts: tuple[str, ...] = ()
@@ -49,9 +49,9 @@ class Start:
         return lost_parts(*draped.surface, posed_joints(self.body, self.pose), parts)
 
 
-def worn_drape(
+def drape_worn(
     pattern: Pattern,
-    start: Start,
+    start: DrapeStart,
     *,
     rest: bool = True,
     mended: Callable[[Draped], Draped] = lambda one: one,
@@ -88,29 +88,29 @@ def worn_drape(
     return min(tried, key=lambda pair: pair[0])[1]
 
 
-def dressed(
+def sew_and_dress(
     pattern: Pattern,
-    start: Start,
+    start: DrapeStart,
     dressing: Dressing,
     shown: Shown,
     *,
     rest: bool = True,
     off_mm: Callable[[Draped], float] = lambda one: 0.0,
     enough_mm: float = 0.0,
-) -> Worn:
-    """``pattern`` sewn from flat panels as ``worn_drape`` does it, and put on as ``shown`` lies. Raises ``InputError``
+) -> DressedDrape:
+    """``pattern`` sewn from flat panels as ``drape_worn`` does it, and put on as ``shown`` lies. Raises ``InputError``
     where it cannot be sewn."""
-    pairs: list[Worn] = []
+    pairs: list[DressedDrape] = []
 
     def mended(loose: Draped) -> Draped:
-        pairs.append(Worn(loose, dressing.worn_as(loose, shown)))
+        pairs.append(DressedDrape(loose, dressing.worn_as(loose, shown)))
         return pairs[-1].worn
 
-    worn = worn_drape(pattern, start, rest=rest, mended=mended, off_mm=off_mm, enough_mm=enough_mm)
+    worn = drape_worn(pattern, start, rest=rest, mended=mended, off_mm=off_mm, enough_mm=enough_mm)
     return next(pair for pair in pairs if pair.worn is worn)
 
 
-def needed_length(draped: Draped, options: DrapeOptions) -> float:
+def needed_length(draped: Draped, options: SewingOptions) -> float:
     """Returns the longest edges [m] on which a garment like ``draped`` is worn; infinite if the mesh of ``options``
     will do.
 
@@ -120,9 +120,9 @@ def needed_length(draped: Draped, options: DrapeOptions) -> float:
     return length if length <= FINER * options.edge_length_m else math.inf
 
 
-def drape_at_rest(pattern: Pattern, start: Start) -> Draped:
-    """``worn_drape`` of ``pattern``. Raises ``InputError`` where it does not come to rest."""
-    draped = worn_drape(pattern, start)
+def drape_at_rest(pattern: Pattern, start: DrapeStart) -> Draped:
+    """``drape_worn`` of ``pattern``. Raises ``InputError`` where it does not come to rest."""
+    draped = drape_worn(pattern, start)
     if not draped.at_rest:
         left = max(one.report.residual_n for one in (draped.rest, draped.posed) if one is not None)
         raise InputError(

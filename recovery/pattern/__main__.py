@@ -15,15 +15,15 @@ from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import refusing
-from recovery.commands import add_style_options, ended, parser_of, style_of
+from recovery.commands import add_style_options, end_command, parser_of, style_of
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES, base_pattern
-from recovery.pattern.export import FORMATS, export_pattern
 from recovery.pattern.garmentcode import read_pattern
-from recovery.pattern.measurements import measure
-from recovery.pattern.model import Pattern
+from recovery.pattern.measurements import measure_body
+from recovery.pattern.pattern_files import FORMATS, export_pattern
 from recovery.pattern.pattern_mesh import mesh_pattern
-from recovery.pattern.style import finished, lined
+from recovery.pattern.sewing_pattern import Pattern
+from recovery.pattern.style import add_style_lines, finish_pattern
 
 SEAM_LIMIT = 0.02
 
@@ -108,12 +108,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         show(options)
         return 0
     if options.command == "draft":
-        pattern = base_pattern(options.base, measure(load_body(options.body)), options.set)
+        pattern = base_pattern(options.base, measure_body(load_body(options.body)), options.set)
     else:
         pattern = read_pattern(options.pattern, units_in_meter=options.units_in_meter)
     print_notes(pattern)
     if style := style_of(options):
-        pattern = finished(lined(pattern, style), style)
+        pattern = finish_pattern(add_style_lines(pattern, style), style)
     pattern = replace(pattern, name=options.name or pattern.name)
     paths = export_pattern(
         pattern,
@@ -124,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         dxf_unit_mm=options.dxf_unit_mm,
         dxf_dialect=options.dxf_dialect,
     )
-    return ended(paths, "")
+    return end_command(paths, "")
 
 
 if __name__ == "__main__":

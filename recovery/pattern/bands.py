@@ -17,7 +17,7 @@ FORWARD: Vector = (0.0, 0.0, 1.0)
 Edge = tuple[Drafted, str]
 
 
-class Band(NamedTuple):
+class BandShape(NamedTuple):
     """A strip of ``width_m`` [m], shorter than what it is sewn to by the share ``shorter``.
 
     It stands ``above``, as a waistband does, or hangs below, as a cuff. ``free`` and ``name`` name its free edge and
@@ -32,7 +32,7 @@ class Band(NamedTuple):
     seam: str | None = None
 
 
-def sew_band(assembly: Assembly, band: Band, to: Sequence[Edge], tube: Tube) -> Drafted:
+def sew_band(assembly: Assembly, band: BandShape, to: Sequence[Edge], tube: Tube) -> Drafted:
     """Sews ``band`` to the edges ``to``, which follow each other along the tube's u, and returns it."""
     name, width_m, shorter, above, free, seam = band
     lengths = [(1.0 - shorter) * geometry.edge_length(drafted.panel, drafted.numbers[side]) for drafted, side in to]
@@ -67,4 +67,4 @@ def sew_waistband(assembly: Assembly, body: BodyMeasurements, top: float, to: Se
     """A band of ``width_m`` above the edges ``to``, the waist of a garment at the height ``top`` [m]."""
     middle = (0.0, top + 0.01, 0.5 * (body.front_z + body.back_z))
     tube = Tube(middle, UP, FORWARD, body.girth_at(top) / 5.0)
-    sew_band(assembly, Band("waistband", width_m, WAISTBAND_SHORTER, above=True), to, tube)
+    sew_band(assembly, BandShape("waistband", width_m, WAISTBAND_SHORTER, above=True), to, tube)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from recovery.pattern import geometry
-from recovery.pattern.model import Edge, EdgeKind, Panel, Pattern
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, Panel, Pattern
 
 ON_BOUNDARY = 1e-12  # of a side's length: nearer points are on it and interpolate its ends
 CHUNK = 2_000_000  # entries of the arrays held at once

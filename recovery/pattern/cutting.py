@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from recovery.pattern import geometry
-from recovery.pattern.model import Panel, Pattern
+from recovery.pattern.sewing_pattern import Panel, Pattern
 from recovery.pattern.triangulate import boundary_distance
 
 STEP_M = 0.002  # along the outline, between places whose gap is measured

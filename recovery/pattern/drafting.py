@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from recovery.pattern.geometry import on_chord
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Placement
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement
 
 Point = tuple[float, float]
 KINDS = (EdgeKind.LINE, EdgeKind.QUADRATIC, EdgeKind.CUBIC)
@@ -78,7 +78,7 @@ def draft(
         edges.append(Edge(number, following, KINDS[len(handles)], handles))
     seen = float(middle[0]) + (-apart_m if flip else apart_m)
     across = -seen if rotation == BACK else seen
-    placement = Placement(rotation, (across, float(middle[1]), z))
+    placement = PanelPlacement(rotation, (across, float(middle[1]), z))
     return Drafted(
         Panel(name, points - middle, tuple(edges), placement), {side.name: i for i, side in enumerate(sides)}
     )
@@ -142,7 +142,7 @@ class Tube:
         around = _around(axis, np.array(self.front), points[:, :1] / self.radius_m)
         return np.array(self.origin) + points[:, 1:] * axis + self.radius_m * around
 
-    def tangent(self, point: np.ndarray) -> Placement:
+    def tangent(self, point: np.ndarray) -> PanelPlacement:
         """The flat placement that touches the tube at ``point`` (u, v)."""
         axis = np.array(self.axis)
         place = self.place(point[None])[0]
@@ -152,7 +152,7 @@ class Tube:
             # A panel seen edge-on has no single set of angles; any will do.
             warnings.simplefilter("ignore", UserWarning)
             angles = Rotation.from_matrix(turn).as_euler("xyz", degrees=True)
-        return Placement(tuple(angles.tolist()), tuple(place.tolist()))
+        return PanelPlacement(tuple(angles.tolist()), tuple(place.tolist()))
 
 
 @dataclass(frozen=True)
@@ -194,12 +194,12 @@ class Flutes:
 
         return 0.0 if excess(0.0) >= 0.0 else float(brentq(excess, 0.0, 2.0 * circle))  # pyright: ignore[reportArgumentType]
 
-    def tangent(self, point: np.ndarray) -> Placement:
+    def tangent(self, point: np.ndarray) -> PanelPlacement:
         """A flat placement before or behind the body at ``point`` (u, v), for programs that place panels flat."""
         turn = (0.0, float(np.degrees(self.turn_rad)), 0.0)
-        offset = Placement(turn).apply(np.array([point]))[0]
+        offset = PanelPlacement(turn).apply(np.array([point]))[0]
         ahead = self.outer_m * np.array([np.sin(self.turn_rad), 0.0, np.cos(self.turn_rad)])
-        return Placement(turn, tuple((np.array(self.origin) + offset + 0.3 * ahead).tolist()))
+        return PanelPlacement(turn, tuple((np.array(self.origin) + offset + 0.3 * ahead).tolist()))
 
 
 @dataclass(frozen=True)
@@ -227,7 +227,7 @@ class Cone:
         outward = radius * _around(axis, np.array(self.front), angle)
         return np.array(self.origin) - np.sqrt(1.0 - self.slant**2) * down * axis + outward
 
-    def tangent(self, point: np.ndarray) -> Placement:
+    def tangent(self, point: np.ndarray) -> PanelPlacement:
         """The flat placement beside the funnel at ``point`` (u, v)."""
         tube = Tube(self.origin, self.axis, self.front, self.radius_m)
         return tube.tangent(np.array([0.0, point[1]]))

@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from recovery.pattern.model import EdgeKind, Panel
 from recovery.pattern.pieces import FOOTER_M, MARGIN_M, NOTCH_DEPTH_M, SCALE_SQUARE_M, CuttingSheet, Piece
+from recovery.pattern.sewing_pattern import EdgeKind, Panel
 
 MM = 1000.0
 ARROW_MM = 6.0

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from drape.errors import InputError, NotFound
 from drape.files.atomic import write_whole
 from recovery.pattern.geometry import TOUCH_M, area, check_pattern, on_chord
-from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Placement, Stitch
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement, Pattern, Stitch
 
 FILE_UNITS_IN_METER = 100.0
 OWN_KEY = "drape"  # inside "properties": name and material, which the format has no place for
@@ -77,7 +77,7 @@ def pattern_from_spec(spec: Any, *, name: str = "pattern", units_in_meter: float
     for panel_name, entry in _member(body, "panels", dict, "pattern").items():
         panel = _read_panel(panel_name, entry, float(units), coordinates == "absolute", centre)
         if area(panel) < 0.0:
-            other_side = mirrored(panel)
+            other_side = mirror_panel(panel)
             if _faces_wearer(other_side):
                 panel = backward(panel)
                 backwards[panel_name] = len(panel.edges)
@@ -105,7 +105,7 @@ def pattern_from_spec(spec: Any, *, name: str = "pattern", units_in_meter: float
     return pattern
 
 
-def mirrored(panel: Panel) -> Panel:
+def mirror_panel(panel: Panel) -> Panel:
     """The panel seen from its other side: same place in the world, outline in the opposite sense, normal reversed."""
     matrix = panel.placement.matrix() @ np.diag([-1.0, 1.0, -1.0])
     return replace(
@@ -180,7 +180,7 @@ def _read_panel(name: str, entry: Any, units: float, absolute: bool, centre: boo
         name=name,
         vertices=vertices / units,
         edges=tuple(edges),
-        placement=Placement(
+        placement=PanelPlacement(
             (float(rotation[0]), float(rotation[1]), float(rotation[2])),
             (float(placed[0]), float(placed[1]), float(placed[2])),
         ),

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.errors import InputError
-from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 
 QUADRATURE_NODES, PIECES = 64, 8
 TOUCH_M = 1e-9  # segments nearer than this meet
@@ -21,7 +21,7 @@ SMALLEST_PANEL_M, LARGEST_PANEL_M = 0.005, 5.0  # of the longer side of a panel'
 SMALLEST_GARMENT_M = 0.05
 
 
-class Seam(NamedTuple):
+class SeamLine(NamedTuple):
     """One stitch: lengths [m] of both edges, and their difference over their mean (signed, second minus first)."""
 
     stitch: Stitch
@@ -70,7 +70,7 @@ def relative_slope(edge: Edge, t: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=4096)
 def relative_length(edge: Edge) -> float:
-    """Arc length per chord."""
+    """Returns how long ``edge`` is in parts of the chord between its ends: 1 for a line."""
     if edge.kind is EdgeKind.LINE:
         return 1.0
     if edge.kind is EdgeKind.CIRCLE:
@@ -216,12 +216,12 @@ def segment_counts(pattern: Pattern, edge_length_m: float) -> dict[EdgeRef, int]
     return counts
 
 
-def seams(pattern: Pattern) -> list[Seam]:
+def seams(pattern: Pattern) -> list[SeamLine]:
     """Both lengths and the mismatch of every stitch."""
     result = []
     for stitch in pattern.stitches:
         first, second = (edge_length(pattern.panel(ref.panel), ref.edge) for ref in (stitch.first, stitch.second))
-        result.append(Seam(stitch, first, second, 2.0 * (second - first) / (first + second)))
+        result.append(SeamLine(stitch, first, second, 2.0 * (second - first) / (first + second)))
     return result
 
 

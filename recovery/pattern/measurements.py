@@ -108,7 +108,7 @@ def tape(points: np.ndarray) -> float:
     return float(hull.area)  # in the plane qhull's "area" is the perimeter
 
 
-def measure(body: BodyModel) -> BodyMeasurements:
+def measure_body(body: BodyModel) -> BodyMeasurements:
     """The measurements of ``body``, both arms spread."""
     vertices, joints = body.v_template, body.joints_template
     place = {name: joints[JOINT_NAMES.index(name)] for name in JOINT_NAMES}

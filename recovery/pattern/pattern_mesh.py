@@ -13,7 +13,7 @@ from drape.errors import MeshError
 from drape.geometry import closest, meshes
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import Controls, boundary_matrix, control_points, mean_value_weights
-from recovery.pattern.model import EdgeRef, Panel, Pattern
+from recovery.pattern.sewing_pattern import EdgeRef, Panel, Pattern
 from recovery.pattern.triangulate import corner_angles_deg, signed_areas, triangulate
 
 MOST_FLIPS = 200  # of inner edges at sewn corners

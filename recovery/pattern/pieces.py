@@ -14,7 +14,7 @@ from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.cutting import dart_legs, slits
 from recovery.pattern.labels import Label, place_label
-from recovery.pattern.model import Edge, EdgeRef, Panel, Pattern
+from recovery.pattern.sewing_pattern import Edge, EdgeRef, Panel, Pattern
 from recovery.pattern.symmetry import Kind, find_symmetries
 from recovery.pattern.triangulate import boundary_distance, inside
 

@@ -11,9 +11,9 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from recovery.pattern import geometry
-from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh
 from recovery.pattern.pieces import make_sheet
+from recovery.pattern.sewing_pattern import Pattern
 
 INCH_PER_M = 5.0
 DPI = 100

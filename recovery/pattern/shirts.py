@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from recovery.pattern import geometry
-from recovery.pattern.bands import Band, sew_band
+from recovery.pattern.bands import BandShape, sew_band
 from recovery.pattern.design import Assembly, Design
 from recovery.pattern.drafting import (
     BACK,
@@ -85,7 +85,7 @@ def _collar(work: Assembly, body: BodyMeasurements, cut: TopCut, fronts: dict[st
     behind: Vector = (0.0, float(np.sin(lean)), -float(np.cos(lean)))
     low = np.array([0.0, body.neck_y - 0.3 * (cut.neck_depth_m + cut.back_neck_depth_m) + 0.01, body.arm_z])
     tube = Tube(_vector(low), axis, behind, STAND_RADIUS_M)
-    stand = sew_band(work, Band("collar_stand", STAND_M, 0.0, above=True, free="fold"), edges, tube)
+    stand = sew_band(work, BandShape("collar_stand", STAND_M, 0.0, above=True, free="fold"), edges, tube)
     top = "fold_collar_stand"
     length = geometry.edge_length(stand.panel, stand.numbers[top])
     turn = SPREAD_M / FALL_M  # angle [rad] of the ring sector that the fall is

@@ -9,8 +9,7 @@ import numpy as np
 
 from drape.errors import InputError
 from recovery.pattern.bands import sew_waistband
-from recovery.pattern.darts import waist_pieces
-from recovery.pattern.design import Assembly, Design
+from recovery.pattern.design import Assembly, Design, waist_pieces
 from recovery.pattern.drafting import (
     STAND_OFF_M,
     Drafted,
@@ -24,7 +23,7 @@ from recovery.pattern.drafting import (
     ring_handles,
 )
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.model import Placement
+from recovery.pattern.sewing_pattern import PanelPlacement
 
 QUARTER = 0.5 * np.pi
 WAIST_DIPS_M = (0.012, 0.018)  # of a fitted skirt's waist in the middle, in front and behind
@@ -120,7 +119,7 @@ def circle(body: BodyMeasurements, cut: SkirtCut) -> Design:
     return _banded(work, body, cut, top, front, back, {"waist": cut.waist_ease_m})
 
 
-def fitted(body: BodyMeasurements, cut: SkirtCut) -> Design:
+def panelled_skirt(body: BodyMeasurements, cut: SkirtCut) -> Design:
     """A skirt of ``cut.panels`` panels without band: curved from waist to hips, straight to the hem, wider there.
 
     Two are front and back. More are gores, the first in the middle of the front and the next to the wearer's left. The
@@ -144,7 +143,7 @@ def fitted(body: BodyMeasurements, cut: SkirtCut) -> Design:
         widths = (waist, hips, hips + 4.0 * half * cut.flare_m)
         sides = _spread_panel(widths, (top, body.hip_y, hem), cut.spread, dip=dip, wider=wider)
         drafted = draft(stand.name, sides, rotation=stand.rotation_deg, z=0.0)
-        place = Placement(stand.rotation_deg, (stand.x, drafted.panel.placement.translation_m[1], stand.z))
+        place = PanelPlacement(stand.rotation_deg, (stand.x, drafted.panel.placement.translation_m[1], stand.z))
         panels.append(work.add(replace(drafted, panel=replace(drafted.panel, placement=place))))
     for number, panel in enumerate(panels[1:]):
         for part in ("side", "hip"):

@@ -17,7 +17,7 @@ import numpy as np
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.drafting import root
-from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.triangulate import inside
 
 SAME = 1e-7  # of an edge's length: nearer places are one
@@ -100,7 +100,7 @@ def seam_length(pattern: Pattern, ref: EdgeRef, sewn: Mapping[EdgeRef, Stitch]) 
     return float(np.mean([geometry.edge_length(pattern.panel(one.panel), one.edge) for one in refs]))
 
 
-def divided(
+def divide_edges(
     pattern: Pattern, places: Mapping[EdgeRef, Sequence[float]]
 ) -> tuple[Pattern, dict[EdgeRef, list[EdgeRef]]]:
     """Returns ``pattern`` with new corners at ``places``, shares of the lengths of edges, and for each edge of before
@@ -150,7 +150,7 @@ def _divided(curve: Curve, shares: Sequence[float]) -> list[Curve]:
     return [*parts, curve]
 
 
-def parted(
+def part_panel(
     pattern: Pattern, name: str, ends: tuple[int, int], line: Sequence[Curve], called: str
 ) -> tuple[Pattern, Callable[[EdgeRef], EdgeRef]]:
     """Returns ``pattern`` with the panel ``name`` cut in two along ``line`` and sewn there again, and a function from
@@ -212,7 +212,7 @@ def strips(pattern: Pattern, chains: Sequence[Chain], width_m: float) -> Pattern
     sewn = partners(pattern)
     places: dict[EdgeRef, list[float]] = defaultdict(list)
     for chain in chains:
-        before, after = beside(pattern, chain)
+        before, after = edges_beside(pattern, chain)
         for ref, from_start in ((before, False), (after, True)):
             length = seam_length(pattern, ref, sewn)
             if not 0.0 < width_m <= length - LEFT_M:
@@ -223,8 +223,8 @@ def strips(pattern: Pattern, chains: Sequence[Chain], width_m: float) -> Pattern
                     cure="Take a smaller width.",
                 )
             places[ref].append(width_m / length if from_start else 1.0 - width_m / length)
-    borders = [beside(pattern, chain) for chain in chains]
-    pattern, pieces = divided(pattern, places)
+    borders = [edges_beside(pattern, chain) for chain in chains]
+    pattern, pieces = divide_edges(pattern, places)
     cuts: list[list[EdgeRef]] = []
     for chain, (before, after) in zip(chains, borders, strict=True):
         inner = [piece for ref in chain.refs for piece in pieces[ref]]
@@ -236,12 +236,12 @@ def strips(pattern: Pattern, chains: Sequence[Chain], width_m: float) -> Pattern
         line = parallel(
             [outline[ref.edge] for ref in refs[1:-1]], width_m, outline[ends[0]].points[0], outline[ends[1]].points[0]
         )
-        pattern, now = parted(pattern, name, ends, [curve.reversed() for curve in line[::-1]], chain.called)
+        pattern, now = part_panel(pattern, name, ends, [curve.reversed() for curve in line[::-1]], chain.called)
         cuts = [[now(ref) for ref in refs] for refs in cuts]
     return pattern
 
 
-def beside(pattern: Pattern, chain: Chain) -> tuple[EdgeRef, EdgeRef]:
+def edges_beside(pattern: Pattern, chain: Chain) -> tuple[EdgeRef, EdgeRef]:
     """The edges before and after a chain."""
     name, count = chain.refs[0].panel, len(pattern.panel(chain.refs[0].panel).edges)
     return EdgeRef(name, (chain.refs[0].edge - 1) % count), EdgeRef(name, (chain.refs[-1].edge + 1) % count)
@@ -270,11 +270,11 @@ def parallel(chain: Sequence[Curve], width_m: float, start: np.ndarray, end: np.
             continue
         points = curve.at(t) + width_m * normal
         points += np.outer(1.0 - t, low - points[0]) + np.outer(t, high - points[-1])
-        offsets.append(Curve(EdgeKind.CUBIC, fitted(points)))
+        offsets.append(Curve(EdgeKind.CUBIC, fit_curve(points)))
     return offsets
 
 
-def fitted(points: np.ndarray) -> np.ndarray:
+def fit_curve(points: np.ndarray) -> np.ndarray:
     """The Bezier points (4, 2) of the cubic curve from the first to the last of ``points`` [m] (N, 2) that is nearest.
 
     First they are taken to lie evenly in its parameter. Then their places on it and its handles are found in turn, by
@@ -322,15 +322,15 @@ def cut_level(pattern: Pattern, name: str, y_m: float, called: str) -> Pattern:
             got=f"{len(places)} crossings at {y_m:.3f} m",
             cure="Take another depth.",
         )
-    pattern, pieces = divided(pattern, {ref: [share] for ref, share in places})
+    pattern, pieces = divide_edges(pattern, {ref: [share] for ref, share in places})
     upper, lower = (places[downward.index(way)][0] for way in (False, True))
     ends = pieces[upper][-1].edge, pieces[lower][-1].edge
     outline = curves(pattern.panel(name))
     line = Curve(EdgeKind.LINE, np.array([outline[ends[1]].points[0], outline[ends[0]].points[0]]))
-    return parted(pattern, name, ends, [line], called)[0]
+    return part_panel(pattern, name, ends, [line], called)[0]
 
 
-def joined_panels(pattern: Pattern, number: int, called: str) -> Pattern:
+def join_panels(pattern: Pattern, number: int, called: str) -> Pattern:
     """The two panels of stitch ``number`` as one panel ``called``, in the frame and place of the first.
 
     Raises ``InputError`` where their edges do not lie on each other within ``JOIN_M``.
@@ -338,7 +338,7 @@ def joined_panels(pattern: Pattern, number: int, called: str) -> Pattern:
     stitch = pattern.stitches[number]
     first, second = (pattern.panel(ref.panel) for ref in (stitch.first, stitch.second))
     outline, other = curves(first), curves(second)
-    moved, apart = laid_on(outline[stitch.first.edge], other[stitch.second.edge].reversed())
+    moved, apart = lay_edge_on(outline[stitch.first.edge], other[stitch.second.edge].reversed())
     if stitch.right_to_wrong or first is second or apart > JOIN_M:
         raise InputError(
             called,
@@ -362,7 +362,7 @@ def joined_panels(pattern: Pattern, number: int, called: str) -> Pattern:
     return replace(pattern, panels=tuple(panels), stitches=tuple(sewn), panel_order=None, template={})
 
 
-def laid_on(edge: Curve, other: Curve) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
+def lay_edge_on(edge: Curve, other: Curve) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
     """Returns the rigid motion of points [m] (N, 2) that lays the edge ``other`` on ``edge``, chord on chord, and how
     far [m] the two are apart then."""
     chords = [complex(*(curve.points[-1] - curve.points[0])) for curve in (edge, other)]

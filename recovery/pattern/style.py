@@ -12,11 +12,20 @@ import numpy as np
 
 from drape.errors import InputError, NotFound
 from recovery.pattern import geometry
-from recovery.pattern.added import COLLAR, with_collar, with_ribs
-from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
-from recovery.pattern.openings import Opening, centre_of, openings_called
+from recovery.pattern.openings import COLLAR, PatternOpening, centre_of, openings_called, with_collar, with_ribs
 from recovery.pattern.pieces import FACED, side_of
-from recovery.pattern.split import JOIN_M, Chain, beside, curves, cut_level, joined_panels, laid_on, partners, strips
+from recovery.pattern.sewing_pattern import EdgeKind, EdgeRef, Pattern
+from recovery.pattern.split import (
+    JOIN_M,
+    Chain,
+    curves,
+    cut_level,
+    edges_beside,
+    join_panels,
+    lay_edge_on,
+    partners,
+    strips,
+)
 
 WIDEST_M = 0.5  # of any part
 BANDS = {"waistband": "waist", "neckband": "neck", "cuffs": "cuff", "hemband": "hem"}  # and the openings they are at
@@ -58,7 +67,7 @@ class Style:
 NO_STYLE = Style({})
 
 
-def lined(pattern: Pattern, style: Style) -> Pattern:
+def add_style_lines(pattern: Pattern, style: Style) -> Pattern:
     """``pattern`` with the bands and yokes of ``style`` cut off: it drapes as before. Raises ``InputError`` as they do.
 
     Yokes come first, so that a neckband takes its share of them.
@@ -73,8 +82,8 @@ def lined(pattern: Pattern, style: Style) -> Pattern:
     return pattern
 
 
-def finished(pattern: Pattern, style: Style) -> Pattern:
-    """``pattern``, which is ``lined``, with sleeves and yokes joined and a collar drafted."""
+def finish_pattern(pattern: Pattern, style: Style) -> Pattern:
+    """``pattern``, which has its style lines, with sleeves and yokes joined and a collar drafted."""
     if style.whole_sleeves:
         pattern = _whole_sleeves(pattern)
     if all(name in style.widths_m for name in YOKES):
@@ -92,7 +101,7 @@ def finished(pattern: Pattern, style: Style) -> Pattern:
 # --- bands and yokes -------------------------------------------------------------------------------------------------
 
 
-def _chains(pattern: Pattern, opening: Opening, word: str) -> list[Chain]:
+def _chains(pattern: Pattern, opening: PatternOpening, word: str) -> list[Chain]:
     """The edges of ``opening``, those of a panel that follow each other together, with names that end in ``word``."""
     runs: list[list[EdgeRef]] = []
     for ref in opening.refs:
@@ -123,7 +132,7 @@ def _band(pattern: Pattern, name: str, opening: str, width_m: float) -> Pattern:
             parts = [chain.called for chain in chains if chain.refs[0].panel == panel]
             while (number := _between(pattern, parts)) is not None:
                 ends = pattern.stitches[number].first.panel, pattern.stitches[number].second.panel
-                pattern = joined_panels(pattern, number, min(ends))
+                pattern = join_panels(pattern, number, min(ends))
                 parts.remove(max(ends))
     return pattern
 
@@ -167,8 +176,10 @@ def _front_yoke(pattern: Pattern, width_m: float) -> Pattern:
     sewn, chains = partners(pattern), []
     for chain in _chains(pattern, neck, "yoke"):
         if side_of(pattern.panel(chain.refs[0].panel)) == "front":
-            chains += [Chain((ref,), f"{chain.called}_{n}") for n, ref in enumerate(beside(pattern, chain), start=1)]
-    chains = [chain for chain in chains if chain.refs[0] in sewn and beside(pattern, chain)]
+            chains += [
+                Chain((ref,), f"{chain.called}_{n}") for n, ref in enumerate(edges_beside(pattern, chain), start=1)
+            ]
+    chains = [chain for chain in chains if chain.refs[0] in sewn and edges_beside(pattern, chain)]
     return strips(pattern, chains, width_m)
 
 
@@ -184,7 +195,7 @@ def _whole_sleeves(pattern: Pattern) -> Pattern:
         other, called = name.replace("_front", "_back"), name.replace("_front", "")
         seams = [n for n, one in enumerate(pattern.stitches) if {one.first.panel, one.second.panel} == {name, other}]
         if seams:
-            pattern = joined_panels(pattern, max(seams, key=lambda n: _height(pattern, n)), called)
+            pattern = join_panels(pattern, max(seams, key=lambda n: _height(pattern, n)), called)
             count += 1
     if not count:
         raise InputError(
@@ -234,11 +245,11 @@ def _whole_band(pattern: Pattern, word: str) -> Pattern:
             if not all(panel.name.endswith(word) for panel in panels) or panels[0] is panels[1]:
                 continue
             a, b = (curves(panel)[ref.edge] for panel, ref in zip(panels, sides, strict=True))
-            if laid_on(a, b.reversed())[1] <= JOIN_M:
+            if lay_edge_on(a, b.reversed())[1] <= JOIN_M:
                 seams.append((float(centre_of(pattern, sides)[2]), number))
         for _, number in sorted(seams, reverse=True):
             called = pattern.stitches[number].first.panel
-            found = joined_panels(pattern, number, called)
+            found = join_panels(pattern, number, called)
             if geometry.first_crossing(geometry.outline(found.panel(called))) is None:
                 pattern = found
                 break
@@ -272,7 +283,7 @@ def _whole_yoke(pattern: Pattern) -> Pattern:
             return pattern
         if ends[number][0] != whole:
             pattern = _turned(pattern, number)
-        pattern, whole = joined_panels(pattern, number, "yoke"), "yoke"
+        pattern, whole = join_panels(pattern, number, "yoke"), "yoke"
 
 
 def _turned(pattern: Pattern, number: int) -> Pattern:

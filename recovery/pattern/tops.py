@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from drape.errors import InputError
 from recovery.pattern import geometry
-from recovery.pattern.bands import FORWARD, UP, Band, Edge, sew_band
+from recovery.pattern.bands import FORWARD, UP, BandShape, Edge, sew_band
 from recovery.pattern.design import Assembly, Design
 from recovery.pattern.drafting import (
     FRONT,
@@ -119,7 +119,7 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
     if cut.neck_band_m:
         edges = [(back, "neck_right"), (front, "neck_left"), (front, "neck_right"), (back, "neck_left")]
         tube = Tube((0.0, body.neck_y - 0.02, 0.3 * (body.front_z + body.back_z)), UP, FORWARD, 0.11)
-        sew_band(work, Band("neckband", cut.neck_band_m, cut.neck_shorter, above=True), edges, tube)
+        sew_band(work, BandShape("neckband", cut.neck_band_m, cut.neck_shorter, above=True), edges, tube)
     elif not cut.strapless:
         name_openings(work, bodices, "neck", "opening_neck", "opening_neck")
     if cut.skirt_m:
@@ -128,7 +128,7 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
         tube = Tube((0.0, hem[1] - cut.hem_band_m, 0.0), UP, (1.0, 0.0, 0.0), 0.26)
         # The strip starts at one side seam.
         edges = [(front, "hemline"), (back, "hemline")]
-        sew_band(work, Band("hemband", cut.hem_band_m, cut.hem_shorter, above=False, free="hem"), edges, tube)
+        sew_band(work, BandShape("hemband", cut.hem_band_m, cut.hem_shorter, above=False, free="hem"), edges, tube)
     return work.design(cut.name, cut.fabric, cut.ease_m)
 
 
@@ -248,7 +248,9 @@ def set_sleeves(
         work.sew(f"underarm_{name}", piece, "under_front", piece, "under_back")
         if sleeve.cuff_m:
             end = Tube((sign * (tip[0] + sleeve.length_m), body.arm_y, body.arm_z), axis, UP, 0.06)
-            cuff = Band(f"cuff_{name}", sleeve.cuff_m, sleeve.cuff_shorter, above=False, free="hem", seam="cuff_seam")
+            cuff = BandShape(
+                f"cuff_{name}", sleeve.cuff_m, sleeve.cuff_shorter, above=False, free="hem", seam="cuff_seam"
+            )
             sew_band(work, cuff, [(piece, "cuffline")], end)
 
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.bands import sew_waistband
-from recovery.pattern.darts import Dart, sew_darts, waist_pieces, waist_with_darts
-from recovery.pattern.design import Assembly, Design
+from recovery.pattern.design import Assembly, Dart, Design, sew_darts, waist_pieces, waist_with_darts
 from recovery.pattern.drafting import FRONT, Drafted, Point, Side, before_and_behind, draft, root
 from recovery.pattern.measurements import BodyMeasurements
 

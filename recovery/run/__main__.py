@@ -23,16 +23,16 @@ from drape.errors import InputError, refusing
 from drape.files.atomic import write_whole
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery import progress
-from recovery.commands import add_style_options, ended, parser_of, style_of
-from recovery.drape.pattern_drape import DrapeOptions
+from recovery.commands import add_style_options, end_command, parser_of, style_of
+from recovery.drape.pattern_drape import SewingOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.optimise import REACH_M, FitOptions
 from recovery.fit.rounds import RoundsOptions
 from recovery.pattern.bases import BASES
 from recovery.pattern.measurements import PATTERN_STEPS
 from recovery.run.job import run_job
-from recovery.run.task import MINUTES, Job
-from recovery.scan.places import ScanFault
+from recovery.run.task import MINUTES, RecoveryJob
+from recovery.scan.repair import ScanFault
 
 # Fields of a job that the command line says as they are.
 OF_JOB = (
@@ -116,15 +116,15 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def job_of(given: argparse.Namespace) -> Job:
+def job_of(given: argparse.Namespace) -> RecoveryJob:
     """The job that the command line asks for."""
-    return Job(
+    return RecoveryJob(
         **{name: getattr(given, name) for name in OF_JOB},
         betas=None if given.betas is None else read_betas(given.betas),
         pose=None if given.pose is None else read_pose(given.pose),
         style=style_of(given),
         search=RoundsOptions(
-            drape=DrapeOptions(edge_length_m=given.edge_length, fabric=given.fabric, grid_m=given.grid),
+            drape=SewingOptions(edge_length_m=given.edge_length, fabric=given.fabric, grid_m=given.grid),
             fit=FitOptions(iterations=given.adam, closing=given.closing),
             reach_m=given.reach,
             meshes_m=given.meshes_m,
@@ -150,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         outcome = run_job(job_of(given), progress=progress.to_stderr)
     except ScanFault as fault:
         if fault.mesh is not None:
-            from recovery.run.pictures import fault_picture
+            from recovery.run.report_pictures import fault_picture
 
             print(write_whole(given.out / f"{given.target.stem}.refused.png", fault_picture(fault.mesh, fault.points)))
         raise
@@ -161,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         record = write_whole(given.out / "report.json", json.dumps(record_of(outcome), indent=1) + "\n")
     at_rest = outcome.sewn.anew is not None and outcome.sewn.anew.draped.at_rest
     moving = "not at rest: see the report; try another mesh (--edge-length) or fabric (--fabric)"
-    return ended([*outcome.files, page, record], "" if at_rest else moving)
+    return end_command([*outcome.files, page, record], "" if at_rest else moving)
 
 
 if __name__ == "__main__":

@@ -23,10 +23,10 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.garment.sheets import main_sheet, with_used_vertices
 from drape.geometry import meshes
 from recovery.pattern.bases import COUNT, MOST_PANELS
-from recovery.pattern.measurements import BodyMeasurements, measure
-from recovery.pattern.model import Pattern
-from recovery.run.seen import Seen
-from recovery.run.target import OF_TOPS, OPENINGS, describe_openings, opened
+from recovery.pattern.measurements import BodyMeasurements, measure_body
+from recovery.pattern.sewing_pattern import Pattern
+from recovery.run.seen import SeenGarment
+from recovery.run.target import OF_TOPS, OPENINGS, close_but_openings, describe_openings
 
 SLEEVE_M = 0.06  # from the shoulder's joint to a cuff; an armhole lies within 3 cm of it
 DRESS_M = 0.12  # below the crotch: no shirt's hem
@@ -58,7 +58,7 @@ class Cut:
         return Path(self.base).name
 
 
-def told_base(seen: Seen, body: BodyMeasurements) -> str:
+def tell_base(seen: SeenGarment, body: BodyMeasurements) -> str:
     """Returns the name of the base whose openings lie where those of the target do. Raises ``InputError`` if none
     does."""
     counts = seen.counts()
@@ -87,7 +87,7 @@ def _above(body: BodyMeasurements) -> float:
     return 0.5 * (body.waist_y + body.underarm_y)
 
 
-def has_collar(mesh: GarmentMesh, seen: Seen, body: BodyMeasurements) -> bool:
+def has_collar(mesh: GarmentMesh, seen: SeenGarment, body: BodyMeasurements) -> bool:
     """Whether the cloth at the neck stands up, or is folded over so that its edge lies below its top."""
     neck = seen.openings[TRUNK][0]
     if neck.centre[1] > body.neck_y + STANDS_M:
@@ -108,15 +108,15 @@ def collarless(
     """
     if there != OF_TOPS:
         return mesh, (), 0.0
-    seen = Seen(mesh.vertices, mesh.faces, joints, wearer.joints_template)
-    if not has_collar(mesh, seen, measure(wearer)):
+    seen = SeenGarment(mesh.vertices, mesh.faces, joints, wearer.joints_template)
+    if not has_collar(mesh, seen, measure_body(wearer)):
         return mesh, (), 0.0
     bare, gone = without_collar(mesh, joints)
-    bare, after = opened(bare, joints, there)
+    bare, after = close_but_openings(bare, joints, there)
     if after != there:
         return mesh, ("The target has a collar, which no base has: the neckline is drawn to its edge",), 0.0
     words = f"The target has a collar, which no base has: it was cut off at the neck, {gone:.0%} of the cloth"
-    neck = Seen(bare.vertices, bare.faces, joints, wearer.joints_template).openings[TRUNK][0].contour
+    neck = SeenGarment(bare.vertices, bare.faces, joints, wearer.joints_template).openings[TRUNK][0].contour
     width = gone * float(meshes.face_areas(mesh.vertices, mesh.faces).sum()) / neck.length_m
     if not COLLARS_M[0] <= width <= COLLARS_M[1]:
         return bare, (f"{words}; the pattern ends at the neckline",), 0.0
@@ -139,14 +139,16 @@ def ring_panels(pattern: Pattern) -> list[str]:
     return panels
 
 
-def differences(base: str, pattern: Pattern, seen: Seen, body: BodyMeasurements, shown: int | None) -> tuple[str, ...]:
+def differences(
+    base: str, pattern: Pattern, seen: SeenGarment, body: BodyMeasurements, shown: int | None
+) -> tuple[str, ...]:
     """Sentences on how the cut of a target that lies on ``body`` differs from ``pattern``, drafted from ``base``.
 
     ``shown`` is the number of panels that its texture shows, None for none.
     """
     sentences = []
     if base in OPENINGS:
-        nearest = told_base(seen, body)
+        nearest = tell_base(seen, body)
         if nearest != base:
             sentences.append(f"The target looks like a {nearest.replace('_', ' ')}: its base is --base {nearest}")
     elif rings := ring_panels(pattern):

@@ -15,8 +15,8 @@ import torch
 
 from drape.geometry import meshes
 from recovery.fit.objective import gauss_newton_matrix
-from recovery.fit.recovered import Recovered
-from recovery.pattern.model import EdgeRef, Pattern
+from recovery.fit.outcome import Recovered
+from recovery.pattern.sewing_pattern import EdgeRef, Pattern
 
 RIGID = 1e-6  # singular values below: the change is a rigid motion of panels
 CAP_M = 0.05  # slack beyond this is "more than": the derivatives do not reach further

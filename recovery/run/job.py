@@ -13,18 +13,18 @@ from drape.errors import InputError
 from recovery import progress as watch
 from recovery.drape.output import panel_texture, write_shape
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
-from recovery.fit.objective import Target
-from recovery.fit.recovered import Recovered
+from recovery.fit.objective import TargetSurface
+from recovery.fit.outcome import Recovered
 from recovery.fit.rounds import recover_pattern
-from recovery.pattern.export import export_pattern
-from recovery.pattern.measurements import measure
-from recovery.pattern.model import Pattern
+from recovery.pattern.measurements import measure_body
+from recovery.pattern.pattern_files import export_pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.style import Style
 from recovery.progress import Say
+from recovery.run.finish import in_other_size, style_pattern
 from recovery.run.identify import Identifiability, identifiability
-from recovery.run.sewn import Sewn, sewn_and_worn
-from recovery.run.styled import in_other_size, styled
-from recovery.run.task import Job, Task, prepare
+from recovery.run.sew_anew import SewnAndWorn, sew_and_wear
+from recovery.run.task import RecoveryJob, Task, prepare
 
 LEAST_TOLERANCE_M = 1e-3  # below a millimetre no scan tells
 SEARCH_SHARE = 0.7  # of the time until the best so far is taken; the rest is for sewing anew and for other bodies
@@ -59,7 +59,7 @@ class Outcome:
     found: Recovered
     written: Written
     near: Nearness
-    sewn: Sewn
+    sewn: SewnAndWorn
     seconds: float
 
     @property
@@ -78,7 +78,7 @@ class Outcome:
         return [*self.written.files, *self.sewn.files]
 
 
-def run_job(job: Job, *, progress: Say = lambda line: None, say: Say = print) -> Outcome:
+def run_job(job: RecoveryJob, *, progress: Say = lambda line: None, say: Say = print) -> Outcome:
     """Does ``job`` and returns its outcome. Pattern and garment are written as soon as they are found.
 
     ``progress`` is called every few seconds with a line on how far it is, ``say`` with what was found. Raises
@@ -98,40 +98,40 @@ def run_job(job: Job, *, progress: Say = lambda line: None, say: Say = print) ->
             ) from error
 
 
-def _run(job: Job, clock: watch.Watch, say: Say) -> Outcome:
+def _run(job: RecoveryJob, clock: watch.Watch, say: Say) -> Outcome:
     started = time.perf_counter()
     task = prepare(job)
     for note in task.warnings:
         say(f"note      {note}")
     say(f"target    {len(task.mesh.vertices):,} vertices, {len(task.mesh.faces):,} triangles, on {task.wearer.source}")
-    search = searched(task, say)
+    search = search_pattern(task, say)
     if clock.stopped_in:
         task.warnings.append(stopped_words(job.minutes, clock.stopped_in))
-    written = write_pattern(task, search)
-    near = measured(task, search, say)
-    sewn = sewn_and_worn(task, search, written.with_lines, say)
+    written = write_finished(task, search)
+    near = measure_nearness(task, search, say)
+    sewn = sew_and_wear(task, search, written.with_lines, say)
     return Outcome(task, search, written, near, sewn, time.perf_counter() - started)
 
 
-def searched(task: Task, say: Say) -> Recovered:
+def search_pattern(task: Task, say: Say) -> Recovered:
     """The pattern whose drape is nearest to the target, within the search's share of the time."""
     job = task.job
     job.out.mkdir(parents=True, exist_ok=True)
     options = replace(job.search, state_file=job.out / f"{task.name}.search.npz")
-    target = Target.from_mesh(*task.surface, known=task.known)
+    target = TargetSurface.from_mesh(*task.surface, known=task.known)
     wearer = task.wearer
-    with watch.within(SEARCH_SHARE):
+    with watch.limit_share(SEARCH_SHARE):
         return recover_pattern(target, task.base, wearer.shaped, options, pose=wearer.pose, report=say)
 
 
-def write_pattern(task: Task, found: Recovered) -> Written:
+def write_finished(task: Task, found: Recovered) -> Written:
     """Writes the pattern in all of its sizes, and the garment of the search."""
     job, cut, fitted, wearer = task.job, task.cut, found.fitted, task.wearer
-    style, with_lines, pattern = styled(job.style, cut, fitted.pattern, task.warnings)
+    style, with_lines, pattern = style_pattern(job.style, cut, fitted.pattern, task.warnings)
     files = export_pattern(pattern, job.out)
     for size in job.sizes:
-        graded = in_other_size(fitted.pattern, cut.base, measure(wearer.shaped), cut.settings, size)
-        graded = styled(style, replace(cut, collar_m=0.0), graded, told := [])[2]
+        graded = in_other_size(fitted.pattern, cut.base, measure_body(wearer.shaped), cut.settings, size)
+        graded = style_pattern(style, replace(cut, collar_m=0.0), graded, told := [])[2]
         task.warnings.extend(f"Size {size}: {words}" for words in told if words not in task.warnings)
         files += export_pattern(replace(graded, name=f"{task.name}_{size}"), job.out)
     cloth = found.search.mesh_of(fitted)
@@ -139,7 +139,7 @@ def write_pattern(task: Task, found: Recovered) -> Written:
     return Written(with_lines, pattern, style, files)
 
 
-def measured(task: Task, found: Recovered, say: Say) -> Nearness:
+def measure_nearness(task: Task, found: Recovered, say: Say) -> Nearness:
     """How near the garment of the search is to the target, and which shapes of the pattern the target tells."""
     here = (found.fitted.nodes, found.search.mesh_of(found.fitted).faces)
     distance = surface_distance(here, task.surface, known=task.known)

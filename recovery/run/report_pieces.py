@@ -1,8 +1,14 @@
-"""The part of the report that a pattern maker works with: pieces to scale, seams in pairs, edges and allowances."""
+"""The page of the fit report, and the part that a pattern maker works with: pieces to scale, seams, allowances.
+
+The page is one HTML file without outside files."""
 
 from __future__ import annotations
 
+import base64
+import html
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -10,7 +16,6 @@ import numpy as np
 from recovery.pattern import geometry
 from recovery.pattern.export_svg import drawing
 from recovery.pattern.labels import place_label
-from recovery.pattern.model import EdgeRef, Panel, Pattern
 from recovery.pattern.pieces import (
     BACK_GAP_M,
     FACED,
@@ -23,7 +28,7 @@ from recovery.pattern.pieces import (
     mirror_words,
     side_of,
 )
-from recovery.run.report_page import Page
+from recovery.pattern.sewing_pattern import EdgeRef, Panel, Pattern
 
 EQUAL_MM = 0.05  # below: both edges are equally long, as far as a ruler shows
 PAGE_MM = 180.0  # of the drawing on paper
@@ -37,7 +42,7 @@ STYLE = (
 SCALES = (1, 2, 4, 5, 8, 10, 12, 15, 20, 25, 30, 40)
 
 
-def add_pieces(page: Page, pattern: Pattern) -> None:
+def add_pieces(page: ReportPage, pattern: Pattern) -> None:
     """The sections on pieces, seams and edges of ``pattern``."""
     sheet = make_sheet(pattern)
     page.section("The pieces")
@@ -155,3 +160,66 @@ def _open_rows(pattern: Pattern, sheet: CuttingSheet) -> list[tuple[str, ...]]:
                 finish = "cut twice: sewn to its facing"
             rows.append((_place(piece.panel, number), f"{100 * length:.2f}", f"{1e3 * allowance:g}", finish))
     return rows
+
+
+PAGE_STYLE = (
+    "body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:64rem;margin:2rem auto;padding:0 1rem}"
+    "h1{font-size:1.7rem}h2{font-size:1.2rem;margin-top:2.2rem;border-bottom:1px solid #ddd}"
+    "img{max-width:100%}figcaption{color:#555;font-size:.9rem}figure{margin:1rem 0}"
+    "table{border-collapse:collapse;font-size:.9rem}td,th{padding:.15rem .7rem;border-bottom:1px solid #e5e5e5;"
+    "text-align:right;white-space:nowrap}td:first-child,th:first-child{text-align:left}td:first-child{white-space:normal}"
+    ".warn{background:#fff4d6;border-left:4px solid #d90;padding:.4rem .9rem;margin:.4rem 0}"
+    ".good{background:#e9f6ec;border-left:4px solid #3a5;padding:.4rem .9rem;margin:.4rem 0}"
+    "figure svg{max-width:100%;height:auto}.sign{display:flex;gap:2rem;margin:3rem 0 1rem}"
+    ".sign div{flex:1;border-top:1px solid #222;font-size:.9rem;color:#555}"
+    "@media print{body{margin:0;max-width:none}figure,tr,.warn,.good{break-inside:avoid}figure svg{max-width:none}}"
+)
+
+
+class ReportPage:
+    """A page that grows section by section."""
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self._parts = [f"<h1>{html.escape(title)}</h1>"]
+
+    def section(self, title: str) -> None:
+        """Adds the heading ``title``."""
+        self._parts.append(f"<h2>{html.escape(title)}</h2>")
+
+    def say(self, *sentences: str) -> None:
+        """Adds a paragraph of ``sentences``."""
+        self._parts.append(f"<p>{html.escape(' '.join(sentences))}</p>")
+
+    def notes(self, lines: Sequence[str], *, good: bool = False) -> None:
+        """Adds a box for each of ``lines``: what to look at, or with ``good`` what is well."""
+        kind = "good" if good else "warn"
+        self._parts += [f'<div class="{kind}">{html.escape(line)}</div>' for line in lines]
+
+    def picture(self, payload: bytes, caption: str) -> None:
+        """Adds the PNG ``payload``, held inside the page, with its ``caption``."""
+        data = base64.b64encode(payload).decode("ascii")
+        text = html.escape(caption)
+        self._parts.append(
+            f'<figure><img src="data:image/png;base64,{data}" alt="{text}"><figcaption>{text}</figcaption></figure>'
+        )
+
+    def drawing(self, svg: str, caption: str) -> None:
+        """Adds the drawing ``svg``, text that this program wrote, with its ``caption``."""
+        self._parts.append(f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>")
+
+    def signature(self, fields: Sequence[str]) -> None:
+        """Adds a line for each of ``fields``, to be filled in by hand."""
+        cells = "".join(f"<div>{html.escape(field)}</div>" for field in fields)
+        self._parts.append(f'<div class="sign">{cells}</div>')
+
+    def table(self, heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+        """Adds a table with ``heads`` above ``rows``; the first column is text."""
+        top = "".join(f"<th>{html.escape(head)}</th>" for head in heads)
+        body = "".join("<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
+        self._parts.append(f"<table><tr>{top}</tr>{body}</table>")
+
+    def text(self) -> str:
+        """Returns the whole page as HTML."""
+        head = f'<meta charset="utf-8"><title>{html.escape(self.title)}</title><style>{PAGE_STYLE}</style>'
+        return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(self._parts)}</body></html>\n'

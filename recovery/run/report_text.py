@@ -9,15 +9,14 @@ import numpy as np
 
 from drape.cloth.material import MEASURED
 from drape.geometry import meshes
-from recovery.fit.recovered import Recovered
+from recovery.fit.outcome import Recovered
 from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
-from recovery.run import pictures
+from recovery.run import report_pictures
 from recovery.run.identify import CAP_M, corner_names, weak_words
 from recovery.run.job import Outcome
-from recovery.run.report_page import Page
-from recovery.run.report_pieces import add_pieces
-from recovery.run.sewn import ANEW_MM, anew_words, describe_worn
+from recovery.run.report_pieces import ReportPage, add_pieces
+from recovery.run.sew_anew import ANEW_MM, anew_words, describe_worn
 
 SEAM_PCT = 0.5  # of length, beside the ease that the base asks for: more cannot be sewn as it is drawn
 GOOD_RMS_MM, FAIR_RMS_MM = 2.0, 8.0
@@ -28,8 +27,8 @@ FAR_SHARE = 5.0  # the largest distance over the root mean square that is worth 
 
 def page_of(outcome: Outcome) -> str:
     """The report as one HTML page."""
-    page = Page(f"Sewing pattern of {outcome.task.name}")
-    page.say(*summary(outcome))
+    page = ReportPage(f"Sewing pattern of {outcome.task.name}")
+    page.say(*report_summary(outcome))
     good, look = verdicts(outcome)
     page.table(HEADS, [key_figures(outcome)])
     page.notes(good, good=True)
@@ -74,7 +73,7 @@ def top_of(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def summary(outcome: Outcome) -> list[str]:
+def report_summary(outcome: Outcome) -> list[str]:
     """Three sentences: what it is, how near, how the base was changed."""
     pattern, distance, graded = outcome.pattern, outcome.near.distance, outcome.found.graded
     return [
@@ -126,7 +125,7 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
         good.append(
             f"All seams can be sewn: edges have the lengths that they should have within {max(worst, 0.01):.2g} %."
         )
-    eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.written.made) if eases(seam)]
+    eased = [100.0 * abs(seam.mismatch) for seam in geometry.seams(outcome.written.made) if ease_rows(seam)]
     if eased:
         look.append(
             f"{len(eased)} seams have ease, up to {max(eased):.1f} %: the table of seams says which edge to hold in."
@@ -153,7 +152,7 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
     return good, look
 
 
-def eases(seam: geometry.Seam) -> bool:
+def ease_rows(seam: geometry.SeamLine) -> bool:
     """Whether one edge of a seam has to be eased into the other."""
     return 100.0 * abs(seam.mismatch) > SEAM_PCT
 
@@ -184,14 +183,14 @@ def cut_words(edges_in_body_pct: float, edge_length_m: float) -> list[str]:
     ]
 
 
-def _shape(page: Page, outcome: Outcome) -> None:
+def _shape(page: ReportPage, outcome: Outcome) -> None:
     page.section("Target and result")
     skin = outcome.task.wearer.skin
     page.picture(
-        pictures.target_and_result(
-            pictures.Mesh(outcome.task.mesh.vertices, outcome.task.mesh.faces),
-            pictures.Mesh(outcome.nodes, outcome.found.search.mesh.faces),
-            pictures.Mesh(skin.vertices - outcome.task.wearer.trans, skin.faces),
+        report_pictures.target_and_result(
+            report_pictures.MeshArrays(outcome.task.mesh.vertices, outcome.task.mesh.faces),
+            report_pictures.MeshArrays(outcome.nodes, outcome.found.search.mesh.faces),
+            report_pictures.MeshArrays(skin.vertices - outcome.task.wearer.trans, skin.faces),
         ),
         "Above the target, in the middle the recovered garment, below its distance from the target. Under the cloth "
         "the body is drawn a centimetre thinner than it is.",
@@ -212,13 +211,15 @@ def _shape(page: Page, outcome: Outcome) -> None:
             ("Chamfer distance, mean", f"{far.mean_mm:.2f} mm (floor {floor.mean_mm:.2f})"),
         ],
     )
-    page.picture(pictures.search_history(outcome.found.fitted.history), "How the search came nearer to the target.")
+    page.picture(
+        report_pictures.search_history(outcome.found.fitted.history), "How the search came nearer to the target."
+    )
 
 
-def _pattern(page: Page, outcome: Outcome) -> None:
+def _pattern(page: ReportPage, outcome: Outcome) -> None:
     page.section("Against the base")
     page.picture(
-        pictures.panels_over_base(outcome.task.base, outcome.pattern),
+        report_pictures.panels_over_base(outcome.task.base, outcome.pattern),
         "Recovered panels, filled, over the base's, dashed; all at one scale.",
     )
     rows = []
@@ -229,7 +230,7 @@ def _pattern(page: Page, outcome: Outcome) -> None:
     page.table(("panel", "width [cm]", "height [cm]", "area against the base"), rows)
 
 
-def _told(page: Page, outcome: Outcome) -> None:
+def _told(page: ReportPage, outcome: Outcome) -> None:
     limits = outcome.near.told
     page.section("What the target cannot tell")
     sure = int((limits.slack_m <= UNSURE_M).sum())
@@ -249,7 +250,7 @@ def _told(page: Page, outcome: Outcome) -> None:
     ]
     page.table(("corner", "may move by"), far)
     page.picture(
-        pictures.what_is_told(limits, outcome.pattern),
+        report_pictures.what_is_told(limits, outcome.pattern),
         "Discs: how far [mm] each corner may move unseen. Right: how far the cloth moves, and how much of it the "
         "target shows, for every change of shape, strongest first. Openings and folds count more than flat cloth, so "
         "that the target can show more than the cloth moves on average.",
@@ -268,16 +269,16 @@ def _condition(values: np.ndarray) -> float:
     return float(values.max() / max(float(values.min()), 1e-12))
 
 
-def _elsewhere(page: Page, outcome: Outcome) -> None:
+def _elsewhere(page: ReportPage, outcome: Outcome) -> None:
     if not outcome.sewn.worn:
         return
     page.section("On other bodies and in other poses")
     page.say("The same pattern, sewn and draped again by the simulator; nothing was fitted here.")
-    page.picture(pictures.worn_elsewhere(outcome.sewn.worn), "Above from the front, below from behind.")
+    page.picture(report_pictures.worn_elsewhere(outcome.sewn.worn), "Above from the front, below from behind.")
     page.table(("where", "how"), [(w.what, w.refusal or describe_worn(w)) for w in outcome.sewn.worn])
 
 
-def _made(page: Page, outcome: Outcome) -> None:
+def _made(page: ReportPage, outcome: Outcome) -> None:
     page.section("How it was made")
     page.say(
         f"The target has {len(outcome.task.mesh.vertices):,} vertices and was draped on {outcome.task.wearer.source}."
@@ -319,7 +320,7 @@ def file_words(name: str) -> str:
 
 
 def record_of(outcome: Outcome) -> dict[str, Any]:
-    """The report's numbers."""
+    """Returns the numbers of the report, as ``report.json`` holds them."""
     limits, fitted, mesh = outcome.near.told, outcome.found.fitted, outcome.found.search.mesh
     anew = outcome.sewn.anew
     return {

@@ -22,7 +22,7 @@ LEAST_PIECE = 1e-3  # of all faces
 
 
 @dataclass(frozen=True, eq=False)
-class Opening:
+class BodyOpening:
     """An opening's ``contour``, and where it lies on the wearer in the T-pose: ``points`` [m] (n, 3), their ``centre``.
 
     ``along_m`` counts along the bones of its part: from the shoulder or hip of a limb, from the pelvis of the trunk.
@@ -34,7 +34,7 @@ class Opening:
     along_m: float
 
 
-class Seen:
+class SeenGarment:
     """What is seen of a garment, ``vertices`` [m] (V, 3) and ``faces``, on a wearer whose ``joints`` [m] (24, 3) are
     known in its pose, and at ``rest`` in the T-pose.
 
@@ -45,7 +45,7 @@ class Seen:
         self._vertices, self._faces = vertices, faces
         self._chains, self._rest = bone_chains(joints), bone_chains(rest)
         at = dict(zip(JOINT_NAMES, joints, strict=True))
-        self.openings: dict[str, list[Opening]] = {}
+        self.openings: dict[str, list[BodyOpening]] = {}
         for contour in open_contours(vertices, faces):
             place = place_of(contour, self._chains)
             if place.part is None:
@@ -56,7 +56,7 @@ class Seen:
                 side = place.part.split("_")[0]
                 root = float(np.linalg.norm(at[f"{side}_shoulder"] - at[f"{side}_collar"]))
             centre = contour.centre - here + there
-            found = Opening(contour, contour.points - here + there, centre, place.along_m - root)
+            found = BodyOpening(contour, contour.points - here + there, centre, place.along_m - root)
             self.openings.setdefault(place.part, []).append(found)
         self.openings.get(TRUNK, []).sort(key=lambda one: -one.along_m)
 

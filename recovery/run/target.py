@@ -13,7 +13,7 @@ from drape.garment.contours import TRUNK, bone_chains, open_contours, part_round
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.mesh_checks import Unit, Up, check_area, orient_outward, place
 from drape.geometry import closest, meshes
-from recovery.scan.holes import closed
+from recovery.scan.holes import close_holes
 from recovery.sim.skin_contact import SkinContact
 
 FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer
@@ -61,7 +61,7 @@ def check_near(mesh: GarmentMesh, skin: Avatar) -> None:
         )
 
 
-def opened(
+def close_but_openings(
     mesh: GarmentMesh, joints: np.ndarray, wanted: dict[str, int] | None = None
 ) -> tuple[GarmentMesh, dict[str, int]]:
     """Returns ``mesh`` with all borders closed that are no openings, and how many openings each part of the body has.
@@ -83,7 +83,7 @@ def opened(
         found.sort(key=lambda one: one.flatness)
         enough = len(found) if wanted is None else wanted.get(part, 0)
         kept |= {one.loop.tobytes() for n, one in enumerate(found) if n < enough or plainly_opening(one)}
-    done = closed(mesh, lambda one: one.loop.tobytes() not in kept, lambda one: True)
+    done = close_holes(mesh, lambda one: one.loop.tobytes() not in kept, lambda one: True)
     there: dict[str, int] = {}
     for contour in open_contours(done.mesh.vertices, done.mesh.faces):
         if (part := place_of(contour, chains).part) is not None:

@@ -43,7 +43,7 @@ TURNED_RAD = 0.6  # that a garment may look aside; the body's fit finds that by 
 
 
 @dataclass(frozen=True, eq=False)
-class Wearer:
+class TargetWearer:
     """The body ``standard`` in the shape ``betas`` and in ``pose`` (24, 3), None for the T-pose.
 
     ``trans`` [m] (3,) is added to everything in the target's frame; ``residual_mm`` is the mean distance of a fitted
@@ -60,7 +60,7 @@ class Wearer:
     @cached_property
     def shaped(self) -> BodyModel:
         """The body with its shape in the template."""
-        return shaped_body(self.standard, self.betas)
+        return shape_body(self.standard, self.betas)
 
     @property
     def skin(self) -> Avatar:
@@ -70,7 +70,7 @@ class Wearer:
         return Avatar(vertices, self.shaped.faces, self.residual_mm, self.source)
 
 
-def shaped_body(body: BodyModel, betas: np.ndarray) -> BodyModel:
+def shape_body(body: BodyModel, betas: np.ndarray) -> BodyModel:
     """``body`` whose template has the shape ``betas``; itself where they are zero."""
     betas = body.check_betas(betas)
     if not betas.any():
@@ -78,7 +78,7 @@ def shaped_body(body: BodyModel, betas: np.ndarray) -> BodyModel:
     return replace(body, name=f"{body.name}_shaped", v_template=body.rest_vertices(betas))
 
 
-def read_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarray | None = None) -> Wearer:
+def read_target_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarray | None = None) -> TargetWearer:
     """The wearer at ``source``: a shipped name, a file .npz or .pkl, or a surface that the shipped body is fitted to.
 
     ``betas`` and ``pose`` (24, 3) are those of a body in SMPL's schema; a surface brings its own.
@@ -92,14 +92,14 @@ def read_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarra
                 got=f"{path.name} with --betas or --pose",
                 cure="Leave them out.",
             )
-        return fitted_wearer(path, load_body())
+        return fit_wearer(path, load_body())
     body = load_body(source)
     check_closed(body.v_template, body.faces, f"body {body.name}")
     betas = body.check_betas(np.zeros(0) if betas is None else betas)
-    return Wearer(body, betas, pose, np.zeros(3), f"body {body.name}")
+    return TargetWearer(body, betas, pose, np.zeros(3), f"body {body.name}")
 
 
-def fitted_wearer(path: Path, body: BodyModel) -> Wearer:
+def fit_wearer(path: Path, body: BodyModel) -> TargetWearer:
     """The shipped body fitted to the closed surface in ``path``."""
     mesh = weld(read_mesh(path, vertex_limit=AVATAR_VERTEX_LIMIT))
     check_closed(mesh.vertices, mesh.faces, f"body {path.name}")
@@ -107,12 +107,12 @@ def fitted_wearer(path: Path, body: BodyModel) -> Wearer:
     found = fit_body(vertices, mesh.faces, body, name=path.name)
     unit = "" if scale == 1.0 else f", scaled by {scale:g}"
     source = f"body {body.name} fitted to {path.name}{unit}, {found.residual_mm:.1f} mm from it on average"
-    return Wearer(body, found.betas, found.pose, found.trans, source, found.residual_mm)
+    return TargetWearer(body, found.betas, found.pose, found.trans, source, found.residual_mm)
 
 
 def inside_wearer(
     mesh: GarmentMesh, *, unit: str = "auto", up: str = "auto", front: Front = "auto"
-) -> tuple[GarmentMesh, Wearer]:
+) -> tuple[GarmentMesh, TargetWearer]:
     """Returns ``mesh`` in metres, y up, and the shipped body that fits inside it, looking along +z.
 
     The openings tell the axis ``up`` and turn the limbs to the sides, unit and body are found by how cloth lies on
@@ -146,7 +146,7 @@ def inside_wearer(
         f"body {fit.body.name} fitted inside the target: cloth {mean_mm:.0f} mm from the skin on average, "
         f"{100.0 * inside:.1f} % of it inside"
     )
-    return mesh, Wearer(fit.body, *unpack(fit.body, fit.parameters), source, mean_mm)
+    return mesh, TargetWearer(fit.body, *unpack(fit.body, fit.parameters), source, mean_mm)
 
 
 class _Inside(NamedTuple):
@@ -214,10 +214,10 @@ def facing(mesh: GarmentMesh) -> GarmentMesh:
     across = (limbs[1].centre - limbs[0].centre)[[0, 2]] * (1.0 if limbs[1].centre[0] >= limbs[0].centre[0] else -1.0)
     together = np.linalg.norm(across) < (limbs[0].length_m + limbs[1].length_m) / (2.0 * np.pi)
     turn = float(np.arctan2(across[1], across[0]))
-    return mesh if together or abs(turn) < TURNED_RAD else turned_about(mesh, turn)
+    return mesh if together or abs(turn) < TURNED_RAD else turn_about(mesh, turn)
 
 
-def turned_about(mesh: GarmentMesh, turn_rad: float) -> GarmentMesh:
+def turn_about(mesh: GarmentMesh, turn_rad: float) -> GarmentMesh:
     """``mesh`` turned about y by ``turn_rad``, with a note."""
     middle = mesh.vertices.mean(axis=0)
     c, s = np.cos(turn_rad), np.sin(turn_rad)

@@ -17,25 +17,24 @@ from recovery.drape.posing import posed_joints
 from recovery.fit.rounds import RoundsOptions
 from recovery.pattern.bases import BASES, base_pattern, read_values
 from recovery.pattern.garmentcode import read_pattern
-from recovery.pattern.measurements import measure
-from recovery.pattern.model import Pattern
-from recovery.pattern.style import NO_STYLE, Style, finished, lined
-from recovery.run.cut import Cut, collarless, differences, panel_count, told_base
-from recovery.run.drafted import drafted
-from recovery.run.seen import Seen, pieces
-from recovery.run.styled import in_other_size
-from recovery.run.target import OPENINGS, check_base, off_skin, opened, placed_target
-from recovery.run.target_wearer import Front, Wearer, inside_wearer, read_wearer
+from recovery.pattern.measurements import measure_body
+from recovery.pattern.sewing_pattern import Pattern
+from recovery.pattern.style import NO_STYLE, Style, add_style_lines, finish_pattern
+from recovery.run.cut import Cut, collarless, differences, panel_count, tell_base
+from recovery.run.draft import draft_near
+from recovery.run.finish import in_other_size
+from recovery.run.seen import SeenGarment, pieces
+from recovery.run.target import OPENINGS, check_base, close_but_openings, off_skin, placed_target
+from recovery.run.target_wearer import Front, TargetWearer, inside_wearer, read_target_wearer
 from recovery.scan.holes import known_faces
-from recovery.scan.mended import read_target
-from recovery.scan.places import ScanFault, on_body
+from recovery.scan.repair import ScanFault, on_body, read_target
 
 FIT_INSIDE = "fit"  # --body fit
 MINUTES = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class RecoveryJob:
     """The request: ``body`` is a name, a file, or ``fit``; ``base`` is a base pattern's name or a JSON file, None
     for the one that the target tells.
 
@@ -70,10 +69,10 @@ class Task:
     ``warnings`` are sentences, to which every step adds its own.
     """
 
-    job: Job
+    job: RecoveryJob
     name: str
     mesh: GarmentMesh
-    wearer: Wearer
+    wearer: TargetWearer
     base: Pattern
     cut: Cut
     known: np.ndarray | None
@@ -85,10 +84,10 @@ class Task:
         return self.mesh.vertices, self.mesh.faces
 
 
-def read_base(source: str, wearer: Wearer, settings: Sequence[str] = ()) -> Pattern:
+def read_base(source: str, wearer: TargetWearer, settings: Sequence[str] = ()) -> Pattern:
     """The base called ``source`` drafted with ``settings`` for ``wearer``, or the pattern in a JSON file."""
     if source in BASES:
-        return base_pattern(source, measure(wearer.shaped), settings)
+        return base_pattern(source, measure_body(wearer.shaped), settings)
     path = Path(source)
     if settings:
         raise InputError(
@@ -104,30 +103,30 @@ def read_base(source: str, wearer: Wearer, settings: Sequence[str] = ()) -> Patt
     return read_pattern(path)
 
 
-def prepare(job: Job) -> Task:
+def prepare(job: RecoveryJob) -> Task:
     """Reads and checks all that ``job`` needs, and returns it as a task. The drape keeps cloth as far off the skin as
     the target's lies."""
     mesh, shown = _read(job)
     mesh, wearer = _on_wearer(job, mesh)
     joints = posed_joints(wearer.shaped, wearer.pose)
     with watch.stage("openings are told from holes"):
-        mesh, there = opened(mesh, joints, OPENINGS.get(job.base or ""))
+        mesh, there = close_but_openings(mesh, joints, OPENINGS.get(job.base or ""))
     if job.base is not None:
         check_base(job.base, there)
     mesh, collar, collar_m = collarless(mesh, wearer.shaped, joints, there)
     base, cut = _near_target(job, mesh, wearer, joints, shown)
     cut = replace(cut, differs=(*collar, *cut.differs), collar_m=collar_m)
     if job.style:  # refused before an hour of drapes as well
-        finished(lined(base, job.style), job.style)
+        finish_pattern(add_style_lines(base, job.style), job.style)
     for size in job.sizes:  # refused before an hour of drapes, not after it
-        in_other_size(base, cut.base, measure(wearer.shaped), cut.settings, size)
+        in_other_size(base, cut.base, measure_body(wearer.shaped), cut.settings, size)
     known, name = known_faces(mesh), garment_name(job.name or job.target.stem)
     more_m = off_skin(replace(mesh, vertices=mesh.vertices + wearer.trans), wearer.skin, known)
     job = replace(job, search=replace(job.search, drape=replace(job.search.drape, off_skin_m=more_m)))
     return Task(job, name, mesh, wearer, replace(base, name=name), cut, known, _notes(mesh, wearer, cut, more_m))
 
 
-def _read(job: Job) -> tuple[GarmentMesh, int | None]:
+def _read(job: RecoveryJob) -> tuple[GarmentMesh, int | None]:
     """The target as its file has it, mended, and the number of panels that its texture shows."""
     try:
         mesh = read_target(job.target, label=job.label)
@@ -136,10 +135,10 @@ def _read(job: Job) -> tuple[GarmentMesh, int | None]:
     return mesh, pieces(mesh)
 
 
-def _on_wearer(job: Job, mesh: GarmentMesh) -> tuple[GarmentMesh, Wearer]:
+def _on_wearer(job: RecoveryJob, mesh: GarmentMesh) -> tuple[GarmentMesh, TargetWearer]:
     """``mesh`` [m] in the frame of its wearer's body, and the wearer."""
     if job.body != FIT_INSIDE:
-        wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
+        wearer = read_target_wearer(job.body, betas=job.betas, pose=job.pose)
         mesh = placed_target(mesh, wearer.skin, unit=job.unit, up=job.up)
     elif job.betas is not None or job.pose is not None:
         raise InputError(
@@ -154,7 +153,7 @@ def _on_wearer(job: Job, mesh: GarmentMesh) -> tuple[GarmentMesh, Wearer]:
     return replace(mesh, vertices=mesh.vertices - wearer.trans), wearer
 
 
-def _notes(mesh: GarmentMesh, wearer: Wearer, cut: Cut, more_m: float) -> list[str]:
+def _notes(mesh: GarmentMesh, wearer: TargetWearer, cut: Cut, more_m: float) -> list[str]:
     """Sentences on what was made of the target so far."""
     notes = [f"On reading: {note}." for note in mesh.notes]
     if cut.told:
@@ -168,26 +167,26 @@ def _notes(mesh: GarmentMesh, wearer: Wearer, cut: Cut, more_m: float) -> list[s
 
 
 def _near_target(
-    job: Job, mesh: GarmentMesh, wearer: Wearer, joints: np.ndarray, shown: int | None
+    job: RecoveryJob, mesh: GarmentMesh, wearer: TargetWearer, joints: np.ndarray, shown: int | None
 ) -> tuple[Pattern, Cut]:
     """The base drafted near the target ``mesh``, whose texture shows ``shown`` panels, and the cut."""
-    body = measure(wearer.shaped)
-    seen = Seen(mesh.vertices, mesh.faces, joints, wearer.shaped.joints_template)
-    name = job.base or told_base(seen, body)
+    body = measure_body(wearer.shaped)
+    seen = SeenGarment(mesh.vertices, mesh.faces, joints, wearer.shaped.joints_template)
+    name = job.base or tell_base(seen, body)
     settings: dict[str, float] = {}
     if name in BASES:
         given = read_values(job.settings)
-        pattern, settings = drafted(name, body, seen, panel_count(name, shown) | given)
+        pattern, settings = draft_near(name, body, seen, panel_count(name, shown) | given)
     else:
         pattern = read_base(name, wearer, job.settings)
     return pattern, Cut(name, job.base is None, settings, differences(name, pattern, seen, body, shown))
 
 
-def _placed_fault(fault: ScanFault, job: Job) -> ScanFault:
+def _placed_fault(fault: ScanFault, job: RecoveryJob) -> ScanFault:
     """``fault`` with its place on the wearer, where a wearer is given; otherwise it has its place in the file."""
     if fault.mesh is None or job.body == FIT_INSIDE:
         return fault
-    wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
+    wearer = read_target_wearer(job.body, betas=job.betas, pose=job.pose)
     try:
         both = replace(fault.mesh, vertices=np.concatenate([fault.mesh.vertices, fault.points]))
         both = place(both, wearer.skin, unit=job.unit, up=job.up).vertices

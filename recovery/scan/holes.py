@@ -62,7 +62,7 @@ def known_faces(mesh: GarmentMesh) -> np.ndarray:
     return mesh.face_material != mesh.material_names.index(CLOSED)
 
 
-def closed(
+def close_holes(
     mesh: GarmentMesh, is_hole: Callable[[Loop], bool], is_opening: Callable[[Loop], bool] = plainly_opening
 ) -> Closing:
     """``mesh`` with the bites of its openings and those borders that are holes closed. Faces agree in orientation."""
@@ -82,14 +82,14 @@ def closed(
         largest = max(largest, float(np.linalg.norm(way, axis=1).sum()))
         patched = _patched(patched, rim, _mouth(mesh.vertices[rim]))
     if patched is not mesh:
-        patched = faired(patched)
+        patched = fair_patches(patched)
     return Closing(patched, len(rims), len(bites), largest)
 
 
 # --- bites -----------------------------------------------------------------------------------------------------------
 
 
-def unrolled(mesh: GarmentMesh, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def unroll_border(mesh: GarmentMesh, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The border ``loop`` (n,) laid into the plane by its turning inside the cloth, twice round: (2 n + 1, 2), lengths.
 
     The cloth is on the left. Lengths (2 n + 1,) run along the line, which is smoothed a little.
@@ -120,7 +120,7 @@ def bites_of(mesh: GarmentMesh, one: Loop) -> list[np.ndarray]:
         return []
     vertices = mesh.vertices.copy()
     vertices[one.loop] = points = _calmed_line(vertices[one.loop])
-    flat, run = unrolled(replace(mesh, vertices=vertices), one.loop)
+    flat, run = unroll_border(replace(mesh, vertices=vertices), one.loop)
     candidates = []
     lip = _lips(flat, count)
     for start in np.flatnonzero(lip).tolist():
@@ -244,7 +244,7 @@ def _with_faces(mesh: GarmentMesh, vertices: np.ndarray, faces: np.ndarray) -> G
     )
 
 
-def faired(mesh: GarmentMesh) -> GarmentMesh:
+def fair_patches(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` with its patches as smooth as the cloth about them lets them be; mouths of bites stay.
 
     Least bending (squared umbrella Laplacian); where noise makes that bulge, least area instead.

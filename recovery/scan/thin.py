@@ -24,21 +24,21 @@ ENOUGH = 0.7  # of the goal
 ROUNDS = 2  # of Lloyd's: seeds go to the middles of their cells
 
 
-def thinned(mesh: GarmentMesh) -> GarmentMesh:
+def thin_mesh(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` with about ``FACE_GOAL`` faces if it has more than ``FACE_LIMIT``. Edges have at most two faces."""
     if len(mesh.faces) <= FACE_LIMIT:
         return mesh
     area = float(meshes.face_areas(mesh.vertices, mesh.faces).sum())
     # A lattice of triangles of side s has two of area s^2 sqrt(3) / 4 a vertex.
     spacing = float(np.sqrt(area / FACE_GOAL * 4.0 / np.sqrt(3.0)))
-    thin = thinned_to(mesh, spacing)
+    thin = thin_to_spacing(mesh, spacing)
     if len(thin.faces) > ENOUGH * FACE_GOAL:
         return thin
     # Noise had made the area larger than the cloth is.
-    return thinned_to(mesh, spacing * float(np.sqrt(len(thin.faces) / FACE_GOAL)))
+    return thin_to_spacing(mesh, spacing * float(np.sqrt(len(thin.faces) / FACE_GOAL)))
 
 
-def thinned_to(mesh: GarmentMesh, spacing: float) -> GarmentMesh:
+def thin_to_spacing(mesh: GarmentMesh, spacing: float) -> GarmentMesh:
     """``mesh`` with vertices about ``spacing`` apart."""
     vertices, faces = mesh.vertices, mesh.faces
     graph = mesh_graphs.edge_graph(vertices, faces)
@@ -136,7 +136,7 @@ def roughness(mesh: GarmentMesh) -> float:
     return float(np.median(second) / edges.mean()) if inside.any() else 0.0
 
 
-def calmed(mesh: GarmentMesh) -> GarmentMesh:
+def smooth_noise(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` without the noise of its vertices, if there is any: smoothed as by Taubin (1995); borders stay lines."""
     if roughness(mesh) <= NOISE:
         return mesh

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from drape.cloth import bending, membrane
-from recovery.sim.model import ClothModel, Parameters, Rest
+from recovery.sim.cloth_model import ClothModel, Parameters, Rest
 
 
 def energy(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor) -> Tensor:

@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from recovery.sim.assembly import Factor
-from recovery.sim.model import ClothState, Parameters
+from recovery.sim.cloth_model import ClothState, Parameters
 
 
-class Problem(Protocol):
+class ImplicitProblem(Protocol):
     """Equations for node vectors (V, 3), with what their adjoint needs."""
 
     def solve(self, state: ClothState, parameters: Parameters) -> Tensor:
@@ -40,7 +40,7 @@ class Problem(Protocol):
 
 class _Implicit(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, problem: Problem, *leaves: Tensor) -> Tensor:  # type: ignore[override]
+    def forward(ctx, problem: ImplicitProblem, *leaves: Tensor) -> Tensor:  # type: ignore[override]
         solution = problem.solve(*_unpacked(leaves))
         ctx.problem = problem
         ctx.save_for_backward(solution, *leaves)
@@ -49,7 +49,7 @@ class _Implicit(torch.autograd.Function):
     @staticmethod
     def backward(ctx, gradient: Tensor):  # type: ignore[override]
         solution, *leaves = ctx.saved_tensors
-        problem: Problem = ctx.problem
+        problem: ImplicitProblem = ctx.problem
         wanted = [i for i in range(len(leaves)) if ctx.needs_input_grad[i + 1]]
         factor = problem.factor(solution, *_unpacked(leaves))
         weights = factor.solve(np.ascontiguousarray((problem.free * gradient).numpy()).reshape(-1))
@@ -67,6 +67,6 @@ def _unpacked(leaves: tuple[Tensor, ...] | list[Tensor]) -> tuple[ClothState, Pa
     return ClothState(*leaves[:2]), Parameters(*leaves[2:])
 
 
-def solution(problem: Problem, state: ClothState, parameters: Parameters) -> Tensor:
+def solution(problem: ImplicitProblem, state: ClothState, parameters: Parameters) -> Tensor:
     """The problem's solution (V, 3), differentiable once by ``state`` and ``parameters``."""
     return _Implicit.apply(problem, *state, *parameters)  # type: ignore[return-value]

@@ -11,13 +11,13 @@ from torch import Tensor
 
 from recovery.sim import elastic, implicit
 from recovery.sim.assembly import Factor, superlu
-from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
+from recovery.sim.cloth_model import ClothModel, ClothState, Parameters, Rest
 from recovery.sim.skin_contact import SkinContact, tangential
 
 DAMPED_DT_S = 0.033
 
 
-class Springs(NamedTuple):
+class SpringForces(NamedTuple):
     """Springs between nodes besides the cloth: force [N] (V, 3) and stiffness [N/m] (3V, 3V), zero at fixed nodes."""
 
     force: Tensor
@@ -32,7 +32,7 @@ class LinearisedStep:
     """
 
     def __init__(
-        self, model: ClothModel, contact: SkinContact | None, *, dt_s: float, pairs: Springs | None = None
+        self, model: ClothModel, contact: SkinContact | None, *, dt_s: float, pairs: SpringForces | None = None
     ) -> None:
         self.model, self.contact, self.pairs, self.dt_s = model, contact, pairs, dt_s
         self._factor: Factor | None = None
@@ -111,7 +111,7 @@ def linearised_step(
     *,
     dt_s: float,
     contact: SkinContact | None = None,
-    pairs: Springs | None = None,
+    pairs: SpringForces | None = None,
 ) -> ClothState:
     """The state ``dt_s`` [s] later after one linear solve (equation 1), then equation 4's correction.
 
@@ -132,7 +132,7 @@ def damped_step(
     *,
     kept: float,
     longest_m: float,
-    pairs: Springs | None = None,
+    pairs: SpringForces | None = None,
 ) -> tuple[ClothState, float]:
     """The state ``DAMPED_DT_S`` later and the longest move [m], for cloth that shall come to rest in its folds.
 
@@ -150,7 +150,7 @@ def damped_step(
         return ClothState(x, v - (distance < 1.2 * contact.gap_m)[:, None] * outward * normal), longest
 
 
-def simulate(
+def simulate_steps(
     model: ClothModel,
     state: ClothState,
     parameters: Parameters,

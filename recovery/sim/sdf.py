@@ -24,7 +24,7 @@ LARGEST_GRID = 40_000_000  # nodes, 320 MB
 
 
 @dataclass(frozen=True)
-class Plane:
+class PlaneDistance:
     """The half space below the plane through ``point`` [m] with outward ``normal``."""
 
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -135,7 +135,7 @@ class GridDistance:
         gradient = torch.stack(
             [_contract(zy, slope[:, 0]), _contract(zdy, weight[:, 0]), _contract(dzy, weight[:, 0])], dim=1
         )
-        return extended(value, gradient / self.spacing_m, (scaled - inside) * self.spacing_m)
+        return extend_distance(value, gradient / self.spacing_m, (scaled - inside) * self.spacing_m)
 
 
 def check_closed(vertices: np.ndarray, faces: np.ndarray, name: str = "body") -> np.ndarray:
@@ -152,7 +152,7 @@ def check_closed(vertices: np.ndarray, faces: np.ndarray, name: str = "body") ->
     return faces
 
 
-def extended(value: Tensor, gradient: Tensor, off: Tensor) -> tuple[Tensor, Tensor]:
+def extend_distance(value: Tensor, gradient: Tensor, off: Tensor) -> tuple[Tensor, Tensor]:
     """A distance [m] (N,) and its gradient (N, 3), known in a box, at points outside of it.
 
     ``off`` [m] (N, 3) leads from the nearest point of the box, where they are known, to the point; its length is added.

@@ -15,7 +15,7 @@ import torch
 
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.triangle_pairs import pairs_within
-from recovery.sim.linearised import Springs
+from recovery.sim.linearised import SpringForces
 
 SMALLEST_GAP = 1e-9
 
@@ -47,7 +47,7 @@ class SelfContact:
         ring.sort_indices()
         self._keys = np.repeat(np.arange(self.count), np.diff(ring.indptr)) * self.count + ring.indices
 
-    def springs(self, x: np.ndarray) -> Springs:
+    def springs(self, x: np.ndarray) -> SpringForces:
         """The springs that push near pairs of nodes ``x`` [m] (V, 3) apart."""
         near = self.near(x)
         push = self.stiffness * (self.thickness_m - near.gap_m)
@@ -59,7 +59,7 @@ class SelfContact:
         rows = np.repeat(np.arange(len(near.gap_m)), 12)
         values = (np.sqrt(self.stiffness) * along).reshape(-1) * self._free[index]
         gradient = scipy.sparse.csr_matrix((values, (rows, index)), shape=(len(near.gap_m), 3 * self.count))
-        return Springs(torch.from_numpy(force), (gradient.T @ gradient).tocsc())
+        return SpringForces(torch.from_numpy(force), (gradient.T @ gradient).tocsc())
 
     def near(self, x: np.ndarray) -> Near:
         """Pairs below the thickness at ``x`` (V, 3)."""

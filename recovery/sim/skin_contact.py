@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from drape.errors import InputError
-from recovery.sim.model import ClothState
+from recovery.sim.cloth_model import ClothState
 from recovery.sim.sdf import SignedDistance
 
 

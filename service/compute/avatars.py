@@ -28,7 +28,7 @@ from drape.wanted import go_on
 from service.compute import garment_files
 from service.compute.avatar_facts import AvatarFacts, AvatarInfo, facts_of, own_id
 from service.compute.garments import check_garment
-from service.compute.records import read_record
+from service.compute.json_records import read_record
 
 if TYPE_CHECKING:
     from service.settings import Settings
@@ -98,7 +98,7 @@ class Avatars:
 
     def follow(self) -> None:
         """Takes over what the folder has: at the start all, later what other services added, corrected or removed."""
-        there = garment_files.told(self._root)
+        there = garment_files.list_avatar_facts(self._root)
         for about, written_ns in there.items():
             if self._seen.get(about) != written_ns:
                 self._read(about)

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from typing import IO, Any, ParamSpec, TypeVar
 
 from service.compute.background import step_back
-from service.compute.processes import Process, kill, start
+from service.compute.processes import Process, kill, start_process
 from service.watch.watchdog import spent_s, waits_for
 
 P = ParamSpec("P")
@@ -84,7 +84,7 @@ class ConstantsProcess:
 
     def _started(self) -> Process:
         if self._process is None:
-            self._process = start("service.compute.constants_process")
+            self._process = start_process("service.compute.constants_process")
         return self._process
 
     def _end(self) -> None:

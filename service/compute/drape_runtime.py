@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from functools import cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -14,9 +15,12 @@ import numpy as np
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.errors import DrapeError, NotFound
+from drape.errors import DrapeError, NotFound, did_you_mean
 from drape.inference.engine import Engine
 from drape.inference.onnx_runtime import Device
+from drape.motion.clip import MotionClip
+from drape.motion.grounding import place_on_ground
+from drape.motion.readers import read_motion
 from drape.runtime import Runtime
 from drape.stages.batch import Batch, Memories, PoseInput, Quality
 from drape.stages.encode import Idle, answer_again, idle_before, remember
@@ -27,12 +31,11 @@ from drape.wire.options import Advanced, DrapeOptions
 from service.compute.avatars import Avatars
 from service.compute.constants_process import ConstantsProcess
 from service.compute.garments import Registry, begin_reading
-from service.compute.motions import Motions
 from service.compute.threads import ComputeThreads
 from service.errors import InternalError
-from service.watch.metrics import Metrics
+from service.watch.prometheus import Metrics
 from service.watch.tracing import Tracing, make_tracing
-from service.watch.watchdog import moved
+from service.watch.watchdog import say_moved
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
@@ -174,7 +177,7 @@ class DrapeRuntime(Runtime):
         A batch that fails is tried again one by one, so that no frame fails with another. A frame that fails leaves the
         memories as they were.
         """
-        moved()
+        say_moved()
         inputs = [one for one, _ in poses]
         try:
             *_, batch = self._walk(plan, inputs)
@@ -214,7 +217,7 @@ class DrapeRuntime(Runtime):
         """``drape.stages.walk.walk``, measured."""
         done = Quality.untouched(0)
         for batch in walk(plan, inputs, self._took):
-            moved()
+            say_moved()
             done = batch.quality
             yield batch
         self.metrics.drawn(done.pushed_share, done.push_max_m, done.left_m, done.folds_resets)
@@ -238,3 +241,25 @@ class DrapeRuntime(Runtime):
 def _engine(settings: Settings) -> Engine:
     """The model that ``settings`` name, opened where they say."""
     return Engine(model_folder(settings.model), device=Device(settings.provider, settings.threads))
+
+
+class Motions:
+    """The clips of one folder, read at the start; an unreadable one stops it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._clips = {path.stem: read_motion(path) for path in sorted(folder.glob("*.npz"))}
+
+    def ids(self) -> list[str]:
+        return list(self._clips)
+
+    def get(self, name: str) -> MotionClip:
+        """The clip ``name``; refuses an unknown one."""
+        if name not in self._clips:
+            cure = did_you_mean(name, self.ids(), "GET /motions lists the clips.")
+            raise NotFound("motion", expected=f"one of: {', '.join(self.ids())}", got=name, cure=cure)
+        return self._clips[name]
+
+    def placed(self, name: str, body: BodyModel, betas: np.ndarray) -> MotionClip:
+        """Returns the clip ``name`` with translations that put the soles of ``body`` in the shape ``betas`` on the
+        ground; ``trans`` is what POST /drape takes."""
+        return place_on_ground(self.get(name), body.rest_joints(betas), floor=body.floor_m(betas))

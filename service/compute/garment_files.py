@@ -16,7 +16,7 @@ from pathlib import Path
 
 from drape.errors import ArtifactError
 from drape.stages.scene import UNCHANGED, About
-from service.compute.records import parsed_record
+from service.compute.json_records import parsed_record
 
 OWNED = "of-"  # begins the folder of a key's garments
 IDS = ".ids"  # a file for each id of a garment without owner: the name of the cache that has it
@@ -33,7 +33,7 @@ def owner_of(path: Path | None) -> str | None:
     return folder.removeprefix(OWNED) if folder.startswith(OWNED) else None
 
 
-def stored(root: Path) -> dict[Path, tuple[int, int]]:
+def list_caches(root: Path) -> dict[Path, tuple[int, int]]:
     """Every cache under ``root`` with the times [ns] at which it and its ``About`` were written (0: it has none).
 
     In the order of arrival, so that ids given to equal names stay the same.
@@ -46,7 +46,7 @@ def stored(root: Path) -> dict[Path, tuple[int, int]]:
     return {path: (written_ns, about_ns) for written_ns, _, path, about_ns in sorted(rows)}
 
 
-def told(root: Path) -> dict[Path, int]:
+def list_avatar_facts(root: Path) -> dict[Path, int]:
     """Returns every file under ``root`` that holds the facts of an avatar, with the time [ns] at which it was written;
     the oldest first."""
     written = ((path, _written_ns(path)) for path in (*root.glob("*.json"), *root.glob(f"{OWNED}*/*.json")))
@@ -60,7 +60,7 @@ def _written_ns(path: Path) -> int:
         return 0
 
 
-def sizes(folders: Iterable[Path]) -> list[int]:
+def file_sizes(folders: Iterable[Path]) -> list[int]:
     """Bytes of every cache, and of every file of an avatar, directly in ``folders``."""
     bytes_each: list[int] = []
     for path in (path for folder in folders for kind in ("*.npz", "*.glb") for path in folder.glob(kind)):
@@ -94,7 +94,7 @@ def write_about(path: Path, about: About) -> None:
     replace_text(about_path(path), json.dumps(asdict(about)))
 
 
-def remove(path: Path, claimed: str) -> None:
+def remove_cache(path: Path, claimed: str) -> None:
     """Takes the cache ``path``, its ``About`` and its claim on the id ``claimed`` off the disk, if they are there."""
     path.unlink(missing_ok=True)
     about_path(path).unlink(missing_ok=True)

@@ -55,7 +55,7 @@ class Registry:
         """Garments that are worn by one avatar alone and in no list, by id and who asks."""
         for path in _shipped(settings):
             self.add(take(path), "shipped")
-        for path in garment_files.stored(settings.garments_dir):
+        for path in garment_files.list_caches(settings.garments_dir):
             try:
                 self.add(take(path), "user", path)
             except Exception as error:  # whatever lies there, the start goes on
@@ -148,7 +148,7 @@ class Registry:
     def remove(self, entry: Entry) -> None:
         """Takes ``entry`` off the disk and out of service."""
         if entry.path is not None:
-            garment_files.remove(entry.path, entry.id)
+            garment_files.remove_cache(entry.path, entry.id)
         self.forget(entry)
 
     def forget(self, entry: Entry) -> None:
@@ -164,7 +164,7 @@ def begin_reading(settings: Settings, body: BodyModel) -> Callable[[Path], Garme
     returns its checked garment."""
     with_limit = partial(_read, body=body, max_vertices=settings.max_vertices)
     pool = ThreadPoolExecutor(1, "drape-reading")
-    stored = [*_shipped(settings), *garment_files.stored(settings.garments_dir)]
+    stored = [*_shipped(settings), *garment_files.list_caches(settings.garments_dir)]
     begun = {path: pool.submit(with_limit, path) for path in stored}
     pool.shutdown(wait=False)
     return lambda path: begun[path].result() if path in begun else with_limit(path)

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from service.settings import ROOT
-from service.watch.watchdog import JOBS, Job, spent_s
+from service.watch.watchdog import JOBS, WatchedJob, spent_s
 
 # One thread each: their stacks and buffers count against a memory limit.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -31,7 +31,7 @@ Process = subprocess.Popen[bytes]
 _started: weakref.WeakSet[Process] = weakref.WeakSet()
 
 
-def start(module: str, *arguments: str, stdin: Any = subprocess.PIPE, quiet: bool = False) -> Process:
+def start_process(module: str, *arguments: str, stdin: Any = subprocess.PIPE, quiet: bool = False) -> Process:
     """``python -m module`` in a session of its own with a pipe as standard output; ``quiet``: without its errors."""
     process = subprocess.Popen(
         [sys.executable, "-m", module, *arguments],
@@ -54,7 +54,7 @@ def kill(process: Process) -> None:
 
 
 def kill_all() -> None:
-    """Kills every process that ``start`` has started."""
+    """Kills every process that ``start_process`` has started."""
     for process in tuple(_started):
         kill(process)
 
@@ -73,8 +73,8 @@ async def running(
         await asyncio.to_thread(write, file)
         file.flush()
         os.lseek(file.fileno(), 0, os.SEEK_SET)
-        process = start(module, *arguments, stdin=file, quiet=quiet)
-    job, reader = Job(lane, [partial(spent_s, process.pid)]), asyncio.StreamReader()
+        process = start_process(module, *arguments, stdin=file, quiet=quiet)
+    job, reader = WatchedJob(lane, [partial(spent_s, process.pid)]), asyncio.StreamReader()
     JOBS.add(job)
     pipe: asyncio.BaseTransport | None = None
     try:

@@ -16,7 +16,7 @@ from typing import TypeVar
 
 from service.compute.background import processor_count, thread_steps_back
 from service.errors import Busy, Draining
-from service.watch.watchdog import Lane, moved
+from service.watch.watchdog import Lane, say_moved
 
 STREAM_WAIT_S = 0.02
 """What a chunk of a clip may take while there are streams, which share processors with it; one frame is the least."""
@@ -124,7 +124,7 @@ class ComputeThreads:
 
         def step() -> Result | None:
             nonlocal took_s
-            moved()
+            say_moved()
             begun_s = time.perf_counter()
             found = next(steps, None)
             took_s += time.perf_counter() - begun_s
@@ -162,7 +162,7 @@ class SlicedThread:
         self._free.set()
 
     async def run(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """``function(*arguments)`` as one piece."""
+        """Returns the result of ``function(*arguments)``, computed on this thread in one piece."""
         return await asyncio.get_running_loop().run_in_executor(self._executor, partial(function, *arguments))
 
     async def brief(self, text: bytes, function: Callable[..., Result], *arguments: object) -> Result:

@@ -25,7 +25,7 @@ from drape.exact.frame import ExactCloth, RestingFrame, exact
 from drape.forked import end_with_parent
 from drape.garment.cache import Garment
 from service.compute.background import step_back
-from service.exact.folder import read_frame, write_frame
+from service.exact.clip_folder import read_frame, write_frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Block:
     starts: np.ndarray
 
 
-def run(block: Block, say: Any = print) -> None:
+def run_block(block: Block, say: Any = print) -> None:
     """Computes the frames of ``block`` that are not on disk, one after the other, and calls ``say`` with the figures of
     each."""
     sheet, before = None, None
@@ -75,7 +75,7 @@ def main() -> int:
     try:
         with sys.stdin.buffer as given:  # a file, whose room is free from then on
             block = pickle.load(given)
-        run(block, say)
+        run_block(block, say)
     except DrapeError as error:
         return _refuse(say, error)
     except MemoryError:

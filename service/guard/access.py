@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal
 from starlette.datastructures import Headers
 
 from service.errors import Busy, Unauthorized
-from service.guard.keys import ANYONE, Client, digest, load_keys
+from service.guard.key_file import ANYONE, Client, key_digest, load_keys
 from service.guard.tickets import Tickets
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Access:
         return client
 
     def _client(self, said: str, *, stream: bool) -> Client:
-        if (client := self._clients.get(digest(said))) is not None:
+        if (client := self._clients.get(key_digest(said))) is not None:
             return client
         if "." not in said:
             raise _unknown("one that this service does not know")

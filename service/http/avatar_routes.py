@@ -29,9 +29,9 @@ from service.compute.avatar_facts import AvatarInfo, AvatarWears
 from service.errors import Full, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, PNG, json_answer
-from service.http.covered_schemas import CoveredFaces, CoveredPrimitive
 from service.http.garment_routes import LEAST, MOST, USUAL
-from service.http.json_body import document_of, json_text, validated
+from service.http.garment_schemas import CoveredFaces, CoveredPrimitive
+from service.http.json_body import json_text, read_document, validate_document
 from service.http.openapi import BYTES, KNOWN, body_schema, responses
 from service.http.problems import check_query
 from service.http.undressing import undressed_avatar
@@ -133,7 +133,7 @@ async def change_avatar(
     The answer is a job: ask for its state until it has ended.
     """
     entry = await state.avatar(avatar_id, client)
-    asked = validated(AvatarChange, document_of(await json_text(request)))
+    asked = validate_document(AvatarChange, read_document(await json_text(request)))
     if not await asyncio.to_thread(entry.source.is_file):
         raise NotFound("avatar", expected="one whose file is stored", got="none", cure="Send the character again.")
     if not (asked.joints or asked.parts):

@@ -68,7 +68,7 @@ def garment_file(
     return file, file.head()
 
 
-def dressed(scene: Scene, placed: Placed) -> list[Dressed]:
+def dress_scene(scene: Scene, placed: Placed) -> list[Dressed]:
     """The garments of ``scene`` where they are ``placed``, each in its colour."""
     return [
         Dressed(worn.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)])
@@ -127,7 +127,7 @@ def body_file(body: BodyModel, clip: PoseInput, asked: PosedOptions) -> tuple[Gl
     return file, file.head()
 
 
-def moving(scene: Scene, placed: Placed) -> tuple[list[MovingGarment], np.ndarray]:
+def move_garments(scene: Scene, placed: Placed) -> tuple[list[MovingGarment], np.ndarray]:
     """Returns the garments of ``scene`` where they are ``placed``, and the point [m] (3,) in the world that they count
     from: the first frame's root, or the origin."""
     vertices, point = placed.from_first()
@@ -152,7 +152,7 @@ def check_package(kind: str) -> None:
         check_vat()
 
 
-def packed_scene(layers: list[MovingGarment], point: np.ndarray, fps: float, kind: str) -> bytes:
+def pack_scene(layers: list[MovingGarment], point: np.ndarray, fps: float, kind: str) -> bytes:
     """Returns ``layers``, which count from ``point`` [m] (3,), as one file of ``kind``: a USDZ, or a ZIP with the files
     of a vertex animation texture."""
     if kind == USDZ:

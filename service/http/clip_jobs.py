@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from drape.body.model import BodyModel
     from service.compute.drape_runtime import DrapeRuntime
     from service.compute.threads import SlicedThread
-    from service.guard.keys import Client
+    from service.guard.key_file import Client
     from service.http.schemas import ClipOptions
     from service.state import State
 

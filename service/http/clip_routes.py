@@ -41,21 +41,29 @@ from service.http.answers import (
 from service.http.clip_files import (
     body_file,
     check_package,
-    dressed,
+    dress_scene,
     garment_file,
-    moving,
+    move_garments,
     on_rig_file,
-    packed_scene,
+    pack_scene,
     point_cache,
 )
 from service.http.clip_jobs import ClipJob, floor_headers, jets_response, plan_headers, quality_headers, streamed_answer
-from service.http.json_body import check_marks, clip_marks, content_type, document_of, json_text, parsed, validated
+from service.http.json_body import (
+    check_marks,
+    clip_marks,
+    content_type,
+    json_text,
+    parse_text,
+    read_document,
+    validate_document,
+)
 from service.http.openapi import clip_schema, responses
 from service.http.undressing import undressed_avatar
 from service.state import ClientHere, State, StateHere
 
 if TYPE_CHECKING:
-    from service.guard.keys import Client
+    from service.guard.key_file import Client
     from service.settings import Settings
 
 router = APIRouter()
@@ -88,7 +96,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     state.check_slot()  # before anything is read
     asked, clip, turns, told_where = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
     if asked.tier == EXACT:
-        job = exact_clips.job_info(await exact_clips.submitted(asked, clip, state, client))
+        job = exact_clips.exact_job_info(await exact_clips.submitted(asked, clip, state, client))
         where = {"Location": f"/jobs/{job.id}"}
         return Response(job.model_dump_json(), status_code=202, media_type=JSON, headers=where)
     kind = choose(request.headers.get("accept"), _offered(asked))
@@ -147,7 +155,7 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
         wearer, left = await undressed_avatar(asked.avatar, scene, state, job.client)
         stored = (await state.avatar(asked.avatar, job.client)).path
         on_rig = partial(on_rig_file, fps=asked.fps, quantised=asked.quantised, joints=asked.joints)
-        dressed_layers = await apart(dressed, scene, placed)
+        dressed_layers = await apart(dress_scene, scene, placed)
         file = await state.runtime.made(on_rig, dressed_layers, wearer, stored, job.clip, job.turns, left)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind == GLB:
@@ -157,12 +165,12 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
         pieces = await apart(point_cache, placed)
         return StreamingResponse(state.sliced_thread.each(pieces), media_type=kind, headers=placed.headers | headers)
     if kind in (USDA, USDZ, VAT):
-        layers, point = await apart(moving, scene, placed)
+        layers, point = await apart(move_garments, scene, placed)
         headers = placed.headers | headers
         if kind == USDA:
             pieces = usda_pieces(layers, asked.fps, point=point)
             return StreamingResponse(state.sliced_thread.each(pieces), media_type=kind, headers=headers)
-        return Response(await state.runtime.made(packed_scene, layers, point, asked.fps, kind), 200, headers, kind)
+        return Response(await state.runtime.made(pack_scene, layers, point, asked.fps, kind), 200, headers, kind)
     worn = layer_list(scene) if isinstance(scene, Outfit) else None
     return await _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
 
@@ -231,14 +239,14 @@ async def _clip(
     if content_type(request) == BINARY:
         sent = await request.body()
         text, poses, trans = unpack_clip(sent)
-        document = await brief(text, partial(document_of, text, otherwise="a clip whose last part is not JSON"))
-        asked, on_rig = await brief(text, validated, options, document), of_rig(poses)
+        document = await brief(text, partial(read_document, text, otherwise="a clip whose last part is not JSON"))
+        asked, on_rig = await brief(text, validate_document, options, document), of_rig(poses)
     else:
         sent = await json_text(request)
         await check_marks(sent, state.sliced_thread, most_marks=clip_marks(most))
-        document = await brief(sent, parsed, sent)
+        document = await brief(sent, parse_text, sent)
         on_rig = options is schemas.ClipOptions and isinstance(document, dict) and "rig_poses" in document
-        asked = await brief(sent, validated, schemas.RigDrapeRequest if on_rig else whole, document)
+        asked = await brief(sent, validate_document, schemas.RigDrapeRequest if on_rig else whole, document)
         poses, trans = asked.rig_poses if on_rig else asked.poses, asked.trans
     avatar = getattr(asked, "avatar", None) if avatar is None else avatar
     wearer = None if avatar is None else await state.wearer(avatar, client)

@@ -16,13 +16,13 @@ from drape.stages.batch import Batch, Layer, PoseInput, shape_array
 from drape.stages.tiers import EXACT
 from drape.wire.clips import pack_clip, unpack_clip
 from drape.wire.options import Advanced
-from service.exact.jobs import ClipJob as ExactJob
-from service.exact.jobs import Work
+from service.exact.clip_queue import ClipJob as ExactJob
+from service.exact.clip_queue import Work
 from service.http import schemas
 from service.http.clip_jobs import ClipJob
 
 if TYPE_CHECKING:
-    from service.guard.keys import Client
+    from service.guard.key_file import Client
     from service.state import State
 
 # What a clip of tier exact has none of, and what it always has.
@@ -110,7 +110,7 @@ async def finished(job: ExactJob, state: State, client: Client) -> tuple[ClipJob
     return asked_for, batch, headers
 
 
-def job_info(job: ExactJob) -> schemas.JobInfo:
+def exact_job_info(job: ExactJob) -> schemas.JobInfo:
     """The answer about ``job``."""
     accepted = job.accepted
     told = [schemas.FrameTold(frame=number, **figures) for number, figures in sorted(job.told.items())]

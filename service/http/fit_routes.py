@@ -19,10 +19,10 @@ from drape.wire.options import Advanced, DrapeOptions
 from service.errors import NotAcceptable, TooSlow
 from service.http.answers import BINARY, JSON, binary_answer, choose, json_answer
 from service.http.fit_schemas import FitDocument, FitRequest, MeasuresDocument, ShapeDocument, ShapeRequest
-from service.http.json_body import document_of, json_text, validated
+from service.http.garment_schemas import SizeAdvice
+from service.http.json_body import json_text, read_document, validate_document
 from service.http.openapi import body_schema, responses
 from service.http.query import Betas, queried_shape
-from service.http.size_schemas import SizeAdvice
 from service.state import ClientHere, StateHere
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ async def body_shape(body_id: str, request: Request, state: StateHere, client: C
     runtime = state.runtime
     runtime.check_body_id(body_id)
     state.check_slot()
-    asked = validated(ShapeRequest, document_of(await json_text(request))).model_dump(exclude_none=True)
+    asked = validate_document(ShapeRequest, read_document(await json_text(request))).model_dump(exclude_none=True)
     with state.access.using(client, "clips"), state.slot():
         found = await runtime.made(shape_of_measures, runtime.body, asked)
     reached = Measures._asdict(found.reached)
@@ -85,7 +85,7 @@ async def garment_fit(garment_id: str, request: Request, state: StateHere, clien
     """
     runtime = state.runtime
     state.check_slot()
-    asked = validated(FitRequest, document_of(await json_text(request)))
+    asked = validate_document(FitRequest, read_document(await json_text(request)))
     kind = choose(request.headers.get("accept"), (JSON, BINARY))
     (entry,) = (await state.scene(garment_id, None, client, size=asked.size)).layers
     plan = runtime.plan(entry, DrapeOptions(**SMOOTH, fabric=asked.fabric))

@@ -14,7 +14,7 @@ from drape.live.fold_records import fold_records
 from drape.wire.folds import pack_folds, with_hung
 from drape.wire.messages import WIRE_VERSION
 from drape.wire.options import FabricChoice, FabricNumbers
-from service.http.json_body import document_of, validated
+from service.http.json_body import read_document, validate_document
 from service.http.kept import packed_text
 
 KEPT = 8  # messages of some 3 MB, compressed to half of their size
@@ -26,10 +26,10 @@ def queried_fabric(text: str | None) -> FabricChoice | None:
     other JSON."""
     if not text:
         return None
-    return validated(FabricNumbers, document_of(text.encode())) if text.startswith("{") else text
+    return validate_document(FabricNumbers, read_document(text.encode())) if text.startswith("{") else text
 
 
-def packed(
+def pack_message(
     worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool, hung: Drawer | None
 ) -> bytes:
     """Returns the compressed FOLDS message of the garment ``worn`` on ``body`` in ``shape``, made of ``fabric`` or else
@@ -42,10 +42,10 @@ def packed(
     return packed_text(pack_folds(*(told if hung is None else with_hung(*told, hung.arrays()))))
 
 
-def made_of(
+def message_key(
     worn: Garment, body: BodyModel, fabric: Fabric | None, shape: np.ndarray, coarse: bool, hung: Drawer | None
 ) -> bytes:
-    """Returns bytes that are equal for two messages of ``packed`` if the messages are: all that these depend on."""
+    """Returns all that a message of ``pack_message`` depends on, as bytes: equal bytes, equal messages."""
     named = "" if fabric is None else fabric.digest
     said = "|".join(
         (str(WIRE_VERSION), f"{HASH:x}", worn.digest, body.digest, named, str(coarse), "hung" * (hung is not None))

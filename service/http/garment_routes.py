@@ -21,17 +21,17 @@ from service.errors import Forbidden, NotAcceptable, TooSlow
 from service.http import schemas
 from service.http.answers import BINARY, GLB, JSON, PNG, choose, file_answer, json_answer
 from service.http.clip_files import rest_file
-from service.http.fold_messages import made_of, packed, queried_fabric
-from service.http.json_body import document_of, json_text, validated
+from service.http.fold_messages import message_key, pack_message, queried_fabric
+from service.http.garment_schemas import LooksDocument
+from service.http.json_body import json_text, read_document, validate_document
 from service.http.kept import ASKED_AGAIN, packed_text
-from service.http.look_schemas import LooksDocument
 from service.http.openapi import KNOWN, body_schema, responses
 from service.http.query import queried_shape
 from service.state import ClientHere, State, StateHere
 
 if TYPE_CHECKING:
     from drape.stages.scene import Entry
-    from service.guard.keys import Client
+    from service.guard.key_file import Client
 
 router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side
@@ -205,8 +205,8 @@ async def garment_folds(
     (own,), worn, body = scene.layers, plan.scene.layers[0].garment, runtime.on(scene).body
     hung = own.garment.drawer if asked.drawn and own.garment.drawn is not None and worn.drawn is None else None
     folded = worn, body, plan.fabrics[0], queried_shape(asked.betas, body), asked.coarse, hung
-    make = partial(runtime.made, packed, *folded)
-    return await state.fold_messages.answer(made_of(*folded), make, asked=request.headers, kind=kind)
+    make = partial(runtime.made, pack_message, *folded)
+    return await state.fold_messages.answer(message_key(*folded), make, asked=request.headers, kind=kind)
 
 
 @router.get(
@@ -247,7 +247,7 @@ async def change_garment(
 ) -> schemas.GarmentInfo:
     """Renames an uploaded garment, or publishes it to all keys. Its id stays the same."""
     entry = await _own(garment_id, client, state)
-    asked = validated(GarmentChange, document_of(await json_text(request)))
+    asked = validate_document(GarmentChange, read_document(await json_text(request)))
     if asked.name is None and asked.published is None:
         raise InputError("garment", expected="name or published", got="neither", cure='Send {"published": true}.')
     changed = state.runtime.garments.change(entry, name=asked.name, published=asked.published)

@@ -25,12 +25,12 @@ from service.http.kept import ASKED_AGAIN, packed_text
 from service.http.openapi import EVERYWHERE, KNOWN, responses
 from service.http.query import Betas, queried_shape
 from service.state import ADMITTED, ClientHere, StateHere
-from service.watch.metrics import MEDIA_TYPE
-from service.watch.probes import PATHS, answer
+from service.watch.probes import PATHS, probe_answer
+from service.watch.prometheus import MEDIA_TYPE
 
 if TYPE_CHECKING:
-    from service.watch.metrics import Metrics
     from service.watch.probes import Lifecycle
+    from service.watch.prometheus import Metrics
 
 router = APIRouter()
 
@@ -211,7 +211,7 @@ def probe_routes(lifecycle: Lifecycle, metrics: Metrics) -> APIRouter:
         if request.url.path == "/metrics":
             rendered = request.app.state.drape.sliced_thread.each(metrics.pieces())
             return Response(b"".join([piece async for piece in rendered]), media_type=MEDIA_TYPE)
-        status, kind, content = answer(request.url.path, lifecycle, metrics)
+        status, kind, content = probe_answer(request.url.path, lifecycle, metrics)
         return Response(content, status, media_type=kind)
 
     described = {

@@ -36,12 +36,12 @@ def clip_marks(max_frames: int) -> int:
     return 5 * max_frames * FRAME_MARKS // 4 + SMALL_MARKS
 
 
-def document_of(text: bytes, *, otherwise: str = NO_JSON) -> Any:
+def read_document(text: bytes, *, otherwise: str = NO_JSON) -> Any:
     """The parsed ``text``; refuses more than ``SMALL_MARKS`` marks, and what is no JSON as ``otherwise``."""
     marks = 0
     for more in _marks(text):
         marks = _counted(marks + more, SMALL_MARKS)
-    return parsed(text, otherwise=otherwise)
+    return parse_text(text, otherwise=otherwise)
 
 
 async def check_marks(text: bytes, sliced_thread: SlicedThread, *, most_marks: int) -> None:
@@ -71,7 +71,7 @@ def _counted(marks: int, most_marks: int) -> int:
     return marks
 
 
-def parsed(text: bytes, *, otherwise: str = NO_JSON) -> Any:
+def parse_text(text: bytes, *, otherwise: str = NO_JSON) -> Any:
     """The parsed ``text``, whose marks were counted; refuses what is no JSON as ``otherwise``."""
     try:
         return from_json(text, cache_strings="none")
@@ -79,7 +79,7 @@ def parsed(text: bytes, *, otherwise: str = NO_JSON) -> Any:
         raise not_json(otherwise) from error
 
 
-def validated(model: type[Asked], document: Any) -> Asked:
+def validate_document(model: type[Asked], document: Any) -> Asked:
     """Returns ``document`` as a ``model``. Refuses (``InputError``) the first field that is wrong."""
     known = set(wire_names(model).values())
     known |= Advanced.model_fields.keys() if issubclass(model, DrapeOptions) else set()

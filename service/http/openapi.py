@@ -51,7 +51,7 @@ def clip_schema(model: type[Schema]) -> dict[str, Any]:
     return body_schema(model, **{BINARY: BYTES | {"description": description}})
 
 
-def install(app: FastAPI) -> None:
+def install_document(app: FastAPI) -> None:
     """Makes the document of ``app`` one in which every reference leads somewhere and every refusal is a problem."""
     read_off = app.openapi
 

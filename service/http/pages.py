@@ -17,7 +17,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import Scope
 
 from drape.errors import NotFound, Unavailable
-from service.errors import problem, rule_for
+from service.errors import problem_of, rule_for
 from service.http.encodings import accepts
 
 PAGE_MISSING = Unavailable(
@@ -77,7 +77,7 @@ class Page(StaticFiles):
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         if path == "." and not self._index.is_file():
-            sentence = problem(PAGE_MISSING)["detail"]
+            sentence = problem_of(PAGE_MISSING)["detail"]
             html = (
                 f"<!doctype html><title>drape</title><p>{sentence}</p><p>Programs can go on: <a href=/docs>/docs</a>."
             )

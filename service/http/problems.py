@@ -12,7 +12,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from drape.errors import DrapeError, InputError, MotionError, NotFound, did_you_mean
-from service.errors import PROBLEM, problem, problem_response
+from service.errors import PROBLEM, problem_of, problem_response
 
 SHOWN = 60  # characters of what came
 
@@ -35,7 +35,7 @@ _HTTP_REFUSALS: dict[int, tuple[type[DrapeError], str, str]] = {
 }
 
 
-def install(app: FastAPI) -> None:
+def install_handlers(app: FastAPI) -> None:
     """Makes every refusal of ``app`` a problem document. Faults of ours are left to ``service.watch.logs``."""
 
     @app.exception_handler(DrapeError)
@@ -52,7 +52,7 @@ def install(app: FastAPI) -> None:
             error.status_code, (InputError, "a request of this service", "See /docs.")
         )
         refusal = kind("request", expected=expected, got=f"{request.method} {request.url.path}", cure=cure)
-        document = {**problem(refusal), "status": error.status_code, "title": str(error.detail)}
+        document = {**problem_of(refusal), "status": error.status_code, "title": str(error.detail)}
         return JSONResponse(document, status_code=error.status_code, media_type=PROBLEM, headers=error.headers)
 
 

@@ -14,8 +14,7 @@ from drape.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from drape.stages.placing import Origin
 from drape.stages.tiers import Tier
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, WornGarments
-from service.http.size_schemas import SizeInfo
-from service.http.wearer_schemas import WearerFound
+from service.http.garment_schemas import SizeInfo, WearerFound
 
 if TYPE_CHECKING:
     from drape.stages.scene import Entry

@@ -10,7 +10,7 @@ from drape.avatar.own_garments import MARK, Undressed, own_faces, undressed
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
     from drape.stages.scene import Scene
-    from service.guard.keys import Client
+    from service.guard.key_file import Client
     from service.state import State
 
 

@@ -69,7 +69,7 @@ async def upload(
 async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobInfo:
     """Returns the state of an upload, or of a clip of tier exact."""
     clip = state.exact.find(job_id, client.name)
-    return job_info(state.uploads.get(job_id, client.name)) if clip is None else exact_clips.job_info(clip)
+    return job_info(state.uploads.get(job_id, client.name)) if clip is None else exact_clips.exact_job_info(clip)
 
 
 @router.delete("/jobs/{job_id}", status_code=204, responses=responses(NotFound))

@@ -25,7 +25,7 @@ from drape.errors import DrapeError, InputError, TooLarge
 from drape.wire.state import PIECE_BYTES, join_state, split_state
 from service.errors import Busy, Draining, TooSlow, Unauthorized, close_reason, rule_for
 from service.guard.limits import HELD_BYTES
-from service.replicas.memory_codec import decoded, encoded
+from service.replicas.memory_codec import decode_value, encode_value
 from service.stream.session import SEND_S, Session
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from drape.stages.batch import Memories
     from drape.stages.plan import Plan
     from service.compute.drape_runtime import DrapeRuntime
-    from service.guard.keys import Client
+    from service.guard.key_file import Client
     from service.guard.tickets import Tickets
 
 LIFE_S = 60.0
@@ -73,7 +73,7 @@ class Handover:
         head |= {"dropped": session.dropped, "tier": tier}
         text = json.dumps(head).encode()
         kept = tuple((*key, memory) for key, memory in session.memories.items())
-        raw = _LENGTH.pack(len(text)) + text + encoded(kept, self._classes, _plans(session.plan, session.steps))
+        raw = _LENGTH.pack(len(text)) + text + encode_value(kept, self._classes, _plans(session.plan, session.steps))
         whole = self._tickets.sign(raw) + raw
         return whole if len(whole) <= STATE_BYTES else b""
 
@@ -101,7 +101,7 @@ class Handover:
         for name, ours in self._bound(client, plan, betas).items():
             if head[name] != ours:
                 raise InputError("state", expected=f"the same {name}", got="another", cure=_CURE)
-        kept = decoded(raw[start:], self._classes, _plans(plan, steps))
+        kept = decode_value(raw[start:], self._classes, _plans(plan, steps))
         return Brought({(stage, owner): memory for stage, owner, memory in kept}, head["dropped"], head["tier"])
 
     async def send_away(self, socket: WebSocket, session: Session, client: Client, tier: int) -> None:

@@ -1,4 +1,4 @@
-"""Memories of stages as bytes, and back: ``encoded`` and ``decoded``.
+"""Memories of stages as bytes, and back: ``encode_value`` and ``decode_value``.
 
 A tree of JSON, then the arrays that it names. A class is written by its name and read only if the reader knows it, so
 bytes can ask for nothing but values. Bits, types and the order of axes in memory stay: kernels are compiled for these.
@@ -20,7 +20,7 @@ _LENGTH = struct.Struct("<I")
 _ALIGNED = 16
 
 
-def encoded(value: Any, classes: Sequence[type], constants: Sequence[object] = ()) -> bytes:
+def encode_value(value: Any, classes: Sequence[type], constants: Sequence[object] = ()) -> bytes:
     """``value`` of numbers, texts, bytes, arrays, tuples and instances of ``classes`` (dataclasses, named tuples).
 
     One that equals one of the ``constants`` is written as its place among them. Raises ``TypeError`` for another type.
@@ -58,8 +58,8 @@ def encoded(value: Any, classes: Sequence[type], constants: Sequence[object] = (
     return _LENGTH.pack(len(head)) + head + bytes(arrays)
 
 
-def decoded(raw: bytes, classes: Sequence[type], constants: Sequence[object] = ()) -> Any:
-    """The value that ``encoded`` made ``raw`` of; refuses (``InputError``) what names something unknown."""
+def decode_value(raw: bytes, classes: Sequence[type], constants: Sequence[object] = ()) -> Any:
+    """The value that ``encode_value`` made ``raw`` of; refuses (``InputError``) what names something unknown."""
     known = {_name(kind): kind for kind in classes}
     start = _LENGTH.size + _LENGTH.unpack_from(raw)[0]
 

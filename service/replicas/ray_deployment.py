@@ -24,9 +24,9 @@ from service.replicas import ray_router
 from service.replicas.scaling import AGE, STREAMS, FrameAges, Load, Policy
 from service.settings import Settings
 from service.watch.logs import set_up
-from service.watch.metrics import Metrics
 from service.watch.outputs import free_outputs
 from service.watch.probes import Lifecycle
+from service.watch.prometheus import Metrics
 
 if TYPE_CHECKING:
     from ray.serve import Application  # pyright: ignore[reportMissingImports]
@@ -181,7 +181,7 @@ def start_ray(address: str | None = None, **more: Any) -> None:
     ray.init(address=address, namespace=NAME, **(more if address else own | more))
 
 
-def run(serving: Application, settings: Settings, address: str | None) -> None:
+def run_replicas(serving: Application, settings: Settings, address: str | None) -> None:
     serve, stopped = _serve(), threading.Event()
     import ray  # pyright: ignore[reportMissingImports]
 

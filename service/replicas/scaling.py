@@ -1,4 +1,4 @@
-"""The number of processes that streams need, by the age of their frames: ``FrameAges`` measures, ``wanted`` decides."""
+"""The number of processes that streams need: ``FrameAges`` measures how old frames are, ``wanted_replicas`` decides."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class FrameAges:
         return [float(one.labels["le"]) for one in samples], np.array([one.value for one in samples])
 
 
-def wanted(loads: Mapping[str, Load], deadline_s: float) -> int:
+def wanted_replicas(loads: Mapping[str, Load], deadline_s: float) -> int:
     """The number of replicas that should serve the ``loads`` (by replica, at least one).
 
     One more where a replica has late frames and more than one stream, so that another can take some. One less where a
@@ -81,10 +81,10 @@ class Policy:
         self._deadline_s = deadline_s
 
     def __call__(self, ctx: Any) -> tuple[int, dict[str, Any]]:
-        """The number of replicas that ``wanted`` names for an ``AutoscalingContext``; the one of now
+        """The number of replicas that ``wanted_replicas`` names for an ``AutoscalingContext``; the one of now
         while replicas come or go, or have not told their load yet. Ray keeps it within the bounds and waits."""
         ages, streams = ((ctx.aggregated_metrics or {}).get(name, {}) for name in (AGE, STREAMS))
         loads = {str(one): Load(ages[one], round(streams.get(one, 0.0))) for one in ctx.running_replicas if one in ages}
         if not loads or len(loads) != ctx.target_num_replicas:
             return ctx.target_num_replicas, {}
-        return wanted(loads, self._deadline_s), {}
+        return wanted_replicas(loads, self._deadline_s), {}

@@ -44,14 +44,14 @@ def _write(options: argparse.Namespace) -> int:
     from service.app import create_app
     from service.compute.drape_runtime import DrapeRuntime
     from service.settings import load_settings
-    from service.static.folder import Asked, sizes, write_folder
+    from service.static.site import Asked, network_sizes, write_folder
 
     settings = load_settings(keys_file=None)
     runtime = DrapeRuntime(settings)
     drape = DrapeOptions(**{name: value for name in ("tier", "fabric") if (value := getattr(options, name))})
     asked = Asked(options.garment, tuple(options.motion.split(",")), drape, options.betas)
     asyncio.run(write_folder(create_app(settings, runtime=runtime), runtime, asked, options.out))
-    found = sizes(options.out)
+    found = network_sizes(options.out)
     for name, count in sorted(found.items(), key=lambda item: -item[1]):
         print(f"{count / 1e6:8.3f} MB  {name}")
     print(f"{sum(found.values()) / 1e6:8.3f} MB  in all")

@@ -18,7 +18,7 @@ from drape.stages.scene import Outfit, layer_list
 from drape.wire import messages as wire
 from service.errors import TooSlow
 from service.guard.limits import PACE_BYTES_S
-from service.http.json_body import document_of, validated
+from service.http.json_body import read_document, validate_document
 from service.http.schemas import OpenRequest
 from service.state import State
 from service.stream.session import CREDIT, Opening
@@ -27,7 +27,7 @@ OPEN_S = 5.0  # for the opening message
 
 if TYPE_CHECKING:
     from drape.avatar.wearer import Wearer
-    from service.guard.keys import Client
+    from service.guard.key_file import Client
     from service.replicas.handover import Incoming
 
 
@@ -64,7 +64,7 @@ def text_of(message: Any) -> str:
 
 async def read_opening(text: str, state: State, client: Client) -> Opening:
     """Returns what ``text`` asks for, once all that its frames need has been made."""
-    asked = validated(OpenRequest, document_of(text.encode()))
+    asked = validate_document(OpenRequest, read_document(text.encode()))
     runtime = state.runtime
     scene = await state.worn(asked, client)
     plan = runtime.plan(scene, asked, messages=True)
@@ -76,7 +76,7 @@ async def read_opening(text: str, state: State, client: Client) -> Opening:
     return Opening(plan, betas, steps, asked.moves, asked.same, wearer)
 
 
-def opened(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str:
+def opening_answer(plan: Plan, state: State, wearer: Wearer | None, **more: bool) -> str:
     """Returns the answer to an opening that got ``plan``, on ``wearer`` or our body."""
     scene, options, numbers = plan.shown, plan.options, plan.options.advanced
     jets = options.geometry == "jets"

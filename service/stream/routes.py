@@ -22,12 +22,12 @@ from drape.wire.rig_poses import unpack_rig_pose
 from service.errors import Draining, InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.guard.access import OFFER
 from service.state import State
-from service.stream.opening import first_text, opened, read_opening, text_of
+from service.stream.opening import first_text, opening_answer, read_opening, text_of
 from service.stream.session import ACK_S, CREDIT, SEND_S, Session
 
 if TYPE_CHECKING:
-    from service.guard.keys import Client
-    from service.watch.metrics import Metrics
+    from service.guard.key_file import Client
+    from service.watch.prometheus import Metrics
 
 router = APIRouter()
 WATCH_S = 0.25
@@ -101,7 +101,7 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
     ]
     resumed = {"resumed": brought is not None} if pieces.messages else {}
     try:
-        await socket.send_text(opened(session.plan, state, session.wearer, **resumed))
+        await socket.send_text(opening_answer(session.plan, state, session.wearer, **resumed))
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
@@ -121,7 +121,7 @@ async def _read(socket: WebSocket, session: Session, state: State, client: Clien
             _take(payload, session, state.runtime.metrics)
         else:
             session.reopen(await read_opening(text_of(message), state, client))
-            await socket.send_text(opened(session.plan, state, session.wearer))
+            await socket.send_text(opening_answer(session.plan, state, session.wearer))
         state.streams.wake()
 
 

@@ -111,7 +111,7 @@ class Session:
         return self.due() and not self.computing
 
     def due(self) -> bool:
-        """Whether a pose waits for nothing but a worker; the one that computes the frame before counts too."""
+        """Whether a pose waits and lacks nothing but a worker, even if one still computes the frame before."""
         free = len(self.under_way) < self.credit and self.outbox is None and not self.leaving
         return self.waiting is not None and free
 

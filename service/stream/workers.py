@@ -65,7 +65,7 @@ class Streams:
 
     @property
     def waiting(self) -> int:
-        """Poses that wait."""
+        """The number of sessions with a pose that waits for a worker."""
         return sum(session.waiting is not None for session in list(self._sessions))
 
     @property

@@ -19,7 +19,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from service.compute.records import read_record
+from service.compute.json_records import read_record
 
 Kind = Literal["garment", "avatar"]
 ABOUT = "job.json"

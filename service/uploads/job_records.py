@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from service.compute import records
+from service.compute import json_records
 from service.compute.garment_files import replace_text
 
 FOLDER = ".jobs"
@@ -49,7 +49,7 @@ class JobRecord:
 
 def read_record(root: Path, job_id: str) -> JobRecord | None:
     """The record of the upload ``job_id`` under ``root``, if there is one."""
-    return records.read_record(JobRecord, _path(root, job_id))
+    return json_records.read_record(JobRecord, _path(root, job_id))
 
 
 def remove_record(root: Path, job_id: str) -> None:

@@ -18,9 +18,9 @@ from drape.errors import BodyError, DrapeError, MeshError, NotFound, Unavailable
 from service import errors
 from service.compute.avatars import FOLDER as AVATARS
 from service.compute.avatars import OwnFiles
-from service.compute.garment_files import OWNED, folder_of, sizes
+from service.compute.garment_files import OWNED, file_sizes, folder_of
 from service.compute.garments import slug
-from service.guard.keys import ANYONE, Client
+from service.guard.key_file import ANYONE, Client
 from service.uploads import job_records
 from service.uploads.accepted import CANCEL, Accepted, Kind, elsewhere, staging_folder, sync, taken_over, touch
 from service.uploads.intake_process import SHARES, run_sandbox
@@ -289,11 +289,11 @@ class Uploads:
                 if job.state != "cancelled" or (task is not None and task.cancelling()):
                     raise
             except DrapeError as error:
-                job.problem, job.state = errors.problem(error), "failed"
+                job.problem, job.state = errors.problem_of(error), "failed"
                 log.info("upload %s refused: %s", job.id, error)
             except Exception:
                 log.exception("upload %s failed", job.id)
-                job.problem, job.state = errors.problem(errors.InternalError()), "failed"
+                job.problem, job.state = errors.problem_of(errors.InternalError()), "failed"
             job.work = job.stage = None
             # Not where the worker is ended: the next start goes on with it. The record comes first, so that other
             # services always find one of both.
@@ -371,10 +371,10 @@ class Uploads:
     def _check_room(self, client: Client, more: int = 0, count: int = 1) -> None:
         """Refuses (``Full``) ``count`` garments, of ``more`` bytes, that the disk or its key has no room for."""
         characters = self._root / AVATARS
-        stored = sizes([self._root, *self._root.glob(f"{OWNED}*/"), characters, *characters.glob(f"{OWNED}*/")])
+        stored = file_sizes([self._root, *self._root.glob(f"{OWNED}*/"), characters, *characters.glob(f"{OWNED}*/")])
         rules = [("bytes of all garments", self._settings.max_stored_bytes, sum(stored), more)]
         if client.limits is not None:
-            own = sizes([folder_of(self._root, client.name)])
+            own = file_sizes([folder_of(self._root, client.name)])
             rules.append(("bytes of a key's garments", client.limits.bytes, sum(own), more))
             rules.append(("garments of a key", client.limits.garments, len(own), count))
         for name, most, there, asked in rules:

@@ -75,7 +75,7 @@ class SharedFolder:
                 return
             await asyncio.sleep(self._begun_s + LEAST_S - time.monotonic())
             self._begun_s = time.monotonic()
-            there = await asyncio.to_thread(garment_files.stored, self._runtime.settings.garments_dir)
+            there = await asyncio.to_thread(garment_files.list_caches, self._runtime.settings.garments_dir)
             before, self._known = self._known, there
             entries = {entry.path: entry for entry in self._runtime.garments.entries() if entry.source == "user"}
             for path, entry in entries.items():

@@ -27,7 +27,7 @@ from service.watch.outputs import log_time
 from service.watch.probes import PATHS
 
 if TYPE_CHECKING:
-    from service.watch.metrics import Metrics
+    from service.watch.prometheus import Metrics
     from service.watch.tracing import Tracing
 
 HEADER = "X-Request-Id"
@@ -120,7 +120,7 @@ class RequestLog:
                 try:
                     status = await self._answered(scope, receive, send, asker)
                 finally:
-                    answered.told(method, path_of(scope), status)
+                    answered.told(method, logged_path(scope), status)
                     self._tell(scope, method, status, time.perf_counter() - begun_s)
         finally:
             ASKER.reset(token)
@@ -151,7 +151,7 @@ class RequestLog:
         return status or LEFT
 
     def _tell(self, scope: Scope, method: str, status: int, took_s: float) -> None:
-        path = path_of(scope)
+        path = logged_path(scope)
         self._metrics.requests.labels(method, path, str(status)).inc()
         if scope["type"] == "http":
             self._metrics.request_seconds.labels(path).observe(took_s)
@@ -160,7 +160,7 @@ class RequestLog:
         log.log(level, "answered" if status != LEFT else "the client left", extra=said)
 
 
-def path_of(scope: Scope) -> str:
+def logged_path(scope: Scope) -> str:
     """The path with its parameters' names in place of their values; "page" for files of the page and unknown paths."""
     route: Any = scope.get("route")
     return getattr(route, "path", "") or "page"

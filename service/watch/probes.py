@@ -17,8 +17,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import BaseServer
 
 from drape.errors import DrapeError, Unavailable
-from service.errors import PROBLEM, problem
-from service.watch.metrics import MEDIA_TYPE, Metrics
+from service.errors import PROBLEM, problem_of
+from service.watch.prometheus import MEDIA_TYPE, Metrics
 
 JSON = "application/json"
 PATHS = ("/livez", "/readyz", "/metrics")
@@ -86,7 +86,7 @@ class Lifecycle:
         return self.unhealthy()
 
 
-def answer(path: str, lifecycle: Lifecycle, metrics: Metrics) -> Answer:
+def probe_answer(path: str, lifecycle: Lifecycle, metrics: Metrics) -> Answer:
     """Status, media type and content for one of ``PATHS``."""
     if path == "/metrics":
         return 200, MEDIA_TYPE, metrics.text()
@@ -97,7 +97,7 @@ def answer(path: str, lifecycle: Lifecycle, metrics: Metrics) -> Answer:
 
 
 def _refusal(error: DrapeError) -> Answer:
-    document = problem(error)
+    document = problem_of(error)
     return document["status"], PROBLEM, json.dumps(document).encode()
 
 
@@ -149,7 +149,7 @@ class _Handler(BaseHTTPRequestHandler):
         assert isinstance(server, Probes)
         found: Answer = (404, "text/plain", f"expected one of {', '.join(PATHS)}\n".encode())
         if path in PATHS:
-            found = answer(path, server.lifecycle, server.metrics)
+            found = probe_answer(path, server.lifecycle, server.metrics)
         status, kind, content = found
         self.send_response(status)
         self.send_header("Content-Type", kind)

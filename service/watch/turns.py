@@ -14,8 +14,8 @@ from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
 from typing import Any, cast
 
-from service.watch.logs import ASKER, path_of
-from service.watch.metrics import Metrics
+from service.watch.logs import ASKER, logged_path
+from service.watch.prometheus import Metrics
 
 BRIEF_S = 1e-3  # shorter ones are not counted
 COLLECTOR = "collector"
@@ -58,7 +58,7 @@ class LoopWatch:
     def held(self, function: str, took_s: float, ran_s: float) -> None:
         """Counts a step of a task of ``function``, which took ``took_s`` and was on a processor for ``ran_s``."""
         asker = ASKER.get()
-        cause = function if asker is None else path_of(asker.scope)
+        cause = function if asker is None else logged_path(asker.scope)
         for state, time_s in (("ran", ran_s), ("waited", took_s - ran_s)):
             if time_s >= BRIEF_S:
                 self._metrics.loop_held.labels(cause, state).observe(time_s)

@@ -1,8 +1,8 @@
 """Whether what runs still moves, and the end of a process in which something does not: ``Watchdog``.
 
-A ``Job`` is a call on the thread of a ``Lane``, or what a process of the service computes. It moves when it says so
-(``moved``: a step of a chunk, a frame). One that has said nothing yet moves while its thread, or the process that it
-waits for, takes processor time.
+A ``WatchedJob`` is a call on the thread of a ``Lane``, or what a process of the service computes. It moves when it
+says so (``say_moved``: a step of a chunk, a frame). One that has said nothing yet moves while its thread, or the
+process that it waits for, takes processor time.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from service.watch.metrics import Metrics
 from service.watch.probes import TICK_S, Lifecycle
+from service.watch.prometheus import Metrics
 
 SHARE = 0.01  # of a processor, below which a silent job only waits
 MOST_S = 300.0  # that a thread may compute and say nothing
@@ -43,7 +43,7 @@ def spent_s(number: int, *, thread: bool = False) -> float:
 
 
 @dataclass(eq=False)
-class Job:
+class WatchedJob:
     """What runs in a ``lane``. ``clocks`` return the processor time [s] that it takes; ``thread`` is the one whose
     stack is told."""
 
@@ -70,11 +70,11 @@ class Job:
         return [] if frame is None else traceback.extract_stack(frame)
 
 
-JOBS: set[Job] = set()
+JOBS: set[WatchedJob] = set()
 """All that runs in this process, and in processes of it."""
 
 
-def moved() -> None:
+def say_moved() -> None:
     """Says that the job of this thread has moved; from then on it moves only where it says so."""
     if (job := getattr(_here, "job", None)) is not None:
         job.moved_s, job.silent = time.monotonic(), False
@@ -98,7 +98,7 @@ class Lane(ThreadPoolExecutor):
 
     def _run(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Any:
         clock = partial(spent_s, threading.get_native_id(), thread=True)
-        job = _here.job = Job(self._name, [clock], threading.get_ident(), silent=not self._brief)
+        job = _here.job = WatchedJob(self._name, [clock], threading.get_ident(), silent=not self._brief)
         JOBS.add(job)
         try:
             return function(*arguments, **named)
@@ -112,8 +112,8 @@ class Watchdog:
 
     def __init__(self, life: Lifecycle, metrics: Metrics, *, stuck_s: float, kill: Callable[[], None]) -> None:
         self._life, self._metrics, self._stuck_s, self._kill = life, metrics, stuck_s, kill
-        self._loop = Job("event loop", [], threading.get_ident())
-        self._stopped, self._told = threading.Event(), set[Job]()
+        self._loop = WatchedJob("event loop", [], threading.get_ident())
+        self._stopped, self._told = threading.Event(), set[WatchedJob]()
         threading.Thread(target=self._watch, name="drape-watchdog", daemon=True).start()
 
     def stop(self) -> None:

@@ -12,8 +12,8 @@ import yaml
 from service.server import END_S
 from service.settings import Settings, check_exposed
 from service.uploads.motions import MEMORY_MB
-from service.watch.metrics import SECONDS, Metrics
 from service.watch.probes import PATHS
+from service.watch.prometheus import SECONDS, Metrics
 from tests.architecture.repository import ROOT
 
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.cases import CaseClip
 from benchmarks.measure.jitter import Window
-from benchmarks.network import Network
+from benchmarks.model_drape import ModelDrape
 from benchmarks.quality import Bench
-from benchmarks.scenes import Clip
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.material import material
@@ -38,8 +38,8 @@ def tube() -> Garment:
 
 
 @cache
-def network() -> Network:
-    return Network(exported()[1], body(), threads=1)
+def network() -> ModelDrape:
+    return ModelDrape(exported()[1], body(), threads=1)
 
 
 def bending(count: int, angle_rad: float = 0.7) -> np.ndarray:
@@ -53,7 +53,7 @@ def bending(count: int, angle_rad: float = 0.7) -> np.ndarray:
 def bench(cache_folder: Path, *, step_limit: int = 60) -> Bench:
     """Two poses, one window of twelve frames, a physics run just long enough to come to rest."""
     return Bench(
-        clip=Clip.hard(HardPoses(bending(3)[1:], ("bend:1", "bend:2")), body()),
+        clip=CaseClip.hard(HardPoses(bending(3)[1:], ("bend:1", "bend:2")), body()),
         network=network(),
         material=material(),
         step_limit=step_limit,

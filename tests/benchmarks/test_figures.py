@@ -34,7 +34,7 @@ def test_another_record_gives_another_page():
     trade = RECORDS["tradeoff"]
     means = [row | {"gain": 0.123} if row["tier"] == figures.DEFAULT_TIER else row for row in trade["means"]]
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    changed = report.filled(readme, RECORDS | {"tradeoff": trade | {"means": means}})
+    changed = report.fill_blocks(readme, RECORDS | {"tradeoff": trade | {"means": means}})
     assert "**0.123**" in changed and changed != readme
     assert report.BLOCK.sub("", changed) == report.BLOCK.sub("", readme)  # nothing else moves
 

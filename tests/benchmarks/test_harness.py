@@ -84,7 +84,7 @@ def test_private_folders_appear_by_the_name_of_their_variable(monkeypatch, tmp_p
 def test_no_git_is_no_commit(monkeypatch, tmp_path):
     monkeypatch.setattr(harness, "ROOT", tmp_path)
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-    assert harness.commit() == "none"
+    assert harness.commit_of_tree() == "none"
 
 
 def test_the_command_is_the_module_that_runs(monkeypatch):

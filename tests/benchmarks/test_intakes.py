@@ -20,10 +20,10 @@ def test_a_file_has_seconds_of_every_stage_and_a_cached_garment_none(body: BodyM
     vertices, faces = shirt(body, body.v_template)
     path = tmp_path / "shirt.obj"
     path.write_bytes(obj_text(vertices, faces))
-    row, (garment,) = intakes.taken_in(path)
+    row, (garment,) = intakes.take_in(path)
     assert row["faces"] == len(faces) and garment.name == "shirt"
     assert row["all_s"] == pytest.approx(sum(row[f"{stage}_s"] for stage in STAGES)) and row["all_s"] > 0.0
-    row, (garment,) = intakes.taken_in(find_garments(["tank"])[0])
+    row, (garment,) = intakes.take_in(find_garments(["tank"])[0])
     assert row == {"garment": "tank", "faces": len(garment.faces)}
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import moving, stills
-from benchmarks.scenes import FPS, Clip, lively_clips
+from benchmarks.cases import FPS, CaseClip, lively_clips
 from drape.body.model import BodyModel
 from drape.motion.clip import MotionClip
 from service.compute.drape_runtime import DrapeRuntime
@@ -24,14 +24,14 @@ def drapery() -> DrapeRuntime:
 
 
 @pytest.fixture(scope="module")
-def clip(body: BodyModel) -> Clip:
+def clip(body: BodyModel) -> CaseClip:
     """A body that bows."""
     poses = np.zeros((12, 24, 3))
     poses[:, 3, 0] = np.linspace(0.0, 0.5, 12)
-    return Clip.of("bow", FPS, poses, body)
+    return CaseClip.of("bow", FPS, poses, body)
 
 
-def test_a_still_is_made_once_and_then_read(drapery: DrapeRuntime, clip: Clip, tmp_path: Path):
+def test_a_still_is_made_once_and_then_read(drapery: DrapeRuntime, clip: CaseClip, tmp_path: Path):
     garment, path = shipped("tank"), tmp_path / "stills.json"
     (row,) = stills.Stills(drapery, path).of([garment], clip, 11)
     assert row["curvature"] > 1.0 and 0.1 < row["area_m2"] < 2.0
@@ -42,7 +42,7 @@ def test_a_still_is_made_once_and_then_read(drapery: DrapeRuntime, clip: Clip, t
     assert kept.of([garment], clip, 6)[0]["curvature"] > 0.0  # another pose is made
 
 
-def test_an_exact_drape_is_made_when_asked_for(drapery: DrapeRuntime, clip: Clip, tmp_path: Path):
+def test_an_exact_drape_is_made_when_asked_for(drapery: DrapeRuntime, clip: CaseClip, tmp_path: Path):
     garment, kept = shipped("tank"), stills.Stills(drapery, tmp_path / "stills.json")
     assert kept.exact_of(garment, clip, 11) is None
     row, (settled,) = kept.exact_of(garment, clip, 11, made=True), kept.of([garment], clip, 11)
@@ -51,12 +51,14 @@ def test_an_exact_drape_is_made_when_asked_for(drapery: DrapeRuntime, clip: Clip
     assert 0.0 < abs(row["curvature"] / settled["curvature"] - 1.0) < 0.2
 
 
-def test_crumpled_cloth_has_more_curvature_than_its_still(drapery: DrapeRuntime, clip: Clip, rng: np.random.Generator):
+def test_crumpled_cloth_has_more_curvature_than_its_still(
+    drapery: DrapeRuntime, clip: CaseClip, rng: np.random.Generator
+):
     garment, skin = shipped("tank"), moving.Skin(clip)
     vertices, told = moving.streamed(drapery, [garment], clip, "balanced")
     assert told["resets"] == 0 and vertices.shape == (12, garment.vertex_count, 3)
-    looks = stills.looks_of(garment)
-    at_rest = {11: stills.figures(looks, vertices[11].astype(float))}
+    looks = stills.stills_of(garment)
+    at_rest = {11: stills.still_figures(looks, vertices[11].astype(float))}
     same = moving.moving_row(looks, np.repeat(vertices[11:], 12, axis=0).astype(float), _standing(skin), at_rest, {})
     assert np.isnan(same["exact"])
     assert same["curvature"] == pytest.approx(1.0) and same["area"] == pytest.approx(1.0)
@@ -66,10 +68,10 @@ def test_crumpled_cloth_has_more_curvature_than_its_still(drapery: DrapeRuntime,
     assert crumpled["curvature"] > 2.0 and crumpled["strain_pct"] > same["strain_pct"]
 
 
-def test_cloth_in_the_body_is_counted(drapery: DrapeRuntime, clip: Clip):
+def test_cloth_in_the_body_is_counted(drapery: DrapeRuntime, clip: CaseClip):
     garment, skin = shipped("tank"), _standing(moving.Skin(clip), 0)
-    worn, looks = garment.vertices[: garment.vertex_count].astype(float), stills.looks_of(garment)
-    at_rest = {11: stills.figures(looks, worn)}
+    worn, looks = garment.vertices[: garment.vertex_count].astype(float), stills.stills_of(garment)
+    at_rest = {11: stills.still_figures(looks, worn)}
     outside, inside = (
         moving.moving_row(looks, np.repeat(x[None], 12, axis=0), skin, at_rest, {})
         for x in (worn, worn - [0.0, 0.0, 0.05])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from benchmarks import network as subject
+from benchmarks import model_drape as subject
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR, load_manifest
 from drape.cloth.fabric_table import fabric
 from drape.errors import ArtifactError, InputError
@@ -32,19 +32,19 @@ def test_all_of_the_subdivided_mesh_is_draped():
 
 
 def test_a_dynamic_model_is_measured_at_rest():
-    static, dynamic = (subject.Network(made()[1], body(), threads=1) for made in (exported, exported_dynamic))
+    static, dynamic = (subject.ModelDrape(made()[1], body(), threads=1) for made in (exported, exported_dynamic))
     vertices = (made.drape(tube(), bending(2)).vertices for made in (dynamic, static))
     assert_allclose(*vertices, rtol=0.0, atol=2e-6)
 
 
 def test_a_record_says_what_computed_which_model():
     folder = MODELS_DIR / DEFAULT_MODEL
-    made = subject.Network(folder, body(), threads=1)
+    made = subject.ModelDrape(folder, body(), threads=1)
     assert made.record() == {"graph": "compiled", "model_digest": load_manifest(folder).digest}
 
 
 def test_a_fabric_is_what_the_network_is_told_and_its_default_is_jersey():
-    made, poses = subject.Network(exported()[1], body(), threads=1), bending(1)
+    made, poses = subject.ModelDrape(exported()[1], body(), threads=1), bending(1)
     own, jersey, denim = (
         one.drape(tube(), poses).vertices for one in (made, *(made.made_of(fabric(f)) for f in ("jersey", "denim")))
     )
@@ -55,15 +55,15 @@ def test_a_fabric_is_what_the_network_is_told_and_its_default_is_jersey():
 
 
 def test_as_many_passes_run_as_are_asked_for():
-    whole, none = (subject.Network(exported()[1], body(), threads=1, passes=count) for count in (None, 0))
+    whole, none = (subject.ModelDrape(exported()[1], body(), threads=1, passes=count) for count in (None, 0))
     assert (whole.passes, none.passes) == (SMALL.corrections, 0)
     drapes = [made.drape(tube(), bending(1)).vertices for made in (whole, none)]
     assert np.linalg.norm(drapes[0] - drapes[1], axis=-1).max() > 1e-3
     with pytest.raises(InputError, match=f"passes: expected 0 to {SMALL.corrections}"):
-        subject.Network(exported()[1], body(), threads=1, passes=9)
+        subject.ModelDrape(exported()[1], body(), threads=1, passes=9)
 
 
 def test_a_model_of_another_body_is_refused(tmp_path):
     folder = write_tiny_model(tmp_path, replace(body(), digest="0" * 64))
     with pytest.raises(ArtifactError, match="tiny body_digest"):
-        subject.Network(folder, body(), threads=1)
+        subject.ModelDrape(folder, body(), threads=1)

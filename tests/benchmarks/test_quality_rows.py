@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from benchmarks.cases import skinned as skin
 from benchmarks.measure.detail import LowPass, dihedral_deg
 from benchmarks.measure.hem import hang_mm
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.quality import METHODS as EVERY
-from benchmarks.quality import add_comparisons, measure, summary
-from benchmarks.scenes import skinned as skin
+from benchmarks.quality import add_comparisons, measure, quality_summary
 from drape.cloth import energies, metrics
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
@@ -139,7 +139,7 @@ def test_summary_takes_each_set_alone_and_the_gain_of_the_mean_energies():
         *rows_of("trained", "b", second, 6.0),
         *rows_of("unseen", "c", first, 9.0),
     ]
-    found = {(row["set"], row["method"]): row for row in summary(rows)}
+    found = {(row["set"], row["method"]): row for row in quality_summary(rows)}
     assert len(found) == 2 * len(METHODS)
     assert_allclose(found["trained", "network"]["detail_share"], 0.25, rtol=1e-12, atol=0.0)
     assert_allclose(found["trained", "network_push"]["detail_share"], -0.25, rtol=1e-12, atol=0.0)
@@ -157,7 +157,7 @@ def test_fabrics_are_summed_up_one_by_one():
         for name, edge_pct in (("jersey", 4.0), ("denim", 6.0))
         for row in rows_of("trained", "a", energy_j, edge_pct)
     ]
-    found = {(row["fabric"], row["method"]): row for row in summary(rows)}
+    found = {(row["fabric"], row["method"]): row for row in quality_summary(rows)}
     assert len(found) == 2 * len(METHODS)
     assert [found[name, "network"]["edge_pct"] for name in ("jersey", "denim")] == [4.0, 6.0]
 

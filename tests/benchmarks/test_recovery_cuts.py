@@ -15,7 +15,7 @@ UNSEEN = ("The target does not show its seams: panels and seams are the base's",
 
 
 def test_a_garment_of_the_catalogue_is_a_plain_surface(tmp_path: Path):
-    path, source = recovery_cuts.written("tank", tmp_path)
+    path, source = recovery_cuts.write_target("tank", tmp_path)
     mesh = read_mesh(path)
     assert source == "catalogue" and len(mesh.uv) == 0 and len(mesh.vertices) > 4000
     assert np.ptp(mesh.vertices[:, 1]) == pytest.approx(0.586, abs=0.01)
@@ -24,7 +24,7 @@ def test_a_garment_of_the_catalogue_is_a_plain_surface(tmp_path: Path):
 def test_without_data_the_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.delenv("DRAPE_DATA", raising=False)
     with pytest.raises(SystemExit, match="DRAPE_DATA"):
-        recovery_cuts.written("tee", tmp_path)
+        recovery_cuts.write_target("tee", tmp_path)
 
 
 def test_a_cut_is_right_where_base_and_panels_are_or_a_sentence_says_what_is_not_seen():
@@ -44,7 +44,7 @@ def test_a_target_that_is_refused_has_the_sentence_in_its_row(tmp_path: Path):
     (tmp_path / "t.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     job = recovery_cuts.as_user(tmp_path / "t.obj", tmp_path / "out", "--body", "fit", "--minutes", "6")
     assert (job.body, job.base, job.minutes, job.retarget) == ("fit", None, 6.0, False)
-    row = recovery_cuts.recovered(
+    row = recovery_cuts.recover_job(
         job, lambda cut, panels: recovery_cuts.told_words("tshirt", cut), tmp_path / "pictures"
     )
     assert row["base"] == "refused" and row["told"] == "no, tshirt" and "mean_mm" not in row

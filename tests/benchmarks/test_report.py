@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import records, report
+from benchmarks import record_tables, report
 
 
-@pytest.mark.parametrize("name", sorted({Path(document).name for _, document, _, _ in records.TABLES}))
+@pytest.mark.parametrize("name", sorted({Path(document).name for _, document, _, _ in record_tables.TABLES}))
 def test_a_page_of_records_holds_what_the_records_give(name: str):
     text = (report.FOLDER / name).read_text(encoding="utf-8")
     assert text == report.pages()[name]

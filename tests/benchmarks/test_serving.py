@@ -7,7 +7,7 @@ import asyncio
 import numpy as np
 import pytest
 
-from benchmarks.serving import LATE_S, Seen, crowd, figures, model_times, posts, server
+from benchmarks.serving import LATE_S, ClientView, crowd, model_times, posts, server, stream_figures
 from drape.catalog import find_motions
 from drape.errors import DrapeError
 from drape.motion.readers import read_motion
@@ -18,13 +18,15 @@ CLIP = read_motion(find_motions(["walk"])[0])
 
 
 def test_figures_are_of_all_clients_together():
-    quick = Seen(sent=4, came_s=[0.0, 0.03, 0.06], age_s=[0.01, 0.02, 0.03], residence_ms=[5.0, 6.0, 7.0], stepped=3)
-    slow = Seen(sent=4, came_s=[0.0, 0.5], age_s=[2.0 * LATE_S, LATE_S], residence_ms=[9.0, 10.0])
-    found = figures([quick, slow], np.array([3.0, 4.0, 5.0]))
+    quick = ClientView(
+        sent=4, came_s=[0.0, 0.03, 0.06], age_s=[0.01, 0.02, 0.03], residence_ms=[5.0, 6.0, 7.0], stepped=3
+    )
+    slow = ClientView(sent=4, came_s=[0.0, 0.5], age_s=[2.0 * LATE_S, LATE_S], residence_ms=[9.0, 10.0])
+    found = stream_figures([quick, slow], np.array([3.0, 4.0, 5.0]))
     assert (found["goodput_pct"], found["served_pct"], found["stepped_pct"]) == (50.0, 62.5, 60.0)
     assert found["gap_max_ms"] == pytest.approx(500.0) and found["overhead_p50_ms"] == pytest.approx(3.0)
     assert found["overhead_p99_ms"] == pytest.approx(9.96 - 4.98)
-    assert figures([Seen(sent=3)], np.ones(2)) == {"goodput_pct": 0.0}
+    assert stream_figures([ClientView(sent=3)], np.ones(2)) == {"goodput_pct": 0.0}
 
 
 def test_the_model_alone_takes_its_time_for_each_frame_of_every_tier(few_garments: tuple[str, ...]):

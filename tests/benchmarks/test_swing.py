@@ -5,10 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from benchmarks.judge.simulator import AIR_KG_M3, SLIP_M, Motion, MovingSkin, SimulatedCloth, grip, simulate, slowed
+from benchmarks.cases import FPS
+from benchmarks.judge.simulator import (
+    AIR_KG_M3,
+    SLIP_M,
+    MovingSkin,
+    SimulatedCloth,
+    SimulatedMotion,
+    grip,
+    simulate,
+    slow_down,
+)
 from benchmarks.measure.hem import SETTLED_M, swinging
-from benchmarks.measure.made_clips import FALL_M, MADE, SPIN, made_clip
-from benchmarks.scenes import FPS
+from benchmarks.swing import FALL_M, MADE, SPIN, made_clip
 from drape.body.assets import load_body
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
@@ -66,11 +75,11 @@ def test_air_slows_what_moves_across():
     mesh, material = ClothMesh.from_rest(rest, faces), Material()
     along = np.tile([0.0, 1.0, 0.0], (len(rest), 1))
     still, damped = (SimulatedCloth(mesh, material, 0.0, rate) for rate in (0.0, 3.0))
-    assert_allclose(slowed(along, rest, still, FPS), along)
+    assert_allclose(slow_down(along, rest, still, FPS), along)
     across = np.tile([0.0, 0.0, 2.0], (len(rest), 1))
     slow = AIR_KG_M3 / 0.2 * 2.0 / FPS
-    assert_allclose(slowed(across, rest, still, FPS), across / (1.0 + slow))
-    assert_allclose(slowed(along, rest, damped, FPS), along / (1.0 + 3.0 / FPS))
+    assert_allclose(slow_down(across, rest, still, FPS), across / (1.0 + slow))
+    assert_allclose(slow_down(along, rest, damped, FPS), along / (1.0 + 3.0 / FPS))
 
 
 def test_friction_pulls_back_along_the_skin_with_its_share_of_the_contact():
@@ -96,7 +105,7 @@ def test_friction_pulls_back_along_the_skin_with_its_share_of_the_contact():
 
 def test_the_skin_carries_what_lies_on_it_round_with_the_body():
     body, clip = load_body(), made_clip(SPIN, load_body(), FPS, 1.2)
-    skin = MovingSkin(Motion(body, clip.poses, clip.trans, FPS))
+    skin = MovingSkin(SimulatedMotion(body, clip.poses, clip.trans, FPS))
     near = skin.posed[28, ::500]
     yaw = clip.poses[29, 0, 1] - clip.poses[28, 0, 1]
     root = body.rest_joints()[0]
@@ -108,7 +117,7 @@ def test_the_skin_carries_what_lies_on_it_round_with_the_body():
 def test_what_touches_nothing_falls_frame_by_frame():
     body, (rest, faces) = load_body(), strip(0.1)
     sheet = SimulatedCloth(ClothMesh.from_rest(rest, faces), Material(), 0.4, 0.0)
-    motion = Motion(body, np.zeros((5, 24, 3)), np.zeros((5, 3)), FPS)
+    motion = SimulatedMotion(body, np.zeros((5, 24, 3)), np.zeros((5, 3)), FPS)
     found, _ = simulate(sheet, motion, rest + np.array([3.0, 0.0, 0.0]), None)
     fallen = (found - found[0])[..., 1].mean(axis=1)
     # Implicit Euler, of a strip that lies across its way but is slowed by air.

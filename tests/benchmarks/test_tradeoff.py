@@ -10,10 +10,10 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from benchmarks import tradeoff
-from benchmarks.clock import Clock
-from benchmarks.network import Network
-from benchmarks.scenes import Clip, Scene
+from benchmarks.cases import CaseClip, CaseScene
+from benchmarks.model_drape import ModelDrape
 from benchmarks.served import Stream
+from benchmarks.stopwatch import Clock
 from benchmarks.tradeoff import Case, Knobs, manifest_tiers, means, tiers_of, times, write_tiers
 from drape.artifacts import load_manifest
 from drape.catalog import find_motions
@@ -38,15 +38,15 @@ def drapery(make_settings):
 @pytest.fixture(scope="module")
 def case(body, tube, tiny_folder):
     folder = tiny_folder / "models" / TINY
-    networks = {name: Network(folder, body, threads=1, passes=passes) for name, passes in tradeoff.STARTS.items()}
-    scene = Scene(tube, fabric("jersey"), Clip.read(find_motions(["walk"])[0], 30.0, FRAMES, body))
+    networks = {name: ModelDrape(folder, body, threads=1, passes=passes) for name, passes in tradeoff.STARTS.items()}
+    scene = CaseScene(tube, fabric("jersey"), CaseClip.read(find_motions(["walk"])[0], 30.0, FRAMES, body))
     return Case.of(scene, networks, keeps_apart=False)  # which takes minutes: tests/benchmarks/judge has it
 
 
 @pytest.fixture(scope="module")
 def rows(case, drapery):
     knobs = [Knobs(0, 0, coarse=True), *(Knobs(0, n, coarse) for coarse in (True, False) for n in (2, 8))]
-    return tradeoff.measure(case, drapery, knobs)
+    return tradeoff.measure_knobs(case, drapery, knobs)
 
 
 @pytest.mark.long

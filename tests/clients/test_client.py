@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from clients import calls
 from clients.client import AsyncDrapeClient, DrapeClient
-from clients.jobs import check_deadline, finished
+from clients.job_steps import check_deadline, finished_id
 from clients.refusals import ServiceError, problem_error
 from clients.stream import DrapeStream
 from drape.body.model import BodyModel
@@ -180,13 +180,13 @@ def test_an_answer_of_another_program_is_told_apart():
 
 def test_jobs_end_in_a_garment_or_a_refusal():
     job = {"id": "1", "name": "shirt", "state": "running", "garment": None, "problem": None}
-    assert finished(job) is None
-    assert finished(job | {"state": "done", "garment": "shirt"}) == "shirt"
+    assert finished_id(job) is None
+    assert finished_id(job | {"state": "done", "garment": "shirt"}) == "shirt"
     problem = {"type": "urn:drape:MeshError", "name": "shirt", "expected": "b", "got": "c", "cure": "d"}
     with pytest.raises(MeshError, match="shirt"):
-        finished(job | {"state": "failed", "problem": problem})
+        finished_id(job | {"state": "failed", "problem": problem})
     with pytest.raises(Unavailable, match="upload shirt: expected its end, got one that was cancelled"):
-        finished(job | {"state": "cancelled"})
+        finished_id(job | {"state": "cancelled"})
     with pytest.raises(Unavailable, match="GET /jobs/1"):
         check_deadline(job, deadline=0.0, wait_s=0.0)
 
@@ -271,7 +271,9 @@ def test_the_stream_client_hears_why_it_ended(live: str):
 
 
 def test_requests_carry_their_poses_in_binary_and_the_rest_as_json():
-    call = calls.draped(calls.read_vertices, "tube", np.zeros((1, 24, 3), np.float32), calls.Body(), {"folds": 0})
+    call = calls.drape_call(
+        calls.read_vertices, "tube", np.zeros((1, 24, 3), np.float32), calls.BodyShape(), {"folds": 0}
+    )
     arguments = call.arguments()
     assert arguments["headers"]["Content-Type"] == "application/octet-stream" and arguments["json"] is None
     text, poses, trans = unpack_clip(arguments["content"])

@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from clients.client import AsyncDrapeClient, DrapeClient
-from clients.connections import PROXIES, is_local, opened
+from clients.connections import PROXIES, is_local, open_client
 from clients.stream import DrapeStream
 from drape.errors import InputError, Unavailable
 
@@ -95,4 +95,4 @@ def test_an_unusable_proxy_is_refused_by_the_name_of_its_variable(nonsense: None
 
 def test_an_address_that_is_none_is_refused():
     with pytest.raises(InputError, match="url: expected an address"):
-        opened(httpx.Client, "http://127.0.0.1:x", None, None)
+        open_client(httpx.Client, "http://127.0.0.1:x", None, None)

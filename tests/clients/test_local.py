@@ -23,7 +23,7 @@ from drape.body.pose_support import read_pose_support
 from drape.errors import InputError, Unavailable
 from drape.graph.packing import pack_body
 from drape.wire.messages import Pose, pack_pose
-from service.static.folder import Asked, sizes
+from service.static.site import Asked, network_sizes
 from tests.clients.browser import open_page
 from tests.clients.node import answer_of
 from tests.clients.test_folds import FIRST, FIRST_MM, MOST_MM, shirt
@@ -128,7 +128,7 @@ def served(shirt: Worn) -> np.ndarray:
 def test_a_folder_is_small_and_drapes_as_the_service_does(
     served: np.ndarray, shirt: Worn, folder: Path, tmp_path: Path
 ):
-    found = sizes(folder)
+    found = network_sizes(folder)
     assert sum(found.values()) < FOLDER_BYTES
     assert found["engine.wasm.gz"] < ENGINE_BYTES
     copied = shutil.copytree(folder, tmp_path / "copied")

@@ -6,7 +6,7 @@ import gzip
 import json
 from pathlib import Path
 
-from service.static.folder import FORMAT
+from service.static.site import FORMAT
 from tests.clients.node import answer_of, page_answer
 from tests.clients.test_local import served_files
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from service.guard.keys import digest
+from service.guard.key_file import key_digest
 from service.settings import Settings
 from tests.clients.browser import open_page
 from tests.fixtures.serving import served
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.browser
 
 def test_the_page_asks_for_a_key_and_streams_with_it(make_settings: Callable[..., Settings], tmp_path: Path):
     file = tmp_path / "keys.json"
-    file.write_text(json.dumps({"shop": {"sha256": digest("drape_key"), "rate": 100}}))
+    file.write_text(json.dumps({"shop": {"sha256": key_digest("drape_key"), "rate": 100}}))
     settings = make_settings(keys_file=file)
     with served(settings) as url, open_page(url + "/?garment=tube&clip=reach") as page:
         page.wait_for("document.body?.dataset.state === 'locked' && !document.getElementById('door').hidden")

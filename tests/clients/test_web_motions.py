@@ -16,7 +16,7 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import PARENTS
 from drape.geometry.rigid import forward_kinematics
 from drape.geometry.rotations import rotvec_to_matrix
-from drape.motion.grounding import placed_on_ground
+from drape.motion.grounding import place_on_ground
 from drape.motion.readers import read_motion
 from tests.clients.node import page_answer
 from tests.drape.motion.node_files import T_POSE, fbx, glb, moved
@@ -44,7 +44,7 @@ def test_a_file_s_motion_is_python_s_on_the_ground(api: httpx.Client, body: Body
     document = {"file": base64.b64encode(path.read_bytes()).decode(), "name": path.name, "service": str(api.base_url)}
     document |= {"clip": "walk", "body": {"joints": joints.tolist(), "floor_m": floor}}
     got = page_answer(READ, document, tmp_path)
-    expected = placed_on_ground(read_motion(path), joints, floor=floor)
+    expected = place_on_ground(read_motion(path), joints, floor=floor)
     assert (got["frames"], got["fps"]) == (expected.frame_count, pytest.approx(expected.fps))
     local = rotvec_to_matrix(np.reshape(got["poses"], (-1, 24, 3)))
     assert_allclose(local, rotvec_to_matrix(expected.poses), atol=1e-5)

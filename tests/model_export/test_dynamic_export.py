@@ -25,7 +25,7 @@ from model_export.parity import session
 from tests.fixtures.packed import MOVING, exported, exported_dynamic
 from tests.fixtures.packed import garment as fixture_garment
 from tests.fixtures.poses import smooth_motion
-from training.model import OneFit
+from training.onefit import OneFit
 
 pytestmark = pytest.mark.slow
 REST_S = 2.0

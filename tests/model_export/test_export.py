@@ -20,16 +20,16 @@ from drape.geometry import jets
 from drape.graph.feeds import body_feed, garment_feed, skinning_feed
 from model_export import __main__ as command
 from model_export import export as exporting
-from model_export.graph import DrapeGraph, drape_inputs
 from model_export.onnx_file import _check_symbolic
 from model_export.parity import hard_poses, session
+from model_export.readable_graphs import DrapeGraph, drape_inputs
 from tests.fixtures import packed
 from tests.fixtures.garments import shipped
 from tests.fixtures.networks import TINY
 from tests.fixtures.rounding import FIT_ROUNDING
 from training import checkpoint
 from training.config import TrainConfig, as_published
-from training.model import OneFit
+from training.onefit import OneFit
 
 pytestmark = pytest.mark.slow
 

@@ -14,16 +14,15 @@ from drape.errors import ArtifactError
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.packing import Composition, Place, compose, pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes
-from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
-from model_export.packed.bodies import ancestor_jumps
 from model_export.packed.graph import FirstGraph, PackedGraph, packed_inputs, packed_outputs
-from model_export.packed.parity import packed_parity_error
-from model_export.parity import hard_poses
+from model_export.packed.kinematics import ancestor_jumps
+from model_export.parity import hard_poses, packed_parity_error
+from model_export.readable_graphs import DrapeGraph, EncoderGraph, drape_inputs
 from tests.fixtures.packed import KINDS, SMALL, described, exported, garment, lively
 from tests.fixtures.rounding import FIT_MOVED, FIT_ROUNDING, moved_by_rounding
 from training.config import as_published
 from training.layers import Decoder
-from training.model import OneFit
+from training.onefit import OneFit
 
 FRAMES = 4
 ITEMS = [("shorts", 2), ("tank", 0), ("shorts", 3), ("tank", 1), ("tank", 2)]

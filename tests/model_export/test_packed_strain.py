@@ -8,7 +8,7 @@ from torch.testing import assert_close
 from drape.garment.consensus import STRAIN_POINTS
 from drape.geometry import jets
 from model_export.packed.strain import Strain
-from training.consensus import GatheredConsensus, softened, strain_and_force, tangent_terms
+from training.chart_consensus import GatheredConsensus, softened, strain_and_force, tangent_terms
 
 PATCHES = 9
 

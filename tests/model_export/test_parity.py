@@ -28,13 +28,12 @@ from drape.inference.compiled import CompiledNetwork
 from drape.inference.engine import Engine
 from drape.inference.graph_names import PACKED
 from drape.inference.onnx_runtime import Session
-from model_export.graph import DrapeTensors, DynamicGraph, EncoderGraph, drape_inputs
-from model_export.parity import hard_poses, session
-from model_export.push.graph import LayerTensors, PushTensors
-from model_export.push.parity import layer_case, push_case
+from model_export.parity import hard_poses, layer_case, push_case, session
+from model_export.push.push_graphs import LayerTensors, PushTensors
+from model_export.readable_graphs import DrapeTensors, DynamicGraph, EncoderGraph, drape_inputs
 from tests.fixtures.garments import shipped
 from training.checkpoint import model_config_from
-from training.model import OneFit, vertex_positions
+from training.onefit import OneFit, vertex_positions
 
 pytestmark = pytest.mark.slow
 SHIPPED = MODELS_DIR / "onefit"

@@ -7,9 +7,8 @@ import onnx
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from model_export.parity import hard_poses, session
-from model_export.push.graph import PUSHES, stored, traced, write_push
-from model_export.push.parity import layer_case, push_case, push_parity_error
+from model_export.parity import hard_poses, layer_case, push_case, push_parity_error, session
+from model_export.push.push_graphs import PUSHES, stored, traced, write_push
 from tests.fixtures.packed import garment
 
 pytestmark = pytest.mark.slow

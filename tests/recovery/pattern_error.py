@@ -9,7 +9,7 @@ import numpy as np
 from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import control_points
-from recovery.pattern.model import Pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.symmetry import procrustes
 
 

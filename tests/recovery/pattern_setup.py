@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from drape.body.assets import load_body
-from recovery.pattern.measurements import BodyMeasurements, measure
-from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Placement, Stitch
+from recovery.pattern.measurements import BodyMeasurements, measure_body
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement, Pattern, Stitch
 
 FOLDS = {
     EdgeKind.LINE: (),
@@ -23,7 +23,7 @@ def rectangle(name: str = "front", width: float = 0.4, height: float = 0.6, **pl
     """A rectangle [m] around its own origin; edges: hem, right side, top, left side."""
     corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * [width, height]
     edges = tuple(Edge(start, (start + 1) % 4) for start in range(4))
-    return Panel(name, corners, edges, Placement(**placement))
+    return Panel(name, corners, edges, PanelPlacement(**placement))
 
 
 def curved(name: str = "curved", kinds=tuple(EdgeKind)) -> Panel:
@@ -50,7 +50,7 @@ def lowered(pattern: Pattern, degrees: float, moved_m: tuple[float, float] = (0.
             side = np.sign(place.apply(panel.vertices)[:, 0].mean())
             (a, b, c), (x, y, z) = place.rotation_deg, place.translation_m
             there = (x - side * moved_m[0], y + moved_m[1], z)
-            panel = replace(panel, placement=Placement((a, b, c - float(side) * degrees), there))
+            panel = replace(panel, placement=PanelPlacement((a, b, c - float(side) * degrees), there))
         panels.append(panel)
     return replace(pattern, panels=tuple(panels))
 
@@ -69,7 +69,7 @@ def bent_cap(pattern: Pattern) -> Pattern:
 @lru_cache(maxsize=1)
 def default_measurements() -> BodyMeasurements:
     """The measurements of the shipped body."""
-    return measure(load_body())
+    return measure_body(load_body())
 
 
 def assert_same_pattern(first: Pattern, second: Pattern, atol: float = 1e-9) -> None:

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from drape.cloth.material import OrthotropicMaterial
+from recovery.sim.cloth_model import ClothModel, ClothState, Parameters, Rest
 from recovery.sim.linearised import linearised_step
-from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
-from recovery.sim.newton import TOLERANCE_N, newton_step
+from recovery.sim.newton_steps import TOLERANCE_N, newton_step
 from recovery.sim.skin_contact import SkinContact
 
 # A woven cloth of ordinary stiffness, every constant different so that a swap shows.

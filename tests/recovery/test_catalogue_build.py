@@ -20,14 +20,14 @@ from drape.garment.intake import intake
 from drape.garment.sewing import sewing_beside, sewn_hinges
 from drape.geometry import meshes
 from recovery.catalogue.__main__ import main
-from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design, write_garment
+from recovery.catalogue.cuts import CATALOGUE
+from recovery.catalogue.design_drape import QUICK, SewnGarment, body_distance, design, drape_design, write_garment
 from recovery.catalogue.fall import HEM_BENDING, hinge_bending, seam_angles
-from recovery.catalogue.garments import CATALOGUE
 from recovery.drape.output import panel_texture
 from recovery.pattern.bases import skirt
 from recovery.pattern.pattern_mesh import mesh_pattern, on_finer_mesh
-from recovery.pattern.style import Style, lined
-from recovery.sim.model import ClothModel
+from recovery.pattern.style import Style, add_style_lines
+from recovery.sim.cloth_model import ClothModel
 from tests.recovery.pattern_setup import default_measurements
 
 
@@ -35,14 +35,14 @@ from tests.recovery.pattern_setup import default_measurements
 def quick_tank() -> SewnGarment:
     """A tank on a coarse mesh, not yet at rest."""
     body = load_body()
-    return build(design("tank", default_measurements()), body_distance(body, QUICK), QUICK)
+    return drape_design(design("tank", default_measurements()), body_distance(body, QUICK), QUICK)
 
 
 @pytest.mark.parametrize("style", [{}, {"waistband": 0.04, "hemband": 0.05}])
 def test_a_shape_is_carried_to_a_finer_mesh_by_place_in_the_panels(style):
     """Also where the panels of the fine one are cut along lines that are sewn again."""
     pattern = skirt(default_measurements())
-    coarse, fine = mesh_pattern(pattern, 0.06), mesh_pattern(lined(pattern, Style(style)), 0.03)
+    coarse, fine = mesh_pattern(pattern, 0.06), mesh_pattern(add_style_lines(pattern, Style(style)), 0.03)
     # Panels as placed are linear in their coordinates: away from seams nothing is lost.
     placed = coarse.placed()
     nodes = on_finer_mesh(coarse, coarse.nodes_from(placed), fine)

@@ -15,9 +15,9 @@ from drape.cloth.waistband import waistband
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.sizes import field_in_space
-from recovery.catalogue.build import QUICK, body_distance, design
+from recovery.catalogue.design_drape import QUICK, body_distance, design
 from recovery.catalogue.fall import Fall
-from recovery.catalogue.size_tables import chosen, grade, rounded
+from recovery.catalogue.size_tables import choose_points, grade_sizes, round_to
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.sim.sdf import GridDistance
@@ -28,10 +28,11 @@ def test_rows_are_added_where_the_field_is_missed_until_it_is_not():
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 3))
     values = np.stack([np.sin(2.0 * points[:, 0]), points[:, 1] ** 2], axis=1)
     found = {
-        most: chosen(points, values, field_in_space, step=1e-4, within=0.05, most=most, apart=0.1) for most in (20, 400)
+        most: choose_points(points, values, field_in_space, step=1e-4, within=0.05, most=most, apart=0.1)
+        for most in (20, 400)
     }
     assert len(found[20]) == 20 < len(found[400]) < 400
-    given = field_in_space(points, found[400], rounded(values[found[400]], 1e-4))
+    given = field_in_space(points, found[400], round_to(values[found[400]], 1e-4))
     assert np.abs(given - values).max() < 0.05
 
 
@@ -68,4 +69,4 @@ def test_a_waistband_is_held_where_it_is(body: BodyModel, skin: GridDistance):
 def test_a_garment_that_is_not_the_catalogues_is_refused(tube: Garment, body: BodyModel, skin: GridDistance):
     other = replace(tube, name="tank")
     with pytest.raises(InputError, match="garment tank: expected the catalogue's mesh in M"):
-        grade("tank", other, body, default_measurements(), skin, report=print)
+        grade_sizes("tank", other, body, default_measurements(), skin, report=print)

@@ -19,13 +19,13 @@ from drape.garment.files.mesh import read_mesh
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.samples import walk
 from recovery.drape.__main__ import left_words, main
-from recovery.drape.output import glb_bytes, obj_text, panel_texture
-from recovery.drape.pattern_drape import DrapeOptions, drape_pattern
-from recovery.drape.posing import LARGEST_TURN_RAD, moved_with_bones, pose_steps, read_pose
+from recovery.drape.output import glb_bytes, panel_texture, sewn_obj_text
+from recovery.drape.pattern_drape import SewingOptions, drape_pattern
+from recovery.drape.posing import LARGEST_TURN_RAD, move_with_bones, pose_steps, read_pose
 from recovery.pattern.bases import skirt
 from recovery.pattern.garmentcode import read_pattern, write_pattern
-from recovery.pattern.model import EdgeRef, Stitch
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.pattern.sewing_pattern import EdgeRef, Stitch
 from tests.recovery.pattern_setup import default_measurements, tube
 
 
@@ -38,7 +38,7 @@ def flat_tube() -> tuple[PatternMesh, np.ndarray]:
 
 def test_the_obj_holds_nodes_and_panels_and_which_belongs_to_which(tmp_path):
     mesh, nodes = flat_tube()
-    read = read_mesh(write_whole(tmp_path / "tube.obj", obj_text(mesh, nodes, panel_texture(mesh))))
+    read = read_mesh(write_whole(tmp_path / "tube.obj", sewn_obj_text(mesh, nodes, panel_texture(mesh))))
     assert_allclose(read.vertices, nodes, atol=1e-8)
     assert (read.faces == mesh.faces).all() and (read.uv_faces == mesh.panel_faces).all()
     assert read.material_names == ("front", "back")
@@ -99,8 +99,8 @@ def test_turning_the_whole_body_turns_the_garment_rigidly():
     after[0] = [0.2, 1.1, -0.4]
     pelvis = body.joints_template[0]
     expected = (nodes - pelvis) @ rotvec_to_matrix(after[0]).T + pelvis
-    assert_allclose(moved_with_bones(nodes, mesh.faces, body, before, after), expected, atol=1e-9)
-    assert_allclose(moved_with_bones(nodes, mesh.faces, body, after, after), nodes, atol=1e-9)
+    assert_allclose(move_with_bones(nodes, mesh.faces, body, before, after), expected, atol=1e-9)
+    assert_allclose(move_with_bones(nodes, mesh.faces, body, after, after), nodes, atol=1e-9)
 
 
 def short_skirt(folder: Path) -> list[str]:
@@ -153,7 +153,7 @@ def test_a_limb_through_cloth_is_refused_and_cloth_in_the_body_told(tmp_path, ca
     bag = write_pattern(replace(source, stitches=(*source.stitches, shut)), tmp_path / "bag.json")
     assert main([str(bag), *short_skirt(tmp_path)[1:], "--iterations", "0", "--no-garment"]) == 2
     assert "left leg and the right leg" in capsys.readouterr().err and not (tmp_path / "out").exists()
-    draped = drape_pattern(source, load_body(), DrapeOptions(edge_length_m=0.1, grid_m=0.05, iteration_limit=0))
+    draped = drape_pattern(source, load_body(), SewingOptions(edge_length_m=0.1, grid_m=0.05, iteration_limit=0))
     assert "below the skin" not in left_words(draped)
     sunk = {**draped.figures, "posed": {**draped.figures["rest"], "clearance_mm": -7.2}}
     assert "7.2 mm below the skin" in left_words(replace(draped, figures=sunk))

@@ -22,28 +22,28 @@ from recovery.drape.placement import (
     Axes,
     best_lift,
     check_placed,
-    limb_openings,
-    moved_clear,
+    move_clear,
+    openings_of_limbs,
     place_panels,
-    scaled,
+    scale_pattern,
     sleeve_panels,
 )
-from recovery.drape.seam_threads import SEWING_GAP_M, Sewn, in_numpy, sew, uncrossed
-from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle, to_rest, topmost_opening
+from recovery.drape.seam_threads import SEWING_GAP_M, Sewn, in_numpy, sew, uncross_stitches
+from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle_at_rest, to_rest, topmost_opening
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
 from recovery.pattern.garmentcode import read_pattern
-from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
-from recovery.pattern.style import Style, lined
-from recovery.sim.model import ClothModel, ClothState, Parameters
-from recovery.sim.newton import equilibrium
-from recovery.sim.sdf import GridDistance, Plane, SignedDistance, Sphere
+from recovery.pattern.sewing_pattern import Pattern
+from recovery.pattern.style import Style, add_style_lines
+from recovery.sim.cloth_model import ClothModel, ClothState, Parameters
+from recovery.sim.newton_steps import equilibrium
+from recovery.sim.sdf import GridDistance, PlaneDistance, SignedDistance, Sphere
 from recovery.sim.skin_contact import SkinContact
 from tests.recovery.pattern_setup import default_measurements, lowered, rectangle, tube
 from tests.recovery.sim_setup import WOVEN
 
-FAR = Plane((0.0, -10.0, 0.0))
+FAR = PlaneDistance((0.0, -10.0, 0.0))
 BALL = in_numpy(Sphere((0.0, 0.0, 0.0), 0.1))
 
 
@@ -67,7 +67,7 @@ def body_distance() -> Distance:
 
 
 def test_scaling_a_pattern_scales_its_lengths_and_the_places_of_its_panels():
-    before, after = tube(), scaled(tube(), 1.25)
+    before, after = tube(), scale_pattern(tube(), 1.25)
     for old, new in zip(before.panels, after.panels, strict=True):
         assert_allclose(geometry.edge_length(new, 1), 1.25 * geometry.edge_length(old, 1))
         assert_allclose(new.placement.apply(new.vertices), 1.25 * old.placement.apply(old.vertices), atol=1e-12)
@@ -77,8 +77,8 @@ def test_threads_are_lifted_out_of_the_body_and_no_further():
     """Threads at 0.30 m over a body that ends at 0.335 m: lifted by 4 cm, the first of the levels that is free."""
     positions = np.array([[x, 0.30, z] for x in (-0.1, 0.1) for z in (-0.2, 0.2)])
     pairs = np.array([[0, 1], [2, 3]])
-    assert_allclose(best_lift(positions, pairs, in_numpy(Plane((0.0, 0.335, 0.0)))), 0.04)
-    assert best_lift(positions, pairs, in_numpy(Plane((0.0, 0.2, 0.0)))) == 0.0
+    assert_allclose(best_lift(positions, pairs, in_numpy(PlaneDistance((0.0, 0.335, 0.0)))), 0.04)
+    assert best_lift(positions, pairs, in_numpy(PlaneDistance((0.0, 0.2, 0.0)))) == 0.0
     assert best_lift(positions, np.zeros((0, 2), dtype=np.int64), BALL) == 0.0
 
 
@@ -86,7 +86,7 @@ def test_a_panel_in_the_body_moves_along_its_normal_until_it_is_clear():
     mesh = tube_mesh()
     flat = mesh.placed()
     inside = flat - np.where(mesh.panel == 0, 0.15, 0.0)[:, None] * [0.0, 0.0, 1.0]
-    moved, way = moved_clear(mesh, inside, BALL)
+    moved, way = move_clear(mesh, inside, BALL)
     assert BALL(moved)[0].min() >= CLEARANCE_M
     assert_allclose(moved[mesh.panel == 1], flat[mesh.panel == 1])
     assert_allclose(moved[mesh.panel == 0] - inside[mesh.panel == 0], [[0.0, 0.0, way]] * (mesh.panel == 0).sum())
@@ -108,7 +108,7 @@ def test_base_patterns_stand_where_they_were_drafted(body, name):
 def openings(pattern: Pattern, height: float = 0.0) -> dict[str, np.ndarray]:
     """The mesh's openings of limbs with the panels ``height`` [m] above the place of the file."""
     mesh = mesh_pattern(pattern, 0.08)
-    return limb_openings(mesh, mesh.placed() + np.array([0.0, height, 0.0]), top=True, crotch_m=-0.1)
+    return openings_of_limbs(mesh, mesh.placed() + np.array([0.0, height, 0.0]), top=True, crotch_m=-0.1)
 
 
 @pytest.mark.parametrize(
@@ -140,10 +140,12 @@ def test_threads_close_such_sleeves_round_the_arms(body):
 
 
 def test_a_sleeve_is_told_from_a_bodice_whose_openings_are_banded_and_from_one_without_sleeves():
-    bands = lined(BASES["tshirt"](default_measurements()), Style({"cuffs": 0.03, "neckband": 0.02, "hemband": 0.03}))
+    bands = add_style_lines(
+        BASES["tshirt"](default_measurements()), Style({"cuffs": 0.03, "neckband": 0.02, "hemband": 0.03})
+    )
     for pattern, wanted in ((bands, "sleeve_left"), (BASES["tank"](default_measurements()), "none")):
         mesh = mesh_pattern(pattern, 0.06)
-        found = sleeve_panels(mesh, limb_openings(mesh, mesh.placed(), top=True, crotch_m=-0.1)["left_arm"])
+        found = sleeve_panels(mesh, openings_of_limbs(mesh, mesh.placed(), top=True, crotch_m=-0.1)["left_arm"])
         names = [panel.name for panel in pattern.panels]
         assert {names[number] for number in found} == {name for name in names if name.startswith(wanted)}
 
@@ -159,7 +161,7 @@ def test_legs_are_told_from_arms():
 def test_files_of_the_data_folder_stand_round_the_trunk(body, pattern_files):
     size = default_measurements()
     for path in pattern_files:
-        mesh = mesh_pattern(uncrossed(read_pattern(path))[0], 0.08)
+        mesh = mesh_pattern(uncross_stitches(read_pattern(path))[0], 0.08)
         placed = place_panels(mesh, body, body_distance())
         top = placed.positions[:, 1].max()
         nearest = size.neck_y if placed.hangs_from == "shoulders" else size.waist_y
@@ -174,19 +176,19 @@ def crossed(pattern: Pattern) -> Pattern:
 
 
 def test_crossed_seams_are_exchanged_and_named():
-    found, notes = uncrossed(crossed(tube()))
+    found, notes = uncross_stitches(crossed(tube()))
     assert found.stitches == tube().stitches
     assert len(notes) == 1 and "front[1] to back[1]" in notes[0]
     turned = crossed(tube())  # the same with the second stitch written the other way round
     one, other = turned.stitches
     swapped = replace(turned, stitches=(one, replace(other, first=other.second, second=other.first)))
-    assert uncrossed(swapped)[0].stitches == tube().stitches
+    assert uncross_stitches(swapped)[0].stitches == tube().stitches
 
 
 @pytest.mark.parametrize("name", sorted(BASES))
 def test_seams_that_are_right_are_left_alone(name):
     pattern = BASES[name](default_measurements())
-    found, notes = uncrossed(pattern)
+    found, notes = uncross_stitches(pattern)
     assert notes == () and found.stitches == pattern.stitches
 
 
@@ -244,7 +246,7 @@ def test_a_tube_hangs_from_its_rim_by_its_own_weight():
     hems = []
     for factor in (1.0, 2.0):
         cloth = replace(WOVEN, density_kg_m2=factor * WOVEN.density_kg_m2)
-        drape = settle(mesh, nodes, FAR, cloth, held=held)
+        drape = settle_at_rest(mesh, nodes, FAR, cloth, held=held)
         assert drape.report.converged
         assert_allclose(drape.nodes[held], nodes[held], atol=0.0)
         hems.append(drape.nodes[rim, 1].mean())
@@ -255,7 +257,7 @@ def test_a_tube_hangs_from_its_rim_by_its_own_weight():
 def test_a_belt_closes_round_the_body_before_it_holds():
     """A tube of 0.8 m starts inside a body of 1.0 m: it lies on the skin, and then nothing moves its rim."""
     mesh = tube_mesh()
-    drape = settle(mesh, 0.95 * upright(mesh), cylinder(0.16), WOVEN, held="belt")
+    drape = settle_at_rest(mesh, 0.95 * upright(mesh), cylinder(0.16), WOVEN, held="belt")
     assert drape.report.converged
     # Nodes that the repulsion throws off and on do not keep the steps going: a third of the limit would be the belt's.
     assert drape.steps < STEP_LIMIT // 2
@@ -275,17 +277,17 @@ def apart() -> np.ndarray:
 
 
 HIGH = tube(*(rectangle(name, translation_m=(0.0, 3.0, z)) for name, z in (("front", 0.2), ("back", -0.2))))
-FACED = in_numpy(Plane((0.0, 0.0, 2.0), (0.0, 0.0, 1.0)))  # the front's right side looks at it
+FACED = in_numpy(PlaneDistance((0.0, 0.0, 2.0), (0.0, 0.0, 1.0)))  # the front's right side looks at it
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: scaled(tube(), 0.0), "scale"),
-        (lambda: scaled(tube(), 3.0), "scale"),
-        (lambda: scaled(tube(), float("nan")), "scale"),
+        (lambda: scale_pattern(tube(), 0.0), "scale"),
+        (lambda: scale_pattern(tube(), 3.0), "scale"),
+        (lambda: scale_pattern(tube(), float("nan")), "scale"),
         (lambda: check_placed(Pattern("heap", (rectangle("a"), rectangle("b")))), "2 panels in one place"),
-        (lambda: moved_clear(tube_mesh(), tube_mesh().placed(), FACED), "panel front"),
+        (lambda: move_clear(tube_mesh(), tube_mesh().placed(), FACED), "panel front"),
         (
             lambda: place_panels(mesh_pattern(HIGH, 0.1), load_body(), body_distance()),
             "the neck, the chest or the waist",
@@ -293,7 +295,7 @@ FACED = in_numpy(Plane((0.0, 0.0, 2.0), (0.0, 0.0, 1.0)))  # the front's right s
         (lambda: sew(tube_mesh(), tube_mesh().placed(), slab), "edges that meet round the body"),
         # 0.8 m of cloth round a body of 1.6 m.
         (lambda: sew(tube_mesh(), apart(), in_numpy(cylinder(0.255))), "Size the pattern up"),
-        (lambda: settle(tube_mesh(), sewn_tube().nodes, FAR, WOVEN, lowest_top_m=-0.5), "Give it a belt"),
+        (lambda: settle_at_rest(tube_mesh(), sewn_tube().nodes, FAR, WOVEN, lowest_top_m=-0.5), "Give it a belt"),
     ],
 )
 def test_what_cannot_be_placed_sewn_or_held_is_refused(make, message):

@@ -23,8 +23,8 @@ from drape.garment.contours import (
 from recovery.fit.grading import Graded, contour_edges, grade
 from recovery.pattern.bases import skirt, tshirt
 from recovery.pattern.coordinates import control_points
-from recovery.pattern.model import EdgeRef, Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.pattern.sewing_pattern import EdgeRef, Pattern
 from recovery.pattern.symmetry import find_symmetries
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import default_measurements

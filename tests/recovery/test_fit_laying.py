@@ -9,26 +9,26 @@ import numpy as np
 import torch
 from numpy.testing import assert_allclose
 
-from recovery.drape.pattern_drape import HANGS_LONGER, Draped, DrapeOptions
-from recovery.drape.settle import Drape
+from recovery.drape.pattern_drape import HANGS_LONGER, Draped, SewingOptions
+from recovery.drape.settle import SettledDrape
 from recovery.fit import laying
 from recovery.fit.laying import (
     LaidDrape,
     Shown,
-    fallen,
     hung_as,
     in_other_folds,
     is_laid,
     laying_options,
+    let_fall,
     put_on,
     springs_between,
 )
-from recovery.fit.objective import Target
+from recovery.fit.objective import TargetSurface
 from recovery.pattern.bases import base_pattern
-from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
-from recovery.sim.newton import Report
-from recovery.sim.sdf import Plane, Sphere
+from recovery.pattern.sewing_pattern import Pattern
+from recovery.sim.newton_steps import Report
+from recovery.sim.sdf import PlaneDistance, Sphere
 from tests.recovery.pattern_setup import default_measurements, rectangle
 from tests.recovery.sim_setup import WOVEN
 
@@ -42,8 +42,8 @@ def sheet(height_m: float = 0.0) -> tuple[PatternMesh, np.ndarray]:
     return mesh, np.stack([flat[:, 0], np.full(len(flat), height_m), flat[:, 1]], axis=1)
 
 
-def target_of(mesh: PatternMesh, nodes: np.ndarray) -> Target:
-    return Target.from_mesh(nodes, mesh.faces)
+def target_of(mesh: PatternMesh, nodes: np.ndarray) -> TargetSurface:
+    return TargetSurface.from_mesh(nodes, mesh.faces)
 
 
 def test_springs_draw_both_surfaces_together_by_their_area():
@@ -98,7 +98,7 @@ def test_what_is_let_go_stays_on_a_slope_that_friction_holds():
     slope = np.array([0.2, 1.0, 0.0]) / np.hypot(0.2, 1.0)  # less than friction holds
     across = np.stack([[slope[1], -slope[0], 0.0], slope, [0.0, 0.0, 1.0]])
     start = flat @ across + 0.0035 * slope
-    drape = fallen(mesh, start, Plane((0.0, 0.0, 0.0), tuple(slope)), WOVEN)
+    drape = let_fall(mesh, start, PlaneDistance((0.0, 0.0, 0.0), tuple(slope)), WOVEN)
     assert drape.report.converged and drape.steps < laying.FREE_STEPS and not len(drape.held)
     assert np.abs(drape.nodes - start).max() < 0.002
 
@@ -112,9 +112,9 @@ def test_gathers_are_told_by_the_lengths_of_seams_and_belts_by_the_openings():
 
 
 def test_options_for_cloth_that_is_laid():
-    found = laying_options(DrapeOptions(edge_length_m=0.05))
+    found = laying_options(SewingOptions(edge_length_m=0.05))
     assert found.edge_length_m == laying.EDGE_M and found.iteration_limit == 0 and found.hangs_longer < HANGS_LONGER
-    assert laying_options(DrapeOptions(edge_length_m=0.02)).edge_length_m == 0.02
+    assert laying_options(SewingOptions(edge_length_m=0.02)).edge_length_m == 0.02
 
 
 def test_a_drape_in_other_folds_is_hung_in_those_of_another_mesh():
@@ -125,10 +125,12 @@ def test_a_drape_in_other_folds_is_hung_in_those_of_another_mesh():
     fine = mesh_pattern(mesh.pattern, 0.03)
     lies = np.stack([fine.nodes_from(fine.placed())[:, k] for k in (0, 2, 1)], axis=1)
     shown = Shown(fine, lies @ across + 0.0035 * slope)
-    skin = Plane((0.0, 0.0, 0.0), tuple(slope))
+    skin = PlaneDistance((0.0, 0.0, 0.0), tuple(slope))
     there = flat @ across + 0.0035 * slope + 0.08 * across[0]
     unused: Any = None
-    loose = Draped(mesh, unused, unused, Drape(there, np.zeros(0, dtype=np.int64), Report(0, 0.0, True), 0), None, {})
+    loose = Draped(
+        mesh, unused, unused, SettledDrape(there, np.zeros(0, dtype=np.int64), Report(0, 0.0, True), 0), None, {}
+    )
     assert in_other_folds(loose, shown)
     hung = hung_as(loose, shown, skin, WOVEN)
     assert hung.at_rest and not in_other_folds(hung, shown)

@@ -18,7 +18,7 @@ from recovery.fit.belt import belt_on
 from recovery.fit.forward import RestDrape
 from recovery.fit.objective import (
     Objective,
-    Target,
+    TargetSurface,
     fold_weights,
     gauss_newton_matrix,
     mean_curvature,
@@ -28,8 +28,8 @@ from recovery.fit.objective import (
 from recovery.fit.optimise import Evaluation, FitOptions, PatternSearch
 from recovery.pattern.bases import tshirt
 from recovery.pattern.coordinates import control_points, with_controls
-from recovery.pattern.model import Pattern
 from recovery.pattern.pattern_mesh import PatternMesh, mesh_pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.sim.sdf import Sphere
 from tests.drape.geometry.geometry_shapes import icosphere
@@ -71,7 +71,7 @@ def wider_below(mesh: PatternMesh) -> np.ndarray:
 
 
 @lru_cache(maxsize=1)
-def scene() -> tuple[PatternMesh, RestDrape, np.ndarray, Target, list[Contour], list[Match]]:
+def scene() -> tuple[PatternMesh, RestDrape, np.ndarray, TargetSurface, list[Contour], list[Match]]:
     """A tube held at its upper border, its drape, and a target: the drape of a pattern that is 6 % wider below."""
     mesh = cone_mesh()
     flat = mesh.nodes_from(mesh.placed())
@@ -87,7 +87,7 @@ def scene() -> tuple[PatternMesh, RestDrape, np.ndarray, Target, list[Contour], 
     there, report = forward(torch.from_numpy(mesh.rest_at(wider_below(mesh))), nodes)
     assert report.converged
     contours = open_contours(nodes, mesh.faces)
-    target = Target.from_mesh(there.numpy(), mesh.faces)
+    target = TargetSurface.from_mesh(there.numpy(), mesh.faces)
     heights = np.array([other.centre[1] for other in target.contours])
     matches = paired([int(np.abs(heights - contour.centre[1]).argmin()) for contour in contours])
     return mesh, forward, nodes, target, contours, matches
@@ -135,13 +135,13 @@ def test_the_distance_to_itself_is_zero_however_it_is_triangulated():
     coarse, fine = (mesh_pattern(tube(), length) for length in (0.12, 0.05))
     nodes = coarse.nodes_from(coarse.placed())
     flat = np.column_stack([fine.rest, np.zeros(len(fine.rest))])
-    same = Target.from_mesh(nodes, coarse.faces)
+    same = TargetSurface.from_mesh(nodes, coarse.faces)
     x = torch.from_numpy(nodes)
     terms = Objective(coarse, same, same.contours, paired((0, 1)))(x)
     assert float(terms.total) < 1e-20
     # One panel alone in another triangulation, and lifted by d: d^2 in both directions.
     front = coarse.panel_faces[coarse.face_panel == 0]
-    other = Target.from_mesh(flat, fine.panel_faces[fine.face_panel == 0])
+    other = TargetSurface.from_mesh(flat, fine.panel_faces[fine.face_panel == 0])
     only = replace(coarse, faces=front, panel_faces=front)
     for lift in (0.0, 0.01):
         world = np.column_stack([coarse.rest, np.full(len(coarse.rest), lift)])
@@ -200,7 +200,7 @@ def test_the_drape_moves_as_its_sensitivity_says(belt):
 def test_where_the_fit_is_exact_the_matrix_is_the_second_derivative(pairs):
     """The loss a small way from its zero is half the square of that way in the matrix, with contours and without."""
     mesh, forward, nodes, _, contours, _ = scene()
-    own = Target.from_mesh(nodes, mesh.faces)
+    own = TargetSurface.from_mesh(nodes, mesh.faces)
     objective = Objective(mesh, own, contours, paired(pairs))
     rng = np.random.default_rng(5)
     directions = np.stack([mesh.rest_at(c) for c in rng.normal(size=(3, *mesh.controls.positions.shape))], axis=2)

@@ -13,22 +13,22 @@ from numpy.testing import assert_allclose
 
 from drape.errors import InputError
 from drape.garment.contours import match_contours, open_contours
-from recovery.drape.pattern_drape import DrapeOptions, drape_pattern, hanging
-from recovery.drape.placement import scaled
+from recovery.drape.pattern_drape import SewingOptions, drape_pattern, hanging
+from recovery.drape.placement import scale_pattern
 from recovery.fit import starts
-from recovery.fit.belt import held_as_target
+from recovery.fit.belt import hold_as_target
 from recovery.fit.laying import EDGE_M, Shown
-from recovery.fit.objective import Target, nearest_on_line
+from recovery.fit.objective import TargetSurface, nearest_on_line
 from recovery.fit.optimise import FitOptions
-from recovery.fit.recovered import Recovered
+from recovery.fit.outcome import Recovered
 from recovery.fit.rounds import RoundsOptions, _Rounds, recover_pattern
 from recovery.pattern.bases import skirt, tshirt
-from recovery.run.sewn import sewn_anew
+from recovery.run.sew_anew import sew_anew
 from recovery.sim.sdf import GridDistance
 from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements
 
-COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)
+COARSE = SewingOptions(edge_length_m=0.05, grid_m=0.02)
 
 
 @pytest.mark.slow
@@ -37,9 +37,9 @@ def test_a_larger_base_finds_the_pattern_of_a_drape(body):
     """Larger by 7 %: gradings and three closing steps bring control points within 1 mm, areas 0.5 %."""
     truth = tshirt(default_measurements())
     target = drape_pattern(truth, body, COARSE)
-    base = scaled(truth, 1.07)
+    base = scale_pattern(truth, 1.07)
     found = recover_pattern(
-        Target.from_mesh(*target.surface),
+        TargetSurface.from_mesh(*target.surface),
         base,
         body,
         RoundsOptions(COARSE, FitOptions(iterations=0, closing=3), meshes_m=(0.05,)),
@@ -62,8 +62,8 @@ def test_rounds_go_on_from_each_other_in_the_fabric_that_is_named(body, tmp_path
     target = drape_pattern(truth, body, coarse)
     lines: list[str] = []
     found = recover_pattern(
-        Target.from_mesh(*target.surface),
-        scaled(truth, 1.05),
+        TargetSurface.from_mesh(*target.surface),
+        scale_pattern(truth, 1.05),
         body,
         RoundsOptions(
             coarse, FitOptions(iterations=0, closing=2), meshes_m=(0.08, 0.07), state_file=tmp_path / "state.npz"
@@ -98,7 +98,7 @@ def test_options_of_rounds_that_lead_nowhere_are_refused():
 @pytest.mark.long
 def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(body, monkeypatch: pytest.MonkeyPatch):
     pattern = skirt(default_measurements())
-    very_coarse = DrapeOptions(edge_length_m=0.12, grid_m=0.04)
+    very_coarse = SewingOptions(edge_length_m=0.12, grid_m=0.04)
     skin = very_coarse.skin(body.posed_vertices(np.zeros((1, 24, 3)))[0], body.faces)
     lengths = []
 
@@ -108,7 +108,7 @@ def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(body, mo
         return drape_pattern(pattern, body, replace(drape, iteration_limit=0) if first else drape, **given)
 
     monkeypatch.setattr(starts, "drape_pattern", stopped_at_first)
-    start = starts.Start(body, very_coarse, None, skin, ("trunk", "trunk"))
+    start = starts.DrapeStart(body, very_coarse, None, skin, ("trunk", "trunk"))
     assert starts.drape_at_rest(pattern, start).at_rest
     assert_allclose(lengths, [0.12, 0.93 * 0.12])
     monkeypatch.undo()
@@ -117,16 +117,16 @@ def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(body, mo
     # One that no arm goes through is tried on a finer mesh and then on every one; the first of equals is taken.
     lengths.clear()
     monkeypatch.setattr(starts, "drape_pattern", stopped_at_first)
-    found = starts.worn_drape(pattern, replace(start, parts=("left_arm",)))
+    found = starts.drape_worn(pattern, replace(start, parts=("left_arm",)))
     assert_allclose(lengths, 0.12 * np.array([1.0, 0.6, 0.93, 1.07, 0.87]))
     assert found.at_rest and replace(start, parts=("left_arm",)).lost(found) == ("left_arm",)
     # What is mended is judged as it is then: no other mesh is tried.
     lengths.clear()
-    assert starts.worn_drape(pattern, start, mended=lambda one: found) is found and len(lengths) == 1
+    assert starts.drape_worn(pattern, start, mended=lambda one: found) is found and len(lengths) == 1
 
 
 def test_what_a_coarse_mesh_loses_is_draped_on_a_finer_one_from_then_on():
-    options = DrapeOptions(edge_length_m=0.05)
+    options = SewingOptions(edge_length_m=0.05)
     for length, needed in ((0.03, 0.03), (0.0435, np.inf), (0.05, np.inf)):
         assert starts.needed_length(cast(Any, SimpleNamespace(figures={"edge_length_m": length})), options) == needed
 
@@ -157,13 +157,13 @@ def test_a_pattern_that_no_mesh_can_be_sewn_of_is_refused(body, monkeypatch: pyt
 
     monkeypatch.setattr(starts, "drape_pattern", refused)
     with pytest.raises(InputError, match="edges that meet"):
-        starts.worn_drape(skirt(default_measurements()), starts.Start(body, DrapeOptions(), None, None))
+        starts.drape_worn(skirt(default_measurements()), starts.DrapeStart(body, SewingOptions(), None, None))
 
 
 @pytest.mark.long
 def test_a_belt_is_held_where_the_waist_of_the_target_is(body):
     lower_m = 0.01
-    draped = drape_pattern(skirt(default_measurements()), body, DrapeOptions(edge_length_m=0.1, grid_m=0.02))
+    draped = drape_pattern(skirt(default_measurements()), body, SewingOptions(edge_length_m=0.1, grid_m=0.02))
     own = open_contours(*draped.surface)
     # The target's waist is lower and wider: there the hips are.
     held = draped.rest.held
@@ -173,7 +173,7 @@ def test_a_belt_is_held_where_the_waist_of_the_target_is(body):
     matches, _ = match_contours(own, there, body.joints_template)
     skin = GridDistance.from_mesh(body.v_template, body.faces, spacing_m=0.02)
     cloth = hanging("jersey")
-    found = held_as_target(draped, matches, there, skin, cloth)
+    found = hold_as_target(draped, matches, there, skin, cloth)
     assert found.at_rest and np.array_equal(found.rest.held, held)
     target = next(match.target for match in matches if np.isin(held, own[match.source].loop).all())
     waist = torch.from_numpy(there[target].points)
@@ -183,15 +183,15 @@ def test_a_belt_is_held_where_the_waist_of_the_target_is(body):
     free = np.setdiff1d(np.arange(len(found.nodes)), held)
     assert 0.5 * lower_m < (draped.nodes - found.nodes)[free, 1].mean() < 1.5 * lower_m
     # Laid on its own waist it stays; without belt or counterpart nothing is moved.
-    same = held_as_target(draped, match_contours(own, own, body.joints_template)[0], own, skin, cloth)
+    same = hold_as_target(draped, match_contours(own, own, body.joints_template)[0], own, skin, cloth)
     assert np.abs(same.nodes - draped.nodes).max() < 1e-4
     loose = replace(draped, rest=draped.rest._replace(held=np.zeros(0, dtype=np.int64)))
-    assert held_as_target(loose, matches, there, skin, cloth) is loose
-    assert held_as_target(draped, [], there, skin, cloth) is draped
+    assert hold_as_target(loose, matches, there, skin, cloth) is loose
+    assert hold_as_target(draped, [], there, skin, cloth) is draped
     # A garment whose belt was laid lower is what its pattern gives, sewn anew and hung there.
     fitted = SimpleNamespace(pattern=draped.mesh.pattern, cloth=cloth, nodes=found.nodes)
     search, shown = SimpleNamespace(forward=None), Shown(found.mesh, found.nodes)
     report = cast(Recovered, SimpleNamespace(fitted=fitted, search=search, sewn=None, shown=shown))
-    anew = sewn_anew(report, starts.Start(body, DrapeOptions(edge_length_m=0.1, grid_m=0.02), None, None))
+    anew = sew_anew(report, starts.DrapeStart(body, SewingOptions(edge_length_m=0.1, grid_m=0.02), None, None))
     assert anew.distance.rms_mm < min(3.0, 0.8 * anew.by_itself.rms_mm)
     assert_allclose(anew.belt_moved_m, (found.nodes - draped.nodes)[held, 1].mean(), atol=1e-3)

@@ -14,7 +14,7 @@ from recovery.fit.seams import SeamConstraint, ease_left, sewable, wanted_ratios
 from recovery.pattern import geometry
 from recovery.pattern.bases import tshirt
 from recovery.pattern.coordinates import control_points, with_controls
-from recovery.pattern.model import Pattern
+from recovery.pattern.sewing_pattern import Pattern
 from recovery.pattern.symmetry import find_symmetries, free_controls, symmetrised
 from tests.recovery.pattern_setup import default_measurements, tube
 from tests.recovery.test_fit_optimise import search

@@ -14,20 +14,19 @@ from drape.cloth.fabric_table import FABRICS
 from drape.errors import InputError
 from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point
-from recovery.catalogue.garments import CATALOGUE
+from recovery.catalogue.cuts import CATALOGUE
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES, dress, skirt, sleeved_dress, tank, trousers, tshirt
-from recovery.pattern.darts import Dart, waist_with_darts
-from recovery.pattern.design import Design, check_laid_flat, check_seams
+from recovery.pattern.design import Dart, Design, check_laid_flat, check_seams, waist_with_darts
 from recovery.pattern.drafting import Cone, Flutes, Tube
-from recovery.pattern.measurements import GROWTH_M, in_size, measure
-from recovery.pattern.model import Pattern
+from recovery.pattern.measurements import GROWTH_M, in_size, measure_body
 from recovery.pattern.pattern_mesh import mesh_pattern
-from recovery.pattern.skirts import SkirtCut, a_line, circle, fitted
+from recovery.pattern.sewing_pattern import Pattern
+from recovery.pattern.skirts import SkirtCut, a_line, circle, panelled_skirt
 from recovery.pattern.tops import CAP_EASE, Sleeve, TopCut, cap, lines, top
 from recovery.pattern.trousers import LegCut
 from recovery.pattern.trousers import trousers as legs
-from recovery.run.target_wearer import shaped_body
+from recovery.run.target_wearer import shape_body
 from tests.recovery.pattern_setup import default_measurements
 
 OPENINGS = {
@@ -164,7 +163,7 @@ def test_a_cone_goes_round_its_circle_and_opens_downward():
         (lambda body: skirt(body, drop_m=0.4), "a waist above and a hem below them"),
         (lambda body: skirt(body, hip_ease_m=-0.1), "Add ease"),
         (lambda body: skirt(body, panels=2.5), "panels: expected a whole number from 2 to 12, got 2.5"),
-        (lambda body: fitted(body, SkirtCut("s", "twill", 0.55, drop_m=0.05, panels=1)), "two panels or more"),
+        (lambda body: panelled_skirt(body, SkirtCut("s", "twill", 0.55, drop_m=0.05, panels=1)), "two panels or more"),
         (lambda body: tshirt(body, panels=4), "--set: expected one of"),
         (lambda body: tank(body, sleeve_length_m=0.2), "--set: expected one of"),
         (lambda body: dress(body, waist_drop_m=0.24), "underarm, waist, hips, hem one below the other"),
@@ -319,7 +318,7 @@ def test_a_dress_has_the_girths_of_body_and_ease():
 
 @pytest.mark.parametrize("shape", [(2.0,), (-2.0,), (0.0, 2.0), (0.0, -2.0, 1.0)])
 def test_bases_fit_other_bodies(shape):
-    body = measure(shaped_body(load_body(), np.array(shape)))
+    body = measure_body(shape_body(load_body(), np.array(shape)))
     for base in BASES.values():
         pattern = base(body)
         geometry.check_pattern(pattern)

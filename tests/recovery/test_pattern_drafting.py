@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from drape.errors import BodyError
 from recovery.pattern import geometry
 from recovery.pattern.drafting import BACK, FRONT, Side, draft, mirror
-from recovery.pattern.measurements import measure, section, tape
+from recovery.pattern.measurements import measure_body, section, tape
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.recovery.pattern_setup import default_measurements
 
@@ -40,7 +40,7 @@ def test_the_body_is_measured_in_the_order_of_a_body():
 
 
 def test_a_larger_body_measures_larger(body):
-    larger = measure(replace(body, v_template=1.1 * body.v_template))
+    larger = measure_body(replace(body, v_template=1.1 * body.v_template))
     for name, value in vars(default_measurements()).items():
         if not isinstance(value, np.ndarray):
             assert_allclose(getattr(larger, name), 1.1 * value, rtol=0.01, atol=0.012)

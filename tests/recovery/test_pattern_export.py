@@ -19,14 +19,14 @@ from drape.errors import InputError
 from recovery.pattern import geometry
 from recovery.pattern.__main__ import main
 from recovery.pattern.bases import tshirt
-from recovery.pattern.export import FORMATS, export_pattern
 from recovery.pattern.export_dxf import write_dxf
 from recovery.pattern.export_pdf import write_pdf
 from recovery.pattern.export_svg import write_svg
 from recovery.pattern.garmentcode import read_pattern, write_pattern
-from recovery.pattern.model import EdgeKind, EdgeRef, Panel, Pattern
+from recovery.pattern.pattern_files import FORMATS, export_pattern
 from recovery.pattern.pieces import CuttingSheet, make_sheet
-from recovery.pattern.style import Style, finished, lined
+from recovery.pattern.sewing_pattern import EdgeKind, EdgeRef, Panel, Pattern
+from recovery.pattern.style import Style, add_style_lines, finish_pattern
 from recovery.pattern.triangulate import boundary_distance
 from tests.recovery.pattern_setup import (
     assert_same_pattern,
@@ -283,7 +283,7 @@ def test_the_command_line_says_what_is_wrong(arguments, message, tmp_path, monke
 
 
 STYLE = Style({"neckband": 0.025, "yoke": 0.09, "front_yoke": 0.04, "cuffs": 0.03, "collar": 0.07}, whole_sleeves=True)
-LINED = finished(lined(tshirt(default_measurements()), STYLE), STYLE)
+LINED = finish_pattern(add_style_lines(tshirt(default_measurements()), STYLE), STYLE)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from drape.errors import InputError, NotFound
 from recovery.pattern import garmentcode, geometry
-from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
+from recovery.pattern.sewing_pattern import EdgeKind, EdgeRef, Pattern
 from tests.recovery.pattern_setup import assert_same_pattern, curved, rectangle, tube
 
 # A front and a back in centimetres; the back runs clockwise: its outside looks backwards.

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from drape.errors import InputError
 from recovery.pattern import geometry
-from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern
 from tests.recovery.pattern_setup import curved, rectangle, tube
 
 

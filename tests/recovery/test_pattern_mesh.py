@@ -13,10 +13,10 @@ from drape.geometry import meshes
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import boundary_matrix, control_points, edge_matrix, mean_value_weights, with_controls
 from recovery.pattern.garmentcode import read_pattern
-from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.pattern_mesh import mesh_pattern
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.triangulate import corner_angles_deg, signed_areas, triangulate
-from recovery.sim.model import ClothModel
+from recovery.sim.cloth_model import ClothModel
 from tests.recovery.pattern_setup import curved, rectangle, tube
 from tests.recovery.sim_setup import WOVEN
 

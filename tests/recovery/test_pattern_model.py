@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from drape.errors import InputError
-from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Placement, Stitch
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, PanelPlacement, Pattern, Stitch
 from tests.recovery.pattern_setup import FOLDS, curved, rectangle, tube
 
 CORNERS = rectangle().vertices
@@ -19,7 +19,7 @@ WHOLE_CIRCLE = Edge(0, 0, EdgeKind.CUBIC, ((0.3, 0.3), (0.6, 0.3)))
 
 def test_a_placement_turns_about_x_then_y_then_z(rng):
     angles = rng.uniform(-180, 180, size=3)
-    placement = Placement(tuple(angles), (0.1, 0.2, 0.3))
+    placement = PanelPlacement(tuple(angles), (0.1, 0.2, 0.3))
     turns = [Rotation.from_rotvec(np.radians(angle) * axis) for angle, axis in zip(angles, np.eye(3), strict=True)]
     points = rng.normal(size=(5, 2))
     turned = (turns[2] * turns[1] * turns[0]).apply(np.column_stack([points, np.zeros(5)]))
@@ -72,8 +72,8 @@ def ref(panel: str, edge: int) -> EdgeRef:
     [
         (lambda: Edge(0, 1, EdgeKind.CIRCLE, ((0.4, 0.2),)), "highest point"),
         (lambda: Edge(0, 1, EdgeKind.CIRCLE, ((0.5, 0.0),)), "highest point"),
-        (lambda: Placement(rotation_deg=(0.0, 0.0)), "rotation_deg"),  # pyright: ignore[reportArgumentType]
-        (lambda: Placement(translation_m=(0.0, np.inf, 0.0)), "translation_m"),
+        (lambda: PanelPlacement(rotation_deg=(0.0, 0.0)), "rotation_deg"),  # pyright: ignore[reportArgumentType]
+        (lambda: PanelPlacement(translation_m=(0.0, np.inf, 0.0)), "translation_m"),
         (lambda: Panel("front", CORNERS, LOOP[:-1]), "closed loop"),
         (lambda: Panel("front", CORNERS, (LOOP[0], LOOP[2], LOOP[1], LOOP[3])), "closed loop"),
         (lambda: Panel("front", CORNERS, ()), "closed loop"),

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from recovery.catalogue.garments import CATALOGUE
+from recovery.catalogue.cuts import CATALOGUE
 from recovery.pattern import geometry
 from recovery.pattern.bases import tshirt
-from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.pieces import NOTCH_DEPTH_M, Piece, hems, make_sheet, offset
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
 from recovery.pattern.triangulate import boundary_distance, inside
 from tests.recovery.pattern_setup import default_measurements, every_curve, polygon_mm, rectangle, tube
 

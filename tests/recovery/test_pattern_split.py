@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from drape.errors import InputError
 from recovery.pattern import geometry
-from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
-from recovery.pattern.split import JOIN_M, Chain, Curve, curves, cut_level, divided, fitted, joined_panels, strips
+from recovery.pattern.sewing_pattern import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
+from recovery.pattern.split import JOIN_M, Chain, Curve, curves, cut_level, divide_edges, fit_curve, join_panels, strips
 from tests.recovery.pattern_setup import curved, rectangle, tube
 
 
@@ -41,7 +41,7 @@ def corners_deg(panel: Panel) -> np.ndarray:
 def test_a_divided_edge_is_the_same_curve(number):
     """Pieces have the shares of the length that were asked for, and the points of the whole."""
     whole = Pattern("one", (curved(),))
-    found, pieces = divided(whole, {EdgeRef("curved", number): [0.2, 0.5]})
+    found, pieces = divide_edges(whole, {EdgeRef("curved", number): [0.2, 0.5]})
     assert [ref.edge for ref in pieces[EdgeRef("curved", number)]] == [number, number + 1, number + 2]
     length = geometry.edge_length(whole.panels[0], number)
     assert_allclose(lengths(found, "curved")[number : number + 3], np.array([0.2, 0.3, 0.5]) * length, rtol=1e-9)
@@ -59,7 +59,7 @@ def test_the_partner_of_a_divided_edge_is_divided_where_it_meets_it():
     whole = tube()
     crossed = replace(whole.stitches[1], right_to_wrong=True)
     whole = replace(whole, stitches=(whole.stitches[0], crossed))
-    found, _ = divided(whole, {EdgeRef("front", 1): [0.25], EdgeRef("front", 3): [0.25]})
+    found, _ = divide_edges(whole, {EdgeRef("front", 1): [0.25], EdgeRef("front", 3): [0.25]})
     assert_allclose(lengths(found, "front"), [0.4, 0.15, 0.45, 0.4, 0.15, 0.45], rtol=0.0, atol=1e-12)
     # Sewn face to face the partner runs the other way, right to wrong the same way.
     assert_allclose(lengths(found, "back"), [0.4, 0.15, 0.45, 0.4, 0.45, 0.15], rtol=0.0, atol=1e-12)
@@ -67,7 +67,7 @@ def test_the_partner_of_a_divided_edge_is_divided_where_it_meets_it():
 
 
 def test_a_place_that_both_edges_of_a_seam_ask_for_is_one_corner():
-    found, _ = divided(tube(), {EdgeRef("front", 1): [0.25, 0.0], EdgeRef("back", 3): [0.75, 1.0]})
+    found, _ = divide_edges(tube(), {EdgeRef("front", 1): [0.25, 0.0], EdgeRef("back", 3): [0.75, 1.0]})
     assert [len(panel.edges) for panel in found.panels] == [5, 5]
 
 
@@ -132,7 +132,7 @@ def test_the_fitted_curve_is_the_cubic_one_that_the_points_lie_on():
     points = np.array([(0.0, 0.0), (0.1, 0.3), (0.5, -0.1), (0.7, 0.2)])
     curve = Curve(EdgeKind.CUBIC, points)
     assert_allclose(curve.at(np.array([0.0, 1.0])), points[[0, -1]], atol=1e-15)
-    again = Curve(EdgeKind.CUBIC, fitted(curve.at(np.linspace(0.0, 1.0, 33))))
+    again = Curve(EdgeKind.CUBIC, fit_curve(curve.at(np.linspace(0.0, 1.0, 33))))
     assert_allclose(again.points, points, atol=1e-9)
 
 
@@ -155,7 +155,7 @@ def test_a_join_takes_a_cut_back():
     number = next(n for n, one in enumerate(cut.stitches) if {one.first.panel, one.second.panel} == {"front", "band"})
     stitches = list(cut.stitches)
     stitches[number] = Stitch(stitches[number].second, stitches[number].first)  # in the frame of the front
-    again = joined_panels(replace(cut, panels=tuple(panels), stitches=tuple(stitches)), number, "whole")
+    again = join_panels(replace(cut, panels=tuple(panels), stitches=tuple(stitches)), number, "whole")
     assert [panel.name for panel in again.panels] == ["whole", "back"]
     assert_allclose(geometry.area(again.panel("whole")), 0.24, rtol=1e-12)
     assert_allclose(np.ptp(again.panel("whole").vertices, axis=0), [0.4, 0.6], rtol=0.0, atol=1e-12)
@@ -170,13 +170,13 @@ def test_curved_edges_that_lie_on_each_other_are_joined():
         "b", rectangle().vertices, (Edge(0, 1), Edge(1, 2), Edge(2, 3), Edge(3, 0, EdgeKind.QUADRATIC, ((0.5, -0.1),)))
     )
     whole = Pattern("two", (bent, other), (Stitch(EdgeRef("a", 1), EdgeRef("b", 3)),))
-    found = joined_panels(whole, 0, "ab")
+    found = join_panels(whole, 0, "ab")
     assert_allclose(geometry.area(found.panels[0]), area(whole), rtol=1e-12)
     assert_allclose(np.ptp(found.panels[0].vertices, axis=0), [0.8, 0.6], rtol=0.0, atol=1e-12)
     # Mirrored, the edges leave a gap between them.
     mirrored = replace(whole, panels=(bent, replace(other, edges=(*other.edges[:3], other.edges[3].reflected()))))
     with pytest.raises(InputError, match="mm apart"):
-        joined_panels(mirrored, 0, "ab")
+        join_panels(mirrored, 0, "ab")
 
 
 NOTCHED = polygon("notched", [(0.0, 0.0), (1.0, 0.0), (1.0, 0.5), (0.5, 0.02), (0.0, 0.5)])
@@ -194,12 +194,10 @@ NOTCHED = polygon("notched", [(0.0, 0.0), (1.0, 0.0), (1.0, 0.5), (0.5, 0.02), (
         (lambda: cut_level(tube(), "back", 0.4, "yoke"), "0 crossings"),
         (lambda: cut_level(Pattern("n", (NOTCHED,)), "notched", 0.3, "yoke"), "4 crossings"),
         (
-            lambda: joined_panels(
-                replace(tube(), stitches=(replace(tube().stitches[0], right_to_wrong=True),)), 0, "x"
-            ),
+            lambda: join_panels(replace(tube(), stitches=(replace(tube().stitches[0], right_to_wrong=True),)), 0, "x"),
             "right",
         ),
-        (lambda: joined_panels(tube(rectangle("front", height=0.6 + 3.0 * JOIN_M)), 0, "x"), "lie on each other"),
+        (lambda: join_panels(tube(rectangle("front", height=0.6 + 3.0 * JOIN_M)), 0, "x"), "lie on each other"),
     ],
 )
 def test_lines_that_no_panel_has_room_for_are_refused(cut, message):

@@ -15,11 +15,11 @@ from recovery.pattern.__main__ import main
 from recovery.pattern.bases import BASES
 from recovery.pattern.export_dxf import write_dxf
 from recovery.pattern.garmentcode import read_pattern, write_pattern
-from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
 from recovery.pattern.openings import openings, openings_by_name
 from recovery.pattern.pieces import FACED, cut_count, hems, make_sheet, mirror_words
-from recovery.pattern.split import Curve, curves, divided, parted
-from recovery.pattern.style import NO_STYLE, RIB_SHORTER, Style, cap_corners_deg, finished, lined
+from recovery.pattern.sewing_pattern import EdgeKind, EdgeRef, Pattern
+from recovery.pattern.split import Curve, curves, divide_edges, part_panel
+from recovery.pattern.style import NO_STYLE, RIB_SHORTER, Style, add_style_lines, cap_corners_deg, finish_pattern
 from recovery.pattern.symmetry import find_symmetries, symmetrised
 from recovery.pattern.trousers import LegCut
 from recovery.pattern.trousers import trousers as draft_trousers
@@ -45,7 +45,7 @@ def base(name: str, **settings: float) -> Pattern:
 
 def made(pattern: Pattern, whole_sleeves: bool = False, **widths_m: float) -> Pattern:
     style = Style(widths_m, whole_sleeves)
-    return finished(lined(pattern, style), style)
+    return finish_pattern(add_style_lines(pattern, style), style)
 
 
 def area(pattern: Pattern) -> float:
@@ -66,7 +66,7 @@ def test_openings_of_the_bases_have_names(name):
 @pytest.mark.parametrize("name", BASES)
 def test_lines_take_no_cloth_and_every_seam_stays_as_it_was(name):
     whole = base(name)
-    found = lined(whole, Style(STYLES[name]))
+    found = add_style_lines(whole, Style(STYLES[name]))
     geometry.check_pattern(found)
     assert_allclose(area(found), area(whole), rtol=1e-12)
     assert len(openings(found)) == len(openings(whole))
@@ -96,8 +96,8 @@ def test_a_band_in_one_piece_is_open_behind(name):
     """A seam is left: of trousers in the middle of the back; the ends of the others lie on each other."""
     whole = base(name)
     style = Style({"waistband": 0.03}, whole_bands=True)
-    cut = lined(whole, style)
-    found = finished(cut, style)
+    cut = add_style_lines(whole, style)
+    found = finish_pattern(cut, style)
     bands = [panel for panel in found.panels if panel.name.endswith("waistband")]
     assert [panel.name for panel in bands] == ["waistband"] and style.words().endswith("bands in one piece")
     assert_allclose(area(found), area(whole), rtol=1e-4)  # edges a fraction of a millimetre apart became one
@@ -109,7 +109,7 @@ def test_a_band_in_one_piece_is_open_behind(name):
 
 
 def test_mirrored_panels_have_mirrored_bands():
-    words = mirror_words(lined(base("trousers"), Style(STYLES["trousers"])))
+    words = mirror_words(add_style_lines(base("trousers"), Style(STYLES["trousers"])))
     assert words["front_right_waistband"] == ("mirror of", "front_left_waistband")
     assert words["back_right_hemband"] == ("mirror of", "back_left_hemband")
 
@@ -117,7 +117,7 @@ def test_mirrored_panels_have_mirrored_bands():
 def test_a_waistband_through_darts_is_one_piece_with_the_darts_closed():
     cut = LegCut("trousers", "twill", 0.10, 0.5, band_m=0.0)
     whole = draft_trousers(default_measurements(), cut).pattern
-    found = lined(whole, Style({"waistband": 0.03}))
+    found = add_style_lines(whole, Style({"waistband": 0.03}))
     geometry.check_pattern(found)
     assert len(found.panels) == 8 and "front_left_waistband" in {panel.name for panel in found.panels}
     assert_allclose(area(found), area(whole), rtol=1e-9)
@@ -131,7 +131,7 @@ def test_a_waistband_through_darts_is_one_piece_with_the_darts_closed():
 
 
 def test_a_waistband_is_as_wide_as_it_was_asked_for_at_every_seam():
-    found = lined(base("trousers"), Style({"waistband": 0.04}))
+    found = add_style_lines(base("trousers"), Style({"waistband": 0.04}))
     for panel in found.panels:
         if panel.name.endswith("waistband"):
             sides = sorted(geometry.edge_length(panel, number) for number in range(4))[:2]
@@ -141,7 +141,7 @@ def test_a_waistband_is_as_wide_as_it_was_asked_for_at_every_seam():
 def test_a_neckband_is_parallel_to_the_neckline():
     """But at the shoulders, which the neckline does not meet squarely."""
     whole = base("tshirt")
-    found = lined(whole, Style({"neckband": 0.025}))
+    found = add_style_lines(whole, Style({"neckband": 0.025}))
     band = found.panel("front_neckband")
     lines = [n for n in range(len(band.edges)) if geometry.edge_length(band, n) > 0.03]
     upper = [n for n in lines if band.edges[n].label == f"neck {FACED}"]
@@ -154,7 +154,7 @@ def test_a_neckband_is_parallel_to_the_neckline():
 
 
 def test_a_yoke_goes_through_the_armholes_and_divides_the_sleeves():
-    whole, found = base("tshirt"), lined(base("tshirt"), Style({"yoke": 0.09}))
+    whole, found = base("tshirt"), add_style_lines(base("tshirt"), Style({"yoke": 0.09}))
     neck = [ref for ref in openings_by_name(whole)["neck"][0].refs if ref.panel == "back"]
     low = min(geometry.flatten(whole.panel("back"), ref.edge, 1e-4)[:, 1].min() for ref in neck)
     assert_allclose(found.panel("back_yoke").vertices[:, 1].min(), low - 0.09, atol=1e-4)
@@ -218,8 +218,8 @@ def test_a_collar_is_as_long_as_the_neckline_it_is_sewn_to():
 def test_a_rib_is_a_closed_strip_shorter_than_what_holds_it(opening):
     whole, name = base("tshirt"), "rib_cuffs" if opening == "cuff" else f"rib_{opening}"
     style = Style({name: 0.03})
-    cut = lined(whole, style)
-    found = finished(cut, style)
+    cut = add_style_lines(whole, style)
+    found = finish_pattern(cut, style)
     geometry.check_pattern(found)
     ribs = [panel for panel in found.panels if panel.name.startswith("rib_")]
     names = {"rib_cuff_left", "rib_cuff_right"} if opening == "cuff" else {name}
@@ -265,12 +265,12 @@ def halved_back() -> Pattern:
     whole = base("tank")
     panel = whole.panel("back")
     hem = int(np.argmin([curve.at(np.array([0.5]))[0, 1] for curve in curves(panel)]))
-    pattern, pieces = divided(whole, {EdgeRef("back", hem): [0.5]})
+    pattern, pieces = divide_edges(whole, {EdgeRef("back", hem): [0.5]})
     outline = curves(pattern.panel("back"))
     top = next(n for n, curve in enumerate(outline) if abs(curve.points[0, 0]) < 1e-9 < curve.points[0, 1])
     low = pieces[EdgeRef("back", hem)][1].edge
     line = Curve(EdgeKind.LINE, np.array([outline[low].points[0], outline[top].points[0]]))
-    return parted(pattern, "back", (top, low), [line], "back_other")[0]
+    return part_panel(pattern, "back", (top, low), [line], "back_other")[0]
 
 
 @pytest.mark.parametrize(

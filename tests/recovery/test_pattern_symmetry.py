@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from recovery.pattern import geometry
 from recovery.pattern.bases import skirt, trousers, tshirt
 from recovery.pattern.coordinates import control_points, with_controls
-from recovery.pattern.model import EdgeKind, Panel, Pattern
+from recovery.pattern.sewing_pattern import EdgeKind, Panel, Pattern
 from recovery.pattern.symmetry import Kind, find_symmetries, free_controls, procrustes, symmetrised
 from tests.recovery.pattern_setup import curved, default_measurements, rectangle, tube
 

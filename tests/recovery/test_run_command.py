@@ -24,25 +24,24 @@ from drape.garment.contours import lost_parts, lost_words
 from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
 from recovery import progress
-from recovery.drape.output import obj_text, panel_texture
-from recovery.drape.pattern_drape import Draped, DrapeOptions, drape_pattern, hanging
+from recovery.drape.output import panel_texture, sewn_obj_text
+from recovery.drape.pattern_drape import Draped, SewingOptions, drape_pattern, hanging
 from recovery.fit.chamfer import SurfaceDistance, chamfer, surface_chamfer, surface_distance
-from recovery.fit.starts import Start, worn_drape
+from recovery.fit.starts import DrapeStart, drape_worn
 from recovery.pattern.bases import BASES, tshirt
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.pieces import make_sheet
-from recovery.pattern.style import Style, finished, lined
+from recovery.pattern.style import Style, add_style_lines, finish_pattern
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.run import __main__ as command
 from recovery.run import report_text
-from recovery.run.drafted import own_settings
+from recovery.run.draft import own_settings
 from recovery.run.identify import CAP_M, Identifiability, corner_names, from_curvature, shape_basis, weak_words
 from recovery.run.job import run_job
-from recovery.run.report_page import Page
-from recovery.run.report_pieces import add_pieces, scaled_drawing
-from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, summary, verdicts
-from recovery.run.sewn import SewnAnew, anew_words, describe_worn, retargeted, sewn_anew
+from recovery.run.report_pieces import ReportPage, add_pieces, scaled_drawing
+from recovery.run.report_text import cloth_words, cut_of, cut_words, file_words, report_summary, verdicts
+from recovery.run.sew_anew import SewnAnew, anew_words, describe_worn, drape_elsewhere, sew_anew
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_error import pattern_error
 from tests.recovery.pattern_setup import default_measurements, tube
@@ -86,7 +85,7 @@ def test_a_scan_without_a_body_may_go_farther_from_its_base():
 
 
 def test_a_page_holds_its_pictures_and_escapes_its_words():
-    page = Page("a < b")
+    page = ReportPage("a < b")
     page.section("Panels & seams")
     page.say("One.", "Two.")
     page.notes(["look"])
@@ -132,7 +131,7 @@ def test_the_report_is_drawn_under_the_watch(tmp_path, monkeypatch):
     assert json.loads((tmp_path / "report.json").read_text()) == {"stage": "the report is drawn"}
 
 
-COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)
+COARSE = SewingOptions(edge_length_m=0.05, grid_m=0.02)
 TOLD = dict.fromkeys(BASES["tshirt"].settings, 0.0)
 
 
@@ -142,7 +141,7 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     truth = tshirt(default_measurements(), length_m=0.70, chest_ease_m=0.15)
     draped = drape_pattern(truth, load_body(), COARSE)
-    path = write_whole(folder / "target.obj", obj_text(draped.mesh, draped.nodes, panel_texture(draped.mesh)))
+    path = write_whole(folder / "target.obj", sewn_obj_text(draped.mesh, draped.nodes, panel_texture(draped.mesh)))
     coarse = ["--edge-length", "0.05", "--grid", "0.02", "--adam", "0", "--closing", "2", "--no-retarget"]
     coarse += ["--meshes", "0.05"]  # one round; tests of the pipeline have more
     outcomes = []
@@ -208,11 +207,11 @@ def test_the_report_says_what_was_found(run):
     for words in ("Seams in pairs", "mirror of sleeve_left_front", "hem, turned up", "Checked by", "seams have ease"):
         assert words in page
     style = Style({"cuffs": 0.05, "collar": 0.06})
-    made = finished(lined(outcome.pattern, style), style)
+    made = finish_pattern(add_style_lines(outcome.pattern, style), style)
     with_lines = replace(outcome, written=outcome.written._replace(style=style, made=made))
     assert cut_of(with_lines) == f"{record['cut']}; with cuffs 5 cm, collar 6 cm: 11 pieces, 24 seams"
-    assert "With cuffs 5 cm, collar 6 cm it has 11 pieces and 24 seams" in summary(with_lines)[0]
-    lines = Page("lines")
+    assert "With cuffs 5 cm, collar 6 cm it has 11 pieces and 24 seams" in report_summary(with_lines)[0]
+    lines = ReportPage("lines")
     add_pieces(lines, with_lines.written.made)
     assert "cut twice: sewn to its facing" in lines.text() and "sleeve_left_front_cuff" in lines.text()
     anew = outcome.sewn.anew
@@ -235,9 +234,9 @@ def test_the_report_says_what_was_found(run):
 def test_lines_that_are_sewn_again_move_no_cloth(run):
     """The pattern with bands and a yoke, sewn from its pieces, lies where the garment of the report does."""
     _, outcome, _ = run
-    pattern = lined(outcome.pattern, Style({"cuffs": 0.06, "hemband": 0.06, "yoke": 0.09}))
-    start = Start(load_body(), COARSE, None, None, ("left_arm", "right_arm"))
-    anew = sewn_anew(outcome.found, start, pattern)
+    pattern = add_style_lines(outcome.pattern, Style({"cuffs": 0.06, "hemband": 0.06, "yoke": 0.09}))
+    start = DrapeStart(load_body(), COARSE, None, None, ("left_arm", "right_arm"))
+    anew = sew_anew(outcome.found, start, pattern)
     assert len(anew.draped.mesh.pattern.panels) == 13
     assert anew.draped.at_rest and anew.distance.mean_mm < 3.0
 
@@ -266,11 +265,11 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     pose = np.zeros((24, 3))
     pose[0, 1] = 0.3
     write_whole(folder / "turned.json", json.dumps(pose.tolist()))
-    monkeypatch.setattr("recovery.run.sewn.BODIES", {"taller": (0.3,)})
-    monkeypatch.setattr("recovery.run.sewn.POSES", (str(folder / "turned.json"),))
+    monkeypatch.setattr("recovery.run.sew_anew.BODIES", {"taller": (0.3,)})
+    monkeypatch.setattr("recovery.run.sew_anew.POSES", (str(folder / "turned.json"),))
     draped, body = outcome.sewn.anew.draped, load_body()
     parts = ["trunk", "trunk", "left_arm", "right_arm"]
-    taller, posed = retargeted(truth, draped, body, body, COARSE, parts, cloth=outcome.found.fitted.cloth)
+    taller, posed = drape_elsewhere(truth, draped, body, body, COARSE, parts, cloth=outcome.found.fitted.cloth)
     assert taller.lost == posed.lost == ()
     for worn in (taller, posed):
         assert worn.figures["converged"] and worn.figures["clearance_mm"] > 0.0 and not worn.refusal
@@ -285,8 +284,8 @@ def test_what_fell_into_other_folds_is_hung_in_the_reports(run, monkeypatch: pyt
     aside = 0.04 * np.sin(20.0 * draped.nodes[:, 1:2]) * np.array([0.0, 0.0, 1.0])
     shaken = replace(draped, rest=draped.rest._replace(nodes=draped.nodes + aside))
     monkeypatch.setattr("recovery.fit.starts.drape_pattern", lambda *given, **more: shaken)
-    start = Start(wearer.shaped, COARSE, wearer.pose, None, ("trunk",))
-    again = sewn_anew(replace(outcome.found, sewn=None), start)
+    start = DrapeStart(wearer.shaped, COARSE, wearer.pose, None, ("trunk",))
+    again = sew_anew(replace(outcome.found, sewn=None), start)
     assert again.by_itself.mean_mm > 3.0 >= again.distance.mean_mm and again.draped.at_rest
     assert "hung in this garment's folds" in anew_words(again)
 
@@ -316,7 +315,7 @@ def test_a_pattern_whose_sleeve_misses_its_arm_is_sewn_on_another_mesh(lost_on, 
         return SimpleNamespace(surface=surface, at_rest=True, number=len(lengths))
 
     monkeypatch.setattr("recovery.fit.starts.drape_pattern", drape)
-    found = worn_drape(tube(), Start(body, COARSE, None, None, ("trunk",)))
+    found = drape_worn(tube(), DrapeStart(body, COARSE, None, None, ("trunk",)))
     assert cast(Any, found).number == taken
     assert len(lengths) == tries and len(set(lengths)) == tries
 
@@ -325,9 +324,9 @@ def test_a_place_that_refuses_the_garment_says_so(body, monkeypatch):
     def refuse(*given, **more):
         raise InputError("pattern", expected="cloth", got="none", cure="Size it up.")
 
-    monkeypatch.setattr("recovery.run.sewn.drape_pattern", refuse)
+    monkeypatch.setattr("recovery.run.sew_anew.drape_pattern", refuse)
     never_sewn = cast(Draped, None)  # bodies come before poses, which alone need it
-    worn = next(retargeted(tube(), never_sewn, body, body, COARSE, ["trunk"], cloth=hanging("jersey")))
+    worn = next(drape_elsewhere(tube(), never_sewn, body, body, COARSE, ["trunk"], cloth=hanging("jersey")))
     assert worn.refusal.endswith("Size it up.") and len(worn.nodes) == len(worn.faces) == 0 and worn.figures == {}
 
 

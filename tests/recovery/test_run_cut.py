@@ -16,7 +16,7 @@ from drape.garment.cache import load_garment
 from drape.garment.contours import TRUNK
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.geometry import meshes
-from recovery.catalogue.garments import CATALOGUE
+from recovery.catalogue.cuts import CATALOGUE
 from recovery.fit.seams import ease_left
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES
@@ -25,11 +25,11 @@ from recovery.pattern.measurements import in_size
 from recovery.pattern.pattern_mesh import mesh_pattern
 from recovery.pattern.shirts import FALL_M, STAND_M
 from recovery.pattern.style import NO_STYLE, Style
-from recovery.run.cut import Cut, below, collarless, differences, has_collar, panel_count, ring_panels, told_base
-from recovery.run.drafted import RANGES, drafted, own_settings, read_settings
-from recovery.run.seen import Seen, girth_round, pieces
-from recovery.run.styled import in_other_size, styled
-from recovery.run.target import OF_TOPS, opened
+from recovery.run.cut import Cut, below, collarless, differences, has_collar, panel_count, ring_panels, tell_base
+from recovery.run.draft import RANGES, draft_near, own_settings, read_settings
+from recovery.run.finish import in_other_size, style_pattern
+from recovery.run.seen import SeenGarment, girth_round, pieces
+from recovery.run.target import OF_TOPS, close_but_openings
 from recovery.run.target_wearer import long_contours
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.pattern_setup import bent_cap, default_measurements
@@ -57,21 +57,21 @@ def worn(name: str) -> GarmentMesh:
     return plain_mesh(name, garment.vertices, garment.faces)
 
 
-def seen(mesh: GarmentMesh) -> Seen:
+def seen(mesh: GarmentMesh) -> SeenGarment:
     joints = load_body().joints_template
-    return Seen(mesh.vertices, mesh.faces, joints, joints)
+    return SeenGarment(mesh.vertices, mesh.faces, joints, joints)
 
 
 @pytest.mark.parametrize("name", CUTS)
 def test_the_base_is_told_by_openings_and_their_places(name):
-    assert told_base(seen(worn(name)), default_measurements()) == CUTS[name]
+    assert tell_base(seen(worn(name)), default_measurements()) == CUTS[name]
 
 
 def test_a_sleeveless_dress_is_told_from_one_with_sleeves():
     tank = worn("tank")
     low = tank.vertices[:, 1] < 0.1
     longer = replace(tank, vertices=tank.vertices - np.where(low, 0.3, 0.0)[:, None] * [0.0, 1.0, 0.0])
-    assert told_base(seen(longer), default_measurements()) == "dress"
+    assert tell_base(seen(longer), default_measurements()) == "dress"
 
 
 @pytest.mark.parametrize(
@@ -80,8 +80,8 @@ def test_a_sleeveless_dress_is_told_from_one_with_sleeves():
 def test_what_begins_at_the_chest_is_a_tube_or_a_strapless_dress_and_is_drafted_there(low, high, base):
     body = default_measurements()
     mesh = plain_mesh("tube", *round_tube([0.19] * 21, np.linspace(low, high, 21), 40))
-    assert told_base(seen(mesh), body) == base
-    pattern, settings = drafted(base, body, seen(mesh), {})
+    assert tell_base(seen(mesh), body) == base
+    pattern, settings = draft_near(base, body, seen(mesh), {})
     if base != "skirt":
         tops = [panel.placement.apply(panel.vertices)[:, 1].max() for panel in pattern.panels]
         assert_allclose(max(tops), high, rtol=0, atol=0.005)
@@ -92,11 +92,11 @@ def test_a_cape_and_a_top_with_one_sleeve_have_no_base():
     joints = load_body().joints_template
     cape = plain_mesh("cape", *round_tube(np.linspace(0.5, 0.12, 21).tolist(), np.linspace(0.2, 0.57, 21), 40))
     with pytest.raises(InputError, match=r"2 round the trunk, the upper one at the neck.*--base FILE\.json"):
-        told_base(Seen(cape.vertices, cape.faces, joints, joints), default_measurements())
+        tell_base(SeenGarment(cape.vertices, cape.faces, joints, joints), default_measurements())
     tshirt = seen(worn("tshirt"))
     del tshirt.openings["left_arm"]
     with pytest.raises(InputError, match="got 1 round the right arm, 2 round the trunk"):
-        told_base(tshirt, default_measurements())
+        tell_base(tshirt, default_measurements())
 
 
 def test_holes_in_the_cloth_do_not_hide_the_kind():
@@ -107,7 +107,7 @@ def test_holes_in_the_cloth_do_not_hide_the_kind():
     places = [chest[chest[:, 2].argmax()], chest[chest[:, 2].argmin()]]
     away = np.min([np.linalg.norm(middle - place, axis=1) for place in places], axis=0)
     holed = tee.take_faces(np.flatnonzero(away > 0.06))
-    assert len(long_contours(holed)) == 6 and opened(holed, load_body().joints_template)[1] == OF_TOPS
+    assert len(long_contours(holed)) == 6 and close_but_openings(holed, load_body().joints_template)[1] == OF_TOPS
 
 
 def test_a_collar_is_told_from_a_neckline():
@@ -185,7 +185,7 @@ def test_settings_are_read_off_a_garment_within_centimetres(name):
 def test_a_base_is_drafted_near_its_target_and_keeps_what_is_given(name):
     body, there = default_measurements(), seen(worn(name))
     given = {"length_m": 0.777} if "length_m" in BASES[CUTS[name]].settings else {"inseam_m": 0.333}
-    pattern, settings = drafted(CUTS[name], body, there, given)
+    pattern, settings = draft_near(CUTS[name], body, there, given)
     assert pattern.name == CUTS[name] and given.items() <= settings.items()
     assert all(RANGES[key][0] <= value <= RANGES[key][1] for key, value in settings.items() if key not in given)
     told = read_settings(CUTS[name], body, there)
@@ -196,14 +196,14 @@ def test_a_base_is_drafted_near_its_target_and_keeps_what_is_given(name):
 def test_shaped_legs_have_a_knee_and_straight_ones_none():
     body = default_measurements()
     assert "knee_girth_m" not in read_settings("trousers", body, seen(worn("shorts")))
-    straight, shaped = BASES["trousers"](body), drafted("trousers", body, seen(worn("trousers")), {})[0]
+    straight, shaped = BASES["trousers"](body), draft_near("trousers", body, seen(worn("trousers")), {})[0]
     assert [len(panel.edges) for panel in straight.panels] == [6] * 4
     assert [len(panel.edges) for panel in shaped.panels] == [8] * 4 and len(shaped.stitches) == 12
 
 
 def test_where_nothing_can_be_drafted_the_last_refusal_is_told():
     with pytest.raises(InputError, match="an upper arm of"):
-        drafted("tshirt", default_measurements(), seen(worn("tshirt")), {"sleeve_arm_ease_m": 0.9})
+        draft_near("tshirt", default_measurements(), seen(worn("tshirt")), {"sleeve_arm_ease_m": 0.9})
 
 
 def laid_out(count: int) -> GarmentMesh:
@@ -280,16 +280,16 @@ def test_a_target_with_a_collar_gets_one_and_what_has_no_room_is_left_out():
     pattern = BASES["tshirt"](default_measurements())
     cut = Cut("tshirt", told=True, settings={}, differs=(), collar_m=0.08)
     warnings: list[str] = []
-    style, with_lines, made = styled(NO_STYLE, cut, pattern, warnings)
+    style, with_lines, made = style_pattern(NO_STYLE, cut, pattern, warnings)
     assert cut.called == "tshirt" and replace(cut, base="patterns/own.json").called == "own.json"
     assert style.words() == "collar 8 cm" and with_lines is pattern and made.panels[-1].name == "collar"
     assert "neither draped nor fitted" in warnings[0] and "8.0 cm wide" in warnings[0]
-    assert styled(Style({"collar": 0.05}), cut, pattern, [])[0].words() == "collar 5 cm"
+    assert style_pattern(Style({"collar": 0.05}), cut, pattern, [])[0].words() == "collar 5 cm"
     plain = replace(cut, collar_m=0.0)
-    assert styled(NO_STYLE, plain, pattern, warnings) == (NO_STYLE, pattern, pattern)
-    assert styled(Style({"cuffs": 0.4}), plain, pattern, warnings) == (NO_STYLE, pattern, pattern)
+    assert style_pattern(NO_STYLE, plain, pattern, warnings) == (NO_STYLE, pattern, pattern)
+    assert style_pattern(Style({"cuffs": 0.4}), plain, pattern, warnings) == (NO_STYLE, pattern, pattern)
     assert len(warnings) == 2 and warnings[1].startswith("The style lines (cuffs 40 cm) were left out: ")
-    styled(Style({"rib_neck": 0.02}), plain, pattern, ribs := [])
+    style_pattern(Style({"rib_neck": 0.02}), plain, pattern, ribs := [])
     assert "(rib neck by 12%)" in ribs[0] and "neither draped nor fitted" in ribs[0]
-    joined = styled(Style({}, whole_sleeves=True), plain, bent_cap(pattern), warnings)[2]
+    joined = style_pattern(Style({}, whole_sleeves=True), plain, bent_cap(pattern), warnings)[2]
     assert len(joined.panels) == 4 and "that of sleeve_left by" in warnings[2] and "draw them fair" in warnings[2]

@@ -14,13 +14,20 @@ from drape.errors import BodyError, InputError, MeshError
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.geometry import closest, meshes
-from recovery.pattern.export import export_pattern
-from recovery.run.target import MOST_OFF_M, OPENINGS, check_base, check_near, off_skin, opened, placed_target
-from recovery.run.target_wearer import inside_wearer, read_wearer, shaped_body
-from recovery.run.task import Job, prepare, read_base
-from recovery.scan.holes import closed
-from recovery.scan.mended import mended, one_sheet, read_target
-from recovery.scan.places import ScanFault
+from recovery.pattern.pattern_files import export_pattern
+from recovery.run.target import (
+    MOST_OFF_M,
+    OPENINGS,
+    check_base,
+    check_near,
+    close_but_openings,
+    off_skin,
+    placed_target,
+)
+from recovery.run.target_wearer import inside_wearer, read_target_wearer, shape_body
+from recovery.run.task import RecoveryJob, prepare, read_base
+from recovery.scan.holes import close_holes
+from recovery.scan.repair import ScanFault, mend_sheet, one_sheet, read_target
 from recovery.sim.sdf import check_closed
 from tests.drape.cloth.cloth_shapes import grid, round_tube
 
@@ -89,7 +96,7 @@ def without(mesh: GarmentMesh, *faces: int) -> GarmentMesh:
 
 
 SHEET = plain_mesh("sheet", *grid(8, 8, cell_m=0.08))
-SHUT = closed(skirt_tube(), lambda one: True).mesh
+SHUT = close_holes(skirt_tube(), lambda one: True).mesh
 LONE = plain_mesh("lone", np.concatenate([[[0, 0, 0.3], [0.3, 0, 0.3], [0, 0.3, 0.3]], np.ones((30, 3))]), [[0, 1, 2]])
 
 
@@ -112,7 +119,7 @@ def test_whatever_the_surface_the_refusal_is_a_sentence(tmp_path, mesh, got):
     """Also one that mending closes, and one whose fault is a point: its place is told on the body."""
     path = write_obj(tmp_path / "odd.obj", mesh)
     with pytest.raises(MeshError, match=got):
-        prepare(Job(target=path, out=tmp_path, base=None, body="anny_default"))
+        prepare(RecoveryJob(target=path, out=tmp_path, base=None, body="anny_default"))
 
 
 def test_a_whole_mesh_stays_as_it_is():
@@ -123,7 +130,7 @@ def test_a_whole_mesh_stays_as_it_is():
 
 
 def test_centimetres_z_up_and_inside_out_are_repaired_and_noted():
-    skin = read_wearer("anny_default").skin
+    skin = read_target_wearer("anny_default").skin
     mesh = skirt_tube()
     x, y, z = 100.0 * mesh.vertices.T
     found = placed_target(replace(mesh, vertices=np.stack([x, -z, y], axis=1), faces=mesh.faces[:, ::-1]), skin)
@@ -140,7 +147,7 @@ def test_centimetres_z_up_and_inside_out_are_repaired_and_noted():
 )
 def test_a_target_off_its_body_is_refused(mesh, got):
     with pytest.raises(InputError, match=got):
-        check_near(mesh, read_wearer("anny_default").skin)
+        check_near(mesh, read_target_wearer("anny_default").skin)
 
 
 @pytest.mark.parametrize(
@@ -152,11 +159,11 @@ def test_a_target_off_its_body_is_refused(mesh, got):
 )
 def test_a_target_in_no_known_unit_or_of_too_little_cloth_is_refused(mesh, unit, got):
     with pytest.raises(MeshError, match=got):
-        placed_target(mesh, read_wearer("anny_default").skin, unit=unit)
+        placed_target(mesh, read_target_wearer("anny_default").skin, unit=unit)
 
 
 def test_the_base_must_have_the_openings_of_the_target():
-    mesh, found = opened(skirt_tube(), load_body().joints_template)
+    mesh, found = close_but_openings(skirt_tube(), load_body().joints_template)
     assert found == OPENINGS["skirt"] and mesh.notes == ()
     check_base("skirt", found)
     check_base("mine.json", found)  # nothing is known of its openings before it is draped
@@ -167,7 +174,7 @@ def test_the_base_must_have_the_openings_of_the_target():
 
 
 def test_cloth_that_lies_off_the_skin_tells_how_far():
-    skin = read_wearer("anny_default").skin
+    skin = read_target_wearer("anny_default").skin
     (path,) = Path("drape/assets/garments").glob("tank-*.npz")
     tank = load_garment(path)
     mesh, known = plain_mesh("tank", tank.vertices, tank.faces), np.ones(len(tank.faces))
@@ -190,7 +197,7 @@ def test_a_garment_that_is_open_from_hem_to_top_is_refused_with_its_place(turned
         x, y, z = coat.vertices.T
         coat = replace(coat, vertices=np.stack([x, -z, y], axis=1))
     with pytest.raises(ScanFault, match=r"open from hem to neck.*Join the two edges") as fault:
-        mended(coat)
+        mend_sheet(coat)
     up = 2 if turned else 1
     assert len(fault.value.points) and np.abs(fault.value.points[:, up] + 0.2).max() < 0.2
 
@@ -210,16 +217,16 @@ def test_a_garment_that_is_one_surface_with_its_wearer_is_refused_with_its_place
     vertices = np.concatenate([mesh.vertices, mesh.vertices[top].mean(axis=0)[None]])
     closed = plain_mesh("worn", vertices, np.concatenate([mesh.faces, tip]))
     with pytest.raises(ScanFault, match=r"without its wearer.*closes as over a head.*--label") as fault:
-        mended(closed)
+        mend_sheet(closed)
     assert fault.value.points[0, 1] > 0.35
     cut = closed.vertices[closed.faces][:, :, 1].max(axis=1) < (0.3 if limb else 0.55)
-    assert len(meshes.boundary_loops(mended(closed.take_faces(cut)).faces)) == 2
+    assert len(meshes.boundary_loops(mend_sheet(closed.take_faces(cut)).faces)) == 2
 
 
 def test_a_hole_is_noted_and_closed():
     mesh = skirt_tube()
     holed = mesh.take_faces(np.arange(len(mesh.faces)) != 410)
-    mesh, found = opened(holed, load_body().joints_template)
+    mesh, found = close_but_openings(holed, load_body().joints_template)
     assert found == OPENINGS["skirt"] and "1 holes" in mesh.notes[0]
     assert len(meshes.boundary_loops(mesh.faces)) == 2
 
@@ -229,24 +236,24 @@ def test_a_body_with_a_hole_is_refused(body, tmp_path):
         check_closed(body.v_template, body.faces[1:], "mine")
     path = write_obj(tmp_path / "open.obj", plain_mesh("open", body.v_template, body.faces[1:]))
     with pytest.raises(MeshError, match="a closed surface"):
-        read_wearer(str(path))
+        read_target_wearer(str(path))
     with pytest.raises(BodyError, match="its own shape and pose"):
-        read_wearer(str(path), pose=np.zeros((24, 3)))
+        read_target_wearer(str(path), pose=np.zeros((24, 3)))
 
 
 def test_a_shape_is_in_the_template_of_the_wearer():
-    wearer = read_wearer("anny_default", betas=np.array([0.5, -1.0]))
+    wearer = read_target_wearer("anny_default", betas=np.array([0.5, -1.0]))
     assert_allclose(wearer.skin.vertices, load_body().rest_vertices(np.array([0.5, -1.0])), atol=1e-12)
     assert_allclose(wearer.shaped.joints_template, load_body().rest_joints(np.array([0.5, -1.0])), atol=1e-12)
-    assert shaped_body(load_body(), np.zeros(2)).name == load_body().name
+    assert shape_body(load_body(), np.zeros(2)).name == load_body().name
 
 
 def test_a_job_refuses_what_does_not_go_together(tmp_path):
     path = write_obj(tmp_path / "t.obj", skirt_tube())
-    job = Job(target=path, out=tmp_path, base="skirt", body="fit", pose=np.zeros((24, 3)))
+    job = RecoveryJob(target=path, out=tmp_path, base="skirt", body="fit", pose=np.zeros((24, 3)))
     with pytest.raises(InputError, match="--body fit"):
         prepare(job)
-    wearer = read_wearer("anny_default")
+    wearer = read_target_wearer("anny_default")
     with pytest.raises(InputError, match="--base"):
         read_base("hat", wearer)
     with pytest.raises(InputError, match="--set"):
@@ -296,14 +303,16 @@ def test_arms_bend_where_long_sleeves_do(body):
 
 def test_without_a_base_the_target_tells_it_and_its_settings(tmp_path):
     path = write_obj(tmp_path / "t.obj", skirt_tube())
-    found = prepare(Job(target=path, out=tmp_path, base=None, body="anny_default"))
+    found = prepare(RecoveryJob(target=path, out=tmp_path, base=None, body="anny_default"))
     assert (found.cut.base, found.cut.told, found.base.name) == ("skirt", True, "t")
     assert_allclose(found.cut.settings["length_m"], 0.5, atol=1e-6)
     assert any("chosen by the target's openings: skirt" in note for note in found.warnings)
-    named = prepare(Job(target=path, out=tmp_path, base="skirt", body="anny_default", settings=["length_m=0.4"]))
+    named = prepare(
+        RecoveryJob(target=path, out=tmp_path, base="skirt", body="anny_default", settings=["length_m=0.4"])
+    )
     assert not named.cut.told and named.cut.settings["length_m"] == 0.4
     with pytest.raises(InputError, match=r"--set: expected NAME=NUMBER"):
-        prepare(Job(target=path, out=tmp_path, base=None, body="anny_default", settings=["length_m"]))
+        prepare(RecoveryJob(target=path, out=tmp_path, base=None, body="anny_default", settings=["length_m"]))
     pattern = export_pattern(found.base, tmp_path, ["json"])[0]
     with pytest.raises(InputError, match=r"--sizes: expected a base that is drafted"):
-        prepare(Job(target=path, out=tmp_path, base=str(pattern), body="anny_default", sizes=["L"]))
+        prepare(RecoveryJob(target=path, out=tmp_path, base=str(pattern), body="anny_default", sizes=["L"]))

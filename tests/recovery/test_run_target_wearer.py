@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
-from recovery.run.target_wearer import facing, inside_wearer, turned_about, up_axis
+from recovery.run.target_wearer import facing, inside_wearer, turn_about, up_axis
 from tests.drape.cloth.cloth_shapes import round_tube
 from tests.recovery.test_run_cut import worn
 
@@ -27,7 +27,7 @@ def test_openings_tell_the_up_axis(name):
 def test_a_garment_is_turned_until_its_limbs_lie_side_by_side(name, degrees):
     mesh = worn(name)
     assert facing(mesh) is mesh
-    found = facing(turned_about(mesh, np.radians(degrees)))
+    found = facing(turn_about(mesh, np.radians(degrees)))
     assert "degrees to look along +z" in found.notes[-1]
     middle = mesh.vertices.mean(axis=0)
     assert_allclose(found.vertices - found.vertices.mean(axis=0), mesh.vertices - middle, rtol=0, atol=0.02)
@@ -55,7 +55,7 @@ def low_back() -> GarmentMesh:
 def test_the_body_that_fits_inside_tells_front_from_back(mesh, delivered, front, turns):
     """A neckline that is lower behind, as many are, does not turn a garment on its own."""
     one = low_back() if mesh == "low back" else worn(mesh)
-    one = plain_mesh(mesh, turned_about(one, np.radians(delivered)).vertices, one.faces)
+    one = plain_mesh(mesh, turn_about(one, np.radians(delivered)).vertices, one.faces)
     found, _ = inside_wearer(one, front=front)
     assert any("turned by 180 degrees" in note for note in found.notes) == turns
     moved = np.abs(found.vertices - found.vertices.mean(axis=0) - one.vertices + one.vertices.mean(axis=0)).max()

@@ -18,16 +18,15 @@ from drape.garment.sheets import agreeing, branch_edges, cut_branches, main_shee
 from drape.geometry import meshes
 from recovery import progress
 from recovery.fit.grading import grade
-from recovery.fit.objective import Target
+from recovery.fit.objective import TargetSurface
 from recovery.fit.optimise import FitOptions
 from recovery.pattern.symmetry import find_symmetries
 from recovery.run.__main__ import main
-from recovery.run.target import OPENINGS, opened
+from recovery.run.target import OPENINGS, close_but_openings
 from recovery.run.target_wearer import long_contours
 from recovery.scan.holes import bites_of, known_faces
-from recovery.scan.mended import mended, read_target
-from recovery.scan.places import ScanFault, in_box, on_body
-from recovery.scan.thin import calmed, roughness, thinned_to
+from recovery.scan.repair import ScanFault, in_box, mend_sheet, on_body, read_target
+from recovery.scan.thin import roughness, smooth_noise, thin_to_spacing
 from tests.drape.cloth.cloth_shapes import grid, round_tube
 from tests.fixtures.patience import PATIENT_S
 from tests.recovery.test_fit_contours import joints, sandwich, sizes
@@ -64,7 +63,7 @@ def test_a_glued_placket_is_cut_off_and_the_garment_stays_whole():
     tube = fine_tube()
     glued = with_placket(tube)
     assert branch_edges(glued.faces) > 0
-    kept = mended(glued)
+    kept = mend_sheet(glued)
     assert branch_edges(kept.faces) == 0 and len(meshes.boundary_loops(kept.faces)) == 2
     area = [meshes.face_areas(one.vertices, one.faces).sum() for one in (kept, tube)]
     assert_allclose(area[0], area[1], rtol=2e-3)
@@ -123,7 +122,7 @@ def test_holes_and_bites_are_closed_marked_and_leave_the_openings():
     tube = fine_tube()
     spots = np.array([[0.24, -0.2, 0.0], [0.0, -0.2, -0.24], [0.0, -0.45, 0.24], [-0.24, 0.05, 0.0]])
     holed = punched(tube, spots, 0.04)
-    found = mended(holed)
+    found = mend_sheet(holed)
     known = known_faces(found)
     assert known.sum() == len(holed.faces) < len(known)
     before, after = borders(tube), borders(found)
@@ -145,7 +144,7 @@ def test_a_clean_hem_with_folds_and_a_round_neckline_have_no_bites():
     wavy = vertices * (1.0 + 0.1 * np.tile(np.cos(9.0 * angle), along + 1))[:, None] ** [1.0, 0.0, 1.0]
     neck = plain_mesh("cape", *round_tube(list(np.linspace(0.4, 0.09, 30)), np.linspace(0.0, 0.1, 30), 80))
     for mesh in (plain_mesh("wavy", wavy, faces), neck):
-        assert known_faces(mended(mesh)).all()
+        assert known_faces(mend_sheet(mesh)).all()
 
 
 @pytest.mark.parametrize(
@@ -175,7 +174,7 @@ def test_noise_along_a_border_is_no_bite_and_a_bite_with_noise_is_one(around, no
 def test_a_hem_that_is_turned_in_is_cut_off_at_its_fold(name, opening, across, rings):
     """Its edge lies across the opening, as the rim of a hole in the cloth; the fold is what the garment ends at."""
     shirt = worn(name)
-    before = [one.length_m for one in long_contours(mended(shirt))]
+    before = [one.length_m for one in long_contours(mend_sheet(shirt))]
     mesh = shirt
     for one in borders(shirt)[2:] if opening == "cuffs" else borders(shirt)[:1]:
         points = shirt.vertices[one.loop]
@@ -192,7 +191,7 @@ def test_a_hem_that_is_turned_in_is_cut_off_at_its_fold(name, opening, across, r
             vertices = np.concatenate([mesh.vertices, points + 0.015 * (number + 1) / rings * way])
             faces = np.concatenate([mesh.faces, np.stack(strip, axis=1).reshape(-1, 3)])
             mesh, ring = plain_mesh(name, vertices, faces), new
-    found = mended(mesh)
+    found = mend_sheet(mesh)
     assert "hems that are turned in" in " ".join(found.notes)
     assert_allclose([one.length_m for one in long_contours(found)], before, rtol=0.02)
 
@@ -219,7 +218,7 @@ def test_six_percent_of_holes_change_the_grading_by_less_than_one_percent(border
     while len(holed.faces) > 0.944 * len(whole.faces):
         spots = rim if border and rng.random() < 0.3 else middles
         holed = punched(holed, spots[rng.integers(len(spots))][None], 0.03)
-    target, there = opened(mended(holed), joints(), OPENINGS["skirt"])
+    target, there = close_but_openings(mend_sheet(holed), joints(), OPENINGS["skirt"])
     assert there == OPENINGS["skirt"]
 
     def graded(one: GarmentMesh) -> np.ndarray:
@@ -232,12 +231,12 @@ def test_six_percent_of_holes_change_the_grading_by_less_than_one_percent(border
 
 
 def test_what_closes_a_hole_has_no_weight():
-    found = mended(punched(fine_tube(), np.array([[0.24, -0.2, 0.0]]), 0.05))
+    found = mend_sheet(punched(fine_tube(), np.array([[0.24, -0.2, 0.0]]), 0.05))
     known = known_faces(found)
-    target = Target.from_mesh(found.vertices, found.faces, known=known)
+    target = TargetSurface.from_mesh(found.vertices, found.faces, known=known)
     assert (target.shares.reshape(-1, 3)[~known] == 0.0).all()
     assert_allclose(target.shares.sum(), 1.0, atol=0.3)
-    whole = Target.from_mesh(found.vertices, found.faces)
+    whole = TargetSurface.from_mesh(found.vertices, found.faces)
     assert (whole.shares.reshape(-1, 3)[~known] > 0.0).all()
 
 
@@ -245,7 +244,7 @@ def test_thinning_keeps_area_borders_and_a_strap_and_averages_noise():
     tube = fine_tube(around=300, along=120)
     rng = np.random.default_rng(0)
     noisy = replace(tube, vertices=tube.vertices + 5e-4 * rng.normal(size=tube.vertices.shape))
-    thin = thinned_to(noisy, 0.015)
+    thin = thin_to_spacing(noisy, 0.015)
     assert len(thin.faces) < 0.2 * len(tube.faces)
     assert branch_edges(cut_branches(thin).faces) == 0
     assert_allclose(meshes.face_areas(thin.vertices, thin.faces).sum(), 0.5 * 2.0 * np.pi * 0.24, rtol=0.02)
@@ -255,16 +254,16 @@ def test_thinning_keeps_area_borders_and_a_strap_and_averages_noise():
     inner = np.setdiff1d(np.arange(len(thin.vertices)), meshes.boundary_vertices(thin.faces))
     assert np.abs(np.hypot(*thin.vertices[inner][:, [0, 2]].T) - 0.24).mean() < 3e-4
     vertices, faces = grid(200, 8, cell_m=0.002)
-    strap = thinned_to(plain_mesh("strap", vertices, faces), 0.015)
+    strap = thin_to_spacing(plain_mesh("strap", vertices, faces), 0.015)
     assert len(meshes.boundary_loops(strap.faces)) == 1
     assert_allclose(meshes.face_areas(strap.vertices, strap.faces).sum(), 0.4 * 0.016, rtol=0.1)
 
 
 def test_noise_is_smoothed_and_a_clean_scan_left_alone():
     tube = fine_tube()
-    assert calmed(tube) is tube
+    assert smooth_noise(tube) is tube
     noisy = replace(tube, vertices=tube.vertices + 2e-3 * np.random.default_rng(0).normal(size=tube.vertices.shape))
-    calm = calmed(noisy)
+    calm = smooth_noise(noisy)
     assert roughness(calm) < 0.3 * roughness(noisy)
     off = [np.abs(np.hypot(*one.vertices[:, [0, 2]].T) - 0.24).mean() for one in (noisy, calm)]
     assert off[1] < 0.6 * off[0]
@@ -296,7 +295,7 @@ def test_nothing_is_silent_for_longer_than_it_may_be():
 
 def test_time_ends_within_a_share_of_the_limit_and_says_where():
     with progress.watched(write=lambda line: None, limit_s=3600.0) as clock:
-        with progress.within(0.25), progress.stage("search"):
+        with progress.limit_share(0.25), progress.stage("search"):
             clock.started -= 1000.0
             assert progress.over() and clock.stopped_in == "search"
         assert not progress.over()

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from drape.cloth.material import OrthotropicMaterial
 from recovery.sim import elastic
-from recovery.sim.linearised import simulate
-from recovery.sim.newton import newton_step
+from recovery.sim.linearised import simulate_steps
+from recovery.sim.newton_steps import newton_step
 from tests.recovery.sim_setup import WOVEN, advance, crumpled, sewn_tube
 
 # Slow enough (about 30 rad/s) that steps of milliseconds resolve every mode.
@@ -67,7 +67,7 @@ def test_momentum_is_kept_without_outer_forces():
     mass = (parameters.density_kg_m2 * model.rest(parameters.panels).node_area)[:, None]
     before = (mass * state.v).sum(dim=0)
     scale = float((mass * state.v.abs()).sum())
-    linearised = simulate(model, state, parameters, dt_s=0.02, steps=3)
+    linearised = simulate_steps(model, state, parameters, dt_s=0.02, steps=3)
     converged = newton_step(model, state, parameters, dt_s=0.02, tolerance_n=1e-12)[0]
     for after in (linearised, converged):
         assert_allclose((mass * after.v).sum(dim=0), before, rtol=0, atol=1e-10 * scale)
@@ -76,6 +76,6 @@ def test_momentum_is_kept_without_outer_forces():
 def test_fixed_nodes_stay():
     model, panels, nodes = sewn_tube(fixed=[0, 3, 7])
     start = crumpled(model, nodes)
-    after = simulate(model, start, model.parameters(panels, WOVEN), dt_s=0.05, steps=3)
+    after = simulate_steps(model, start, model.parameters(panels, WOVEN), dt_s=0.05, steps=3)
     assert_allclose(after.x[[0, 3, 7]], start.x[[0, 3, 7]], rtol=0, atol=0)
     assert float((after.x - start.x).abs().max()) > 1e-3

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from recovery.sim.linearised import linearised_step, simulate
-from recovery.sim.model import ClothState, Parameters
-from recovery.sim.newton import equilibrium, newton_step
+from recovery.sim.cloth_model import ClothState, Parameters
+from recovery.sim.linearised import linearised_step, simulate_steps
+from recovery.sim.newton_steps import equilibrium, newton_step
 from recovery.sim.sdf import Sphere
 from recovery.sim.skin_contact import SkinContact
 from tests.fixtures.laws import each
@@ -56,8 +56,8 @@ def drape(state: ClothState, parameters: Parameters) -> ClothState:
 # What is differentiated, and the error that is allowed.
 WAYS = {
     "one step": (lambda s, p: linearised_step(MODEL, s, p, dt_s=DT_S), 1e-7),
-    "twenty steps": (lambda s, p: simulate(MODEL, s, p, dt_s=DT_S, steps=20), 1e-5),
-    "three steps in contact": (lambda s, p: simulate(MODEL, s, p, dt_s=DT_S, steps=3, contact=BALL), 1e-3),
+    "twenty steps": (lambda s, p: simulate_steps(MODEL, s, p, dt_s=DT_S, steps=20), 1e-5),
+    "three steps in contact": (lambda s, p: simulate_steps(MODEL, s, p, dt_s=DT_S, steps=3, contact=BALL), 1e-3),
     "a converged step in contact": (converged_step, 1e-5),
 }
 

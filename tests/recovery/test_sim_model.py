@@ -19,7 +19,7 @@ from drape.cloth.rest_state import dihedral_angles, flat
 from drape.errors import InputError, MeshError
 from recovery.sim import elastic
 from recovery.sim.assembly import superlu
-from recovery.sim.model import ClothModel, Parameters
+from recovery.sim.cloth_model import ClothModel, Parameters
 from tests.recovery.sim_setup import WOVEN, crumpled, crumpled_tube, lifted, sewn_tube, strip
 
 ISOTROPIC = material("jersey").woven

@@ -13,10 +13,10 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.energies import contact as contact_energy
 from drape.cloth.material import Material
 from drape.errors import InputError, MeshError
-from recovery.sim.linearised import linearised_step, simulate
-from recovery.sim.model import ClothModel, ClothState
-from recovery.sim.newton import equilibrium, newton_step
-from recovery.sim.sdf import GridDistance, Grown, Plane, Sphere
+from recovery.sim.cloth_model import ClothModel, ClothState
+from recovery.sim.linearised import linearised_step, simulate_steps
+from recovery.sim.newton_steps import equilibrium, newton_step
+from recovery.sim.sdf import GridDistance, Grown, PlaneDistance, Sphere
 from recovery.sim.skin_contact import SkinContact
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.recovery.sim_setup import WOVEN, advance, lifted, strip
@@ -75,7 +75,7 @@ def test_outside_the_grid_the_distance_goes_on():
 @pytest.mark.parametrize("shape", ["plane", "sphere", "grown", "grid", "outside"])
 def test_the_gradient_is_that_of_the_distance(rng, shape):
     body = {
-        "plane": Plane((0.0, 0.1, 0.0), (1.0, 2.0, 0.5)),
+        "plane": PlaneDistance((0.0, 0.1, 0.0), (1.0, 2.0, 0.5)),
         "sphere": Sphere((0.01, 0.0, 0.02), RADIUS_M),
         "grown": Grown(Sphere((0.01, 0.0, 0.02), RADIUS_M), 0.003),
     }.get(shape) or meshed_sphere()
@@ -99,7 +99,7 @@ def test_bodies_that_have_no_inside_are_refused():
     with pytest.raises(InputError, match="at least 4"):
         GridDistance(np.zeros((3, 9, 9)), np.zeros(3), 0.01)
     with pytest.raises(InputError, match="contact friction"):
-        SkinContact(Plane(), friction=-0.1)
+        SkinContact(PlaneDistance(), friction=-0.1)
 
 
 def sheet(*, tilt_rad: float = 0.0, depth_m: float = 0.0) -> tuple[ClothModel, np.ndarray, ClothState, np.ndarray]:
@@ -108,13 +108,13 @@ def sheet(*, tilt_rad: float = 0.0, depth_m: float = 0.0) -> tuple[ClothModel, n
     model = ClothModel(faces)
     c, s = np.cos(tilt_rad), np.sin(tilt_rad)
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    nodes = lifted(panel, y_m=SkinContact(Plane()).gap_m - depth_m) @ turn.T
+    nodes = lifted(panel, y_m=SkinContact(PlaneDistance()).gap_m - depth_m) @ turn.T
     return model, panel, model.state(nodes), turn @ [1.0, 0.0, 0.0]
 
 
 def weight_depth(tilt_rad: float) -> float:
     """Depth at which the repulsion carries the cloth: rho g cos(a) / (2 c)."""
-    return WOVEN.density_kg_m2 * 9.81 * np.cos(tilt_rad) / (2.0 * SkinContact(Plane()).stiffness_j_m4)
+    return WOVEN.density_kg_m2 * 9.81 * np.cos(tilt_rad) / (2.0 * SkinContact(PlaneDistance()).stiffness_j_m4)
 
 
 @pytest.mark.parametrize("method", ["linearised", "newton"])
@@ -126,7 +126,7 @@ def test_cloth_on_an_incline_sticks_or_slides_as_coulomb_says(method, degrees, s
     """
     tilt = np.radians(degrees)
     model, panel, state, downhill = sheet(tilt_rad=tilt, depth_m=weight_depth(tilt))
-    contact = SkinContact(Plane(normal=(np.sin(tilt), np.cos(tilt), 0.0)), friction=0.3, slip_speed_m_s=1e-4)
+    contact = SkinContact(PlaneDistance(normal=(np.sin(tilt), np.cos(tilt), 0.0)), friction=0.3, slip_speed_m_s=1e-4)
     start, parameters = state.x, model.parameters(panel, WOVEN)
     before = 1.0 if slides and method == "linearised" else 0.0
     state = state._replace(v=state.v + before * torch.from_numpy(downhill))
@@ -145,7 +145,7 @@ def test_cloth_on_an_incline_sticks_or_slides_as_coulomb_says(method, degrees, s
 
 def test_friction_takes_energy_and_never_reverses_the_sliding():
     model, panel, state, _ = sheet(depth_m=weight_depth(0.0))
-    contact, parameters = SkinContact(Plane(), friction=0.3), model.parameters(panel, WOVEN)
+    contact, parameters = SkinContact(PlaneDistance(), friction=0.3), model.parameters(panel, WOVEN)
     state = state._replace(v=state.v + torch.tensor([0.3, 0.0, 0.0], dtype=torch.float64))
     speeds = [0.3]
     for _ in range(30):
@@ -159,7 +159,7 @@ def test_cloth_rests_where_the_repulsion_carries_it():
     model, panel, state, _ = sheet(depth_m=0.001)
     state = state._replace(x=state.x + torch.tensor([0.0, 0.0005, 0.0], dtype=torch.float64))
     parameters = model.parameters(panel, WOVEN)
-    contact = SkinContact(Plane())
+    contact = SkinContact(PlaneDistance())
     for _ in range(30):
         state, report = newton_step(model, state, parameters, dt_s=0.02, contact=contact)
         assert report.converged
@@ -171,9 +171,9 @@ def test_the_contact_energy_is_the_one_of_the_network(rng):
     model, mesh = ClothModel(faces), ClothMesh.from_rest(lifted(panel), faces)
     x = torch.from_numpy(lifted(panel) + 0.005 * rng.uniform(size=(len(panel), 3)))
     area = model.rest(torch.from_numpy(panel)).node_area
-    distance = Plane()(x)[0].numpy()
+    distance = PlaneDistance()(x)[0].numpy()
     expected = contact_energy(distance, mesh, Material(contact_j_m4=3e5, contact_gap_m=0.004))
-    assert_allclose(SkinContact(Plane()).energy(x, area), expected, rtol=1e-12)
+    assert_allclose(SkinContact(PlaneDistance()).energy(x, area), expected, rtol=1e-12)
 
 
 def test_the_repulsion_is_the_derivative_of_its_energy(rng):
@@ -194,7 +194,7 @@ def test_equation_4_puts_nodes_at_the_thickness(rng):
     points = shell(rng)
     v = torch.from_numpy(rng.normal(size=points.shape))
     free = torch.ones(len(points), 1, dtype=torch.float64)
-    for body in (Plane(), Sphere((0.0, 0.0, 0.0), RADIUS_M)):
+    for body in (PlaneDistance(), Sphere((0.0, 0.0, 0.0), RADIUS_M)):
         contact = SkinContact(body, thickness_m=0.002)
         inside = body(points)[0] < 0.0
         after = contact.corrected(ClothState(points, v), free)
@@ -212,7 +212,7 @@ def test_a_sheet_falls_on_a_ball_and_stays_outside():
     nodes = lifted(panel, y_m=RADIUS_M + 0.01) - [0.1, 0.0, -0.1]
     parameters = model.parameters(panel, WOVEN)
     contact = SkinContact(meshed_sphere())
-    state = simulate(model, model.state(nodes), parameters, dt_s=0.02, steps=20, contact=contact)
+    state = simulate_steps(model, model.state(nodes), parameters, dt_s=0.02, steps=20, contact=contact)
     assert float(contact.body(state.x)[0].min()) > -1e-4
     assert float(state.x[:, 1].min()) < 0.07  # it hangs down
     drape, report = equilibrium(model, state, parameters, contact=contact, tolerance_n=1e-6)

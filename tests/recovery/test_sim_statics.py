@@ -14,8 +14,8 @@ from drape.cloth import bending
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.sim import elastic
-from recovery.sim.model import ClothModel
-from recovery.sim.newton import equilibrium, newton_step
+from recovery.sim.cloth_model import ClothModel
+from recovery.sim.newton_steps import equilibrium, newton_step
 from recovery.sim.skin_contact import SkinContact
 from tests.recovery.sim_setup import WOVEN, lifted, strip
 

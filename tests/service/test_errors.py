@@ -9,7 +9,7 @@ import pytest
 from drape import errors as core
 from drape.errors import DrapeError, NotFound
 from service import errors
-from service.errors import TABLE, InternalError, close_reason, error_message, problem, rule_for
+from service.errors import TABLE, InternalError, close_reason, error_message, problem_of, rule_for
 
 
 def kinds(base: type[DrapeError] = DrapeError) -> list[type[DrapeError]]:
@@ -30,7 +30,7 @@ def test_every_kind_has_a_rule_and_a_whole_document(kind: type[DrapeError]):
     rule = rule_for(kind)
     assert 400 <= rule.status < 600
     assert rule.close_code in {1009, 1011, 1012, 1013} or 4400 <= rule.close_code < 4500
-    document = problem(example(kind))
+    document = problem_of(example(kind))
     assert set(document) == {"type", "title", "status", "detail", "name", "expected", "got", "cure"}
     assert document["detail"] == str(example(kind))
     assert document["status"] == rule.status

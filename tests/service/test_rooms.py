@@ -28,7 +28,7 @@ ROAD = {
     *("drape/stages/batch.py", "drape/stages/stage.py", "drape/stages/walk.py", "drape/stages/frame.py"),
     *("drape/stages/network.py", "drape/inference/packing.py"),
     *("drape/stages/swing.py", "drape/stages/folds.py", "drape/stages/encode.py"),
-    *("service/watch/logs.py", "service/watch/metrics.py", "service/watch/turns.py", "service/watch/watchdog.py"),
+    *("service/watch/logs.py", "service/watch/prometheus.py", "service/watch/turns.py", "service/watch/watchdog.py"),
 }
 ALONG = tuple(f"{ROOT.parent}/{room}/" for room in ("service", "drape/stages", "drape/inference"))
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from drape.errors import InputError, Unavailable
-from service.server import bind
+from service.server import bind_listener
 from service.settings import GONE, Settings, load_settings, unread_variables
 from tests.architecture.repository import ROOT
 
@@ -69,12 +69,12 @@ def test_an_unknown_argument_is_refused():
 
 
 def test_a_taken_port_and_a_foreign_address_are_refused():
-    with bind("127.0.0.1", 0) as taken, pytest.raises(Unavailable, match="--port"):
-        bind("127.0.0.1", taken.getsockname()[1])
+    with bind_listener("127.0.0.1", 0) as taken, pytest.raises(Unavailable, match="--port"):
+        bind_listener("127.0.0.1", taken.getsockname()[1])
     with pytest.raises(InputError, match=r"host: .*no-such-host"):
-        bind("no-such-host.invalid", 0)
+        bind_listener("no-such-host.invalid", 0)
     with pytest.raises(InputError, match="can be bound"):
-        bind("192.0.2.1", 0)  # reserved for documents: no machine has it
+        bind_listener("192.0.2.1", 0)  # reserved for documents: no machine has it
 
 
 def start(tiny_folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -16,9 +16,8 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.feeds import garment_feed
 from tests.fixtures.garments import shipped
 from tests.training.training_setup import CPU, JERSEY, TINY, body, source
-from training.checkpoint import FORMER_SWITCHES, model_config_from
-from training.config import ModelConfig, as_published, paper
-from training.consensus import (
+from training.batches import Partition, on_device, partition_tensors
+from training.chart_consensus import (
     TRACE_SHARE,
     GatheredConsensus,
     agreed_jets,
@@ -27,9 +26,10 @@ from training.consensus import (
     strain_and_force,
     tangent_terms,
 )
-from training.data import Partition, on_device, partition_tensors
+from training.checkpoint import FORMER_SWITCHES, model_config_from
+from training.config import ModelConfig, as_published, paper
 from training.disagreement import disagreement
-from training.model import OneFit, Posed, pose_frames, posed_coefficients
+from training.onefit import OneFit, Posed, pose_frames, posed_coefficients
 
 TANK = shipped("tank")
 

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from drape.catalog import MOTIONS_DIR
-from training import losses, sparse
+from training import chart_consensus, losses
 from training.config import PRESETS
-from training.poses import PoseBank, read_clips
+from training.poses import PoseBank, read_training_clips
 from training.starting import with_garments
 from training.trainer import Trainer
 
@@ -20,16 +20,16 @@ META = torch.device("meta")
 @pytest.fixture
 def trainer(monkeypatch: pytest.MonkeyPatch) -> Trainer:
     # Two things have no meta: sparse matrices, and the places of vertices that the search of contacts reads.
-    monkeypatch.setattr(sparse, "_csr", lambda matrix, device: torch.zeros(matrix.shape, device=device))
+    monkeypatch.setattr(chart_consensus, "_csr", lambda matrix, device: torch.zeros(matrix.shape, device=device))
     found = losses.contact_planes
 
-    def planes(vertices: torch.Tensor, batch, **options) -> losses.ContactPlanes:
+    def planes(vertices: torch.Tensor, batch, **options) -> losses.SampledPlanes:
         at = found(torch.zeros(vertices.shape), batch, **options)
-        return losses.ContactPlanes(at.sample.to(META), at.point.to(META), at.normal.to(META))
+        return losses.SampledPlanes(at.sample.to(META), at.point.to(META), at.normal.to(META))
 
     monkeypatch.setattr(losses, "contact_planes", planes)
     config = replace(with_garments(PRESETS["shipped"](), ["tshirt"]), batch_size=3, full_share=0.5, smooth_share=0.5)
-    return Trainer(config, PoseBank(read_clips([MOTIONS_DIR], held_out=()), config.data), device=META)
+    return Trainer(config, PoseBank(read_training_clips([MOTIONS_DIR], held_out=()), config.data), device=META)
 
 
 @pytest.mark.long

@@ -18,11 +18,11 @@ from training import checkpoint, run
 from training.config import TrainConfig, dynamic
 from training.dynamics import CALM_M_S2, DynamicTrainer
 from training.fabrics import stretch_share
-from training.model import OneFit
-from training.poses import read_clips
+from training.onefit import OneFit
+from training.poses import read_training_clips
 from training.run import make_trainer
-from training.starting import started
-from training.trainer import Objective, take_weights
+from training.starting import start_from
+from training.trainer import BatchLoss, take_weights
 from training.windows import HISTORY, WindowBank, Windows
 
 RUN, MODEL, MOTION = MOVING_RUN, MOVING_RUN.model, MOVING_RUN.motion
@@ -44,7 +44,7 @@ def static() -> OneFit:
 @pytest.fixture(scope="module")
 def trainer(static: OneFit) -> DynamicTrainer:
     torch.set_num_threads(1)
-    clips = read_clips([MOTIONS_DIR], held_out=())
+    clips = read_training_clips([MOTIONS_DIR], held_out=())
     made = make_trainer(RUN, clips, device=CPU, weights=static.state_dict())
     assert isinstance(made, DynamicTrainer)
     made.fabrics = None  # one fabric, so that losses of two steps compare
@@ -78,7 +78,7 @@ def test_training_calms_a_wild_start_and_statics_stay_bit_for_bit(trainer: Dynam
     assert len(changed) == len(list(trainer.encoder.parameters()))
 
 
-def with_codes(trainer: DynamicTrainer, monkeypatch: pytest.MonkeyPatch, codes: torch.Tensor) -> Objective:
+def with_codes(trainer: DynamicTrainer, monkeypatch: pytest.MonkeyPatch, codes: torch.Tensor) -> BatchLoss:
     """The objective on windows that are the same at every call, whose codes are ``codes``."""
     monkeypatch.setattr(trainer, "codes", lambda windows, betas, shown: codes)
     monkeypatch.setattr(trainer, "rng", np.random.default_rng(3))
@@ -163,14 +163,14 @@ def test_some_windows_begin_with_a_state(trainer: DynamicTrainer):
 def test_the_preset_grows_from_a_static_checkpoint(static: OneFit, tmp_path):
     data = replace(TINY_RUN.data, held_out=("walk",))
     checkpoint.save(tmp_path / "checkpoint.pt", {"model": static.state_dict()}, replace(TINY_RUN, data=data))
-    config, weights = started(dynamic(), tmp_path / "checkpoint.pt")
+    config, weights = start_from(dynamic(), tmp_path / "checkpoint.pt")
     wanted = dynamic().model
     assert config.model == replace(
         TINY_RUN.model, dynamic=True, state_size=wanted.state_size, motion_hidden=wanted.motion_hidden
     )
     assert config.data.held_out == ("walk",)
     assert weights is not None and torch.equal(weights["decoder.from_body.weight"], static.decoder.from_body.weight)
-    assert started(TrainConfig(), None) == (TrainConfig(), None)
+    assert start_from(TrainConfig(), None) == (TrainConfig(), None)
 
 
 @pytest.mark.parametrize(("preset", "start"), [("dynamic", None), ("shipped", "checkpoint.pt")])
@@ -180,7 +180,7 @@ def test_a_start_that_does_not_fit_the_preset_is_refused(preset, start, tmp_path
     assert run.main() == 2
     assert "--from: expected" in capsys.readouterr().err
     with pytest.raises(InputError, match="--preset dynamic --from"):
-        started(run.PRESETS[preset](), None if start is None else tmp_path / start)
+        start_from(run.PRESETS[preset](), None if start is None else tmp_path / start)
 
 
 @pytest.mark.parametrize("change", [{"body_code_size": 12}, {"corrections": 2}])

@@ -24,7 +24,7 @@ from training import checkpoint
 from training.config import as_published
 from training.disagreement import chart_positions
 from training.evaluate import evaluate, held_out_clips, load_network, main, posed_patches
-from training.model import OneFit
+from training.onefit import OneFit
 
 METHODS = ["skinning", "skinning_push", "network", "network_push"]
 

@@ -11,14 +11,16 @@ from drape.garment.cache import load_garment
 from drape.geometry.closest import signed_distance
 from tests.drape.cloth.cloth_shapes import grid
 from tests.training.training_setup import body
-from training.garment_design import DESIGNS, SIX, SLIVER_SHARE, build, cut, main, varied
+from training.garment_design import DESIGNS, SIX, SLIVER_SHARE, build_design, cut_mesh, main, vary_design
 
 OPENINGS = {"tshirt": 4, "longsleeve": 4, "tank": 4, "dress": 4, "trousers": 3, "shorts": 3, "skirt": 2}
 
 
 def test_a_straight_cut_leaves_the_exact_area_and_a_straight_edge():
     vertices, faces = grid(11, 11, cell_m=1.0 / 11.0)
-    kept, kept_faces, carried = cut(vertices, faces, vertices[:, 0] + 0.3 * vertices[:, 1] - 0.537, vertices[:, :1])
+    kept, kept_faces, carried = cut_mesh(
+        vertices, faces, vertices[:, 0] + 0.3 * vertices[:, 1] - 0.537, vertices[:, :1]
+    )
     mesh = trimesh.Trimesh(kept, kept_faces, process=False)
     # The line x = 0.537 - 0.3 y cuts off a trapezium of mean width 0.387.
     assert_allclose(mesh.area, 1.0 - (0.537 + 0.237) / 2.0, rtol=2e-2, atol=0)
@@ -29,7 +31,7 @@ def test_a_straight_cut_leaves_the_exact_area_and_a_straight_edge():
 
 @pytest.mark.parametrize("design", DESIGNS.values(), ids=lambda d: d.name)
 def test_designs_are_clear_and_have_their_openings(design):
-    vertices, faces = build(design, body())
+    vertices, faces = build_design(design, body())
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     assert signed_distance(vertices, body().v_template, body().faces).min() >= 0.006
     assert mesh.euler_number == 2 - OPENINGS[design.name]
@@ -42,17 +44,17 @@ def test_designs_are_clear_and_have_their_openings(design):
 
 
 def test_building_twice_gives_the_same_mesh():
-    first, second = (build(SIX[2], body()) for _ in range(2))
+    first, second = (build_design(SIX[2], body()) for _ in range(2))
     assert np.array_equal(first[0], second[0])
     assert np.array_equal(first[1], second[1])
 
 
 def test_variants_differ_but_keep_their_openings():
     rng = np.random.default_rng(1)
-    base = trimesh.Trimesh(*build(SIX[2], body()), process=False)
+    base = trimesh.Trimesh(*build_design(SIX[2], body()), process=False)
     seen = set()
     for _ in range(2):
-        design, vertices, faces = varied(SIX[2], body(), rng)
+        design, vertices, faces = vary_design(SIX[2], body(), rng)
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         assert mesh.euler_number == base.euler_number
         assert mesh.area_faces.min() > SLIVER_SHARE * mesh.area_faces.mean()

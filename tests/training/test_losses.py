@@ -16,9 +16,8 @@ from drape.geometry import jets, meshes
 from drape.geometry.closest import signed_distance
 from tests.training.training_setup import bank, body, garment, source
 from training import losses
-from training.collider import BodySurface
-from training.data import BodyBatch
-from training.model import Posed, pose_frames, posed_coefficients
+from training.batches import BodyBatch, BodySurface
+from training.onefit import Posed, pose_frames, posed_coefficients
 
 
 def bodies(count: int = 2):
@@ -27,7 +26,7 @@ def bodies(count: int = 2):
 
 def planes(
     vertices: torch.Tensor, batch: BodyBatch, generator: torch.Generator, share: float = 1.0
-) -> losses.ContactPlanes:
+) -> losses.SampledPlanes:
     return losses.contact_planes(vertices, batch, share=share, generator=generator)
 
 
@@ -91,7 +90,9 @@ def test_charts_that_agree_have_no_disagreement_and_a_moved_patch_has():
     sample = torch.arange(len(garment().rest.vertices))
 
     def apart(jet: torch.Tensor) -> float:
-        return float(losses.disagreement(posed_coefficients(Posed(rotation, centre, jet), scale), partition, sample))
+        return float(
+            losses.chart_disagreement(posed_coefficients(Posed(rotation, centre, jet), scale), partition, sample)
+        )
 
     assert apart(jet) < 1e-10
     jet[0, 0, 2 * jets.IN_PLANE_COUNT] = 0.1  # lifts one patch by a tenth of its scale
@@ -138,10 +139,10 @@ def test_a_garment_that_is_held_up_pays_for_where_its_band_went():
     fallen[..., 0], fallen[..., jets.IN_PLANE_COUNT], fallen[..., 2 * jets.IN_PLANE_COUNT] = local.unbind(-1)
     down = replace(still, jet=fallen)
     at_home, moved = (posed_coefficients(state, scale) for state in (still, down))
-    assert float(losses.held_up(at_home, partition, held)) == 0.0
+    assert float(losses.waistband_energy(at_home, partition, held)) == 0.0
     wanted = 0.5 * STIFFNESS_N_M2 * 0.1 * (0.05 - SLACK_M) ** 2
-    assert_allclose(losses.held_up(moved, partition, held), [wanted], rtol=1e-3)
-    assert float(losses.held_up(moved, partition, garment())) == 0.0  # no band, no hold
+    assert_allclose(losses.waistband_energy(moved, partition, held), [wanted], rtol=1e-3)
+    assert float(losses.waistband_energy(moved, partition, garment())) == 0.0  # no band, no hold
 
 
 def test_collider_normals_point_out_of_the_body():

@@ -15,10 +15,10 @@ from drape.graph.feeds import body_feed
 from drape.graph.inputs import ChartTensors
 from tests.training.training_setup import JERSEY, TINY, bank, body, garment, source
 from training import losses
+from training.chart_consensus import agreed_jets, closing_jets
 from training.config import ModelConfig, as_published
-from training.consensus import agreed_jets, closing_jets
 from training.layers import SURROUNDINGS_COUNT, Decoder, GarmentEncoder, Standardise
-from training.model import OneFit, Posed, patch_surroundings, pose_frames, posed_coefficients, vertex_positions
+from training.onefit import OneFit, Posed, patch_surroundings, pose_frames, posed_coefficients, vertex_positions
 
 
 def batch(count: int = 3, seed: int = 0):

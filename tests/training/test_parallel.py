@@ -60,7 +60,7 @@ def test_two_processes_keep_the_same_weights(trained: Path, kind: str):
     weights = [torch.load(trained / kind / f"rank{rank}.pt", weights_only=True) for rank in (0, 1)]
     for first, second in zip(*weights, strict=True):
         assert torch.equal(first, second)
-    state, _ = checkpoint.load(trained / kind / "checkpoint.pt")
+    state, _ = checkpoint.load_checkpoint(trained / kind / "checkpoint.pt")
     assert state["step"] > 3
 
 

@@ -13,7 +13,7 @@ from drape.body.pose_support import read_pose_support
 from drape.errors import ArtifactError, NotFound
 from tests.fixtures.poses import smooth_motion
 from training import pose_support
-from training.poses import mirrored
+from training.poses import mirror_poses
 
 
 def poses(frames: int, start_s: float = 0.0) -> np.ndarray:
@@ -31,7 +31,7 @@ def test_seen_poses_and_their_mirror_images_are_within_and_so_are_99_of_100_unse
     made = pose_support.support_of(seen, unseen)
     assert (made.novelty(unseen) <= 1.0).mean() >= pose_support.PASSING
     few = pose_support.support_of(seen, unseen, kept={"legs": 200, "trunk": 200, "tilt": 400})
-    assert few.distances(mirrored(seen[:1])).max() <= few.distances(unseen).max()
+    assert few.distances(mirror_poses(seen[:1])).max() <= few.distances(unseen).max()
     shares = pose_support.beyond(made, {"seen": seen})
     assert shares["uniform to 3.1 rad"] == 1.0
 

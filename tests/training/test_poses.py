@@ -16,7 +16,7 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip
 from tests.training.training_setup import body
 from training.config import DataConfig
-from training.poses import LEGS, MIRROR, PoseBank, draw_betas, mirrored, read_clips, rows_of_three
+from training.poses import LEGS, MIRROR, PoseBank, draw_betas, mirror_poses, read_training_clips, rows_of_three
 
 PLAIN = DataConfig(mix_share=0.0, mirror_share=0.0)
 
@@ -25,9 +25,9 @@ def test_mirroring_reflects_the_posed_skeleton():
     rng = np.random.default_rng(0)
     poses = rng.normal(0.0, 0.4, size=(4, 24, 3))
     joints = 0.5 * (body().joints_template + body().joints_template[list(MIRROR)] * [-1.0, 1.0, 1.0])
-    place, other = (forward_kinematics(rotvec_to_matrix(p), joints, PARENTS)[1] for p in (poses, mirrored(poses)))
+    place, other = (forward_kinematics(rotvec_to_matrix(p), joints, PARENTS)[1] for p in (poses, mirror_poses(poses)))
     assert_allclose(other[:, list(MIRROR)] * [-1.0, 1.0, 1.0], place, rtol=0, atol=1e-9)
-    assert_allclose(mirrored(mirrored(poses)), poses, rtol=0, atol=0)
+    assert_allclose(mirror_poses(mirror_poses(poses)), poses, rtol=0, atol=0)
 
 
 def test_rows_of_three_lie_on_a_straight_way_and_keep_the_root():
@@ -63,7 +63,7 @@ def test_frames_beside_a_glitch_are_never_drawn():
 
 
 def test_held_out_clips_are_not_read():
-    names = {clip.name for clip in read_clips([MOTIONS_DIR], held_out=("walk",))}
+    names = {clip.name for clip in read_training_clips([MOTIONS_DIR], held_out=("walk",))}
     assert "walk" not in names
     assert names >= {"squat", "reach", "turn"}
 

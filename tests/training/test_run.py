@@ -153,4 +153,4 @@ def test_a_checkpoint_from_before_patch_ranges_keeps_its_share():
 def test_a_damaged_checkpoint_is_refused(tmp_path):
     (tmp_path / "checkpoint.pt").write_bytes(b"not a checkpoint")
     with pytest.raises(ArtifactError, match="checkpoint"):
-        checkpoint.load(tmp_path / "checkpoint.pt")
+        checkpoint.load_checkpoint(tmp_path / "checkpoint.pt")

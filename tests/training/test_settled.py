@@ -19,7 +19,7 @@ from tests.training.training_setup import CPU, TINY, TINY_RUN, bank, body, garme
 from training import settled
 from training.run import make_trainer
 from training.settled import Settler
-from training.targets import SettledBank, SettledDrapes, digest, distance
+from training.targets import SettledBank, SettledDrapes, distance, settled_digest
 from training.trainer import Trainer
 
 FABRIC_RUN = replace(TINY_RUN, model=replace(TINY, fabric=True))
@@ -62,7 +62,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Trainer, Path]:
 def test_files_keep_what_was_settled(made: tuple[Trainer, Path]):
     trainer, folder = made
     owner, found = SettledBank(folder).draw(trainer.wardrobe.garments, np.random.default_rng(0))
-    assert owner is trainer.wardrobe.garments[0] and found.digest == digest(owner)
+    assert owner is trainer.wardrobe.garments[0] and found.digest == settled_digest(owner)
     assert found.vertices.shape == (settled.FRAMES, len(owner.rest.vertices), 3)
     assert trainer.fabric is not None and found.fabric == trainer.fabric
     target = torch.from_numpy(found.vertices)

@@ -21,11 +21,10 @@ from tests.fixtures.packed import MOVING, SMALL, exported, exported_dynamic
 from tests.training.training_setup import CPU, TINY, TINY_RUN
 from training import checkpoint, run
 from training.config import TrainConfig, dynamic, shipped
-from training.exported import load_exported
-from training.model import OneFit
-from training.poses import read_clips
+from training.onefit import OneFit
+from training.poses import read_training_clips
 from training.run import make_trainer
-from training.starting import finetuned, read_model, started, with_garments
+from training.starting import finetuned, load_exported, read_model, start_from, with_garments
 from training.trainer import take_weights
 
 TANK, SHORTS = (str(next(GARMENTS_DIR.glob(f"{name}-*.npz"))) for name in ("tank", "shorts"))
@@ -65,8 +64,8 @@ def test_the_shipped_model_gives_a_network_that_computes_its_graph():
     model = OneFit(config)
     model.load_state_dict(weights)
     assert held_out == tuple(load_manifest(MODELS_DIR / "onefit").training["held_out"])
-    from model_export.graph import EncoderGraph
     from model_export.parity import session
+    from model_export.readable_graphs import EncoderGraph
 
     features = np.random.default_rng(0).normal(size=(5, config.encoder_feature_count)).astype(np.float32)
     with torch.no_grad():
@@ -128,7 +127,7 @@ def test_fine_tuning_starts_from_the_model_on_the_garment_alone(tiny: tuple[OneF
     config, weights = finetuned(folder, [TANK])
     assert config.data.garments == (TANK,) and config.data.held_out == ("walk",) and config.early_agreement == 1.0
     config = replace(config, data=replace(config.data, partitions=1), batch_size=2, threads=1)
-    trainer = make_trainer(config, read_clips([MOTIONS_DIR], held_out=()), device=CPU, weights=weights)
+    trainer = make_trainer(config, read_training_clips([MOTIONS_DIR], held_out=()), device=CPU, weights=weights)
     assert [garment.name for garment in trainer.wardrobe.garments] == [TANK]
     assert same(trainer.model.state_dict(), model), "weights and statistics are the model's"
     trainer.step()
@@ -165,7 +164,7 @@ def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, 
     options += ["--batch", "2", "--bf16"]
     monkeypatch.setattr("sys.argv", ["run", *options])
     assert run.main() == 0
-    payload, config = checkpoint.load(tmp_path / "out" / "checkpoint.pt")
+    payload, config = checkpoint.load_checkpoint(tmp_path / "out" / "checkpoint.pt")
     assert config.batch_size == 2 and config.autocast
     assert payload["step"] >= 1 and config.data.garments == (TANK, SHORTS) and config.model == TINY
     assert f"stored    {tmp_path / 'out' / 'checkpoint.pt'}: step {payload['step']} after" in capsys.readouterr().out
@@ -174,7 +173,7 @@ def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, 
     monkeypatch.setattr("sys.argv", ["run", "--resume", str(tmp_path / "out"), "--motions", str(MOTIONS_DIR)])
     assert run.main() == 0
     assert "nothing left to do: the run has had its 0.005 minutes" in capsys.readouterr().out
-    assert checkpoint.load(tmp_path / "out" / "checkpoint.pt")[0]["step"] == payload["step"]
+    assert checkpoint.load_checkpoint(tmp_path / "out" / "checkpoint.pt")[0]["step"] == payload["step"]
 
 
 @pytest.mark.parametrize(
@@ -205,10 +204,10 @@ def test_a_model_from_before_fabrics_drapes_as_it_did_until_it_learns_them():
 
 def test_a_static_model_takes_over_the_motion_of_an_exported_one(tiny: tuple[OneFit, Path]):
     moving, folder, _ = exported_dynamic()
-    config, weights = started(dynamic(), tiny[1], folder)
+    config, weights = start_from(dynamic(), tiny[1], folder)
     assert weights is not None
     assert (config.model.state_size, config.model.motion_hidden) == (MOVING.state_size, MOVING.motion_hidden)
     wanted = {name: value for name, value in moving.state_dict().items() if name.startswith("dynamic.")}
     assert all(torch.equal(weights[name], value) for name, value in wanted.items())
     with pytest.raises(ArtifactError, match="expected a model that knows motion"):
-        started(dynamic(), tiny[1], exported()[1])
+        start_from(dynamic(), tiny[1], exported()[1])

@@ -17,7 +17,7 @@ from drape.garment.partition import patch_count_for
 from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
 from tests.training.training_setup import CPU, TINY_RUN, body
-from training.data import draw_partition
+from training.batches import draw_partition
 from training.wardrobe import Wardrobe
 
 DATA = replace(TINY_RUN.data, partitions=2, variants=1, variant_partitions=1)

@@ -15,7 +15,7 @@ from drape.motion.clip import MotionClip
 from tests.fixtures.poses import smooth_motion
 from tests.training.training_setup import body
 from training.config import DataConfig, MotionConfig
-from training.poses import mirrored
+from training.poses import mirror_poses
 from training.windows import WindowBank
 
 PLAIN = MotionConfig(
@@ -74,7 +74,7 @@ def test_a_window_is_mirrored_whole(rng):
     bank = WindowBank([clip()], ASIS, PLAIN)
     other = WindowBank([clip()], replace(ASIS, mirror_share=1.0), PLAIN)
     plain, flipped = (b.draw(3, FRAMES, np.random.default_rng(5)) for b in (bank, other))
-    assert_array_equal(flipped.poses, mirrored(plain.poses))
+    assert_array_equal(flipped.poses, mirror_poses(plain.poses))
     assert_array_equal(flipped.trans, plain.trans * [-1.0, 1.0, 1.0])
 
 

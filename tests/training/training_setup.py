@@ -21,9 +21,9 @@ from drape.garment.fitting import RestGarment, rest_garment
 from tests.drape.cloth import cloth_shapes
 from tests.fixtures.networks import TINY
 from training import checkpoint
+from training.batches import BodySource, TrainingGarment, draw_partition
 from training.config import DataConfig, MotionConfig, TrainConfig
-from training.data import BodySource, TrainingGarment, draw_partition
-from training.poses import PoseBank, read_clips
+from training.poses import PoseBank, read_training_clips
 from training.trainer import BaseTrainer
 
 CPU = torch.device("cpu")
@@ -47,7 +47,7 @@ def resumes_bit_for_bit(trainer: BaseTrainer, config: TrainConfig, folder: Path)
     """Whether ``trainer`` goes on from its checkpoint as it would have gone on."""
     checkpoint.save(folder / "checkpoint.pt", trainer.state(), config)
     straight, drawn = [trainer.step()["loss"] for _ in range(3)], trainer.wardrobe.seeds()
-    state, found = checkpoint.load(folder / "checkpoint.pt")
+    state, found = checkpoint.load_checkpoint(folder / "checkpoint.pt")
     assert found == config
     trainer.restore(state)
     return [trainer.step()["loss"] for _ in range(3)] == straight and trainer.wardrobe.seeds() == drawn
@@ -92,4 +92,4 @@ def source() -> BodySource:
 
 @cache
 def bank() -> PoseBank:
-    return PoseBank(read_clips([MOTIONS_DIR], held_out=()), TINY_RUN.data)
+    return PoseBank(read_training_clips([MOTIONS_DIR], held_out=()), TINY_RUN.data)

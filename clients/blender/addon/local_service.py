@@ -55,7 +55,7 @@ class LocalService:
         return bool(self.url)
 
     def end(self) -> None:
-        """Ends it."""
+        """Ends the service that this add-on started, and waits for its end."""
         atexit.unregister(self.end)
         self._process.terminate()
         self._process.wait()  # a service ends within 15 s, whatever hangs

@@ -1,6 +1,6 @@
 // What corrections feel: the strain of posed charts and the force on their jets, and how near the body is.
 //
-// Strain (training.consensus.strain_and_force, softened). At each of seven points the tangents t_u, t_v are those at
+// Strain (training.chart_consensus.strain_and_force, softened). At each of seven points the tangents t_u, t_v are those at
 // rest plus what the jets add. With the products of unit vectors of PatchRows.unit, strain is linear in the products g
 // of the tangents:
 //

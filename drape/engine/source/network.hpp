@@ -1,6 +1,6 @@
 // The network's drape of one garment on one body: posed jets of its patches, and the vertices of these.
 //
-// It computes what training.model.OneFit does, by the constants that drape.graph.packing lays out.
+// It computes what training.onefit.OneFit does, by the constants that drape.graph.packing lays out.
 #pragma once
 #include "felt.hpp"
 

@@ -1,7 +1,7 @@
 // Posed patches: their frames, what a patch sees of its surroundings, and the consensus of charts.
 //
-// Frames are those of drape.geometry.skinning.blend_frames, surroundings those of training.model.patch_surroundings,
-// and charts those of training.consensus. A member's columns are its weight w times its rest place and the basis (1, u,
+// Frames are those of drape.geometry.skinning.blend_frames, surroundings those of training.onefit.patch_surroundings,
+// and charts those of training.chart_consensus. A member's columns are its weight w times its rest place and the basis (1, u,
 // v, uu, uv, vv); those of the third and fourth order are products of two of them, over w.
 #pragma once
 #include "body.hpp"

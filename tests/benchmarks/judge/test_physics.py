@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks.judge import physics
-from benchmarks.judge.physics import Task
+from benchmarks.judge.physics import OptimumTask
 from drape.catalog import find_garments, open_garment
 from drape.cloth import energies, metrics
 from drape.cloth.contact import BodyContact, nearest_vertex_push
@@ -43,11 +43,11 @@ def sphere():
     return vertices, BodyContact(faces, len(vertices))
 
 
-def task_of(sphere, cloth, made_of, start, **others) -> Task:
+def task_of(sphere, cloth, made_of, start, **others) -> OptimumTask:
     """The sheet ``start`` (F, V, 3), or several of them, over spheres."""
     vertices, contact = sphere
     starts = start if isinstance(start, tuple) else (start,)
-    return Task(cloth, made_of, contact, np.stack([vertices] * len(starts[0])), starts, **others)
+    return OptimumTask(cloth, made_of, contact, np.stack([vertices] * len(starts[0])), starts, **others)
 
 
 def test_a_stretched_sheet_far_from_the_body_returns_to_rest(sphere):
@@ -259,7 +259,7 @@ def test_the_shipped_t_shirt_comes_to_rest_below_both_starts(made_of):
     cloth, of = ClothMesh.from_rest(rest, faces), material()
     if made_of is not None:
         cloth, of = ClothMesh.of(garment.rest_state(), faces, len(rest)), Material.of(fabric(made_of))
-    task = Task(cloth, of, contact, skin, (pushed, skinned), charts=physics.charts_of(garment))
+    task = OptimumTask(cloth, of, contact, skin, (pushed, skinned), charts=physics.charts_of(garment))
     optimum = physics.minimise(task)
     starts = [total_j(x, cloth, contact, skin, of)[0] for x in task.starts]
     assert total_j(optimum.vertices, cloth, contact, skin, of)[0] < min(starts)

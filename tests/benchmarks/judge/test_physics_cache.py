@@ -20,7 +20,7 @@ from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.geometry.geometry_shapes import icosphere
 
 
-def task(**changes) -> physics.Task:
+def task(**changes) -> physics.OptimumTask:
     """A sheet beside a ball, in two starts."""
     ball, faces = icosphere(3, radius_m=0.1)
     rest, sheet = grid(4, 4, cell_m=0.01)
@@ -32,7 +32,7 @@ def task(**changes) -> physics.Task:
         "body_vertices": np.stack([ball, ball]),
         "starts": (start,),
     }
-    return physics.Task(**{**parts, **changes})
+    return physics.OptimumTask(**{**parts, **changes})
 
 
 def key(step_limit: int = 120, tolerance: float = physics.TOLERANCE, **changes) -> str:

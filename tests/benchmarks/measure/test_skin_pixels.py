@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from benchmarks.measure.skin_pixels import BEHIND_M, HEM_M, Camera, PosedBody, covered_faces, skin_pixels_pct
+from benchmarks.measure.judged import BEHIND_M, HEM_M, Camera, JudgedBody, covered_skin, skin_pixels_pct
 from drape.geometry.raster import Surface, render
 from tests.drape.geometry.geometry_shapes import icosphere
 
@@ -16,8 +16,8 @@ ALL = np.ones(len(FACES), bool)
 
 
 @pytest.fixture(scope="module")
-def ball() -> PosedBody:
-    return PosedBody.of(BALL, FACES)
+def ball() -> JudgedBody:
+    return JudgedBody.of(BALL, FACES)
 
 
 def test_the_camera_sees_all_of_a_body_and_how_near_it_is():
@@ -30,7 +30,7 @@ def test_the_camera_sees_all_of_a_body_and_how_near_it_is():
         assert_array_equal(np.isfinite(seen.depth), seen.face >= 0)
 
 
-def test_cloth_outside_hides_the_skin_and_cloth_inside_shows_it(ball: PosedBody):
+def test_cloth_outside_hides_the_skin_and_cloth_inside_shows_it(ball: JudgedBody):
     assert_array_equal(skin_pixels_pct(ball, ALL, 1.05 * BALL, FACES), np.zeros(4))
     near = skin_pixels_pct(ball, ALL, 0.95 * BALL, FACES)
     assert ((near > 70.0) & (near < 91.0)).all()  # a disc of 0.95 of the radius, less a rim that it stands back from
@@ -40,7 +40,7 @@ def test_cloth_outside_hides_the_skin_and_cloth_inside_shows_it(ball: PosedBody)
     assert np.isnan(skin_pixels_pct(ball, ~ALL, 0.5 * BALL, FACES)).all()
 
 
-def test_a_dent_shows_from_its_side_by_its_share(ball: PosedBody):
+def test_a_dent_shows_from_its_side_by_its_share(ball: JudgedBody):
     dented = 1.03 * BALL
     front = BALL[:, 2] > 0.9 * RADIUS_M
     dented[front] = 0.99 * BALL[front]
@@ -49,13 +49,13 @@ def test_a_dent_shows_from_its_side_by_its_share(ball: PosedBody):
     assert 8.0 < share[0] < 22.0 and share[2] == 0.0
 
 
-def test_faces_are_covered_off_the_hems(ball: PosedBody):
+def test_faces_are_covered_off_the_hems(ball: JudgedBody):
     centre = BALL[FACES].mean(axis=1)
     cap = FACES[centre[:, 1] < 0.05]
-    covered = covered_faces(BALL, FACES, 1.04 * BALL, cap)
+    covered = covered_skin(BALL, FACES, 1.04 * BALL, cap)
     assert covered[(centre[:, 1] < 0.05 - HEM_M - 0.02) & (centre[:, 1] > -0.1)].all()
     assert not covered[centre[:, 1] > 0.05 - HEM_M + 0.02].any()
-    assert covered_faces(BALL, FACES, 1.04 * BALL, FACES).mean() > 0.95, "no hem, nothing bare"
+    assert covered_skin(BALL, FACES, 1.04 * BALL, FACES).mean() > 0.95, "no hem, nothing bare"
 
 
 def test_the_pictures_agree_with_the_shaded_ones():

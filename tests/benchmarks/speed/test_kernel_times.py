@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import frame
-from benchmarks.speed import rates
+from benchmarks.speed import kernel_times
 from benchmarks.speed.kernel_times import PYTHON, Trace, moved_bytes, multiply_adds, replaced
 from drape.engine import calls
 from drape.engine.packer import Record
@@ -54,4 +54,4 @@ def test_the_floor_is_the_longer_of_bytes_and_multiply_adds(monkeypatch: pytest.
 
 
 def test_a_copy_is_as_fast_as_others_of_its_size():
-    assert rates.copied_per_s(5000, 1) == rates.copied_per_s(8192, 1) > 1e6
+    assert kernel_times.copied_per_s(5000, 1) == kernel_times.copied_per_s(8192, 1) > 1e6

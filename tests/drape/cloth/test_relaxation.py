@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 from drape.cloth.relaxation import LONGEST_MOVE_M, Relaxation, nearest_isometry, principal_stretches
 from drape.errors import MeshError
 from recovery.drape.seam_threads import in_numpy
-from recovery.sim.sdf import Plane
+from recovery.sim.sdf import PlaneDistance
 from tests.recovery.sim_setup import strip
 
-FLOOR = in_numpy(Plane(normal=(0.0, 0.0, 1.0)))
-NOWHERE = in_numpy(Plane((0.0, 0.0, -10.0), (0.0, 0.0, 1.0)))
+FLOOR = in_numpy(PlaneDistance(normal=(0.0, 0.0, 1.0)))
+NOWHERE = in_numpy(PlaneDistance((0.0, 0.0, -10.0), (0.0, 0.0, 1.0)))
 
 
 def sheet(distance=NOWHERE, *, gap_m: float = 0.01) -> tuple[Relaxation, np.ndarray]:

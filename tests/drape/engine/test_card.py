@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.scenes import FPS, at_rate
+from benchmarks.cases import FPS, at_rate
 from benchmarks.served import Stream, plan_of
 from drape.catalog import find_motions
 from drape.engine.calls import call, call_with_scratch

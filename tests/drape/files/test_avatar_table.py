@@ -39,8 +39,8 @@ def test_the_client_sends_what_the_table_beside_the_file_says(tmp_path):
     (tmp_path / TABLE_NAME).write_text(json.dumps({"tall": {"height": 0.8}, "own": "standard", "scan": "scan.obj"}))
     for stem, expected in (("tall_coat", '{"height": 0.8}'), ("own_coat", "standard"), ("scan_coat", None)):
         (tmp_path / f"{stem}.obj").write_text("v 0 0 0\n")
-        assert calls.upload(tmp_path / f"{stem}.obj", None, None).arguments()["params"].get("avatar") == expected
-    told = calls.upload(tmp_path / "tall_coat.obj", "male", None)
+        assert calls.upload_call(tmp_path / f"{stem}.obj", None, None).arguments()["params"].get("avatar") == expected
+    told = calls.upload_call(tmp_path / "tall_coat.obj", "male", None)
     assert told.arguments()["params"]["avatar"] == "male"
 
 

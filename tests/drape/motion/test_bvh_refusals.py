@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drape.errors import MotionError
-from drape.motion import bvh, text
+from drape.motion import bvh
 from drape.motion.bvh import read_bvh
 from drape.motion.readers import read_motion
 from tests.drape.motion.bvh_setup import local, root, wrote
@@ -101,7 +101,7 @@ def test_bounds_hold(whole, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(bvh, "MAX_JOINT_COUNT", 10)
         assert "at most 10 joints" in refusal_of(tmp_path, whole)
-    monkeypatch.setattr(text, "MAX_FILE_BYTES", 100)
+    monkeypatch.setattr(bvh, "MAX_FILE_BYTES", 100)
     assert "at most 100 bytes" in refusal_of(tmp_path, whole)
 
 

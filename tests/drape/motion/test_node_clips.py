@@ -10,7 +10,7 @@ import pytest
 
 from drape.errors import MotionError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
-from drape.motion.node_clip import MOST_MATRICES, check_size
+from drape.motion.node_clip import MOST_MATRICES, check_node_count
 from drape.motion.readers import read_motion
 from tests.drape.motion.node_files import CLIP, FPS, T_POSE, fbx, glb, moved
 from tests.drape.motion.rigs import a_pose
@@ -134,4 +134,4 @@ def test_an_absent_file_is_refused(name: str, tmp_path: Path):
 
 def test_too_many_frames_are_refused():
     with pytest.raises(MotionError, match="Cut it"):
-        check_size(MOST_MATRICES, 2, "clip")
+        check_node_count(MOST_MATRICES, 2, "clip")

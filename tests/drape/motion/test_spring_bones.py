@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.motion.spring_bones import Capsules, Springs, nearest_off, tails, turned
+from drape.motion.spring_bones import Capsules, Springs, nearest_off, shortest_turns, tails
 
 FRAMES = 240
 NONE = Capsules(np.zeros((FRAMES, 0, 3)), np.zeros((FRAMES, 0, 3)), np.zeros(0), np.zeros((1, 0), dtype=bool))
@@ -74,7 +74,7 @@ def test_many_numbers_at_once_are_as_one_after_the_other():
 def test_turns_point_where_the_tail_is():
     rng = np.random.default_rng(0)
     heads, rest, at = rng.normal(size=(3, 20, 3))
-    turn = turned(heads, rest, at)
+    turn = shortest_turns(heads, rest, at)
     assert_allclose(np.linalg.det(turn), 1.0, atol=1e-9)
     pointed = np.einsum("nab,nb->na", turn, rest - heads)
     assert_allclose(np.cross(pointed, at - heads), 0.0, atol=1e-9)

@@ -12,7 +12,7 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.grounding import leg_length
 from drape.motion.samples import SAMPLES
 from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
-from drape.motion.vmc import BONE, ROOT, VmcPoses
+from drape.motion.vmc_messages import BONE, ROOT, VmcPoses
 from tests.drape.motion.vmc_sender import OPTIONAL, UNITY, messages
 
 CLIP = SAMPLES["turn"]()

@@ -103,7 +103,7 @@ def test_outfits_that_make_no_sense_are_refused(client: httpx.Client, fields: di
 
 def test_passes_that_the_model_does_not_have_are_refused(client: httpx.Client):
     response = ask(client, garment="tube", passes=2)
-    assert response.status_code == 400 and "passes: expected 0 to 1" in response.json()["detail"]
+    assert response.status_code == 400 and "advanced.passes: expected 0 to 1" in response.json()["detail"]
     fewer, every, left_out = (ask(client, garment="tube", passes=passes) for passes in (0, 1, None))
     assert [one.headers["X-Drape-Passes"] for one in (fewer, every, left_out)] == ["0", "1", "1"]
     assert every.content == left_out.content != fewer.content

@@ -42,14 +42,14 @@ def counted_forks() -> None:
 def test_no_work_of_clients_forks_the_service(make_settings: Callable[..., Settings], tube: Garment, monkeypatch):
     settings = make_settings()
     app, before = create_app(settings), len(FORKS)
-    stop, start, started = threading.Event(), processes.start, []
+    stop, start, started = threading.Event(), processes.start_process, []
 
     def recorded(module: str, *arguments: Any, **named: Any) -> processes.Process:
         started.append((module.rpartition(".")[2], start(module, *arguments, **named)))
         return started[-1][1]
 
-    monkeypatch.setattr(processes, "start", recorded)
-    monkeypatch.setattr(constants_process, "start", recorded)
+    monkeypatch.setattr(processes, "start_process", recorded)
+    monkeypatch.setattr(constants_process, "start_process", recorded)
     with serve(app, settings) as url, httpx.Client(base_url=url, timeout=120.0) as client:
         body = client.get("/bodies").json()[0]["id"]
 

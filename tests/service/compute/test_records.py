@@ -18,9 +18,9 @@ from drape.garment.cache import save_garment
 from service.compute.avatars import FOLDER as AVATARS
 from service.compute.avatars import AvatarRecord
 from service.compute.garment_files import IDS, about_path, read_about
-from service.compute.records import read_record
-from service.exact import folder as clips
-from service.exact.folder import write_frame
+from service.compute.json_records import read_record
+from service.exact import clip_folder as clips
+from service.exact.clip_folder import write_frame
 from service.settings import Settings
 from service.uploads import accepted, job_records
 from tests.fixtures.garments import tube_garment

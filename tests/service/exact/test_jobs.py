@@ -18,11 +18,11 @@ from clients.cli import main
 from clients.client import DrapeClient
 from drape.errors import DrapeError, MotionError, NotFound, Unavailable
 from service.errors import Busy, Full
-from service.exact import folder as on_disk
-from service.exact import jobs
+from service.exact import clip_folder as on_disk
+from service.exact import clip_queue
 from service.exact.block import Block
-from service.exact.jobs import ExactClips
-from service.http.exact_clips import job_info
+from service.exact.clip_queue import ExactClips
+from service.http.exact_clips import exact_job_info
 from service.settings import Settings
 from tests.fixtures.serving import served
 from tests.fixtures.streams import raw_stream
@@ -84,8 +84,8 @@ def test_a_frame_that_is_not_solved_is_named(tmp_path: Path):
     told = {"force_share": 0.009, "depth_m": 0.0, "energy_j": 1.0, "start_j": 2.0, "start_crossings": 3, "steps": 4}
     frames = {0: {**told, "crossings": 0}, 1: {**told, "crossings": 2, "depth_m": 0.0634}}
     frames[2] = {**told, "crossings": 0, "force_share": 18.0}
-    job = jobs.ClipJob(on_disk.Accepted("a", "tube", None, 3), tmp_path, state="done", told=frames)
-    first, second = job_info(job).notes
+    job = clip_queue.ClipJob(on_disk.AcceptedClip("a", "tube", None, 3), tmp_path, state="done", told=frames)
+    first, second = exact_job_info(job).notes
     assert first.startswith("Frame 1 is not solved: 2 pairs") and "63.4 mm deep" in first and "0.9 %" in first
     assert second.startswith("Frame 2 is not solved: 0 pairs") and "1800.0 %" in second
 
@@ -192,7 +192,7 @@ def test_a_service_that_is_started_again_goes_on_from_the_frames_it_has(make_set
 
 
 def test_a_frame_that_takes_too_long_ends_the_job_in_words(make_settings: Callable[..., Settings], monkeypatch):
-    monkeypatch.setattr(jobs, "FRAME_S", 0.05)
+    monkeypatch.setattr(clip_queue, "FRAME_S", 0.05)
     settings = make_settings()
     with served(settings) as url, httpx.Client(base_url=url, timeout=60.0) as http:
         where = http.post("/drape", json=ASKED).headers["Location"]
@@ -218,15 +218,15 @@ def test_too_many_clips_and_a_full_disk_are_refused(make_settings: Callable[...,
     clips = ExactClips(Nothing(make_settings(intake_queue=1, max_stored_bytes=10_000)))  # pyright: ignore[reportArgumentType]
     with pytest.raises(Full, match="DELETE /jobs/ID"):
         clips.check_place(10, 1000)
-    monkeypatch.setattr(jobs, "_free_bytes", lambda root: 100)
+    monkeypatch.setattr(clip_queue, "_free_bytes", lambda root: 100)
     with pytest.raises(Full, match="100 free on disk"):
         clips.check_place(1, 10)
 
-    def full(self: on_disk.Accepted, folder: Path) -> None:
+    def full(self: on_disk.AcceptedClip, folder: Path) -> None:
         raise OSError(28, "No space left on device")
 
     async def submit() -> None:
-        monkeypatch.setattr(on_disk.Accepted, "write", full)
+        monkeypatch.setattr(on_disk.AcceptedClip, "write", full)
         with pytest.raises(Full, match="No space left"):
             await clips.submit("tube", None, b"", 1)
         assert clips.waiting == 0 and list((clips._root / on_disk.FOLDER).iterdir()) == []
@@ -241,13 +241,13 @@ def test_too_many_clips_and_a_full_disk_are_refused(make_settings: Callable[...,
 
 def test_what_a_process_says_at_its_end_is_raised(make_settings: Callable[..., Settings], tmp_path: Path, monkeypatch):
     clips = ExactClips(Nothing(make_settings()))  # pyright: ignore[reportArgumentType]
-    job = jobs.ClipJob(on_disk.Accepted("a", "tube", None, 2), tmp_path)
+    job = clip_queue.ClipJob(on_disk.AcceptedClip("a", "tube", None, 2), tmp_path)
 
     names = (f"spoken_{number}" for number in count())  # byte code of one module would be taken for another's
 
     def computed(program: str) -> None:
         (tmp_path / f"{(name := next(names))}.py").write_text(program)
-        monkeypatch.setattr(jobs, "BLOCK", name)
+        monkeypatch.setattr(clip_queue, "BLOCK", name)
         monkeypatch.setenv("PYTHONPATH", str(tmp_path))
         some = np.zeros(1)
         block = Block(None, None, None, some, some, tmp_path, some, some)  # pyright: ignore[reportArgumentType]
@@ -266,7 +266,7 @@ def test_a_clip_that_was_begun_too_often_and_missing_frames_are_refused(
     make_settings: Callable[..., Settings], tmp_path
 ):
     clips = ExactClips(Nothing(make_settings()))  # pyright: ignore[reportArgumentType]
-    job = jobs.ClipJob(on_disk.Accepted("a", "tube", None, 2, attempts=jobs.MOST_ATTEMPTS), tmp_path)
+    job = clip_queue.ClipJob(on_disk.AcceptedClip("a", "tube", None, 2, attempts=clip_queue.MOST_ATTEMPTS), tmp_path)
     with pytest.raises(Unavailable, match="within 20 starts"):
         asyncio.run(clips._run(job, None))  # pyright: ignore[reportArgumentType]
     with pytest.raises(NotFound, match="0 of 2 frames"):

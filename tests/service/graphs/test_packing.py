@@ -31,14 +31,14 @@ from drape.inference.subgraph import cut
 from drape.stages.batch import PoseInput
 from drape.stages.walk import run
 from drape.wire.options import DrapeOptions
-from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses
+from model_export.readable_graphs import DrapeGraph, drape_inputs
 from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.packed import KINDS, described, exported, garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.tiny_model import expected_vertices
 from tests.service.graphs.packers import BODIES, bodies, make_packer, packer_of
-from training.model import OneFit
+from training.onefit import OneFit
 
 pytestmark = pytest.mark.slow
 __all__ = ["bodies"]  # a fixture

@@ -28,7 +28,7 @@ from drape.wire import messages as wire
 from service.app import create_app
 from service.errors import Busy, Unauthorized
 from service.guard.access import Access
-from service.guard.keys import digest, load_keys
+from service.guard.key_file import key_digest, load_keys
 from service.guard.tickets import LIFE_S, Tickets
 from service.settings import Settings, check_exposed
 from tests.architecture.repository import ROOT
@@ -43,7 +43,9 @@ REST = np.zeros((1, 24, 3)).tolist()
 
 def write_keys(folder: Path) -> Path:
     path = folder / "keys.json"
-    path.write_text(json.dumps({name: {"sha256": digest(key), **LIMITS.get(name, {})} for name, key in KEYS.items()}))
+    path.write_text(
+        json.dumps({name: {"sha256": key_digest(key), **LIMITS.get(name, {})} for name, key in KEYS.items()})
+    )
     return path
 
 
@@ -284,7 +286,7 @@ def test_a_file_of_keys_that_is_not_there_stops_the_start(tmp_path: Path):
 def test_the_command_makes_a_key_that_works(tmp_path: Path):
     run = subprocess.run([sys.executable, "-m", "service.keys", "shop"], cwd=ROOT, capture_output=True, text=True)
     (tmp_path / "keys.json").write_text(run.stdout)
-    assert load_keys(tmp_path / "keys.json")[digest(run.stderr.split()[-1])].name == "shop"
+    assert load_keys(tmp_path / "keys.json")[key_digest(run.stderr.split()[-1])].name == "shop"
     bad = subprocess.run([sys.executable, "-m", "service.keys", "A shop"], cwd=ROOT, capture_output=True, text=True)
     assert bad.returncode == 2 and "small letters" in bad.stderr
 

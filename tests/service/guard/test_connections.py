@@ -16,8 +16,8 @@ import pytest
 
 from clients.stream import DrapeStream
 from service.app import create_app
-from service.guard import connections, limits
-from service.guard.connections import HEAD_BYTES
+from service.guard import connection_times, limits
+from service.guard.connection_times import HEAD_BYTES
 from service.settings import Settings
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.serving import serve, served
@@ -29,7 +29,7 @@ HEAD = "Host: 127.0.0.1\r\nContent-Type: {kind}\r\nContent-Length: {size}\r\n\r\
 def tight(settings: Settings) -> Iterator[Settings]:
     """Little time, for those who shall be refused for being slow. Who shall be answered may be slow in tests."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(connections, "HEAD_S", 0.5)
+        patch.setattr(connection_times, "HEAD_S", 0.5)
         patch.setattr(limits, "IDLE_S", 0.5)
         patch.setattr(limits, "PACE_BYTES_S", 2**20)
         yield settings
@@ -39,8 +39,8 @@ def tight(settings: Settings) -> Iterator[Settings]:
 def narrow(make_settings: Callable[..., Settings]) -> Iterator[Settings]:
     """Few places and bytes, and times for whoever is answered; only a reader has little."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(connections, "HEAD_S", 3.0)
-        patch.setattr(connections, "READ_S", 0.5)
+        patch.setattr(connection_times, "HEAD_S", 3.0)
+        patch.setattr(connection_times, "READ_S", 0.5)
         patch.setattr(limits, "HELD_BYTES", 2**20)
         yield make_settings(max_connections_per_address=24)
 
@@ -233,7 +233,7 @@ def test_a_stream_has_no_time_for_another_head(narrow_address: tuple[str, int]):
 
     async def talk() -> int:
         async with await DrapeStream.open(f"http://{host}:{port}", "tube") as stream:
-            await asyncio.sleep(1.5 * connections.HEAD_S)
+            await asyncio.sleep(1.5 * connection_times.HEAD_S)
             await stream.send(np.zeros((24, 3)))
             return len((await stream.receive()).frame.positions)
 

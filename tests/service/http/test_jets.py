@@ -28,7 +28,7 @@ from drape.wire.jets import JetFrame, message_bytes, pack_jets, split_jets, unpa
 from drape.wire.layout import JetLayout, unpack_layout
 from drape.wire.options import Advanced, DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.guard.keys import ANYONE
+from service.guard.key_file import ANYONE
 from service.http.answers import BINARY, GLB, JSON
 from service.http.clip_jobs import ClipJob
 from service.http.clip_routes import check_clip_size

@@ -9,7 +9,7 @@ import pytest
 from drape.errors import TooLarge
 from service.compute.threads import SlicedThread
 from service.http import json_body
-from service.http.json_body import PIECE_BYTES, SMALL_MARKS, check_marks, document_of
+from service.http.json_body import PIECE_BYTES, SMALL_MARKS, check_marks, read_document
 
 
 @pytest.mark.parametrize("size", [1, PIECE_BYTES, PIECE_BYTES + 1, 3 * PIECE_BYTES - 1])
@@ -38,6 +38,6 @@ def test_a_body_with_too_many_marks_is_not_counted_to_its_end(monkeypatch: pytes
 
 
 def test_a_request_without_poses_has_fewer_marks():
-    assert document_of(b"[" + b"0," * (SMALL_MARKS - 2) + b"0]")[-1] == 0
+    assert read_document(b"[" + b"0," * (SMALL_MARKS - 2) + b"0]")[-1] == 0
     with pytest.raises(TooLarge, match=f"at most {SMALL_MARKS} commas, colons and opening brackets, got more"):
-        document_of(b"[" + b"0," * SMALL_MARKS + b"0]")
+        read_document(b"[" + b"0," * SMALL_MARKS + b"0]")

@@ -18,13 +18,13 @@ from drape.cloth.fabric_table import fabric
 from drape.garment.cache import Garment
 from drape.garment.fabric_features import encoder_features
 from drape.graph.feeds import body_feed, garment_feed, skinning_feed
-from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
+from model_export.readable_graphs import DrapeGraph, EncoderGraph, drape_inputs
 from service.settings import Settings
 from tests.fixtures.packed import exported, exported_paper
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import served, vertices_of
 from tests.fixtures.tiny_model import ROUNDING_M
-from training.model import OneFit
+from training.onefit import OneFit
 
 pytestmark = pytest.mark.slow
 POSES, TRANS = random_motion(2)

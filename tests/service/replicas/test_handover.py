@@ -28,11 +28,11 @@ from drape.wire.state import join_state, split_state
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.errors import Busy, Unauthorized
-from service.guard.keys import Client, digest
+from service.guard.key_file import Client, key_digest
 from service.guard.limits import HELD_BYTES
 from service.guard.tickets import Tickets
 from service.replicas.handover import LIFE_S, STATE_BYTES, Handover
-from service.replicas.memory_codec import decoded, encoded
+from service.replicas.memory_codec import decode_value, encode_value
 from service.settings import Settings
 from service.stream import opening
 from service.stream.session import Session
@@ -171,7 +171,7 @@ def test_a_stream_goes_on_anew_where_its_state_cannot_be_read(moving_settings: S
 
 def test_a_key_and_a_ticket_move_along(moving_settings: Settings, tmp_path, make_settings: Callable[..., Settings]):
     file = tmp_path / "keys.json"
-    file.write_text(json.dumps({"shop": {"sha256": digest("drape_key")}}))
+    file.write_text(json.dumps({"shop": {"sha256": key_digest("drape_key")}}))
     kept = make_settings(keys_file=file, ticket_secret=SECRET)
     poses, trans = smooth(FRAMES)
     with served(kept) as there:
@@ -205,7 +205,7 @@ def test_what_is_remembered_comes_back_bit_for_bit():
     rows = (rng.normal(size=(7, 3)), np.asfortranarray(rng.normal(size=(4, 3)).astype(np.float32)), np.zeros((0, 3)))
     pair = Pair(rng.integers(0, 9, 5).astype(np.int32), 3)
     value = (Kept(0.1, pair, rows, b"\0raw"), Kept(-0.0, None, (), b""), np.float32(0.3), "text", None)
-    back = decoded(encoded(value, (Kept, Pair), ("text",)), (Kept, Pair), ("text",))
+    back = decode_value(encode_value(value, (Kept, Pair), ("text",)), (Kept, Pair), ("text",))
     assert back[0].pair.one.dtype == np.int32 and np.array_equal(back[0].pair.one, pair.one) and back[0].pair.two == 3
     for got, expected in zip(back[0].rows, rows, strict=True):
         assert got.dtype == expected.dtype and np.array_equal(got, expected) and got.flags.writeable
@@ -213,9 +213,9 @@ def test_what_is_remembered_comes_back_bit_for_bit():
     assert (back[0].time_s, back[0].raw, back[1].pair, back[3:]) == (0.1, b"\0raw", None, ("text", None))
     assert str(back[1].time_s) == "-0.0" and back[2].dtype == np.float32 and back[2] == np.float32(0.3)
     with pytest.raises(TypeError, match="set is not among"):
-        encoded({1}, ())
+        encode_value({1}, ())
     with pytest.raises(InputError, match=r"state: expected what this release remembers .* got .*Kept"):
-        decoded(encoded(value, (Kept, Pair)), (Pair,))
+        decode_value(encode_value(value, (Kept, Pair)), (Pair,))
 
 
 def test_pieces_of_a_state_are_joined_in_their_order():

@@ -29,9 +29,9 @@ from drape.errors import DrapeError, InputError, Unavailable
 from drape.garment.cache import Garment
 from service import ray_app
 from service.replicas import ray_deployment, ray_router
-from service.replicas.scaling import AGE, STREAMS, WINDOW_S, FrameAges, Load, Policy, wanted
+from service.replicas.scaling import AGE, STREAMS, WINDOW_S, FrameAges, Load, Policy, wanted_replicas
 from service.settings import Settings
-from service.watch.metrics import Metrics
+from service.watch.prometheus import Metrics
 from tests.architecture.repository import ROOT
 from tests.fixtures.meshes import garment_obj
 from tests.fixtures.tiny_model import TINY_DYNAMIC
@@ -362,12 +362,12 @@ def test_ages_are_those_of_the_last_seconds():
     ],
 )
 def test_replicas_that_are_wanted(replicas: list[Load], expected: int):
-    assert wanted({str(place): load for place, load in enumerate(replicas)}, DEADLINE_S) == expected
+    assert wanted_replicas({str(place): load for place, load in enumerate(replicas)}, DEADLINE_S) == expected
 
 
 @given(loads)
 def test_a_replica_that_went_is_not_wanted_again_at_once(found: dict[str, Load]):
-    number = wanted(found, DEADLINE_S)
+    number = wanted_replicas(found, DEADLINE_S)
     assert abs(number - len(found)) <= 1 and number >= 1
     if number >= len(found):
         return
@@ -375,4 +375,4 @@ def test_a_replica_that_went_is_not_wanted_again_at_once(found: dict[str, Load])
     left = {name: load for name, load in found.items() if name != gone}
     spread = Load(sum(load.age_s for load in found.values()) / number, 8)
     after = left if found[gone].streams == 0 else dict.fromkeys(left, spread)
-    assert wanted(after, DEADLINE_S) <= number
+    assert wanted_replicas(after, DEADLINE_S) <= number

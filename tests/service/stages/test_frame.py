@@ -20,7 +20,7 @@ from drape.stages.stage import Stage, carried
 from drape.stages.walk import by_stages, run, walk
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.replicas.memory_codec import decoded, encoded
+from service.replicas.memory_codec import decode_value, encode_value
 from tests.fixtures.poses import smooth_motion
 
 CLOCK = slice(24, 32)  # of a FRAME message: when it was sent
@@ -99,7 +99,9 @@ def test_memories_go_on_at_another_process(runtime: DrapeRuntime, options: dict)
     left = run(plan, frames(1, run(plan, frames(0, ({}, {}))).memories)).memories
     classes = runtime.memory_classes
     here = told(run(plan, frames(2, left)))
-    moved = [{key: decoded(encoded(one, classes), classes) for key, one in memories.items()} for memories in left]
+    moved = [
+        {key: decode_value(encode_value(one, classes), classes) for key, one in memories.items()} for memories in left
+    ]
     assert told(run(plan, frames(2, moved))) == here
     copied = pickle.loads(pickle.dumps(left))
     kept = {

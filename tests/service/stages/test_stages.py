@@ -162,7 +162,7 @@ def test_what_is_left_open_is_the_services_own(runtime: DrapeRuntime, make_runti
     assert plan == every and hash(plan) == hash(every), "all passes are the default"
     assert plan != other.plan(entry, DrapeOptions(advanced=Advanced(passes=0)))
     assert make_runtime(inertia="mesh").plan(entry, DrapeOptions()).options == still.updated(knob=1.0, inertia="mesh")
-    with pytest.raises(InputError, match="passes: expected 0 to 1, got 9"):
+    with pytest.raises(InputError, match=r"^advanced\.passes: expected 0 to 1, got 9"):
         other.plan(entry, DrapeOptions(advanced=Advanced(passes=9)))
 
 

@@ -183,13 +183,13 @@ def test_a_service_that_has_its_folder_alone_does_not_look(api: httpx.Client, se
 
 
 def test_unknown_garments_cost_one_look(apps: tuple[FastAPI, FastAPI], pair: tuple[httpx.Client, ...], monkeypatch):
-    looked, stored = [], garment_files.stored
+    looked, stored = [], garment_files.list_caches
 
     def counted(root: Path) -> dict[Path, tuple[int, int]]:
         looked.append(root)
         return stored(root)
 
-    monkeypatch.setattr(garment_files, "stored", counted)
+    monkeypatch.setattr(garment_files, "list_caches", counted)
     shared_folder, url = apps[0].state.drape.shared_folder, str(pair[0].base_url)
 
     async def many() -> set[int]:
@@ -213,13 +213,13 @@ def test_an_id_belongs_to_whom_claimed_it_first(tmp_path: Path):
         path.touch()
     assert garment_files.claim(first, "shirt") and not garment_files.claim(second, "shirt")
     assert garment_files.claim(first, "shirt")
-    garment_files.remove(second, "shirt")  # not its own
+    garment_files.remove_cache(second, "shirt")  # not its own
     assert not garment_files.claim(second, "shirt")
     first.unlink()
     second.touch()
     assert garment_files.claim(second, "shirt")  # who had it is gone
     assert [path.name for path in (tmp_path / garment_files.IDS).iterdir()] == ["shirt"]
-    garment_files.remove(second, "shirt")
+    garment_files.remove_cache(second, "shirt")
     assert list((tmp_path / garment_files.IDS).iterdir()) == []
 
 

@@ -23,11 +23,11 @@ from websockets.asyncio.client import connect
 
 from drape.body.model import BodyModel
 from drape.wire import messages as wire
-from service.server import bind
+from service.server import bind_listener
 from service.stream.session import Session
-from service.watch import metrics as service_metrics
-from service.watch.metrics import Metrics
+from service.watch import prometheus as service_metrics
 from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
+from service.watch.prometheus import Metrics
 from tests.architecture.repository import ROOT
 from tests.fixtures.patience import PATIENT_S
 from tests.fixtures.streams import PROTOCOLS, stream_address
@@ -193,7 +193,7 @@ def test_readiness_follows_the_life_of_the_service_and_liveness_does_not():
 def test_a_loop_that_has_stopped_turning_is_told_by_the_probes_own_port():
     life, metrics, lags = Lifecycle(stuck_s=2.0), Metrics(), []
     life.ready()
-    with Probes(bind("127.0.0.1", 0), life, metrics) as probes:
+    with Probes(bind_listener("127.0.0.1", 0), life, metrics) as probes:
         url = f"http://127.0.0.1:{probes.server_address[1]}"
 
         async def turn_then_stop() -> httpx.Response:
@@ -219,7 +219,7 @@ def test_a_loop_that_has_stopped_turning_is_told_by_the_probes_own_port():
 
 
 def test_clients_that_say_nothing_do_not_fill_the_probes_port():
-    with Probes(bind("127.0.0.1", 0), Lifecycle(stuck_s=60.0), Metrics()) as probes:
+    with Probes(bind_listener("127.0.0.1", 0), Lifecycle(stuck_s=60.0), Metrics()) as probes:
         address = ("127.0.0.1", probes.server_address[1])
         silent = [socket.create_connection(address) for _ in range(MOST_CLIENTS)]
         deadline = time.monotonic() + PATIENT_S
@@ -235,7 +235,7 @@ def test_clients_that_say_nothing_do_not_fill_the_probes_port():
 
 
 def test_a_start_answers_its_probes_while_it_loads(tiny_folder: Path):
-    with bind("127.0.0.1", 0) as free:
+    with bind_listener("127.0.0.1", 0) as free:
         port = free.getsockname()[1]
     environment = {"DRAPE_MODEL": str(tiny_folder / "models/tiny"), "DRAPE_PROBE_PORT": str(port)}
     environment["DRAPE_SHIPPED_GARMENTS_DIR"] = str(tiny_folder / "shipped")

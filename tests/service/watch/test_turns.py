@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from service.watch.logs import ASKER, Asker
-from service.watch.metrics import Metrics
+from service.watch.prometheus import Metrics
 from service.watch.turns import BRIEF_S, COLLECTOR, LoopWatch
 
 HELD_S = 5.0 * BRIEF_S

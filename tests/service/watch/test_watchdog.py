@@ -29,12 +29,12 @@ from drape.wire.options import Advanced, DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.http import fit_routes
-from service.server import bind
+from service.server import bind_listener
 from service.settings import ROOT, Settings
 from service.watch import watchdog
-from service.watch.metrics import Metrics
 from service.watch.probes import Lifecycle
-from service.watch.watchdog import JOBS, Job, Watchdog, moved, spent_s, waits_for
+from service.watch.prometheus import Metrics
+from service.watch.watchdog import JOBS, Watchdog, WatchedJob, say_moved, spent_s, waits_for
 from tests.fixtures.meshes import garment_obj
 from tests.fixtures.serving import serve, served
 from tests.fixtures.streams import raw_stream
@@ -79,7 +79,7 @@ def test_a_job_moves_by_its_word_or_by_its_time_and_otherwise_not():
         one.look(one.moved_s + 1.0)
         after = 1.0
         assert one.look(one.moved_s + 9.0) == 0.0, "what it waits for has computed"
-        moved()
+        say_moved()
         compute()
         assert one.look(one.moved_s + 9.0) == 9.0, "a job that says its moves is believed no others"
         one.silent = True
@@ -95,7 +95,7 @@ def test_a_process_moves_while_it_computes():
     command = [sys.executable, "-c", program]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None and process.stdout is not None
-        one = Job("test", [partial(spent_s, process.pid)])
+        one = WatchedJob("test", [partial(spent_s, process.pid)])
         process.stdin.write("go\n")
         process.stdin.flush()
         process.stdout.readline()
@@ -114,7 +114,7 @@ def test_a_job_that_has_not_moved_is_told():
     waiting, free = threading.Event(), threading.Event()
 
     def wait() -> None:
-        moved()
+        say_moved()
         waiting.set()
         free.wait(LONG_S)
 
@@ -304,7 +304,7 @@ class Hung:
 @pytest.mark.long
 def test_the_word_to_end_ends_whatever_hangs_and_its_processes(make_settings: Callable[..., Settings]):
     with ExitStack() as opened:
-        listeners = [opened.enter_context(bind("127.0.0.1", 0)) for _ in STATES]
+        listeners = [opened.enter_context(bind_listener("127.0.0.1", 0)) for _ in STATES]
         ports = [one.getsockname()[1] for one in listeners]
         opened.close()
         all_hung = {n: Hung(n, make_settings(stuck_s=2.0), port) for n, port in zip(STATES, ports, strict=True)}

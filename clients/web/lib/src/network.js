@@ -1,6 +1,6 @@
 // The network of one garment on the engine: a posed body in, posed jets out.
 export class Network {
-  // engine: where its garment is draped; message: a FOLDS message with the network's records (service/static/folder.py).
+  // engine: where its garment is draped; message: a FOLDS message with the network's records (service/static/site.py).
   constructor(engine, message) {
     const told = engine.lay(message);
     this.engine = engine;

@@ -1,0 +1,119 @@
+"""What a recovery found: its rounds, and all that led to the best of them."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from drape.garment.contours import Match
+from recovery.drape.pattern_drape import Draped
+from recovery.fit.grading import Graded
+from recovery.fit.laying import DressedDrape, Shown
+from recovery.fit.optimise import Fitted, PatternSearch
+from recovery.pattern.coordinates import control_points
+from recovery.pattern.symmetry import Symmetries
+
+SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
+NOT_AT_REST = "no drape at rest"
+SAME = "it would find the same"  # no fault
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One search for the pattern: the drape at its ``start``, the ``matches`` of its contours with the target's, and
+    what it ``fitted``.
+
+    ``sewn``: the pattern that it found, sewn anew from flat panels; the next round starts from that. ``sewn_m2`` [m^2]:
+    the squared distance of that from the target, both directions summed. If nothing could be sewn they are None and
+    infinite. ``edge_length_m`` [m] is the mesh's. ``seconds`` by the clock and ``processor_s`` over all threads include
+    the mesh and the drape at its start; those of the first round include base and grading.
+    """
+
+    start: Draped
+    matches: list[Match]
+    search: PatternSearch
+    fitted: Fitted
+    edge_length_m: float
+    seconds: float
+    processor_s: float
+    sewn: DressedDrape | None = None
+    sewn_m2: float = math.inf
+
+    @property
+    def least(self) -> np.ndarray:
+        """The row of the search's history at which its pattern was found: total loss, surface, contours, and
+        halvings."""
+        return self.fitted.history[self.fitted.history[:, 0].argmin()]
+
+    @cached_property
+    def surface_m2(self) -> float:
+        """The squared distance [m^2] of its drape from the target, both directions summed, as the loss has it."""
+        return float(self.search.objective.surface(torch.from_numpy(self.fitted.nodes)))
+
+    @property
+    def apart_m2(self) -> float:
+        """The loss [m^2] of its pattern without the factor of the reach, which differs from round to round."""
+        return self.surface_m2 + float(self.least[2])
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """The numbers by which rounds are compared; the least is the best. A pattern that falls into other folds when
+        it is sewn comes last."""
+        return self.apart_m2 + self.sewn_m2, self.apart_m2
+
+
+@dataclass(frozen=True, eq=False)
+class Recovered:
+    """A recovery: the drape of the ``base``, the ``graded`` pattern, and what was ``fitted``.
+
+    ``start``, ``matches``, ``search``, ``fitted``, ``edge_length_m`` and ``sewn`` are those of the best of the
+    ``rounds``, whose distances from the target, searched and sewn, are least in sum. ``left`` says which rounds were
+    left out and why, empty for none or where they would find the same. ``matches`` pair the start's contours with the
+    target's; ``holes`` are contours of the target without a partner. ``fabric`` is the name of the drape's.
+    """
+
+    symmetries: Symmetries
+    base: Draped
+    graded: Graded
+    start: Draped
+    matches: list[Match]
+    holes: list[int]
+    search: PatternSearch
+    fitted: Fitted
+    edge_length_m: float
+    sewn: DressedDrape | None
+    rounds: tuple[Round, ...]
+    left: str
+    fabric: str
+
+    @property
+    def shown(self) -> Shown:
+        """The drape of the pattern that was found."""
+        return Shown(self.search.mesh_of(self.fitted), self.fitted.nodes)
+
+
+def clocks() -> np.ndarray:
+    """Returns the time [s] of the clock and that of the processor."""
+    return np.array([time.perf_counter(), time.process_time()])
+
+
+def why_left(rounds: Sequence[Round], start: Draped) -> str:
+    """Returns a sentence on why no further search begins at ``start``, after the ``rounds`` so far; empty if one
+    does."""
+    if not start.at_rest:
+        return NOT_AT_REST
+    last = rounds[-1]
+    moved = np.abs(last.fitted.positions - control_points(last.start.mesh.pattern).positions).max()
+    same = np.array_equal(last.start.mesh.faces, start.mesh.faces) and moved <= SETTLED_M
+    return SAME if same else ""
+
+
+def apart_mm(squared: float) -> float:
+    """Root mean square distance [mm] of two surfaces whose squared distances of both directions sum to this [m^2]."""
+    return 1e3 * float(np.sqrt(0.5 * squared))

@@ -1,0 +1,283 @@
+"""Reads a scan and mends it: one garment's surface with holes closed, in the file's coordinates; or refuses it.
+
+A fault that has one repair (copies of vertices, faces without area, branches, second layers, crumbs, turned hems,
+holes) is repaired, with a note in the report. A fault that needs a choice (which of two garments) is refused with its
+place and the cure.
+
+The cloth of a hem that is turned in looks along the opening's axis, in a strip that ends at the fold. About a hole it
+goes on so. Cloth beyond some distance from all openings is a strip or a flat piece. Over a head, as on a dressed
+person, it is a bag: a large piece with a short border.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse import csgraph
+
+from drape.body.skeleton import JOINT_NAMES
+from drape.errors import MeshError
+from drape.garment.borders import Loop, borders, plainly_hole, plainly_opening
+from drape.garment.contours import TRUNK, bone_chains, open_contours, place_of
+from drape.garment.files.mesh import GarmentMesh, read_mesh, weld
+from drape.garment.mesh_checks import check_arrays, without_flat_faces
+from drape.garment.sheets import agreeing, cut_branches, main_sheet, point_words, with_used_vertices, without_copies
+from drape.geometry import mesh_graphs, meshes
+from recovery import progress
+from recovery.scan.holes import close_holes
+from recovery.scan.thin import smooth_noise, thin_mesh
+
+SCAN_VERTEX_LIMIT = 3_300_000  # 1,000,000 triangles of an STL, which does not share vertices
+EXTENTS = (1e-3, 1e6)  # in a file's unit, whatever it is: squares and cubes stay far from the ends of the numbers
+OPEN_SHARE = 0.7  # of the height: no hem and no neckline, however deep, goes that far
+TWISTED_SHARE = 0.02  # of the faces: more edges to be cut, and the scan is no cloth
+ACROSS = 0.5  # cosine between an opening's axis and the normals of a hem that is turned in; a cuff's cloth has 0.2
+SMOOTH = 0.7  # cosine between neighbours of one strip: a fold is sharper
+WIDE_SHARE = 0.06  # of the root of the area: no hem is as wide, and the cloth about a hole is wider
+ALL_ROUND = 0.9  # of an edge that the strip has
+LEVELS = 16  # distances from the openings at which pieces are looked at
+LEAST_SHARE = 0.01  # of the area that a bag has
+BAG = 0.3  # of a circle's border squared over its area: a hemisphere has 0.5, a hand with its wrist 0.1
+
+
+def read_target(path: Path, *, label: str | None = None) -> GarmentMesh:
+    """The garment in ``path``: one sheet of agreeing faces whose plain holes are closed, in the file's coordinates.
+
+    ``label`` keeps the faces of one material. Raises ``ScanFault`` with the place for two garments and for one-sided
+    cloth, ``MeshError`` for a solid without openings.
+    """
+    with progress.stage(f"{path.name} is read"):
+        mesh = read_mesh(path, vertex_limit=SCAN_VERTEX_LIMIT)
+    if label is not None:
+        mesh = faces_of_label(mesh, label)
+    with progress.stage("the scan is mended"):
+        check_arrays(mesh, vertex_limit=SCAN_VERTEX_LIMIT)
+        if not EXTENTS[0] <= (extent := float(np.ptp(mesh.vertices, axis=0).max())) <= EXTENTS[1]:
+            raise MeshError(
+                "target",
+                expected="a garment in m, cm, dm, mm or inch",
+                got=f"{extent:.3g} across",
+                cure="Scale the file.",
+            )
+        return mend_sheet(mesh)
+
+
+def mend_sheet(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` as one sheet: every edge has one face or two, neighbours agree, plain holes and bites are closed."""
+    progress.tick("copies and flat faces")
+    mesh = without_flat_faces(without_copies(weld(mesh)))
+    progress.tick("branches")
+    mesh = one_sheet(cut_branches(mesh))
+    progress.tick("thinning out")
+    thin = thin_mesh(mesh)
+    if thin is not mesh:
+        mesh = one_sheet(cut_branches(without_flat_faces(thin)))
+    mesh = without_turned_hems(smooth_noise(orient_faces(mesh)))
+    check_open(mesh, "a closed surface")
+    closing = close_holes(mesh, lambda one: plainly_hole(one, mesh))
+    check_open(closing.mesh, f"one that is closed once mended, with no border but holes ({closing.holes})")
+    check_closed_round(closing.mesh)
+    check_unworn(closing.mesh)
+    return closing.mesh if closing.mesh is mesh else closing.mesh.noted(*closing.words(len(mesh.faces)))
+
+
+def check_open(mesh: GarmentMesh, otherwise: str) -> None:
+    """Refuses a mesh without borders; the refusal says that it is ``otherwise``."""
+    if not meshes.boundary_loops(mesh.faces):
+        raise MeshError(
+            "target",
+            expected="a garment: a surface with openings",
+            got=otherwise,
+            cure="Cut the garment out of the scan, without the body, and open neck, cuffs and hem.",
+        )
+
+
+def check_closed_round(mesh: GarmentMesh) -> None:
+    """Refuses a jacket whose front is open: its longest border goes round the hem and up to the neck."""
+    points = mesh.vertices[borders(mesh)[0].loop]
+    low, size = mesh.vertices.min(axis=0), np.ptp(mesh.vertices, axis=0)
+    # y or z is up, the other one the depth, which every hem has.
+    if (np.ptp(points, axis=0) < OPEN_SHARE * size)[1:].any():
+        return
+    up = 1 if size[1] > size[2] else 2
+    height = (points[:, up] - low[up]) / size[up]
+    edges = points[np.abs(height - height[np.abs(height - 0.5).argmin()]) < 0.2]
+    raise ScanFault(
+        "target",
+        expected="a garment that is closed all round",
+        got=f"one that is open from hem to neck, as a jacket's front is: {in_box(edges[0], mesh.vertices)}",
+        cure="Join the two edges (button it up): no base opens in front.",
+    ).at(mesh, edges)
+
+
+def faces_of_label(mesh: GarmentMesh, label: str) -> GarmentMesh:
+    """The faces of ``mesh`` whose material is called ``label``."""
+    if label not in mesh.material_names:
+        raise MeshError(
+            "--label",
+            expected=f"one of {', '.join(mesh.material_names)}",
+            got=label,
+            cure="Name a material of the file.",
+        )
+    keep = mesh.face_material == mesh.material_names.index(label)
+    if not keep.any():
+        raise MeshError("--label", expected=f"faces of {label}", got="none", cure="Name another material of the file.")
+    return mesh.take_faces(keep).noted(f"kept {int(keep.sum())} of {len(keep)} faces: those of material {label}")
+
+
+def one_sheet(mesh: GarmentMesh) -> GarmentMesh:
+    """The largest sheet of ``mesh``; refuses a second one that lies apart and is large."""
+    kept, rivals = main_sheet(mesh)
+    if rivals:
+        labels = f" Materials: {', '.join(mesh.material_names)}." if len(mesh.material_names) > 1 else ""
+        raise ScanFault(
+            "target",
+            expected="one garment in one piece",
+            got=f"{len(rivals) + 1} pieces of cloth; another one is {in_box(rivals[0], mesh.vertices)}",
+            cure=f"Save the garment alone, name its material (--label), or join what was torn.{labels}",
+        ).at(mesh, np.array(rivals))
+    return kept
+
+
+def orient_faces(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` with neighbours that agree in orientation, cut where a strip is twisted; refuses what is no cloth."""
+    turned, cuts = agreeing(mesh)
+    if len(cuts) > TWISTED_SHARE * len(mesh.faces):
+        raise ScanFault(
+            "target",
+            expected="cloth with two sides",
+            got=f"{len(cuts)} edges at which it turns to its other side, the first {in_box(cuts[0], mesh.vertices)}",
+            cure="Let the scanner make a surface whose faces agree.",
+        ).at(mesh, cuts)
+    if not len(cuts):
+        return turned
+    words = f"cut open a twisted strip at {len(cuts)} edges, the first {in_box(cuts[0], mesh.vertices)}"
+    return one_sheet(turned.noted(words))
+
+
+# --- hems that are turned in -----------------------------------------------------------------------------------------
+
+
+def without_turned_hems(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh``, whose faces agree in orientation, cut off at the folds of hems that are turned in."""
+    normals = meshes.face_normals(mesh.vertices, mesh.faces)
+    pairs = np.stack(meshes.edge_pairs(mesh.faces)[1:]) // 3
+    pairs = pairs[:, (normals[pairs[0]] * normals[pairs[1]]).sum(axis=1) > SMOOTH]
+    strips = [_strip(mesh, one, normals, *pairs) for one in borders(mesh) if not plainly_opening(one)]
+    strips = [strip for strip in strips if strip.any()]
+    if not strips:
+        return mesh
+    kept = with_used_vertices(mesh.take_faces(~np.any(strips, axis=0)))
+    return kept.noted(f"cut off {len(strips)} hems that are turned in, at their folds")
+
+
+def _strip(mesh: GarmentMesh, one: Loop, normals: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The faces (F,) of the hem with the edge ``one``, True for them; none where it is not turned in.
+
+    ``a`` and ``b`` (P,) are neighbours without a fold between them.
+    """
+    across = np.abs(normals @ one.axis) > ACROSS
+    on = across[a] & across[b]
+    graph = scipy.sparse.coo_matrix((np.ones(on.sum()), (a[on], b[on])), shape=(len(normals),) * 2)
+    piece = csgraph.connected_components(graph, directed=False)[1]
+    strip = across & np.isin(piece, piece[np.isin(mesh.faces, one.loop).any(axis=1) & across])
+    area = meshes.face_areas(mesh.vertices, mesh.faces)
+    wide = WIDE_SHARE * np.sqrt(area.sum())
+    if np.isin(one.loop, mesh.faces[strip]).mean() < ALL_ROUND or area[strip].sum() > wide * (
+        one.length + np.pi * wide
+    ):
+        return np.zeros_like(strip)
+    # The fold is longer than the edge. What leaves no fold, or more than one, is no hem.
+    folds = [loop for loop in borders(mesh.take_faces(~strip)) if np.isin(loop.loop, mesh.faces[strip]).all()]
+    return strip & (len(folds) == 1 and folds[0].length > one.length)
+
+
+# --- cloth and wearer in one surface ---------------------------------------------------------------------------------
+
+
+def check_unworn(mesh: GarmentMesh) -> None:
+    """Refuses a scan in which cloth and wearer are one surface, with the tip of a bag, farthest from the openings."""
+    rim = meshes.boundary_vertices(mesh.faces)
+    graph = mesh_graphs.edge_graph(mesh.vertices, mesh.faces)
+    far = csgraph.dijkstra(graph, directed=False, indices=rim, min_only=True)
+    area = meshes.face_areas(mesh.vertices, mesh.faces)
+    for level in np.linspace(0.0, far.max(), LEVELS, endpoint=False)[1:]:
+        beyond = (far[mesh.faces] > level).all(axis=1)
+        piece = mesh_graphs.connected_components(mesh.faces[beyond], len(mesh.vertices))[mesh.faces[:, 0]]
+        size = np.bincount(piece[beyond], area[beyond])
+        for number in np.flatnonzero(size > LEAST_SHARE * area.sum()).tolist():
+            faces = mesh.faces[beyond & (piece == number)]
+            loops = meshes.boundary_loops(faces)
+            points = mesh.vertices[np.concatenate(loops)]
+            length = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum()
+            if len(loops) == 1 and length**2 < BAG * 4.0 * np.pi * size[number]:
+                tip = mesh.vertices[faces].reshape(-1, 3)[far[faces].argmax()]
+                raise ScanFault(
+                    "target",
+                    expected="a garment without its wearer",
+                    got=f"a surface that closes as over a head, a hand or a foot: {in_box(tip, mesh.vertices)}",
+                    cure="Cut the wearer off along neck, cuffs and hem in a mesh editor (Blender, Edit Mode: delete "
+                    "faces), or give the cloth a material of its own and name it (--label).",
+                ).at(mesh, tip)
+
+
+WORDS = {"collar": "side of the neck", "spine3": "chest", "spine2": "ribs", "spine1": "waist", "pelvis": "hips"}
+
+
+class ScanFault(MeshError):
+    """A refusal of a scan with a fault that cannot be repaired safely. ``points`` (P, 3) are its places on the
+    ``mesh``, in the mesh's coordinates."""
+
+    mesh: GarmentMesh | None = None
+    points: np.ndarray = np.zeros((0, 3))
+
+    def at(self, mesh: GarmentMesh, points: np.ndarray) -> ScanFault:
+        """The same fault with its place."""
+        self.mesh, self.points = mesh, np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        return self
+
+
+def in_box(point: np.ndarray, vertices: np.ndarray) -> str:
+    """Where ``point`` is in the garment's own box, for a file whose body is not known; its front is at +z, up at +y."""
+    low, size = vertices.min(axis=0), np.maximum(np.ptp(vertices, axis=0), 1e-300)
+    across, up, out = (point - low) / size
+    side = "left" if across > 0.6 else "right" if across < 0.4 else "middle"
+    return (
+        f"{'front' if out >= 0.5 else 'back'}, {side}, {100 * up:.0f} % of the height from below, at "
+        f"{point_words(point)} of the file"
+    )
+
+
+def on_body(point: np.ndarray, mesh: GarmentMesh, joints: np.ndarray) -> str:
+    """Where ``point`` [m] (3,) is on a garment worn by a body with ``joints`` [m] (24, 3).
+
+    For example "near the left shoulder, 12 cm from the hem at (0.2, 1.1, 0.05) m".
+    """
+    joint = JOINT_NAMES[int(np.linalg.norm(joints - point, axis=1).argmin())]
+    side, _, part = joint.rpartition("_")
+    name = WORDS.get(part, part)
+    words = f"near the {side} {name}" if side else f"near the {name}"
+    found = opening_names(mesh, joints)
+    if found:
+        nearest, away = min(
+            ((text, float(np.linalg.norm(line - point, axis=1).min())) for text, line in found), key=lambda one: one[1]
+        )
+        words += f", {100 * away:.0f} cm from the {nearest}"
+    return f"{words} at {point_words(point)} m"
+
+
+def opening_names(mesh: GarmentMesh, joints: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """The openings that the body goes through, by name, and their points [m] (n, 3)."""
+    chains = bone_chains(joints)
+    trunk, named = [], []
+    for contour in open_contours(mesh.vertices, mesh.faces):
+        place = place_of(contour, chains)
+        if place.part == TRUNK:
+            trunk.append(contour)
+        elif place.part is not None:
+            named.append((f"{place.part.replace('_', ' ')}'s opening", contour.points))
+    trunk.sort(key=lambda contour: -contour.centre[1])
+    names = ["upper opening", *["opening round the trunk"] * (len(trunk) - 2), "hem"][-len(trunk) :] if trunk else []
+    return named + [(name, contour.points) for name, contour in zip(names, trunk, strict=True)]
