@@ -25,10 +25,10 @@ TRIES = 64
 @dataclass(frozen=True, eq=False)
 class SettledDrapes:
     """``vertices`` [m] (F, V, 3) relative to the root, at ``poses`` (F, 24, 3) [rad] of bodies ``betas`` (F, S), of the
-    training garment ``garment`` made of ``fabric``; ``settled_digest`` of that garment's rest mesh."""
+    training garment ``garment`` made of ``fabric``; ``digest`` of that garment's rest mesh."""
 
     garment: str
-    settled_digest: int
+    digest: int
     fabric: Fabric
     poses: np.ndarray
     betas: np.ndarray

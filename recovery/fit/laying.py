@@ -206,13 +206,14 @@ class Shown(NamedTuple):
 class Dressing:
     """How a garment that was sewn from flat panels is put on, as hands arrange it, where it closed elsewhere.
 
-    ``skin`` is the body's signed distance in the garment's pose. ``lay_on_target`` lays gathered cloth, ``hold`` a
-    belt, ``lost`` tells what of the body is beside its opening, and of two ways that with the least ``rank`` is taken.
+    ``skin`` is the body's signed distance in the garment's pose. Gathered cloth is ``laid`` on the target, and ``hold``
+    lays a belt. ``lost`` tells what of the body is beside its opening. Of two ways that with the least ``rank`` is
+    taken.
     """
 
     skin: SignedDistance
     cloth: OrthotropicMaterial
-    lay_on_target: bool
+    laid: bool
     hold: Callable[[Draped], Draped]
     lost: Callable[[Draped], Sequence[str]]
     rank: Callable[[Draped], Any]
