@@ -6,8 +6,7 @@ without a checkpoint writes the measured quality into the manifest of a folder t
 
     python -m model_export --push-out drape/assets/models/NAME
 
-the graph of the push-out, which is the same for every network. On GPUs the packed graph is served with the network's
-matrices in float16 (--no-half leaves it out).
+the graph of the push-out, which is the same for every network.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from pathlib import Path
 from drape.errors import refusing
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from model_export.export import command_line, commit, export, load_model, static_training
-from model_export.folder import add_half, add_push_out, write_quality
+from model_export.folder import add_push_out, write_quality
 
 
 @refusing
@@ -31,7 +30,6 @@ def main() -> int:
     parser.add_argument("target", type=Path)
     parser.add_argument("--quality", type=Path, help="JSON of benchmarks.quality whose rows go into the manifest")
     parser.add_argument("--push-out", action="store_true", help="write the push-out into a folder that stands")
-    parser.add_argument("--no-half", action="store_true", help="no packed graph in float16")
     parser.add_argument("--garment", type=Path, help="garment cache for the parity check; default the shipped T-shirt")
     arguments = parser.parse_args()
     rows = json.loads(arguments.quality.read_text())["rows"] if arguments.quality else None
@@ -60,8 +58,6 @@ def main() -> int:
         training=training | {"commit": commit(), "command": command_line()} | static_training(model, arguments.target),
         quality=rows,
     )
-    if "packed" in manifest.graphs and not arguments.no_half:
-        manifest = add_half(arguments.target, model, load_garment(path))
     print(f"{arguments.target}: parity {manifest.parity_error_m:.2e} m, digest {manifest.digest[:16]}")
     return 0
 

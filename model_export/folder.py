@@ -1,4 +1,4 @@
-"""Changes to a model folder that stands: its quality table, the push-out's graphs, the packed graph in fewer bits."""
+"""Changes to a model folder that stands: its quality table, the push-out's graphs."""
 
 from __future__ import annotations
 
@@ -7,18 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import onnx
-
-from drape.artifacts import GraphSpec, Manifest, file_digest, load_manifest, read_parameters, staged_folder
+from drape.artifacts import GraphSpec, Manifest, load_manifest, read_parameters, staged_folder
 from drape.files.atomic import whole_file
 from drape.garment.cache import Garment
-from model_export.half import HALF, LARGEST_ERROR_M, LEAST, halve_matrices
-from model_export.packed.parity import packed_parity_error
 from model_export.parity import TOLERANCE_M, check_parity
 from model_export.push.graph import PUSHES, write_push
 from model_export.push.parity import push_parity_error
 from model_export.shared_weights import share_weights
-from training.model import OneFit
 
 
 def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:
@@ -41,28 +36,6 @@ def add_push_out(folder: Path, garment: Garment) -> Manifest:
         cure = "Do not ship this graph; find the operator that differs."
         check_parity("push_out parity", error, TOLERANCE_M, "between numpy and onnxruntime", cure=cure)
         return _with_graphs(staged, replace(manifest, parity_error_m=max(error, manifest.parity_error_m)), specs)
-
-
-def add_half(folder: Path, model: OneFit, garment: Garment, *, least: int = LEAST) -> Manifest:
-    """Adds the packed graph with matrices of ``least`` numbers or more in float16 to a model folder that exists.
-
-    Refuses (``ArtifactError``) if that moves a vertex of ``garment`` by more than ``LARGEST_ERROR_M``.
-    """
-    manifest = load_manifest(folder)
-    with staged_folder(folder) as staged:
-        shutil.copytree(folder, staged, dirs_exist_ok=True)
-        packed_spec = manifest.graphs["packed"]
-        proto = onnx.load(str(staged / packed_spec.file))
-        halve_matrices(proto, least=least)
-        onnx.checker.check_model(proto)
-        path = staged / f"{HALF}.onnx"
-        onnx.save(proto, str(path))
-        spec = replace(packed_spec, file=path.name, sha256=file_digest(path))
-        written = _with_graphs(staged, manifest, {HALF: spec})
-        error = packed_parity_error(model, staged / manifest.graphs["garment_encoder"].file, path, garment)
-        cure = "Export without it (--no-half)."
-        check_parity("packed graph in float16", error, LARGEST_ERROR_M, "from torch in float32", cure=cure)
-        return written
 
 
 def _with_graphs(folder: Path, manifest: Manifest, specs: dict[str, GraphSpec]) -> Manifest:

@@ -26,7 +26,7 @@ from drape.artifacts import GraphSpec, ParameterSpec, WeightsSpec, file_digest
 WEIGHTS_FILE = "weights.bin"
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
 LEAST_BYTES = 1024
-BORROWERS = ("packed", "packed_half")
+BORROWER = "packed"
 
 
 @dataclass
@@ -55,10 +55,10 @@ def share_weights(
     Folders that have one already may be given again.
     """
     store, protos = _Store(), {}
-    for key in sorted(graphs, key=lambda key: (key in BORROWERS, key)):  # whoever borrows comes last
+    for key in sorted(graphs, key=lambda key: (key == BORROWER, key)):  # whoever borrows comes last
         proto = onnx.load(str(folder / graphs[key].file))
         forget_origin(proto)
-        if key in BORROWERS:
+        if key == BORROWER:
             _borrow(proto.graph, store)
         for tensor in proto.graph.initializer:
             _move(tensor, store)

@@ -18,7 +18,6 @@ from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.garment.fabric_features import encoder_features
 from drape.graph.packing import pass_name
-from drape.inference.binding import BoundSession
 from drape.inference.compiled import CompiledNetwork, is_covered
 from drape.inference.graph_names import (
     DRAPE,
@@ -26,7 +25,6 @@ from drape.inference.graph_names import (
     EMBEDDING,
     ENCODER,
     FIRST,
-    HALF,
     JETS,
     PACKED,
     PUSH,
@@ -73,30 +71,21 @@ class Engine:
     at rest.
 
     On a CPU ``drape.engine`` computes the network with its encoders (``compiled``), if it covers it, and every
-    push-out; then ONNX Runtime is not needed. On a GPU it is the graph with weights of 16 bits (``half``), if the model
-    has that. ``bound``: parts of graphs run in buckets (``drape.inference.binding``), by default on a GPU. A model of
-    another kind runs on a CPU as it is, by its readable graph (``whole``): all of its passes.
+    push-out (but where ``pushes`` asks for their graphs); then ONNX Runtime is not needed. On a GPU both are graphs. A
+    model of another kind runs on a CPU as it is, by its readable graph (``whole``): all of its passes.
     Refuses (``ArtifactError``) a folder without the graphs that the service runs.
     """
 
     def __init__(
-        self,
-        folder: Path,
-        *,
-        device: Device | None = None,
-        compiled: bool = True,
-        half: bool | None = None,
-        bound: bool | None = None,
+        self, folder: Path, *, device: Device | None = None, compiled: bool = True, pushes: bool = False
     ) -> None:
         self._device = device or Device()
         self.on_cpu = self._device.provider == "cpu"
-        on_gpu = not self.on_cpu
-        self.bound = on_gpu if bound is None else bound
+        self.pushes = pushes or not self.on_cpu  # whether push-outs run as graphs
         self.manifest: Manifest = load_manifest(folder)
         self.dynamic = self.manifest.dynamic
         weights, network = self.manifest.weights, self.manifest.network
-        self.half = (on_gpu if half is None else half) and HALF in self.manifest.graphs
-        plain = compiled and not self.bound and not self.half  # no part of the packed graph is asked for
+        plain = compiled and not self.pushes  # no part of the packed graph is asked for
         covered = plain and weights is not None and is_covered(network)
         self.whole = plain and not covered and DRAPE in self.manifest.graphs
         self._encoded, drapes = (EMBEDDING, (DRAPE,)) if self.whole else (FIRST, (PACKED, *PUSHES))
@@ -114,7 +103,7 @@ class Engine:
             check_distributions()
         self.nodes_off_provider = 0  # of parts opened so far; on a GPU each waits for a copy
         # Read now: a folder replaced later must not mix its graphs with those of this one.
-        files = {name: self.manifest.graphs[name].file for name in map(self._chosen, graphs)}
+        files = {name: self.manifest.graphs[name].file for name in graphs}
         self._files = {name: (folder / file).read_bytes() for name, file in files.items()}
         self._weights = {weights.file: (folder / weights.file).read_bytes()} if weights else {}
         self._opened: dict[tuple[Any, ...], Session] = {}
@@ -124,12 +113,6 @@ class Engine:
             if self.dynamic:
                 self.open_cut(DYNAMIC, REQUIRED_OUTPUTS[DYNAMIC])
         self.provider = PROVIDER_NAMES[self._device.provider]
-
-    def _chosen(self, graph: str) -> str:
-        """The graph that computes ``graph``."""
-        if graph != PACKED:
-            return graph
-        return HALF if self.half else PACKED
 
     def check_body(self, body: BodyModel) -> None:
         """Refuses a body that the model was not trained on."""
@@ -179,11 +162,6 @@ class Engine:
         return self._device.threads
 
     @property
-    def pushes(self) -> bool:
-        """Whether push-outs run as graphs: on a GPU."""
-        return self.bound or not self.on_cpu
-
-    @property
     def feels_body(self) -> bool:
         """Whether the network poses the skin of its bodies, for what patches feel of it."""
         return SKIN in _names(self._drapes.outputs) or "body_skin" in _names(self._drapes.inputs)
@@ -223,7 +201,7 @@ class Engine:
         if key not in self._opened:
             with self._opening:
                 if key not in self._opened:
-                    self._opened[key] = self._open(self._chosen(graph), outputs, direct, passes, given)
+                    self._opened[key] = self._open(graph, outputs, direct, passes, given)
         return self._opened[key]
 
     def _open(
@@ -236,38 +214,18 @@ class Engine:
             model = cut(model, outputs, direct=direct, instead=instead, given=given)
         # Operations of the push-outs are too small to be shared: two threads take longer than one.
         device = replace(self._device, threads=1) if graph in PUSHES else self._device
-        per_frame = graph not in (ENCODER, DYNAMIC)
-        capture = device.captures and per_frame
-        session = open_session(f"{name}/{spec.file}", model, self._weights, device, capture=capture)
+        session = open_session(f"{name}/{spec.file}", model, self._weights, device)
         self.nodes_off_provider += nodes_off_provider(session, device)
         types = {t.name: t.type for t in session.get_inputs()}
         tensors = (*spec.inputs, *(t for t in spec.outputs if t.name in given))
         _compare(name, graph, "inputs", {t.name: t.dtype for t in tensors if t.name in types}, types)
         types = {t.name: t.type for t in session.get_outputs()}
         _compare(name, graph, "outputs", {t.name: t.dtype for t in spec.outputs if t.name in types}, types)
-        bound = self.bound and per_frame
-        return BoundSession(session, device, tensors, spec.outputs) if bound else Session(session, device)
+        return Session(session, device)
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
         """``array`` where the graphs compute; on the CPU it shares the array's memory."""
         return self._device.value(array)
-
-    @property
-    def held_bytes(self) -> int:
-        """The memory [bytes] that sessions hold between calls where the graphs compute, weights and workspace not
-        counted."""
-        return sum(session.bytes for session in tuple(self._opened.values()))
-
-    @property
-    def buckets(self) -> int:
-        """Sets of shapes that sessions hold memory for."""
-        return sum(session.buckets for session in tuple(self._opened.values()))
-
-    def forget(self, graph: str) -> None:
-        """Makes the sessions of ``graph`` drop the constants that they hold: these are about to go."""
-        for (name, *_), session in tuple(self._opened.items()):
-            if name == graph:
-                session.forget()
 
 
 def _compiled(folder: Path, weights: WeightsSpec, network: Mapping[str, Any]) -> CompiledNetwork:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache
@@ -34,15 +34,11 @@ MEMORY_BYTES = 4 << 30  # of a session's workspace on a GPU
 class Device:
     """The processor or GPU on which graphs compute.
 
-    A CPU has ``threads``. On a GPU the calls of one set of shapes become a CUDA graph.
+    A CPU has ``threads``.
     """
 
     provider: Provider = "cpu"
     threads: int = 1
-
-    @property
-    def captures(self) -> bool:
-        return self.provider == "cuda"
 
     def computing(self) -> AbstractContextManager[None]:
         """The context in which a thread runs sessions; a session's own option holds for its own threads only."""
@@ -54,22 +50,11 @@ class Device:
 
         return onnxruntime.OrtValue.ortvalue_from_numpy(array, self.provider)
 
-    def empty(self, shape: Sequence[int], dtype: np.dtype) -> onnxruntime.OrtValue:
-        """Memory for an array where the graphs compute."""
-        import onnxruntime
-
-        return onnxruntime.OrtValue.ortvalue_from_shape_and_type(list(shape), dtype.type, self.provider)
-
-    def options(self, *, capture: bool) -> dict[str, str]:
+    def options(self) -> dict[str, str]:
         """The provider's options. TF32 is off: it rounds the products of coordinates to ten bits."""
         if self.provider == "cpu":
             return {}
-        return {
-            "use_tf32": "0",
-            "gpu_mem_limit": str(MEMORY_BYTES),
-            "arena_extend_strategy": "kSameAsRequested",
-            "enable_cuda_graph": "1" if capture else "0",
-        }
+        return {"use_tf32": "0", "gpu_mem_limit": str(MEMORY_BYTES), "arena_extend_strategy": "kSameAsRequested"}
 
 
 class Session:
@@ -79,28 +64,13 @@ class Session:
         self.inputs = tuple(tensor.name for tensor in opened.get_inputs())
         self._opened, self._device = opened, device
 
-    @property
-    def bytes(self) -> int:
-        """The memory [bytes] that it holds between calls, weights and workspace not counted."""
-        return 0
-
-    @property
-    def buckets(self) -> int:
-        """The number of sets of shapes that it holds memory for."""
-        return 0
-
-    def run(
-        self, outputs: Sequence[str], feed: Mapping[str, Value], *, unchanging: Collection[str] = ()
-    ) -> list[np.ndarray]:
+    def run(self, outputs: Sequence[str], feed: Mapping[str, Value]) -> list[np.ndarray]:
         """Returns the arrays of ``outputs`` for ``feed``, whose values are numpy arrays, or values where the graph
-        computes. The owner of an array that ``unchanging`` names never writes to it."""
+        computes."""
         values = {name: self._device.value(v) if isinstance(v, np.ndarray) else v for name, v in feed.items()}
         with self._device.computing():
             found = self._opened.run_with_ort_values(list(outputs), values)
         return [value.numpy() for value in found]
-
-    def forget(self) -> None:
-        """Drops the constants that it holds: these are about to go."""
 
 
 def check_distributions() -> str:
@@ -144,10 +114,8 @@ def _load_cuda() -> None:
         onnxruntime.preload_dlls()
 
 
-def open_session(
-    label: str, model: bytes, weights: dict[str, bytes], device: Device, *, capture: bool = False
-) -> onnxruntime.InferenceSession:
-    """A session of the bytes ``model``, on the provider that was asked for; ``capture``: ready for it.
+def open_session(label: str, model: bytes, weights: dict[str, bytes], device: Device) -> onnxruntime.InferenceSession:
+    """A session of the bytes ``model``, on the provider that was asked for.
 
     ``weights``: files of tensors outside the model, by the name that it has for them. From memory and not from the
     folder: parts of the packed graph are opened long after the rest, when another model may lie there.
@@ -161,13 +129,13 @@ def open_session(
     # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
     try:
         with device.computing():
-            session = onnxruntime.InferenceSession(model, options, providers=[(name, device.options(capture=capture))])
+            session = onnxruntime.InferenceSession(model, options, providers=[(name, device.options())])
     except Exception as error:  # the runtime raises a class of its own for each kind of damage
         raise ArtifactError(
             label,
-            expected="a graph that ONNX Runtime opens" + (" and can capture" if capture else ""),
+            expected="a graph that ONNX Runtime opens",
             got=str(error).splitlines()[0],
-            cure="Export the model again" + (", or set DRAPE_PROVIDER=cpu." if capture else "."),
+            cure="Export the model again.",
         ) from error
     # ONNX Runtime falls back to the CPU without a word (only a log line), so what counts is what it says it uses.
     used = session.get_providers()

@@ -24,11 +24,10 @@ from drape.cloth.fabric import Fabric
 from drape.contact.samples import REGION_SIZE
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
-from drape.graph.buckets import filled, filled_rows
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import Composition, PackedBody, compose, pack_garment
 from drape.graph.push_feed import SkinShapes
-from drape.inference.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
+from drape.inference.graph_names import JETS, PACKED, SKIN
 from drape.inference.store import Store
 from drape.network.bodies import NO_POSE, BodyFeed
 
@@ -41,7 +40,7 @@ Shape = Literal["vertices", "jets", "both"]
 OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {"vertices": ("vertices",), "jets": JETS, "both": ("vertices", *JETS)}
 SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
-TILES_PER_BUCKET = 65536  # of devices with memory of their own
+TILES_PER_GPU_CALL = 65536  # of devices with memory of their own
 KEPT_BYTES = 32 << 20  # of index tensors
 FABRICS_KEPT = 64  # garments in fabrics that are not their own
 
@@ -88,8 +87,7 @@ class _Call:
 
 
 class Packer:
-    """Runs plans on the packed graph of an engine's model; safe to call from any thread, but on a device with memory of
-    its own, whose buckets take one call at a time."""
+    """Runs plans on the packed graph of an engine's model; safe to call from any thread."""
 
     def __init__(
         self, engine: Engine, body: BodyModel, *, kept_bytes: int = KEPT_BYTES, tiles_per_call: int | None = None
@@ -102,7 +100,7 @@ class Packer:
         self._kept: OrderedDict[tuple[Any, ...], _Call] = OrderedDict()  # by items, plan and kind of bodies
         self._kept_bytes, self._limit = 0, kept_bytes
         self._worn: OrderedDict[str, None] = OrderedDict()  # garments in other fabrics than their own, latest last
-        self._tiles_per_call = tiles_per_call or (TILES_PER_BUCKET if engine.bound else TILES_PER_CALL)
+        self._tiles_per_call = tiles_per_call or (TILES_PER_CALL if engine.on_cpu else TILES_PER_GPU_CALL)
         self._values: dict[str, Any] = {}
         self._rows: dict[str, GarmentRows] = {}  # by key, where the network is compiled
         several = engine.compiled is not None and engine.threads > 1
@@ -240,8 +238,6 @@ class Packer:
         return parts
 
     def _run_part(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: tuple[Item, ...]) -> list[Result]:
-        if self._engine.bound and len(items) > 1:
-            bodies = filled_rows(bodies)
         skin_given, one_shape = SKIN in bodies, False
         if self._skins is not None:
             bodies = self._with_skins(bodies)
@@ -249,7 +245,7 @@ class Packer:
         call = self._call(plan, items, one_shape=one_shape, skin_given=skin_given)
         given = call.feed | bodies
         feed = {name: given[name] for name in call.session.inputs}
-        found = call.session.run(plan.outputs, feed, unchanging=(*SKIN_CONSTANTS, *call.composition.arrays))
+        found = call.session.run(plan.outputs, feed)
         answers = _apart(plan.outputs, found, call.composition, [row for _, row in items])
         return [Result(arrays, _finite(arrays)) for arrays in answers]
 
@@ -304,13 +300,10 @@ class Packer:
 
     def _made(self, session: Session, items: Sequence[Item]) -> _Call:
         composition = compose([(self._store.packed(key), self._store.place(key), row) for key, row in items])
-        if self._engine.bound and len(items) > 1:
-            composition = filled(composition)
         stored = self._store.arrays()
         names = stored.keys() & set(session.inputs)
         feed: dict[str, Value] = {name: self._constant(name, stored[name]) for name in names}
-        for name, array in composition.arrays.items():  # in a bucket they are written
-            feed[name] = array if self._engine.bound else self._engine.value(array)
+        feed |= {name: self._engine.value(array) for name, array in composition.arrays.items()}
         return _Call(session, feed, composition)
 
     def _session(self, plan: ScenePlan, *, one_shape: bool, skin_given: bool) -> Session:
@@ -325,7 +318,6 @@ class Packer:
         return self._values[name]
 
     def _forget(self) -> None:
-        self._engine.forget(PACKED)
         self._kept.clear()
         self._values.clear()
         self._rows = {key: rows for key, rows in self._rows.items() if key in self._store}

@@ -24,7 +24,7 @@ from drape.garment.cache import Garment
 from drape.graph.layer_feed import LayerFeed, Sheet, pack_layer
 from drape.graph.push import PushConstants, push_frames
 from drape.graph.push_feed import pack_push, pushed_jets
-from drape.inference.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
+from drape.inference.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN
 from drape.stages.batch import Batch, Jets, Layer, changed, concatenated
 from drape.stages.plan import Plan
 from drape.stages.stage import KeptConstants, Make, Stage, StageSetup, call_here
@@ -233,7 +233,7 @@ class Pusher:
         if under is not None:
             arrays["under"] = np.ascontiguousarray(under, dtype=np.float32)
         session = self._session(PUSH if under is None else PUSH_OVER, jets=len(outputs) > 1)
-        return session.run(outputs, {name: arrays[name] for name in session.inputs}, unchanging=SKIN_CONSTANTS)
+        return session.run(outputs, {name: arrays[name] for name in session.inputs})
 
     def _get(self, key: str) -> _Stored:
         if key not in self._stored:

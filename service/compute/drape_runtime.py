@@ -66,9 +66,7 @@ class DrapeRuntime(Runtime):
         self._stage_times = cache(self.metrics.stage.labels)
         self.tracing = tracing or make_tracing(settings.trace)
         engine = engine or _engine(settings)
-        self.threads = ComputeThreads(
-            bound=engine.bound, stream_threads=settings.stream_threads, chunk_frames=settings.chunk_frames
-        )
+        self.threads = ComputeThreads(stream_threads=settings.stream_threads, chunk_frames=settings.chunk_frames)
         self.constants_process = ConstantsProcess(lambda: self.threads.streaming)
         make, body = self.constants_process.call, body or load_body(settings.body)
         # Beside what follows, which waits for that process to start.
@@ -79,7 +77,7 @@ class DrapeRuntime(Runtime):
         self.avatars = Avatars(self.body, settings, self.stages_on, make)
         self.garments.others = self.avatars.own_garment
         self.motions = Motions(settings.motions_dir)
-        if at_once or self.engine.bound:
+        if at_once:
             self.warm_up()
 
     def close(self) -> None:
@@ -90,30 +88,18 @@ class DrapeRuntime(Runtime):
 
     def warm_up(self) -> None:
         """Drapes one frame of one garment, with all that its streams need, so that the first request pays for no
-        set-up.
-
-        On a device whose shapes have buckets it drapes a frame and a chunk of every garment, in each way in which
-        frames are asked for.
-        """
-        bound = self.engine.bound
-        entries = self.garments.entries()
-        for entry in entries if bound else entries[:1]:
-            for frames in (1, self.settings.chunk_frames) if bound else (1,):
-                rest = PoseInput(
-                    np.zeros((frames, 24, 3)), np.zeros((frames, 3)), np.zeros(self.body.shape_count), np.zeros(frames)
-                )
-                for geometry in ("vertices", "jets") if bound else ("vertices",):
-                    plan = self.plan(
-                        entry, DrapeOptions(advanced=Advanced(push_out=True), geometry=geometry), messages=True
-                    )
-                    self.ready(plan)
-                    run(plan, [rest])
+        set-up."""
+        rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(self.body.shape_count), np.zeros(1))
+        for entry in self.garments.entries()[:1]:
+            plan = self.plan(entry, DrapeOptions(advanced=Advanced(push_out=True)), messages=True)
+            self.ready(plan)
+            run(plan, [rest])
 
     @property
     def device_bytes(self) -> int:
-        """Memory of the garments' constants and of buckets where the graphs compute."""
+        """Memory of the garments' constants where the graphs compute."""
         bodies = (self.worn, *self.avatars.worn)
-        return sum(stage.held_bytes for body in bodies for stage in body.stages) + self.engine.held_bytes
+        return sum(stage.held_bytes for body in bodies for stage in body.stages)
 
     @property
     def memory_classes(self) -> tuple[type, ...]:

@@ -38,22 +38,19 @@ Result = TypeVar("Result")
 
 class ComputeThreads:
     """``stream_threads`` have the frames of streams and nothing else, one for each processor unless the settings say
-    how many. Another has all that streams need not wait for: clips, measurements of frames, constants of garments. On
-    a GPU (``bound``), whose buckets take one call at a time, all are the same thread.
+    how many. Another has all that streams need not wait for: clips, measurements of frames, constants of garments.
 
     Clips are computed in chunks of ``chunk_frames``; while there are streams, of as many as take ``STREAM_WAIT_S``. No
     step of a chunk begins while a stream's frame is computed.
     """
 
-    def __init__(
-        self, *, bound: bool, stream_threads: int | None, chunk_frames: int, clip_wait_s: float = CLIP_WAIT_S
-    ) -> None:
-        self._bound, self._chunk_most, self._clip_wait_s = bound, chunk_frames, clip_wait_s
+    def __init__(self, *, stream_threads: int | None, chunk_frames: int, clip_wait_s: float = CLIP_WAIT_S) -> None:
+        self._chunk_most, self._clip_wait_s = chunk_frames, clip_wait_s
         self.hurried = False  # clips end now: the service is being restarted
-        self.stream_threads = 1 if bound else stream_threads or processor_count()
+        self.stream_threads = stream_threads or processor_count()
         self._for_streams = Lane("streams", self.stream_threads)
         self._apart = Lane("apart", APART)
-        self._aside = self._for_streams if bound else Lane("aside", 1, initializer=thread_steps_back)
+        self._aside = Lane("aside", 1, initializer=thread_steps_back)
         self.streamed_s = -math.inf  # when a frame of a stream was last begun
         self._frame_done = asyncio.Event()  # of the streams' latest frame
         self._frame_done.set()
@@ -146,8 +143,8 @@ class ComputeThreads:
         return last, took_s
 
     def _chunk_frames(self, frame_s: float) -> int:
-        """Frames of the next chunk, where one takes ``frame_s`` [s]; on a GPU always the size that has buckets."""
-        if self._bound or not self.streaming:
+        """Frames of the next chunk, where one takes ``frame_s`` [s]."""
+        if not self.streaming:
             return self._chunk_most
         return min(self._chunk_most, max(1, int(STREAM_WAIT_S / frame_s)))
 

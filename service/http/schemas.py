@@ -170,16 +170,10 @@ class Health(BaseModel):
     dynamic: bool
     provider: str
     compiled: bool = Field(description="Whether the product's own engine computes the network, and not ONNX Runtime.")
-    half: bool = Field(description="Whether the network's matrices are multiplied in float16.")
     elsewhere: int = Field(
         description="The number of operations that do not run on the provider. On a GPU each of them waits for a copy."
     )
-    device_bytes: int = Field(
-        description="The bytes that the garments' constants and the buckets take on the device that computes."
-    )
-    buckets: int = Field(
-        description="The number of sets of shapes that have memory of their own. On a GPU each is a captured graph."
-    )
+    device_bytes: int = Field(description="The bytes that the garments' constants take on the device that computes.")
     body: str
     garments: int
     passes: int = Field(

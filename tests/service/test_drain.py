@@ -120,7 +120,7 @@ def test_an_upload_that_ends_every_service_is_given_up(make_settings: Callable[.
 
 
 def test_clips_end_when_the_service_hurries():
-    threads = ComputeThreads(bound=False, stream_threads=1, chunk_frames=8, clip_wait_s=1.0)
+    threads = ComputeThreads(stream_threads=1, chunk_frames=8, clip_wait_s=1.0)
     threads.hurried = True
 
     async def begin() -> None:
@@ -135,7 +135,7 @@ def test_clips_end_when_the_service_hurries():
 def test_a_clip_that_others_keep_waiting_is_refused():
     async def second(chunk_frames: int) -> slice:
         """The second chunk of a clip, before which another clip has its turn for 1.2 s."""
-        threads = ComputeThreads(bound=False, stream_threads=1, chunk_frames=chunk_frames, clip_wait_s=0.05)
+        threads = ComputeThreads(stream_threads=1, chunk_frames=chunk_frames, clip_wait_s=0.05)
         chunks = threads.in_chunks(2 * chunk_frames, lambda rows: iter([rows]))
         try:
             await anext(chunks)

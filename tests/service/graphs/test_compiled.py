@@ -104,7 +104,7 @@ def test_the_engine_covers_the_shipped_kind_of_network():
     assert not is_covered({})
 
 
-@pytest.mark.parametrize("options", [{"compiled": False}, {"bound": True}, {"half": True}])
+@pytest.mark.parametrize("options", [{"compiled": False}, {"pushes": True}])
 def test_where_the_graph_is_asked_for_it_runs(options: dict[str, Any]):
     assert Engine(SHIPPED, **options).compiled is None
     assert Engine(SHIPPED).compiled is not None

@@ -23,14 +23,13 @@ from drape.errors import ArtifactError, InputError, Unavailable
 from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import pack_body
-from drape.inference.binding import BoundSession
 from drape.inference.engine import Engine
 from drape.inference.graph_names import DYNAMIC, ENCODER, PACKED, PUSH, PUSH_OVER
-from drape.inference.onnx_runtime import Device, Session, check_distributions, open_session
+from drape.inference.onnx_runtime import Device, Session, check_distributions, nodes_off_provider, open_session
 from drape.inference.packing import Packer, ScenePlan
 from drape.stages.collision import Pusher
 from tests.fixtures.garments import tube_garment
-from tests.fixtures.packed import MOVING, garment
+from tests.fixtures.packed import MOVING, exported, garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.tiny_model import ROUNDING_M, STATE_SIZE, TINY, TINY_DYNAMIC, expected_vertices
 
@@ -342,11 +341,6 @@ def multiplying(device: Device) -> Session:
     return Session(open_session("multiplying", model.SerializeToString(), {}, device), device)
 
 
-def bound(device: Device) -> Session:
-    """The same at fixed addresses."""
-    return BoundSession(multiplying(device)._opened, device, INPUTS, (TensorSpec("z", ("n",), "float32", "1"),))
-
-
 def in_thread(call: Callable[[], np.ndarray]) -> np.ndarray:
     """What ``call`` gives in a thread of its own, which computes as before afterwards."""
     found = []
@@ -361,13 +355,24 @@ def in_thread(call: Callable[[], np.ndarray]) -> np.ndarray:
     return found[0]
 
 
-@pytest.mark.parametrize("make", [multiplying, bound])
 @pytest.mark.parametrize("threads", [1, 2])
-def test_subnormal_numbers_are_zero_in_every_thread_of_a_session(make: Callable[[Device], Session], threads: int):
-    opened = make(Device(threads=threads))
+def test_subnormal_numbers_are_zero_in_every_thread_of_a_session(threads: int):
+    opened = multiplying(Device(threads=threads))
     feed = {"x": SMALL, "y": FACTOR}
     for run in (lambda call: call(), in_thread):
         for _ in range(RUNS):
             assert_array_equal(run(lambda: opened.run(["z"], feed)[0]), 0.0)
         assert_array_equal(run(lambda: opened.run(["z"], feed | {"x": -1e10 * SMALL})[0]), -1e10 * SMALL * FACTOR)
     assert (SMALL[:4] * FACTOR > 0.0).all()  # numpy, here
+
+
+def test_nodes_that_run_elsewhere_are_counted():
+    opened = multiplying(Device())._opened
+    assert nodes_off_provider(opened, Device()) == 0
+    assert nodes_off_provider(opened, Device("cuda")) == 1
+
+
+def test_the_packed_graph_runs_where_it_is_asked_to():
+    engine = Engine(exported()[1], compiled=False)
+    engine.open_cut(PACKED, ["vertices"])
+    assert engine.nodes_off_provider == 0

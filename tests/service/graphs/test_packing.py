@@ -37,7 +37,7 @@ from service.compute.drape_runtime import DrapeRuntime
 from tests.fixtures.packed import KINDS, described, exported, garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.tiny_model import expected_vertices
-from tests.service.graphs.packers import BODIES, bodies, make_packer
+from tests.service.graphs.packers import BODIES, bodies, make_packer, packer_of
 from training.model import OneFit
 
 pytestmark = pytest.mark.slow
@@ -185,12 +185,9 @@ class _Recorded:
         self._session = session
         self.inputs = tuple(tensor.name for tensor in session.get_inputs())
 
-    def run(self, outputs, feed, *, unchanging=()) -> list[np.ndarray]:
+    def run(self, outputs, feed) -> list[np.ndarray]:
         values = {n: Device().value(v) if isinstance(v, np.ndarray) else v for n, v in feed.items()}
         return [value.numpy() for value in self._session.run_with_ort_values(list(outputs), values)]
-
-    def forget(self) -> None:
-        """Holds nothing."""
 
 
 @pytest.mark.parametrize(
@@ -305,3 +302,14 @@ def test_two_threads_get_the_bits_of_one(bodies: dict[str, np.ndarray]):
                 for one, other in zip(items, wanted, strict=True):
                     assert_array_equal(one.arrays["vertices"], other.arrays["vertices"])
     assert packer.kept_bytes == sum(call.composition.bytes for call in packer._kept.values())
+
+
+@pytest.mark.slow
+@pytest.mark.gpu
+def test_a_gpu_drapes_as_the_cpu(bodies: dict[str, np.ndarray]):
+    plain, on_gpu = make_packer(), packer_of(Engine(exported()[1], device=Device("cuda")))
+    items = [("tank", 0), ("shorts", 3), ("tank", 2)]
+    for plan in (ScenePlan("both", skin=True), ScenePlan("jets"), ScenePlan(passes=1)):
+        for a, b in zip(plain.run(plan, bodies, items), on_gpu.run(plan, bodies, items), strict=True):
+            if "vertices" in a.arrays:
+                assert_allclose(b.arrays["vertices"], a.arrays["vertices"], rtol=0, atol=1e-3)

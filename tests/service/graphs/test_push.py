@@ -63,7 +63,7 @@ def posed_jets(whole: Garment, rng: np.random.Generator) -> Jets:
 @pytest.mark.slow
 def test_vertices_and_jets_are_pushed_by_the_graph_as_the_formula_says(rng: np.random.Generator):
     body, whole = load_body(), garment("shorts")
-    pusher = added(Pusher(Engine(model_folder(), bound=True), body), whole)
+    pusher = added(Pusher(Engine(model_folder(), pushes=True), body), whole)
     feed = pack_push(garment_feed(whole), whole.vertices[: whole.vertex_count], body_skin(body))
     vertices, skin, posed = drawn(whole, POSES, BETAS), posed_table(body, POSES, BETAS), posed_jets(whole, rng)
     alone, got = (pusher.push([whole.digest], vertices, skin, posed=jets) for jets in (None, posed))

@@ -120,7 +120,7 @@ def test_no_piece_begins_while_a_frame_is_computed():
 def test_a_frame_that_hangs_keeps_neither_pieces_nor_clips(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(threads, "STREAM_PAUSE_S", 0.01)
     sliced_thread, let_go = SlicedThread(), Event()
-    compute = threads.ComputeThreads(bound=False, stream_threads=1, chunk_frames=8, clip_wait_s=1.0)
+    compute = threads.ComputeThreads(stream_threads=1, chunk_frames=8, clip_wait_s=1.0)
 
     async def beside() -> tuple[list[int], str]:
         with sliced_thread.held():
