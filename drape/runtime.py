@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from drape.body.model import BodyModel
 from drape.contact.skin import keep_skins
@@ -16,6 +16,9 @@ from drape.stages.stage import Make, Stage, StageSettings, StageSetup, call_here
 from drape.stages.tiers import TierSettings, capped, chosen, read_tiers, spared, tier_of
 from drape.wire.options import DrapeOptions
 
+if TYPE_CHECKING:
+    from drape.live.card_lane import Lane
+
 
 class RuntimeSettings(StageSettings, TierSettings, Protocol):
     """What holds where the options of a drape are left open."""
@@ -23,18 +26,26 @@ class RuntimeSettings(StageSettings, TierSettings, Protocol):
 
 class Runtime:
     """Drapes by the model that ``engine`` has opened, on ``body`` or on characters; ``make`` calls a function that
-    takes long. Refuses (``ArtifactError``) a model of another body."""
+    takes long, and the ``lane`` of a card draws folds. Refuses (``ArtifactError``) a model of another body."""
 
-    def __init__(self, engine: Engine, body: BodyModel, settings: RuntimeSettings, make: Make = call_here) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        body: BodyModel,
+        settings: RuntimeSettings,
+        make: Make = call_here,
+        lane: Lane | None = None,
+    ) -> None:
         engine.check_body(body)
         self.engine, self.body, self._settings, self._make = engine, body, settings, make
         self.tiers = read_tiers(engine.manifest.tiers)
+        self.lane = lane
         self.worn = self.stages_on(body)
 
     def stages_on(self, body: BodyModel) -> BodyStages:
         """The stages that drape on ``body``, which know no garment yet."""
         keep_skins(body, self._make)
-        setup = StageSetup(self.engine, body, self._settings, self._make)
+        setup = StageSetup(self.engine, body, self._settings, self._make, self.lane)
         return BodyStages(body, make_stages(setup), self._make)
 
     @property

@@ -129,6 +129,14 @@ class State:
             uploads_waiting=lambda: uploads.waiting,
             garments=lambda: len(runtime.garments.entries()),
         )
+        if (lane := runtime.lane) is not None:
+            runtime.metrics.watch(
+                card_works=lambda: lane.works,
+                card_occupied=lambda: lane.report().occupied,
+                card_queue=lambda: lane.report().queue_s,
+                card_frames=lambda: lane.frames,
+                card_launches=lambda: lane.launches,
+            )
         self.life.works |= {"streams": lambda: streams.runs, "uploads": lambda: uploads.runs}
         self.life.works["exact clips"] = lambda: self.exact.runs
         self.life.works["shared folder"] = lambda: self.shared_folder.runs

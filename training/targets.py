@@ -36,7 +36,7 @@ class SettledDrapes:
 
     def save(self, path: Path) -> None:
         """Writes ``path``, whole or not at all."""
-        said = {"garment": self.garment, "digest": self.settled_digest, "fabric": dataclasses.asdict(self.fabric)}
+        said = {"garment": self.garment, "digest": self.digest, "fabric": dataclasses.asdict(self.fabric)}
         with whole_file(path) as file:
             np.savez(file, said=json.dumps(said), poses=self.poses, betas=self.betas, vertices=self.vertices)
 
@@ -89,7 +89,7 @@ class SettledBank:
         files, known = self._files(), {(garment.name, settled_digest(garment)): garment for garment in garments}
         for _ in range(TRIES):
             drapes = SettledDrapes.read(files[int(rng.integers(len(files)))])
-            if (garment := known.get((drapes.garment, drapes.settled_digest))) is not None:
+            if (garment := known.get((drapes.garment, drapes.digest))) is not None:
                 return garment, drapes
         raise ArtifactError(
             "settled drapes",

@@ -1,197 +1,188 @@
-"""Frames of folds on a graphics card: records in its memory, and a launch for the frames of many streams.
+"""A graphics card by its driver: its memory, and launches of the engine's kernels (``card_frames`` says of what).
 
-``python -m drape.engine.card`` compiles the library for the cards of ``ARCHITECTURES`` with CUDA's ``nvcc``, and needs
-no card for it. This file needs NumPy alone.
+``python -m drape.engine.card`` compiles the kernels for the cards of ``ARCHITECTURES`` with CUDA's ``nvcc``, and needs
+no card for it. Calls go to NVIDIA's driver itself, so that nothing else of CUDA need be installed where they run.
 """
 
 from __future__ import annotations
 
 import ctypes
+import importlib.util
+import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from drape.engine.build import write_header
-from drape.engine.packer import Record, Recorded, address_of
+from drape.engine.packer import address_of
+from drape.engine.records import HASH
+from drape.errors import Unavailable
 
 SOURCE = Path(__file__).parent / "source" / "card.cu"
-LIBRARY = Path(__file__).parent / "libraries" / "card.so"
+KERNELS = Path(__file__).parent / "libraries" / "card.fatbin"
+PACKAGE = "drape_cuda"  # the wheel of the extra ``cuda``, which has the kernels (deploy/cuda)
 ARCHITECTURES = (80, 90, 100)  # A100, H100 and H200, B200
-STEPS = {"fold": 0, "fold_two_levels": 1, "lift_alone": 2}
-OUTCOME = 7  # numbers of 64 bits that a frame tells
-SCRATCH_BYTES = 16 << 20  # of a frame, most of it for cloth that crosses itself everywhere
+DRIVER = "nvcuda.dll" if os.name == "nt" else "libcuda.so.1"
+LEAST_CUDA, LEAST_MAJOR, LEAST_BYTES = 13000, 8, 1 << 30  # of the driver, of the card, and of its free memory
+CURE = "Mend that, or go on: frames are computed by the processor."
+_MAJOR, _ATTRIBUTES = 75, 76  # CUDA's numbers of what a card is asked for
 
 
-class Memory(Protocol):
-    """The memory of a card and its launches; tests put another one in its place."""
-
-    def take(self, size: int) -> int:
-        """Takes ``size`` bytes and returns their address."""
-        ...
-
-    def write(self, address: int, numbers: np.ndarray) -> None:
-        """Writes the array ``numbers`` to ``address``."""
-        ...
-
-    def read(self, address: int, numbers: np.ndarray) -> None:
-        """Fills the array ``numbers`` with what is at ``address``."""
-        ...
-
-    def folds(self, tasks: int, count: int, threads: int, rounds: int = 1) -> float:
-        """Draws the frames of the ``count`` tasks at the address ``tasks``, ``rounds`` times. Returns the time that it
-        took [ms]."""
-        ...
+def kernels() -> Path | None:
+    """Where the compiled kernels are: in the wheel of the extra ``cuda``, or where this file's command writes them."""
+    found = importlib.util.find_spec(PACKAGE)
+    folders = list(found.submodule_search_locations or ()) if found else []
+    paths = [*(Path(folder) / KERNELS.name for folder in folders), KERNELS]
+    return next((path for path in paths if path.is_file()), None)
 
 
 class Card:
-    """The first NVIDIA card of this machine, by the compiled ``library``. Raises ``OSError`` where there is none, and
-    where the card tells a fault."""
+    """One NVIDIA card of this machine, ``number`` among them. A thread calls ``enter`` before anything else.
 
-    def __init__(self, library: Path = LIBRARY) -> None:
-        self._calls, self._taken = ctypes.CDLL(str(library)), list[int]()
-        self._calls.card_fault.restype = ctypes.c_char_p
+    Raises ``Unavailable`` where there is no driver or an old one, no card or an old one, too little free memory, or
+    kernels of another engine; ``OSError`` where the driver tells a fault.
+    """
+
+    def __init__(self, path: Path, *, number: int = 0, driver: str = DRIVER) -> None:
+        try:
+            self._calls = ctypes.CDLL(driver)
+        except OSError as error:
+            raise _missing("NVIDIA's driver", str(error)) from error
+        try:
+            self._do("cuInit", 0)
+        except OSError as error:
+            raise _missing("a card that NVIDIA's driver finds", str(error)) from error
+        version = self._number("cuDriverGetVersion")
+        if version < LEAST_CUDA:
+            raise _missing(f"a driver for CUDA {_cuda(LEAST_CUDA)} or later", f"one for {_cuda(version)}")
+        if number >= (count := self._number("cuDeviceGetCount")):
+            raise _missing(f"more than {number} cards", str(count))
+        device = self._number("cuDeviceGet", number)
         name = ctypes.create_string_buffer(128)
-        self._do("card_name", name, ctypes.c_int64(127))
+        self._do("cuDeviceGetName", name, 127, device)
         self.name = name.value.decode()
+        major = self._number("cuDeviceGetAttribute", _MAJOR, device)
+        if major < LEAST_MAJOR:
+            minor = self._number("cuDeviceGetAttribute", _ATTRIBUTES, device)
+            raise _missing(f"a card of compute capability {LEAST_MAJOR}.0 or later", f"{self.name}, {major}.{minor}")
+        self._context = ctypes.c_void_p()
+        self._do("cuDevicePrimaryCtxRetain", ctypes.byref(self._context), device)
+        self.enter()
+        if self.free_bytes < LEAST_BYTES:
+            raise _missing(f"{LEAST_BYTES >> 20} MB free on {self.name}", f"{self.free_bytes >> 20} MB")
+        self._folds = self._loaded(path)
 
-    def take(self, size: int) -> int:
-        address = ctypes.c_uint64()
-        self._do("card_take", ctypes.byref(address), ctypes.c_int64(max(size, 1)))
-        self._taken.append(address.value)
-        return address.value
+    def _loaded(self, path: Path) -> ctypes.c_void_p:
+        """The function of the kernels in ``path``."""
+        module, found = ctypes.c_void_p(), ctypes.c_void_p()
+        image = path.read_bytes()
+        try:
+            self._do("cuModuleLoadData", ctypes.byref(module), image)
+        except OSError as error:
+            raise _missing(f"{path.name} to have kernels for {self.name}", str(error)) from error
+        address, size, own = ctypes.c_uint64(), ctypes.c_size_t(), np.zeros(1, np.uint64)
+        self._do("cuModuleGetGlobal_v2", ctypes.byref(address), ctypes.byref(size), module, b"drape_records_hash")
+        self.read(address.value, own)
+        if int(own[0]) != HASH:
+            raise _missing(f"kernels of this engine, {HASH:016x}", f"{path} of {int(own[0]):016x}")
+        self._do("cuModuleGetFunction", ctypes.byref(found), module, b"drape_folds")
+        return found
 
-    def return_all_but(self, kept: int) -> None:
-        """Gives back all pieces of memory but the first ``kept`` that were taken."""
-        while len(self._taken) > kept:
-            self._do("card_return", ctypes.c_uint64(self._taken.pop()))
+    def enter(self) -> None:
+        """Lets the thread that calls use the card."""
+        self._do("cuCtxSetCurrent", self._context)
 
     @property
-    def pieces(self) -> int:
-        """The number of pieces of memory that are taken."""
-        return len(self._taken)
+    def free_bytes(self) -> int:
+        """Memory that nobody has taken."""
+        free, whole = ctypes.c_size_t(), ctypes.c_size_t()
+        self._do("cuMemGetInfo_v2", ctypes.byref(free), ctypes.byref(whole))
+        return free.value
+
+    def take(self, size: int) -> int:
+        """Takes ``size`` bytes and returns their address."""
+        address = ctypes.c_uint64()
+        self._do("cuMemAlloc_v2", ctypes.byref(address), ctypes.c_size_t(max(size, 1)))
+        return address.value
+
+    def give(self, address: int) -> None:
+        """Gives back what was taken at ``address``."""
+        self._do("cuMemFree_v2", ctypes.c_uint64(address))
 
     def write(self, address: int, numbers: np.ndarray) -> None:
-        self._do("card_write", ctypes.c_uint64(address), ctypes.c_void_p(address_of(numbers)), _bytes(numbers))
+        """Writes the array ``numbers`` to ``address``."""
+        given = ctypes.c_void_p(address_of(numbers)), ctypes.c_size_t(numbers.nbytes)
+        self._do("cuMemcpyHtoD_v2", ctypes.c_uint64(address), *given)
 
     def read(self, address: int, numbers: np.ndarray) -> None:
-        self._do("card_read", ctypes.c_void_p(address_of(numbers)), ctypes.c_uint64(address), _bytes(numbers))
+        """Fills the array ``numbers`` with what is at ``address``, once all launches are through."""
+        given = ctypes.c_uint64(address), ctypes.c_size_t(numbers.nbytes)
+        self._do("cuMemcpyDtoH_v2", ctypes.c_void_p(address_of(numbers)), *given)
 
-    def folds(self, tasks: int, count: int, threads: int, rounds: int = 1) -> float:
+    def folds(self, tasks: int, count: int, threads: int) -> None:
+        """Begins a launch: a group of ``threads`` for each of the ``count`` tasks at the address ``tasks``."""
+        at = ctypes.c_uint64(tasks)
+        given = (ctypes.c_void_p * 1)(ctypes.addressof(at))
+        sizes = (ctypes.c_uint(one) for one in (count, 1, 1, threads, 1, 1, 0))
+        self._do("cuLaunchKernel", self._folds, *sizes, None, given, None)
+
+    def timed(self, tasks: int, count: int, threads: int, rounds: int) -> float:
+        """Launches the tasks ``rounds`` times; the time that it took [ms]."""
+        begin, end = ctypes.c_void_p(), ctypes.c_void_p()
+        for event in (begin, end):
+            self._do("cuEventCreate", ctypes.byref(event), 0)
+        self._do("cuEventRecord", begin, None)
+        for _ in range(rounds):
+            self.folds(tasks, count, threads)
+        self._do("cuEventRecord", end, None)
+        self._do("cuEventSynchronize", end)
         took_ms = ctypes.c_float()
-        given = ctypes.c_uint64(tasks), *map(ctypes.c_int64, (count, threads, rounds)), ctypes.byref(took_ms)
-        self._do("card_folds", *given)
+        self._do("cuEventElapsedTime", ctypes.byref(took_ms), begin, end)
+        for event in (begin, end):
+            self._do("cuEventDestroy_v2", event)
         return took_ms.value
+
+    def _number(self, name: str, *given: Any) -> int:
+        """The whole number that the call writes first."""
+        found = ctypes.c_int()
+        self._do(name, ctypes.byref(found), *given)
+        return found.value
 
     def _do(self, name: str, *given: Any) -> None:
         if fault := getattr(self._calls, name)(*given):
-            raise OSError(f"{name}: {self._calls.card_fault(fault).decode()}")
+            told = ctypes.c_char_p()
+            self._calls.cuGetErrorString(fault, ctypes.byref(told))
+            raise OSError(f"{name}: {told.value.decode() if told.value else fault}")
 
 
-def _bytes(numbers: np.ndarray) -> ctypes.c_int64:
-    return ctypes.c_int64(numbers.nbytes)
+def _missing(expected: str, got: str) -> Unavailable:
+    return Unavailable("card", expected=expected, got=got, cure=CURE)
 
 
-class CardRecord:
-    """A ``record`` and its arrays, copied into the ``memory`` of a card; ``address`` is where the record is."""
-
-    def __init__(self, memory: Memory, record: Record | Recorded) -> None:
-        record = record.record if isinstance(record, Recorded) else record
-        self._memory, self._record, self._at = memory, record, dict[int, int]()
-        words = np.array(record._words, np.uint64)
-        for array in record.arrays:
-            if array.size:
-                self._at[address_of(array)] = memory.take(array.nbytes + 16)  # points are read with a number more
-                memory.write(self._at[address_of(array)], array)
-        # An array may be a row of another one, so a word is an address within the last that begins before it.
-        begins = np.array(sorted(self._at), np.uint64)
-        for place, word in enumerate(words.tolist()):
-            before = int(np.searchsorted(begins, np.uint64(word), side="right")) - 1
-            if before >= 0 and word - int(begins[before]) < self._size(int(begins[before])):
-                words[place] = self._at[int(begins[before])] + word - int(begins[before])
-        self.address = memory.take(words.nbytes)
-        memory.write(self.address, words)
-
-    def _size(self, begin: int) -> int:
-        return next(array.nbytes for array in self._record.arrays if array.size and address_of(array) == begin)
-
-    def arrays(self) -> list[np.ndarray]:
-        """Returns the arrays as they are in the card's memory now, in the record's order."""
-        arrays = [np.empty_like(array) for array in self._record.arrays]
-        for array, own in zip(self._record.arrays, arrays, strict=True):
-            if array.size:
-                self._memory.read(self._at[address_of(array)], own)
-        return arrays
+def _cuda(version: int) -> str:
+    return f"{version // 1000}.{version % 1000 // 10}"
 
 
-class Frames:
-    """Frames of folds that one launch draws."""
-
-    def __init__(self, memory: Memory) -> None:
-        self._memory, self._words = memory, list[int]()
-        self._outcomes, self._folded, self._scratches = list[int](), list[tuple[int, tuple[int, ...]]](), list[int]()
-        self._tasks = 0
-
-    def add(self, name: str, vertices: np.ndarray, *records: CardRecord) -> None:
-        """Adds a frame that the engine's function ``name`` computes of ``vertices`` [m] (V, 3) float32.
-
-        ``records`` are those of its past, its surroundings, its cloth, its effort, and what it leaves to the next
-        frame.
-        """
-        take, write = self._memory.take, self._memory.write
-        given, folded, outcome, scratch = take(vertices.nbytes), take(vertices.nbytes), take(8 * OUTCOME), take(32)
-        write(given, vertices)
-        write(scratch, np.array([take(SCRATCH_BYTES), SCRATCH_BYTES, 0, 0], np.uint64))
-        self._words += [STEPS[name], given, *(record.address for record in records), folded, outcome, scratch]
-        self._outcomes.append(outcome)
-        self._scratches.append(scratch)
-        self._folded.append((folded, vertices.shape))
-        self._tasks = 0
-
-    def draw(self, threads: int, rounds: int = 1) -> float:
-        """Draws all of them; the time of the launches [ms]. Raises ``MemoryError`` where scratch was too small."""
-        if not self._tasks:
-            words = np.array(self._words, np.uint64)
-            self._tasks = self._memory.take(words.nbytes)
-            self._memory.write(self._tasks, words)
-        took_ms = self._memory.folds(self._tasks, len(self._outcomes), threads, rounds)
-        for at in self._scratches:
-            self._memory.read(at, state := np.empty(4, np.uint64))
-            if state[3] & 1:
-                raise MemoryError(f"a frame on a card needs more than {SCRATCH_BYTES} bytes of scratch")
-        return took_ms
-
-    def drawn(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Returns for each frame the folded vertices [m] (V, 3) and the numbers that the engine writes of it
-        (``OUTCOME``,) int64."""
-        frames = []
-        for (folded, shape), outcome in zip(self._folded, self._outcomes, strict=True):
-            vertices, told = np.empty(shape, np.float32), np.empty(OUTCOME, np.int64)
-            self._memory.read(folded, vertices)
-            self._memory.read(outcome, told)
-            frames.append((vertices, told))
-        return frames
-
-
-def build_card(library: Path = LIBRARY, *, architectures: Sequence[int] = ARCHITECTURES) -> str:
-    """Compiles the library for cards of these ``architectures``. Returns what the compiler tells of registers and
-    memory. Raises ``FileNotFoundError`` without ``nvcc``."""
+def build_kernels(path: Path = KERNELS, *, architectures: Sequence[int] = ARCHITECTURES) -> str:
+    """Compiles the kernels for cards of these ``architectures`` into ``path``. Returns what the compiler tells of
+    registers and memory. Raises ``FileNotFoundError`` without ``nvcc``, ``OSError`` where it fails."""
     nvcc = shutil.which("nvcc")
     if nvcc is None:
-        raise FileNotFoundError("nvcc: expected CUDA's compiler on PATH, got none; install CUDA 12.8 or later")
+        raise FileNotFoundError("nvcc: expected CUDA's compiler on PATH, got none; install CUDA 13.0 or later")
     write_header()
-    library.parent.mkdir(parents=True, exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     codes = [f"-gencode=arch=compute_{one},code=sm_{one}" for one in architectures]
-    command = [nvcc, "-std=c++20", "-O3", "-shared", "-Xcompiler=-fPIC", "-Xptxas=-v", *codes]
-    done = subprocess.run([*command, str(SOURCE), "-o", str(library)], capture_output=True, text=True, check=False)
+    command = [nvcc, "-std=c++20", "-O3", "-fatbin", "-Xptxas=-v", *codes, str(SOURCE), "-o", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise OSError(f"nvcc: {done.stderr}")
     return done.stderr
 
 
 if __name__ == "__main__":
-    sys.stdout.write(build_card())
+    sys.stdout.write(build_kernels())

@@ -53,9 +53,7 @@ RECORDS: dict[str, dict[str, str]] = {
     },
     "Tangles": dict.fromkeys(("corner", "across", "start", "beside"), "int32s"),
     # What a card alone reads; empty where a processor computes.
-    "PanelLevels": dict.fromkeys(
-        ("row_start", "row_panel", "row", "column_start", "column", "panel", "left_start", "left"), "int32s"
-    ),
+    "SolveStages": dict.fromkeys(("block", "to", "entry", "taken"), "int32s") | {"value": "numbers"},
     "StiffnessFactor": {
         "place": "int32s",
         "column": "int32s",
@@ -65,7 +63,7 @@ RECORDS: dict[str, dict[str, str]] = {
         "entry": "int32s",
         "value": "numbers",
         "inverse": "numbers",
-        "levels": "PanelLevels",
+        "stages": "SolveStages",
     },
     "FoldConstants": {
         "sheet": "Sheet",

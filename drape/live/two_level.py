@@ -27,6 +27,7 @@ from drape.live.coarse_weights import coarse_weights
 from drape.live.eased import FineLevel, Levels, LiftMemory, lift_call
 from drape.live.fold_constants import FoldConstants, LaidCloth, array_bytes, fold_constants, worn_cloth, worn_mesh
 from drape.live.fold_step import (
+    Compute,
     FoldCall,
     FoldEffort,
     FoldMemory,
@@ -84,10 +85,10 @@ class OneLevel:
         return memory.touched.own
 
     def fold(
-        self, memory: Memory | None, frame: Frame, effort: FoldEffort
+        self, memory: Memory | None, frame: Frame, effort: FoldEffort, by: Compute | None = None
     ) -> tuple[np.ndarray, FoldMemory, FoldReport]:
         """``fold_step.fold``. A memory that two levels have left counts as none."""
-        return framed(self.call(memory, frame.time_s, effort), frame, effort)
+        return framed(self.call(memory, frame.time_s, effort), frame, effort, by)
 
     def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
         """The call of ``fold`` for a frame at ``time_s`` [s]."""
@@ -118,13 +119,13 @@ class TwoLevel:
         return own[self.levels.fine.parent]
 
     def fold(
-        self, memory: Memory | None, frame: Frame, effort: FoldEffort
+        self, memory: Memory | None, frame: Frame, effort: FoldEffort, by: Compute | None = None
     ) -> tuple[np.ndarray, TwoLevelMemory | LiftMemory, FoldReport]:
         """``fold_two_level``; or ``lifted_alone``, if there are neither steps nor folds of before that fade. A memory
         that one level has left counts as none."""
         if self.begins(memory, effort):
-            return fold_two_level(self, memory, frame, effort)
-        return framed(self.call(memory, frame.time_s, effort), frame, effort)
+            return fold_two_level(self, memory, frame, effort, by)
+        return framed(self.call(memory, frame.time_s, effort), frame, effort, by)
 
     def call(self, memory: Memory | None, time_s: float, effort: FoldEffort) -> FoldCall:
         """Returns the call of ``fold`` for a frame at ``time_s`` [s], of which ``begins`` is false."""
@@ -172,7 +173,11 @@ def _in_blocks(table: np.ndarray, dtype: Any) -> np.ndarray:
 
 
 def fold_two_level(
-    constants: TwoLevel, memory: TwoLevelMemory | LiftMemory | None, frame: Frame, effort: FoldEffort
+    constants: TwoLevel,
+    memory: TwoLevelMemory | LiftMemory | None,
+    frame: Frame,
+    effort: FoldEffort,
+    by: Compute | None = None,
 ) -> tuple[np.ndarray, TwoLevelMemory, FoldReport]:
     """The vertices [m] (V, 3) of ``frame`` with their folds, the memory for the next frame, and a report.
 
@@ -180,7 +185,7 @@ def fold_two_level(
     """
     if isinstance(memory, LiftMemory):
         memory = _unfolded(constants.levels, memory, frame)
-    return framed(two_level_call(constants.levels, memory, frame.time_s), frame, effort)
+    return framed(two_level_call(constants.levels, memory, frame.time_s), frame, effort, by)
 
 
 def two_level_call(levels: Levels, memory: TwoLevelMemory | None, time_s: float) -> FoldCall:

@@ -41,27 +41,23 @@ from drape.live.sheet import Sheet
 SPRING = 0.2
 
 
-class PanelLevels(NamedTuple):
-    """The order in which a card multiplies panels: all of a level at once. A panel is a level above those with members
-    among its columns.
+class SolveStages(NamedTuple):
+    """The solve of a card as products, one after the other, of which each is computed at once.
 
-    Level n has the entries from ``row_start[n]`` (L + 1,) of ``row_panel`` and ``row``: ``LANES`` rows of a panel, from
-    that one on. Its columns are in ``column`` (V,) from ``column_start[n]`` (L + 1,) on. ``panel`` (V,) is the one that
-    a column is of. In ``left``, from ``left_start[j]`` (V + 1,) on, are the entries of ``member`` that are column j, as
-    panels come; the last one is its own panel's.
+    Stage n has the blocks from ``block[n]`` (N + 1,) on. A block adds up ``LANES`` rows: those of ``to`` (B * LANES,),
+    none where it is negative. Of its columns, from ``entry[b]`` (B + 1,) on, each has a row ``taken`` (E,) that it is
+    of and ``value`` (E * LANES,). Rows from V on are those of the result.
     """
 
-    row_start: np.ndarray
-    row_panel: np.ndarray
-    row: np.ndarray
-    column_start: np.ndarray
-    column: np.ndarray
-    panel: np.ndarray
-    left_start: np.ndarray
-    left: np.ndarray
+    block: np.ndarray
+    to: np.ndarray
+    entry: np.ndarray
+    taken: np.ndarray
+    value: np.ndarray
 
 
-NO_LEVELS = PanelLevels(*[np.zeros(0, np.int32)] * 8)  # what processors have
+_NONE = np.zeros(0, np.int32)
+NO_STAGES = SolveStages(_NONE, _NONE, _NONE, _NONE, np.zeros(0, np.float32))  # what processors have
 
 
 class StiffnessFactor(NamedTuple):
@@ -70,7 +66,7 @@ class StiffnessFactor(NamedTuple):
     Panel p has the columns from ``column[p]`` to ``column[p + 1]`` (N + 1,). Its ``size`` (N,) members are its columns
     and the rows below; they are in ``member`` from ``start[p]`` (N + 1,) on, followed by its first column up to a
     multiple of ``LANES``. Its numbers are in ``value`` from ``entry[p]`` (N,) on, column after column. ``place`` (V,)
-    is where each row is in a sheet. ``levels`` are those of a card.
+    is where each row is in a sheet. ``stages`` are those of a card.
     """
 
     place: np.ndarray
@@ -81,7 +77,7 @@ class StiffnessFactor(NamedTuple):
     entry: np.ndarray
     value: np.ndarray
     inverse: np.ndarray
-    levels: PanelLevels = NO_LEVELS
+    stages: SolveStages = NO_STAGES
 
 
 def stiffness(cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray) -> Any:
@@ -140,25 +136,3 @@ def _panel(lower: Any, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
     own, below = dense[: end - begin], dense[end - begin :]
     inverse = np.linalg.inv(own)
     return member, np.concatenate([inverse - np.eye(len(own)), -below @ inverse]).T
-
-
-def panel_levels(factor: StiffnessFactor) -> PanelLevels:
-    """The levels of the panels of ``factor``."""
-    panels, count = len(factor.size), len(factor.place)
-    panel = np.repeat(np.arange(panels), np.diff(factor.column))
-    entry = np.concatenate([np.arange(size) + start for size, start in zip(factor.size, factor.start, strict=False)])
-    of = np.repeat(np.arange(panels), factor.size)
-    level = np.zeros(panels, np.int64)
-    for own, above in np.unique(np.stack([of, panel[factor.member[entry]]]), axis=1).T:  # as panels come
-        if above > own:
-            level[above] = max(level[above], level[own] + 1)
-    rows = np.diff(factor.start) // LANES
-    row_panel = np.repeat(np.arange(panels), rows)
-    row = LANES * (np.arange(rows.sum()) - np.repeat(np.cumsum(rows) - rows, rows))
-    order = np.argsort(level[row_panel], kind="stable")
-    column = np.argsort(level[panel], kind="stable")
-    left = entry[np.argsort(factor.member[entry], kind="stable")]
-    left_start = np.append(0, np.cumsum(np.bincount(factor.member[entry], minlength=count)))
-    starts = [np.searchsorted(np.sort(level[each]), np.arange(level.max() + 2)) for each in (row_panel, panel)]
-    found = starts[0], row_panel[order], row[order], starts[1], column, panel, left_start, left
-    return PanelLevels(*(each.astype(np.int32) for each in found))

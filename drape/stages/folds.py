@@ -23,7 +23,7 @@ from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport
 from drape.live.raised_skin import heights_over, raised
 from drape.live.skin_walks import TouchedSamples
 from drape.live.two_level import LiftMemory, Memory, OneLevel, TwoLevel, TwoLevelMemory
-from drape.stages.batch import Batch, Layer, Quality, changed, stacked
+from drape.stages.batch import Batch, Layer, PoseInput, Quality, changed, stacked
 from drape.stages.plan import FINE, SKIN, Plan
 from drape.stages.stage import KeptConstants, Stage, StageSetup
 from drape.wire.options import DrapeOptions
@@ -49,6 +49,7 @@ class Folds(Stage):
 
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
+        self.lane = setup.lane
         self._garments: dict[str, Garment] = {}
         self._constants = KeptConstants[Constants](
             lambda kept: sum(made.nbytes for made in kept) > KEPT_BYTES  # fabrics beside those in use go
@@ -173,14 +174,23 @@ class Folds(Stage):
         drape, felt = batch.layers[i].vertices, _feel_each_other(batch.plan)
         assert drape is not None
         folded, own, reports, after = [], [], [], []
-        for (one, rows), memory in zip(batch.rows(), memories, strict=True):
+        by, each = (self.lane.compute, self.lane.each) if self.lane else (None, map)
+
+        def follow(given: tuple[tuple[PoseInput, slice], Memory | None]) -> tuple[list[Any], Memory | None]:
+            """The frames of one input, and the memory after them."""
+            (one, rows), memory = given
+            frames = []
             for number, row in enumerate(range(rows.start, rows.stop)):
                 solid = seen_from(batch.plan.colliders, batch.root[row])
                 frame = Frame(drape[row], ground[row], float(one.times_s[number]), solid)
-                vertices, memory, report = made.fold(memory, frame, efforts[row])
+                vertices, memory, report = made.fold(memory, frame, efforts[row], by)
+                frames.append((vertices, made.own(memory) if felt else None, report))
+            return frames, memory
+
+        for frames, memory in each(follow, zip(batch.rows(), memories, strict=True)):
+            for vertices, at, report in frames:
                 folded.append(vertices)
-                if felt:
-                    own.append(made.own(memory))
+                own += [at] if felt else []
                 reports.append(report)
             after.append(memory)
         at = stacked(own) if felt else np.empty((len(drape), 0), np.int32)

@@ -57,6 +57,8 @@ def _at_once(plan: Plan) -> AtOnce | None:
     novelty, network, swing, folds = (found.get(kind) for kind in (Novelty, Network, Swing, Folds))
     if not isinstance(network, Network) or not network.in_engine:
         return None
+    if isinstance(folds, Folds) and folds.lane is not None and folds.lane.works:
+        return None  # a card draws folds of many streams together
     made = AtOnce(novelty, network, swing, folds)  # pyright: ignore[reportArgumentType]
     first, rest = plan.stages[: len(made.stages)], plan.stages[len(made.stages) :]
     if len(plan.draped) > 1 or list(first) != made.stages:

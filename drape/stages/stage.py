@@ -18,6 +18,7 @@ from drape.wanted import go_on
 
 if TYPE_CHECKING:
     from drape.inference.engine import Engine
+    from drape.live.card_lane import Lane
 
 BODY = ""  # the owner of what is remembered of a body, where others are garments by their digest
 Make = Callable[..., Any]  # calls a function with arguments: here, or in another process while there are streams
@@ -39,12 +40,13 @@ class StageSettings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StageSetup:
-    """What all stages share; ``make`` calls a function that takes long."""
+    """What all stages share; ``make`` calls a function that takes long, and a card's ``lane`` draws folds."""
 
     engine: Engine
     body: BodyModel
     settings: StageSettings
     make: Make = call_here
+    lane: Lane | None = None
 
 
 class Stage(StageRules):

@@ -223,7 +223,7 @@ class Dressing:
 
         What hangs from a belt is laid on the target's waist and not hung so.
         """
-        if self.lay_on_target:
+        if self.laid:
             return hung_as(loose, shown, self.skin, self.cloth)
         belt = bool(len(loose.rest.held))
         worn = put_on(loose, shown, self.hold) if belt and self.lost(loose) else self.hold(loose)

@@ -15,9 +15,11 @@ import numpy as np
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
+from drape.engine.card import DRIVER, Card, kernels
 from drape.errors import DrapeError, NotFound, did_you_mean
 from drape.inference.engine import Engine
 from drape.inference.onnx_runtime import Device
+from drape.live.card_lane import Lane
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import place_on_ground
 from drape.motion.readers import read_motion
@@ -47,6 +49,20 @@ Result = TypeVar("Result")
 log = logging.getLogger("drape.service")
 
 
+def open_lane(driver: str = DRIVER) -> Lane | None:
+    """Returns the lane of this machine's card; None without the extra ``cuda``. A card that cannot be used is told in
+    the log."""
+    path = kernels()
+    if path is None:
+        return None
+    lane = Lane(lambda: Card(path, driver=driver))
+    if lane.works:
+        log.info("card: folds by %s", lane.card)
+    else:
+        log.warning("card: %s", lane.fault)
+    return lane
+
+
 class DrapeRuntime(Runtime):
     """Everything that a start loads: body, model, garments, clips, and the threads that compute.
 
@@ -74,7 +90,7 @@ class DrapeRuntime(Runtime):
         make, body = self.constants_process.call, body or load_body(settings.body)
         # Beside what follows, which waits for that process to start.
         read = None if at_once else begin_reading(settings, body)
-        super().__init__(engine, body, settings, make)
+        super().__init__(engine, body, settings, make, open_lane())
         self.garments = Registry(settings, self.worn, make, read)
         self.sizes = Sizes(self.body, settings.shipped_garments_dir, self.garments.entries(), make)
         self.avatars = Avatars(self.body, settings, self.stages_on, make)
@@ -86,6 +102,8 @@ class DrapeRuntime(Runtime):
     def close(self) -> None:
         """Waits for the running chunk, and ends threads and processes."""
         self.threads.close()
+        if self.lane is not None:
+            self.lane.close()
         self.constants_process.close()
         self.tracing.close()
 

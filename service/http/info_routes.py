@@ -29,6 +29,7 @@ from service.watch.probes import PATHS, probe_answer
 from service.watch.prometheus import MEDIA_TYPE
 
 if TYPE_CHECKING:
+    from drape.live.card_lane import Lane
     from service.watch.probes import Lifecycle
     from service.watch.prometheus import Metrics
 
@@ -49,6 +50,7 @@ async def health(request: Request, state: StateHere) -> schemas.Health:
         compiled=runtime.engine.compiled is not None,
         elsewhere=runtime.engine.nodes_off_provider,
         device_bytes=runtime.device_bytes,
+        card=card_health(runtime.lane),
         body=runtime.body.name,
         garments=len(runtime.garments.entries()),
         passes=runtime.engine.pass_count,
@@ -59,6 +61,15 @@ async def health(request: Request, state: StateHere) -> schemas.Health:
         sessions=state.streams.count,
         refused_garments=runtime.garments.refused,
     )
+
+
+def card_health(lane: Lane | None) -> schemas.CardHealth | None:
+    """How the card of a ``lane`` does; None without one."""
+    if lane is None:
+        return None
+    told = lane.report()
+    numbers = {name: getattr(told, name) for name in schemas.CardHealth.model_fields if name != "name"}
+    return schemas.CardHealth(name=told.card, **numbers)
 
 
 @router.get("/fabrics")

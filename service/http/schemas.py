@@ -157,6 +157,19 @@ class Problem(BaseModel):
     cure: str
 
 
+class CardHealth(BaseModel):
+    """Says how a graphics card does that draws folds, or why it does not."""
+
+    name: str
+    fault: str = Field(description="Why frames are the processor's, in a sentence. Empty while the card draws.")
+    occupied: float = Field(description="The share of its memory that is taken.")
+    busy: float = Field(description="The share of its time that launches took since the start.")
+    queue_s: float = Field(description="The age [s] of the oldest frame that waits for it.")
+    frames: int
+    launches: int
+    frames_a_launch: float
+
+
 class Health(BaseModel):
     """Says that the service works, and with which model, provider and limits."""
 
@@ -173,6 +186,7 @@ class Health(BaseModel):
         description="The number of operations that do not run on the provider. On a GPU each of them waits for a copy."
     )
     device_bytes: int = Field(description="The bytes that the garments' constants take on the device that computes.")
+    card: CardHealth | None = Field(description="The card that draws folds. Null without the extra cuda.")
     body: str
     garments: int
     passes: int = Field(

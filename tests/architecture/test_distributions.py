@@ -20,6 +20,7 @@ def project(folder: str = ".") -> dict[str, Any]:
 
 CORE = project()
 MEMBERS = CORE["tool"]["uv"]["workspace"]["members"]
+KERNELS = "deploy/cuda"  # a wheel of data, which only a machine with nvcc can build
 
 
 def test_every_package_but_the_judge_is_a_member():
@@ -28,7 +29,7 @@ def test_every_package_but_the_judge_is_a_member():
 
 
 def test_they_have_one_version_and_ask_for_it():
-    for folder in MEMBERS:
+    for folder in (*MEMBERS, KERNELS):
         described = project(folder)["project"]
         assert described["version"] == drape.__version__, folder
         pinned = [one for one in described["dependencies"] if one.startswith("patchdrape")]
@@ -36,7 +37,7 @@ def test_they_have_one_version_and_ask_for_it():
 
 
 def test_extras_name_every_member():
-    named = {project(folder)["project"]["name"] for folder in MEMBERS}
+    named = {project(folder)["project"]["name"] for folder in (*MEMBERS, KERNELS)}
     extras = CORE["project"]["optional-dependencies"].values()
     assert {one for extra in extras for one in extra if one.startswith("patchdrape")} == named
     assert set(CORE["tool"]["uv"]["sources"]) == {*named, CORE["project"]["name"]}

@@ -84,7 +84,7 @@ template <class T>
 DEVICE int64_t write_node_planes(const T* c, const T* came, int64_t nodes, bool first, const Array<double>& colliders,
                                  const T* skin, const int32_t* touched, T* planes) {
   int64_t inside = 0;
-  for (int64_t i = 0; i < nodes; ++i) {
+  for (int64_t i : each(nodes)) {
     T* own = planes + 8 * i;
     for (int k = 0; k < 8; ++k) own[k] = 0;
     const T* sample = skin + 8 * int64_t(touched[i]);
@@ -117,7 +117,7 @@ DEVICE int64_t write_node_planes(const T* c, const T* came, int64_t nodes, bool 
     }
     inside += least_ < 0;
   }
-  return inside;
+  return sum_of_all(inside);
 }
 
 // Whether the box around x comes near a collider.

@@ -5,6 +5,27 @@
 
 constexpr double FLAT_M = 1e-9;  // the least step: a box without a side has one
 
+#ifdef ONE_LANE
+INLINE void quantise(const float* positions, int64_t vertices, float count, uint16_t* steps, float* box) {
+  float corner[3], size[3];
+  for (int axis = 0; axis < 3; ++axis) {
+    float low = vertices ? positions[axis] : 0, high = low;
+    for (int64_t v : each(vertices)) {
+      const float own = positions[3 * v + axis];
+      low = own < low ? own : low, high = own > high ? own : high;
+    }
+    corner[axis] = -most_of_all(-low);
+    const float step = (most_of_all(high) - corner[axis]) / count;
+    size[axis] = step > float(FLAT_M) ? step : float(FLAT_M);
+    if (is_first_thread()) box[axis] = corner[axis], box[3 + axis] = size[axis];
+  }
+  const float round = 1.5f * 8388608.f;
+  for (int64_t i : each(3 * vertices)) {
+    const float turned = (positions[i] - corner[i % 3]) / size[i % 3] + round;
+    steps[i] = uint16_t(int32_t(turned - round));
+  }
+}
+#else
 // Writes steps (V, 3) from 0 to count, and low corner (3,) and step size (3,) of finite positions (V, 3) to box.
 INLINE void quantise(const float* positions, int64_t vertices, float count, uint16_t* steps, float* box) {
   const int64_t numbers = 3 * vertices, whole_runs = numbers / (3 * LANES) * (3 * LANES);
@@ -47,3 +68,4 @@ INLINE void quantise(const float* positions, int64_t vertices, float count, uint
     steps[i] = uint16_t(int32_t(turned - round));
   }
 }
+#endif

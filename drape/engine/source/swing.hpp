@@ -42,7 +42,7 @@ template <class T> struct Schedule {
 };
 
 // The unit normal of the coarse triangles around node i, zeros where they have no area.
-template <class T> Vector<T> normal_at(const T* c, int64_t i, const SwingMesh<T>& mesh) {
+template <class T> INLINE Vector<T> normal_at(const T* c, int64_t i, const SwingMesh<T>& mesh) {
   Vector<T> total = {};
   const Vector<T> own = point(c, i);
   for (int64_t e = mesh.start[i]; e < mesh.start[i + 1]; ++e)
@@ -52,7 +52,7 @@ template <class T> Vector<T> normal_at(const T* c, int64_t i, const SwingMesh<T>
 }
 
 // How stiffly [N/m] a node is held where the network has it.
-template <class T> T hold_of(Vector<T> at, const T* sample, T held) {
+template <class T> INLINE T hold_of(Vector<T> at, const T* sample, T held) {
   const Vector<T> off = at - point(sample, 0);
   T height = dot(off, point(sample + 4, 0));
   if (dot(off, off) > T(TOUCH_M * TOUCH_M)) height = T(FREE_M);  // above another part of the body than the sample's
@@ -65,7 +65,7 @@ template <class T> struct State { const T *network, *swung, *speed; };  // the f
 
 // Writes the swung nodes [m] (N, 3) and their speed [m/s]; touched (N,) are the samples below still cloth.
 template <class T>
-void advance(const State<T>& before, const T* network, const Skin<T>& skin, const Array<double>& colliders,
+DEVICE void advance(const State<T>& before, const T* network, const Skin<T>& skin, const Array<double>& colliders,
              const int32_t* touched, const SwingConstants<T>& cloth, const Schedule<T>& schedule, T* swung, T* speed,
              Scratch& scratch) {
   const SwingMesh<T>& mesh = cloth.mesh;
@@ -79,12 +79,12 @@ void advance(const State<T>& before, const T* network, const Skin<T>& skin, cons
   if (scratch.overflowed) return;
   const T h = schedule.step_s;
   write_node_planes(before.swung, before.swung, nodes, schedule.first, colliders, skin.samples, touched, planes);
-  for (int64_t i = 0; i < nodes; ++i) {
+  for (int64_t i : each(nodes)) {
     held[i] = hold_of<T>(point(network, i), skin.samples + 8 * int64_t(touched[i]), cloth.held[i]);
     inertia[i] = deep[i] = 0;
     put_point(u, i, Vector<T>{}), put_point(rhs, i, Vector<T>{}), put_point(swung, i, point(network, i));
   }
-  for (int64_t n = 0; n < mesh.order.count; ++n) {
+  for (int64_t n : each(mesh.order.count)) {
     const int64_t i = mesh.order[n];
     const Vector<T> was = point(before.swung, i), still = point(network, i);
     Vector<T> v = scaled(T(1) / (T(1) + h * schedule.damping), point(before.speed, i));
@@ -106,7 +106,7 @@ void advance(const State<T>& before, const T* network, const Skin<T>& skin, cons
     deep[i] = more<T>(T(GAP_M) - dot(still - point(sample, 0), point(sample + 4, 0)), T(0));
   }
   fall_back(u, mesh, inertia, held, schedule.weight, rhs, ROUNDS, scratch);
-  for (int64_t i = 0; i < nodes; ++i) {
+  for (int64_t i : each(nodes)) {
     put_point(swung, i, point(swung, i) + point(u, i));
     inertia[i] += held[i];
     here[i] = touched[i];
@@ -114,7 +114,7 @@ void advance(const State<T>& before, const T* network, const Skin<T>& skin, cons
   at_places(network, rows, x);
   write_bounds(x, rows, bound);
   follow(swung, nodes, skin, here);
-  for (int64_t i = 0; i < nodes; ++i) {
+  for (int64_t i : each(nodes)) {
     // Still cloth that lies near a part of the body stays on its side of that, however far it swings.
     const Vector<T> off = point(network, i) - skin.point_of(touched[i]);
     if (dot(off, off) < T(TOUCH_M * TOUCH_M)) here[i] = touched[i];
@@ -123,7 +123,7 @@ void advance(const State<T>& before, const T* network, const Skin<T>& skin, cons
   const bool beside = lay_held(swung, inertia, {skin.samples, touched, here, deep, planes}, mesh, laid);
   at_places(swung, rows, x);
   keep_length(swung, x, rows, schedule.young, bound, laid, beside, SWEEPS);
-  for (int64_t i = 0; i < nodes; ++i) put_point(speed, i, scaled(T(1) / h, point(swung, i) - point(before.swung, i)));
+  for (int64_t i : each(nodes)) put_point(speed, i, scaled(T(1) / h, point(swung, i) - point(before.swung, i)));
   scratch.used = mark;
 }
 
@@ -133,13 +133,11 @@ void advance(const State<T>& before, const T* network, const Skin<T>& skin, cons
 // does, which goes from before to network [m] (N, 3) in step_s; climb [m/s] (N,) is how fast that went up in the frame
 // before, no number where there was none, and is replaced. Returns the weight that is left, in parts of that at rest.
 template <class T>
-T fall_along(const T* before, const T* network, const T* swung, T step_s, int64_t nodes, T* climb, T* speed) {
-  T gained = 0;
-  for (int64_t i = 0; i < nodes; ++i) {
+DEVICE T fall_along(const T* before, const T* network, const T* swung, T step_s, int64_t nodes, T* climb, T* speed, T* room) {
+  const T gained = sum_in_order(nodes, room, [&](int64_t i) {
     const Vector<T> pace = scaled(T(1) / step_s, point(network, i) - point(before, i));
     const T gain = pace.y - climb[i];
     if (gain == gain) {
-      gained += gain;
       const T risen = swung[3 * i + 1] - network[3 * i + 1];
       const T taut = less<T>(more<T>(T(1) - risen / T(SLACK_M), T(0)), T(1));
       speed[3 * i + 1] += gain > 0 ? taut * gain : more<T>(gain, T(-GRAVITY_M_S2) * step_s);
@@ -147,31 +145,32 @@ T fall_along(const T* before, const T* network, const T* swung, T step_s, int64_
       put_point(speed, i, pace);
     }
     climb[i] = pace.y;
-  }
+    return gain == gain ? gain : T(0);
+  });
   const T weight = T(1) + gained / (T(nodes) * T(GRAVITY_M_S2) * step_s);
   return less<T>(more<T>(weight, T(0)), T(HEAVIEST));
 }
 
 // Whether two tables have the same numbers.
-template <class N> bool is_same(const N* one, int64_t count, const N* other, int64_t other_count) {
+template <class N> DEVICE bool is_same(const N* one, int64_t count, const N* other, int64_t other_count) {
   if (count != other_count) return false;
-  for (int64_t i = 0; i < count; ++i)
-    if (!(one[i] == other[i])) return false;
-  return true;
+  int differs = 0;
+  for (int64_t i : each(count)) differs |= int(!(one[i] == other[i]));
+  return !most_of_all(differs);
 }
 
-template <class T> T farthest_node_m(const T* x, const T* y, int64_t nodes) {
+template <class T> DEVICE T farthest_node_m(const T* x, const T* y, int64_t nodes) {
   T square = 0;
-  for (int64_t i = 0; i < nodes; ++i) {
+  for (int64_t i : each(nodes)) {
     const Vector<T> way = point(x, i) - point(y, i);
     if (square == square && !(dot(way, way) <= square)) square = dot(way, way);  // NaN, once met, stays
   }
-  return root(square);
+  return root(most_of_all(square));
 }
 
 // Moves the vertices [m] (V, 3) by a share of the way and turn of nodes that swung; what has become of them.
 template <class T>
-Kind carry(const T* vertices, int64_t count, const T* network, const T* swung, const SwingMesh<T>& mesh, T share,
+DEVICE Kind carry(const T* vertices, int64_t count, const T* network, const T* swung, const SwingMesh<T>& mesh, T share,
            T* out, Scratch& scratch) {
   const T far = farthest_node_m(swung, network, mesh.vertex.count);
   if (!(far <= T(LOST_M))) return LOST;
@@ -183,7 +182,7 @@ Kind carry(const T* vertices, int64_t count, const T* network, const T* swung, c
 // Takes the nodes on from the frame before: writes the after's nodes, speed, samples and since when nothing moved, and
 // the vertices [m] (V, 3). CUT where no swing leads from that frame to this one.
 template <class T>
-Kind go_on(const T* vertices, int64_t count, const SwingMemory<T>& past, const Skin<T>& skin,
+DEVICE Kind go_on(const T* vertices, int64_t count, const SwingMemory<T>& past, const Skin<T>& skin,
            const Array<double>& colliders, const SwingConstants<T>& cloth, T share, SwingMemory<T>& after, T* out,
            Scratch& scratch) {
   const int64_t mark = scratch.used, nodes = cloth.mesh.vertex.count;
@@ -200,28 +199,29 @@ Kind go_on(const T* vertices, int64_t count, const SwingMemory<T>& past, const S
     shift[axis] = after.origin[axis] - past.origin[axis];
     moved |= shift[axis] != 0;
   }
-  after.still_since_s[0] = moved ? after.time_s : past.still_since_s[0];
-  const double still_s = after.time_s - after.still_since_s[0];
-  for (int64_t i = 0; i < nodes; ++i) after.touched[i] = past.touched[i];
+  const double since = moved ? after.time_s : past.still_since_s[0];
+  if (is_first_thread()) after.still_since_s[0] = since;
+  const double still_s = after.time_s - since;
+  for (int64_t i : each(nodes)) after.touched[i] = past.touched[i];
   if (!moved && still_s >= STILL_S) {
     const T* rests = colliders.count ? past.swung.begin : network;
-    for (int64_t i = 0; i < 3 * nodes; ++i) swung[i] = rests[i], speed[i] = 0;
-    for (int64_t i = 0; i < nodes; ++i) climb[i] = 0;
+    for (int64_t i : each(3 * nodes)) swung[i] = rests[i], speed[i] = 0;
+    for (int64_t i : each(nodes)) climb[i] = 0;
   } else {
     const double calming = smaller(CALMER_PER_S2 * larger(still_s - CALM_S, 0), CALMEST_PER_S);
     const T step_s = T(larger(since_s, SHORTEST_STEP_S));
     follow(network, nodes, skin, after.touched.begin);
-    for (int64_t i = 0; i < 3 * nodes; ++i) {
+    for (int64_t i : each(3 * nodes)) {
       before[i] = past.network[i] - T(shift[i % 3]), speed[i] = past.speed[i];
       swung[i] = past.swung[i] - past.network[i] + network[i];
       if (i < nodes) climb[i] = past.climb[i];
     }
-    const T weight = fall_along<T>(before, network, swung, step_s, nodes, climb, speed);
+    const T weight = fall_along<T>(before, network, swung, step_s, nodes, climb, speed, start);
     const int64_t steps = colliders.count ? 1 : int64_t(1.0 + double(step_s) / LONGEST_STEP_S);
-    for (int64_t i = 0; i < 3 * nodes; ++i) before[i] = network[i] - (network[i] - before[i]) / T(steps);
+    for (int64_t i : each(3 * nodes)) before[i] = network[i] - (network[i] - before[i]) / T(steps);
     for (int64_t step = 0; step < steps && !scratch.overflowed; ++step) {
       // Still cloth is where it will be; nodes come from where it was a step before.
-      for (int64_t i = 0; i < 3 * nodes; ++i) start[i] = swung[i] - network[i] + before[i], pace[i] = speed[i];
+      for (int64_t i : each(3 * nodes)) start[i] = swung[i] - network[i] + before[i], pace[i] = speed[i];
       advance<T>({before, start, pace}, network, skin, colliders, after.touched, cloth,
                  {step_s / T(steps), T(cloth.damping_per_s + calming), T(cloth.young_n_per_m), weight, false}, swung,
                  speed, scratch);
@@ -233,7 +233,7 @@ Kind go_on(const T* vertices, int64_t count, const SwingMemory<T>& past, const S
 
 // Lets cloth that hangs still and is in a collider come to rest on it: writes the after's nodes.
 template <class T>
-void come_to_rest(const Skin<T>& skin, const Array<double>& colliders, const SwingConstants<T>& cloth,
+DEVICE void come_to_rest(const Skin<T>& skin, const Array<double>& colliders, const SwingConstants<T>& cloth,
                   SwingMemory<T>& after, Scratch& scratch) {
   const int64_t mark = scratch.used, nodes = cloth.mesh.vertex.count;
   const T* network = after.network;
@@ -242,12 +242,12 @@ void come_to_rest(const Skin<T>& skin, const Array<double>& colliders, const Swi
   if (scratch.overflowed) return;
   if (write_node_planes(network, network, nodes, true, colliders, skin.samples, after.touched.begin, planes)) {
     for (int step = 0; step < SETTLE && !scratch.overflowed; ++step) {
-      for (int64_t i = 0; i < 3 * nodes; ++i) start[i] = swung[i], pace[i] = speed[i];
+      for (int64_t i : each(3 * nodes)) start[i] = swung[i], pace[i] = speed[i];
       advance<T>({network, start, pace}, network, skin, colliders, after.touched, cloth,
                  {T(FIRST_STEP_S), T(cloth.damping_per_s + CALMEST_PER_S), T(cloth.young_n_per_m), T(1), true}, swung, speed,
                  scratch);
     }
-    for (int64_t i = 0; i < 3 * nodes; ++i) speed[i] = 0;
+    for (int64_t i : each(3 * nodes)) speed[i] = 0;
   }
   scratch.used = mark;
 }
@@ -257,26 +257,26 @@ void come_to_rest(const Skin<T>& skin, const Array<double>& colliders, const Swi
 // the world. Without a past, and where no swing leads to a frame, cloth hangs still. Returns whether the vertices were
 // written; where not, the frame's own stay.
 template <class T>
-bool frame(const T* vertices, int64_t count, const SwingMemory<T>& past, const Surroundings<T>& around,
+DEVICE bool frame(const T* vertices, int64_t count, const SwingMemory<T>& past, const Surroundings<T>& around,
            const SwingConstants<T>& cloth, T share, SwingMemory<T>& after, T* out, Scratch& scratch) {
   const Skin<T> skin = skin_of(around.skin, cloth.graph);
   const int64_t nodes = cloth.mesh.vertex.count;
   T *network = after.network, *swung = after.swung, *speed = after.speed;
-  for (int64_t i = 0; i < nodes; ++i) put_point(network, i, point(vertices, cloth.mesh.vertex[i]));
+  for (int64_t i : each(nodes)) put_point(network, i, point(vertices, cloth.mesh.vertex[i]));
   Kind kind = go_on(vertices, count, past, skin, around.colliders, cloth, share, after, out, scratch);
   if (kind >= STILL) return kind == MOVED;
-  for (int64_t i = 0; i < nodes; ++i) {
+  for (int64_t i : each(nodes)) {
     after.touched[i] = cloth.index[i];
     after.climb[i] = T(__builtin_nan(""));  // not known
     put_point(swung, i, point(network, i)), put_point(speed, i, Vector<T>{});
   }
   follow(network, nodes, skin, after.touched.begin);
-  after.still_since_s[0] = after.time_s;
+  if (is_first_thread()) after.still_since_s[0] = after.time_s;
   if (kind == LOST) return false;
   come_to_rest(skin, around.colliders, cloth, after, scratch);
   kind = carry(vertices, count, network, swung, cloth.mesh, share, out, scratch);
   if (kind == LOST)
-    for (int64_t i = 0; i < 3 * nodes; ++i) swung[i] = network[i];
+    for (int64_t i : each(3 * nodes)) swung[i] = network[i];
   return kind == MOVED;
 }
 

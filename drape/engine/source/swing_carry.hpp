@@ -28,21 +28,18 @@ constexpr double ENOUGH = 1e-9;
 constexpr int MEANS = 3;  // none leave a walking skirt half again as much curvature, six no less
 constexpr double LEAST_ALONG = 1e-3;  // of the squared sides: a smaller sum of r . m says little of a rotation
 
-// The rotation nearest to a matrix, of 1 where that is zero. Sums of r . m below least turn it less.
-template <class T> INLINE Matrix<T> rotation_of(const Matrix<T>& m, Row<T> least_) {
+// Turns the columns e, f, g on towards the rotation nearest to a matrix. Sums of r . m below least turn them less.
+// Returns the square of the half turn.
+template <class T> INLINE Row<T> turn_on(Points<T>& e, Points<T>& f, Points<T>& g, const Matrix<T>& m, Row<T> least_) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
-  Points<T> e = {one, zero, zero}, f = {zero, one, zero}, g = {zero, zero, one};
-  for (int round = 0; round < ROTATION_ROUNDS; ++round) {
-    Points<T> turn = cross(e, m.a) + cross(f, m.b) + cross(g, m.c);
-    Row<T> along = dot(e, m.a) + dot(f, m.b) + dot(g, m.c);
-    along = most<T>(most<T>(along, -along), least_);
-    Points<T> q = scaled(T(0.5) / where<T>(along > zero, along, one), turn);
-    Row<T> square = dot(q, q), w = one / root<T>(one + square);
-    const Turns<T> half = {w, scaled(w, q)};
-    e = turned_by(half, e), f = turned_by(half, f), g = turned_by(half, g);
-    if (!lanes_of<T>(square > row_of(T(ENOUGH)))) break;
-  }
-  return {e, f, g};
+  Points<T> turn = cross(e, m.a) + cross(f, m.b) + cross(g, m.c);
+  Row<T> along = dot(e, m.a) + dot(f, m.b) + dot(g, m.c);
+  along = most<T>(most<T>(along, -along), least_);
+  Points<T> q = scaled(T(0.5) / where<T>(along > zero, along, one), turn);
+  Row<T> square = dot(q, q), w = one / root<T>(one + square);
+  const Turns<T> half = {w, scaled(w, q)};
+  e = turned_by(half, e), f = turned_by(half, f), g = turned_by(half, g);
+  return square;
 }
 
 // The nodes of a swing mesh at their places, still x and swung c [m] (P, 3).
@@ -57,7 +54,7 @@ template <class T> INLINE Row<T> real_triangle(const SwingRows<T>& rows, int64_t
 // Three columns (3, P, 3) of a matrix at every place.
 template <class T> struct Matrices {
   T *a, *b, *c;
-  Matrices(int64_t places, Scratch& scratch)
+  INLINE_MEMBER Matrices(int64_t places, Scratch& scratch)
       : a(scratch.take<T>(3 * places)), b(scratch.take<T>(3 * places)), c(scratch.take<T>(3 * places)) {}
   INLINE_MEMBER Matrix<T> in(int64_t at) const { return {points_in(a + at), points_in(b + at), points_in(c + at)}; }
   INLINE_MEMBER Matrix<T> at(const int32_t* index) const {
@@ -70,9 +67,9 @@ template <class T> struct Matrices {
 
 // Writes M of each node's own triangles, and the squares [m^2] (P,) of their sides.
 template <class T>
-void write_sides(const Nodes<T>& nodes, const SwingRows<T>& rows, const Matrices<T>& found, T* square) {
+DEVICE void write_sides(const Nodes<T>& nodes, const SwingRows<T>& rows, const Matrices<T>& found, T* square) {
   const Row<T> zero = row_of(T(0)), one = row_of(T(1));
-  for (int64_t block = 0; block < rows.start.count - 1; ++block) {
+  for (int64_t block : each_block(rows.start.count - 1)) {
     const int64_t at = 3 * LANES * block;
     const Points<T> own = points_in(nodes.x + at), moved = points_in(nodes.c + at), none = {zero, zero, zero};
     Points<T> before = none, after = none;
@@ -93,9 +90,49 @@ void write_sides(const Nodes<T>& nodes, const SwingRows<T>& rows, const Matrices
   }
 }
 
+#ifdef ONE_LANE
+// Writes R of all nodes. A block's rounds end together, so that lanes tell each other of their last half turns.
+template <class T>
+DEVICE void write_rotations(const Matrices<T>& sums, const T* square, int64_t blocks, const Matrices<T>& turns,
+                            Scratch& scratch) {
+  const T zero = 0, one = 1;
+  const Matrices<T> found(LANES * blocks, scratch);
+  T* half = scratch.take<T>(2 * LANES * blocks);  // of this round and of the one before
+  if (scratch.overflowed) return;
+  for (int round = 0; round < ROTATION_ROUNDS; ++round)
+    for (int64_t block : each_block(blocks)) {
+      const int64_t at = 3 * LANES * block, first = LANES * block, other = LANES * blocks;
+      T *now = half + (round % 2 ? other : 0) + first, *before = half + (round % 2 ? 0 : other) + first;
+      put(now, T(0));
+      if (round > 0 && !(most_in(before) > T(ENOUGH))) continue;
+      Matrix<T> r = {{one, zero, zero}, {zero, one, zero}, {zero, zero, one}};
+      if (round > 0) r = found.in(at);
+      put(now, turn_on<T>(r.a, r.b, r.c, sums.in(at), T(LEAST_ALONG) * row_at(square + first)));
+      found.set(at, r);
+    }
+  for (int64_t block : each_block(blocks)) turns.set(3 * LANES * block, found.in(3 * LANES * block));
+}
+#else
+// The rotation nearest to a matrix, of 1 where that is zero.
+template <class T> INLINE Matrix<T> rotation_of(const Matrix<T>& m, Row<T> least_) {
+  const Row<T> zero = row_of(T(0)), one = row_of(T(1));
+  Points<T> e = {one, zero, zero}, f = {zero, one, zero}, g = {zero, zero, one};
+  for (int round = 0; round < ROTATION_ROUNDS; ++round)
+    if (!lanes_of<T>(turn_on<T>(e, f, g, m, least_) > row_of(T(ENOUGH)))) break;
+  return {e, f, g};
+}
+template <class T>
+void write_rotations(const Matrices<T>& sums, const T* square, int64_t blocks, const Matrices<T>& turns, Scratch&) {
+  for (int64_t block = 0; block < blocks; ++block) {
+    const int64_t at = 3 * LANES * block;
+    turns.set(at, rotation_of<T>(sums.in(at), T(LEAST_ALONG) * row_at(square + LANES * block)));
+  }
+}
+#endif
+
 // Writes R of every node, of M over the nodes that are so many rings away at most.
 template <class T>
-void write_turns(const Nodes<T>& nodes, const SwingRows<T>& rows, int rings, const Matrices<T>& turns,
+DEVICE void write_turns(const Nodes<T>& nodes, const SwingRows<T>& rows, int rings, const Matrices<T>& turns,
                  Scratch& scratch) {
   const int64_t mark = scratch.used, places = rows.node.count;
   T* square = scratch.take<T>(places);
@@ -103,7 +140,7 @@ void write_turns(const Nodes<T>& nodes, const SwingRows<T>& rows, int rings, con
   if (scratch.overflowed) return;
   write_sides(nodes, rows, before, square);
   for (int ring = 0; ring < rings; ++ring) {
-    for (int64_t block = 0; block < rows.start.count - 1; ++block) {
+    for (int64_t block : each_block(rows.start.count - 1)) {
       Matrix<T> m = before.in(3 * LANES * block);
       for (int64_t row = 2 * rows.start[block]; row < 2 * rows.start[block + 1]; ++row) {
         const Row<T> real = real_triangle(rows, row / 2);
@@ -115,21 +152,18 @@ void write_turns(const Nodes<T>& nodes, const SwingRows<T>& rows, int rings, con
     const Matrices<T> spare = before;
     before = sums, sums = spare;
   }
-  for (int64_t block = 0; block < rows.start.count - 1; ++block) {
-    const int64_t at = 3 * LANES * block;
-    turns.set(at, rotation_of<T>(before.in(at), T(LEAST_ALONG) * row_at(square + LANES * block)));
-  }
+  write_rotations(before, square, rows.start.count - 1, turns, scratch);
   scratch.used = mark;
 }
 
 // Lets the nodes that may move go over to the mean around them and their turned way from that in still cloth.
 template <class T>
-void smooth_nodes(const Nodes<T>& nodes, const SwingRows<T>& rows, const Matrices<T>& turns, Scratch& scratch) {
+DEVICE void smooth_nodes(const Nodes<T>& nodes, const SwingRows<T>& rows, const Matrices<T>& turns, Scratch& scratch) {
   const int64_t mark = scratch.used, places = rows.node.count;
   T* mean = scratch.take<T>(3 * places);
   if (scratch.overflowed) return;
   for (int pass = 0; pass < MEANS; ++pass) {
-    for (int64_t block = 0; block < rows.moving; ++block) {
+    for (int64_t block : each_block(rows.moving)) {
       const int64_t at = 3 * LANES * block;
       Points<T> still = points_in(nodes.x + at), swung = points_in(nodes.c + at), off = still;
       Row<T> count = row_of(T(1));
@@ -145,40 +179,44 @@ void smooth_nodes(const Nodes<T>& nodes, const SwingRows<T>& rows, const Matrice
       const Matrix<T> r = turns.in(at);
       put_points(mean + at, scaled(per, swung) + plus(mix(off.x, r.a, off.y, r.b), off.z, r.c));
     }
-    __builtin_memcpy(nodes.c, mean, size_t(3 * LANES * rows.moving) * sizeof(T));
+    copy(nodes.c, mean, 3 * LANES * rows.moving);
   }
   scratch.used = mark;
 }
 
 // Writes a share of R - 1 and of c - X - (R - 1) X of every node to table, sixteen numbers each: four columns of four.
 template <class T>
-void write_nodes(const T* still, const T* swung, const SwingMesh<T>& mesh, T share, T* table, Scratch& scratch) {
+DEVICE void write_nodes(const T* still, const T* swung, const SwingMesh<T>& mesh, T share, T* table, Scratch& scratch) {
   const SwingRows<T>& rows = mesh.rows;
   const int64_t mark = scratch.used, places = rows.node.count;
   const Nodes<T> nodes = {scratch.take<T>(3 * places), scratch.take<T>(3 * places)};
   const Matrices<T> turns(places, scratch);
   if (scratch.overflowed) return;
-  for (int64_t p = 0; p < places; ++p) {
+  for (int64_t p : each(places)) {
     put_point(nodes.x, p, point(still, rows.node[p]));
     put_point(nodes.c, p, point(swung, rows.node[p]));
   }
   write_turns(nodes, rows, MEANS + 1, turns, scratch);
   smooth_nodes(nodes, rows, turns, scratch);
   write_turns(nodes, rows, 1, turns, scratch);
-  for (int64_t at = 0; at < 3 * places; at += 3 * LANES)
-    put_nodes(table, rows.node + at / 3, turns.in(at), points_in(nodes.x + at), points_in(nodes.c + at), share);
+  for (int64_t block : each_block(places / LANES)) {
+    const int64_t at = 3 * LANES * block;
+    int32_t index[WIDTH];
+    for (int k = 0; k < WIDTH; ++k) index[k] = rows.node[LANES * block + lane_of(k)];
+    put_nodes(table, index, turns.in(at), points_in(nodes.x + at), points_in(nodes.c + at), share);
+  }
   scratch.used = mark;
 }
 
 // Writes the vertices [m] (V, 3), moved by a share of the nodes' way and turn from still to swung [m] (N, 3), to out.
 template <class T>
-void move_vertices(const T* vertices, int64_t count, const T* still, const T* swung, const SwingMesh<T>& mesh, T share,
+DEVICE void move_vertices(const T* vertices, int64_t count, const T* still, const T* swung, const SwingMesh<T>& mesh, T share,
                    T* out, Scratch& scratch) {
   const int64_t mark = scratch.used;
   T* table = scratch.take<T>(LANES * mesh.vertex.count);
   if (scratch.overflowed) return;
   write_nodes(still, swung, mesh, share, table, scratch);
-  for (int64_t v = 0; v < count; ++v) {
+  for (int64_t v : each(count)) {
     const int64_t first = SHARED * v;
     put_point(out, v, carried_by(table, mesh.weight_node + first, mesh.weight + first, 1, point(vertices, v)));
   }

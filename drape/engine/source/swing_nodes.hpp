@@ -32,8 +32,8 @@ constexpr double LOOSE = 0.05;  // a loose triangle resists a step with this sha
 
 // The (inertia + hold + weight K) u [N] of the nodes that may move.
 template <class T>
-void pulled(const T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hold, T weight, T* out) {
-  for (int64_t n = 0; n < mesh.order.count; ++n) {
+DEVICE void pulled(const T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hold, T weight, T* out) {
+  for (int64_t n : each(mesh.order.count)) {
     const int64_t i = mesh.order[n];
     Vector<T> total = scaled(inertia[i] + hold[i], point(u, i));
     for (int64_t e = mesh.pull_start[i]; e < mesh.pull_start[i + 1]; ++e)
@@ -45,50 +45,50 @@ void pulled(const T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hol
 // Moves u [m] (N, 3) in place towards the solution of (inertia + hold + weight K) u = rhs [N] over the nodes that may
 // move, by rounds of conjugate gradients; inertia and hold [N/m] (N,).
 template <class T>
-void fall_back(T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hold, T weight, const T* rhs,
+DEVICE void fall_back(T* u, const SwingMesh<T>& mesh, const T* inertia, const T* hold, T weight, const T* rhs,
                int64_t rounds, Scratch& scratch) {
   const int64_t mark = scratch.used, count = mesh.order.count, nodes = mesh.vertex.count;
   T *r = scratch.take<T>(3 * nodes), *q = scratch.take<T>(3 * nodes), *p = scratch.take<T>(3 * nodes);
-  T* diagonal = scratch.take<T>(nodes);
+  T *diagonal = scratch.take<T>(nodes), *room = scratch.take<T>(count);
   if (scratch.overflowed) return;
-  for (int64_t i = 0; i < nodes; ++i) {
+  for (int64_t i : each(nodes)) {
     put_point(r, i, Vector<T>{}), put_point(q, i, Vector<T>{}), put_point(p, i, Vector<T>{});
     diagonal[i] = 0;
   }
-  for (int64_t n = 0; n < count; ++n) {
+  for (int64_t n : each(count)) {
     const int64_t i = mesh.order[n];
     diagonal[i] = inertia[i] + hold[i];
     for (int64_t e = mesh.pull_start[i]; e < mesh.pull_start[i + 1]; ++e)
       if (mesh.pull_node[e] == i) diagonal[i] += weight * mesh.pull[e];
   }
   pulled(u, mesh, inertia, hold, weight, q);
-  T old = 0;
-  for (int64_t n = 0; n < count; ++n) {
+  T old = sum_in_order(count, room, [&](int64_t n) {
     const int64_t i = mesh.order[n];
     const Vector<T> left = point(rhs, i) - point(q, i), way = scaled(T(1) / diagonal[i], left);
     put_point(r, i, left), put_point(p, i, way);
-    old += dot(left, way);
-  }
+    return dot(left, way);
+  });
   if (old != old)
-    for (int64_t i = 0; i < 3 * nodes; ++i) u[i] = old;  // NaN, which the caller looks for
+    for (int64_t i : each(3 * nodes)) u[i] = old;  // NaN, which the caller looks for
   // Nothing is won beyond what floats can tell of the first residual, and squares of what is left would go under.
   const T eps = sizeof(T) == 4 ? T(1.1920929e-07) : T(2.220446049250313e-16);
   const T end = more<T>(eps * eps * old, T(LEAST_SQUARE));
   for (int64_t round = 0; round < rounds && old > end; ++round) {
     pulled(p, mesh, inertia, hold, weight, q);
-    T down = 0, next = 0;
-    for (int64_t n = 0; n < count; ++n) down += dot(point(p, mesh.order[n]), point(q, mesh.order[n]));
+    const T down = sum_in_order(count, room, [&](int64_t n) {
+      return dot(point(p, mesh.order[n]), point(q, mesh.order[n]));
+    });
     const T a = old / down;
-    for (int64_t n = 0; n < count; ++n) {
+    const T next = sum_in_order(count, room, [&](int64_t n) {
       const int64_t i = mesh.order[n];
       put_point(u, i, plus(point(u, i), a, point(p, i)));
       const Vector<T> left = plus(point(r, i), -a, point(q, i));
       put_point(r, i, left);
-      next += dot(left, left) / diagonal[i];
-    }
+      return dot(left, left) / diagonal[i];
+    });
     const T b = next / old;
     old = next;
-    for (int64_t n = 0; n < count; ++n) {
+    for (int64_t n : each(count)) {
       const int64_t i = mesh.order[n];
       put_point(p, i, mix(T(1) / diagonal[i], point(r, i), b, point(p, i)));
     }
@@ -132,13 +132,13 @@ INLINE Columns<Row<T>> columns_of(const T* x, Points<T> own, const SwingRows<T>&
 }
 
 // Writes the nodes c [m] (N, 3) at their places, x (P, 3).
-template <class T> void at_places(const T* c, const SwingRows<T>& rows, T* x) {
-  for (int64_t p = 0; p < rows.node.count; ++p) put_point(x, p, point(c, rows.node[p]));
+template <class T> DEVICE void at_places(const T* c, const SwingRows<T>& rows, T* x) {
+  for (int64_t p : each(rows.node.count)) put_point(x, p, point(c, rows.node[p]));
 }
 
 // Writes G+ and G- (pp, tt, pt each) of the triangles of all nodes that move, which are at x [m] (P, 3), six rows each.
-template <class T> void write_bounds(const T* x, const SwingRows<T>& rows, T* bound) {
-  for (int64_t block = 0; block < rows.moving; ++block) {
+template <class T> DEVICE void write_bounds(const T* x, const SwingRows<T>& rows, T* bound) {
+  for (int64_t block : each_block(rows.moving)) {
     Points<T> own = points_in(x + 3 * LANES * block);
     for (int64_t row = rows.start[block]; row < rows.start[block + 1]; ++row) {
       Strain<Row<T>> g = strain<T>(columns_of(x, own, rows, row, slopes_of(rows, row)));
@@ -215,9 +215,9 @@ template <class T> struct Ground {
 // Writes what holds the nodes that move, HELD numbers a block: springs [N/m] (N,) to their targets [m] (N, 3), and the
 // ground. Returns whether any has a plane.
 template <class T>
-bool lay_held(const T* target, const T* spring, const Ground<T>& ground, const SwingMesh<T>& mesh, T* held) {
-  bool beside = false;
-  for (int64_t p = 0; p < LANES * mesh.rows.moving; ++p) {
+DEVICE bool lay_held(const T* target, const T* spring, const Ground<T>& ground, const SwingMesh<T>& mesh, T* held) {
+  int beside = 0;
+  for (int64_t p : each(LANES * mesh.rows.moving)) {
     const int64_t i = mesh.rows.node[p];
     const T* sample = ground.samples + 8 * int64_t(ground.touched[i]);
     T* to = held + HELD * (p / LANES);
@@ -232,23 +232,23 @@ bool lay_held(const T* target, const T* spring, const Ground<T>& ground, const S
     for (int m = 0; m < 2; ++m) {
       const T* plane = ground.planes + 8 * i + 4 * m;
       const bool there = dot(point(plane, 0), point(plane, 0)) > 0;
-      beside |= there;
+      beside |= int(there);
       put_lane3(to + PLANE + 4 * LANES * m, lane, point(plane, 0));
       to[PLANE + 4 * LANES * m + 3 * LANES + lane] = there ? T(GAP_M) + plane[3] : T(-1);
     }
   }
-  return beside;
+  return most_of_all(beside) > 0;
 }
 
 // Moves the nodes c [m] (N, 3) in place by sweeps there and back, each to its own quadratic minimum. x [m] (P, 3) are
 // the nodes at their places, held what holds them; beside: whether any has a plane.
 template <class T>
-void keep_length(T* c, T* x, const SwingRows<T>& rows, T young, const T* bound, const T* held, bool beside,
+DEVICE void keep_length(T* c, T* x, const SwingRows<T>& rows, T young, const T* bound, const T* held, bool beside,
                  int64_t sweeps) {
   const Row<T> zero = row_of(T(0));
   for (int64_t turn = 0; turn < 2 * sweeps; ++turn)
-    for (int64_t n = 0; n < rows.moving; ++n) {
-      const int64_t block = turn % 2 == 0 ? n : rows.moving - 1 - n;
+    for (int64_t n = 0, at = turn % 2 == 0 ? 0 : rows.moving - 1; n < rows.moving; ++n, at += turn % 2 == 0 ? 1 : -1)
+    for (int64_t block : each_block(at, at + 1)) {  // one after the other, since a block reads those before
       const T* own_held = held + HELD * block;
       Points<T> own = points_in(x + 3 * LANES * block);
       Model<T> model = length_model(x, block, rows, young, bound);
@@ -274,7 +274,7 @@ void keep_length(T* c, T* x, const SwingRows<T>& rows, T young, const T* bound, 
       Row<T> share = T(SWEEP_M) / root<T>(most<T>(dot(step, step), row_of(T(SWEEP_M * SWEEP_M))));
       put_points(x + 3 * LANES * block, plus(own, -share, step));
     }
-  for (int64_t p = 0; p < LANES * rows.moving; ++p) put_point(c, rows.node[p], point(x, p));
+  for (int64_t p : each(LANES * rows.moving)) put_point(c, rows.node[p], point(x, p));
 }
 
 }  // namespace swing

@@ -28,6 +28,15 @@ INLINE Range each_block(int64_t count) { return {0, count}; }
 template <class N> INLINE N sum_of_all(N own) { return own; }
 template <class N> INLINE N most_of_all(N own) { return own; }
 
+INLINE bool is_first_thread() { return true; }
+
+// The sum of what visit(i) gives for the numbers below a count, in their order; room has place for as many.
+template <class N, class Visit> INLINE N sum_in_order(int64_t count, N*, Visit visit) {
+  N sum = 0;
+  for (int64_t i = 0; i < count; ++i) sum += visit(i);
+  return sum;
+}
+
 // Collects what visit(i, to, room) finds for the numbers below a count, in their order, and returns how much that is,
 // most at most. visit tells how many it finds, and writes as many of these as there is room for.
 template <class N, class Visit> INLINE int64_t collect(int64_t count, N* found, int64_t most, Visit visit) {

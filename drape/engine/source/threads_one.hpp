@@ -97,6 +97,15 @@ template <class N> INLINE N sum_of_all(N own) { return own; }
 template <class N> INLINE N most_of_all(N own) { return own; }
 #endif
 
+// The sum of what visit(i) gives for the numbers below a count, in their order; room has place for as many.
+template <class N, class Visit> INLINE N sum_in_order(int64_t count, N* room, Visit visit) {
+  for (int64_t i : each(count)) room[i] = visit(i);
+  N sum = 0;
+  for (int64_t i = 0; i < count; ++i) sum += room[i];
+  for (int64_t none : each(0)) (void)none;  // nobody writes room again before all have read it
+  return sum;
+}
+
 template <class N> INLINE void copy(N* to, const N* from, int64_t count) {
   for (int64_t i : each(count)) to[i] = from[i];
 }

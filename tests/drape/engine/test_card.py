@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from benchmarks.cases import FPS, at_rate
 from benchmarks.served import Stream, plan_of
 from drape.catalog import find_motions
 from drape.engine.calls import call, call_with_scratch
-from drape.engine.card import CardRecord, Frames
+from drape.engine.card_frames import CardRecord, Frames, Pool
 from drape.engine.library import LANES
-from drape.engine.packer import Record, address_of
-from drape.live import fold_step
-from drape.live.card import for_card
+from drape.engine.packer import Record
+from drape.live import fold_step, swing_step
+from drape.live.card import for_card, solve_stages
 from drape.live.clock import Frame
 from drape.live.fold_step import FoldEffort
 from drape.live.sheet import Sheet
@@ -31,8 +32,11 @@ from service.settings import Settings
 from tests.drape.live.conftest import still, tank  # noqa: F401
 from tests.fixtures.garments import shipped
 from tests.fixtures.laws import each
+from tests.fixtures.paper_card import paper_card, turn_threads
 
-WITHIN_M = 1e-7  # of a frame from the same memory
+# Of a frame from the same memory. The card's solve rounds otherwise than the engine's, by 1e-7 of a step, and a vertex
+# that is about to touch something makes more of it; a frame without a past makes it sixty-four times over.
+FEW_M, FEW, WITHIN_M, SETTLED_M = 1e-7, 0.05, 1e-6, 5e-5
 THREADS, FRAMES = 256, 12
 
 
@@ -43,63 +47,50 @@ def runtime() -> Iterator[DrapeRuntime]:
     made.close()
 
 
-class Emulated:
-    """A card that is this processor: its memory, and threads as loops from the first or ``backwards``."""
-
-    def __init__(self) -> None:
-        self._taken, self.backwards = list[np.ndarray](), False
-
-    def take(self, size: int) -> int:
-        self._taken.append(np.zeros(max(size, 1), np.uint8))
-        return address_of(self._taken[-1])
-
-    def write(self, address: int, numbers: np.ndarray) -> None:
-        ctypes.memmove(address, address_of(numbers), numbers.nbytes)
-
-    def read(self, address: int, numbers: np.ndarray) -> None:
-        ctypes.memmove(address_of(numbers), address, numbers.nbytes)
-
-    def folds(self, tasks: int, count: int, threads: int, rounds: int = 1) -> float:
-        for _ in range(rounds):
-            call("emulated_folds", np.float32, tasks, count, threads, self.backwards)
-        return 0.0
-
-
 def drawn(
-    name: str, vertices: np.ndarray, past: Record, around: Record, cloth: CardRecord, effort: Record, after: Record
-) -> list[list[np.ndarray]]:
+    pool: Pool, name: str, vertices: np.ndarray, past: Record, around: Record, cloth: CardRecord, effort: Record,
+    after: Record,
+) -> list[list[np.ndarray]]:  # fmt: skip
     """What both orders leave of a frame: vertices, what is told in whole numbers, and the memory after it."""
     found = []
     for backwards in (False, True):
-        memory = Emulated()
-        memory.backwards, left = backwards, CardRecord(memory, after)
-        frames = Frames(memory)
-        before = [CardRecord(memory, one) for one in (past, around)]
-        frames.add(name, vertices, *before, cloth, CardRecord(memory, effort), left)
+        turn_threads(backwards)
+        frames, left = Frames(pool), CardRecord(pool, after)
+        given = [CardRecord(pool, one) for one in (past, around, effort)]
+        frames.add(name, vertices, *given[:2], cloth, given[2], left)
         frames.draw(THREADS)
         ((folded, told),) = frames.drawn()
         found.append([folded, told[:4], *left.arrays()])
+        frames.give()
+        for one in (*given, left):
+            one.give()
     return found
 
 
 class Beside:
-    """Frames by the engine, and from the same memory by the emulated card: how far they are apart at most [m]."""
+    """Frames by the engine, and from the same memory by the emulated card: how far their vertices are apart [m] at
+    most, of frames with a past and of others, and the share that is farther apart than ``FEW_M``."""
 
     def __init__(self) -> None:
-        self.off_m, self.frames, self.names = 0.0, 0, set[str]()
-        self._placed = cache(lambda cloth: CardRecord(self._memory, for_card(cloth)))
-        self._memory = Emulated()
+        self.off_m, self.settled_m, self.outliers, self.frames, self.names = 0.0, 0.0, 0.0, 0, set[str]()
+        self._pool = Pool(paper_card(), 512 << 20)
+        self._placed = cache(lambda cloth: CardRecord(self._pool, for_card(cloth)))
 
     def __call__(self, name: str, dtype: Any, *given: Any) -> int:
         vertices, past, around, cloth, effort, after, out, told = given
-        found = drawn(name, vertices, past, around, self._placed(cloth), effort, after)
+        found = drawn(self._pool, name, vertices, past, around, self._placed(cloth), effort, after)
         returned = call_with_scratch(name, dtype, *given)
-        for one, other, wanted in zip(*found, [out, told[:4], *after.arrays], strict=True):
+        for one, other in zip(*found, strict=True):
             assert one.tobytes() == other.tobytes(), "two threads race"
-            if wanted.dtype.kind == "f":
-                self.off_m = max(self.off_m, float(np.abs(one - wanted).max(initial=0.0)))
-            else:
-                assert np.array_equal(one, wanted)
+        assert np.array_equal(found[0][1], told[:4])
+        off = np.abs(found[0][0] - out).max(axis=1)
+        if told[0]:
+            self.settled_m = max(self.settled_m, float(off.max()))
+        else:
+            self.off_m, self.outliers = (
+                max(self.off_m, float(off.max())),
+                max(self.outliers, float((off > FEW_M).mean())),
+            )
         self.frames += 1
         self.names.add(name)
         return returned
@@ -123,7 +114,7 @@ def test_a_frame_of_the_card_is_the_engines(runtime: DrapeRuntime, monkeypatch: 
     for number, pose in enumerate(at_rate(read_motion(find_motions(["walk"])[0]), FPS).poses[:FRAMES]):
         stream.pose(pose, number / FPS)
     assert beside.names == {name} and beside.frames == FRAMES * len(names)
-    assert beside.off_m <= WITHIN_M
+    assert beside.off_m <= WITHIN_M and beside.outliers <= FEW and beside.settled_m <= SETTLED_M
 
 
 @each(effort=(FoldEffort(2, settle=2, cloth_contact=True), FoldEffort(0)))
@@ -138,8 +129,72 @@ def test_a_rough_frame_among_colliders_is_the_engines(tank, still, rng, monkeypa
         frame = replace(still, vertices=rough, time_s=number / FPS, colliders=box)
         vertices, memory, _ = tank.fold(memory, frame, effort)
     free, _, _ = tank.fold(None, replace(still, vertices=rough), effort)
-    assert beside.frames == 4 and beside.off_m <= WITHIN_M
+    assert beside.frames == 4 and max(beside.off_m, beside.settled_m) <= SETTLED_M
     assert np.abs(vertices - free).max() > 0.005
+
+
+def test_swing_on_a_card_is_the_engines(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
+    """A dress in a walk, whose first frame has no past."""
+    pool, off_m = Pool(paper_card(), 256 << 20), []
+
+    def beside(name: str, dtype: Any, *given: Any) -> int:
+        vertices, _, past, around, cloth, share, after, out = given
+        found = []
+        for backwards in (False, True):
+            turn_threads(backwards)
+            frames, records = Frames(pool), [CardRecord(pool, one) for one in (past, around, cloth, after)]
+            frames.add(name, vertices, *records[:3], None, records[3], number=share)
+            frames.draw(THREADS)
+            ((moved, told),) = frames.drawn()
+            found.append([moved, told[:1], *records[3].arrays()])
+            for one in (frames, *records):
+                one.give()
+        returned = call_with_scratch(name, dtype, *given)
+        assert [one.tobytes() for one in found[0]] == [one.tobytes() for one in found[1]], "two threads race"
+        assert found[0][1][0] == returned
+        wanted = [out if returned else found[0][0], *after.record.arrays]
+        for one, other in zip([found[0][0], *found[0][2:]], wanted, strict=True):
+            off_m.append(np.abs(np.nan_to_num(one) - np.nan_to_num(other)).max(initial=0.0))
+        return returned
+
+    monkeypatch.setattr(swing_step, "call_with_scratch", beside)
+    plan = plan_of(runtime, [shipped("dress")], tier="instant", fabric="jersey", motion=1.0)
+    stream = Stream(plan, runtime.body.shape_count, staged=True)
+    for number, pose in enumerate(at_rate(read_motion(find_motions(["walk"])[0]), FPS).poses[:6]):
+        stream.pose(pose, number / FPS)
+    assert len(off_m) > 6 and max(off_m) <= 1e-7
+
+
+def test_coordinates_on_a_card_are_the_engines(rng: np.random.Generator):
+    positions, wanted, box = (
+        rng.normal(size=(500, 3)).astype(np.float32),
+        np.empty((500, 3), np.uint16),
+        np.empty(6, np.float32),
+    )
+    call("quantise", np.float32, positions, 500, 65535.0, wanted, box)
+    frames = Frames(Pool(paper_card(), 64 << 20))
+    frames.add("quantise", positions, *[None] * 5, number=65535.0)
+    frames.draw(THREADS)
+    ((found, told),) = frames.drawn()
+    assert found.reshape(-1).view(np.uint16)[:1500].tobytes() == wanted.tobytes()
+    assert told.view(np.float32)[:6].tobytes() == box.tobytes()
+
+
+def test_the_solve_of_a_card_is_the_engines_in_few_products(tank: TwoLevel, rng: np.random.Generator):  # noqa: F811
+    factor = tank.levels.coarse.factor
+    stages, count = solve_stages(factor), len(factor.place)
+    y = rng.normal(size=(count, 3)).astype(np.float32)
+    numbers = np.concatenate([y, np.zeros_like(y)])
+    value = stages.value.reshape(-1, LANES)
+    for first, last in pairwise(stages.block):
+        before = numbers.copy()
+        for block in range(first, last):
+            columns = slice(*stages.entry[block : block + 2])
+            to = stages.to[LANES * block : LANES * (block + 1)]
+            numbers[to[to >= 0]] += (value[columns].T @ before[stages.taken[columns]])[to >= 0]
+    call_with_scratch("law_solve", np.float32, tank.levels.coarse, y)
+    assert len(stages.block) - 1 <= 5
+    assert_allclose(numbers[count:], y, rtol=0, atol=1e-6 * np.abs(y).max())
 
 
 def test_threads_that_race_give_other_numbers(tank: TwoLevel, still: Frame):  # noqa: F811
@@ -150,9 +205,10 @@ def test_threads_that_race_give_other_numbers(tank: TwoLevel, still: Frame):  # 
     around, effort = Record("Surroundings", still.around(np.dtype(np.float32))), FoldEffort(1, settle=1)
     for cloth, is_same in ((levels, True), (torn, False)):
         asked = two_level_call(cloth, None, 0.0)
-        placed = CardRecord(Emulated(), cloth)
+        pool = Pool(paper_card(), 512 << 20)
+        placed = CardRecord(pool, cloth)
         one, other = drawn(
-            asked.name, still.vertices, asked.past, around, placed, fold_step.recorded(effort), asked.after
+            pool, asked.name, still.vertices, asked.past, around, placed, fold_step.recorded(effort), asked.after
         )
         assert np.array_equal(one[0], other[0]) is is_same
 

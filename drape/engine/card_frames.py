@@ -1,0 +1,234 @@
+"""Frames of folds in a card's memory: flat records in one pool, and a launch for the frames of many streams.
+
+A record and its arrays lie in one piece, so that it comes and goes by one copy. This file needs NumPy alone.
+"""
+
+from __future__ import annotations
+
+import threading
+from bisect import insort
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from drape.engine.packer import Record, Recorded, address_of
+
+STEPS = {"fold": 0, "fold_two_levels": 1, "lift_alone": 2, "swing": 3, "quantise": 4}
+OUTCOME = 7  # numbers of 64 bits that a frame tells
+SCRATCH_BYTES = 16 << 20  # of a frame, most of it for cloth that crosses itself everywhere
+ALIGNED = 256  # pieces of memory begin at multiples of it
+BEHIND = 16  # bytes behind each array: points are read with a number more
+
+
+class Memory(Protocol):
+    """What ``Pool`` needs of a card."""
+
+    def take(self, size: int) -> int:
+        """Takes ``size`` bytes and returns their address."""
+        ...
+
+    def write(self, address: int, numbers: np.ndarray) -> None:
+        """Writes the array ``numbers`` to ``address``."""
+        ...
+
+    def read(self, address: int, numbers: np.ndarray) -> None:
+        """Fills the array ``numbers`` with what is at ``address``."""
+        ...
+
+    def folds(self, tasks: int, count: int, threads: int) -> None:
+        """Begins a launch of the ``count`` tasks at the address ``tasks``."""
+        ...
+
+
+class Pool:
+    """``size`` bytes of a card's memory in one piece, which is handed out and taken back in pieces of its own."""
+
+    def __init__(self, card: Memory, size: int) -> None:
+        self.card, self.size = card, size
+        self._begin, self._lock = card.take(size), threading.Lock()
+        self._free, self._taken = [(0, size)], dict[int, int]()
+
+    @property
+    def free_bytes(self) -> int:
+        """Memory that is not handed out."""
+        return self.size - sum(self._taken.values())
+
+    def take(self, size: int) -> int:
+        """Hands out ``size`` bytes: their address. Raises ``MemoryError`` where no piece is long enough."""
+        size = piece_bytes(size)
+        with self._lock:
+            for place, (begin, length) in enumerate(self._free):
+                if length >= size:
+                    self._free[place : place + 1] = [(begin + size, length - size)] if length > size else []
+                    self._taken[begin] = size
+                    return self._begin + begin
+        raise MemoryError(f"a card's memory: expected {size} bytes in one piece, got {self.free_bytes} in all")
+
+    def give(self, address: int) -> None:
+        """Takes back what was handed out at ``address``."""
+        with self._lock:
+            begin = address - self._begin
+            insort(self._free, (begin, self._taken.pop(begin)))
+            joined: list[tuple[int, int]] = []
+            for start, length in self._free:
+                if joined and sum(joined[-1]) == start:
+                    joined[-1] = joined[-1][0], joined[-1][1] + length
+                else:
+                    joined.append((start, length))
+            self._free = joined
+
+
+class Flat:
+    """How a ``record`` and its arrays lie in one piece of memory of ``size`` bytes, the words first."""
+
+    def __init__(self, record: Record | Recorded) -> None:
+        self.record = record.record if isinstance(record, Recorded) else record
+        self.words = np.array(self.record._words, np.uint64)
+        self._at, end = dict[int, tuple[int, np.ndarray]](), _rounded(self.words.nbytes)
+        for array in self.record.arrays:
+            if array.size and address_of(array) not in self._at:
+                self._at[address_of(array)] = end, array
+                end += _rounded(array.nbytes + BEHIND)
+        self.size = end
+
+    def at(self, address: int) -> np.ndarray:
+        """The piece (``size``,) uint8 as it is at the ``address`` of a card."""
+        piece, words = np.zeros(self.size, np.uint8), self.relocated(address, self.words.copy())
+        piece[: words.nbytes] = words.view(np.uint8)
+        for offset, array in self._at.values():
+            piece[offset : offset + array.nbytes] = array.reshape(-1).view(np.uint8)
+        return piece
+
+    def relocated(self, address: int, words: np.ndarray) -> np.ndarray:
+        """``words`` of the record, changed to point into the piece at ``address``."""
+        # An array may be a row of another one, so a word is an address within the last that begins before it.
+        begins = np.array(sorted(self._at), np.uint64)
+        for place, word in enumerate(words.tolist()):
+            before = int(np.searchsorted(begins, np.uint64(word), side="right")) - 1
+            if before >= 0:
+                offset, array = self._at[int(begins[before])]
+                inside = word - int(begins[before])
+                if inside < array.nbytes:
+                    words[place] = address + offset + inside
+        return words
+
+    def arrays(self, piece: np.ndarray) -> list[np.ndarray]:
+        """The record's arrays, in its order, as they are in a ``piece`` that came back."""
+        found = []
+        for array in self.record.arrays:
+            offset = self._at[address_of(array)][0] if array.size else 0
+            found.append(piece[offset : offset + array.nbytes].view(array.dtype).reshape(array.shape))
+        return found
+
+
+class CardRecord:
+    """A ``record`` in a piece of ``pool``; ``address`` is where it is."""
+
+    def __init__(self, pool: Pool, record: Record | Recorded) -> None:
+        self.pool, self.flat = pool, Flat(record)
+        self.address = pool.take(self.flat.size)
+        pool.card.write(self.address, self.flat.at(self.address))
+
+    def arrays(self) -> list[np.ndarray]:
+        """Returns the arrays as they are in the card's memory now, in the record's order."""
+        piece = np.empty(self.flat.size, np.uint8)
+        self.pool.card.read(self.address, piece)
+        return self.flat.arrays(piece)
+
+    def end(self, record: Record) -> None:
+        """Sets the numbers behind the arrays to those of ``record``, which has the same arrays."""
+        assert len(record._words) == len(self.flat.words)
+        words = self.flat.relocated(self.address, np.array(record._words, np.uint64))
+        self.pool.card.write(self.address, words)
+
+    def give(self) -> None:
+        """Gives its memory back."""
+        self.pool.give(self.address)
+
+
+class Frames:
+    """Frames of folds that one launch draws. ``give`` returns what they took."""
+
+    def __init__(self, pool: Pool) -> None:
+        self._pool, self._words = pool, list[int]()
+        self._shapes, self._results, self._pieces = list[tuple[int, ...]](), list[int](), list[int]()
+        self.tasks = 0
+
+    def __len__(self) -> int:
+        return len(self._results)
+
+    def add(self, name: str, vertices: np.ndarray, *records: CardRecord | None, number: float = 0.0) -> None:
+        """Adds a frame that the engine's function ``name`` computes of ``vertices`` [m] (V, 3) float32.
+
+        ``records`` are those of its past, its surroundings, its cloth, its effort, and what it leaves to the next
+        frame. Swing and quantising have none of effort, but a ``number``: the share of swing, or the last step. Raises
+        ``MemoryError`` where the pool has no room for it.
+        """
+        size = _rounded(vertices.nbytes)
+        given = self._take(2 * size + 8 * OUTCOME + 48)  # vertices, folded vertices, outcome, scratch, sizes
+        folded, outcome, scratch = given + size, given + 2 * size, given + 2 * size + 8 * OUTCOME
+        piece = np.zeros(2 * size + 8 * OUTCOME + 48, np.uint8)
+        piece[: vertices.nbytes] = np.ascontiguousarray(vertices).reshape(-1).view(np.uint8)
+        piece[-48:-16] = np.array([self._take(SCRATCH_BYTES), SCRATCH_BYTES, 0, 0], np.uint64).view(np.uint8)
+        piece[-16:-8] = np.array([len(vertices)]).view(np.uint8)
+        piece[-8:] = np.array([number]).view(np.uint8)
+        self._pool.card.write(given, piece)
+        self._words += [
+            STEPS[name],
+            given,
+            *(one.address if one else scratch + 32 for one in records),
+            folded,
+            outcome,
+            scratch,
+        ]
+        self._results.append(folded)
+        self._shapes.append(vertices.shape)
+
+    def place(self) -> int:
+        """Writes the tasks, and returns where they are."""
+        words = np.array(self._words, np.uint64)
+        self.tasks = self._take(words.nbytes)
+        self._pool.card.write(self.tasks, words)
+        return self.tasks
+
+    def draw(self, threads: int) -> None:
+        """Begins to draw all of them."""
+        self._pool.card.folds(self.tasks or self.place(), len(self), threads)
+
+    def drawn(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Returns for each frame the folded vertices [m] (V, 3) and the numbers that the engine writes of it
+        (``OUTCOME``,) int64. Raises ``MemoryError`` where scratch was too small."""
+        frames = []
+        for folded, shape in zip(self._results, self._shapes, strict=True):
+            count = 12 * shape[0]
+            piece = np.empty(_rounded(count) + 8 * OUTCOME + 32, np.uint8)
+            self._pool.card.read(folded, piece)
+            told = piece[_rounded(count) :].view(np.int64)
+            if told[-1] & 1:
+                raise MemoryError(f"a frame on a card needs more than {SCRATCH_BYTES} bytes of scratch")
+            frames.append((piece[:count].view(np.float32).reshape(shape), told[:OUTCOME]))
+        return frames
+
+    def give(self) -> None:
+        """Gives back the memory of all of them."""
+        while self._pieces:
+            self._pool.give(self._pieces.pop())
+
+    def _take(self, size: int) -> int:
+        self._pieces.append(self._pool.take(size))
+        return self._pieces[-1]
+
+
+def idle_bytes(memories: Sequence[Record], streams: int = 1) -> int:
+    """What so many idle streams cost of a pool that wear garments with these ``memories`` [bytes]."""
+    return streams * sum(piece_bytes(Flat(record).size) for record in memories)
+
+
+def piece_bytes(size: int) -> int:
+    """What a piece of ``size`` bytes takes of a pool."""
+    return -(-max(size, 1) // ALIGNED) * ALIGNED
+
+
+def _rounded(size: int) -> int:
+    return -(-size // 16) * 16

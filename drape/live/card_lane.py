@@ -1,0 +1,245 @@
+"""The lane of a graphics card: frames of folds of many streams, gathered for two milliseconds and drawn by one launch.
+
+A frame's past is on the card if the lane drew it, and on the host as well, so that a card may fail at any time: whoever
+waits for it, and all after, are computed by the processor from what the host has.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+import weakref
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+
+from drape.engine import card_frames
+from drape.engine.calls import call_with_scratch
+from drape.engine.card import Card
+from drape.engine.card_frames import CardRecord, Frames, Pool, idle_bytes
+from drape.engine.packer import Record
+from drape.errors import DrapeError
+from drape.live.card import for_card
+
+GATHERED_S, MOST, THREADS = 0.002, 256, 512  # of a launch: how long it is waited for, frames, threads of each
+LOST_S = 0.75  # without an answer: the card counts as failed
+KEPT_SHARE = 0.5  # of the memory for streams that rest, at most
+
+Value = TypeVar("Value")
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True)
+class LaneReport:
+    """How a lane does.
+
+    ``card``: its name; ``fault``: why there is none. ``occupied``, ``busy``: the share of its memory that is taken, and
+    of its time since the start. ``queue_s``: the age of the oldest frame that waits. ``frames``, ``launches``: so far.
+    """
+
+    card: str
+    fault: str
+    occupied: float
+    busy: float
+    queue_s: float
+    frames: int
+    launches: int
+
+    @property
+    def frames_a_launch(self) -> float:
+        """Frames that a launch drew in the mean."""
+        return self.frames / max(self.launches, 1)
+
+
+@dataclass(eq=False)
+class _Job:
+    """A frame that waits: what the engine would be given, and ``drawn`` once the card has drawn it."""
+
+    name: str
+    given: tuple[Any, ...]
+    since_s: float = field(default_factory=time.monotonic)
+    done: threading.Event = field(default_factory=threading.Event)
+    drawn: tuple[np.ndarray, np.ndarray, list[np.ndarray]] | None = None
+
+
+class Lane:
+    """A card that ``open_card`` opens, in a thread of its own, with a pool of ``share`` of its free memory.
+
+    Where there is none ``fault`` says why in a sentence, and frames are the processor's.
+    """
+
+    def __init__(self, open_card: Callable[[], Card], *, share: float = 0.8) -> None:
+        self._open, self._share, self._queue = open_card, share, queue.SimpleQueue[_Job | None]()
+        self._ready, self._lock = threading.Event(), threading.Lock()
+        self._cloths = weakref.WeakKeyDictionary[Any, CardRecord]()
+        self._left = OrderedDict[int, tuple[list[np.ndarray], CardRecord]]()  # by what the host holds of a memory
+        self._left_bytes, self._busy_s, self._begun_s = 0, 0.0, time.monotonic()
+        self._gone = deque[CardRecord]()  # of cloths that nobody has any more
+        self._waiting: list[_Job] = []
+        self.card, self.fault, self.frames, self.launches = "", "", 0, 0
+        self._pool: Pool | None = None
+        self._most = 0  # frames of a launch
+        self._thread = threading.Thread(target=self._work, name="card", daemon=True)
+        self._thread.start()
+        self._ready.wait()
+        self._threads = ThreadPoolExecutor(MOST, "card-frames")
+
+    def close(self) -> None:
+        """Ends the threads once what waits is drawn."""
+        self._queue.put(None)
+        self._thread.join(LOST_S)
+        self._threads.shutdown()
+
+    @property
+    def works(self) -> bool:
+        """Whether frames are the card's."""
+        return not self.fault
+
+    def report(self) -> LaneReport:
+        """How the lane does."""
+        pool, now_s = self._pool, time.monotonic()
+        occupied = 0.0 if pool is None else 1.0 - pool.free_bytes / pool.size
+        since_s = [job.since_s for job in list(self._waiting)]
+        queue_s = max((now_s - one for one in since_s), default=0.0)
+        busy = self._busy_s / max(now_s - self._begun_s, 1e-9)
+        return LaneReport(self.card, self.fault, occupied, busy, queue_s, self.frames, self.launches)
+
+    def room(self, memory: Record) -> int:
+        """How many streams more, each with such a ``memory``, the card has memory for while it draws a full launch."""
+        if self._pool is None or self.fault:
+            return 0
+        return max(self._pool.free_bytes - self._most * card_frames.SCRATCH_BYTES, 0) // idle_bytes([memory])
+
+    def each(self, function: Callable[[Value], Found], values: Iterable[Value]) -> Iterator[Found]:
+        """``function`` of each of ``values``, in order; at the same time where the card draws, so that it draws them
+        together."""
+        return self._threads.map(function, values) if self.works else map(function, values)
+
+    def compute(self, name: str, dtype: Any, *given: Any) -> int:
+        """Computes a frame as ``call_with_scratch`` does, on the card or, where that fails, on this thread."""
+        if self.fault or np.dtype(dtype) != np.float32 or not given[1].arrays[0].size:
+            return call_with_scratch(name, dtype, *given)  # without a past it settles, and what is rounded grows
+        job = _Job(name, given)
+        with self._lock:
+            self._waiting.append(job)
+        self._queue.put(job)
+        if not job.done.wait(LOST_S):
+            self._fail(f"{self.card}: expected a frame within {LOST_S} s, got none")
+        with self._lock:
+            if job in self._waiting:
+                self._waiting.remove(job)
+        if job.drawn is None:
+            return call_with_scratch(name, dtype, *given)
+        *_, after, out, told = given
+        folded, numbers, arrays = job.drawn
+        out[:], told[:] = folded, numbers
+        for to, found in zip(after.arrays, arrays, strict=True):
+            to[...] = found
+        return 0
+
+    # --- the card's thread ---
+
+    def _work(self) -> None:
+        try:
+            card = self._open()
+            self._pool = Pool(card, int(self._share * card.free_bytes))
+            self._most = min(MOST, self._pool.size // 2 // card_frames.SCRATCH_BYTES)
+            self.card = card.name
+        except (DrapeError, OSError) as error:
+            self.fault = str(error)
+        self._ready.set()
+        while not self.fault and (jobs := self._gathered()):
+            begun_s = time.monotonic()
+            try:
+                self._draw(jobs)
+            except OSError as error:
+                self._fail(f"{self.card}: {error}")
+            except MemoryError:  # these frames are the processor's
+                self._drop(0)
+            self._busy_s += time.monotonic() - begun_s
+            for job in jobs:
+                job.done.set()
+
+    def _gathered(self) -> list[_Job]:
+        """The frames of the next launch; none at the end."""
+        jobs: list[_Job] = []
+        until_s = time.monotonic() + GATHERED_S
+        while len(jobs) < max(self._most, 1):
+            try:
+                left_s = until_s - time.monotonic()
+                job = self._queue.get() if not jobs else self._queue.get(timeout=max(left_s, 0.0))
+            except queue.Empty:
+                break
+            if job is None:
+                if jobs:
+                    self._queue.put(None)  # for the next time
+                return jobs
+            if not jobs:
+                until_s = max(until_s, job.since_s + GATHERED_S)
+            jobs.append(job)
+        return jobs
+
+    def _draw(self, jobs: list[_Job]) -> None:
+        assert self._pool is not None
+        frames, pieces, after = Frames(self._pool), list[CardRecord](), list[CardRecord]()
+        while self._gone:
+            self._gone.popleft().give()
+        jobs = [job for job in jobs if self.room(job.given[5])]
+        if not jobs:
+            return
+        try:
+            for job in jobs:
+                vertices, past, around, cloth, effort, left, _, _ = job.given
+                records = [self._past(past), *(CardRecord(self._pool, one) for one in (around, effort))]
+                pieces += records
+                after.append(CardRecord(self._pool, left))
+                frames.add(job.name, vertices, *records[:2], self._cloth(cloth), records[2], after[-1])
+            frames.draw(THREADS)
+            for job, (folded, told), record in zip(jobs, frames.drawn(), after, strict=True):
+                job.drawn = folded, told, record.arrays()
+                self._left[id(job.given[5].arrays)] = job.given[5].arrays, record  # as long as there is room
+                self._left_bytes += record.flat.size
+            self.frames, self.launches = self.frames + len(jobs), self.launches + 1
+        finally:
+            frames.give()
+            kept = {id(record) for _, record in self._left.values()}
+            for piece in (*pieces, *after):
+                if id(piece) not in kept:
+                    piece.give()
+            self._drop(int(KEPT_SHARE * self._pool.size))
+
+    def _cloth(self, cloth: Any) -> CardRecord:
+        assert self._pool is not None
+        if cloth not in self._cloths:
+            self._cloths[cloth] = CardRecord(self._pool, for_card(cloth))
+            weakref.finalize(cloth, self._gone.append, self._cloths[cloth])
+        return self._cloths[cloth]
+
+    def _past(self, past: Record) -> CardRecord:
+        """A frame's ``past`` on the card: that which the lane left there, with the time since then, or a copy."""
+        assert self._pool is not None
+        _, known = self._left.pop(id(past.arrays), (None, None))
+        if known is None:
+            return CardRecord(self._pool, past)
+        self._left_bytes -= known.flat.size
+        known.end(past)
+        return known
+
+    def _drop(self, most: int) -> None:
+        """Forgets what was left longest ago, down to ``most`` bytes."""
+        while self._left_bytes > most:
+            _, (_, record) = self._left.popitem(last=False)
+            self._left_bytes -= record.flat.size
+            record.give()
+
+    def _fail(self, fault: str) -> None:
+        """Gives the card up, with a sentence; all that wait go on by the processor."""
+        with self._lock:
+            self.fault = self.fault or fault
+            for job in self._waiting:
+                job.done.set()

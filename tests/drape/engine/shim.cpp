@@ -1,0 +1,93 @@
+// A driver of NVIDIA's that has no card: its entry points over this machine's memory. Launches are given to draw, which
+// tests set to the engine's emulation of threads. A call fails, or stops for a while, on command.
+#include <chrono>
+#include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <string>
+#include <thread>
+
+namespace {
+struct State {
+  int version = 13000, cards = 1, major = 9, minor = 0;
+  uint64_t free_bytes = uint64_t(8) << 30, hash = 0;
+  void (*draw)(uint64_t tasks, int64_t count, int64_t threads, int64_t backwards) = nullptr;
+  int64_t backwards = 0, after = 0, launches = 0;
+  int code = 0;
+  double stops_s = 0;
+  std::string failing;
+} state;
+
+int called(const char* name) {
+  if (state.failing != name || state.after-- > 0) return 0;
+  std::this_thread::sleep_for(std::chrono::duration<double>(state.stops_s));
+  state.after = 0;  // and from now on
+  return state.code;
+}
+}  // namespace
+
+#define CALL(name) \
+  if (const int fault = called(#name)) return fault;
+
+extern "C" {
+void shim_reset() { state = State(); }
+void shim_set(int version, int cards, int major, uint64_t free_bytes, uint64_t hash) {
+  state.version = version, state.cards = cards, state.major = major, state.free_bytes = free_bytes, state.hash = hash;
+}
+void shim_draws_by(void (*draw)(uint64_t, int64_t, int64_t, int64_t), int64_t backwards) {
+  state.draw = draw, state.backwards = backwards;
+}
+// The call of this name returns the code once it has been made so often, after so many seconds.
+void shim_fails(const char* name, int code, int64_t after, double stops_s) {
+  state.failing = name, state.code = code, state.after = after, state.stops_s = stops_s;
+}
+int64_t shim_launches() { return state.launches; }
+
+int cuInit(unsigned) { CALL(cuInit) return 0; }
+int cuDriverGetVersion(int* version) { *version = state.version; return 0; }
+int cuDeviceGetCount(int* count) { *count = state.cards; return 0; }
+int cuDeviceGet(int* device, int number) { *device = number; return 0; }
+int cuDeviceGetName(char* name, int size, int) { strncpy(name, "Card of paper", size_t(size)); return 0; }
+int cuDeviceGetAttribute(int* value, int which, int) { *value = which == 75 ? state.major : state.minor; return 0; }
+int cuDevicePrimaryCtxRetain(void** context, int) { *context = &state; return 0; }
+int cuCtxSetCurrent(void*) { return 0; }
+int cuMemGetInfo_v2(size_t* free_bytes, size_t* whole) { *free_bytes = *whole = state.free_bytes; return 0; }
+int cuMemAlloc_v2(uint64_t* address, size_t bytes) {
+  CALL(cuMemAlloc_v2)
+  *address = uint64_t(calloc(bytes, 1));
+  return 0;
+}
+int cuMemFree_v2(uint64_t address) { free((void*)address); return 0; }
+int cuMemcpyHtoD_v2(uint64_t to, const void* from, size_t bytes) {
+  CALL(cuMemcpyHtoD_v2)
+  memcpy((void*)to, from, bytes);
+  return 0;
+}
+int cuMemcpyDtoH_v2(void* to, uint64_t from, size_t bytes) {
+  CALL(cuMemcpyDtoH_v2)
+  memcpy(to, (const void*)from, bytes);
+  return 0;
+}
+int cuModuleLoadData(void** module, const void*) { CALL(cuModuleLoadData) *module = &state; return 0; }
+int cuModuleGetGlobal_v2(uint64_t* address, size_t* bytes, void*, const char*) {
+  *address = uint64_t(&state.hash), *bytes = 8;
+  return 0;
+}
+int cuModuleGetFunction(void** function, void*, const char*) { *function = &state; return 0; }
+int cuLaunchKernel(void*, unsigned count, unsigned, unsigned, unsigned threads, unsigned, unsigned, unsigned, void*,
+                   void** given, void**) {
+  CALL(cuLaunchKernel)
+  ++state.launches;
+  state.draw(*(const uint64_t*)given[0], count, threads, state.backwards);
+  return 0;
+}
+int cuEventCreate(void** event, unsigned) { *event = &state; return 0; }
+int cuEventRecord(void*, void*) { return 0; }
+int cuEventSynchronize(void*) { CALL(cuEventSynchronize) return 0; }
+int cuEventElapsedTime(float* ms, void*, void*) { *ms = 1; return 0; }
+int cuEventDestroy_v2(void*) { return 0; }
+int cuGetErrorString(int fault, const char** told) {
+  *told = fault == 719 ? "unspecified launch failure" : fault == 2 ? "out of memory" : "a fault of the shim's";
+  return 0;
+}
+}

@@ -1,0 +1,81 @@
+"""A service with a card: folds by its lane, what it tells, and streams that go on when the card is gone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from benchmarks.scenes import FPS
+from benchmarks.served import plan_of
+from drape.live import card_lane
+from drape.live.card_lane import Lane
+from drape.stages.batch import PoseInput
+from drape.stages.frame import at_once
+from drape.stages.walk import run
+from service.compute import drape_runtime
+from service.compute.drape_runtime import DrapeRuntime, open_lane
+from service.http.info_routes import card_health
+from service.settings import Settings
+from tests.fixtures.garments import shipped
+from tests.fixtures.paper_card import SOURCE, driver, fails, paper_card
+from tests.fixtures.poses import random_motion
+
+
+@pytest.fixture(scope="module")
+def runtime() -> Iterator[DrapeRuntime]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(card_lane, "LOST_S", 60.0)  # the emulation is slow
+        patch.setattr(drape_runtime, "open_lane", lambda: Lane(paper_card))
+        with closing(DrapeRuntime(Settings(threads=1))) as made:
+            yield made
+
+
+def test_streams_of_a_batch_are_drawn_together_and_outlive_their_card(runtime: DrapeRuntime):
+    lane = runtime.lane
+    assert lane is not None and lane.works
+    plan = plan_of(runtime, [shipped("tank")], tier="fast", motion=0.0)
+    assert at_once(plan) is None
+    poses, trans = random_motion(3, seed=5)
+    poses *= 0.1
+
+    def follow(frames: int) -> list[np.ndarray]:
+        """Frames of two streams with one motion."""
+        memories, found = [{}, {}], []
+        for i in range(frames):
+            inputs = [
+                PoseInput(poses[i : i + 1], trans[i : i + 1], np.zeros(10), np.array([i / FPS]), memories=memory)
+                for memory in memories
+            ]
+            batch = run(plan, inputs)
+            memories = list(batch.memories)
+            found.append(batch.vertices)
+        return found
+
+    by_card = follow(2)
+    told = card_health(lane)
+    assert told is not None and told.frames == 2 and told.launches == 1 and told.frames_a_launch == 2.0
+    assert told.name == "Card of paper" and told.fault == "" and told.occupied > 0
+    fails("cuLaunchKernel")
+    alone = follow(3)
+    assert not lane.works and card_health(lane).fault.startswith("Card of paper: cuLaunchKernel")
+    for one, other in zip(by_card, alone, strict=False):
+        assert_allclose(one, other, rtol=0, atol=1e-5)
+    assert card_health(None) is None
+
+
+def test_a_start_looks_for_a_card_and_goes_on_without(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    monkeypatch.setattr(drape_runtime, "kernels", lambda: None)
+    assert open_lane() is None  # without the extra
+    monkeypatch.setattr(drape_runtime, "kernels", lambda: SOURCE)
+    lane = open_lane("libno_such_driver.so")
+    assert lane is not None and not lane.works and lane.fault in caplog.text
+    assert "expected NVIDIA's driver" in lane.fault and "frames are computed by the processor" in lane.fault
+    paper_card()
+    with closing(open_lane(driver()[0])) as found:  # pyright: ignore[reportArgumentType]
+        assert found.works  # pyright: ignore[reportOptionalMemberAccess]
