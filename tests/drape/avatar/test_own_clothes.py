@@ -274,6 +274,12 @@ def test_legs_as_thick_as_long_wear_no_trousers(body: BodyModel, shelf: dict[str
     assert refusal is not None and "0.50 times" in str(refusal)
     assert why_not(thick, reach_of(shelf["skirt"], body), garment="skirt") is None
     assert why_not(body, reach_of(shelf["trousers"], body), garment="trousers") is None
+    vertices[own] += 0.3 * (across * (radius_m / np.linalg.norm(across, axis=1))[:, None])
+    stout = BodyModel("stout", "d", vertices, body.shapedirs, regressor, body.weights, body.faces)
+    for name in ("trousers", "skirt", "dress"):
+        refusal = why_not(stout, reach_of(shelf[name], body), garment=name)
+        assert refusal is not None and "0.65 times" in str(refusal) and refusal.cure == "Choose a top."
+    assert why_not(stout, reach_of(shelf["tshirt"], body), garment="tshirt") is None
 
 
 def _without(body: BodyModel, own: np.ndarray):
