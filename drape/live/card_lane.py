@@ -30,7 +30,8 @@ GATHERED_S, MOST, THREADS = 0.002, 256, 512  # of a launch: how long it is waite
 LOST_S = 0.75  # without an answer: the card counts as failed
 KEPT_SHARE = 0.5  # of the memory for streams that rest, at most
 
-Value, Found = TypeVar("Value"), TypeVar("Found")
+Value = TypeVar("Value")
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
