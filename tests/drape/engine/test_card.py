@@ -48,7 +48,7 @@ def runtime() -> Iterator[DrapeRuntime]:
 
 
 def drawn(
-    pool: Pool, name: str, vertices: np.ndarray, past: Record, around: Record, cloth: CardRecord, effort: Record,
+    pool: Pool, name: str, vertices: np.ndarray, given_records: tuple[Record, Record, Record], cloth: CardRecord,
     after: Record,
 ) -> list[list[np.ndarray]]:  # fmt: skip
     """What both orders leave of a frame: vertices, what is told in whole numbers, and the memory after it."""
@@ -56,7 +56,7 @@ def drawn(
     for backwards in (False, True):
         turn_threads(backwards)
         frames, left = Frames(pool), CardRecord(pool, after)
-        given = [CardRecord(pool, one) for one in (past, around, effort)]
+        given = [CardRecord(pool, one) for one in given_records]
         frames.add(name, vertices, *given[:2], cloth, given[2], left)
         frames.draw(THREADS)
         ((folded, told),) = frames.drawn()
@@ -78,7 +78,7 @@ class Beside:
 
     def __call__(self, name: str, dtype: Any, *given: Any) -> int:
         vertices, past, around, cloth, effort, after, out, told = given
-        found = drawn(self._pool, name, vertices, past, around, self._placed(cloth), effort, after)
+        found = drawn(self._pool, name, vertices, (past, around, effort), self._placed(cloth), after)
         returned = call_with_scratch(name, dtype, *given)
         for one, other in zip(*found, strict=True):
             assert one.tobytes() == other.tobytes(), "two threads race"
@@ -221,9 +221,8 @@ def test_threads_that_race_give_other_numbers(tank: TwoLevel, still: Frame):  # 
         asked = two_level_call(cloth, None, 0.0)
         pool = Pool(paper_card(), 512 << 20)
         placed = CardRecord(pool, cloth)
-        one, other = drawn(
-            pool, asked.name, still.vertices, asked.past, around, placed, fold_step.recorded(effort), asked.after
-        )
+        given = asked.past, around, fold_step.recorded(effort)
+        one, other = drawn(pool, asked.name, still.vertices, given, placed, asked.after)
         assert np.array_equal(one[0], other[0]) is is_same
 
 
